@@ -1,0 +1,107 @@
+"""What every test can ask for: device, dtype, a seeded generator, golden numbers; and shape checks for all of them.
+
+The hints of the four packages (`Float[Tensor, "*b 3"]`) are enforced while the tests run, `*_numba` modules apart
+(numba compiles plain functions only). A wrong shape then fails before the function's own check sees it: a test of
+that check, or of `torch.compile`, asks for the fixture `no_shape_check`.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Self
+
+import hypothesis
+import jaxtyping
+import pytest
+import torch
+from beartype import BeartypeConf, FrozenDict, beartype
+
+PACKAGES = ("kmppi", "sdf", "sensors", "rumi")
+_HERE = Path(__file__).parent
+
+# the packages are tested from the checkout, installed or not
+if str(_HERE.parent) not in sys.path:
+    sys.path.insert(0, str(_HERE.parent))
+
+hypothesis.settings.register_profile("rumi", deadline=None, derandomize=True, database=None, max_examples=50)
+hypothesis.settings.load_profile("rumi")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options of the whole suite."""
+    parser.addoption("--device", default="cpu", help="device of the fixture `device`, such as cpu or cuda")
+    parser.addoption("--dtype", default="float64", choices=["float32", "float64"], help="dtype of the fixture `dtype`")
+    parser.addoption("--no-shape-check", action="store_true", help="do not enforce the packages' shape hints")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Enforce the packages' hints, before any of them is imported."""
+    if not config.getoption("--no-shape-check"):
+        _enforce_hints()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what this machine cannot run."""
+    lacking = {
+        "gpu": None if torch.cuda.is_available() else "needs a CUDA device",
+        "data": None if os.environ.get("RUMI_DATA") else "needs RUMI_DATA to name the folder of recorded data",
+    }
+    for item in items:
+        for name, reason in lacking.items():
+            if reason and item.get_closest_marker(name):
+                item.add_marker(pytest.mark.skip(reason=reason))
+
+
+def _enforce_hints() -> None:
+    # `Self` needs a decorated class, and the import hook decorates methods one by one; an int is a fine float
+    conf = BeartypeConf(is_pep484_tower=True, hint_overrides=FrozenDict({Self: Any}))
+    # the hook finds its checker by name only
+    checker = ModuleType("rumi_typecheck")
+    checker.check = beartype(conf=conf)
+    sys.modules[checker.__name__] = checker
+    finder = jaxtyping.install_import_hook(PACKAGES, f"{checker.__name__}.check").hook
+    wanted = finder.should_instrument
+    finder.should_instrument = lambda module_name: wanted(module_name) and not module_name.endswith("_numba")
+
+
+@pytest.fixture(scope="session")
+def device(request: pytest.FixtureRequest) -> torch.device:
+    """The device asked for by --device."""
+    return torch.device(request.config.getoption("--device"))
+
+
+@pytest.fixture(scope="session")
+def dtype(request: pytest.FixtureRequest) -> torch.dtype:
+    """The dtype asked for by --dtype, float64 unless told."""
+    return getattr(torch, request.config.getoption("--dtype"))
+
+
+@pytest.fixture
+def generator() -> torch.Generator:
+    """A CPU generator with a fixed seed, fresh for each test."""
+    return torch.Generator().manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def golden() -> Callable[[str], dict[str, Any]]:
+    """`golden(id)`: the case of that id, with `inputs`, `expected` and `atol`."""
+    cases = {case["id"]: case for case in json.loads((_HERE / "fixtures" / "golden.json").read_text())["cases"]}
+
+    def case(name: str) -> dict[str, Any]:
+        if name not in cases:
+            raise KeyError(f"no golden case {name!r}; there are {', '.join(sorted(cases))}")
+        return cases[name]
+
+    return case
+
+
+@pytest.fixture
+def no_shape_check() -> Iterator[None]:
+    """Leave the packages' hints unenforced during this test."""
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", before)
