@@ -1,0 +1,26 @@
+"""Geometry: rigid transforms, signed distance functions and lattices, in torch alone.
+
+A signed distance function is a module that takes points of the object's own frame, of any batch shape:
+
+>>> import torch
+>>> from sdf.grid_sdf import GridSDF
+>>> from sdf.primitives import Box
+>>> box = Box((0.03, 0.08, 0.105))
+>>> box.distance(torch.tensor([[0.05, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+tensor([ 0.0200, -0.0300])
+>>> table = GridSDF.from_sdf(box, spacing=0.005)
+>>> query = table(torch.tensor([[0.06, 0.0, 0.0]]))
+>>> query.distance
+tensor([0.0300])
+>>> query.gradient.round(decimals=3)
+tensor([[1., 0., 0.]])
+
+Many poses of it against many points of the world are one call:
+
+>>> from sdf import se3
+>>> from sdf.posed import posed_distance
+>>> world_T_object = se3.from_planar(torch.tensor([[0.4, 0.0, 0.0], [0.5, 0.0, 0.0]]), z=0.105)
+>>> posed_distance(table, world_T_object, torch.tensor([[0.4, 0.0, 0.1]]))
+tensor([[-0.0300],
+        [ 0.0700]])
+"""

@@ -1,0 +1,87 @@
+"""Which version of each hot operation runs: the one dispatch registry.
+
+Every hot operation is one public function. Its plain torch version, named "torch", is the definition and takes any
+tensors; a quicker one may stand beside it and says which tensors it supports. The one registered last that supports
+the tensors at hand runs, unless a version is forced by the environment variable RUMI_BACKEND or by `force`.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, TypeVar
+
+from torch import Tensor
+
+VARIABLE = "RUMI_BACKEND"
+PLAIN = "torch"
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_VERSIONS: dict[str, dict[str, tuple[Callable[..., Any], Callable[..., bool]]]] = {}
+_forced: ContextVar[str | None] = ContextVar("forced", default=None)
+
+
+def register(
+    op: str, version: str = PLAIN, supports: Callable[..., bool] = lambda *tensors: True
+) -> Callable[[_Function], _Function]:
+    """Decorator that enters a function as one version of an operation.
+
+    Args:
+        op: the operation's public name.
+        version: this version's name; register "torch", the plain one, first.
+        supports: takes the tensors given to `dispatch`; whether this version can run on them.
+    """
+
+    def enter(function: _Function) -> _Function:
+        _VERSIONS.setdefault(op, {})[version] = (function, supports)
+        return function
+
+    return enter
+
+
+def versions(op: str) -> list[str]:
+    """Names of an operation's versions, the plain one first."""
+    if op not in _VERSIONS:
+        raise ValueError(f"Expected one of the operations {sorted(_VERSIONS)}, got {op!r}")
+    return list(_VERSIONS[op])
+
+
+def dispatch(op: str, *tensors: Tensor) -> Callable[..., Any]:
+    """The version of an operation that runs on these tensors.
+
+    A forced version that an operation does not have leaves that operation plain.
+
+    Raises:
+        ValueError: if the operation is unknown, no operation has the forced version, or it can't take the tensors.
+    """
+    names = versions(op)
+    name = _forced.get() or os.environ.get(VARIABLE) or None
+    if name is not None:
+        _check(name)
+        function, supports = _VERSIONS[op][name if name in names else PLAIN]
+        if not supports(*tensors):
+            what = ", ".join(f"{t.dtype} on {t.device}{', with graph' * t.requires_grad}" for t in tensors)
+            raise ValueError(f"Expected tensors that the forced version {name!r} of {op} supports, got {what}")
+        return function
+    for name in reversed(names):
+        function, supports = _VERSIONS[op][name]
+        if supports(*tensors):
+            return function
+    raise ValueError(f"Expected a version of {op} for these tensors, got none among {names}")
+
+
+@contextmanager
+def force(version: str) -> Iterator[None]:
+    """Within the block every operation that has this version runs it."""
+    _check(version)
+    token = _forced.set(version)
+    try:
+        yield
+    finally:
+        _forced.reset(token)
+
+
+def _check(version: str) -> None:
+    known = sorted({name for table in _VERSIONS.values() for name in table} | {PLAIN})
+    if version not in known:
+        raise ValueError(f"Expected one of the backends {known} ({VARIABLE} or force), got {version!r}")

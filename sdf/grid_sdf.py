@@ -1,0 +1,222 @@
+"""A signed distance function tabulated on a lattice: what estimation looks up millions of times."""
+
+import math
+from typing import Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sdf.base import SDF, SDFQuery
+from sdf.check import check_shape, keep_within_reach
+from sdf.lookup import interpolate, interpolate_with_slopes
+
+_CHUNK = 1 << 18
+# squared metres: less than any distance that matters, more than float32 loses
+_TINY = 1e-30
+
+
+class GridSDF(SDF):
+    """Trilinear interpolation between distances at the nodes of a lattice, finite and continuous everywhere.
+
+    The lattice is fine around the object and, where asked, goes on with a few wide cells on every side, node by
+    node on the same axes, so that nothing jumps where the spacing changes. Beyond its last node, with c the
+    nearest point of the lattice's box, s_i how far x is from c along axis i and p the distance from the box's
+    faces to the object's bounds,
+
+        distance(x) = sqrt(distance(c)^2 + sum_i s_i (s_i + 2 p)),
+
+    which joins without a jump, is a lower bound of the true distance and has slope at most 1 wherever
+    the table is a true distance: every surface point is at least p behind each face, so the law of cosines gives
+    the bound. Trilinear values themselves are steeper than 1 only within a cell of a sharp edge (by less than
+    sqrt 3). A point that is not finite counts as very far outside: never NaN.
+
+    Args:
+        values: (X, Y, Z), metres, at the nodes; at least two along each axis.
+        origin: metres, the lower corner of the fine part.
+        spacing: metres between the nodes of the fine part.
+        bounds: (2, 3), metres, of the object; must lie within the fine part.
+        outer: number of wide cells on every side; they are part of `values`.
+        outer_spacing: their width, metres.
+    """
+
+    values: Float[Tensor, "X Y Z"]
+
+    def __init__(
+        self,
+        values: Float[Tensor, "X Y Z"],
+        origin: tuple[float, float, float],
+        spacing: float,
+        bounds: Float[Tensor, "2 3"],
+        *,
+        outer: int = 0,
+        outer_spacing: float = 0.02,
+    ) -> None:
+        check_shape("values", values, "(X, Y, Z)")
+        check_shape("bounds", bounds, "(2, 3)")
+        super().__init__(bounds)
+        if not spacing > 0 or (outer and outer_spacing < spacing):
+            raise ValueError(f"Expected 0 < spacing <= outer_spacing, got {spacing} and {outer_spacing} m")
+        if min(values.shape) < 2 * outer + 2:
+            raise ValueError(f"Expected at least {2 * outer + 2} nodes along each axis, got {tuple(values.shape)}")
+        self.register_buffer("values", values)
+        self.origin = tuple(float(x) for x in origin)
+        self.spacing, self.outer, self.outer_spacing = float(spacing), int(outer), float(outer_spacing)
+        low, high = bounds.tolist()
+        insets = [
+            min(a - start, start + spacing * (n - 1 - 2 * outer) - b)
+            for a, b, start, n in zip(low, high, self.origin, values.shape, strict=True)
+        ]
+        if min(insets) < -2e-3 * spacing:
+            raise ValueError(
+                f"Expected bounds within the fine lattice, got {bounds.tolist()} outside by {-min(insets):g} m: pad it"
+            )
+        self.inset = max(min(insets), 0.0) + outer * self.outer_spacing
+
+    @classmethod
+    def from_sdf(
+        cls,
+        sdf: SDF,
+        spacing: float = 0.002,
+        padding: float = 0.02,
+        *,
+        outer: float = 0.25,
+        outer_spacing: float = 0.02,
+    ) -> Self:
+        """Tabulate another SDF, in its dtype and on its device.
+
+        Args:
+            sdf: any; exact outside, so that the table is a true distance there.
+            spacing: metres; at most half of the thinnest wall, else the wall is lost.
+            padding: metres of fine lattice beyond the SDF's bounds.
+            outer: metres, at least, of wide cells beyond that; 0 for none.
+            outer_spacing: width of these, metres.
+
+        Raises:
+            ValueError: if the SDF gives a distance that is not finite.
+        """
+        if not spacing > 0 or padding < 0 or outer < 0:
+            raise ValueError(f"Expected spacing > 0, padding >= 0, outer >= 0, got {spacing}, {padding}, {outer}")
+        corners = sdf.bounds.double().cpu()
+        low, high = (corners[0] - padding).tolist(), (corners[1] + padding).tolist()
+        wide = max(outer_spacing, spacing)
+        count = _whole(outer / wide)
+        beyond = wide * torch.arange(1, count + 1, dtype=torch.float64)
+        axes = []
+        for start, end in zip(low, high, strict=True):
+            fine = start + spacing * torch.arange(max(_whole((end - start) / spacing), 1) + 1, dtype=torch.float64)
+            axes.append(torch.cat((start - beyond.flip(0), fine, fine[-1] + beyond)).to(sdf.bounds))
+        nodes = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1)
+        with torch.no_grad():
+            values = torch.cat([sdf.distance(part) for part in nodes.reshape(-1, 3).split(_CHUNK)])
+        if not bool(torch.isfinite(values).all()):
+            raise ValueError(f"Expected finite distances from {type(sdf).__name__}, got NaN or infinity")
+        start_x, start_y, start_z = low
+        return cls(
+            values.reshape(nodes.shape[:-1]),
+            (start_x, start_y, start_z),
+            spacing,
+            sdf.bounds.clone(),
+            outer=count,
+            outer_spacing=wide,
+        )
+
+    def distance(self, points_o: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+        """Signed distance (*b), metres; differentiable (twice) to points and to `values`."""
+        cells, offsets, _ = self._cells(points_o)
+        return self._join(interpolate(self.values, cells), offsets)[0]
+
+    def forward(self, points_o: Float[Tensor, "*b 3"]) -> SDFQuery:
+        """Signed distance (*b), metres, and the exact gradient (*b, 3) of what `distance` gives."""
+        cells, offsets, chains = self._cells(points_o, chains=True)
+        value, slopes = interpolate_with_slopes(self.values, cells)
+        return self._query(value, slopes, offsets, chains)
+
+    def distance_at_height(self, xy: Float[Tensor, "*b 2"], z: float | Float[Tensor, ""]) -> Float[Tensor, "*b"]:
+        """What `distance` gives at points (x, y, z) of one height: four corners a point instead of eight."""
+        cells, offsets, _ = self._cells(xy, z)
+        low, high, share = self._layers(cells[2])
+        return self._join(interpolate(torch.lerp(low, high, share), cells), offsets)[0]
+
+    def query_at_height(self, xy: Float[Tensor, "*b 2"], z: float | Float[Tensor, ""]) -> SDFQuery:
+        """What `forward` gives at points (x, y, z) of one height, gradient (*b, 3)."""
+        cells, offsets, chains = self._cells(xy, z, chains=True)
+        low, high, share = self._layers(cells[2])
+        value, slopes = interpolate_with_slopes(torch.lerp(low, high, share), cells)
+        slopes[2] = interpolate(high - low, cells)
+        return self._query(value, slopes, offsets, chains)
+
+    def _cells(
+        self, points: Tensor, z: float | Tensor | None = None, *, chains: bool = False
+    ) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
+        """By axis: lattice coordinates, offsets beyond the lattice and, if asked, cells per fine spacing.
+
+        Offsets are in fine spacings. In lattice coordinates a wide cell is one unit, as a fine one is. Which of them
+        a point is in, `floor` of its coordinate decides, for the derivative too: at their common node, or an ulp
+        beside it, a derivative of the one with the slope of the other would be wrong by the ratio of their widths.
+        """
+        check_shape("points", points, "(*b, 3)" if z is None else "(*b, 2)")
+        planes = list(points.unbind(-1))
+        if z is not None:
+            planes.append(torch.as_tensor(z, dtype=points.dtype, device=points.device))
+        scale, ratio = 1.0 / self.spacing, self.spacing / self.outer_spacing
+        reach = self.outer / ratio
+        cells, offsets, rates = [], [], []
+        for plane, start, n in zip(planes, self.origin, self.values.shape, strict=True):
+            last = n - 1 - self.outer
+            # in fine spacings, such that the first fine node, number `outer`, is at `outer`
+            place = keep_within_reach(plane) * scale + (self.outer - start * scale)
+            cell = fine = place.clamp(self.outer, last)
+            kept = place.clamp(self.outer - reach, last + reach) if self.outer else fine
+            offset = place - kept
+            if self.outer:
+                cell = torch.lerp(fine, kept, ratio)
+                if chains or place.requires_grad:
+                    in_fine = ((cell >= self.outer) & (cell < last)).to(cell.dtype)
+                    rate = (ratio + (1.0 - ratio) * in_fine) * (offset.detach() == 0)
+                    if place.requires_grad:
+                        cell = cell.detach() + rate * (place - place.detach())
+                    rates.append(rate)
+            elif chains:
+                rates.append((offset.detach() == 0).to(cell.dtype))
+            cells.append(cell)
+            offsets.append(offset)
+        return cells, offsets, rates
+
+    def _layers(self, cell: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Nodes (X, Y, 1) below and above a lattice height, and how far between them it is."""
+        below = cell.detach().floor().clamp(0.0, self.values.shape[2] - 2.0)
+        values, index = self.values.to(cell.dtype), below.long()[None]
+        return values.index_select(2, index), values.index_select(2, index + 1), cell - below
+
+    def _join(self, value: Tensor, offsets: list[Tensor]) -> tuple[Tensor, Tensor]:
+        """The distance from the clamped point's value and the offsets beyond the lattice, and its size.
+
+        Without branches, which cost more than the sums: where nothing is beyond, the root is |value| to the bit.
+        """
+        twice = 2.0 * self.inset / self.spacing
+        sizes = [offset.abs() for offset in offsets]
+        total = sizes[0] * (sizes[0] + twice)
+        for size in sizes[1:]:
+            total = torch.addcmul(total, size, size + twice)
+        far = torch.addcmul(total * self.spacing**2, value, value).clamp_min(_TINY).sqrt()
+        return value + (far - value.abs()), far
+
+    def _query(self, value: Tensor, slopes: list[Tensor], offsets: list[Tensor], chains: list[Tensor]) -> SDFQuery:
+        """Distance and gradient from the look-up's value and slopes, by the chain rule."""
+        distance, far = self._join(value, offsets)
+        inverse = 1.0 / far
+        # cells a metre in the fine part, less where the value counts for less of the distance
+        ratio = (1.0 + (value * inverse - value.sign())) / self.spacing
+        spread = inverse * self.spacing
+        inset = self.inset / self.spacing
+        gradient = [
+            torch.addcmul(slope * chain * ratio, spread, torch.add(offset, offset.sign(), alpha=inset))
+            for slope, offset, chain in zip(slopes, offsets, chains, strict=True)
+        ]
+        return SDFQuery(distance, torch.stack(gradient, dim=-1))
+
+
+def _whole(ratio: float) -> int:
+    """Least whole number not below a ratio, up to a thousandth (rounding)."""
+    return math.ceil(ratio - 1e-3)

@@ -1,0 +1,129 @@
+"""Multilinear look-up in a lattice of values: value and the exact gradient of what is interpolated.
+
+By gathers, not by `grid_sample`: differentiable twice, to points and to values, at a cost that depends on the
+number of points alone. Everything is plain torch on coordinate planes (all x, all y, all z), so points whose
+planes lie apart in memory, such as `planes.movedim(0, -1)`, are quickest. Without a graph nothing is kept.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sdf import backend
+from sdf.base import SDFQuery
+from sdf.check import check_shape, keep_within_reach
+
+
+def trilinear(
+    values: Float[Tensor, "X Y Z"],
+    origin: Float[Tensor, "3"],
+    spacing: float,
+    points: Float[Tensor, "*b 3"],
+) -> SDFQuery:
+    """Value at some points and its gradient, both of the trilinear interpolant, clamped to the lattice's box.
+
+    The gradient is that of the interpolant itself: piecewise, of the cell that `floor` picks, 0 along an axis on
+    which the point was clamped or which has a single node. Autograd goes through value and gradient to points
+    and to values.
+
+    Args:
+        values: (X, Y, Z), at the nodes.
+        origin: (3,), metres, where node (0, 0, 0) is.
+        spacing: metres between nodes, the same on every axis.
+        points: (*b, 3), metres; a coordinate that is not finite counts as very far (`sdf.check.FAR`).
+
+    Raises:
+        ValueError: if a shape does not fit.
+    """
+    return backend.dispatch("trilinear", values, origin, points)(values, origin, spacing, points)
+
+
+def trilinear_value(
+    values: Float[Tensor, "X Y Z"],
+    origin: Float[Tensor, "3"],
+    spacing: float,
+    points: Float[Tensor, "*b 3"],
+) -> Float[Tensor, "*b"]:
+    """The value alone of `trilinear`, quicker; differentiable in the same way."""
+    return backend.dispatch("trilinear_value", values, origin, points)(values, origin, spacing, points)
+
+
+@backend.register("trilinear")
+def _trilinear(values: Tensor, origin: Tensor, spacing: float, points: Tensor) -> SDFQuery:
+    cells, inside = _cells(values, origin, spacing, points)
+    value, slopes = interpolate_with_slopes(values, cells)
+    gradient = [slope * mask for slope, mask in zip(slopes, inside, strict=True)]
+    return SDFQuery(value, torch.stack(gradient, dim=-1) / spacing)
+
+
+@backend.register("trilinear_value")
+def _trilinear_value(values: Tensor, origin: Tensor, spacing: float, points: Tensor) -> Tensor:
+    return interpolate(values, _cells(values, origin, spacing, points)[0])
+
+
+def interpolate(values: Float[Tensor, "X Y Z *C"], cells: list[Tensor]) -> Float[Tensor, "..."]:
+    """Value (*b, *C) at lattice coordinates: three planes (*b), each within [0, n - 1] of its axis (not checked).
+
+    The plane of an axis with a single node is not looked at.
+    """
+    flat, base, axes = _locate(values, cells)
+    return _value(flat, base, axes, 0).reshape((*cells[0].shape, *values.shape[3:]))
+
+
+def interpolate_with_slopes(values: Float[Tensor, "X Y Z"], cells: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
+    """The same with the slopes along the three axes, a cell each; 0 along an axis with a single node."""
+    flat, base, axes = _locate(values, cells)
+    value, slopes = _value_and_slopes(flat, base, axes, 0)
+    shape, rest = cells[0].shape, iter(slopes)
+    zero = torch.zeros_like(cells[0])
+    return value.reshape(shape), [next(rest).reshape(shape) if n > 1 else zero for n in values.shape]
+
+
+def _cells(values: Tensor, origin: Tensor, spacing: float, points: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+    """Lattice coordinates of points, clamped, and on which axes no clamping was needed."""
+    check_shape("values", values, "(X, Y, Z)")
+    check_shape("origin", origin, "(3,)")
+    check_shape("points", points, "(*b, 3)")
+    free = [
+        (keep_within_reach(plane) - start) / spacing
+        for plane, start in zip(points.unbind(-1), origin.unbind(-1), strict=True)
+    ]
+    cells = [plane.clamp(0.0, n - 1.0) for plane, n in zip(free, values.shape, strict=True)]
+    return cells, [cell == plane for cell, plane in zip(cells, free, strict=True)]
+
+
+def _locate(values: Tensor, cells: list[Tensor]) -> tuple[Tensor, Tensor, list[tuple[int, Tensor]]]:
+    """Flat values, flat index of each point's lower corner, and stride and fraction along each axis of more nodes."""
+    x, y, z = values.shape[:3]
+    # 32 bits are quicker, where they reach
+    kind = torch.int32 if x * y * z < 2**31 else torch.int64
+    channels = (1,) * (values.ndim - 3)
+    base = torch.zeros(cells[0].numel(), dtype=kind, device=values.device)
+    axes: list[tuple[int, Tensor]] = []
+    for cell, n, stride in zip(cells, (x, y, z), (y * z, z, 1), strict=True):
+        if n > 1:
+            plane = cell.reshape(-1)
+            lower = plane.detach().to(kind).clamp_max_(n - 2)
+            base = lower * stride if not axes else base.add_(lower, alpha=stride)
+            axes.append((stride, (plane - lower).reshape(-1, *channels)))
+    return values.reshape(x * y * z, *values.shape[3:]).to(cells[0].dtype), base, axes
+
+
+def _value(flat: Tensor, base: Tensor, axes: list[tuple[int, Tensor]], offset: int) -> Tensor:
+    if not axes:
+        # a shifted view of the values, so that one index serves all eight corners
+        return flat[offset:].index_select(0, base)
+    (stride, fraction), rest = axes[0], axes[1:]
+    return torch.lerp(_value(flat, base, rest, offset), _value(flat, base, rest, offset + stride), fraction)
+
+
+def _value_and_slopes(
+    flat: Tensor, base: Tensor, axes: list[tuple[int, Tensor]], offset: int
+) -> tuple[Tensor, list[Tensor]]:
+    if not axes:
+        return flat[offset:].index_select(0, base), []
+    (stride, fraction), rest = axes[0], axes[1:]
+    low, low_slopes = _value_and_slopes(flat, base, rest, offset)
+    high, high_slopes = _value_and_slopes(flat, base, rest, offset + stride)
+    slopes = [torch.lerp(a, b, fraction) for a, b in zip(low_slopes, high_slopes, strict=True)]
+    return torch.lerp(low, high, fraction), [high - low, *slopes]

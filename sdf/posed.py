@@ -1,0 +1,115 @@
+"""One object at many poses: the distance of world points from each of them."""
+
+import math
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sdf import backend, se3
+from sdf.base import SDF, SDFQuery
+from sdf.check import check_shape
+from sdf.grid_sdf import GridSDF
+
+# pairs looked up at once: few enough for the caches, enough that two threads do not wait for each other all the time
+_BLOCK = 1 << 17
+
+
+def posed_distance(
+    sdf: SDF, world_T_object: Float[Tensor, "*#b N 4 4"], points_w: Float[Tensor, "*#b M 3"]
+) -> Float[Tensor, "... N M"]:
+    """Signed distance of every world point from the object at every pose, metres.
+
+    Differentiable to poses and points. Batch axes broadcast. Works block by block, so that beside the result
+    little memory is taken unless a graph is kept. What is skipped: where no graph is needed and the object is
+    upright at one height over points of one height, a tabulated SDF is looked up in the one layer that all
+    pairs share, which is the same interpolation with its z step done once.
+
+    Args:
+        sdf: the object's.
+        world_T_object: (*b, N, 4, 4), poses.
+        points_w: (*b, M, 3), metres; one that is not finite counts as very far from the object.
+
+    Raises:
+        ValueError: if a shape does not fit.
+    """
+    _check(world_T_object, points_w)
+    version = backend.dispatch("posed_distance", world_T_object, points_w, *sdf.buffers())
+    return version(sdf, world_T_object, points_w)
+
+
+def posed_query(sdf: SDF, world_T_object: Float[Tensor, "*#b N 4 4"], points_w: Float[Tensor, "*#b M 3"]) -> SDFQuery:
+    """The same with the gradient (*b, N, M, 3) in each object frame."""
+    _check(world_T_object, points_w)
+    version = backend.dispatch("posed_query", world_T_object, points_w, *sdf.buffers())
+    return version(sdf, world_T_object, points_w)
+
+
+@backend.register("posed_distance")
+def _posed_distance(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor:
+    height = _common_height(sdf, world_T_object, points_w)
+
+    def look_up(points_o: Tensor) -> tuple[Tensor, ...]:
+        if height is not None and isinstance(sdf, GridSDF):
+            return (sdf.distance_at_height(points_o[..., :2], height)[..., None],)
+        return (sdf.distance(points_o)[..., None],)
+
+    return _by_blocks(look_up, world_T_object, points_w)[0][..., 0]
+
+
+@backend.register("posed_query")
+def _posed_query(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SDFQuery:
+    height = _common_height(sdf, world_T_object, points_w)
+
+    def look_up(points_o: Tensor) -> tuple[Tensor, ...]:
+        if height is not None and isinstance(sdf, GridSDF):
+            query = sdf.query_at_height(points_o[..., :2], height)
+        else:
+            query = sdf(points_o)
+        return query.distance[..., None], query.gradient
+
+    distance, gradient = _by_blocks(look_up, world_T_object, points_w)
+    return SDFQuery(distance[..., 0], gradient)
+
+
+def _by_blocks(
+    look_up: Callable[[Tensor], tuple[Tensor, ...]], world_T_object: Tensor, points_w: Tensor
+) -> list[Tensor]:
+    """Results (*b, N, M, n) of a function of object-frame points, a block of poses and points at a time."""
+    batch = torch.broadcast_shapes(world_T_object.shape[:-3], points_w.shape[:-2])
+    poses, points = world_T_object.shape[-3], points_w.shape[-2]
+    scenes = math.prod(batch)
+    point_step = max(1, min(points, _BLOCK // max(scenes, 1)))
+    pose_step = max(1, _BLOCK // max(scenes * point_step, 1))
+    object_T_world = se3.inverse(world_T_object)[..., :3, :].movedim(-2, 0)
+    homogeneous = torch.cat((points_w, torch.ones_like(points_w[..., :1])), dim=-1).mT
+    rows = []
+    for first in range(0, max(poses, 1), pose_step):
+        transforms = object_T_world[..., first : first + pose_step, :]
+        row = []
+        for start in range(0, max(points, 1), point_step):
+            # coordinate planes (3, *b, n, m), each contiguous, seen as points (*b, n, m, 3)
+            planes = transforms @ homogeneous[..., start : start + point_step]
+            row.append(look_up(planes.movedim(0, -1)))
+        rows.append([torch.cat(parts, dim=-2) if len(row) > 1 else parts[0] for parts in zip(*row, strict=True)])
+    return [torch.cat(parts, dim=-3) if len(rows) > 1 else parts[0] for parts in zip(*rows, strict=True)]
+
+
+def _common_height(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor | None:
+    """Height of all points in the frames of all poses if there is one, the poses are upright and no graph is kept."""
+    graph = torch.is_grad_enabled() and (world_T_object.requires_grad or points_w.requires_grad)
+    if graph or not isinstance(sdf, GridSDF) or not world_T_object.numel() or not points_w.numel():
+        return None
+    if torch.compiler.is_compiling():
+        return None
+    heights, levels = points_w[..., 2].reshape(-1), world_T_object[..., 2, 3].reshape(-1)
+    upright = world_T_object[..., 2, :3] == world_T_object.new_tensor((0.0, 0.0, 1.0))
+    if bool((heights == heights[0]).all() & (levels == levels[0]).all() & upright.all()):
+        return heights[0] - levels[0]
+    return None
+
+
+def _check(world_T_object: Tensor, points_w: Tensor) -> None:
+    check_shape("world_T_object", world_T_object, "(*b, N, 4, 4)")
+    check_shape("points_w", points_w, "(*b, M, 3)")

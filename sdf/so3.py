@@ -1,0 +1,158 @@
+"""Rotations as (*b, 3, 3) matrices: exponential, logarithm, angle, projection.
+
+Every function is finite and right in value and gradient from the identity to half a turn, in float32 and float64:
+each branch that would divide by zero is given a harmless input before `torch.where` drops it.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import BackwardCFunction, once_differentiable
+
+SERIES_BELOW = 0.25
+"""Squared angle under which the power series serve: there 8 terms are exact in float64, above it nothing cancels."""
+
+
+def hat(omega: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3 3"]:
+    """Cross-product matrix: `hat(a) @ b == a x b`."""
+    x, y, z = omega.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), dim=-1).reshape(*omega.shape[:-1], 3, 3)
+
+
+def vee(matrix: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3"]:
+    """Inverse of `hat`; takes the antisymmetric part of any matrix."""
+    return 0.5 * torch.stack(
+        (
+            matrix[..., 2, 1] - matrix[..., 1, 2],
+            matrix[..., 0, 2] - matrix[..., 2, 0],
+            matrix[..., 1, 0] - matrix[..., 0, 1],
+        ),
+        dim=-1,
+    )
+
+
+def exp(omega: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3 3"]:
+    """Rotation by |omega| radians about omega (Rodrigues)."""
+    first, second, _ = exp_coefficients((omega * omega).sum(-1))
+    cross = hat(omega)
+    eye = torch.eye(3, dtype=omega.dtype, device=omega.device)
+    return eye + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
+
+
+def log(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3"]:
+    """Rotation vector, radians, of length at most pi; at half a turn either of the two."""
+    quaternion = _scaled_quaternion(rotation)
+    real, imaginary = quaternion[..., :1], quaternion[..., 1:]
+    flip = torch.where(real < 0, -torch.ones_like(real), torch.ones_like(real))
+    real, imaginary = flip * real, flip * imaginary
+    # 2 atan(s / w) / s, by its series where s, the length of the imaginary part, may be zero
+    squared = (imaginary * imaginary).sum(-1, keepdim=True)
+    small = squared < 1e-6 * real * real
+    safe_real = torch.where(small, real, torch.ones_like(real))
+    ratio = torch.where(small, squared, torch.zeros_like(squared)) / (safe_real * safe_real)
+    series = 2.0 / safe_real * (1.0 - ratio * (1.0 / 3.0 - ratio * (1.0 / 5.0 - ratio / 7.0)))
+    sine = torch.where(small, torch.ones_like(squared), squared).sqrt()
+    closed = 2.0 * torch.atan2(sine, real) / sine
+    return torch.where(small, series, closed) * imaginary
+
+
+def angle(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b"]:
+    """Angle of rotation in [0, pi], radians; its gradient at the identity and at half a turn, both kinks, is 0."""
+    sine = vee(rotation)
+    squared = (sine * sine).sum(-1)
+    zero = squared == 0
+    length = torch.where(zero, torch.ones_like(squared), squared).sqrt()
+    cosine = 0.5 * (rotation.diagonal(dim1=-2, dim2=-1).sum(-1) - 1.0)
+    return torch.atan2(torch.where(zero, torch.zeros_like(length), length), cosine)
+
+
+def reproject(matrix: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3 3"]:
+    """The rotation nearest to a matrix in the Frobenius norm, determinant +1; differentiable once.
+
+    Where several rotations are equally near (a singular matrix of rank below 2) one of them.
+    """
+    return _NearestRotation.apply(matrix)[0]
+
+
+def exp_coefficients(
+    squared_angle: Float[Tensor, "*b"],
+) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"], Float[Tensor, "*b"]]:
+    """The smooth functions sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3 of t^2."""
+    small = squared_angle < SERIES_BELOW
+    low = torch.where(small, squared_angle, torch.zeros_like(squared_angle))
+    high = torch.where(small, torch.ones_like(squared_angle), squared_angle)
+    theta = high.sqrt()
+    sine = theta.sin()
+    half_sine = (0.5 * theta).sin()
+    first = torch.where(small, _odd_series(low, 1), sine / theta)
+    second = torch.where(small, _odd_series(low, 2), 2.0 * half_sine * half_sine / high)
+    third = torch.where(small, _odd_series(low, 3), (theta - sine) / (high * theta))
+    return first, second, third
+
+
+def _odd_series(squared: Tensor, start: int) -> Tensor:
+    """Sum over k of (-squared)^k start-wise factorials: 1/start! - squared/(start+2)! + ..., 8 terms by Horner."""
+    total = torch.ones_like(squared)
+    for k in range(7, 0, -1):
+        total = 1.0 - squared / ((start + 2 * k - 1) * (start + 2 * k)) * total
+    return total / (1.0, 1.0, 2.0, 6.0)[start]
+
+
+def _scaled_quaternion(rotation: Tensor) -> Tensor:
+    """(w, x, y, z) times a positive or negative number of size 2 to 4: polynomial in the matrix, so smooth.
+
+    Row i of 4 q q^T is q times 4 q_i; the row of the greatest |q_i| never vanishes.
+    """
+    m = rotation
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    outer = torch.stack(
+        (
+            torch.stack((1.0 + xx + yy + zz, wx, wy, wz), dim=-1),
+            torch.stack((wx, 1.0 + xx - yy - zz, xy, xz), dim=-1),
+            torch.stack((wy, xy, 1.0 - xx + yy - zz, yz), dim=-1),
+            torch.stack((wz, xz, yz, 1.0 - xx - yy + zz), dim=-1),
+        ),
+        dim=-2,
+    )
+    best = outer.diagonal(dim1=-2, dim2=-1).argmax(-1)
+    return torch.gather(outer, -2, best[..., None, None].expand(*best.shape, 1, 4))[..., 0, :]
+
+
+class _NearestRotation(torch.autograd.Function):
+    """U diag(1, 1, det) V^T with the gradient that stays finite where singular values are equal.
+
+    With M = U S V^T (S signed so that R = U V^T is a rotation), dR = U W V^T, where
+    W_ij = (X - X^T)_ij / (s_i + s_j) and X = U^T dM V: only sums of singular values are divided by, which are
+    about 2 near a rotation, whereas the gradient of the factors divides by their differences, 0 there.
+    """
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(matrix: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        u, s, vh = torch.linalg.svd(matrix)
+        sign = torch.where(torch.linalg.det(u @ vh) < 0, -1.0, 1.0).to(matrix.dtype)
+        signs = torch.stack((torch.ones_like(sign), torch.ones_like(sign), sign), dim=-1)
+        u, s = u * signs[..., None, :], s * signs
+        return u @ vh, u, s, vh
+
+    @staticmethod
+    def setup_context(ctx: BackwardCFunction, inputs: tuple[Tensor], output: tuple[Tensor, ...]) -> None:
+        _, u, s, vh = output
+        ctx.mark_non_differentiable(u, s, vh)
+        ctx.save_for_backward(u, s, vh)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: BackwardCFunction, gradient: Tensor, *others: Tensor) -> Tensor:
+        saved: tuple[Tensor, ...] = ctx.saved_tensors
+        u, s, vh = saved
+        sums = s[..., :, None] + s[..., None, :]
+        # where two rotations are equally near, the direction that has no derivative gets none
+        firm = sums > 10.0 * torch.finfo(sums.dtype).eps * s[..., :1, None]
+        weight = torch.where(firm, 1.0, 0.0).to(sums) / torch.where(firm, sums, torch.ones_like(sums))
+        inner = u.mT @ gradient @ vh.mT
+        return u @ ((inner - inner.mT) * weight) @ vh

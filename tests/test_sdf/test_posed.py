@@ -1,0 +1,144 @@
+import math
+
+import pytest
+import torch
+
+import sdf.posed
+from sdf import se3
+from sdf.grid_sdf import GridSDF
+from sdf.posed import posed_distance, posed_query
+from sdf.primitives import Mug
+
+
+@pytest.fixture(scope="module")
+def grid() -> GridSDF:
+    return GridSDF.from_sdf(Mug(), spacing=0.004).double()
+
+
+@pytest.fixture(params=["mug", "grid"])
+def shape(request, grid):
+    return Mug() if request.param == "mug" else grid
+
+
+def scene(generator, batch=(), poses=5, points=7, upright=False) -> tuple[torch.Tensor, torch.Tensor]:
+    tangent = 0.1 * torch.randn(*batch, poses, 6, dtype=torch.float64, generator=generator)
+    cloud = 0.15 * torch.randn(*batch, points, 3, dtype=torch.float64, generator=generator)
+    if upright:
+        cloud[..., 2] = 0.045
+        return se3.from_planar(tangent[..., :3], 0.013), cloud
+    return se3.exp(tangent), cloud
+
+
+def one_by_one(shape, poses, points):
+    """The definition: each pose alone, by autograd."""
+    distance, gradient = [], []
+    for pose in poses:
+        local = se3.apply(se3.inverse(pose), points).requires_grad_()
+        value = shape.distance(local)
+        distance.append(value.detach())
+        gradient.append(torch.autograd.grad(value.sum(), local)[0])
+    return torch.stack(distance), torch.stack(gradient)
+
+
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("block", [1, 10, 1 << 17])
+def test_equals_one_pose_at_a_time(shape, upright, block, generator, monkeypatch):
+    monkeypatch.setattr(sdf.posed, "_BLOCK", block)
+    poses, points = scene(generator, upright=upright)
+    distance, gradient = one_by_one(shape, poses, points)
+    query = posed_query(shape, poses, points)
+    assert torch.allclose(posed_distance(shape, poses, points), distance, atol=1e-13)
+    assert torch.allclose(query.distance, distance, atol=1e-13)
+    assert torch.allclose(query.gradient, gradient, atol=1e-11)
+
+
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("block", [4, 1 << 17])
+def test_each_scene_of_a_batch_stands_alone(shape, upright, block, generator, monkeypatch):
+    monkeypatch.setattr(sdf.posed, "_BLOCK", block)
+    poses, points = scene(generator, (2, 3), upright=upright)
+    distance = posed_distance(shape, poses, points)
+    query = posed_query(shape, poses, points)
+    assert distance.shape == query.distance.shape == (2, 3, 5, 7)
+    for i in range(2):
+        for j in range(3):
+            assert torch.allclose(distance[i, j], posed_distance(shape, poses[i, j], points[i, j]), atol=1e-14)
+            alone = posed_query(shape, poses[i, j], points[i, j])
+            assert torch.allclose(query.gradient[i, j], alone.gradient, atol=1e-11)
+    shared = posed_distance(shape, poses, points[0, 0])
+    assert torch.allclose(shared[1, 2], posed_distance(shape, poses[1, 2], points[0, 0]), atol=1e-14)
+
+
+def test_one_layer_is_looked_up_only_where_all_pairs_share_it(grid, generator, monkeypatch):
+    poses, points = scene(generator, upright=True)
+    calls = []
+    real = GridSDF.distance_at_height
+    monkeypatch.setattr(GridSDF, "distance_at_height", lambda *args: calls.append(1) or real(*args))
+    posed_distance(grid, poses, points)
+    assert len(calls) == 1
+    lifted, tilted, apart = poses.clone(), poses.clone(), points.clone()
+    lifted[0, 2, 3] += 1e-3
+    tilted[0] = tilted[0] @ se3.exp(torch.tensor((0, 0, 0, 1e-4, 0, 0), dtype=torch.float64))
+    apart[0, 2] += 1e-3
+    for pair in ((lifted, points), (tilted, points), (poses, apart), (poses.requires_grad_(), points)):
+        posed_distance(grid, *pair)
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_autograd_to_poses_and_points(shape, upright, generator):
+    poses, points = scene(generator, poses=2, points=3, upright=upright)
+    points[..., :2] += 0.02  # away from symmetric places, which are kinks
+    tangent = torch.zeros(2, 6, dtype=torch.float64, requires_grad=True)
+
+    def distance(x, p):
+        return posed_distance(shape, se3.perturb(poses, x), p)
+
+    def query(x, p):
+        return tuple(posed_query(shape, se3.perturb(poses, x), p))
+
+    inputs = (tangent, points.clone().requires_grad_())
+    assert torch.autograd.gradcheck(distance, inputs, eps=1e-7, atol=1e-5)
+    assert torch.autograd.gradcheck(query, inputs, eps=1e-7, atol=1e-4)
+
+
+def test_moving_world_and_all_changes_nothing(shape, generator):
+    poses, points = scene(generator)
+    motion = se3.exp(torch.randn(6, dtype=torch.float64, generator=generator))
+    moved = posed_distance(shape, motion @ poses, se3.apply(motion, points))
+    assert torch.allclose(moved, posed_distance(shape, poses, points), atol=1e-12)
+
+
+@pytest.mark.parametrize(("poses", "points"), [(0, 7), (5, 0), (0, 0)])
+@pytest.mark.parametrize("batch", [(), (2,), (0,)])
+def test_nothing_to_look_up(shape, poses, points, batch, generator):
+    transforms, cloud = scene(generator, batch, poses, points)
+    assert posed_distance(shape, transforms, cloud).shape == (*batch, poses, points)
+    query = posed_query(shape, transforms, cloud)
+    assert query.distance.shape == (*batch, poses, points)
+    assert query.gradient.shape == (*batch, poses, points, 3)
+
+
+def test_padding_that_is_not_finite_is_far(grid, generator):
+    poses, points = scene(generator, upright=True)
+    points[2] = math.nan
+    distance = posed_distance(grid, poses, points)
+    assert torch.isfinite(distance).all()
+    assert (distance[:, 2] > 1e5).all()
+    good = [0, 1, 3, 4, 5, 6]
+    assert torch.allclose(distance[:, good], posed_distance(grid, poses, points[good]), atol=1e-14)
+
+
+def test_float32(grid, generator):
+    poses, points = scene(generator)
+    single = GridSDF.from_sdf(Mug(), spacing=0.004)
+    found = posed_distance(single, poses.float(), points.float())
+    assert found.dtype == torch.float32
+    assert (found.double() - posed_distance(grid, poses, points)).abs().max() < 1e-6
+
+
+def test_shape_errors(no_shape_check, grid):
+    with pytest.raises(ValueError, match=r"Expected world_T_object to have shape \(\*b, N, 4, 4\), got \(4, 4\)"):
+        posed_distance(grid, torch.eye(4), torch.zeros(3, 3))
+    with pytest.raises(ValueError, match=r"Expected points_w to have shape \(\*b, M, 3\), got \(3,\)"):
+        posed_query(grid, torch.eye(4)[None], torch.zeros(3))
