@@ -1,0 +1,165 @@
+"""Model predictive path integral control: sample, bound, evaluate, weigh, update, repeat."""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from kmppi.parameterization import make_parameterization
+from kmppi.types import ControlPlan, MPPISettings, Objective, Rollouts
+from kmppi.weights import perturbation_cost, sample_weights
+
+
+class MPPI:
+    """Sampling MPC over control points: MPPI with one a step, KMPPI with a few and a kernel between (RUMI, IV-I).
+
+    Holds settings and matrices only; the plan goes in and comes out.
+
+    Args:
+        settings: horizon, knots, noise, temperature, limits.
+        control_dim: dimensions A of a control.
+        dtype: of plans and samples.
+        device: of plans and samples.
+
+    Raises:
+        ValueError: `control_dim` does not fit the settings, or the knots' kernel matrix is close to singular.
+    """
+
+    def __init__(
+        self,
+        settings: MPPISettings,
+        control_dim: int,
+        dtype: torch.dtype = torch.float32,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        if control_dim < 1:
+            raise ValueError(f"Expected control_dim to be 1 or more, got {control_dim}")
+        if not dtype.is_floating_point:
+            raise ValueError(f"Expected dtype to be a floating one, such as torch.float32, got {dtype}")
+        self.settings = settings
+        self.control_dim = control_dim
+        self.dtype = dtype
+        self.device = torch.device(device)
+        self.parameterization = make_parameterization(settings)
+        self.control_min = self._per_dimension("control_min", settings.control_min)
+        self.control_max = self._per_dimension("control_max", settings.control_max)
+        self.noise_variance = self._per_dimension("noise_variance", settings.noise_variance)
+        self._noise_std = self.noise_variance.sqrt()
+        self._matrix = self.parameterization.matrix.to(self.device, dtype)
+
+    def from_knots(self, knots: Float[Tensor, "S A"]) -> ControlPlan:
+        """The plan of given control points (S, A), bounded."""
+        expected = (self.parameterization.knots, self.control_dim)
+        if tuple(knots.shape) != expected:
+            raise ValueError(f"Expected knots to have shape (S, A) = {expected}, got {tuple(knots.shape)}")
+        bounded = self._bound(knots.to(self.device, self.dtype))
+        return ControlPlan(bounded, self.controls(bounded))
+
+    def initial(self, *, generator: torch.Generator) -> ControlPlan:
+        """A plan of bounded noise, to improve by `settings.warmup_iterations` before it is executed (RUMI, IV-G)."""
+        return self.from_knots(self._noise(1, generator)[0])
+
+    def controls(self, knots: Float[Tensor, "*k S A"]) -> Float[Tensor, "*k H A"]:
+        """Controls (*k, H, A) of knots (*k, S, A), clipped: between knots within the limits a curve may leave them."""
+        if self.settings.knots is None:
+            return self._bound(knots)
+        return self._bound(self._matrix @ knots)
+
+    def shift(self, plan: ControlPlan, executed: int) -> ControlPlan:
+        """The same plan, `executed` controls later; what lies past its end goes to zero (RUMI, IV-G).
+
+        Knots are moved along their curve, `K(Hv + n, Hv) K(Hv, Hv)^-1`, not rolled.
+
+        Raises:
+            ValueError: `executed` is negative.
+        """
+        if executed < 0:
+            raise ValueError(f"Expected executed to be 0 or more, got {executed}")
+        matrix = self.parameterization.shift_matrix(executed).to(self.device, self.dtype)
+        return self.from_knots(matrix @ plan.knots.to(self.device, self.dtype))
+
+    @torch.no_grad()
+    def plan(
+        self,
+        plan: ControlPlan,
+        objective: Objective,
+        *,
+        iterations: int | None = None,
+        should_stop: Callable[[], bool] | None = None,
+        generator: torch.Generator,
+    ) -> tuple[ControlPlan, Rollouts]:
+        """Improve a plan.
+
+        Args:
+            plan: what to sample around, from `initial`, `shift` or an earlier call.
+            objective: costs (K,) of controls (K, H, A) within the limits; lower is better.
+            iterations: how often to sample and update; `settings.iterations` unless given.
+            should_stop: asked between iterations; on True the plan so far is returned. One iteration is always done.
+            generator: all randomness of the samples; it may live on another device.
+
+        Returns:
+            the new plan and the samples of the last iteration.
+
+        Raises:
+            NonFiniteCostsError: no sample of an iteration has a finite cost.
+            ValueError: an argument or the objective's answer has the wrong shape.
+        """
+        iterations = self.settings.iterations if iterations is None else iterations
+        if iterations < 1:
+            raise ValueError(f"Expected iterations to be 1 or more, got {iterations}")
+        plan = self.from_knots(plan.knots)
+        for done in range(1, iterations + 1):
+            plan, rollouts = self._iterate(plan, objective, done, generator)
+            if done < iterations and should_stop is not None and should_stop():
+                break
+        return plan, rollouts
+
+    def _iterate(
+        self, plan: ControlPlan, objective: Objective, done: int, generator: torch.Generator
+    ) -> tuple[ControlPlan, Rollouts]:
+        settings = self.settings
+        noise = self._noise(settings.samples, generator)
+        if settings.include_nominal:
+            noise[0] = 0.0
+        knots = self._bound(plan.knots + noise)
+        controls = self.controls(knots)
+        costs = self._evaluate(objective, controls)
+        # the noise that was left after clipping is the one that was rolled out
+        perturbation = (
+            perturbation_cost(plan.knots, knots - plan.knots, self.noise_variance, settings.temperature)
+            if settings.perturbation_cost
+            else None
+        )
+        weights = sample_weights(costs, settings.temperature, cost_scale=settings.cost_scale, perturbation=perturbation)
+        ess = (1.0 / weights.square().sum()).to(self.dtype)
+        weights = weights.to(self.dtype)
+        updated = (weights @ knots.flatten(1)).view_as(plan.knots)
+        return self.from_knots(updated), Rollouts(controls, costs, weights, ess, done)
+
+    def _evaluate(self, objective: Objective, controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
+        costs = objective(controls)
+        expected = (controls.shape[0],)
+        if tuple(costs.shape) != expected or not costs.is_floating_point():
+            raise ValueError(
+                f"Expected the objective to return one floating cost a sample, shape {expected}, "
+                f"got shape {tuple(costs.shape)} of {costs.dtype}"
+            )
+        return costs.to(self.device)
+
+    def _noise(self, count: int, generator: torch.Generator) -> Float[Tensor, "count S A"]:
+        shape = (count, self.parameterization.knots, self.control_dim)
+        drawn = torch.randn(shape, generator=generator, dtype=self.dtype, device=generator.device)
+        return drawn.to(self.device) * self._noise_std
+
+    def _bound(self, values: Float[Tensor, "*k A"]) -> Float[Tensor, "*k A"]:
+        return torch.clamp(values, self.control_min, self.control_max)
+
+    def _per_dimension(self, name: str, value: float | tuple[float, ...]) -> Float[Tensor, "A"]:
+        values = value if isinstance(value, tuple) else (value,)
+        if len(values) not in (1, self.control_dim):
+            raise ValueError(
+                f"Expected {name} to be one number or one for each of {self.control_dim} control dimensions, "
+                f"got {len(values)}"
+            )
+        return torch.tensor(values, dtype=self.dtype, device=self.device).expand(self.control_dim).clone()

@@ -1,0 +1,79 @@
+"""From the costs of the samples to their weights."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from kmppi.types import CostScale, NonFiniteCostsError
+
+
+def perturbation_cost(
+    nominal: Float[Tensor, "S A"],
+    noise: Float[Tensor, "*k S A"],
+    noise_variance: Float[Tensor, "A"],
+    temperature: float,
+) -> Float[Tensor, "*k"]:
+    """`temperature * nominal^T variance^-1 noise`: what weighing must know of drawing around the nominal (RUMI, [50]).
+
+    Taken over the knots, where the samples are drawn: there it is the exact ratio of likelihoods. With the controls
+    of KMPPI and the knots' variance it would be off (about 1.8 times), since the controls of neighbouring steps
+    are correlated.
+
+    Args:
+        nominal: (S, A), knots that were sampled around.
+        noise: (*k, S, A), what was added to them.
+        noise_variance: (A,), of each control dimension.
+        temperature: lambda, in units of cost.
+
+    Returns:
+        (*k), units of cost.
+    """
+    return temperature * torch.einsum("...sa,sa->...", noise, nominal / noise_variance)
+
+
+def scale_costs(costs: Float[Tensor, "F"], cost_scale: CostScale) -> Float[Tensor, "F"]:
+    """Finite costs (F,) from 0 up, as they are ("raw") or in standard deviations ("std"; equal costs stay 0)."""
+    if cost_scale == "raw":
+        return costs - costs.min()
+    # of order 1 first, so that squares neither overflow nor vanish
+    largest = costs.abs().max()
+    unit = costs / torch.where(largest > 0, largest, 1.0)
+    deviation = unit.std(correction=0)
+    return (unit - unit.min()) / torch.where(deviation > 0, deviation, 1.0)
+
+
+def sample_weights(
+    costs: Float[Tensor, "K"],
+    temperature: float,
+    *,
+    cost_scale: CostScale = "raw",
+    perturbation: Float[Tensor, "K"] | None = None,
+) -> Float[Tensor, "K"]:
+    """`softmax(-(cost + perturbation) / temperature)` in float64, and 0 for every cost that is not finite.
+
+    Args:
+        costs: (K,), of any scale.
+        temperature: in units of the scaled cost.
+        cost_scale: how the costs are scaled first, by the finite ones alone.
+        perturbation: (K,), added after the scaling.
+
+    Returns:
+        (K,), float64, summing to 1; the same when a constant is added to all costs.
+
+    Raises:
+        NonFiniteCostsError: no cost is finite.
+    """
+    finite = costs.isfinite()
+    count = int(finite.sum())
+    if count == 0:
+        raise NonFiniteCostsError(
+            f"Expected at least one finite cost, got {costs.numel()} of nan or infinity: check the objective, "
+            "whose samples start with the nominal controls"
+        )
+    # float64: costs far above the temperature must still be told apart where they differ little
+    wide = costs.double()
+    scaled = scale_costs(wide if count == costs.numel() else wide[finite], cost_scale)
+    if perturbation is not None:
+        scaled = scaled + (perturbation if count == costs.numel() else perturbation[finite])
+    weights = torch.softmax(-scaled / temperature, 0)
+    return weights if count == costs.numel() else torch.zeros_like(wide).masked_scatter_(finite, weights)
