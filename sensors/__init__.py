@@ -1,0 +1,1 @@
+"""What readings say about space and about a pose."""

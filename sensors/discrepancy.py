@@ -1,0 +1,165 @@
+"""RUMI's discrepancy between posed objects and semantic points, with its tangent gradient."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from sdf import se3
+from sdf.base import SDF
+from sdf.posed import posed_distance, posed_query
+from sensors.observation import Observation, compact
+from sensors.semantics import Semantics
+
+
+def discrepancy_terms(
+    distance: Float[Tensor, "*b"],
+    semantics: Int[Tensor, "*b"],
+    free_scale: float | Tensor = 10.0,
+    alpha: float | Tensor = 0.0,
+) -> Float[Tensor, "*b"]:
+    """Cost of each point, metres times scale (RUMI, Eqs 4-6).
+
+    Free points cost `C max(0, alpha - v)`, occupied ones `C max(0, alpha + v)`, surface ones `|v|`.
+
+    Args:
+        distance: signed distance v of each point to the posed object, metres.
+        semantics: `Semantics` values.
+        free_scale: C, of the free and occupied terms.
+        alpha: metres. The paper calls alpha > 0 a tolerance, but it then penalises free points outside the
+            surface; a tolerance is alpha <= 0.
+    """
+    sign = 1.0 - 2.0 * (semantics == Semantics.FREE).to(distance.dtype)
+    hinge = free_scale * (alpha + sign * distance).clamp_min(0.0)
+    return torch.where(semantics == Semantics.SURFACE, distance.abs(), hinge)
+
+
+def residuals(
+    distance: Float[Tensor, "*b"],
+    semantics: Int[Tensor, "*b"],
+    free_scale: float | Tensor = 10.0,
+    alpha: float | Tensor = 0.0,
+) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
+    """Residual and weight whose half weighted square has the gradients of RUMI's Eqs 7-9.
+
+    Eqs 7-9 are not the derivatives of Eqs 4-6 but of `C/2 max(0, .)^2` and `v^2 / 2`: a belief is weighed by
+    Eqs 4-6 and optimised by this objective, as the paper does.
+
+    Returns:
+        r (*b), signed so that dr/dv = 1 where r is not 0, and w (*b): the objective is sum(w r^2 / 2).
+    """
+    free = torch.minimum(distance - alpha, torch.zeros_like(distance))
+    occupied = (distance + alpha).clamp_min(0.0)
+    surface = semantics == Semantics.SURFACE
+    residual = torch.where(surface, distance, torch.where(semantics == Semantics.FREE, free, occupied))
+    weight = torch.where(surface, torch.ones_like(distance), torch.ones_like(distance) * free_scale)
+    return residual, weight
+
+
+class NormalEquations(NamedTuple):
+    """Gauss-Newton terms of each pose; the tangent is (v, omega), world axes, about the object's origin.
+
+    Attributes:
+        objective: (*b, N), sum of weighted half-squares.
+        gradient: (*b, N, 6), d objective / d tangent of `exp`-perturbations of the pose.
+        hessian: (*b, N, 6, 6), Gauss-Newton approximation, positive semi-definite.
+    """
+
+    objective: Float[Tensor, "*b N"]
+    gradient: Float[Tensor, "*b N 6"]
+    hessian: Float[Tensor, "*b N 6 6"]
+
+
+def tangent_rows(
+    frame_T_object: Float[Tensor, "*b 4 4"],
+    points: Float[Tensor, "*b M 3"],
+    gradient_o: Float[Tensor, "*b M 3"],
+) -> Float[Tensor, "*b M 6"]:
+    """d(signed distance) / d(tangent) of each point when the object moves by v and turns by omega about its origin.
+
+    The point is fixed and the object moves, hence the minus: `dv = -n . v - ((x - t) x n) . omega`.
+    """
+    normal = se3.rotate(frame_T_object, gradient_o)
+    arm = points - frame_T_object[..., None, :3, 3]
+    return torch.cat((-normal, -torch.linalg.cross(arm, normal, dim=-1)), dim=-1)
+
+
+def normal_equations(
+    sdf: SDF,
+    frame_T_object: Float[Tensor, "*b N 4 4"],
+    points: Float[Tensor, "*b M 3"],
+    semantics: Int[Tensor, "*b M"],
+    valid: Bool[Tensor, "*b M"],
+    free_scale: float | Tensor = 10.0,
+    alpha: float | Tensor = 0.0,
+) -> NormalEquations:
+    """Objective, gradient and Gauss-Newton Hessian of every pose over all points (RUMI, Eqs 7-9)."""
+    query = posed_query(sdf, frame_T_object, points)
+    shape = query.distance.shape
+    semantics = semantics[..., None, :].expand(shape)
+    residual, weight = residuals(query.distance, semantics, free_scale, alpha)
+    weight = weight * valid[..., None, :]
+    rows = tangent_rows(frame_T_object, points[..., None, :, :].expand(*shape, 3), query.gradient)
+    active = weight * ((semantics == Semantics.SURFACE) | (residual != 0))
+    weighted = rows * active[..., None]
+    return NormalEquations(
+        0.5 * (weight * residual**2).sum(-1),
+        (weighted * residual[..., None]).sum(-2),
+        weighted.mT @ rows,
+    )
+
+
+class Discrepancy(nn.Module):
+    """C^(X, T) of RUMI's Eq 3: a sum in metres over free, occupied and surface points, for many poses.
+
+    A sum, not a mean, since only a sum is additive (Eq 11). Free points that no pose can reach (further from
+    every pose's origin than the object's radius) cost nothing and are not looked up.
+
+    Args:
+        sdf: the object's signed distance function.
+        radius: greatest distance of the object's surface from its origin, metres.
+        free_scale: C.
+        tolerance: metres by which a free or occupied point may be violated (alpha = -tolerance); below half
+            the thinnest wall, or free points refute nothing.
+        trainable: make free_scale and tolerance nn.Parameters.
+    """
+
+    free_scale: Tensor
+    tolerance: Tensor
+
+    def __init__(
+        self, sdf: SDF, radius: float, *, free_scale: float = 10.0, tolerance: float = 0.0, trainable: bool = False
+    ) -> None:
+        super().__init__()
+        if tolerance < 0:
+            raise ValueError(f"Expected a tolerance of 0 m or more, got {tolerance}")
+        self.sdf = sdf
+        self.radius = radius
+        for name, value in (("free_scale", free_scale), ("tolerance", tolerance)):
+            tensor = torch.tensor(float(value), dtype=torch.float64)
+            if trainable:
+                self.register_parameter(name, nn.Parameter(tensor))
+            else:
+                self.register_buffer(name, tensor)
+
+    def forward(self, frame_T_object: Float[Tensor, "*b N 4 4"], observation: Observation) -> Float[Tensor, "*b N"]:
+        """Discrepancy of each pose; points and poses are in the same frame. No points give 0."""
+        near = self.within_reach(frame_T_object, observation)
+        distance = posed_distance(self.sdf, frame_T_object, near.points)
+        semantics = near.semantics[..., None, :].expand(distance.shape)
+        cost = discrepancy_terms(distance, semantics, self.free_scale.to(distance), -self.tolerance.to(distance))
+        return torch.where(near.valid[..., None, :], cost, torch.zeros_like(cost)).sum(-1)
+
+    def within_reach(self, frame_T_object: Float[Tensor, "*b N 4 4"], observation: Observation) -> Observation:
+        """The observation less the free points outside the ball that holds the object at every pose (exact)."""
+        if len(observation) == 0:
+            return observation
+        origin = frame_T_object[..., :3, 3]
+        centre = 0.5 * (origin.amin(-2) + origin.amax(-2))
+        reach = self.radius + (origin - centre[..., None, :]).norm(dim=-1).amax(-1)
+        far = (observation.points - centre[..., None, :]).norm(dim=-1) > reach[..., None]
+        useless = far & (observation.semantics == Semantics.FREE)
+        return compact(
+            Observation(observation.points, observation.semantics, observation.attached, observation.valid & ~useless)
+        )

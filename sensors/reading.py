@@ -1,0 +1,37 @@
+"""What a robot's sensors report after one action."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from sensors.observation import Observation
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Everything sensed during one action, at K instants (K >= 1); metres, radians, seconds.
+
+    Points are in the world frame, each at its own instant: while the object moves, a point that rides with
+    it must be carried to the object-attached frame by the motion up to that instant.
+
+    Attributes:
+        observation: points with semantics, world frame; `attached` tells which ride with the object.
+        instant: (*b, M), index 0..K-1 of the instant at which each point was seen.
+        tool_pose: (*b, K, 4, 4), world_T_tool at each instant.
+        in_contact: (*b, K), whether the tactile sensor touched the object.
+        object_motion: (*b, K, 4, 4) or None, measured world motion of the object from the start of the
+            action up to each instant (`pose_k = object_motion_k @ pose_start`).
+        configuration: (*b, Q), the tool's configuration at the last instant (planar: x, y, yaw).
+        clipped: (*b), metres of the commanded translation that the arm's reach refused.
+        stamp: seconds since the start of the run.
+    """
+
+    observation: Observation
+    instant: Int[Tensor, "*b M"]
+    tool_pose: Float[Tensor, "*b K 4 4"]
+    in_contact: Bool[Tensor, "*b K"]
+    object_motion: Float[Tensor, "*b K 4 4"] | None
+    configuration: Float[Tensor, "*b Q"]
+    clipped: Float[Tensor, "*b"]
+    stamp: float = 0.0
