@@ -1,0 +1,1 @@
+"""The belief over the object's pose and how it follows readings."""

@@ -1,0 +1,234 @@
+"""The pose filter: predict, weigh, resample, optimise (RUMI, Algs 1-4 and 6)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from rumi.belief.motion import MOTIONS, Motion, object_motion
+from rumi.belief.particles import PoseBelief
+from rumi.belief.resampling import resample_systematic
+from rumi.errors import DegenerateBeliefError
+from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
+from rumi.seeding import Generators, normal
+from sdf import se3
+from sensors.discrepancy import Discrepancy
+from sensors.evidence import Evidence, in_attached_frame
+from sensors.observation import Observation, attach, merge
+from sensors.reading import Reading
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """How the belief follows the readings.
+
+    Attributes:
+        peakiness: lambda, nats per metre of discrepancy (Eq 10).
+        free_scale: C of free and occupied points (Eqs 4, 5), for the lattice `free_spacing_m`.
+        tolerance_m: violation that a free or occupied point is allowed.
+        free_spacing_m, surface_spacing_m: lattice that keeps one point a cell (Alg 6).
+        motion: "measured" by a slip sensor, "sticking" to the tool, or "estimated" (Alg 5).
+        translation_noise_m, rotation_noise_rad: standard deviations of the process noise, drawn on every move
+            and after every resampling (Alg 3); in SE(2) along x, y and yaw.
+        trigger: discrepancy l_r above which the belief is resampled (Alg 1, line 16).
+        trigger_percentile: of the particles' discrepancies, compared with the trigger; 1 is the paper's maximum.
+        weighing: "scratch" weighs by all observations each time, after an optimiser has moved the particles
+            (it is then a heuristic as in the paper: particles resampled by a likelihood and weighed by it again
+            count it twice); "incremental" weighs by the change since the last resampling, which does not count
+            twice, for a filter without optimiser (`descent.iterations` 0).
+        weigh_before_resampling: False is the order of the paper's Alg 1, whose resampling has not seen the new
+            data and whose weights after it are all 1/P.
+        descent: the optimiser after resampling (Alg 4).
+        still_m, still_rad: motions below these are no move: no noise, discrepancies carry over.
+    """
+
+    peakiness: float = 2.0
+    free_scale: float = 80.0
+    tolerance_m: float = 0.001
+    free_spacing_m: float = 0.005
+    surface_spacing_m: float = 0.002
+    motion: Motion = "measured"
+    translation_noise_m: float = 0.003
+    rotation_noise_rad: float = 0.0
+    trigger: float = 5.0
+    trigger_percentile: float = 0.95
+    weighing: Literal["scratch", "incremental"] = "scratch"
+    weigh_before_resampling: bool = True
+    descent: DescentSettings = field(default_factory=DescentSettings)
+    still_m: float = 1e-4
+    still_rad: float = 1e-3
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        if self.motion not in MOTIONS:
+            raise ValueError(f"Expected motion to be one of {', '.join(MOTIONS)}, got {self.motion!r}")
+        if self.weighing not in ("scratch", "incremental"):
+            raise ValueError(f"Expected weighing scratch or incremental, got {self.weighing!r}")
+        for name in ("peakiness", "free_spacing_m", "surface_spacing_m"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if not 0 < self.trigger_percentile <= 1:
+            raise ValueError(f"Expected trigger_percentile in (0, 1], got {self.trigger_percentile}")
+
+
+class FilterInfo(NamedTuple):
+    """What a filter step did.
+
+    Attributes:
+        moved: (*b), whether the object moved.
+        resampled: (*b), whether the belief was resampled.
+        added: the points that were new.
+    """
+
+    moved: Bool[Tensor, "*b"]
+    resampled: Bool[Tensor, "*b"]
+    added: Observation
+
+
+class PoseFilter(nn.Module):
+    """Follows the readings with a particle belief; holds settings, never the belief.
+
+    Args:
+        discrepancy: C^ with the settings' scale and tolerance.
+        search: "SE(2)" or "SE(3)".
+        settings: how.
+    """
+
+    lattice: Tensor
+
+    def __init__(self, discrepancy: Discrepancy, search: Search, settings: FilterSettings) -> None:
+        super().__init__()
+        if search not in SEARCHES:
+            raise ValueError(f"Expected search to be one of {', '.join(SEARCHES)}, got {search!r}")
+        self.discrepancy = discrepancy
+        self.search: Search = search
+        self.settings = settings
+        lattice = (settings.free_spacing_m, settings.free_spacing_m, settings.surface_spacing_m)
+        self.register_buffer("lattice", torch.tensor(lattice))
+
+    def forward(
+        self,
+        belief: PoseBelief,
+        memory: Observation,
+        reading: Reading,
+        extra: Sequence[Evidence] = (),
+        *,
+        generator: Generators,
+    ) -> tuple[PoseBelief, Observation, FilterInfo]:
+        """One whole filter step.
+
+        Args:
+            belief: before the reading.
+            memory: all points so far; attached ones in the object-attached frame.
+            reading: what the action's sensors reported.
+            extra: further evidence on the pose after the action, added to the log-weights.
+            generator: one, or one a scene.
+
+        Returns:
+            the belief after, the memory after, and what was done.
+        """
+        settings = self.settings
+        motion = object_motion(settings.motion, belief, reading, self.discrepancy, self.search, settings.descent)
+        frames = motion @ belief.world_T_attached[..., None, :, :]
+        new = attach(reading.observation, reading.instant, frames)
+        memory, added = merge(memory, new, self.lattice)
+        before = belief
+        belief, moved = self.predict(belief, motion[..., -1, :, :], generator=generator)
+        belief = self.weigh(belief, before, memory, added, moved)
+        trigger_belief = belief if settings.weigh_before_resampling else replace(belief, log_weights=before.log_weights)
+        belief, resampled = self.resample(belief, trigger_belief, memory, generator=generator)
+        for evidence in extra:
+            belief = belief.reweighted(belief.log_weights + evidence.log_likelihood(belief.world_T_object))
+        return belief, memory, FilterInfo(moved, resampled, added)
+
+    def predict(
+        self, belief: PoseBelief, motion: Float[Tensor, "*b 4 4"], *, generator: Generators
+    ) -> tuple[PoseBelief, Bool[Tensor, "*b"]]:
+        """Move the attached frame by the motion, and add process noise where it is a move (Alg 1, lines 12-14).
+
+        Particles and points ride in the attached frame: `T_i <- dT_sigma T_i M^-1` for all particles, where the
+        paper's `dT T_i` would move each along its own axes.
+        """
+        identity = se3.identity(motion.shape[:-2], dtype=motion.dtype, device=motion.device)
+        shift, turn = se3.distance(motion, identity)
+        # a motion about a far origin shifts nearby points: measure it at the object
+        at_object = belief.mean()
+        shift = torch.minimum(shift, (motion @ at_object - at_object)[..., :3, 3].norm(dim=-1))
+        moved = (shift > self.settings.still_m) | (turn > self.settings.still_rad)
+        poses = self.perturb(belief.attached_T_object, generator=generator, rows=moved)
+        return replace(belief.moved(motion), attached_T_object=poses), moved
+
+    def perturb(
+        self, poses: Float[Tensor, "*b N 4 4"], *, generator: Generators, rows: Bool[Tensor, "*b"]
+    ) -> Float[Tensor, "*b N 4 4"]:
+        """Process noise about each object's origin in the scenes `rows` (Alg 3; sigmas are standard deviations)."""
+        shift, turn = self.settings.translation_noise_m, self.settings.rotation_noise_rad
+        if (shift == 0 and turn == 0) or not bool(rows.any()):
+            return poses
+        sigma = [shift, shift, turn] if self.search == "SE(2)" else [shift] * 3 + [turn] * 3
+        shape = (*poses.shape[:-2], len(sigma))
+        noise = normal(shape, generator=generator, dtype=poses.dtype, device=poses.device)
+        noise = noise * torch.tensor(sigma, dtype=poses.dtype, device=poses.device)
+        return torch.where(rows[..., None, None, None], retract(poses, noise, self.search), poses)
+
+    def weigh(
+        self, belief: PoseBelief, before: PoseBelief, memory: Observation, added: Observation, moved: Bool[Tensor, "*b"]
+    ) -> PoseBelief:
+        """Weights by the discrepancy (Alg 2), of which only the new points' part is computed where it adds up.
+
+        Where no particle moved in the attached frame and no point is fixed in the world, the discrepancy of the
+        old points carries over exactly (Eq 11 and move invariance).
+        """
+        same = belief.attached_T_object is before.attached_T_object or bool(
+            (belief.attached_T_object == before.attached_T_object).all()
+        )
+        fixed = len(memory) > 0 and bool((memory.valid & ~memory.attached).any())
+        if same and not fixed:
+            total = belief.discrepancy + self.discrepancy(belief.attached_T_object, added)
+        else:
+            total = self.total(belief, memory)
+        return self._weighted(replace(belief, discrepancy=total), total - before.discrepancy)
+
+    def total(self, belief: PoseBelief, memory: Observation) -> Float[Tensor, "*b N"]:
+        """Discrepancy of all observations."""
+        return self.discrepancy(belief.attached_T_object, in_attached_frame(memory, belief.world_T_attached))
+
+    def _weighted(self, belief: PoseBelief, change: Float[Tensor, "*b N"]) -> PoseBelief:
+        if not bool(torch.isfinite(belief.discrepancy).any(-1).all()):
+            raise DegenerateBeliefError("No particle has a finite discrepancy: check the observation's points")
+        if self.settings.weighing == "incremental":
+            return belief.reweighted(belief.log_weights - self.settings.peakiness * change)
+        return belief.reweighted(-self.settings.peakiness * belief.discrepancy)
+
+    def resample(
+        self, belief: PoseBelief, weights: PoseBelief, memory: Observation, *, generator: Generators
+    ) -> tuple[PoseBelief, Bool[Tensor, "*b"]]:
+        """Resample, perturb, optimise and weigh again the scenes whose belief fits badly (Alg 1, line 16; Alg 4)."""
+        settings = self.settings
+        level = torch.quantile(belief.discrepancy, settings.trigger_percentile, dim=-1)
+        rows = level > settings.trigger
+        if not bool(rows.any()):
+            return belief, rows
+        index = resample_systematic(weights.log_weights, generator=generator)
+        fresh = belief.resampled(index)
+        poses = self.perturb(fresh.attached_T_object, generator=generator, rows=rows)
+        here = in_attached_frame(memory, belief.world_T_attached)
+        poses = descend(self.discrepancy, poses, here, self.search, settings.descent)
+        total = self.discrepancy(poses, here)
+        fresh = replace(fresh, attached_T_object=poses, discrepancy=total)
+        if settings.weighing == "scratch" and settings.weigh_before_resampling:
+            fresh = fresh.reweighted(-settings.peakiness * total)
+        return _where(rows, fresh, belief), rows
+
+
+def _where(rows: Bool[Tensor, "*b"], a: PoseBelief, b: PoseBelief) -> PoseBelief:
+    """Scenes `rows` of a, the others of b."""
+    return replace(
+        b,
+        attached_T_object=torch.where(rows[..., None, None, None], a.attached_T_object, b.attached_T_object),
+        log_weights=torch.where(rows[..., None], a.log_weights, b.log_weights),
+        discrepancy=torch.where(rows[..., None], a.discrepancy, b.discrepancy),
+    )

@@ -1,0 +1,84 @@
+"""How far the object moved during an action: measured, assumed sticking, or estimated."""
+
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from rumi.belief.particles import PoseBelief
+from rumi.registration.descent import DescentSettings, Search, descend
+from sdf import se3
+from sensors.discrepancy import Discrepancy
+from sensors.observation import attach
+from sensors.reading import Reading
+
+Motion = Literal["measured", "sticking", "estimated"]
+MOTIONS: tuple[str, ...] = ("measured", "sticking", "estimated")
+
+
+def sticking_motion(
+    tool_pose: Float[Tensor, "*b K 4 4"], in_contact: Bool[Tensor, "*b K"]
+) -> Float[Tensor, "*b K 4 4"]:
+    """World motion of an object that sticks to the tool while touched: product of E_k E_{k-1}^-1 over contacts.
+
+    The paper's Delta T_r is the tool's motion in its own frame; the world motion of what sticks to it is
+    `E' E^-1`. A step counts where both its ends touch, so that the approach does not move the object.
+    """
+    identity = se3.identity(tool_pose.shape[:-3], dtype=tool_pose.dtype, device=tool_pose.device)
+    motions = [identity]
+    for k in range(1, tool_pose.shape[-3]):
+        step = tool_pose[..., k, :, :] @ se3.inverse(tool_pose[..., k - 1, :, :])
+        stuck = in_contact[..., k] & in_contact[..., k - 1]
+        motions.append(torch.where(stuck[..., None, None], step, identity) @ motions[-1])
+    return torch.stack(motions, -3)
+
+
+def estimated_motion(
+    belief: PoseBelief,
+    reading: Reading,
+    discrepancy: Discrepancy,
+    search: Search,
+    descent: DescentSettings,
+) -> Float[Tensor, "*b K 4 4"]:
+    """World motion that best explains what was touched, starting from sticking contact (RUMI, Alg 5, corrected).
+
+    As printed, Alg 5 applies one change of pose to all particles along each one's own axes; here the motion is
+    one world motion M, and the representative particle i (least discrepancy) is moved to M W_i. The optimised
+    correction is spread over the instants in proportion to the sticking motion so far.
+    """
+    motion = sticking_motion(reading.tool_pose, reading.in_contact)
+    total = motion[..., -1, :, :]
+    best = belief.discrepancy.argmin(-1)[..., None, None, None]
+    poses = belief.world_T_object
+    chosen = torch.gather(poses, -3, best.expand(*best.shape[:-3], 1, 4, 4))
+    # what was sensed at each instant, brought to the end of the action by the motion still to come
+    carried = attach(reading.observation, reading.instant, motion @ se3.inverse(total)[..., None, :, :])
+    start = total[..., None, :, :] @ chosen
+    found = descend(discrepancy, start, carried, search, descent)
+    correction = found @ se3.inverse(start)
+    touched = reading.in_contact.to(total.dtype).cumsum(-1)
+    share = touched / touched[..., -1:].clamp_min(1.0)
+    return se3.exp(share[..., None] * se3.log(correction)) @ motion
+
+
+def object_motion(
+    kind: Motion,
+    belief: PoseBelief,
+    reading: Reading,
+    discrepancy: Discrepancy,
+    search: Search,
+    descent: DescentSettings,
+) -> Float[Tensor, "*b K 4 4"]:
+    """Motion of the object up to each instant of a reading, by the chosen means."""
+    if kind == "measured":
+        if reading.object_motion is None:
+            raise ValueError(
+                "Expected a reading with a measured object motion, got None: choose motion 'sticking' or 'estimated'"
+            )
+        return reading.object_motion
+    if kind == "sticking":
+        return sticking_motion(reading.tool_pose, reading.in_contact)
+    if kind == "estimated":
+        return estimated_motion(belief, reading, discrepancy, search, descent)
+    raise ValueError(f"Expected motion to be one of {', '.join(MOTIONS)}, got {kind!r}")

@@ -1,0 +1,96 @@
+"""The belief over one object's pose: weighted particles in SE(3)."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from sdf import se3
+
+
+@dataclass(frozen=True)
+class PoseBelief:
+    """Weighted pose particles of each scene, kept in a frame that rides with the object.
+
+    A measured motion of the object changes `world_T_attached` alone, so that particles, observations in the
+    attached frame and discrepancies carry over (RUMI's move invariance, for every particle and class).
+
+    Attributes:
+        world_T_attached: (*b, 4, 4), motion measured since the start.
+        attached_T_object: (*b, N, 4, 4), one pose a particle.
+        log_weights: (*b, N), normalised: logsumexp is 0.
+        discrepancy: (*b, N), of all observations so far (RUMI, Eq 3), metres times scale.
+    """
+
+    world_T_attached: Float[Tensor, "*b 4 4"]
+    attached_T_object: Float[Tensor, "*b N 4 4"]
+    log_weights: Float[Tensor, "*b N"]
+    discrepancy: Float[Tensor, "*b N"]
+
+    @classmethod
+    def uniform(cls, world_T_object: Float[Tensor, "*b N 4 4"]) -> Self:
+        """Equal weights; the attached frame starts as the world."""
+        batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
+        if count == 0:
+            raise ValueError("Expected at least one particle, got 0: set the number of particles to 1 or more")
+        flat = world_T_object.new_zeros(*batch, count)
+        start = se3.identity(batch, dtype=world_T_object.dtype, device=world_T_object.device)
+        return cls(start, world_T_object, torch.log_softmax(flat, -1), flat)
+
+    @property
+    def world_T_object(self) -> Float[Tensor, "*b N 4 4"]:
+        """Pose of every particle in the world."""
+        return self.world_T_attached[..., None, :, :] @ self.attached_T_object
+
+    @property
+    def weights(self) -> Float[Tensor, "*b N"]:
+        """Weights, summing to 1."""
+        return self.log_weights.exp()
+
+    def ess(self) -> Float[Tensor, "*b"]:
+        """Effective sample size, 1 / sum of squared weights, between 1 and N."""
+        return torch.exp(-torch.logsumexp(2.0 * self.log_weights, -1))
+
+    def mode(self, radius_m: float = 0.01, radius_rad: float = 0.175) -> Float[Tensor, "*b 4 4"]:
+        """World pose of the best-weighted mode: the mean of the particles about the one with most weight around it.
+
+        Args:
+            radius_m: particles this near, and
+            radius_rad: turned no more than this, belong together.
+        """
+        pose = self.world_T_object
+        table = (*pose.shape[:-2], *pose.shape[-3:])
+        metres, radians = se3.distance(pose[..., :, None, :, :].expand(table), pose[..., None, :, :, :].expand(table))
+        near = ((metres <= radius_m) & (radians <= radius_rad)).to(pose.dtype) * self.weights[..., None, :]
+        # ties go to the heavier particle
+        best = (near.sum(-1) + 1e-6 * self.weights).argmax(-1)
+        own = torch.gather(near, -2, best[..., None, None].expand(*best.shape, 1, near.shape[-1]))[..., 0, :]
+        return se3.mean(pose, own / own.sum(-1, keepdim=True))
+
+    def mean(self) -> Float[Tensor, "*b 4 4"]:
+        """Weighted mean world pose (chordal mean of rotations); means little where there are several modes."""
+        return se3.mean(self.world_T_object, self.weights)
+
+    def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
+        """The belief after a known world motion: `world_T_object' = motion @ world_T_object`."""
+        return replace(self, world_T_attached=motion @ self.world_T_attached)
+
+    def reweighted(self, log_weights: Float[Tensor, "*b N"]) -> Self:
+        """The same particles under other, not necessarily normalised, log-weights."""
+        return replace(self, log_weights=torch.log_softmax(log_weights, -1))
+
+    def resampled(self, index: Int[Tensor, "*b N"]) -> Self:
+        """Particles `index` with equal weights."""
+        poses = torch.gather(self.attached_T_object, -3, index[..., None, None].expand(*index.shape, 4, 4))
+        return replace(
+            self,
+            attached_T_object=poses,
+            log_weights=torch.log_softmax(torch.zeros_like(self.log_weights), -1),
+            discrepancy=torch.gather(self.discrepancy, -1, index),
+        )
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
+        """Move to a device and a floating dtype."""
+        return type(self)(*(getattr(self, name).to(device=device, dtype=dtype) for name in self.__dataclass_fields__))

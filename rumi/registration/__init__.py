@@ -1,0 +1,1 @@
+"""Fitting poses to observed points."""

@@ -1,0 +1,133 @@
+"""The first belief: all plausible poses of the object under the first view."""
+
+from dataclasses import dataclass, field, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.particles import PoseBelief
+from rumi.registration.archive import fill, orientation_bins
+from rumi.registration.descent import DescentSettings, Search, descend
+from rumi.seeding import uniform
+from sdf import se3
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation
+from sensors.semantics import Semantics
+
+
+@dataclass(frozen=True)
+class InitialiseSettings:
+    """How the first belief is found.
+
+    Attributes:
+        particles: P, number of pose particles.
+        starts: poses that the descent starts from.
+        coarse: descent of all starts, on a sample of the surface points alone.
+        coarse_points: size of that sample.
+        polished: poses that go on to the fine descent.
+        fine: descent of those on all points.
+        bin_rad: width of the archive's orientation bins.
+        plausible: least weight, relative to the best pose's, of a pose that is kept.
+    """
+
+    particles: int = 100
+    starts: int = 2000
+    coarse: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=8))
+    coarse_points: int = 250
+    polished: int = 300
+    fine: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=10))
+    bin_rad: float = 0.0873
+    plausible: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse empty beliefs and searches."""
+        if self.particles < 1:
+            raise ValueError(f"Expected at least one particle, got {self.particles}: set particles to 1 or more")
+        if self.starts < 1 or self.polished < 1:
+            raise ValueError(f"Expected 1 or more starts and polished poses, got {self.starts} and {self.polished}")
+        if not 0 < self.plausible <= 1:
+            raise ValueError(f"Expected plausible in (0, 1], got {self.plausible}")
+
+
+def view_starts(
+    surface: Float[Tensor, "S 3"], count: int, reach_m: float, height_m: float, *, generator: torch.Generator
+) -> Float[Tensor, "count 4 4"]:
+    """Upright starts: every yaw, origins spread over a disc about the seen points' centre.
+
+    Several origins, since one view shows one side only: an origin a wall too near is a local minimum.
+
+    Args:
+        surface: seen surface points.
+        count: how many starts.
+        reach_m: radius of the disc: as far as the object's origin can be from its surface.
+        height_m: z of the origin of an upright object.
+        generator: shifts the spread.
+    """
+    index = torch.arange(count, dtype=surface.dtype, device=surface.device)
+    draw = uniform((3,), generator=generator, dtype=surface.dtype, device=surface.device)
+    # a three-dimensional Kronecker sequence covers yaw and disc evenly at any count (R3 sequence)
+    base = 1.2207440846057596
+    share = torch.stack([(draw[k] + (index + 1) / base ** (k + 1)) % 1.0 for k in range(3)], -1)
+    angle, radius = 2 * torch.pi * share[:, 1], reach_m * share[:, 2].sqrt()
+    centre = 0.5 * (surface.amin(0) + surface.amax(0))
+    planar = torch.stack(
+        (centre[0] + radius * angle.cos(), centre[1] + radius * angle.sin(), 2 * torch.pi * share[:, 0] - torch.pi), -1
+    )
+    return se3.from_planar(planar, height_m)
+
+
+def initialise(
+    discrepancy: Discrepancy,
+    observation: Observation,
+    starts: Float[Tensor, "N 4 4"],
+    search: Search,
+    peakiness: float,
+    settings: InitialiseSettings,
+    *,
+    generator: torch.Generator,
+) -> PoseBelief:
+    """Particles over all plausible poses of one scene, in the manner of CHSEL (RUMI, Alg 1, line 2).
+
+    All starts descend on a sample of the surface points, the best of every orientation bin descend on
+    all points, and the elites of the archive that are plausible fill the belief evenly over orientation. The
+    weights are Eq 10's. The attached frame starts as the world.
+
+    Args:
+        discrepancy: C^.
+        observation: the first view, world frame.
+        starts: poses to start from.
+        search: "SE(2)" or "SE(3)".
+        peakiness: lambda, nats per metre of discrepancy.
+        settings: counts.
+        generator: draws the sample of points.
+    """
+    surface = observation.of_class(Semantics.SURFACE).nonzero()[:, 0]
+    sample = surface[torch.randperm(len(surface), generator=generator, device=surface.device)[: settings.coarse_points]]
+    coarse_points = observation[sample.sort().values]
+    poses = descend(discrepancy, starts, coarse_points, search, settings.coarse)
+    # the sample stands for all surface points, the free points for themselves
+    scale = len(surface) / max(len(sample), 1)
+    free = observation[(observation.semantics != Semantics.SURFACE).nonzero()[:, 0]]
+    coarse = scale * discrepancy(poses, coarse_points) + discrepancy(poses, thinned(free, 8000)) * max(
+        1.0, len(free) / 8000
+    )
+    best = fill(
+        orientation_bins(poses[:, :3, :3], settings.bin_rad, search),
+        coarse,
+        float("inf"),
+        min(settings.polished, len(poses)),
+    )
+    poses = descend(discrepancy, poses[best], observation, search, settings.fine)
+    fine = discrepancy(poses, observation)
+    margin = -torch.log(torch.tensor(settings.plausible)).item() / peakiness
+    chosen = fill(orientation_bins(poses[:, :3, :3], settings.bin_rad, search), fine, margin, settings.particles)
+    belief = PoseBelief.uniform(poses[chosen])
+    return replace(belief, discrepancy=fine[chosen]).reweighted(-peakiness * fine[chosen])
+
+
+def thinned(observation: Observation, count: int) -> Observation:
+    """At most `count` of the points, evenly over their order."""
+    if len(observation) <= count:
+        return observation
+    return observation[torch.linspace(0, len(observation) - 1, count, device=observation.points.device).long()]

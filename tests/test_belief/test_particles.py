@@ -1,0 +1,81 @@
+"""The particle belief."""
+
+import math
+
+import pytest
+import torch
+
+from rumi.belief.particles import PoseBelief
+from sdf import se3
+
+F64 = torch.float64
+
+
+def belief(count=6, batch=(), seed=0):
+    random = torch.Generator().manual_seed(seed)
+    poses = se3.exp(0.2 * torch.randn(*batch, count, 6, generator=random, dtype=F64))
+    return PoseBelief.uniform(poses).reweighted(torch.randn(*batch, count, generator=random, dtype=F64))
+
+
+def test_uniform_weights_and_ess():
+    start = PoseBelief.uniform(se3.identity((5,), dtype=F64, device="cpu"))
+    torch.testing.assert_close(start.weights, torch.full((5,), 0.2, dtype=F64))
+    assert float(start.ess()) == pytest.approx(5.0)
+
+
+def test_no_particles_are_refused():
+    with pytest.raises(ValueError, match="at least one particle"):
+        PoseBelief.uniform(torch.zeros(0, 4, 4))
+
+
+@pytest.mark.parametrize(
+    "log_weights", [[-1000.0, -1001.0, -1006.0], [0.0, -math.inf, -math.inf], [1e5, 1e5, 1e5], [-690.0, 0.0, 690.0]]
+)
+def test_extreme_weights_stay_normalised(log_weights):
+    weights = belief(3).reweighted(torch.tensor(log_weights, dtype=F64)).weights
+    assert torch.isfinite(weights).all()
+    assert float(weights.sum()) == pytest.approx(1.0)
+
+
+def test_golden_large_discrepancies(golden):
+    case = golden("rumi.weights_large")
+    discrepancy = torch.tensor(case["inputs"]["l"], dtype=F64)
+    weights = belief(3).reweighted(-case["inputs"]["lam"] * discrepancy).weights
+    torch.testing.assert_close(weights, torch.tensor(case["expected"]["w"], dtype=F64), atol=1e-14, rtol=0)
+
+
+def test_a_motion_moves_every_particle_in_the_world_and_none_in_the_attached_frame():
+    start = belief(batch=(2,))
+    motion = se3.exp(torch.randn(2, 6, generator=torch.Generator().manual_seed(1), dtype=F64))
+    moved = start.moved(motion)
+    torch.testing.assert_close(moved.world_T_object, motion[:, None] @ start.world_T_object)
+    assert moved.attached_T_object is start.attached_T_object
+
+
+def test_mode_is_the_mean_of_the_heaviest_cluster_not_the_heaviest_particle():
+    planar = torch.tensor([[0.0, 0.0, 0.0], [0.002, 0.0, 0.0], [0.001, 0.001, 0.0], [0.3, 0.0, 0.0]], dtype=F64)
+    start = PoseBelief.uniform(se3.from_planar(planar)).reweighted(
+        torch.tensor([0.25, 0.2, 0.15, 0.4], dtype=F64).log()
+    )
+    expected = (0.25 * planar[0] + 0.2 * planar[1] + 0.15 * planar[2]) / 0.6
+    torch.testing.assert_close(se3.to_planar(start.mode()), expected, atol=1e-9, rtol=0)
+
+
+def test_resampling_gathers_poses_and_discrepancies():
+    start = belief(4)
+    index = torch.tensor([2, 2, 0, 3])
+    fresh = start.resampled(index)
+    torch.testing.assert_close(fresh.attached_T_object, start.attached_T_object[index])
+    torch.testing.assert_close(fresh.weights, torch.full((4,), 0.25, dtype=F64))
+
+
+def test_one_particle_and_coincident_particles():
+    one = belief(1)
+    assert float(one.ess()) == pytest.approx(1.0)
+    torch.testing.assert_close(one.mode(), one.world_T_object[0], atol=1e-9, rtol=0)
+    same = PoseBelief.uniform(one.attached_T_object.expand(8, 4, 4))
+    torch.testing.assert_close(same.mean(), one.world_T_object[0], atol=1e-9, rtol=0)
+
+
+def test_to_changes_dtype():
+    assert belief().to(dtype=torch.float32).log_weights.dtype == torch.float32
