@@ -1,0 +1,54 @@
+"""What every push model is: control sequences in, predicted motion of robot and object out."""
+
+from typing import NamedTuple, Protocol
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+
+class PushRollouts(NamedTuple):
+    """K control sequences of H steps, rolled out M times each; T = H + 1 instants, the present one first.
+
+    Attributes:
+        configurations: (K, M, T, Q), where the robot is.
+        displacements: (K, M, T, 3), how far the object has been moved since the present, metres, world axes.
+        contact: (K, M, H), whether the robot touched the object during a step.
+        checked: share of the contact checks that were done point by point; the rest was settled by a bound.
+    """
+
+    configurations: Float[Tensor, "K M T Q"]
+    displacements: Float[Tensor, "K M T 3"]
+    contact: Bool[Tensor, "K M H"]
+    checked: float
+
+    @property
+    def touched(self) -> Bool[Tensor, "K M"]:
+        """Whether a rollout touched the object at all; one that did not follows the free path."""
+        return self.contact.any(-1)
+
+
+class PushModel(Protocol):
+    """Predicts how the robot moves and what it does to the object."""
+
+    def rollout(
+        self,
+        configuration: Float[Tensor, "Q"],
+        controls: Float[Tensor, "K H A"],
+        *,
+        rollouts: int,
+        generator: torch.Generator,
+    ) -> PushRollouts:
+        """Roll control sequences out from one configuration.
+
+        Args:
+            configuration: where the robot is now.
+            controls: in [-1, 1].
+            rollouts: M, how often to draw each sequence.
+            generator: all randomness.
+        """
+        ...
+
+    def likely(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
+        """The one rollout (K = M = 1) that is shown as the plan: what happens more likely than not."""
+        ...

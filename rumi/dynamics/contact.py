@@ -1,0 +1,103 @@
+"""Where the robot would touch the object, and which way the object's surface faces there."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+import torch.nn.functional as nnf
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.dynamics.planar import TiedField
+from rumi.fields.information import WorkspaceFields
+from rumi.fields.normal import expected_normal
+from rumi.fields.workspace import Workspace
+from sdf.base import SDF
+from sdf.voxel_grid import VoxelGrid
+
+
+@dataclass(frozen=True, eq=False)
+class ContactField:
+    """What a push model asks of a belief.
+
+    Attributes:
+        probability: (X, Y, Z), that a robot point there touches the object: 1 - p(free).
+        normal: (X, Y, Z, 3), mean outward normal of the object, world frame.
+    """
+
+    probability: VoxelGrid
+    normal: VoxelGrid
+
+    @classmethod
+    def from_belief(
+        cls,
+        sdf: SDF,
+        world_T_object: Float[Tensor, "N 4 4"],
+        log_weights: Float[Tensor, "N"],
+        workspace: Workspace,
+        fields: WorkspaceFields,
+        *,
+        least: float = 1e-3,
+    ) -> Self:
+        """Field of one scene.
+
+        Normals are worked out only at the nodes around a point whose contact probability is `least` or more, and
+        left 0 elsewhere: rarer contacts than that may be taken as not pushing.
+        """
+        probability = workspace.grid(fields.contact)
+        likely = (probability.values >= least).to(probability.values.dtype)[None, None]
+        where = (nnf.max_pool3d(likely, 3, stride=1, padding=1) > 0).reshape(-1)
+        normal = expected_normal(sdf, world_T_object, log_weights, workspace.points, where)
+        return cls(probability, workspace.grid(normal))
+
+
+class ContactBound:
+    """Upper bound on the contact probability of a tool, from a few look-ups instead of one for each point.
+
+    The tool's points lie in discs. What a disc can meet is at most the greatest node value that interpolation at any
+    point of it may draw on: a maximum filter of the field, looked up at the node next to the disc's centre.
+
+    Args:
+        probability: contact probability (X, Y, Z).
+        centres_t: centres of discs that cover the tool's points, tool frame.
+        radius: of the discs, metres.
+    """
+
+    def __init__(self, probability: VoxelGrid, centres_t: Float[Tensor, "D 2"], radius: float) -> None:
+        highest = probability.values.amax(2)
+        cells = radius / probability.spacing
+        filtered, margin = _spread(highest, cells)
+        origin = probability.origin - probability.spacing * probability.origin.new_tensor([*map(float, margin), 0.0])
+        centres = torch.cat((centres_t, torch.zeros_like(centres_t[:, :1])), -1)
+        self._field = TiedField(VoxelGrid(filtered[..., None], origin, probability.spacing), centres, "nearest")
+
+    def __call__(self, features: Float[Tensor, "E 5"]) -> Float[Tensor, "E"]:
+        """Greatest contact probability that any tool point can have, for each row of `planar_features`."""
+        return self._field(features)[0].amax(-1)
+
+
+def _spread(values: Float[Tensor, "X Y"], radius: float) -> tuple[Float[Tensor, "X2 Y2"], tuple[int, int]]:
+    """Maximum over a disc of `radius` cells, widened by what interpolation and rounding to nodes may add.
+
+    A point within `radius` of a centre draws on nodes less than 1 cell away from it along each axis, and the node next
+    to the centre is at most half a cell off along each: the footprint is the disc swept over a square of 1.5 cells.
+
+    Returns:
+        the maxima on a lattice that is wider by some nodes on every side (none along an axis with a single node, on
+        which fields do not change), and these numbers.
+    """
+    half = 1.5 + 1e-3
+    widest = int(radius + half) + 1
+    mx, my = (widest if n > 1 else 0 for n in values.shape)
+    padded = nnf.pad(values[None, None], [my, my, mx, mx])
+    result = torch.zeros_like(padded)
+    height = padded.shape[2]
+    for row in range(-mx, mx + 1):
+        rest = radius**2 - max(abs(row) - half, 0.0) ** 2
+        if rest < 0:
+            continue
+        width = min(int(half + rest**0.5), my)
+        along = nnf.max_pool2d(nnf.pad(padded, (width, width)), (1, 2 * width + 1), stride=1)
+        low, high = max(0, -row), min(height, height - row)
+        result[:, :, low:high] = torch.maximum(result[:, :, low:high], along[:, :, low + row : high + row])
+    return result[0, 0], (mx, my)

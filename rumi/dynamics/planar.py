@@ -1,0 +1,124 @@
+"""Points of a planar tool, placed on a lattice by one matrix product, and lattice fields looked up there."""
+
+import math
+from typing import Literal
+
+import torch
+import torch.nn.functional as nnf
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from sdf.voxel_grid import VoxelGrid
+
+
+def world_height(points_t: Float[Tensor, "M 3"], height: float) -> Float[Tensor, "M 3"]:
+    """Points of the tool frame with the heights that they have in the world while the tool keeps to its plane."""
+    return points_t + points_t.new_tensor([0.0, 0.0, height])
+
+
+def planar_features(
+    configurations: Float[Tensor, "*b 3"], displacements: Float[Tensor, "*b 3"] | None = None
+) -> Float[Tensor, "*b 5"]:
+    """(cos yaw, sin yaw, x, y, 1) of configurations (x, y, yaw), in the frame of an object moved by `displacements`.
+
+    A world point y meets the object where y - d met it before it moved, hence x - dx and y - dy; a planar tool has
+    no use for dz.
+    """
+    x, y, yaw = configurations.unbind(-1)
+    if displacements is not None:
+        x, y = x - displacements[..., 0], y - displacements[..., 1]
+    return torch.stack((yaw.cos(), yaw.sin(), x, y, torch.ones_like(x)), -1)
+
+
+def placement(
+    points_t: Float[Tensor, "M 3"], scale: Float[Tensor, "3"], offset: Float[Tensor, "3"]
+) -> Float[Tensor, "5 M 3"]:
+    """Matrix from `planar_features` to `scale * point + offset` of every tool point.
+
+    Args:
+        points_t: metres; x and y in the tool frame, z in the world.
+        scale: of each world axis.
+        offset: of each world axis, after scaling.
+    """
+    px, py, pz = points_t.unbind(-1)
+    none, one = torch.zeros_like(px), torch.ones_like(px)
+    along_x = torch.stack((px, -py, one, none, none)) * scale[0]
+    along_y = torch.stack((py, px, none, one, none)) * scale[1]
+    along_z = torch.stack((none, none, none, none, pz * scale[2]))
+    matrix = torch.stack((along_x, along_y, along_z), -1)
+    matrix[4] += offset
+    return matrix
+
+
+def at_height(grid: VoxelGrid, height: float) -> VoxelGrid:
+    """The planar field that `grid` is at one height; zero fades in above and below the lattice."""
+    if grid.shape[2] == 1:
+        return grid
+    place = (height - float(grid.origin[2])) / grid.spacing
+    below = math.floor(place)
+    weights = {below: 1.0 - (place - below), below + 1: place - below}
+    layer = torch.zeros_like(grid.values[:, :, :1])
+    for index, weight in weights.items():
+        if 0 <= index < grid.shape[2]:
+            layer = layer + weight * grid.values[:, :, index : index + 1]
+    return VoxelGrid(layer, grid.origin, grid.spacing)
+
+
+class FieldSampler:
+    """A lattice field, looked up quickly; zero fades in outside the lattice.
+
+    Gives what `VoxelGrid.interpolate(points, outside=0)` gives, up to rounding, by the library's image sampler, whose
+    coordinates of a point are `point * scale + offset`, with the axes in the order `axes`.
+
+    Args:
+        grid: (X, Y, Z) or (X, Y, Z, C); an axis with one node is constant along it.
+        mode: "bilinear", multilinear between nodes, or "nearest".
+    """
+
+    def __init__(self, grid: VoxelGrid, mode: Literal["bilinear", "nearest"] = "bilinear") -> None:
+        self.mode = mode
+        counts = grid.origin.new_tensor([float(n) for n in grid.shape])
+        # the sampler wants -1 at the first node and 1 at the last, axes last to first
+        self.scale = torch.where(counts > 1, 2.0 / (grid.spacing * (counts - 1.0).clamp_min(1.0)), 0.0)
+        self.offset = torch.where(counts > 1, -grid.origin * self.scale - 1.0, 0.0)
+        planar = grid.shape[2] == 1
+        self.axes = [1, 0] if planar else [2, 1, 0]
+        values = grid.values if grid.values.ndim == 4 else grid.values[..., None]
+        values = values.permute(3, 0, 1, 2)
+        self.values = (values[..., 0] if planar else values)[None].contiguous()  # (1, C, X, Y[, Z])
+
+    def place(self, points: Float[Tensor, "E M 3"]) -> Float[Tensor, "E M dims"]:
+        """Sampler coordinates of points."""
+        return (points * self.scale + self.offset)[..., self.axes]
+
+    def __call__(self, place: Float[Tensor, "E M dims"]) -> Float[Tensor, "C E M"]:
+        """Values at sampler coordinates."""
+        grid = place[None] if place.shape[-1] == 2 else place[None, None]
+        values = nnf.grid_sample(self.values, grid, mode=self.mode, padding_mode="zeros", align_corners=True)
+        return values.reshape(self.values.shape[1], *place.shape[:2])
+
+
+class TiedField:
+    """A lattice field, looked up at points that are tied to a planar tool; see `FieldSampler`.
+
+    Args:
+        grid: the field.
+        points_t: points of the tool; x and y in its frame, z in the world.
+        mode: as for `FieldSampler`.
+    """
+
+    def __init__(
+        self, grid: VoxelGrid, points_t: Float[Tensor, "M 3"], mode: Literal["bilinear", "nearest"] = "bilinear"
+    ) -> None:
+        self._sample = FieldSampler(grid, mode)
+        self._matrix = placement(points_t, self._sample.scale, self._sample.offset)[..., self._sample.axes]
+        self._flat = self._matrix.reshape(5, -1).contiguous()
+
+    def __call__(self, features: Float[Tensor, "E 5"]) -> Float[Tensor, "C E M"]:
+        """Values at every point of the tool for each row of `planar_features`."""
+        return self._sample((features @ self._flat).view(len(features), *self._matrix.shape[1:]))
+
+    def at(self, features: Float[Tensor, "E 5"], index: Int[Tensor, "E"]) -> Float[Tensor, "C E"]:
+        """Values at one point of the tool for each row of features."""
+        place = (features.mT[..., None] * self._matrix[:, index]).sum(0)
+        return self._sample(place[:, None])[..., 0]

@@ -1,0 +1,49 @@
+"""Which way the object's surface is expected to face at every workspace point."""
+
+import math
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sdf.base import SDF
+from sdf.check import check_shape
+from sdf.posed import posed_query
+
+CHUNK_BYTES = 64 * 2**20
+
+
+def expected_normal(
+    sdf: SDF,
+    world_T_object: Float[Tensor, "*b N 4 4"],
+    log_weights: Float[Tensor, "*b N"],
+    points_w: Float[Tensor, "V 3"],
+    where: Bool[Tensor, "*b V"] | None = None,
+) -> Float[Tensor, "*b V 3"]:
+    """Mean outward normal of world points over the poses, in the world frame, at most of length 1.
+
+    `sum_j w_j R_j grad sdf(x in the frame of object j)`, R_j turning object j's axes into the world's. RUMI's Alg 7,
+    line 11, sums the gradients of P different object frames, which means nothing; this is what was meant.
+
+    Args:
+        sdf: the object's shape.
+        world_T_object: poses.
+        log_weights: normalised.
+        points_w: the same for every scene of a batch.
+        where: points to compute; the others get 0. None computes all.
+    """
+    check_shape("world_T_object", world_T_object, "(*b, N, 4, 4)", last=(4, 4))
+    check_shape("points_w", points_w, "(V, 3)", last=(3,))
+    batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
+    if where is None:
+        where = torch.ones(*batch, len(points_w), dtype=torch.bool, device=points_w.device)
+    turned = (log_weights.exp()[..., None, None] * world_T_object[..., :3, :3]).transpose(-3, -2)  # (*b, 3, N, 3)
+    turned = turned.reshape(*batch, 3, 3 * count)
+    normal = points_w.new_zeros(*batch, len(points_w), 3)
+    size = max(1, CHUNK_BYTES // (4 * 40 * max(1, math.prod(batch) * count)))
+    for index in where.reshape(-1, len(points_w)).any(0).nonzero()[:, 0].split(size):
+        points = points_w[index].expand(*batch, len(index), 3)
+        gradient = posed_query(sdf, world_T_object, points).gradient  # (*b, N, V, 3), object frames
+        stacked = gradient.transpose(-1, -2).reshape(*batch, 3 * count, len(index))
+        normal[..., index, :] = (turned @ stacked).mT * where[..., index, None]
+    return normal

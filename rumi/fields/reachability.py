@@ -1,0 +1,172 @@
+"""Where the arm can take the tool, and how well it reaches the points of the workspace (RUMI, IV-H)."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Self
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from rumi.fields.reach_table import SECTOR_RAD, ReachSettings, ReachTable, reach_table
+from sdf.check import check_shape
+
+YAWS_RAD = tuple(math.radians(angle) for angle in range(-60, 61, 15))
+"""Orientations that `Reach.field` averages over, relative to the arm's forward direction."""
+
+
+def reachability(
+    position_error: Float[Tensor, "*b R"],
+    rotation_error: Float[Tensor, "*b R"],
+    rotation_scale: float = 0.1,
+    largest_error: float = 0.4,
+) -> Float[Tensor, "*b"]:
+    """Reachability between 0 and 1 from the errors of R goal orientations (RUMI, Eq 30).
+
+    Args:
+        position_error: (*b, R), metres that inverse kinematics leaves.
+        rotation_error: (*b, R), radians that it leaves.
+        rotation_scale: metres that one radian counts as (alpha_R).
+        largest_error: metres of mean error at which reachability is 0 (e_m).
+    """
+    mean = (position_error + rotation_scale * rotation_error).mean(-1)
+    return (largest_error - mean).clamp_min(0.0) / largest_error
+
+
+class Reach(nn.Module):
+    """What the arm's inverse kinematics leaves over for a level tool at (x, y, yaw).
+
+    A lookup in a table over (distance from the base's axis, yaw relative to the radial direction); `solve_table`
+    says why two axes are enough. Beyond the table and outside its sector errors grow by the way back to it.
+
+    Args:
+        table: errors at the nodes.
+        settings: what the table was made with.
+        base: (x, y, yaw) of the arm's base in the world, metres and radians.
+    """
+
+    def __init__(
+        self,
+        table: ReachTable,
+        settings: ReachSettings | None = None,
+        base: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        super().__init__()
+        self.settings = settings or ReachSettings()
+        self.register_buffer("position", table.position.to(torch.float32))
+        self.register_buffer("rotation", table.rotation.to(torch.float32))
+        self.register_buffer("base", torch.tensor(base, dtype=torch.float32))
+        self.position: Tensor
+        self.rotation: Tensor
+        self.base: Tensor
+
+    @classmethod
+    def of_arm(
+        cls,
+        base: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        settings: ReachSettings | None = None,
+        *,
+        cache_dir: Path | None = None,
+    ) -> Self:
+        """Solve the inverse kinematics (seconds) or take its table from `cache_dir`.
+
+        Args:
+            base: (x, y, yaw) of the arm's base in the world, metres and radians.
+            settings: the arm and the table's size.
+            cache_dir: folder to keep the table in; None keeps nothing.
+        """
+        settings = settings or ReachSettings()
+        return cls(reach_table(settings, cache_dir=cache_dir), settings, base)
+
+    def errors(self, q: Float[Tensor, "*b 3"]) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
+        """Position error (m) and rotation error (rad) that remain at configurations (x, y, yaw)."""
+        corners, weights, beyond = self._locate(q)
+        return (_gather(self.position, corners, weights) + beyond, _gather(self.rotation, corners, weights))
+
+    def residual_m(self, q: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+        """Position error that inverse kinematics leaves, metres."""
+        return self.errors(q)[0]
+
+    def rotation_residual(self, q: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+        """Rotation error that inverse kinematics leaves, radians."""
+        return self.errors(q)[1]
+
+    def residual(self, q: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+        """Position error plus the metres that the rotation error counts as, which decides what is reachable."""
+        corners, weights, beyond = self._locate(q)
+        return _gather(self.position + self.settings.rotation_scale_m * self.rotation, corners, weights) + beyond
+
+    def reachable(self, q: Float[Tensor, "*b 3"]) -> Bool[Tensor, "*b"]:
+        """Whether the arm gets there: the residual is within the tolerance."""
+        return self.residual(q) <= self.settings.tolerance_m
+
+    def relative(self, q: Float[Tensor, "*b 3"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Distance from the base's axis (m), angle from its forward direction, yaw relative to the radial one."""
+        offset = q[..., :2] - self.base[:2]
+        direction = torch.atan2(offset[..., 1], offset[..., 0])
+        return offset.norm(dim=-1), _wrap(direction - self.base[2]), _wrap(q[..., 2] - direction)
+
+    def field(
+        self,
+        points_w: Float[Tensor, "*b 3"],
+        *,
+        yaws: Sequence[float] = YAWS_RAD,
+        rotation_scale: float = 0.1,
+        largest_error: float = 0.4,
+    ) -> Float[Tensor, "*b"]:
+        """Reachability r(x) of points: the tool is sent there in each orientation (RUMI, Eq 30).
+
+        The tool works at one height, so that z of the points plays no part.
+
+        Args:
+            points_w: (*b, 3), metres.
+            yaws: orientations of the tool, radians from the arm's forward direction.
+            rotation_scale: metres that one radian counts as (alpha_R).
+            largest_error: metres of mean error at which reachability is 0 (e_m).
+        """
+        return reachability(*self.errors(self._oriented(points_w, yaws)), rotation_scale, largest_error)
+
+    def share(self, points_w: Float[Tensor, "*b 3"], *, yaws: Sequence[float] = YAWS_RAD) -> Float[Tensor, "*b"]:
+        """Share of the orientations in which the arm gets the tool to each point, between 0 and 1.
+
+        Args:
+            points_w: (*b, 3), metres; z plays no part.
+            yaws: orientations of the tool, radians from the arm's forward direction.
+        """
+        return self.reachable(self._oriented(points_w, yaws)).to(points_w.dtype).mean(-1)
+
+    def _oriented(self, points_w: Tensor, yaws: Sequence[float]) -> Float[Tensor, "*b R 3"]:
+        check_shape("points_w", points_w, "(*b, 3)", last=(3,))
+        if len(yaws) == 0:
+            raise ValueError("Expected yaws to hold at least one angle, got none")
+        turns = self.base[2] + torch.tensor(tuple(yaws), dtype=points_w.dtype, device=points_w.device)
+        planar = points_w[..., None, :2].expand(*points_w.shape[:-1], len(turns), 2)
+        return torch.cat((planar, turns[:, None].expand(*planar.shape[:-1], 1)), -1)
+
+    def _locate(self, q: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...], Tensor]:
+        """Flat indices and weights of the four nodes about each configuration, and metres beyond the table."""
+        radius, direction, yaw = self.relative(q)
+        rows, columns = self.position.shape
+        step = self.settings.radius_step_m
+        beyond = (radius - (rows - 1) * step).clamp_min(0.0) + radius * (direction.abs() - SECTOR_RAD).clamp_min(0.0)
+        along = (radius / step).clamp(0.0, rows - 1.0)
+        across = yaw.abs() * ((columns - 1) / math.pi)
+        row = along.floor().clamp_max(rows - 2.0)
+        column = across.floor().clamp_max(columns - 2.0)
+        u, v = along - row, across - column
+        corner = (row * columns + column).long()
+        corners = (corner, corner + 1, corner + columns, corner + columns + 1)
+        return corners, ((1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v), beyond
+
+
+def _gather(values: Float[Tensor, "R Y"], corners: tuple[Tensor, ...], weights: tuple[Tensor, ...]) -> Tensor:
+    flat = values.reshape(-1)
+    total = flat[corners[0]] * weights[0]
+    for corner, weight in zip(corners[1:], weights[1:], strict=True):
+        total = total + flat[corner] * weight
+    return total
+
+
+def _wrap(angle: Tensor) -> Tensor:
+    return torch.remainder(angle + math.pi, 2.0 * math.pi) - math.pi

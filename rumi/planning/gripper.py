@@ -1,0 +1,106 @@
+"""Shape of the gripper that touches: a palm and two rounded pads, and points on and in it."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class GripperShape:
+    """A box for a palm and an ellipsoid for each of two pads; the tool frame lies between the pads, x forward.
+
+    Attributes:
+        palm_m: length (x), width (y) and height (z) of the palm.
+        palm_front_m: x of the palm's front face.
+        pad_m: half axes of a pad along x, y and z.
+        pad_offset_m: distance of each pad's centre from the tool frame, along y.
+    """
+
+    palm_m: tuple[float, float, float] = (0.09, 0.10, 0.04)
+    palm_front_m: float = -0.025
+    pad_m: tuple[float, float, float] = (0.035, 0.018, 0.022)
+    pad_offset_m: float = 0.024
+
+    @property
+    def palm_center_m(self) -> float:
+        """Where the palm's centre is along x."""
+        return self.palm_front_m - 0.5 * self.palm_m[0]
+
+    @property
+    def pad_centers(self) -> tuple[tuple[float, float, float], ...]:
+        """Centres of the pads in the tool frame."""
+        return ((0.0, self.pad_offset_m, 0.0), (0.0, -self.pad_offset_m, 0.0))
+
+    def in_palm(self, points: Float[Tensor, "*b D"]) -> Bool[Tensor, "*b"]:
+        """Whether points (*b, 2 or 3) of the tool frame, metres, are in or on the palm."""
+        center = points.new_tensor((self.palm_center_m, 0.0, 0.0)[: points.shape[-1]])
+        half = points.new_tensor([0.5 * side for side in self.palm_m[: points.shape[-1]]])
+        return ((points - center).abs() <= half + 1e-9).all(-1)
+
+    def section(self, spacing: float) -> Float[Tensor, "n 2"]:
+        """Points of the palm's and the pads' section at z = 0, borders included, about `spacing` metres apart."""
+        length, width, _ = self.palm_m
+        x = torch.linspace(self.palm_front_m - length, self.palm_front_m, _count(length, spacing), dtype=torch.float64)
+        y = torch.linspace(-0.5 * width, 0.5 * width, _count(width, spacing), dtype=torch.float64)
+        palm = torch.stack(torch.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+        return torch.cat((palm, self.pad_section(spacing)))
+
+    def pad_section(self, spacing: float) -> Float[Tensor, "n 2"]:
+        """Points of the pads' section at z = 0 outside the palm, borders included, about `spacing` metres apart."""
+        a, b, _ = self.pad_m
+        rows = []
+        for x in torch.linspace(-a, a, _count(2.0 * a, spacing), dtype=torch.float64).tolist():
+            half = b * math.sqrt(max(0.0, 1.0 - (x / a) ** 2))
+            y = torch.linspace(-half, half, _count(2.0 * half, spacing) if half > 0 else 1, dtype=torch.float64)
+            rows.append(torch.stack((torch.full_like(y, x), y), -1))
+        pad = torch.cat(rows)
+        both = torch.cat([pad + pad.new_tensor(center[:2]) for center in self.pad_centers])
+        return both[~self.in_palm(both)]
+
+    def pad_shell(self, spacing: float) -> Float[Tensor, "n 3"]:
+        """Points on the pads' surface outside the palm, about `spacing` metres apart."""
+        a, b, c = self.pad_m
+        angle = torch.linspace(0.0, math.pi, 721, dtype=torch.float64)
+        # rings about the long axis, evenly spaced along the surface's profile
+        profile = torch.stack((a * angle.cos(), 0.5 * (b + c) * angle.sin()), -1)
+        along = torch.cat((torch.zeros(1, dtype=torch.float64), (profile[1:] - profile[:-1]).norm(dim=-1).cumsum(0)))
+        rings = []
+        for place in torch.linspace(0.0, float(along[-1]), _count(float(along[-1]), spacing)).tolist():
+            index = min(int(torch.searchsorted(along, place)), len(angle) - 1)
+            latitude = float(angle[index])
+            sine = math.sin(latitude)
+            count = max(1, round(math.pi * (b + c) * sine / spacing))
+            turn = torch.arange(count, dtype=torch.float64) * (2.0 * math.pi / count)
+            height = torch.full_like(turn, a * math.cos(latitude))
+            rings.append(torch.stack((height, b * sine * turn.cos(), c * sine * turn.sin()), -1))
+        pad = torch.cat(rings)
+        both = torch.cat([pad + pad.new_tensor(center) for center in self.pad_centers])
+        return both[~self.in_palm(both)]
+
+    def volume(self, spacing: float) -> Float[Tensor, "n 3"]:
+        """Points inside the palm and the pads: centres of a lattice of cubes of `spacing` metres."""
+        a, b, c = self.pad_m
+        low = (self.palm_front_m - self.palm_m[0], -max(0.5 * self.palm_m[1], self.pad_offset_m + b))
+        deep = max(0.5 * self.palm_m[2], c)
+        spans = ((low[0], a), (low[1], -low[1]), (-deep, deep))
+        axes = [
+            torch.arange(_cells(end - start, spacing), dtype=torch.float64) * spacing + start + 0.5 * spacing
+            for start, end in spans
+        ]
+        lattice = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        inside = self.in_palm(lattice)
+        for center in self.pad_centers:
+            scaled = (lattice - lattice.new_tensor(center)) / lattice.new_tensor(self.pad_m)
+            inside |= scaled.square().sum(-1) <= 1.0
+        return lattice[inside]
+
+
+def _count(length: float, spacing: float) -> int:
+    return max(2, math.ceil(length / spacing - 1e-9) + 1)
+
+
+def _cells(length: float, spacing: float) -> int:
+    return max(1, math.ceil(length / spacing - 1e-9))

@@ -1,0 +1,216 @@
+"""RUMI's policy: plan motions that gather information and keep the object within reach."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from kmppi import MPPI, ControlPlan, MPPISettings
+from rumi.belief.particles import PoseBelief
+from rumi.dynamics.contact import ContactField
+from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings
+from rumi.dynamics.planar import world_height
+from rumi.fields.information import (
+    InformationSettings,
+    WorkspaceFields,
+    information_field,
+    near_object,
+    tail_distance,
+)
+from rumi.planning.trajectory_cost import TrajectoryCost
+from rumi.planning.types import Plan, Scene
+from sdf.voxel_grid import VoxelGrid
+
+
+def _scale_free() -> MPPISettings:
+    return MPPISettings(temperature=0.1, cost_scale="std")
+
+
+@dataclass(frozen=True)
+class RummagingSettings:
+    """Settings of the policy. The defaults do not depend on the unit of the information; `paper()` has the paper's.
+
+    Attributes:
+        information: the field that is to be gathered.
+        push: how the object is expected to move.
+        mppi: the planner; its iterations are `warmup_iterations` for the first plan.
+        information_scale: weight of the information cost (beta_I); 0 leaves it out.
+        reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out.
+        normalise_information: count information as a share of all there is, so that both costs are in [-1, 0].
+        rollouts: how often each control sequence is rolled out; its cost is the mean.
+    """
+
+    information: InformationSettings = field(default_factory=InformationSettings)
+    push: DisplacementSettings = field(default_factory=DisplacementSettings)
+    mppi: MPPISettings = field(default_factory=_scale_free)
+    information_scale: float = 1.0
+    reachability_scale: float = 1.0
+    normalise_information: bool = True
+    rollouts: int = 5
+
+    def __post_init__(self) -> None:
+        """Refuse what gives nothing to plan for."""
+        if self.rollouts < 1:
+            raise ValueError(f"Expected rollouts to be 1 or more, got {self.rollouts}")
+        scales = (self.information_scale, self.reachability_scale)
+        if min(scales) < 0 or max(scales) == 0:
+            raise ValueError(
+                "Expected information_scale and reachability_scale to be 0 or more and not both 0, "
+                f"got {scales[0]} and {scales[1]}"
+            )
+
+    @classmethod
+    def paper(cls) -> Self:
+        """The paper's settings (Table IV)."""
+        return cls(
+            information=InformationSettings(mode="surrogate"),
+            push=DisplacementSettings(hazard="per_mini_step"),
+            mppi=MPPISettings(temperature=0.01, cost_scale="raw"),
+            reachability_scale=200.0,
+            normalise_information=False,
+        )
+
+
+class RummagingPolicy:
+    """RUMI: information field, push model, KMPPI. A `Policy`; holds settings and the reachability map only.
+
+    Args:
+        reachability: r(x) of every workspace point in [0, 1] (Eq 30); may be None where reachability_scale is 0.
+        settings: see there.
+    """
+
+    def __init__(
+        self, reachability: Float[Tensor, "V"] | None = None, settings: RummagingSettings | None = None
+    ) -> None:
+        self.settings = settings or RummagingSettings()
+        self.reachability = reachability
+
+    @torch.no_grad()
+    def act(
+        self,
+        belief: PoseBelief,
+        scene: Scene,
+        previous: Plan | None,
+        *,
+        executed: int,
+        budget_s: float | None,
+        generator: torch.Generator,
+    ) -> Plan:
+        """Plan from the belief; see `rumi.planning.types.Policy`.
+
+        A first plan starts from noise and takes the warm-up iterations; a later one starts from the previous plan,
+        `executed` controls further on. With a budget, no iteration is begun that would likely end after it; one is
+        always done.
+        """
+        watch = _Stopwatch()
+        settings, workspace, tool = self.settings, scene.workspace, scene.tool
+        sdf, poses, log_weights = scene.model.sdf, belief.world_T_object, belief.log_weights
+        fields = information_field(sdf, poses, log_weights, workspace.points, settings.information)
+        watch.lap("fields")
+        contact = ContactField.from_belief(sdf, poses, log_weights, workspace, fields)
+        model = DisplacementModel(contact, tool, settings.push)
+        watch.lap("contact_field")
+        reachability = None
+        if settings.reachability_scale > 0 and self.reachability is not None:
+            reachability = workspace.grid(self.reachability.to(fields.information))
+        sensing = world_height(tool.info, tool.height_m).to(fields.information)
+        cost = TrajectoryCost(
+            workspace.grid(fields.information),
+            reachability,
+            sensing,
+            information_scale=settings.information_scale,
+            reachability_scale=settings.reachability_scale,
+            normalise=settings.normalise_information,
+        )
+        watch.lap("costs")
+
+        configuration = scene.configuration.to(fields.information)
+        checked: list[float] = []
+
+        def objective(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
+            rollouts = model.rollout(configuration, controls, rollouts=settings.rollouts, generator=generator)
+            watch.lap("dynamics")
+            checked.append(rollouts.checked)
+            costs = cost(rollouts)
+            watch.lap("costs")
+            return costs
+
+        mppi = MPPI(settings.mppi, len(configuration), configuration.dtype, configuration.device)
+        start, iterations = self._start(mppi, previous, executed, generator)
+        nominal, samples = mppi.plan(
+            start, objective, iterations=iterations, should_stop=watch.stopper(budget_s), generator=generator
+        )
+        watch.lap("planner")
+        predicted = model.likely(configuration, nominal.controls)
+        watch.lap("dynamics")
+        return Plan(
+            controls=nominal.controls,
+            path=predicted.configurations[0, 0],
+            warm_start=nominal,
+            fields=_maps(fields, reachability),
+            skipped=self._skipped(scene, belief, checked),
+            timings_s=watch.laps,
+            info={
+                "ess": float(samples.ess),
+                "iterations": samples.iterations,
+                "least_cost": float(samples.costs.min()),
+                "information_total": float(fields.information.sum()),
+                "displacement": predicted.displacements[0, 0, -1].tolist(),
+            },
+        )
+
+    def _start(
+        self, mppi: MPPI, previous: Plan | None, executed: int, generator: torch.Generator
+    ) -> tuple[ControlPlan, int]:
+        if previous is None or previous.warm_start is None:
+            return mppi.initial(generator=generator), max(1, self.settings.mppi.warmup_iterations)
+        return mppi.shift(previous.warm_start, executed), self.settings.mppi.iterations
+
+    def _skipped(self, scene: Scene, belief: PoseBelief, checked: list[float]) -> dict[str, float]:
+        settings, information = self.settings, self.settings.information
+        reach = tail_distance(information.sharpness, information.surface_tolerance, information.tail)
+        near = near_object(scene.model.sdf, belief.world_T_object, scene.workspace.points, reach)
+        return {
+            "workspace_points": 1.0 - float(near.float().mean()),
+            "contact_checks": 1.0 - sum(checked) / len(checked),
+            "information_cost": float(settings.information_scale == 0),
+            "reachability_cost": float(settings.reachability_scale == 0),
+        }
+
+
+def _maps(fields: WorkspaceFields, reachability: VoxelGrid | None) -> dict[str, Tensor]:
+    maps = {"information": fields.information, "p_free": fields.semantics[..., 0]}
+    if reachability is not None:
+        maps["reachability"] = reachability.values.flatten()
+    return maps
+
+
+class _Stopwatch:
+    """Seconds by stage since it was made."""
+
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._begun = self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps[name] = self.laps.get(name, 0.0) + now - self._last
+        self._last = now
+
+    def stopper(self, budget_s: float | None) -> Callable[[], bool] | None:
+        """Whether another iteration as long as the longest so far would end after the budget."""
+        if budget_s is None:
+            return None
+        last, longest = time.perf_counter(), 0.0
+
+        def stop() -> bool:
+            nonlocal last, longest
+            now = time.perf_counter()
+            last, longest = now, max(longest, now - last)
+            return now - self._begun + longest > budget_s
+
+        return stop

@@ -1,0 +1,73 @@
+"""What a predicted motion of robot and object costs in all (RUMI, Eq 31)."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.dynamics.base import PushRollouts
+from rumi.planning.costs import information_cost
+from rumi.planning.reach_cost import ReachabilityCost
+from sdf.voxel_grid import VoxelGrid
+
+
+class TrajectoryCost:
+    """Weighted sum of information and reachability cost, each left out where its weight is 0 (RUMI, Eq 31).
+
+    Args:
+        information: (X, Y, Z), nats.
+        reachability: (X, Y, Z), in [0, 1]; needed where its weight is not 0.
+        points_t: sensing points; x and y in the tool's frame, z in the world.
+        information_scale: beta_I.
+        reachability_scale: beta_R.
+        normalise: count information as a share of all there is.
+    """
+
+    def __init__(
+        self,
+        information: VoxelGrid,
+        reachability: VoxelGrid | None,
+        points_t: Float[Tensor, "M 3"],
+        *,
+        information_scale: float = 1.0,
+        reachability_scale: float = 1.0,
+        normalise: bool = True,
+    ) -> None:
+        self.information_scale, self.reachability_scale = information_scale, reachability_scale
+        self.normalise = normalise
+        self._information, self._points = information, points_t
+        self._reachability: ReachabilityCost | None = None
+        if reachability_scale > 0:
+            if reachability is None:
+                raise ValueError(
+                    "Expected reachability, one value a workspace point, since reachability_scale is "
+                    f"{reachability_scale}, got None: give the map or set reachability_scale to 0"
+                )
+            self._reachability = ReachabilityCost(information, reachability)
+
+    def __call__(self, rollouts: PushRollouts) -> Float[Tensor, "K"]:
+        """Cost of each control sequence: the mean over its rollouts.
+
+        The rollouts of a sequence that touch nothing are all the same, so that only the first of them is worked out.
+        """
+        touched = rollouts.touched
+        samples = torch.arange(len(touched), device=touched.device)
+        stand_in = (~touched).to(torch.uint8).argmax(-1)
+        distinct = touched.clone()
+        distinct[samples, stand_in] = True
+        cost = rollouts.configurations.new_zeros(touched.shape)
+        cost[distinct] = self._of_paths(
+            rollouts.configurations[:, :, 1:][distinct], rollouts.displacements[:, :, 1:][distinct]
+        )
+        return torch.where(touched, cost, cost[samples, stand_in][:, None]).mean(-1)
+
+    def _of_paths(
+        self, configurations: Float[Tensor, "R H 3"], displacements: Float[Tensor, "R H 3"]
+    ) -> Float[Tensor, "R"]:
+        total = configurations.new_zeros(len(configurations))
+        if self.information_scale > 0:
+            total += self.information_scale * information_cost(
+                self._information, self._points, configurations, displacements, normalise=self.normalise
+            )
+        if self._reachability is not None:
+            total += self.reachability_scale * self._reachability(displacements)
+        return total

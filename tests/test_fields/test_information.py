@@ -1,0 +1,286 @@
+"""Semantics and information of workspace points against golden numbers, definitions and invariances."""
+
+import math
+from collections.abc import Callable
+from typing import Any, get_args
+
+import pytest
+import torch
+from torch import Tensor
+
+from rumi.fields.information import (
+    InformationField,
+    InformationMode,
+    InformationSettings,
+    WorkspaceFields,
+    information_field,
+    information_from_distances,
+    near_object,
+    tail_distance,
+)
+from rumi.fields.normal import expected_normal
+from sdf import se3
+from sdf.base import SDF
+from sdf.posed import posed_distance
+from sdf.primitives import Box, Mug, Sphere
+from sensors.semantics import semantics_probability
+
+MODES = get_args(InformationMode)
+Beliefs = Callable[..., tuple[Tensor, Tensor]]
+GOLDEN_NAMES = {
+    "surrogate": "I_surrogate",
+    "reverse_kl": "I_reverse_kl",
+    "forward_kl": "I_forward_kl",
+    "sensor_mi": "MI_sensor",
+}
+
+
+@pytest.fixture
+def beliefs(generator: torch.Generator) -> Beliefs:
+    def make(*batch: int, count: int = 6, spread: float = 0.02) -> tuple[Tensor, Tensor]:
+        tangent = torch.randn(*batch, count, 6, generator=generator, dtype=torch.float64)
+        poses = se3.exp(tangent * torch.tensor([spread] * 3 + [0.4] * 3, dtype=torch.float64))
+        weights = torch.randn(*batch, count, generator=generator, dtype=torch.float64)
+        return poses, weights.log_softmax(-1)
+
+    return make
+
+
+@pytest.fixture
+def mug() -> SDF:
+    return Mug().double()
+
+
+@pytest.fixture
+def points(generator: torch.Generator) -> Tensor:
+    return 0.3 * torch.rand(80, 3, generator=generator, dtype=torch.float64) - 0.1
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_golden(golden: Callable[[str], dict[str, Any]], mode: InformationMode) -> None:
+    case = golden("rumi.info_field")
+    given, expected = case["inputs"], case["expected"]
+    sensor = given["sensor"]
+    settings = InformationSettings(
+        mode, given["lam"], given["C"], -given["alpha"], sensor["alpha"], sensor["zeta"], tail=0.0
+    )
+    double = {"dtype": torch.float64}
+    fields = information_field(
+        Sphere(given["sphere_radius"]).double(),
+        torch.tensor(given["W_T_O"], **double),
+        torch.tensor(given["w"], **double).log(),
+        torch.tensor(given["query"], **double),
+        settings,
+    )
+    tolerance = {"atol": case["atol"], "rtol": 0.0}
+    torch.testing.assert_close(fields.semantics, torch.tensor(expected["p_S"], **double), **tolerance)
+    torch.testing.assert_close(fields.information, torch.tensor(expected[GOLDEN_NAMES[mode]], **double), **tolerance)
+
+
+def test_golden_outside(golden: Callable[[str], dict[str, Any]], mug: SDF, beliefs: Beliefs) -> None:
+    case = golden("rumi.outside")
+    fields = information_field(mug, *beliefs(), torch.tensor([case["inputs"]["x"]], dtype=torch.float64))
+    assert fields.information.tolist() == [case["expected"]["I"]]
+    assert fields.semantics.tolist() == [case["expected"]["p"]]
+
+
+def by_definition(distance: Tensor, weights: Tensor, mode: InformationMode) -> Tensor:
+    """Expected divergence of the belief after seeing each outcome from the belief now, outcome by outcome."""
+    scale, tolerance, peakiness = 10.0, 0.001, 2.0
+    result = []
+    for v in distance.T:
+        sensor = semantics_probability(v)
+        outcome = weights @ sensor
+        costs = torch.stack((scale * (-tolerance - v).clamp_min(0), scale * (v - tolerance).clamp_min(0), v.abs()), -1)
+        total = torch.zeros((), dtype=torch.float64)
+        for s in range(3):
+            if mode == "sensor_mi":
+                after = weights * sensor[:, s] / outcome[s] if outcome[s] > 0 else weights
+                total += outcome[s] * torch.special.xlogy(after, after / weights).sum()
+                continue
+            after = weights * torch.exp(-peakiness * costs[:, s])
+            after = after / after.sum()
+            total += (
+                outcome[s]
+                * {
+                    "surrogate": peakiness * weights @ costs[:, s],
+                    "reverse_kl": (weights * (weights / after).log()).sum(),
+                    "forward_kl": (after * (after / weights).log()).sum(),
+                }[mode]
+            )
+        result.append(total)
+    return torch.stack(result)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_is_the_expected_divergence_of_posterior_and_prior(mode: InformationMode, generator: torch.Generator) -> None:
+    distance = 0.03 * torch.randn(7, 40, generator=generator, dtype=torch.float64)
+    weights = torch.rand(7, generator=generator, dtype=torch.float64).softmax(-1)
+    fields = information_from_distances(distance, weights.log(), mode=mode, tolerance=0.001)
+    torch.testing.assert_close(fields.information, by_definition(distance, weights, mode), atol=1e-12, rtol=1e-9)
+    mean = (weights[:, None, None] * semantics_probability(distance)).sum(0)
+    torch.testing.assert_close(fields.semantics, mean)
+    torch.testing.assert_close(fields.contact, 1 - mean[..., 0])
+
+
+def test_mutual_information_of_two_poses_in_closed_form() -> None:
+    """One pose has the point deep inside, the other far outside: the outcome names the pose, which is worth log 2."""
+    distance = torch.tensor([[-0.5], [0.5]], dtype=torch.float64)
+    fields = information_from_distances(distance, torch.tensor([0.5, 0.5], dtype=torch.float64).log())
+    torch.testing.assert_close(fields.information, torch.tensor([math.log(2)], dtype=torch.float64))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_only_the_surrogate_is_drawn_to_what_all_poses_agree_on(mode: InformationMode) -> None:
+    distance = torch.tensor([0.004, -0.01, 0.0, 0.3], dtype=torch.float64).expand(5, 4)
+    fields = information_from_distances(distance, torch.full((5,), 0.2, dtype=torch.float64).log(), mode=mode)
+    if mode == "surrogate":
+        assert bool((fields.information[:2] > 1e-3).all())
+    else:
+        assert float(fields.information.abs().max()) < 1e-12
+
+
+def close(a: WorkspaceFields, b: WorkspaceFields, atol: float = 1e-12) -> None:
+    torch.testing.assert_close(a.semantics, b.semantics, atol=atol, rtol=1e-9)
+    torch.testing.assert_close(a.information, b.information, atol=atol, rtol=1e-9)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_scene_of_a_batch_is_that_scene_alone(
+    mode: InformationMode, mug: SDF, beliefs: Beliefs, points: Tensor
+) -> None:
+    poses, log_weights = beliefs(2, 3)
+    poses[0, 1, :, :3, 3] += 0.25  # so that scenes skip different points
+    settings = InformationSettings(mode, tail=1e-3)
+    together = information_field(mug, poses, log_weights, points, settings)
+    assert together.information.shape == (2, 3, 80)
+    for i, j in ((0, 0), (0, 1), (1, 2)):
+        alone = information_field(mug, poses[i, j], log_weights[i, j], points, settings)
+        close(WorkspaceFields(together.semantics[i, j], together.information[i, j]), alone)
+
+
+def test_chunks_change_nothing(mug: SDF, beliefs: Beliefs, points: Tensor, monkeypatch: pytest.MonkeyPatch) -> None:
+    poses, log_weights = beliefs()
+    whole = information_field(mug, poses, log_weights, points)
+    normal = expected_normal(mug, poses, log_weights, points)
+    monkeypatch.setattr("rumi.fields.information.CHUNK_BYTES", 3000)
+    monkeypatch.setattr("rumi.fields.normal.CHUNK_BYTES", 9000)
+    close(information_field(mug, poses, log_weights, points), whole)
+    torch.testing.assert_close(expected_normal(mug, poses, log_weights, points), normal)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_moves_with_the_world(mode: InformationMode, mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
+    poses, log_weights = beliefs()
+    motion = se3.exp(torch.tensor([0.3, -1.0, 0.2, 0.5, 2.0, -0.7], dtype=torch.float64))
+    moved = se3.apply(motion, points)
+    settings = InformationSettings(mode, tail=0.0)
+    here = information_field(mug, poses, log_weights, points, settings)
+    close(information_field(mug, motion @ poses, log_weights, moved, settings), here)
+    turned = expected_normal(mug, motion @ poses, log_weights, moved)
+    torch.testing.assert_close(turned, se3.rotate(motion, expected_normal(mug, poses, log_weights, points)))
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("tail", [1e-2, 1e-6])
+def test_what_is_skipped_is_within_its_bound(mode: InformationMode, tail: float, beliefs: Beliefs) -> None:
+    shape = Box((0.03, 0.05, 0.02)).double()
+    poses, log_weights = beliefs(spread=0.05)
+    axis = torch.linspace(-0.5, 0.5, 21, dtype=torch.float64)
+    points = torch.cartesian_prod(axis, axis, 0.1 * axis[::10])
+    exact = information_field(shape, poses, log_weights, points, InformationSettings(mode, tail=0.0))
+    lean = information_field(shape, poses, log_weights, points, InformationSettings(mode, tail=tail))
+    near = near_object(shape, poses, points, tail_distance(100.0, 0.003, tail))
+    assert 0.05 < float(near.double().mean()) < 0.9
+    close(
+        WorkspaceFields(lean.semantics[near], lean.information[near]),
+        WorkspaceFields(exact.semantics[near], exact.information[near]),
+    )
+    assert float(lean.information[~near].abs().max()) == 0.0
+    assert float((lean.semantics - exact.semantics).abs().max()) <= tail
+    bound = tail * (1 + math.log(1 / tail)) if mode == "sensor_mi" else 2.0 * tail * 1.0  # E|v| is below 1 m here
+    assert float((lean.information - exact.information).abs().max()) <= bound
+
+
+@pytest.mark.parametrize("count", [1, 4])
+@pytest.mark.parametrize("reach", [0.0, 0.05])
+def test_no_point_within_reach_is_left_out(
+    count: int, reach: float, beliefs: Beliefs, generator: torch.Generator
+) -> None:
+    shape = Box((0.03, 0.15, 0.03)).double()
+    poses, _ = beliefs(count=count, spread=0.05)
+    points = 0.15 * torch.randn(8000, 3, generator=generator, dtype=torch.float64)
+    within = posed_distance(shape, poses, points).amin(0) <= reach
+    near = near_object(shape, poses, points, reach)
+    assert int(within.sum()) > 10
+    assert bool(near[within].all())
+    assert float(near.double().mean()) < 0.9
+
+
+def test_nothing_near_needs_no_lookup(beliefs: Beliefs) -> None:
+    poses, log_weights = beliefs()
+    far = torch.full((4, 3), 9.0, dtype=torch.float64)
+    fields = information_field(Sphere(0.05).double(), poses, log_weights, far)
+    assert float(fields.information.sum()) == 0.0
+    assert torch.equal(fields.semantics[:, 0], torch.ones(4, dtype=torch.float64))
+
+
+def test_expected_normal_is_the_gradient_of_the_expected_distance(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
+    poses, log_weights = beliefs()
+    at = points.clone().requires_grad_()
+    inverse = se3.inverse(poses)
+    expected = (log_weights.exp()[:, None] * mug.distance(se3.apply(inverse, at.expand(6, 80, 3)))).sum()
+    (gradient,) = torch.autograd.grad(expected, at)
+    torch.testing.assert_close(expected_normal(mug, poses, log_weights, points), gradient)
+    assert bool((gradient.norm(dim=-1) <= 1 + 1e-9).all())
+
+
+def test_expected_normal_where_asked_and_in_batches(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
+    poses, log_weights = beliefs(2)
+    where = torch.zeros(2, 80, dtype=torch.bool)
+    where[0, :5], where[1, 3:9] = True, True
+    normal = expected_normal(mug, poses, log_weights, points, where)
+    for i in range(2):
+        alone = expected_normal(mug, poses[i], log_weights[i], points)
+        torch.testing.assert_close(normal[i], alone * where[i][:, None])
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_gradients(mode: InformationMode, generator: torch.Generator) -> None:
+    distance = 0.02 * torch.randn(4, 6, generator=generator, dtype=torch.float64)
+    distance += 0.0005 * distance.sign()  # away from the kinks at 0
+    sharpness = torch.tensor(80.0, dtype=torch.float64)
+
+    def function(v: Tensor, log_weights: Tensor, sharpness: Tensor) -> tuple[Tensor, ...]:
+        return information_from_distances(v, log_weights.log_softmax(-1), mode=mode, sharpness=sharpness)
+
+    inputs = (distance, torch.randn(4, generator=generator, dtype=torch.float64), sharpness)
+    assert torch.autograd.gradcheck(function, tuple(x.requires_grad_() for x in inputs))
+
+
+def test_module_has_its_numbers_in_its_state_and_trains_them(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
+    poses, log_weights = beliefs()
+    fixed = InformationField(mug, InformationSettings(tail=0.0)).double()
+    plain = information_field(mug, poses, log_weights, points, fixed.settings)
+    close(fixed(poses, log_weights, points), plain, atol=1e-7)  # buffers start as float32
+    assert {"sharpness", "surface_tolerance", "peakiness", "free_scale", "tolerance"} <= set(fixed.state_dict())
+    assert not list(fixed.parameters())
+    trained = InformationField(Sphere(0.06).double(), InformationSettings("surrogate"), trainable=True).double()
+    poses = poses.requires_grad_()
+    trained(poses, log_weights, points).information.sum().backward()
+    gradients = {name: p.grad for name, p in trained.named_parameters()}
+    assert len(gradients) == 4
+    assert all(g is not None and bool(g.isfinite()) and float(g) != 0 for g in gradients.values()), gradients
+    assert bool(poses.grad.isfinite().all())
+    assert float(poses.grad.abs().max()) > 0
+
+
+def test_refuses_settings_without_meaning(no_shape_check: None) -> None:
+    with pytest.raises(ValueError, match="surrogate, reverse_kl, forward_kl, sensor_mi"):
+        InformationSettings(mode="mi")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="tolerance to be 0 or more"):
+        InformationSettings(tolerance=-0.001)
+    with pytest.raises(ValueError, match="sharpness"):
+        InformationSettings(sharpness=0.0)
+    with pytest.raises(ValueError, match="tail"):
+        InformationSettings(tail=1.0)

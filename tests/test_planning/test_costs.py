@@ -1,0 +1,190 @@
+"""Information and reachability cost against golden numbers and sums spelt out."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from rumi.dynamics.base import PushRollouts
+from rumi.fields.workspace import Workspace
+from rumi.planning.costs import information_cost
+from rumi.planning.reach_cost import ReachabilityCost, cross_correlation
+from rumi.planning.trajectory_cost import TrajectoryCost
+from sdf import se3
+from sdf.voxel_grid import VoxelGrid
+
+DOUBLE = {"dtype": torch.float64}
+
+
+def sparse_field(shape: tuple[int, int, int], generator: torch.Generator, share: float = 0.3) -> VoxelGrid:
+    values = torch.rand(shape, generator=generator, **DOUBLE) * (torch.rand(shape, generator=generator) < share)
+    return VoxelGrid(values, torch.tensor([-0.31, -0.22, 0.005], **DOUBLE), 0.04)
+
+
+def sensing_points(generator: torch.Generator, count: int = 25) -> Tensor:
+    return (torch.rand(count, 3, generator=generator, **DOUBLE) - 0.5) * torch.tensor([0.3, 0.2, 0.0], **DOUBLE) + (
+        torch.tensor([0.0, 0.0, 0.05], **DOUBLE)
+    )
+
+
+def paths(generator: torch.Generator, count: int = 300, horizon: int = 4) -> tuple[Tensor, Tensor]:
+    q = torch.randn(count, horizon, 3, generator=generator, **DOUBLE) * torch.tensor([0.3, 0.3, 2.0], **DOUBLE)
+    d = 0.1 * torch.randn(count, horizon, 3, generator=generator, **DOUBLE) * torch.tensor([1.0, 1.0, 0.0], **DOUBLE)
+    q[::3, 2] = q[::3, 1]  # some steps that repeat the one before
+    d[::3, 2] = d[::3, 1]
+    d[::7] = 0
+    return q, d
+
+
+def met_cells(field: VoxelGrid, points: Tensor, q: Tensor, d: Tensor) -> set[tuple[int, ...]]:
+    """Cells of the lattice that the points of one path meet, one point after the other."""
+    cells = set()
+    for pose, shift in zip(se3.from_planar(q), d, strict=True):
+        world = se3.apply(pose, points) - shift
+        index, inside = field.nearest_index(world)
+        cells |= {tuple(cell) for cell, held in zip(index.tolist(), inside.tolist(), strict=True) if held}
+    return cells
+
+
+@pytest.mark.parametrize("shape", [(14, 12, 1), (9, 10, 4), (1, 12, 1), (1, 1, 1)])
+@pytest.mark.parametrize("normalise", [False, True])
+def test_information_cost_is_the_sum_over_the_set_of_cells(
+    shape: tuple[int, int, int], normalise: bool, generator: torch.Generator
+) -> None:
+    field = sparse_field(shape, generator, 0.3 if max(shape) > 1 else 2.0)
+    points = sensing_points(generator)
+    q, d = paths(generator)
+    cost = information_cost(field, points, q, d, normalise=normalise)
+    expected = []
+    for k in range(0, len(q), 4):
+        expected.append(-sum(float(field.values[cell]) for cell in met_cells(field, points, q[k], d[k])))
+    expected = torch.tensor(expected, **DOUBLE) / (field.values.sum() if normalise else 1.0)
+    torch.testing.assert_close(cost[::4], expected)
+    assert float(cost.min()) < 0
+    if normalise:
+        assert float(cost.min()) >= -1.0
+
+
+def test_moving_along_with_the_object_gathers_nothing_new(generator: torch.Generator) -> None:
+    field, points = sparse_field((30, 30, 1), generator, 1.0), sensing_points(generator)
+    start = torch.tensor([0.2, 0.2, 0.7], **DOUBLE)
+    steps = torch.arange(5, **DOUBLE)[:, None] * torch.tensor([[0.031, -0.017, 0.0]], **DOUBLE)
+    alone = information_cost(field, points, start.expand(1, 1, 3), torch.zeros(1, 1, 3, **DOUBLE))
+    stuck = information_cost(field, points, (start + steps)[None], steps[None])
+    torch.testing.assert_close(stuck, alone)
+    passing = information_cost(field, points, (start + steps)[None], torch.zeros(1, 5, 3, **DOUBLE))
+    assert float(passing) < 1.2 * float(alone) < 0
+
+
+@pytest.mark.parametrize("normalise", [False, True])
+def test_no_information_costs_nothing(normalise: bool, generator: torch.Generator) -> None:
+    field = sparse_field((8, 8, 1), generator, 0.0)
+    q, d = paths(generator, 5)
+    assert information_cost(field, sensing_points(generator), q, d, normalise=normalise).tolist() == [0.0] * 5
+    full = sparse_field((8, 8, 1), generator)
+    assert information_cost(full, torch.zeros(0, 3, **DOUBLE), q, d).tolist() == [0.0] * 5
+    assert information_cost(full, sensing_points(generator), q + 50.0, d).tolist() == [0.0] * 5
+    assert information_cost(full, sensing_points(generator), q[:0], d[:0]).shape == (0,)
+
+
+def test_points_above_or_below_the_lattice_meet_nothing(generator: torch.Generator) -> None:
+    field = sparse_field((9, 10, 4), generator, 1.0)
+    q, d = paths(generator, 5)
+    high = sensing_points(generator) + torch.tensor([0.0, 0.0, 0.5], **DOUBLE)
+    assert information_cost(field, high, 0.1 * q, d).tolist() == [0.0] * 5
+
+
+@pytest.mark.parametrize("name", ["zero", "lattice", "out", "zero_info"])
+def test_golden_reachability(golden: Callable[[str], dict[str, Any]], name: str) -> None:
+    case = golden(f"rumi.C_R.{name}")
+    values = [torch.tensor(case["inputs"][k], **DOUBLE)[..., None] for k in "Ir"]
+    maps = [VoxelGrid(v, torch.zeros(3, **DOUBLE), 1.0) for v in values]
+    moved = torch.nn.functional.pad(torch.tensor(case["inputs"]["d"], **DOUBLE), (0, 1))
+    cost = ReachabilityCost(maps[0], maps[1])(moved)
+    torch.testing.assert_close(cost, torch.tensor(case["expected"]["C_R"], **DOUBLE), atol=case["atol"], rtol=0)
+
+
+@pytest.mark.parametrize("shape", [(7, 6, 1), (5, 4, 3), (1, 6, 1), (1, 1, 1)])
+def test_reachability_cost_is_the_direct_sum(shape: tuple[int, int, int], generator: torch.Generator) -> None:
+    information, reachability = sparse_field(shape, generator, 1.0), sparse_field(shape, generator, 1.0)
+    moved = 0.2 * torch.randn(20, 5, 3, generator=generator, **DOUBLE)
+    moved[0] = 0
+    centres = information.centers().reshape(-1, 3)
+    direct = torch.stack(
+        [
+            torch.stack([(reachability.values.flatten() * information.interpolate(centres - d)).sum() for d in path])
+            for path in moved
+        ]
+    )
+    expected = -direct.mean(-1) / information.values.sum()
+    cost = ReachabilityCost(information, reachability)(moved)
+    torch.testing.assert_close(cost, expected)
+    assert float(cost.min()) >= -1
+    assert float(cost.max()) <= 0
+    single = ReachabilityCost(
+        VoxelGrid(information.values.float(), information.origin.float(), 0.04),
+        VoxelGrid(reachability.values.float(), information.origin.float(), 0.04),
+    )
+    torch.testing.assert_close(single(moved.float()).double(), expected, atol=1e-5, rtol=0)
+
+
+def test_cross_correlation_is_its_definition(generator: torch.Generator) -> None:
+    r, information = torch.rand(2, 3, 4, 1, generator=generator, **DOUBLE)
+    table = cross_correlation(r, information)
+    assert table.shape == (5, 7, 1)
+    for i in range(-2, 3):
+        for j in range(-3, 4):
+            total = sum(
+                float(r[x, y, 0] * information[x - i, y - j, 0])
+                for x in range(3)
+                for y in range(4)
+                if 0 <= x - i < 3 and 0 <= y - j < 4
+            )
+            assert float(table[i + 2, j + 3, 0]) == pytest.approx(total)
+
+
+def test_pushing_information_out_of_reach_costs() -> None:
+    """Reach falls with x, so a push along +x costs (the printed sign, checked against W + d)."""
+    lattice = Workspace.from_bounds(torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 0.0]], **DOUBLE), 0.1)
+    information = lattice.zeros()
+    information.values[5, 5] = 2.0
+    cost = ReachabilityCost(information, lattice.grid(1.0 - lattice.points[:, 0]))
+    pushes = torch.tensor([[[-0.2, 0.0, 0.0]], [[0.0, 0.0, 0.0]], [[0.25, 0.0, 0.0]], [[0.9, 0.0, 0.0]]], **DOUBLE)
+    torch.testing.assert_close(cost(pushes), torch.tensor([-0.7, -0.5, -0.25, 0.0], **DOUBLE))
+
+
+def test_refuses_maps_of_different_workspaces(generator: torch.Generator) -> None:
+    with pytest.raises(ValueError, match="one workspace"):
+        ReachabilityCost(sparse_field((4, 5, 1), generator), sparse_field((5, 4, 1), generator))
+    with pytest.raises(ValueError, match="set reachability_scale to 0"):
+        TrajectoryCost(sparse_field((4, 5, 1), generator), None, sensing_points(generator))
+
+
+def made_up_rollouts(generator: torch.Generator) -> PushRollouts:
+    """Rollouts of which some touch nothing and hence agree."""
+    samples, count, horizon = 12, 4, 5
+    free = 0.2 * torch.randn(samples, 1, horizon + 1, 3, generator=generator, **DOUBLE)
+    contact = torch.rand(samples, count, horizon, generator=generator) < 0.15
+    contact[0], contact[1] = True, False
+    touched = contact.any(-1)[..., None, None]
+    other = 0.2 * torch.randn(samples, count, horizon + 1, 3, generator=generator, **DOUBLE)
+    moved = 0.05 * torch.randn(samples, count, horizon + 1, 3, generator=generator, **DOUBLE)
+    states = torch.where(touched, other, free.expand_as(other))
+    return PushRollouts(states, torch.where(touched, moved, 0.0), contact, 1.0)
+
+
+@pytest.mark.parametrize(("beta_i", "beta_r"), [(1.0, 1.0), (0.5, 200.0), (1.0, 0.0), (0.0, 3.0)])
+def test_trajectory_cost_is_the_mean_of_every_rollouts_own(
+    beta_i: float, beta_r: float, generator: torch.Generator
+) -> None:
+    information, reachability = (sparse_field((12, 11, 1), generator) for _ in range(2))
+    points, rollouts = sensing_points(generator), made_up_rollouts(generator)
+    cost = TrajectoryCost(
+        information, reachability, points, information_scale=beta_i, reachability_scale=beta_r, normalise=False
+    )(rollouts)
+    q, d = rollouts.configurations[:, :, 1:], rollouts.displacements[:, :, 1:]
+    gathered = torch.stack([information_cost(information, points, q[k], d[k]) for k in range(len(q))])
+    reached = ReachabilityCost(information, reachability)(d)
+    torch.testing.assert_close(cost, (beta_i * gathered + beta_r * reached).mean(-1))

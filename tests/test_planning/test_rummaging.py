@@ -1,0 +1,173 @@
+"""The policy in small: what it is told it keeps to, and what it plans serves its ends."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from kmppi import MPPI, MPPISettings
+from rumi.baselines.ablations import info_only, reach_only
+from rumi.belief.particles import PoseBelief
+from rumi.dynamics.displacement import DisplacementSettings
+from rumi.fields.information import InformationSettings
+from rumi.fields.workspace import Workspace
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
+from rumi.planning.tool import Tool
+from rumi.planning.types import Plan, Scene
+from sdf import se3
+from sdf.object_model import ObjectModel, object_model
+from sdf.primitives import Mug
+
+HEIGHT = 0.045
+BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
+SMALL = RummagingSettings(
+    mppi=MPPISettings(horizon=6, knots=4, samples=60, warmup_iterations=4, temperature=0.1, cost_scale="std"),
+    push=DisplacementSettings(mini_steps=2),
+    rollouts=2,
+)
+
+
+@pytest.fixture(scope="module")
+def mug() -> ObjectModel:
+    return object_model("mug", Mug(), torch.eye(3)[None], spacing=0.004, points=20)
+
+
+@pytest.fixture
+def scene(mug: ObjectModel) -> Scene:
+    workspace = Workspace.from_bounds(BOUNDS, 0.02, planar_height=HEIGHT)
+    tool = Tool(BOUNDS[:, :2], height_m=HEIGHT, body_spacing_m=0.02, info_spacing_m=0.01)
+    return Scene(mug, workspace, tool, torch.tensor([0.2, 0.0, 0.0]))
+
+
+def belief(count: int = 20, yaw: float = 1.0, at: tuple[float, float] = (0.4, 0.0)) -> PoseBelief:
+    random = torch.Generator().manual_seed(3)
+    place = torch.cat((torch.tensor(at).expand(count, 2), yaw * torch.randn(count, 1, generator=random)), -1)
+    return PoseBelief.uniform(se3.from_planar(place))
+
+
+def falling(scene: Scene) -> Tensor:
+    """Reach that falls away from the origin along x."""
+    return (1.0 - scene.workspace.points[:, 0]).clamp(0, 1)
+
+
+def plan(
+    policy: RummagingPolicy, scene: Scene, believed: PoseBelief, previous: Plan | None = None, seed: int = 0
+) -> Plan:
+    random = torch.Generator().manual_seed(seed)
+    return policy.act(believed, scene, previous, executed=2, budget_s=None, generator=random)
+
+
+def test_a_plan_has_all_that_it_should(scene: Scene) -> None:
+    made = plan(RummagingPolicy(falling(scene), SMALL), scene, belief())
+    assert made.controls.shape == (6, 3)
+    assert float(made.controls.abs().max()) <= 1
+    assert made.path.shape == (7, 3)
+    assert torch.equal(made.path[0], scene.configuration)
+    assert set(made.fields) == {"information", "p_free", "reachability"}
+    assert all(values.shape == (len(scene.workspace),) for values in made.fields.values())
+    assert float(made.fields["information"].max()) > 0.3
+    assert float(made.fields["p_free"].min()) < 0.1
+    assert torch.equal(made.fields["reachability"], falling(scene))
+    assert set(made.skipped) == {"workspace_points", "contact_checks", "information_cost", "reachability_cost"}
+    assert 0.2 < made.skipped["workspace_points"] < 1
+    assert 0.3 < made.skipped["contact_checks"] <= 1
+    assert set(made.timings_s) == {"fields", "contact_field", "dynamics", "costs", "planner"}
+    assert made.info["iterations"] == 4
+    assert made.warm_start is not None
+
+
+def test_same_seed_same_plan(scene: Scene) -> None:
+    policy = RummagingPolicy(falling(scene), SMALL)
+    first, again, other = (plan(policy, scene, belief(), seed=seed) for seed in (1, 1, 2))
+    assert torch.equal(first.controls, again.controls)
+    assert torch.equal(first.path, again.path)
+    assert not torch.equal(first.controls, other.controls)
+
+
+def test_a_later_plan_goes_on_from_the_previous_one(scene: Scene) -> None:
+    policy = RummagingPolicy(falling(scene), SMALL)
+    first = plan(policy, scene, belief())
+    later = plan(policy, scene, belief(), first)
+    assert later.info["iterations"] == SMALL.mppi.iterations == 1
+    # without noise it is the previous plan, two controls later
+    quiet = replace(SMALL, mppi=replace(SMALL.mppi, noise_variance=1e-12))
+    later = plan(RummagingPolicy(falling(scene), quiet), scene, belief(), first)
+    assert first.warm_start is not None
+    expected = MPPI(SMALL.mppi, 3).shift(first.warm_start, 2)
+    torch.testing.assert_close(later.controls, expected.controls, atol=1e-4, rtol=0)
+    assert float((later.controls - first.controls).abs().max()) > 0.1
+
+
+def test_a_spent_budget_still_gives_a_plan(scene: Scene) -> None:
+    policy = RummagingPolicy(falling(scene), SMALL)
+    random = torch.Generator().manual_seed(0)
+    made = policy.act(belief(), scene, None, executed=0, budget_s=0.0, generator=random)
+    assert made.info["iterations"] == 1
+    random = torch.Generator().manual_seed(0)
+    made = policy.act(belief(), scene, None, executed=0, budget_s=600.0, generator=random)
+    assert made.info["iterations"] == 4
+
+
+def test_goes_where_the_information_is(scene: Scene) -> None:
+    """The best sample meets informative cells, and the plan brings the pads closer to the object."""
+    policy = info_only(replace(SMALL, mppi=replace(SMALL.mppi, samples=200)))
+    start = replace(scene, configuration=torch.tensor([0.1, 0.3, 0.0]))
+    made = plan(policy, start, belief())
+    assert made.info["least_cost"] < -0.05
+    way = (made.path[:, :2] - torch.tensor([0.4, 0.0])).norm(dim=-1)
+    assert float(way.min()) < float(way[0]) - 0.1
+    assert made.skipped["reachability_cost"] == 1.0
+    assert "reachability" not in made.fields
+
+
+def test_reach_alone_does_not_push_away_what_is_reachable(scene: Scene) -> None:
+    made = plan(reach_only(falling(scene), SMALL), scene, belief())
+    assert made.skipped["information_cost"] == 1.0
+    assert made.info["displacement"][0] <= 0.0
+    assert -1.0 <= made.info["least_cost"] <= -0.5
+
+
+@pytest.mark.parametrize("settings", [SMALL, replace(SMALL, normalise_information=False)])
+def test_nothing_to_learn_gives_a_plan_all_the_same(scene: Scene, settings: RummagingSettings) -> None:
+    """All particles agree: no information anywhere, all costs are zero."""
+    made = plan(RummagingPolicy(falling(scene), settings), scene, belief(count=5, yaw=0.0))
+    assert float(made.fields["information"].sum()) < 1e-3
+    assert bool(made.controls.isfinite().all())
+    assert bool(made.path.isfinite().all())
+
+
+@pytest.mark.parametrize("mode", ["surrogate", "reverse_kl", "forward_kl", "sensor_mi"])
+def test_every_field_can_be_planned_on(scene: Scene, mode: str) -> None:
+    settings = replace(SMALL, information=InformationSettings(mode=mode))
+    assert bool(plan(RummagingPolicy(falling(scene), settings), scene, belief()).controls.isfinite().all())
+
+
+def test_smallest_problem(scene: Scene) -> None:
+    """One step, one knot, and a workspace of one cell."""
+    settings = replace(SMALL, mppi=MPPISettings(horizon=1, knots=1, samples=3, warmup_iterations=0), rollouts=1)
+    lattice = Workspace.from_bounds(torch.tensor([[0.4, 0.0, HEIGHT], [0.4, 0.0, HEIGHT]]), 0.01)
+    made = plan(RummagingPolicy(torch.ones(1), settings), replace(scene, workspace=lattice), belief())
+    assert made.controls.shape == (1, 3)
+    assert bool(made.path.isfinite().all())
+
+
+def test_the_papers_settings() -> None:
+    paper = RummagingSettings.paper()
+    assert (paper.information.mode, paper.information.peakiness, paper.information.free_scale) == ("surrogate", 2.0, 10)
+    assert (paper.information_scale, paper.reachability_scale, paper.normalise_information) == (1.0, 200.0, False)
+    assert (paper.mppi.temperature, paper.mppi.cost_scale, paper.mppi.samples) == (0.01, "raw", 500)
+    assert (paper.mppi.horizon, paper.mppi.knots, paper.mppi.kernel_scale, paper.mppi.noise_variance) == (15, 8, 2, 1.5)
+    assert (paper.rollouts, paper.push.mini_steps, paper.push.hazard) == (5, 4, "per_mini_step")
+    assert paper.push.push_angle == pytest.approx(0.7854, abs=1e-4)
+
+
+def test_refuses_what_it_cannot_plan_for(scene: Scene) -> None:
+    with pytest.raises(ValueError, match="rollouts"):
+        RummagingSettings(rollouts=0)
+    with pytest.raises(ValueError, match="not both 0"):
+        RummagingSettings(information_scale=0.0, reachability_scale=0.0)
+    with pytest.raises(ValueError, match="Expected reachability"):
+        plan(RummagingPolicy(None, SMALL), scene, belief())
+    with pytest.raises(ValueError, match="one row a workspace point"):
+        plan(RummagingPolicy(torch.ones(7), SMALL), scene, belief())

@@ -1,0 +1,219 @@
+"""The tool: its points, the discs over them, and where commands take it short of the arm's limit."""
+
+import copy
+import math
+
+import pytest
+import torch
+
+from rumi.fields.reach_table import ReachSettings, ReachTable, table_shape
+from rumi.fields.reachability import Reach
+from rumi.planning.gripper import GripperShape
+from rumi.planning.tool import Tool
+
+BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def reach():
+    """A made-up arm: the wrist, 0.25 m behind the tool, must be between 0.35 and 0.8 m from the base."""
+    settings = ReachSettings(radius_step_m=0.01, yaw_steps=60)
+    rows, columns = table_shape(settings)
+    radius = torch.arange(rows, dtype=torch.float64)[:, None] * settings.radius_step_m
+    yaw = torch.linspace(0, math.pi, columns, dtype=torch.float64)[None]
+    wrist = torch.sqrt((radius - 0.25 * yaw.cos()) ** 2 + (0.25 * yaw.sin()) ** 2)
+    outside = torch.maximum(wrist - 0.8, 0.35 - wrist).clamp_min(0.0)
+    return Reach(ReachTable(outside, 0.5 * outside), settings, (-0.45, 0.0, 0.0)).double()
+
+
+@pytest.fixture(scope="module")
+def tool(reach):
+    return Tool(BOUNDS, reach)
+
+
+@pytest.fixture(scope="module")
+def free():
+    return Tool(BOUNDS)
+
+
+def controls(*shape, seed=0):
+    return torch.rand(*shape, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) * 2 - 1
+
+
+def reachable_starts(tool, count, seed=1):
+    u = torch.rand(20 * count, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    q = u * torch.tensor([0.8, 0.8, 2 * math.pi], dtype=torch.float64) - torch.tensor([0.0, 0.4, math.pi])
+    return q[tool.reach.reachable(q)][:count]
+
+
+def test_points_lie_on_the_gripper(free):
+    shape = free.shape
+    body, info = free.body, free.info
+    in_pads = torch.zeros(len(body), dtype=torch.bool)
+    for center in shape.pad_centers:
+        scaled = (body - body.new_tensor(center)) / body.new_tensor(shape.pad_m)
+        in_pads |= scaled.square().sum(-1) <= 1 + 1e-9
+    assert bool((shape.in_palm(body) | in_pads).all())
+    assert 300 < len(body) < 500 and 120 < len(info) < 220
+    # information is gathered in front of the palm alone
+    assert not bool(shape.in_palm(info).any())
+    # and the foremost point of both is the pads' tip
+    assert float(body[:, 0].max()) == pytest.approx(shape.pad_m[0])
+    assert float(info[:, 0].max()) == pytest.approx(shape.pad_m[0])
+
+
+def test_shell_lies_on_the_pads_and_covers_them():
+    shape = GripperShape()
+    shell = shape.pad_shell(0.0025)
+    scaled = torch.stack([(shell - shell.new_tensor(c)) / shell.new_tensor(shape.pad_m) for c in shape.pad_centers])
+    torch.testing.assert_close(
+        scaled.square().sum(-1).sub(1).abs().amin(0), torch.zeros(len(shell), dtype=torch.float64), atol=1e-9, rtol=0
+    )
+    # any point of the surface has a shell point near
+    generator = torch.Generator().manual_seed(0)
+    direction = torch.nn.functional.normalize(torch.randn(500, 3, generator=generator, dtype=torch.float64), dim=-1)
+    surface = direction * shell.new_tensor(shape.pad_m) + shell.new_tensor(shape.pad_centers[0])
+    surface = surface[~shape.in_palm(surface)]
+    assert float(torch.cdist(surface, shell).amin(-1).max()) < 0.0025
+
+
+def test_volume_counts_cubes():
+    shape = GripperShape()
+    volume = shape.volume(0.002)
+    a, b, c = shape.pad_m
+    palm = math.prod(shape.palm_m)
+    pads = 2 * 4 / 3 * math.pi * a * b * c
+    inside = len(volume) * 0.002**3
+    assert palm < inside < palm + pads  # a part of the pads is sunk in the palm
+    assert inside == pytest.approx(palm + 0.93 * pads, rel=0.03)
+    assert bool((volume[:, 2].abs() < 0.022).all())
+
+
+def test_points_follow_the_pose(tool):
+    q = torch.tensor([[0.3, -0.1, 0.7], [0.5, 0.2, -2.0]], dtype=torch.float64)
+    pose = tool.pose(q)
+    assert pose.shape == (2, 4, 4)
+    for points, local in ((tool.points(q), tool.body), (tool.info_points(q), tool.info)):
+        for row in range(2):
+            expected = local @ pose[row, :3, :3].T + pose[row, :3, 3]
+            torch.testing.assert_close(points[row], expected)
+    assert bool((tool.points(q)[..., 2] == tool.height_m).all())
+
+
+@pytest.mark.parametrize("count", [1, 3, 8])
+def test_discs_cover_the_body(free, count):
+    centers, radius = free.covering_discs(count)
+    assert centers.shape == (count, 2)
+    assert float(torch.cdist(free.body[:, :2], centers).amin(-1).max()) <= radius + 1e-12
+    assert radius < 0.1
+
+
+def test_more_discs_are_smaller(free):
+    radii = [free.covering_discs(count)[1] for count in (1, 4, 16)]
+    assert radii[0] > radii[1] > radii[2]
+
+
+def test_free_motion_is_the_scaled_control(free):
+    q = torch.tensor([0.3, 0.0, 0.4], dtype=torch.float64)
+    control = torch.tensor([0.5, -1.0, 1.0], dtype=torch.float64)
+    reached, refused = free.free_step(q, control, 0.5)
+    torch.testing.assert_close(reached, q + 0.5 * control * torch.tensor([0.08, 0.08, 0.5], dtype=torch.float64))
+    assert float(refused) == 0.0
+
+
+def test_bounds_stop_each_axis(free):
+    q = torch.tensor([0.78, 0.0, 0.0], dtype=torch.float64)
+    reached, refused = free.free_step(q, torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64))
+    torch.testing.assert_close(reached, torch.tensor([0.8, 0.08, 0.0], dtype=torch.float64))
+    assert float(refused) == pytest.approx(0.06)
+
+
+@pytest.mark.parametrize("mini_steps", [1, 4, 20])
+def test_path_is_repeated_steps(tool, mini_steps):
+    q = reachable_starts(tool, 40)
+    u = controls(40, 6, seed=mini_steps)
+    path = tool.free_path(q, u, mini_steps)
+    assert path.shape == (40, 6 * mini_steps, 3)
+    now = q
+    for index in range(6 * mini_steps):
+        now, _ = tool.free_step(now, u[:, index // mini_steps], 1.0 / mini_steps)
+        torch.testing.assert_close(path[:, index], now, atol=1e-9, rtol=0)
+    moved_freely = q[:, None] + (u * tool.scale).cumsum(1)
+    blocked = ~tool._inside(moved_freely).all(-1)
+    assert 5 < int(blocked.sum()) < 40  # the case is worth its name: some paths meet a limit, some do not
+
+
+def test_rows_of_a_batch_equal_single_paths(tool):
+    q, u = reachable_starts(tool, 8), controls(8, 5, seed=3)
+    batch = tool.free_path(q, u, 4)
+    for row in range(8):
+        torch.testing.assert_close(tool.free_path(q[row], u[row], 4), batch[row], atol=1e-12, rtol=0)
+    nested = tool.free_path(q.reshape(2, 4, 3), u.reshape(2, 4, 5, 3), 4)
+    torch.testing.assert_close(nested, batch.reshape(2, 4, 20, 3))
+    # one start for many control sequences
+    torch.testing.assert_close(tool.free_path(q[0], u, 4), tool.free_path(q[:1].expand(8, 3), u, 4))
+
+
+def test_never_leaves_reach_or_bounds(tool):
+    path = tool.free_path(reachable_starts(tool, 100), controls(100, 10, seed=4), 4)
+    assert bool((tool.reach.residual(path) <= tool.reach.settings.tolerance_m + 1e-9).all())
+    assert bool(((path[..., :2] >= BOUNDS[0]) & (path[..., :2] <= BOUNDS[1])).all())
+
+
+def test_straight_out_stops_at_the_limit_and_is_refused(tool):
+    q = torch.tensor([0.55, 0.0, 0.0], dtype=torch.float64)
+    reached, refused = tool.free_step(q, torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
+    # the limit of the residual: 5 mm of position with half as much rotation
+    limit = 0.6 + 0.005 / 1.05
+    assert float(reached[0]) == pytest.approx(limit, abs=0.006)
+    assert float(reached[0]) <= limit + 1e-6
+    assert float(refused) == pytest.approx(0.63 - float(reached[0]))
+
+
+def test_slides_along_the_limit(tool):
+    """Pushed out and sideways at the limit, the tool goes on sideways: it does not freeze."""
+    now = torch.tensor([0.6, 0.0, 0.0], dtype=torch.float64)
+    control = torch.tensor([1.0, 0.5, 0.0], dtype=torch.float64)
+    for _ in range(4):
+        before = now
+        now = tool.free_path(now, control[None], 4)[-1]
+        assert float(now[1] - before[1]) > 0.02
+
+
+def test_coarse_and_fine_mini_steps_agree(tool):
+    """A planner of few mini steps and an executor of many end one action at the same place."""
+    q, u = reachable_starts(tool, 400), controls(400, 1, seed=5)
+    coarse, fine = tool.free_path(q, u, 4)[:, -1], tool.free_path(q, u, 20)[:, -1]
+    blocked = ~tool._inside(q + u[:, 0] * tool.scale)
+    gap = (coarse - fine)[:, :2].norm(dim=-1)
+    assert float(gap[~blocked].max()) < 1e-12
+    assert int(blocked.sum()) > 30
+    assert float(gap[blocked].median()) < 0.001 and float(gap[blocked].quantile(0.95)) < 0.006
+
+
+def test_from_out_of_reach_it_may_come_back(tool):
+    q = torch.tensor([0.7, 0.0, 0.0], dtype=torch.float64)
+    assert not bool(tool.reach.reachable(q))
+    inward, _ = tool.free_step(q, torch.tensor([-0.5, 0.0, 0.0], dtype=torch.float64))
+    assert float(inward[0]) == pytest.approx(0.66)
+    outward, refused = tool.free_step(q, torch.tensor([0.5, 0.0, 0.0], dtype=torch.float64))
+    torch.testing.assert_close(outward, q)
+    assert float(refused) == pytest.approx(0.04)
+
+
+def test_moves_to_another_dtype(tool):
+    q, u = reachable_starts(tool, 20), controls(20, 3, seed=6)
+    single = copy.deepcopy(tool).to(torch.float32)
+    path = single.free_path(q.float(), u.float(), 4)
+    assert path.dtype == torch.float32
+    gap = (path.double() - tool.free_path(q, u, 4)).norm(dim=-1).amax(-1)
+    assert float(gap.median()) < 1e-5  # where a path just meets the limit the two may part
+
+
+def test_bad_arguments(free, no_shape_check):
+    with pytest.raises(ValueError, match="mini_steps"):
+        free.free_path(torch.zeros(3), torch.zeros(1, 3), 0)
+    with pytest.raises(ValueError, match="count"):
+        free.covering_discs(0)
+    with pytest.raises(ValueError, match=r"bounds.*\(2, 2\)"):
+        Tool(torch.zeros(2, 3))
