@@ -1,0 +1,171 @@
+"""From settings to the parts of a run."""
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.baselines.ablations import info_only, reach_only
+from rumi.belief.filter import PoseFilter
+from rumi.config import Settings
+from rumi.fields.workspace import Workspace
+from rumi.planning.rummaging import RummagingPolicy
+from rumi.planning.tool import Tool
+from rumi.planning.types import Policy
+from rumi.registration.descent import Search
+from rumi.rummager import Rummager
+from rumi.sim.tasks import TaskSpec, find_task, make_task, make_tool
+from rumi.sketch import SceneSketch, sketch
+from rumi.task import StepResult, Task
+from sdf.object_model import ObjectModel
+from sensors.discrepancy import Discrepancy
+from sensors.reading import Reading
+
+_OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
+
+
+class Parts(NamedTuple):
+    """What a run is made of.
+
+    Attributes:
+        task: the simulated robot.
+        rummager: how it finds the object.
+    """
+
+    task: Task
+    rummager: Rummager
+
+
+def build(settings: Settings, *, cache_dir: Path | None = None) -> Parts:
+    """Make the parts of a run.
+
+    Args:
+        settings: of the run.
+        cache_dir: folder that keeps what takes seconds to work out; None keeps nothing.
+
+    Raises:
+        UsageError: there is no such task or device.
+    """
+    spec, device, dtype = find_task(settings.task), settings.torch_device, settings.torch_dtype
+    if settings.steps is not None:
+        spec = replace(spec, steps=settings.steps)
+    model = spec.object_factory()
+    tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
+    task: Task = make_task(spec, settings.simulator, tool=tool, model=model)
+    if device.type != "cpu" or dtype != torch.float32:
+        task = Elsewhere(task, device, dtype)
+    return Parts(task, build_rummager(spec, settings, model, tool))
+
+
+def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool) -> Rummager:
+    """How an object is found: filter, policy and stopping rule, on the settings' device.
+
+    Args:
+        spec: of the task.
+        settings: of the run.
+        model: the object.
+        tool: the gripper.
+    """
+    to = (settings.torch_device, settings.torch_dtype)
+    model, tool, workspace = model.to(*to), copy.deepcopy(tool).to(*to), workspace_of(spec).to(*to)
+    discrepancy = Discrepancy(
+        model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
+    )
+    return Rummager(
+        model,
+        PoseFilter(discrepancy, cast(Search, spec.search), settings.filter).to(*to),
+        make_policy(settings, reachability(tool, workspace)),
+        workspace,
+        tool,
+        initialise=settings.initialise,
+        stop=settings.stop,
+        replan_every=settings.replan_every,
+        nll_threshold=spec.nll_threshold,
+        position_tolerance_m=spec.position_tolerance_m,
+        rotation_tolerance_rad=spec.rotation_tolerance_rad,
+    )
+
+
+def workspace_of(spec: TaskSpec) -> Workspace:
+    """The planar lattice of a task, at the height of its tool."""
+    (left, bottom), (right, top) = spec.bounds
+    bounds = torch.tensor([[left, bottom, spec.height_m], [right, top, spec.height_m]])
+    return Workspace.from_bounds(bounds, spec.field_spacing_m, planar_height=spec.height_m)
+
+
+def reachability(tool: Tool, workspace: Workspace) -> Float[Tensor, "V"]:
+    """r(x) of every point of the workspace; 1 everywhere for a tool that flies freely."""
+    points = workspace.points
+    return torch.ones_like(points[:, 0]) if tool.reach is None else tool.reach.field(points)
+
+
+def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
+    """The policy of the settings' method."""
+    if settings.method == "info-only":
+        return info_only(settings.planner)
+    if settings.method == "reach-only":
+        return reach_only(reach, settings.planner)
+    return RummagingPolicy(reach, settings.planner)
+
+
+def scene_sketch(rummager: Rummager) -> SceneSketch:
+    """What figures need to know of the scene."""
+    section = rummager.tool.shape.section(_OUTLINE_SPACING)
+    return sketch(
+        rummager.model.to("cpu"),
+        rummager.workspace.to("cpu"),
+        torch.cat((section, torch.zeros_like(section[:, :1])), -1),
+        height_m=rummager.height_m,
+        reachability=reachability(rummager.tool, rummager.workspace).cpu(),
+        thresholds={
+            "nll": rummager.nll_threshold,
+            "expected_nll": rummager.stop.expected_nll,
+            "apc": rummager.stop.apc_ratio * rummager.model.diagonal,
+        },
+    )
+
+
+class Elsewhere:
+    """A task whose readings arrive on another device or in another dtype.
+
+    Args:
+        task: the robot, whose readings are float32 on the CPU.
+        device: of the readings.
+        dtype: of their floating numbers.
+    """
+
+    def __init__(self, task: Task, device: torch.device, dtype: torch.dtype) -> None:
+        self.task, self.device, self.dtype = task, device, dtype
+
+    def reset(self, seed: int) -> StepResult:
+        """Put everything at its start and return the first view."""
+        return self._moved(self.task.reset(seed))
+
+    def step(self, control: Float[Tensor, "A"]) -> StepResult:
+        """Carry out one control and report."""
+        return self._moved(self.task.step(control.to("cpu", torch.float32)))
+
+    def close(self) -> None:
+        """Let go of the robot."""
+        self.task.close()
+
+    def _moved(self, result: StepResult) -> StepResult:
+        reading = result.reading
+        truth = None if result.truth is None else result.truth.to(self.device, self.dtype)
+        return StepResult(
+            Reading(
+                reading.observation.to(self.device, self.dtype),
+                reading.instant.to(self.device),
+                reading.tool_pose.to(self.device, self.dtype),
+                reading.in_contact.to(self.device),
+                None if reading.object_motion is None else reading.object_motion.to(self.device, self.dtype),
+                reading.configuration.to(self.device, self.dtype),
+                reading.clipped.to(self.device, self.dtype),
+                reading.stamp,
+            ),
+            truth,
+        )

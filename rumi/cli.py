@@ -1,0 +1,84 @@
+"""The command `rumi`: list tasks, run one, draw a run again."""
+
+import os
+import sys
+from collections.abc import Sequence
+
+from rumi import __version__
+from rumi.errors import DegenerateBeliefError, UsageError
+
+DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+COMMANDS = ("tasks", "run", "plot")
+EXTRAS = {
+    "mujoco": "sim",
+    "pytorch_kinematics": "robot",
+    "matplotlib": "plot",
+    "PIL": "plot",
+    "contourpy": "plot",
+    "trimesh": "mesh",
+}
+"""Which extra brings a package that may be missing."""
+
+HELP = f"""\
+rumi {__version__}: find the pose of an object by touching and pushing it.
+
+usage: rumi tasks                  what there is to find
+       rumi run TASK [options]     find it, in simulation
+       rumi plot RUN [options]     draw the figures of a run again
+       rumi --version
+
+       rumi run --help             all settings, with their defaults
+
+examples:
+  rumi run mug-0                            the default method; leaves a folder runs/mug-0-rumi-default-s0
+  rumi run mug-1 --method info-only --seed 3
+  rumi run mug-0 --preset paper --steps 10 --out /tmp/mug
+  rumi run mug-0 --planner.mppi.samples 100 --stop.rule never
+  rumi plot runs/mug-0-rumi-default-s0 --steps 0 4 8
+
+`rumi run` ends with exit code 0 if the belief became sure by its own stopping rule, 1 if it did not, 2 for input
+that cannot be, and 130 after Ctrl-C, which leaves a readable run.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Carry out a command line and return its exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    name = arguments[0] if arguments else ""
+    if name in ("-h", "--help", "help", ""):
+        (sys.stdout if name else sys.stderr).write(HELP)
+        return DONE if name else BAD_INPUT
+    if name == "--version":
+        sys.stdout.write(f"rumi {__version__}\n")
+        return DONE
+    try:
+        if name not in COMMANDS:
+            raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
+        from rumi import commands  # loads torch: only now, so that help is quick
+
+        return int(getattr(commands, name)(arguments[1:]))
+    except SystemExit as end:  # of the parser, which has said why
+        return end.code if isinstance(end.code, int) else BAD_INPUT
+    except KeyboardInterrupt:
+        sys.stderr.write("rumi: interrupted\n")
+        return INTERRUPTED
+    except BrokenPipeError:  # whoever read the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        return DONE
+    except (UsageError, DegenerateBeliefError, ValueError, OSError, ModuleNotFoundError) as error:
+        if os.environ.get("RUMI_DEBUG"):
+            raise
+        return _refuse(error)
+
+
+def _refuse(error: Exception) -> int:
+    """Say what is wrong, without a traceback."""
+    message = str(error)
+    if isinstance(error, ModuleNotFoundError):
+        package = (error.name or "").split(".")[0]
+        message += f": pip install 'rumi[{EXTRAS[package]}]'" if package in EXTRAS else ""
+    elif not isinstance(error, UsageError):
+        message += "\n(RUMI_DEBUG=1 shows where this comes from)"
+    sys.stderr.write(f"rumi: {message}\n")
+    return BAD_INPUT

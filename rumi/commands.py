@@ -1,0 +1,210 @@
+"""What the commands of `rumi` do."""
+
+import difflib
+import os
+import sys
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from rumi.belief.motion import Motion
+from rumi.cli import DONE, INTERRUPTED, NOT_CONVERGED
+from rumi.config import Settings, preset, setting_names, to_dict
+from rumi.errors import UsageError
+from rumi.progress import Progress, both, stages
+from rumi.recording import RunRecorder, holds_run, load_run, prepare_folder
+from rumi.records import RunResult
+
+_RUN_HELP = """Find an object by touch, in simulation; `rumi tasks` lists what there is.
+
+    rumi run mug-0
+    rumi run mug-1 --method info-only --seed 3
+    rumi run mug-0 --preset paper --steps 10 --out /tmp/mug
+    rumi run mug-0 --planner.mppi.samples 100 --stop.rule never
+
+Every setting below is a flag; --preset sets where the others start from."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Options of `rumi run`.
+
+    Attributes:
+        settings: of the run.
+        motion: how the object's motion is known: measured by a slip sensor, sticking to the tool, or estimated
+            from the touches; short for --filter.motion.
+        out: folder of the run; by default runs/TASK-METHOD-PRESET-sSEED, with a number where that is taken.
+        figures: draw figures at the end.
+    """
+
+    settings: Annotated[Settings, tyro.conf.arg(name="")]
+    motion: Motion | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    figures: bool = True
+
+
+@dataclass(frozen=True)
+class PlotOptions:
+    """Draw the figures of a run again, also of one that goes on or was interrupted.
+
+    Attributes:
+        run: folder of the run.
+        steps: scenes to draw; by default the first view, the first contact, the middle and the end.
+        out: folder of the figures; by default RUN/figures.
+    """
+
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    steps: tuple[int, ...] | None = None
+    out: Path | None = None
+
+
+def tasks(arguments: Sequence[str]) -> int:
+    """`rumi tasks`: the tasks by name."""
+    from rumi.sim.tasks import TASKS
+
+    tyro.cli(_Nothing, prog="rumi tasks", args=arguments, description="List what there is to find.")
+    width = max(map(len, TASKS))
+    for name, spec in TASKS.items():
+        sys.stdout.write(f"{name:<{width}}  {spec.description}\n")
+    return DONE
+
+
+@dataclass(frozen=True)
+class _Nothing:
+    """No options."""
+
+
+def run(arguments: Sequence[str]) -> int:
+    """`rumi run`: one run, its folder and its figures."""
+    options = parse_run(arguments)
+    settings = options.settings
+    # what can be wrong is looked at before anything that takes time
+    from rumi.sim.tasks import find_task
+
+    spec = find_task(settings.task)
+    device = settings.torch_device
+    folder = default_folder(settings) if options.out is None else options.out
+    prepare_folder(folder)
+    asked = f"{settings.task} with {settings.method} ({settings.preset}), seed {settings.seed}, on {device}"
+    _say(f"{asked}; writing to {folder}")
+    from rumi.build import build, scene_sketch
+    from rumi.loop import rummage
+
+    steps = spec.steps if settings.steps is None else settings.steps
+    with RunRecorder(folder, to_dict(settings)) as recorder:
+        task, rummager = build(settings, cache_dir=cache_folder())
+        recorder.scene(scene_sketch(rummager))
+        try:
+            with Progress(settings.task, steps) as progress:
+                result = rummage(task, rummager, seed=settings.seed, steps=steps, on_step=both(recorder, progress))
+        finally:
+            task.close()
+        recorder.finish(result)
+    if options.figures and result.stopped_by != "interrupted":
+        _say("drawing figures")
+        _draw(folder, folder / "figures", None)
+    sys.stdout.write(summary(result, folder, settings.task))
+    return {"converged": DONE, "steps": NOT_CONVERGED, "interrupted": INTERRUPTED}[result.stopped_by]
+
+
+def plot(arguments: Sequence[str]) -> int:
+    """`rumi plot`: the figures of a run."""
+    options = tyro.cli(PlotOptions, prog="rumi plot", args=arguments)
+    for path in _draw(options.run, options.out or options.run / "figures", options.steps):
+        sys.stdout.write(f"{path}\n")
+    return DONE
+
+
+def parse_run(arguments: Sequence[str]) -> RunOptions:
+    """Options of `rumi run`; the settings start from the preset that is asked for.
+
+    Raises:
+        UsageError: an unknown preset or setting; the message lists the valid ones.
+        SystemExit: for all else that is wrong, after a message, and for help.
+    """
+    start = replace(preset(_asked_preset(arguments)), task="")
+    _check_flags(arguments)
+    options = tyro.cli(
+        RunOptions,
+        prog="rumi run",
+        description=_RUN_HELP,
+        args=arguments,
+        default=RunOptions(start),
+    )
+    if not options.settings.task:
+        raise UsageError("Which task? Give its name, as in `rumi run mug-0`; `rumi tasks` lists them")
+    if options.motion is None:
+        return options
+    motion = replace(options.settings.filter, motion=options.motion)
+    return replace(options, settings=replace(options.settings, filter=motion))
+
+
+def default_folder(settings: Settings, root: Path = Path("runs")) -> Path:
+    """A folder of `root` that holds no run yet, named after the settings."""
+    name = f"{settings.task}-{settings.method}-{settings.preset}-s{settings.seed}"
+    folder, number = root / name, 1
+    while holds_run(folder):
+        number += 1
+        folder = root / f"{name}-{number}"
+    return folder
+
+
+def cache_folder() -> Path:
+    """Folder for what takes long to work out: $RUMI_CACHE, else the user's cache."""
+    own = os.environ.get("RUMI_CACHE")
+    if own:
+        return Path(own)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rumi"
+
+
+def summary(result: RunResult, folder: Path, name: str) -> str:
+    """A few lines on how a run ended."""
+    ended = {"converged": "sure", "steps": "not sure", "interrupted": "interrupted"}[result.stopped_by]
+    judged = {True: ", and right", False: ", and wrong", None: ""}[result.right]
+    lines = [f"{name}: {ended} after {result.steps} actions, {result.contacts} of them in contact{judged}"]
+    if result.position_error_mm is not None and result.rotation_error_deg is not None:
+        lines.append(f"pose     off by {result.position_error_mm:.1f} mm and {result.rotation_error_deg:.1f} degrees")
+    known = "" if result.final_nll is None else f"{result.final_nll:.1f} at the end, {result.min_nll:.1f} at best; "
+    lines.append(f"nll      {known}the belief expects {result.expected_nll:.1f}")
+    lines.append(f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}")
+    lines.append(f"folder   {folder}")
+    return "\n  ".join(lines) + "\n"
+
+
+def _draw(folder: Path, out: Path, steps: Sequence[int] | None) -> list[Path]:
+    from rumi.viz.figures import make_figures
+
+    return make_figures(load_run(folder), out, steps)
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"rumi: {text}\n")
+    sys.stderr.flush()
+
+
+def _asked_preset(arguments: Sequence[str]) -> str:
+    for place, argument in enumerate(arguments):
+        if argument.startswith("--preset="):
+            return argument.removeprefix("--preset=")
+        if argument == "--preset" and place + 1 < len(arguments):
+            return arguments[place + 1]
+    return "default"
+
+
+def _check_flags(arguments: Sequence[str]) -> None:
+    """Refuse flags that are no setting, with those that are."""
+    names = [name.replace("_", "-") for name in setting_names() if name != "task"] + ["motion", "out"]
+    switches = {f"{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in [*names, "figures"])}
+    known = {"help", "figures", *names, *switches}
+    for argument in arguments:
+        name = argument[2:].split("=")[0].replace("_", "-")
+        if not argument.startswith("--") or not name or name in known:
+            continue
+        close = difflib.get_close_matches(name, names, 3, 0.7)
+        hint = f"; did you mean {' or '.join('--' + match for match in close)}?" if close else "."
+        listed = textwrap.fill(" ".join(f"--{known}" for known in names), 110, break_on_hyphens=False)
+        raise UsageError(f"There is no setting --{name}{hint} The settings are:\n{textwrap.indent(listed, '  ')}")

@@ -1,0 +1,215 @@
+"""All settings of a run as one value: presets, and the way to JSON and back."""
+
+import math
+import types
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+
+import torch
+import tyro
+
+from rumi.belief.filter import FilterSettings
+from rumi.errors import UsageError
+from rumi.planning.rummaging import RummagingSettings
+from rumi.registration.descent import DescentSettings
+from rumi.registration.initialise import InitialiseSettings
+from rumi.sim.settings import SimSettings
+from rumi.stopping import StopSettings
+
+Method = Literal["rumi", "info-only", "reach-only"]
+Preset = Literal["default", "paper"]
+METHODS: tuple[str, ...] = get_args(Method)
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that decides a run; the same settings on the same machine give the same run.
+
+    Attributes:
+        task: what to find; `rumi tasks` lists them.
+        method: "rumi" weighs information against reachability; "info-only" and "reach-only" are the paper's
+            ablations with one of the two costs.
+        preset: where all other settings started from; "paper" holds the paper's Table IV.
+        seed: of all randomness.
+        steps: actions at most; None for as many as the task allows.
+        device: "cpu" or "cuda".
+        dtype: of the belief and the planner.
+        replan_every: actions carried out of one plan; a contact always asks for a new one.
+        filter: how the belief follows the readings.
+        initialise: how the first belief is found.
+        planner: how actions are chosen.
+        stop: when the belief is sure enough.
+        simulator: how the simulator steps and what its sensors report.
+    """
+
+    task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="(required)")] = "mug-0"
+    method: Method = "rumi"
+    preset: Preset = "default"
+    seed: int = 0
+    steps: int | None = None
+    device: Literal["cpu", "cuda"] = "cpu"
+    dtype: Literal["float32", "float64"] = "float32"
+    replan_every: int = 3
+    filter: FilterSettings = field(default_factory=FilterSettings)
+    initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
+    planner: RummagingSettings = field(default_factory=RummagingSettings)
+    stop: StopSettings = field(default_factory=StopSettings)
+    simulator: SimSettings = field(default_factory=SimSettings)
+
+    def __post_init__(self) -> None:
+        for name, valid in (("method", METHODS), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
+            if getattr(self, name) not in valid:
+                raise UsageError(f"There is no {name} {getattr(self, name)!r}; there are {', '.join(valid)}")
+        if self.seed < 0:
+            raise UsageError(f"Expected seed to be 0 or more, got {self.seed}")
+        if self.steps is not None and self.steps < 0:
+            raise UsageError(f"Expected steps to be 0 or more, got {self.steps}")
+        if self.replan_every < 1:
+            raise UsageError(f"Expected replan_every to be 1 or more, got {self.replan_every}")
+
+    @property
+    def torch_device(self) -> torch.device:
+        """The device.
+
+        Raises:
+            UsageError: there is no such device here.
+        """
+        if self.device == "cuda" and not torch.cuda.is_available():
+            raise UsageError("There is no CUDA device that this PyTorch can use: leave out --device cuda")
+        return torch.device(self.device)
+
+    @property
+    def torch_dtype(self) -> torch.dtype:
+        """The floating dtype."""
+        return torch.float32 if self.dtype == "float32" else torch.float64
+
+
+def preset(name: str = "default", **changes: Any) -> Settings:  # noqa: ANN401  (values of the settings)
+    """The settings of a preset.
+
+    Args:
+        name: of the preset.
+        changes: settings to give another value, such as `task` and `seed`.
+
+    Raises:
+        UsageError: there is no such preset; the message lists them.
+    """
+    if name not in PRESETS:
+        raise UsageError(f"There is no preset {name!r}; the presets are {', '.join(PRESETS)}")
+    return replace(PRESETS[name](), **changes)
+
+
+def to_dict(settings: Settings) -> dict[str, Any]:
+    """Plain values, ready for JSON; infinity becomes None."""
+    from rumi.plain import plain
+
+    return dict(plain(settings))
+
+
+def from_dict(values: Mapping[str, Any]) -> Settings:
+    """Settings from `to_dict`'s values, such as a run folder's `settings.json`; what is missing has its default.
+
+    Raises:
+        UsageError: a name that is no setting (the message lists the valid ones), or a value that is none.
+    """
+    extra = {"schema", "made_with"}
+    return _build(Settings, {name: value for name, value in values.items() if name not in extra}, "")
+
+
+def setting_names(kind: type = Settings, prefix: str = "") -> list[str]:
+    """Names of all settings, nested ones with dots."""
+    names: list[str] = []
+    for name, hint in typing.get_type_hints(kind).items():
+        if is_dataclass(hint) and isinstance(hint, type):
+            names += setting_names(hint, f"{prefix}{name}.")
+        else:
+            names.append(prefix + name)
+    return names
+
+
+def _default() -> Settings:
+    return Settings()
+
+
+def _paper() -> Settings:
+    """Table IV and the text around it, also where the default has reasons to differ.
+
+    Not the paper's rule to stop, which holds at the first view of a mug: its runs are counted over all actions.
+    """
+    return Settings(
+        preset="paper",
+        filter=FilterSettings(
+            peakiness=2.0,
+            free_scale=10.0,
+            tolerance_m=0.0,
+            free_spacing_m=0.010,
+            surface_spacing_m=0.002,
+            translation_noise_m=0.010,
+            rotation_noise_rad=0.0,
+            trigger=5.0,
+            trigger_percentile=1.0,
+            weigh_before_resampling=False,
+            descent=DescentSettings(method="adam", iterations=10),
+        ),
+        planner=RummagingSettings.paper(),
+        stop=StopSettings(rule="never", apc_ratio=0.03),
+        simulator=SimSettings(free_fraction=0.95, free_spacing_m=0.010),
+    )
+
+
+PRESETS: dict[str, Callable[[], Settings]] = {"default": _default, "paper": _paper}
+"""Settings by preset: `paper` holds the paper's numbers, `default` the best that were found."""
+
+
+def _build(kind: type[_T], values: Any, at: str) -> _T:  # noqa: ANN401  (read from JSON)
+    if not isinstance(values, Mapping):
+        raise UsageError(f"Expected {at or 'settings'} to be an object with named values, got {values!r}")
+    hints = typing.get_type_hints(kind)
+    wrong = sorted(set(values) - {f.name for f in fields(kind)})  # type: ignore[arg-type]
+    if wrong:
+        known = ", ".join(at + name for name in hints)
+        raise UsageError(f"There is no setting {at}{wrong[0]}; there are {known}")
+    try:
+        return kind(**{name: _value(hints[name], value, f"{at}{name}") for name, value in values.items()})
+    except UsageError:
+        raise
+    except (ValueError, TypeError) as error:
+        raise UsageError(f"{at.rstrip('.') or 'settings'}: {error}") from error
+
+
+def _value(hint: Any, value: Any, at: str) -> Any:  # noqa: ANN401  (read from JSON, of the hint's type)
+    if is_dataclass(hint) and isinstance(hint, type):
+        return _build(hint, value, f"{at}.")
+    if get_origin(hint) in (types.UnionType, typing.Union):
+        options = get_args(hint)
+        if value is None and types.NoneType in options:
+            return None
+        for option in options:
+            try:
+                return _value(option, value, at)
+            except UsageError:
+                continue
+        raise UsageError(f"Expected {at} to be {hint}, got {value!r}")
+    if get_origin(hint) is Literal:
+        if value not in get_args(hint):
+            raise UsageError(f"Expected {at} to be one of {', '.join(map(str, get_args(hint)))}, got {value!r}")
+        return value
+    if get_origin(hint) is tuple and isinstance(value, list | tuple):
+        inner = get_args(hint)
+        each = inner[:1] * len(value) if inner[1:] == (...,) else inner
+        if len(each) != len(value):
+            raise UsageError(f"Expected {at} to have {len(each)} values, got {value!r}")
+        return tuple(_value(one, item, at) for one, item in zip(each, value, strict=True))
+    if hint is float:
+        if value is None:
+            return math.inf  # what JSON has no word for
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value)
+    if isinstance(hint, type) and isinstance(value, hint) and isinstance(value, bool) == (hint is bool):
+        return value
+    name = getattr(hint, "__name__", str(hint))
+    raise UsageError(f"Expected {at} to be of type {name}, got {value!r}")

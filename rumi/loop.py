@@ -1,0 +1,101 @@
+"""The algorithm, top to bottom: look, then plan, act, sense, update, until sure (RUMI, Alg 1)."""
+
+from collections.abc import Callable
+
+import torch
+
+from rumi.belief.particles import PoseBelief
+from rumi.clock import Clock
+from rumi.planning.types import Plan, Scene
+from rumi.records import RunResult, StepRecord
+from rumi.registration.initialise import initialise, view_starts
+from rumi.rummager import Rummager
+from rumi.scoring import observe, summarise
+from rumi.seeding import split
+from rumi.task import Task
+from sensors.observation import Observation, merge
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+
+
+def rummage(
+    task: Task, rummager: Rummager, *, seed: int, steps: int, on_step: Callable[[StepRecord], None] | None = None
+) -> RunResult:
+    """Find the object's pose by touching it (RUMI, Alg 1).
+
+    Same seed, same task and same device: the same run, byte for byte. Ctrl-C ends the run with what it has.
+
+    Args:
+        task: a simulator or hardware.
+        rummager: how.
+        seed: of all randomness.
+        steps: actions at most.
+        on_step: called with the record of every step, the first view's included.
+    """
+    clock = Clock()
+    history: list[StepRecord] = []
+    random = {name: split(seed, name) for name in ("initialise", "filter", "plan")}
+
+    def emit(record: StepRecord) -> StepRecord:
+        history.append(record)
+        if on_step is not None:
+            on_step(record)
+        return record
+
+    stopped_by = "steps"
+    try:
+        with clock("simulate"):
+            result = task.reset(seed)
+        with clock("belief"):
+            belief, memory = first_belief(rummager, result.reading, generator=random["initialise"])
+        last = emit(observe(rummager, clock, history, result, belief, memory))
+        plan: Plan | None = None
+        executed, surprised = 0, False
+        while not last.converged and last.step < steps:
+            if plan is None or surprised or executed >= min(rummager.replan_every, len(plan.controls)):
+                scene = Scene(rummager.model, rummager.workspace, rummager.tool, result.reading.configuration)
+                with clock("plan"):
+                    plan = rummager.policy.act(
+                        belief, scene, plan, executed=executed, budget_s=rummager.budget_s, generator=random["plan"]
+                    )
+                executed = 0
+            control = plan.controls[executed]
+            with clock("simulate"):
+                result = task.step(control)
+            executed += 1
+            with clock("belief"):
+                belief, memory, info = rummager.filter(belief, memory, result.reading, generator=random["filter"])
+            # what was touched, by the pads or not, is not where the plan had it
+            surprised = bool(info.moved) or bool(result.reading.in_contact.any())
+            resampled = bool(info.resampled)
+            last = emit(observe(rummager, clock, history, result, belief, info.added, control, plan, resampled))
+        if last.converged:
+            stopped_by = "converged"
+    except KeyboardInterrupt:
+        if not history:
+            raise
+        stopped_by = "interrupted"
+    return summarise(rummager, history, stopped_by)
+
+
+def first_belief(rummager: Rummager, reading: Reading, *, generator: torch.Generator) -> tuple[PoseBelief, Observation]:
+    """The belief and the memory after the first view (Alg 1, lines 1-3)."""
+    points = reading.observation.points
+    none = Observation.empty(dtype=points.dtype, device=points.device)
+    memory, _ = merge(none, reading.observation, rummager.filter.lattice)
+    surface = memory.points[memory.of_class(Semantics.SURFACE)]
+    if len(surface) == 0:
+        raise ValueError("Expected a first view with surface points of the object, got none: check the object's mask")
+    settings = rummager.initialise
+    reach_m = float(rummager.model.surface_points[:, :2].norm(dim=-1).max())
+    starts = view_starts(surface, settings.starts, reach_m, rummager.height_m, generator=generator)
+    belief = initialise(
+        rummager.filter.discrepancy,
+        memory,
+        starts,
+        rummager.filter.search,
+        rummager.filter.settings.peakiness,
+        settings,
+        generator=generator,
+    )
+    return belief, memory

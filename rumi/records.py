@@ -1,0 +1,93 @@
+"""What a run leaves behind: one record a step, one result at the end."""
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.particles import PoseBelief
+from rumi.planning.types import Plan
+from sensors.observation import Observation
+from sensors.reading import Reading
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """The state after one action; step 0 is the first view.
+
+    Attributes:
+        step: number of actions carried out so far.
+        control: (A,) the action that led here, None at step 0.
+        reading: what the sensors reported.
+        added: the points that were new to the memory (object-attached frame).
+        belief: after the update.
+        plan: the plan that the action came from, None at step 0.
+        expected_nll: the nll that the belief expects of itself.
+        fit: least discrepancy of a particle.
+        apc: average pairwise chamfer distance, metres (RUMI, Eq 33).
+        ess: effective sample size.
+        contacts: number of actions so far that touched the object.
+        resampled: whether the filter resampled here.
+        converged: whether the stopping rule held here.
+        truth: (4, 4) true world_T_object, None where unknown.
+        nll: negative log-likelihood of the true surface (RUMI, Eq 36), None where the truth is unknown.
+        timings_s: seconds by stage of this step.
+    """
+
+    step: int
+    control: Float[Tensor, "A"] | None
+    reading: Reading
+    added: Observation
+    belief: PoseBelief
+    plan: Plan | None
+    expected_nll: float
+    fit: float
+    apc: float
+    ess: float
+    contacts: int
+    resampled: bool
+    converged: bool
+    truth: Float[Tensor, "4 4"] | None
+    nll: float | None
+    timings_s: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """How a run ended; figures that need the truth are None without it.
+
+    Attributes:
+        right: at the stop, nll within the task's threshold and the best mode within its pose tolerance.
+        paper_success: nll within the threshold at any step, as the paper counts.
+        paper_success_at_start: the same at step 0, before anything was touched.
+        min_nll, final_nll, cumulative_nll: over the steps 0..steps.
+        steps: actions carried out.
+        stopped_by: "converged", "steps" or "interrupted".
+        apc: at the end, metres.
+        expected_nll: at the end.
+        position_error_mm, rotation_error_deg: of the best-weighted mode, modulo the declared symmetries.
+        contacts: actions that touched the object.
+        clipped: actions whose command the reach refused in part.
+        timings_s: seconds by stage, in all.
+    """
+
+    right: bool | None
+    paper_success: bool | None
+    paper_success_at_start: bool | None
+    min_nll: float | None
+    final_nll: float | None
+    cumulative_nll: float | None
+    steps: int
+    stopped_by: str
+    apc: float
+    expected_nll: float
+    position_error_mm: float | None
+    rotation_error_deg: float | None
+    contacts: int
+    clipped: int
+    timings_s: dict[str, float] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, ready for JSON."""
+        return asdict(self)

@@ -1,0 +1,55 @@
+"""How the simulator steps and what its sensors report."""
+
+from dataclasses import dataclass
+
+from rumi.errors import UsageError
+
+
+@dataclass(frozen=True)
+class SimSettings:
+    """Settings of the simulator; the defaults are quick and close to `accurate()`.
+
+    Attributes:
+        time_step_s: of the physics.
+        mini_steps: equal parts of an action; the sensors report at the end of each.
+        action_s: duration of the commanded motion; slow enough that the outcome hardly depends on it.
+        hold_s: standing still at the end of an action, part of the last mini step.
+        action_scale_m: metres that a control of 1 asks for.
+        action_scale_rad: radians that a control of 1 asks for.
+        contact_m: a pad point this close to the object's surface is felt (RUMI, V.A).
+        pad_spacing_m: spacing of the points on the pads.
+        body_spacing_m: spacing of the points in the gripper's volume, which is known to be free.
+        free_spacing_m: lattice on which free points are reported.
+        free_margin_m: the camera reports free space up to this before what it sees.
+        free_fraction: part of the seen depth up to which it reports free space, in place of the margin (the
+            paper: 0.95); None for the margin.
+        free_region_m: free points are reported in the box about the first view's surface points grown by this
+            much, which rides with the object as its motion is measured; farther points refute no pose that the
+            view leaves open.
+        measures_motion: whether a slip sensor reports the object's motion.
+    """
+
+    time_step_s: float = 0.004
+    mini_steps: int = 20
+    action_s: float = 1.0
+    hold_s: float = 0.1
+    action_scale_m: float = 0.08
+    action_scale_rad: float = 0.5
+    contact_m: float = 0.003
+    pad_spacing_m: float = 0.0025
+    body_spacing_m: float = 0.005
+    free_spacing_m: float = 0.005
+    free_margin_m: float = 0.010
+    free_fraction: float | None = None
+    free_region_m: float = 0.10
+    measures_motion: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("time_step_s", "action_s", "contact_m", "pad_spacing_m", "body_spacing_m", "free_spacing_m"):
+            if not getattr(self, name) > 0:
+                raise UsageError(f"Expected {name} to be positive, got {getattr(self, name)}")
+        if self.mini_steps < 1 or self.action_s / self.mini_steps < self.time_step_s:
+            raise UsageError(
+                f"Expected each of mini_steps ({self.mini_steps}) to last at least one time_step_s "
+                f"({self.time_step_s} s) of action_s ({self.action_s} s): use fewer mini steps or a smaller time step"
+            )

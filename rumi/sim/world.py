@@ -1,0 +1,154 @@
+"""The simulated world: MuJoCo behind a few plain calls."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.planning.gripper import GripperShape
+from rumi.sim.scene import PhysicsSettings, scene_xml
+from sdf import se3
+from sdf.base import SDF
+
+
+class Track(NamedTuple):
+    """Where gripper and object were at the end of each mini step.
+
+    Attributes:
+        configuration: (K, 3), measured x, y, yaw of the gripper.
+        world_T_object: (K, 4, 4).
+    """
+
+    configuration: Float[Tensor, "K 3"]
+    world_T_object: Float[Tensor, "K 4 4"]
+
+
+class World:
+    """One scene of MuJoCo; float64.
+
+    Args:
+        shape: the object's exact shape.
+        gripper: the gripper's shape.
+        height_m: height of the tool frame.
+        time_step_s: of the physics.
+        physics: masses, friction, drive.
+    """
+
+    def __init__(
+        self,
+        shape: SDF,
+        gripper: GripperShape,
+        height_m: float,
+        time_step_s: float,
+        physics: PhysicsSettings | None = None,
+    ) -> None:
+        self._mujoco = _import_mujoco()
+        self.physics = physics or PhysicsSettings()
+        text = scene_xml(shape, gripper, height_m, time_step_s, self.physics)
+        self.model: Any = self._mujoco.MjModel.from_xml_string(text)
+        self.data: Any = self._mujoco.MjData(self.model)
+        self._object = int(self.model.joint("object").qposadr[0])
+        self._gripper = [int(self.model.joint(name).qposadr[0]) for name in ("x", "y", "yaw")]
+        self._object_body = int(self.model.body("object").id)
+
+    def reset(self, configuration: Float[Tensor, "3"], object_pose: Float[Tensor, "3"]) -> None:
+        """Put the gripper at (x, y, yaw) and the object upright on the floor at (x, y, yaw), both at rest."""
+        self._mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self._gripper] = configuration.double().numpy()
+        x, y, yaw = object_pose.tolist()
+        start = self._object
+        self.data.qpos[start : start + 7] = (x, y, 0.0, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
+        self.data.ctrl[:] = configuration.double().numpy()
+        self._mujoco.mj_forward(self.model, self.data)
+
+    def move(self, targets: Float[Tensor, "K 3"], action_s: float, hold_s: float) -> Track:
+        """Drive the gripper through targets spread evenly over `action_s`, then hold; the last entry is after that."""
+        step_s = float(self.model.opt.timestep)
+        count, steps = len(targets), round(action_s / step_s)
+        knots = np.concatenate((np.asarray(self.data.ctrl)[None], targets.double().numpy()))
+        # the commands in between go along straight lines
+        phase = (np.arange(steps) + 1.0) * (count / steps)
+        commands = np.stack([np.interp(phase, np.arange(count + 1.0), knots[:, axis]) for axis in range(3)], -1)
+        ends = {max(1, round((k + 1) * steps / count)): k for k in range(count)}
+        control, position, step = self.data.ctrl, self.data.qpos, self._mujoco.mj_step
+        states = np.empty((count, len(position)))
+        for index, command in enumerate(commands):
+            control[:] = command
+            step(self.model, self.data)
+            if index + 1 in ends:
+                states[ends[index + 1]] = position
+        if hold_s > 0:
+            self._mujoco.mj_step(self.model, self.data, nstep=max(1, round(hold_s / step_s)))
+            states[-1] = position
+        return Track(torch.from_numpy(states[:, self._gripper]), self._object_poses(states))
+
+    def configuration(self) -> Float[Tensor, "3"]:
+        """Measured x, y, yaw of the gripper."""
+        return torch.from_numpy(np.array(self.data.qpos[self._gripper]))
+
+    def world_T_object(self) -> Float[Tensor, "4 4"]:
+        """Where the object is."""
+        return self._object_poses(np.asarray(self.data.qpos)[None])[0]
+
+    def object_speed(self) -> float:
+        """Speed of the object's frame, m/s."""
+        return float(np.linalg.norm(self.data.joint("object").qvel[:3]))
+
+    def cast(self, origin: Float[Tensor, "3"], directions: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n"], Tensor]:
+        """Cast rays into the scene.
+
+        Args:
+            origin: (3,), metres.
+            directions: (n, 3), of any length.
+
+        Returns:
+            how many times each direction's length the ray goes to what it meets first (n; infinite if nothing),
+            and whether that is the object (n).
+        """
+        count = len(directions)
+        geom, distance = np.empty(count, np.int32), np.empty(count)
+        # positions follow the state only after the kinematics of the next step
+        self._mujoco.mj_kinematics(self.model, self.data)
+        self._mujoco.mj_multiRay(
+            self.model,
+            self.data,
+            origin.double().numpy(),
+            directions.double().reshape(-1).numpy(),
+            None,
+            True,
+            -1,
+            geom,
+            distance,
+            None,
+            count,
+            1e10,
+        )
+        missed = geom < 0
+        bodies = np.asarray(self.model.geom_bodyid)[np.where(missed, 0, geom)]
+        distance[missed] = np.inf
+        return torch.from_numpy(distance), torch.from_numpy(~missed & (bodies == self._object_body))
+
+    def _object_poses(self, states: np.ndarray) -> Float[Tensor, "K 4 4"]:
+        pose = torch.from_numpy(states[:, self._object : self._object + 7].copy())
+        return se3.make(_rotation(pose[:, 3:]), pose[:, :3])
+
+
+def _rotation(quaternion: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b 3 3"]:
+    w, x, y, z = (quaternion / quaternion.norm(dim=-1, keepdim=True)).unbind(-1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
+def _import_mujoco() -> Any:  # noqa: ANN401
+    try:
+        import mujoco
+    except ImportError as error:
+        raise ImportError("The simulator needs MuJoCo 4: install it with pip install 'rumi[sim]'") from error
+    return mujoco

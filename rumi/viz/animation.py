@@ -1,0 +1,81 @@
+"""A run as a moving picture."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rumi.records import StepRecord
+from rumi.sketch import SceneSketch
+from rumi.viz import style
+from rumi.viz.curves import nll_curve
+from rumi.viz.scene import Extent, information_at, interesting, legend_entries, scene_from_above
+
+_DPI = 90
+_MOST_FRAMES = 60
+
+
+def animate(
+    steps: Sequence[StepRecord],
+    sketch: SceneSketch,
+    path: Path,
+    *,
+    extent: Extent | None = None,
+    heading: str = "",
+    seconds_per_step: float = 0.6,
+) -> Path:
+    """Write a GIF: one picture a step (60 at most, evenly spread), the last one held.
+
+    Args:
+        steps: of a run, from the first view on.
+        sketch: of its scene.
+        path: of the file.
+        extent: what to show; by default all that matters in the run.
+        heading: line on top.
+        seconds_per_step: how long a step is shown.
+    """
+    from PIL import Image
+
+    extent = interesting(steps, sketch) if extent is None else extent
+    across, up = extent[1] - extent[0], extent[3] - extent[2]
+    height = 4.6
+    width = height * across / up
+    threshold = sketch.thresholds.get("nll")
+    shown_steps = _evenly(len(steps), _MOST_FRAMES)
+    frames = []
+    with style.figure(width + 4.2, height + 1.0, dpi=_DPI) as figure:
+        scene, curve = figure.subplots(1, 2, width_ratios=(width, 3.0))
+        figure.suptitle(heading, fontsize=9, x=0.01, ha="left", color=style.INK)
+        # the last step has all that is ever drawn: it makes the layout, the legend and the palette
+        for step in (shown_steps[-1], *shown_steps):
+            for ax in (scene, curve):
+                ax.clear()
+            so_far = steps[: step + 1]
+            scene_from_above(so_far, sketch, scene, information=information_at(steps, step), extent=extent)
+            nll_curve(so_far, curve, threshold=threshold, last=steps[-1].step)
+            curve.set_ylim(0, 1.12 * _highest(steps, threshold))
+            curve.legend(loc="upper right")
+            if not figure.legends:
+                figure.legend(*legend_entries(scene), loc="outside lower center", ncols=7, handlelength=1.6)
+            figure.canvas.draw()
+            figure.set_layout_engine("none")
+            frames.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3]))
+    palette = frames.pop(0).quantize(255)
+    colours = np.array(palette.getpalette()).reshape(-1, 3)
+    colours[colours.sum(-1).argmax()] = 255  # paper stays white
+    palette.putpalette(colours.reshape(-1).tolist())
+    indexed = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    shown = round(1000 * seconds_per_step)
+    durations = [shown] * (len(indexed) - 1) + [5 * shown]
+    indexed[0].save(path, save_all=True, append_images=indexed[1:], duration=durations, loop=0, optimize=False)
+    return path
+
+
+def _highest(steps: Sequence[StepRecord], threshold: float | None) -> float:
+    values = [step.expected_nll for step in steps] + [step.nll for step in steps if step.nll is not None]
+    return float(np.nanmax([*values, threshold or 0.0, 1.0]))
+
+
+def _evenly(count: int, most: int) -> list[int]:
+    """Indices of at most so many of `count` things, first and last included."""
+    return sorted({round(index) for index in np.linspace(0, count - 1, min(count, most)).tolist()})

@@ -1,0 +1,230 @@
+import io
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rumi import __version__, cli, commands
+from rumi.cli import main
+from rumi.config import preset
+from rumi.errors import DegenerateBeliefError, UsageError
+from rumi.progress import Progress, line
+from rumi.recording import load_run
+from rumi.sim.tasks import TASKS
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+SMALL = [
+    *("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12"),
+    *("--planner.mppi.samples", "8", "--planner.mppi.warmup-iterations", "1", "--planner.rollouts", "1"),
+]
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def at_home(tmp_path, monkeypatch, cache):
+    """Every test in a folder of its own, where default folders land."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RUMI_CACHE", str(cache))
+    monkeypatch.delenv("RUMI_DEBUG", raising=False)
+
+
+def run_small(*more, steps=2):
+    return main(["run", "mug-0", "--steps", str(steps), "--no-figures", *SMALL, *more])
+
+
+@pytest.mark.sim
+def test_a_run_leaves_its_folder(capsys):
+    assert run_small("--seed", "4") == cli.NOT_CONVERGED
+    run = load_run("runs/mug-0-rumi-default-s4")
+    assert len(run.steps) == 3
+    assert run.result.steps == 2
+    assert run.settings["planner"]["mppi"]["samples"] == 8
+    assert run.settings["seed"] == 4
+    assert run.sketch.reachability is not None
+    said = capsys.readouterr()
+    assert "mug-0: not sure after 2 actions" in said.out
+    assert "runs/mug-0-rumi-default-s4" in said.out
+    assert [text.split(":")[0] for text in said.err.splitlines()[1:]] == ["first view", "action 1", "action 2"]
+    assert "Traceback" not in said.err
+
+
+@pytest.mark.sim
+def test_the_same_seed_gives_the_same_files_and_never_overwrites():
+    run_small("--out", "a")
+    run_small("--out", "b")
+    for name in ("trace.npz", "belief.npz", "settings.json"):
+        assert Path("a", name).read_bytes() == Path("b", name).read_bytes(), name
+    first, second = (json.loads(Path(folder, "result.json").read_text()) for folder in "ab")
+    assert {**first, "timings_s": 0} == {**second, "timings_s": 0}
+    assert run_small("--out", "a") == cli.BAD_INPUT
+
+
+@pytest.mark.sim
+def test_exit_code_when_sure():
+    always = ("--stop.expected-nll", "1e9", "--stop.fit", "1e9", "--stop.contacts", "0")
+    assert run_small(*always) == cli.DONE
+    assert load_run("runs/mug-0-rumi-default-s0").result.stopped_by == "converged"
+
+
+@pytest.mark.sim
+def test_an_interrupt_leaves_a_readable_run(monkeypatch, capsys):
+    def interrupt(self, step):
+        if step.step == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Progress, "__call__", interrupt)
+    assert main(["run", "mug-0", "--steps", "5", *SMALL]) == cli.INTERRUPTED
+    run = load_run("runs/mug-0-rumi-default-s0")
+    assert run.result.stopped_by == "interrupted"
+    assert len(run.steps) == 2
+    assert not Path("runs/mug-0-rumi-default-s0/figures").exists()
+    assert "interrupted after 1 action" in capsys.readouterr().out
+
+
+@pytest.mark.sim
+def test_figures_are_drawn_and_drawn_again(capsys):
+    assert main(["run", "mug-0", "--steps", "1", "--method", "reach-only", *SMALL]) == cli.NOT_CONVERGED
+    figures = Path("runs/mug-0-reach-only-default-s0/figures")
+    assert (figures / "overview.png").stat().st_size > 1000
+    assert (figures / "run.gif").stat().st_size > 1000
+    capsys.readouterr()
+    assert main(["plot", str(figures.parent), "--steps", "1", "--out", "again"]) == cli.DONE
+    assert "again/scene_001.png" in capsys.readouterr().out.replace("\\", "/")
+    assert not Path("again/scene_000.png").exists()
+    assert main(["plot", str(figures.parent), "--steps", "7"]) == cli.BAD_INPUT
+    assert "has steps 0 to 1, got 7" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["find"], "There is no command 'find'; the commands are tasks, run, plot"),
+        (["run", "mug-9"], f"There is no task 'mug-9'; the tasks are {', '.join(TASKS)}"),
+        (["run", "mug-0", "--preset", "fast"], "There is no preset 'fast'; the presets are default, paper"),
+        (["run", "mug-0", "--preset=fast"], "There is no preset 'fast'"),
+        (["run", "mug-0", "--filter.triger", "3"], "did you mean --filter.trigger?"),
+        (["run", "mug-0", "--whatever"], "--planner.mppi.samples"),
+        (["run", "mug-0", "--method", "slide"], "'rumi'"),
+        (["run", "mug-0", "--seed", "x"], "--seed"),
+        (["run", "mug-0", "--seed", "-1"], "Expected seed to be 0 or more, got -1"),
+        (["run", "mug-0", "--initialise.particles", "0"], "Expected at least one particle, got 0"),
+        (["run", "mug-0", "--planner.mppi.samples", "0"], "samples"),
+        (["run", "mug-0", "--out", "file/run"], "Cannot write to the folder file"),
+        (["run"], "Which task? Give its name, as in `rumi run mug-0`"),
+        (["plot", "nowhere"], "There is no run folder nowhere"),
+        (["plot"], "RUN"),
+    ],
+)
+def test_bad_input_is_named_without_a_traceback(arguments, message, capsys):
+    Path("file").write_text("in the way")
+    assert main(arguments) == cli.BAD_INPUT
+    said = capsys.readouterr()
+    assert message in said.err
+    assert "Traceback" not in said.err
+    assert said.out == ""
+    assert not Path("runs").exists()
+
+
+def test_no_cuda_is_bad_input(monkeypatch, capsys):
+    import torch
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert main(["run", "mug-0", "--device", "cuda"]) == cli.BAD_INPUT
+    assert "no CUDA device" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (UsageError("a step past the end"), "a step past the end"),
+        (ValueError("points must be finite"), "points must be finite"),
+        (DegenerateBeliefError("no weight left"), "no weight left"),
+        (ModuleNotFoundError("No module named 'mujoco'", name="mujoco"), "pip install 'rumi[sim]'"),
+    ],
+)
+def test_what_goes_wrong_in_a_run_is_named(error, message, monkeypatch, capsys):
+    def fail(arguments):
+        raise error
+
+    monkeypatch.setattr(commands, "run", fail)
+    assert main(["run", "mug-0"]) == cli.BAD_INPUT
+    assert message in capsys.readouterr().err
+    monkeypatch.setenv("RUMI_DEBUG", "1")
+    with pytest.raises(type(error)):
+        main(["run", "mug-0"])
+
+
+def test_tasks_are_listed(capsys):
+    assert main(["tasks"]) == cli.DONE
+    listed = capsys.readouterr().out.splitlines()
+    assert [text.split()[0] for text in listed] == list(TASKS)
+
+
+def test_help_is_quick_and_has_examples():
+    code = "import sys; from rumi.cli import main; main(['--help']); assert 'torch' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "rumi run mug-0" in done.stdout
+
+
+def test_version_and_help_of_commands(capsys):
+    assert main(["--version"]) == cli.DONE
+    assert capsys.readouterr().out == f"rumi {__version__}\n"
+    assert main([]) == cli.BAD_INPUT
+    capsys.readouterr()
+    assert main(["run", "--help"]) == cli.DONE
+    shown = capsys.readouterr().out
+    for text in ("rumi run mug-1 --method info-only", "--filter.trigger", "--motion", "--no-figures"):
+        assert text in shown
+
+
+def test_flags_reach_the_settings():
+    options = commands.parse_run(["mug-1", "--preset", "paper", "--motion", "sticking", "--filter.trigger", "7"])
+    expected = preset("paper", task="mug-1")
+    assert options.settings == replace(expected, filter=replace(expected.filter, motion="sticking", trigger=7.0))
+    assert options.figures
+    # both spellings, and switches
+    options = commands.parse_run(["mug-0", "--filter.free_scale=5", "--planner.mppi.no-include-nominal"])
+    assert options.settings.filter.free_scale == 5.0
+    assert not options.settings.planner.mppi.include_nominal
+    assert commands.parse_run(["mug-0"]).settings == preset()
+
+
+def test_default_folders_do_not_collide(tmp_path):
+    settings = preset(seed=2)
+    first = commands.default_folder(settings, tmp_path)
+    assert first.name == "mug-0-rumi-default-s2"
+    first.mkdir()
+    (first / "settings.json").touch()
+    assert commands.default_folder(settings, tmp_path).name == "mug-0-rumi-default-s2-2"
+
+
+def test_cache_folder(monkeypatch):
+    monkeypatch.setenv("RUMI_CACHE", "/x")
+    assert commands.cache_folder() == Path("/x")
+    monkeypatch.delenv("RUMI_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/y")
+    assert commands.cache_folder() == Path("/y/rumi")
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere(made_up):
+    steps = made_up(5, particles=10).steps
+    for stream, marks in ((Terminal(), ("\r", "4/4", "ess")), (io.StringIO(), ("action 4", "contact", "plan 0.20s"))):
+        with Progress("mug-0", 4, stream) as progress:
+            for step in steps:
+                progress(step)
+        for mark in marks:
+            assert mark in stream.getvalue()
+    assert line(steps[0]).startswith("first view: nll 22.0")

@@ -1,0 +1,102 @@
+import json
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.config import METHODS, PRESETS, Settings, from_dict, preset, setting_names, to_dict
+from rumi.errors import UsageError
+from rumi.stopping import StopSettings
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_settings_survive_json(name):
+    settings = preset(name, task="mug-2", seed=5, steps=None)
+    assert settings.preset == name
+    assert from_dict(json.loads(json.dumps(to_dict(settings), allow_nan=False))) == settings
+
+
+def test_settings_of_all_kinds_survive_json():
+    default = preset()
+    mppi = replace(default.planner.mppi, knots=None, noise_variance=(0.5, 0.5, 0.2), control_min=-0.5)
+    simulator = replace(default.simulator, free_fraction=0.9)
+    changed = preset(
+        planner=replace(default.planner, mppi=mppi),
+        simulator=simulator,
+        stop=replace(default.stop, fit=math.inf),
+        method="info-only",
+        steps=7,
+    )
+    read = from_dict(json.loads(json.dumps(to_dict(changed), allow_nan=False)))
+    assert read == changed
+    assert isinstance(read.planner.mppi.noise_variance, tuple)
+
+
+def test_what_a_recorded_run_adds_is_no_setting():
+    assert from_dict({"schema": 1, "made_with": {}, "task": "mug-1"}) == Settings(task="mug-1")
+
+
+def test_paper_preset_is_table_iv():
+    paper = preset("paper")
+    assert (paper.initialise.particles, paper.filter.peakiness, paper.filter.trigger) == (100, 2.0, 5.0)
+    assert (paper.filter.free_scale, paper.filter.free_spacing_m, paper.filter.surface_spacing_m) == (
+        10.0,
+        0.010,
+        0.002,
+    )
+    assert (paper.filter.translation_noise_m, paper.filter.rotation_noise_rad) == (0.010, 0.0)
+    assert (paper.filter.descent.method, paper.filter.descent.iterations) == ("adam", 10)
+    assert (paper.planner.mppi.horizon, paper.planner.mppi.samples, paper.planner.mppi.temperature) == (15, 500, 0.01)
+    assert (paper.planner.information_scale, paper.planner.reachability_scale) == (1.0, 200.0)
+    assert paper.planner.push.push_angle == pytest.approx(math.radians(45))
+    assert paper.stop.apc_ratio == 0.03
+    assert paper.simulator.free_fraction == 0.95
+
+
+def test_names_of_nested_settings():
+    names = setting_names()
+    assert {"seed", "filter.trigger", "planner.mppi.samples", "filter.descent.method"} <= set(names)
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"method": "slide"}, f"one of {', '.join(METHODS)}, got 'slide'"),
+        ({"preset": "fast"}, "one of default, paper, got 'fast'"),
+        ({"sed": 1}, "There is no setting sed; there are task, method"),
+        ({"filter": {"triger": 1}}, "There is no setting filter.triger; there are filter.peakiness"),
+        ({"filter": 3}, "Expected filter. to be an object with named values, got 3"),
+        ({"seed": "one"}, "Expected seed to be of type int, got 'one'"),
+        ({"seed": True}, "Expected seed to be of type int, got True"),
+        ({"seed": -1}, "Expected seed to be 0 or more, got -1"),
+        ({"planner": {"rollouts": 0}}, "planner: Expected rollouts to be 1 or more, got 0"),
+        ({"initialise": {"particles": 0}}, "initialise: Expected at least one particle, got 0"),
+    ],
+)
+def test_what_is_wrong_is_named(values, message):
+    with pytest.raises(UsageError) as caught:
+        from_dict(values)
+    assert message in str(caught.value)
+
+
+def test_wrong_settings_are_refused_however_they_are_made(no_shape_check):
+    with pytest.raises(UsageError, match="There is no method 'slide'; there are rumi, info-only, reach-only"):
+        Settings(method="slide")
+    with pytest.raises(UsageError, match="There is no preset 'x'; the presets are default, paper"):
+        preset("x")
+    with pytest.raises(UsageError, match="steps"):
+        preset(steps=-1)
+    with pytest.raises(UsageError, match="replan_every"):
+        preset(replan_every=0)
+    with pytest.raises(ValueError, match="rule"):
+        StopSettings(rule="sometimes")
+
+
+def test_device_and_dtype(monkeypatch):
+    assert preset().torch_device == torch.device("cpu")
+    assert preset(dtype="float64").torch_dtype == torch.float64
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(UsageError, match="no CUDA device"):
+        _ = preset(device="cuda").torch_device

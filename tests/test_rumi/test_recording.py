@@ -1,0 +1,224 @@
+import itertools
+import json
+import math
+import os
+import stat
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+
+from rumi.errors import UsageError
+from rumi.plain import plain
+from rumi.recording import SCHEMA, RunRecorder, holds_run, load_run, write_json
+from rumi.trace import TraceWriter, read_trace
+
+SETTINGS = {"task": "mug-0", "seed": 3, "stop": {"fit": float("inf")}}
+
+
+@pytest.fixture(scope="module")
+def run(made_up):
+    return made_up(6, particles=20)
+
+
+def record(folder, run, *, finish=True):
+    with RunRecorder(folder, SETTINGS, run.sketch) as recorder:
+        for step in run.steps:
+            recorder(step)
+        if finish:
+            recorder.finish(run.result)
+    return folder
+
+
+def assert_same(left, right, at=""):
+    """Equal values, tensors byte by byte, whatever they are nested in."""
+    if isinstance(left, torch.Tensor):
+        assert torch.equal(left, right), at
+        assert left.dtype == right.dtype, at
+    elif hasattr(left, "__dataclass_fields__"):
+        for field in fields(left):
+            assert_same(getattr(left, field.name), getattr(right, field.name), f"{at}.{field.name}")
+    elif isinstance(left, dict):
+        assert list(left) == list(right), at
+        for key in left:
+            assert_same(left[key], right[key], f"{at}[{key!r}]")
+    elif isinstance(left, float):
+        assert left == right or (math.isnan(left) and (right is None or math.isnan(right))), at
+    else:
+        assert left == right, at
+
+
+def test_what_is_written_is_read(tmp_path, run):
+    read = load_run(record(tmp_path / "run", run))
+    assert len(read.steps) == len(run.steps)
+    for step, again in zip(run.steps, read.steps, strict=True):
+        assert_same(replace(step, plan=None), replace(again, plan=None), f"step {step.step}")
+        if step.plan is None:
+            assert again.plan is None
+            continue
+        assert_same(step.plan.path, again.plan.path)
+        assert step.plan.info == again.plan.info
+        for name, values in step.plan.fields.items():
+            torch.testing.assert_close(values, again.plan.fields[name], rtol=1e-3, atol=1e-6)
+    assert_same(run.sketch, read.sketch)
+    assert_same(run.result, read.result)
+    assert read.settings["task"] == "mug-0"
+
+
+def test_a_plan_of_several_actions_is_shared_as_it_was(tmp_path, run):
+    steps = load_run(record(tmp_path / "run", run)).steps
+    shared = [step.plan is before.plan for before, step in itertools.pairwise(run.steps)]
+    assert [step.plan is before.plan for before, step in itertools.pairwise(steps)] == shared
+    assert any(shared)
+
+
+def test_twice_the_same_run_gives_the_same_bytes(tmp_path, run):
+    first, second = (record(tmp_path / name, run) for name in "ab")
+    for name in ("trace.npz", "belief.npz", "settings.json", "result.json"):
+        assert (first / name).read_bytes() == (second / name).read_bytes(), name
+    slower = [replace(step, timings_s={"plan": 9.0}) for step in run.steps]
+    third = record(tmp_path / "c", replace(run, steps=slower))
+    assert (first / "trace.npz").read_bytes() == (third / "trace.npz").read_bytes()
+    for name, other in (
+        (json.loads(line) for line in lines)
+        for lines in zip(*((folder / "steps.jsonl").read_text().splitlines() for folder in (first, third)), strict=True)
+    ):
+        assert {**name, "timings_s": 0} == {**other, "timings_s": 0}
+
+
+def test_the_belief_file_is_for_others(tmp_path, run):
+    with np.load(record(tmp_path / "run", run) / "belief.npz", allow_pickle=False) as belief:
+        last = run.steps[-1].belief
+        np.testing.assert_array_equal(belief["poses"], last.world_T_object.numpy())
+        np.testing.assert_array_equal(belief["log_weights"], last.log_weights.numpy())
+        assert float(belief["stamp"]) == run.steps[-1].reading.stamp
+        assert str(belief["frame"]) == "world"
+
+
+def test_numpy_opens_a_finished_trace(tmp_path, run):
+    with np.load(record(tmp_path / "run", run) / "trace.npz", allow_pickle=False) as trace:
+        np.testing.assert_array_equal(trace["step_00002/belief/log_weights"], run.steps[2].belief.log_weights.numpy())
+
+
+def test_every_step_can_be_read_while_the_run_goes_on(tmp_path, run):
+    recorder = RunRecorder(tmp_path / "run", SETTINGS, run.sketch)
+    assert load_run(tmp_path / "run").steps == []
+    for count, step in enumerate(run.steps, start=1):
+        recorder(step)
+        assert len(load_run(tmp_path / "run").steps) == count
+    recorder.close()
+
+
+def test_a_killed_run_is_read_up_to_the_last_whole_step(tmp_path, run):
+    whole = record(tmp_path / "run", run, finish=False)
+    data = (whole / "trace.npz").read_bytes()
+    generator = torch.Generator().manual_seed(0)
+    cuts = torch.randint(200, len(data), (25,), generator=generator).sort().values.tolist()
+    before = 0
+    for cut in cuts:
+        (whole / "trace.npz").write_bytes(data[:cut])
+        read = load_run(whole)
+        assert read.result is None
+        assert before <= len(read.steps) <= len(run.steps)
+        before = len(read.steps)
+        if read.steps:
+            assert_same(read.steps[-1].belief, run.steps[before - 1].belief)
+    assert before > 0
+
+
+def test_an_unfinished_run_says_so(tmp_path, run):
+    read = load_run(record(tmp_path / "run", run, finish=False))
+    assert read.result is None
+    assert len(read.steps) == len(run.steps)
+    assert (tmp_path / "run" / "belief.npz").exists()
+
+
+def test_json_has_no_number_that_json_does_not_know(tmp_path, run):
+    folder = record(tmp_path / "run", run)
+
+    def refuse(name):
+        raise AssertionError(name)
+
+    for path in (folder / "settings.json", folder / "result.json"):
+        json.loads(path.read_text(), parse_constant=refuse)
+    settings = json.loads((folder / "settings.json").read_text())
+    assert settings["stop"] == {"fit": None}
+    assert settings["schema"] == SCHEMA
+    assert settings["made_with"]["versions"]["torch"] == torch.__version__
+    assert json.loads((folder / "result.json").read_text())["rotation_error_deg"] is None
+
+
+def test_a_run_is_never_overwritten(tmp_path, run):
+    folder = record(tmp_path / "run", run)
+    before = (folder / "trace.npz").read_bytes()
+    with pytest.raises(UsageError, match="holds a run already"):
+        RunRecorder(folder, SETTINGS)
+    assert (folder / "trace.npz").read_bytes() == before
+    assert holds_run(folder)
+    assert not holds_run(tmp_path)
+
+
+def test_an_unwritable_folder_is_refused(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(UsageError, match=r"Cannot write to the folder .*file"):
+        RunRecorder(tmp_path / "file" / "run", SETTINGS)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission_is_refused(tmp_path):
+    closed = tmp_path / "closed"
+    closed.mkdir()
+    closed.chmod(stat.S_IRUSR | stat.S_IXUSR)
+    with pytest.raises(UsageError, match="Cannot write to the folder"):
+        RunRecorder(closed / "run", SETTINGS)
+
+
+def test_what_is_no_run_is_named(tmp_path, run):
+    with pytest.raises(UsageError, match="There is no run folder"):
+        load_run(tmp_path / "nowhere")
+    with pytest.raises(UsageError, match=r"is no run folder: it has no settings\.json"):
+        load_run(tmp_path)
+    folder = record(tmp_path / "run", run)
+    write_json(folder / "settings.json", {"schema": SCHEMA + 1})
+    with pytest.raises(UsageError, match="written by a newer rumi"):
+        load_run(folder)
+    (folder / "settings.json").write_text("{half")
+    with pytest.raises(UsageError, match=r"settings\.json is damaged"):
+        load_run(folder)
+
+
+def test_a_damaged_trace_of_a_finished_run_is_named(tmp_path, run):
+    folder = record(tmp_path / "run", run)
+    data = bytearray((folder / "trace.npz").read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 400] = bytes(400)
+    (folder / "trace.npz").write_bytes(data)
+    with pytest.raises(UsageError, match="is damaged"):
+        load_run(folder)
+
+
+def test_numbers_that_are_not_finite_come_back_so(tmp_path, run):
+    strange = replace(run.steps[0], apc=math.inf, nll=math.nan)
+    with RunRecorder(tmp_path / "run", SETTINGS, run.sketch) as recorder:
+        recorder(strange)
+    (read,) = load_run(tmp_path / "run").steps
+    assert math.isnan(read.apc)
+    assert read.nll is None
+
+
+def test_trace_refuses_objects_and_keeps_scalars(tmp_path):
+    with TraceWriter(tmp_path / "t.npz") as trace:
+        trace.array("scalar", np.asarray(2.5))
+        trace.array("none", np.zeros((0, 3), np.float32))
+        with pytest.raises(ValueError, match="pickle"):
+            trace.array("object", np.array([{}]))
+    read = read_trace(tmp_path / "t.npz")
+    assert read["scalar"].shape == () and read["scalar"] == 2.5
+    assert read["none"].shape == (0, 3)
+
+
+def test_plain_refuses_what_json_cannot_hold():
+    with pytest.raises(TypeError, match="got object"):
+        plain({"a": [object()]})
+    assert plain({"a": torch.tensor([1.0, math.nan])}) == {"a": [1.0, None]}

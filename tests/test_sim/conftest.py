@@ -1,0 +1,23 @@
+"""One tool, with the arm's reach, and one object for all simulator tests."""
+
+import pytest
+
+pytest.importorskip("mujoco")
+pytest.importorskip("pytorch_kinematics")
+
+from rumi.sim.tasks import TASKS, large_handled_mug, make_tool
+
+
+@pytest.fixture(scope="session")
+def mug():
+    return large_handled_mug()
+
+
+@pytest.fixture(scope="session")
+def reach_cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("reach")
+
+
+@pytest.fixture(scope="session")
+def arm_tool(reach_cache):
+    return make_tool(TASKS["mug-0"], cache_dir=reach_cache)

@@ -1,0 +1,166 @@
+"""The tasks by name, and that they are as hard as they say: decided by geometry, not by any method."""
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from rumi.errors import UsageError
+from rumi.fields.arm import ArmGeometry
+from rumi.sim.settings import SimSettings
+from rumi.sim.tasks import TASKS, find_task, make_task, make_tool
+from sdf import se3
+from sensors.semantics import Semantics
+
+pytestmark = pytest.mark.sim
+
+# controls that go round the mug and touch its handle: found with the truth known, so that the task can be done
+ROUND = {
+    "mug-0": [
+        (1.0, -0.9, -0.3),
+        (1.0, -1.0, -0.7),
+        (1.0, 0.0, -0.9),
+        (1.0, 0.3, 0.2),
+        (0.9, 1.0, 1.0),
+        (0.2, 1.0, 0.8),
+    ],
+    "mug-1": [
+        (1.0, 0.0, -0.9),
+        (0.9, 1.0, -0.9),
+        (0.6, 1.0, 0.2),
+        (1.0, 1.0, 1.0),
+        (1.0, -0.1, 1.0),
+        (-0.2, -1.0, -0.5),
+    ],
+    "mug-2": [(1.0, -1.0, 0.1), (1.0, -1.0, 0.2), (1.0, -1.0, 0.3), (1.0, 0.1, 0.0), (0.4, 1.0, 0.5)],
+}
+
+
+def surface_in_object(task, result):
+    """Surface points of a reading in the object's frame, each by the object's pose at its own instant."""
+    reading = result.reading
+    chosen = reading.observation.of_class(Semantics.SURFACE)
+    points, instant = reading.observation.points[chosen], reading.instant[chosen]
+    motion = reading.object_motion
+    poses = motion @ se3.inverse(motion[-1]) @ result.truth
+    return se3.apply(se3.inverse(poses)[instant], points[:, None])[:, 0]
+
+
+def on_handle(task, points):
+    cup, handle = task.model.exact.members
+    return (handle.distance(points) < 0.003) & (handle.distance(points) < cup.distance(points))
+
+
+def task_named(name, arm_tool, mug, **changes):
+    return make_task(replace(TASKS[name], **changes), tool=arm_tool, model=mug)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_handle_is_hidden_at_first(name, arm_tool, mug):
+    task = task_named(name, arm_tool, mug)
+    points = surface_in_object(task, task.reset(0))
+    assert len(points) > 800
+    assert float(mug.exact.members[0].distance(points).abs().max()) < 0.001  # the cup's, every one
+    assert not bool(on_handle(task, points).any())
+    # turned to the camera it would be seen
+    x, y, yaw = TASKS[name].start
+    turned = task_named(name, arm_tool, mug, start=(x, y, yaw + math.pi))
+    assert int(on_handle(turned, surface_in_object(turned, turned.reset(0))).sum()) > 50
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_start_is_at_the_edge_of_reach(name, arm_tool):
+    """A tool pointing away from the base gets 60 to 110 mm beyond the mug's axis; one turned aside by 60 degrees
+    does not get there."""
+    spec = TASKS[name]
+    x, y, _ = spec.start
+    base = torch.tensor(spec.base)
+    offset = torch.tensor([x, y]) - base[:2]
+    direction = math.atan2(float(offset[1]), float(offset[0]))
+    beyond = torch.arange(-0.3, 0.3, 0.001)
+    places = base[:2] + offset * (1 + beyond / offset.norm())[:, None]
+
+    def limit(yaw):
+        q = torch.cat((places, torch.full((len(places), 1), direction + yaw)), -1)
+        return float(beyond[arm_tool.reach.reachable(q)].max())
+
+    assert 0.06 < limit(0.0) < 0.11
+    assert limit(math.radians(60)) < 0 and limit(math.radians(-60)) < 0
+    assert bool(arm_tool.reach.reachable(torch.tensor(spec.tool_start)))
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_going_round_touches_the_handle(name, arm_tool, mug):
+    task = task_named(name, arm_tool, mug)
+    task.reset(0)
+    felt = [int(on_handle(task, surface_in_object(task, task.step(torch.tensor(u)))).sum()) for u in ROUND[name]]
+    assert felt[-1] > 10 and not any(felt[:-1])
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_pushing_straight_on_loses_the_mug(name, arm_tool, mug):
+    """Afterwards no point of the handle is within what the pads' tips reach at any yaw."""
+    task = task_named(name, arm_tool, mug)
+    result = task.reset(0)
+    x, y, _ = task.spec.start
+    heading = math.atan2(y - task.spec.tool_start[1], x - task.spec.tool_start[0])
+    for _ in range(9):
+        turn = (heading - float(result.reading.configuration[2])) / task.settings.action_scale_rad
+        result = task.step(torch.tensor([math.cos(heading), math.sin(heading), max(-1.0, min(1.0, turn))]))
+    base = torch.tensor(task.spec.base)[:2]
+    radius = torch.arange(0.6, 1.3, 0.001)
+    straight = torch.stack((base[0] + radius, torch.zeros_like(radius), torch.zeros_like(radius)), -1)
+    farthest = float(radius[arm_tool.reach.reachable(straight)].max()) + arm_tool.shape.pad_m[0]
+    handle = mug.surface_points[mug.exact.members[1].distance(mug.surface_points).abs() < 1e-4]
+    assert len(handle) > 30
+    assert float((se3.apply(result.truth, handle)[:, :2] - base).norm(dim=-1).min()) > farthest
+
+
+def test_starts_differ():
+    starts = torch.tensor([spec.start for spec in TASKS.values()])
+    assert set(TASKS) == {"mug-0", "mug-1", "mug-2"}
+    gaps = torch.pdist(starts)
+    assert float(gaps.min()) > 0.1
+
+
+def test_unknown_task_names_the_valid_ones():
+    with pytest.raises(UsageError, match="mug-0, mug-1, mug-2"):
+        find_task("mug-9")
+    with pytest.raises(ValueError, match="no task 'cup'"):
+        make_task("cup")
+
+
+def test_tool_of_a_task(tmp_path):
+    free = make_tool(TASKS["mug-0"], SimSettings(action_scale_m=0.05, action_scale_rad=0.4), free_flying=True)
+    assert free.reach is None
+    assert free.scale.tolist() == pytest.approx([0.05, 0.05, 0.4])
+    assert free.height_m == TASKS["mug-0"].height_m
+
+
+def test_reach_is_kept_on_disk(reach_cache, arm_tool, monkeypatch):
+    from rumi.fields import reach_table
+
+    monkeypatch.setattr(reach_table, "solve_table", lambda settings: pytest.fail("solved again"))
+    again = make_tool(TASKS["mug-1"], cache_dir=reach_cache)
+    assert torch.equal(again.reach.position, arm_tool.reach.position)
+
+
+def test_tasks_load_no_simulator():
+    code = "import sys, rumi.sim.tasks; print([m for m in ('mujoco', 'pytorch_kinematics') if m in sys.modules])"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2]
+        ).stdout
+        == "[]\n"
+    )
+
+
+def test_arm_is_the_stated_one():
+    """The base stands 0.45 m behind the workspace; the arm's links are an iiwa's."""
+    assert all(spec.base == (-0.45, 0.0, 0.0) for spec in TASKS.values())
+    geometry = ArmGeometry()
+    assert sum(geometry.offsets_m[2:4]) == pytest.approx(0.42) and sum(geometry.offsets_m[4:6]) == pytest.approx(0.40)
