@@ -1,0 +1,122 @@
+"""Hold the first belief of the mug tasks against a one-degree sweep of the discrepancy.
+
+    python scripts/first_view.py --seeds 20 --figure scripts/docs/first_view.png
+
+Plausible is a yaw whose best pose weighs at least 1 % of the best pose of all. The particles should cover the plausible
+arc without a gap over 15 degrees, and at most 1 % of them should lie outside it.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+import tyro
+from torch import Tensor
+
+from rumi.build import build
+from rumi.config import preset
+from rumi.loop import first_belief
+from rumi.registration.descent import DescentSettings, descend
+from rumi.seeding import split
+from sdf import se3
+from sensors.observation import Observation, merge
+
+# a lever this long damps every turn out: the descent then moves x and y alone
+SHIFT_ONLY = DescentSettings(iterations=12, lever_m=1e3)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How much to check, and where to draw it."""
+
+    tasks: tuple[str, ...] = ("mug-0", "mug-1", "mug-2")
+    seeds: int = 20
+    figure: Path | None = None
+
+
+def sweep(discrepancy: torch.nn.Module, memory: Observation, centre: Tensor, count: int = 360) -> Tensor:
+    """Least discrepancy over x and y at each of `count` yaws, from origins on a small cross about `centre`."""
+    yaw = torch.arange(count) * (2 * math.pi / count) - math.pi
+    cross = torch.tensor([[0.0, 0.0], [0.004, 0.0], [-0.004, 0.0], [0.0, 0.004], [0.0, -0.004]])
+    planar = torch.cat(((centre + cross).repeat_interleave(count, 0), yaw.repeat(len(cross))[:, None]), -1)
+    least = []
+    for part in se3.from_planar(planar).split(180):
+        found = descend(discrepancy, part, memory, "SE(2)", SHIFT_ONLY)
+        least.append(discrepancy(found, memory))
+    return torch.cat(least).reshape(len(cross), count).amin(0)
+
+
+def judge(weight: Tensor, yaw_deg: Tensor) -> tuple[float, float, int]:
+    """Largest gap (degrees) within the plausible arc, share of particles outside it, number of plausible yaws."""
+    plausible = weight >= 0.01 * weight.max()
+    nearest = ((yaw_deg + 180.0).round().long()) % len(weight)
+    # a particle half a degree beyond the last plausible yaw of the sweep is not outside
+    near = plausible | plausible.roll(1) | plausible.roll(-1)
+    outside = float((~near[nearest]).float().mean())
+    taken = torch.zeros(len(weight), dtype=torch.bool)
+    taken[nearest] = True
+    gap = 0
+    run = 0
+    for at in list(range(len(weight))) * 2:
+        run = 0 if taken[at] or not plausible[at] else run + 1
+        gap = max(gap, run)
+    return float(gap), outside, int(plausible.sum())
+
+
+def main(options: Options) -> None:
+    """Sweep each task once, initialise it with every seed, print and draw."""
+    drawn = []
+    for name in options.tasks:
+        parts = build(replace(preset("default"), task=name))
+        task, rummager = parts.task, parts.rummager
+        reading = task.reset(0).reading
+        none = Observation.empty()
+        memory, _ = merge(none, reading.observation, rummager.filter.lattice)
+        beliefs = [
+            first_belief(rummager, reading, generator=split(seed, "initialise"))[0] for seed in range(options.seeds)
+        ]
+        best = min(beliefs, key=lambda b: float(b.discrepancy.min()))
+        centre = best.attached_T_object[best.discrepancy.argmin(), :2, 3]
+        cost = sweep(rummager.filter.discrepancy, memory, centre)
+        cost = torch.minimum(cost, cost.new_full((), float("inf")))
+        least = torch.minimum(cost.min(), best.discrepancy.min())
+        weight = torch.exp(-rummager.filter.settings.peakiness * (cost - least))
+        yaws = [torch.rad2deg(se3.to_planar(b.world_T_object)[:, 2]) for b in beliefs]
+        figures = [judge(weight, yaw) for yaw in yaws]
+        print(
+            f"{name}: plausible {figures[0][2]} of 360 degrees; worst of {options.seeds} seeds: "
+            f"gap {max(f[0] for f in figures):.0f} degrees, outside {100 * max(f[1] for f in figures):.1f} %"
+        )
+        drawn.append((name, weight, yaws))
+        task.close()
+    if options.figure is not None:
+        draw(drawn, options.figure)
+
+
+def draw(drawn: list[tuple[str, Tensor, list[Tensor]]], path: Path) -> None:
+    """One row a task: the sweep's weight over yaw, and every seed's particles below it."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(1, len(drawn), figsize=(4.2 * len(drawn), 3.2), sharey=True, layout="constrained")
+    for axis, (name, weight, yaws) in zip(axes if len(drawn) > 1 else [axes], drawn, strict=True):
+        degrees = torch.arange(len(weight)) - 180.0
+        axis.fill_between(degrees, 1e-4, (weight / weight.max()).clamp_min(1e-4), color="#9ecae1", label="sweep")
+        axis.axhline(0.01, color="#636363", lw=0.8, ls="--", label="1 % of the best")
+        for seed, yaw in enumerate(yaws):
+            axis.plot(yaw, torch.full_like(yaw, 2.0 * 1.28**seed), ".", ms=1.5, color="#d94801", rasterized=True)
+        axis.set(yscale="log", ylim=(1e-4, 2.0 * 1.28 ** (len(yaws) + 1)), xlim=(-180, 180), title=name)
+        axis.set_xlabel("yaw of the handle [deg]")
+        axis.set_xticks(range(-180, 181, 60))
+        axis.set_yticks([1e-4, 1e-2, 1.0])
+    (axes if len(drawn) > 1 else [axes])[0].set_ylabel("relative weight   |   particles by seed")
+    (axes if len(drawn) > 1 else [axes])[0].legend(frameon=False, loc="lower left", fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=160)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
