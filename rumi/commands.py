@@ -91,7 +91,7 @@ def run(arguments: Sequence[str]) -> int:
     prepare_folder(folder)
     asked = f"{settings.task} with {settings.method} ({settings.preset}), seed {settings.seed}, on {device}"
     _say(f"{asked}; writing to {folder}")
-    from rumi.build import build, scene_sketch
+    from rumi.assemble import build, scene_sketch
     from rumi.loop import rummage
 
     steps = spec.steps if settings.steps is None else settings.steps

@@ -14,7 +14,7 @@ import torch
 import tyro
 from torch import Tensor
 
-from rumi.build import build
+from rumi.assemble import build
 from rumi.config import preset
 from rumi.loop import first_belief
 from rumi.registration.descent import DescentSettings, descend

@@ -14,7 +14,7 @@ import tyro
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.build import build, reachability
+from rumi.assemble import build, reachability
 from rumi.config import preset
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace

@@ -26,11 +26,12 @@ import torch
 import tyro
 from tqdm import tqdm
 
-from rumi.build import build
+from rumi.assemble import build
 from rumi.config import Settings, from_dict, preset, to_dict
 from rumi.loop import rummage
 from rumi.metrics.intervals import bootstrap_median, mcnemar, wilson
 from rumi.plain import plain
+from rumi.sim.tasks import find_task
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "mugs.jsonl"
@@ -134,7 +135,7 @@ def one_run(settings: Settings) -> dict[str, Any]:
             parts.task,
             parts.rummager,
             seed=settings.seed,
-            steps=parts.steps,
+            steps=find_task(settings.task).steps if settings.steps is None else settings.steps,
             on_step=lambda record: (apc.append(record.apc), nll.append(record.nll)),  # type: ignore[func-returns-value]
         )
     finally:

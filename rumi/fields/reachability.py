@@ -81,8 +81,9 @@ class Reach(nn.Module):
 
     def errors(self, q: Float[Tensor, "*b 3"]) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
         """Position error (m) and rotation error (rad) that remain at configurations (x, y, yaw)."""
-        corners, weights, beyond = self._locate(q)
-        return (_gather(self.position, corners, weights) + beyond, _gather(self.rotation, corners, weights))
+        place, beyond = self._locate(q)
+        position, rotation = _look_up(torch.stack((self.position, self.rotation)), place)
+        return position + beyond, rotation
 
     def residual_m(self, q: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
         """Position error that inverse kinematics leaves, metres."""
@@ -94,8 +95,9 @@ class Reach(nn.Module):
 
     def residual(self, q: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
         """Position error plus the metres that the rotation error counts as, which decides what is reachable."""
-        corners, weights, beyond = self._locate(q)
-        return _gather(self.position + self.settings.rotation_scale_m * self.rotation, corners, weights) + beyond
+        place, beyond = self._locate(q)
+        (left,) = _look_up((self.position + self.settings.rotation_scale_m * self.rotation)[None], place)
+        return left + beyond
 
     def reachable(self, q: Float[Tensor, "*b 3"]) -> Bool[Tensor, "*b"]:
         """Whether the arm gets there: the residual is within the tolerance."""
@@ -144,28 +146,21 @@ class Reach(nn.Module):
         planar = points_w[..., None, :2].expand(*points_w.shape[:-1], len(turns), 2)
         return torch.cat((planar, turns[:, None].expand(*planar.shape[:-1], 1)), -1)
 
-    def _locate(self, q: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...], Tensor]:
-        """Flat indices and weights of the four nodes about each configuration, and metres beyond the table."""
+    def _locate(self, q: Tensor) -> tuple[Float[Tensor, "*b 2"], Float[Tensor, "*b"]]:
+        """Place of each configuration in the table, (yaw, radius) in [-1, 1], and metres beyond the table."""
         radius, direction, yaw = self.relative(q)
-        rows, columns = self.position.shape
-        step = self.settings.radius_step_m
-        beyond = (radius - (rows - 1) * step).clamp_min(0.0) + radius * (direction.abs() - SECTOR_RAD).clamp_min(0.0)
-        along = (radius / step).clamp(0.0, rows - 1.0)
-        across = yaw.abs() * ((columns - 1) / math.pi)
-        row = along.floor().clamp_max(rows - 2.0)
-        column = across.floor().clamp_max(columns - 2.0)
-        u, v = along - row, across - column
-        corner = (row * columns + column).long()
-        corners = (corner, corner + 1, corner + columns, corner + columns + 1)
-        return corners, ((1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v), beyond
+        last = (self.position.shape[0] - 1) * self.settings.radius_step_m
+        beyond = (radius - last).clamp_min(0.0) + radius * (direction.abs() - SECTOR_RAD).clamp_min(0.0)
+        return torch.stack((yaw.abs() * (2.0 / math.pi) - 1.0, radius * (2.0 / last) - 1.0), -1), beyond
 
 
-def _gather(values: Float[Tensor, "R Y"], corners: tuple[Tensor, ...], weights: tuple[Tensor, ...]) -> Tensor:
-    flat = values.reshape(-1)
-    total = flat[corners[0]] * weights[0]
-    for corner, weight in zip(corners[1:], weights[1:], strict=True):
-        total = total + flat[corner] * weight
-    return total
+def _look_up(tables: Float[Tensor, "C R Y"], place: Float[Tensor, "*b 2"]) -> tuple[Tensor, ...]:
+    """Bilinear values of C tables, each (*b); beyond the last node the last node's."""
+    rows = place.reshape(1, 1, -1, 2)
+    found = torch.nn.functional.grid_sample(
+        tables[None].to(place), rows, mode="bilinear", padding_mode="border", align_corners=True
+    )
+    return tuple(channel.reshape(place.shape[:-1]) for channel in found[0, :, 0])
 
 
 def _wrap(angle: Tensor) -> Tensor:

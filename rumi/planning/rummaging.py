@@ -27,7 +27,8 @@ from sdf.voxel_grid import VoxelGrid
 
 
 def _scale_free() -> MPPISettings:
-    return MPPISettings(temperature=0.1, cost_scale="std")
+    # near the arg-min of the samples: a warmer mean of plans that go round either side of the object stands still
+    return MPPISettings(temperature=0.03, cost_scale="std", iterations=2)
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class RummagingSettings:
     push: DisplacementSettings = field(default_factory=DisplacementSettings)
     mppi: MPPISettings = field(default_factory=_scale_free)
     information_scale: float = 1.0
-    reachability_scale: float = 1.0
+    reachability_scale: float = 2.0
     normalise_information: bool = True
     rollouts: int = 5
 

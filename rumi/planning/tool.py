@@ -54,6 +54,7 @@ class Tool(nn.Module):
         ):
             level = torch.cat((section, torch.zeros(len(section), 1, dtype=section.dtype)), -1)
             self.register_buffer(name, level.to(bounds))
+        self._discs: dict[int, tuple[Tensor, float]] = {}
         self.bounds: Tensor
         self.scale: Tensor
         self.body: Tensor
@@ -82,6 +83,13 @@ class Tool(nn.Module):
         """
         if count < 1:
             raise ValueError(f"Expected count to be at least 1, got {count}")
+        # the body never changes, and every plan asks for the same discs
+        if count not in self._discs:
+            self._discs[count] = self._cover(count)
+        centers, radius = self._discs[count]
+        return centers.to(self.body), radius
+
+    def _cover(self, count: int) -> tuple[Float[Tensor, "k 2"], float]:
         points = self.body[:, :2]
         # farthest points as a start, then each centre moves to the middle of the box about its own points
         centers = points.mean(0, keepdim=True)

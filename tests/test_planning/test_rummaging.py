@@ -122,7 +122,7 @@ def test_goes_where_the_information_is(scene: Scene) -> None:
 
 
 def test_reach_alone_does_not_push_away_what_is_reachable(scene: Scene) -> None:
-    made = plan(reach_only(falling(scene), SMALL), scene, belief())
+    made = plan(reach_only(falling(scene), replace(SMALL, reachability_scale=1.0)), scene, belief())
     assert made.skipped["information_cost"] == 1.0
     assert made.info["displacement"][0] <= 0.0
     assert -1.0 <= made.info["least_cost"] <= -0.5
