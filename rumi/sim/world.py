@@ -14,6 +14,9 @@ from sdf import se3
 from sdf.base import SDF
 
 
+_SETTLE_S = 1.0
+
+
 class Track(NamedTuple):
     """Where gripper and object were at the end of each mini step.
 
@@ -55,13 +58,20 @@ class World:
         self._object_body = int(self.model.body("object").id)
 
     def reset(self, configuration: Float[Tensor, "3"], object_pose: Float[Tensor, "3"]) -> None:
-        """Put the gripper at (x, y, yaw) and the object upright on the floor at (x, y, yaw), both at rest."""
+        """Put the gripper at (x, y, yaw) and the object upright on the floor at (x, y, yaw), and let both settle.
+
+        A resting object sinks into the floor's soft contact by micrometres and tilts by a milliradian; if that were
+        left to the first action, a slip sensor would report it as a move.
+        """
         self._mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self._gripper] = configuration.double().numpy()
         x, y, yaw = object_pose.tolist()
         start = self._object
         self.data.qpos[start : start + 7] = (x, y, 0.0, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
         self.data.ctrl[:] = configuration.double().numpy()
+        self._mujoco.mj_step(self.model, self.data, nstep=round(_SETTLE_S / float(self.model.opt.timestep)))
+        self.data.qvel[:] = 0.0
+        self.data.time = 0.0
         self._mujoco.mj_forward(self.model, self.data)
 
     def move(self, targets: Float[Tensor, "K 3"], action_s: float, hold_s: float) -> Track:

@@ -90,6 +90,19 @@ def test_untouched_mug_stays():
     assert float((se3.to_planar(track.world_T_object[-1]) - mug).abs().max()) < 1e-4
 
 
+def test_reset_leaves_nothing_to_settle():
+    world = World(SHAPE, GripperShape(), HEIGHT, 0.004)
+    gripper = torch.tensor((0.15, 0.0, 0.0))
+    world.reset(gripper, torch.tensor((0.4, 0.0, 0.3)))
+    start = world.world_T_object()
+    for _ in range(3):
+        world.move(gripper[None], 1.0, 0.1)
+        shift, turn = se3.distance(world.world_T_object(), start)
+        # far below what the filter takes for a move, 0.1 mm and 1 mrad
+        assert float(shift) < 1e-6
+        assert float(turn) < 1e-5
+
+
 def test_instants_follow_the_commands():
     """Without contact the gripper is at each target at the end of its mini step, up to the servo's lag."""
     world = World(SHAPE, GripperShape(), HEIGHT, 0.004)
