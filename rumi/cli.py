@@ -33,7 +33,7 @@ usage: rumi tasks                  what there is to find
 examples:
   rumi run mug-0                            the default method; leaves a folder runs/mug-0-rumi-default-s0
   rumi run mug-1 --method info-only --seed 3
-  rumi run mug-0 --preset paper --steps 10 --out /tmp/mug
+  rumi run mug-0 --preset paper --steps 10 --out my-run
   rumi run mug-0 --planner.mppi.samples 100 --stop.rule never
   rumi plot runs/mug-0-rumi-default-s0 --steps 0 4 8
 

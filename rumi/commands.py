@@ -23,7 +23,7 @@ _RUN_HELP = """Find an object by touch, in simulation; `rumi tasks` lists what t
 
     rumi run mug-0
     rumi run mug-1 --method info-only --seed 3
-    rumi run mug-0 --preset paper --steps 10 --out /tmp/mug
+    rumi run mug-0 --preset paper --steps 10 --out my-run
     rumi run mug-0 --planner.mppi.samples 100 --stop.rule never
 
 Every setting below is a flag; --preset sets where the others start from."""
@@ -86,6 +86,9 @@ def run(arguments: Sequence[str]) -> int:
     from rumi.sim.tasks import find_task
 
     spec = find_task(settings.task)
+    steps = spec.steps if settings.steps is None else settings.steps
+    if steps > spec.steps:
+        raise UsageError(f"Expected steps to be at most the {spec.steps} of {spec.name}, got {steps}")
     device = settings.torch_device
     folder = default_folder(settings) if options.out is None else options.out
     prepare_folder(folder)
@@ -94,7 +97,6 @@ def run(arguments: Sequence[str]) -> int:
     from rumi.assemble import build, scene_sketch
     from rumi.loop import rummage
 
-    steps = spec.steps if settings.steps is None else settings.steps
     with RunRecorder(folder, to_dict(settings)) as recorder:
         task, rummager = build(settings, cache_dir=cache_folder())
         recorder.scene(scene_sketch(rummager))

@@ -3,7 +3,7 @@
 import math
 import types
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -70,6 +70,8 @@ class Settings:
             raise UsageError(f"Expected steps to be 0 or more, got {self.steps}")
         if self.replan_every < 1:
             raise UsageError(f"Expected replan_every to be 1 or more, got {self.replan_every}")
+        for name in _not_numbers(self):
+            raise UsageError(f"Expected {name} to be a number, got nan")
 
     @property
     def torch_device(self) -> torch.device:
@@ -129,6 +131,16 @@ def setting_names(kind: type = Settings, prefix: str = "") -> list[str]:
         else:
             names.append(prefix + name)
     return names
+
+
+def _not_numbers(settings: Any, prefix: str = "") -> Iterator[str]:  # noqa: ANN401  (any settings class)
+    """Names of the settings that are NaN, nested ones with dots."""
+    for part in fields(settings):
+        value, name = getattr(settings, part.name), prefix + part.name
+        if is_dataclass(value):
+            yield from _not_numbers(value, f"{name}.")
+        elif isinstance(value, float) and math.isnan(value):
+            yield name
 
 
 def _default() -> Settings:

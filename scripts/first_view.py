@@ -7,7 +7,7 @@ arc without a gap over 15 degrees, and at most 1 % of them should lie outside it
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -20,7 +20,9 @@ from rumi.loop import first_belief
 from rumi.registration.descent import DescentSettings, descend
 from rumi.seeding import split
 from sdf import se3
+from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, merge
+from sensors.semantics import Semantics
 
 # a lever this long damps every turn out: the descent then moves x and y alone
 SHIFT_ONLY = DescentSettings(iterations=12, lever_m=1e3)
@@ -33,18 +35,28 @@ class Options:
     tasks: tuple[str, ...] = ("mug-0", "mug-1", "mug-2")
     seeds: int = 20
     figure: Path | None = None
+    cache: Path = Path.home() / ".cache" / "rumi"
 
 
-def sweep(discrepancy: torch.nn.Module, memory: Observation, centre: Tensor, count: int = 360) -> Tensor:
-    """Least discrepancy over x and y at each of `count` yaws, from origins on a small cross about `centre`."""
+def sweep(discrepancy: Discrepancy, memory: Observation, centre: Tensor, count: int = 360) -> Tensor:
+    """Least discrepancy over x and y at each of `count` yaws.
+
+    From `centre`, and from whichever origin of a small cross about it suits the seen surface best: an origin a wall
+    too near is a local minimum.
+    """
     yaw = torch.arange(count) * (2 * math.pi / count) - math.pi
     cross = torch.tensor([[0.0, 0.0], [0.004, 0.0], [-0.004, 0.0], [0.0, 0.004], [0.0, -0.004]])
-    planar = torch.cat(((centre + cross).repeat_interleave(count, 0), yaw.repeat(len(cross))[:, None]), -1)
+    origin = (centre + cross).repeat_interleave(count, 0)
+    starts = se3.from_planar(torch.cat((origin, yaw.repeat(len(cross))[:, None]), -1))
+    surface = memory[memory.of_class(Semantics.SURFACE).nonzero()[:, 0]]
+    shifted = torch.cat([descend(discrepancy, part, surface, "SE(2)", SHIFT_ONLY) for part in starts.split(100)])
+    cost = torch.cat([discrepancy(part, surface) for part in shifted.split(100)]).reshape(len(cross), count)
+    best = shifted.reshape(len(cross), count, 4, 4)[cost.argmin(0), torch.arange(count)]
     least = []
-    for part in se3.from_planar(planar).split(180):
+    for part in torch.cat((starts[:count], best)).split(90):
         found = descend(discrepancy, part, memory, "SE(2)", SHIFT_ONLY)
         least.append(discrepancy(found, memory))
-    return torch.cat(least).reshape(len(cross), count).amin(0)
+    return torch.cat(least).reshape(2, count).amin(0)
 
 
 def judge(weight: Tensor, yaw_deg: Tensor) -> tuple[float, float, int]:
@@ -68,7 +80,7 @@ def main(options: Options) -> None:
     """Sweep each task once, initialise it with every seed, print and draw."""
     drawn = []
     for name in options.tasks:
-        parts = build(replace(preset("default"), task=name))
+        parts = build(preset("default", task=name), cache_dir=options.cache)
         task, rummager = parts.task, parts.rummager
         reading = task.reset(0).reading
         none = Observation.empty()
@@ -79,7 +91,6 @@ def main(options: Options) -> None:
         best = min(beliefs, key=lambda b: float(b.discrepancy.min()))
         centre = best.attached_T_object[best.discrepancy.argmin(), :2, 3]
         cost = sweep(rummager.filter.discrepancy, memory, centre)
-        cost = torch.minimum(cost, cost.new_full((), float("inf")))
         least = torch.minimum(cost.min(), best.discrepancy.min())
         weight = torch.exp(-rummager.filter.settings.peakiness * (cost - least))
         yaws = [torch.rad2deg(se3.to_planar(b.world_T_object)[:, 2]) for b in beliefs]

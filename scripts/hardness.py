@@ -7,7 +7,8 @@ the share that no reachable pose of the tool can touch, and how far the object m
 until the tool touches less than a tenth of the information.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 import tyro
@@ -26,10 +27,11 @@ from rumi.seeding import split
 
 @dataclass(frozen=True)
 class Options:
-    """Which tasks."""
+    """Which tasks, and where the arm's table of reach is kept."""
 
     tasks: tuple[str, ...] = ("mug-0", "mug-1", "mug-2")
     seed: int = 0
+    cache: Path = Path.home() / ".cache" / "rumi"
 
 
 def touchable(tool: Tool, workspace: Workspace, step_m: float = 0.01, yaws: int = 72) -> Bool[Tensor, "V"]:
@@ -73,8 +75,8 @@ def main(options: Options) -> None:
     print("| task | nll at step 0 | information where r < 0.5 | information out of touch | slack outward, mm |")
     print("|---|---|---|---|---|")
     for name in options.tasks:
-        settings = replace(preset("default"), task=name)
-        parts = build(settings)
+        settings = preset("default", task=name)
+        parts = build(settings, cache_dir=options.cache)
         rummager = parts.rummager
         first = parts.task.reset(options.seed)
         belief, _ = first_belief(rummager, first.reading, generator=split(options.seed, "initialise"))

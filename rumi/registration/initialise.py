@@ -103,7 +103,9 @@ def initialise(
         generator: draws the sample of points.
     """
     surface = observation.of_class(Semantics.SURFACE).nonzero()[:, 0]
-    sample = surface[torch.randperm(len(surface), generator=generator, device=surface.device)[: settings.coarse_points]]
+    # drawn where the generator lives, which need not be where the points are
+    shuffled = torch.randperm(len(surface), generator=generator, device=generator.device).to(surface.device)
+    sample = surface[shuffled[: settings.coarse_points]]
     coarse_points = observation[sample.sort().values]
     poses = descend(discrepancy, starts, coarse_points, search, settings.coarse)
     # the sample stands for all surface points, the free points for themselves

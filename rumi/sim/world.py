@@ -13,7 +13,6 @@ from rumi.sim.scene import PhysicsSettings, scene_xml
 from sdf import se3
 from sdf.base import SDF
 
-
 _SETTLE_S = 1.0
 
 

@@ -73,6 +73,8 @@ def test_names_of_nested_settings():
         ({"seed": -1}, "Expected seed to be 0 or more, got -1"),
         ({"planner": {"rollouts": 0}}, "planner: Expected rollouts to be 1 or more, got 0"),
         ({"initialise": {"particles": 0}}, "initialise: Expected at least one particle, got 0"),
+        ({"filter": {"rotation_noise_rad": -1.0}}, "filter: Expected rotation_noise_rad to be 0 or more, got -1.0"),
+        ({"filter": {"descent": {"margin_m": math.nan}}}, "Expected filter.descent.margin_m to be a number, got nan"),
     ],
 )
 def test_what_is_wrong_is_named(values, message):

@@ -111,8 +111,7 @@ def test_motion_carries_everything_to_one_frame(task):
 
 
 def test_motion_is_the_worlds(task):
-    task.reset(0)
-    before = se3.from_planar(torch.tensor(SPEC.start))
+    before = task.reset(0).truth
     for _ in range(3):
         result = task.step(AHEAD)
         motion = result.reading.object_motion
