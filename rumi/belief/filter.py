@@ -32,8 +32,8 @@ class FilterSettings:
         free_spacing_m, surface_spacing_m: lattice that keeps one point a cell (Alg 6).
         motion: "measured" by a slip sensor, "sticking" to the tool, or "estimated" (Alg 5).
         translation_noise_m, rotation_noise_rad: standard deviations of the process noise, drawn on every move
-            and after every resampling (Alg 3); in SE(2) along x, y and yaw. The defaults are the slip sensor's
-            1 mm and 1 degree: 3 mm throws particles across a 4 mm wall, to where the seen side fits the inner one.
+            and after every resampling (Alg 3); in SE(2) along x, y and yaw. By default the 1 mm and 1 degree of a
+            usual slip sensor: 3 mm throws particles across a 4 mm wall, to where the seen side fits the inner one.
         trigger: discrepancy l_r above which the belief is resampled (Alg 1, line 16).
         trigger_percentile: of the particles' discrepancies, compared with the trigger; 1 is the paper's maximum.
         weighing: "scratch" weighs by all observations each time, after an optimiser has moved the particles

@@ -14,7 +14,7 @@ from rumi.dynamics.planar import TiedField, at_height, planar_features, world_he
 from rumi.planning.tool import Tool
 from sdf.check import check_shape
 
-Hazard = Literal["per_step", "per_mini_step"]
+Hazard = Literal["per_rollout", "per_step", "per_mini_step"]
 
 TIE = 1e-5
 """Contact probabilities closer than this are equal: the first point of the tool is taken, whatever rounding says."""
@@ -27,15 +27,18 @@ class DisplacementSettings:
     Attributes:
         mini_steps: parts into which every action is cut, so that the tool does not jump through thin walls.
         push_angle: greatest angle between the motion and the inward normal at which a contact pushes, radians.
-        hazard: `per_step` draws one number for every rollout and step and reuses it for the mini steps, so that the
-            chance of a contact does not grow with their number; `per_mini_step` draws anew, as the paper does.
+        hazard: what number decides on contact. `per_rollout`: rollout m of M meets the object wherever that is likelier
+            than (m + 1/2) / M, so that the rollouts stand for M equally likely worlds, the same ones for every
+            control sequence, and nothing is random. `per_step` draws a number for every rollout and step and reuses
+            it for the mini steps, so that the chance of a contact does not grow with their number. `per_mini_step`
+            draws anew, as the paper does.
         discs: discs of the bound that settles most contact checks; 0 checks every point at every mini step. The
             rollouts are the same.
     """
 
     mini_steps: int = 4
     push_angle: float = math.radians(45.0)
-    hazard: Hazard = "per_step"
+    hazard: Hazard = "per_rollout"
     discs: int = 8
 
     def __post_init__(self) -> None:
@@ -118,7 +121,10 @@ class DisplacementModel:
     def draw(
         self, samples: int, rollouts: int, horizon: int, *, generator: torch.Generator
     ) -> Float[Tensor, "K M H S"]:
-        """The uniform numbers that decide on contact: S is 1, or the mini steps with `per_mini_step`."""
+        """The numbers that decide on contact: S is 1, or the mini steps with `per_mini_step`."""
+        if self.settings.hazard == "per_rollout":
+            level = (torch.arange(rollouts, dtype=self._points.dtype, device=self._points.device) + 0.5) / rollouts
+            return level[:, None, None].expand(samples, rollouts, horizon, 1)
         parts = 1 if self.settings.hazard == "per_step" else self.settings.mini_steps
         shape = (samples, rollouts, horizon, parts)
         drawn = torch.rand(shape, generator=generator, dtype=self._points.dtype, device=generator.device)
@@ -274,7 +280,7 @@ class DisplacementModel:
             touched.now[rows[blocked]] = before[blocked]
             touched.strayed[rows[blocked]] = True
             # nothing that decides on the next mini step has changed
-            touched.stuck[rows[blocked]] = self.settings.hazard == "per_step"
+            touched.stuck[rows[blocked]] = self.settings.hazard != "per_mini_step"
         return len(possible)
 
     def _motion(

@@ -19,6 +19,7 @@ def information_cost(
     configurations: Float[Tensor, "R H 3"],
     displacements: Float[Tensor, "R H 3"],
     *,
+    discount: float = 1.0,
     normalise: bool = False,
 ) -> Float[Tensor, "R"]:
     """Minus the information of all lattice cells that the sensing points meet, each counted once (RUMI, Eq 29).
@@ -35,6 +36,8 @@ def information_cost(
         points_t: sensing points of a planar tool; x and y in its frame, z in the world.
         configurations: (x, y, yaw) after each action.
         displacements: of the object by then, metres; z is not used.
+        discount: factor by which a cell is worth less with each action before it is first met; 1, the paper's, leaves
+            it open when in the horizon something is done.
         normalise: divide by the field's total, so that the cost is in [-1, 0]; 0 where there is no information.
     """
     rollouts, horizon = configurations.shape[:2]
@@ -74,7 +77,13 @@ def information_cost(
         index = cell.long().mul_(sizes[2]).add_(layer)
         index += ((owner[first:last] - start) * value.numel())[:, None]
         marks = value.new_zeros(count * value.numel())
-        marks.index_fill_(0, index.view(-1), 1.0)
+        if discount == 1.0:
+            marks.index_fill_(0, index.view(-1), 1.0)
+        else:
+            action = rows[first:last] % horizon
+            # the first to meet a cell marks it last
+            for late in range(horizon - 1, -1, -1):
+                marks.index_fill_(0, index[action == late].view(-1), discount**late)
         cost[start : start + count] = -(marks.view(count, -1) @ value.reshape(-1))
     return cost / total if normalise else cost
 

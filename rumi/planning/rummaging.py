@@ -41,6 +41,8 @@ class RummagingSettings:
         mppi: the planner; its iterations are `warmup_iterations` for the first plan.
         information_scale: weight of the information cost (beta_I); 0 leaves it out.
         reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out.
+        information_discount: factor by which information is worth less with each action until it is gathered. At 1,
+            the paper's, a plan may put its touches off to the end of the horizon, and so may the next plan.
         normalise_information: count information as a share of all there is, so that both costs are in [-1, 0].
         rollouts: how often each control sequence is rolled out; its cost is the mean.
     """
@@ -50,6 +52,7 @@ class RummagingSettings:
     mppi: MPPISettings = field(default_factory=_scale_free)
     information_scale: float = 1.0
     reachability_scale: float = 2.0
+    information_discount: float = 0.9
     normalise_information: bool = True
     rollouts: int = 5
 
@@ -58,6 +61,8 @@ class RummagingSettings:
         if self.rollouts < 1:
             raise ValueError(f"Expected rollouts to be 1 or more, got {self.rollouts}")
         scales = (self.information_scale, self.reachability_scale)
+        if not 0 < self.information_discount <= 1:
+            raise ValueError(f"Expected information_discount in (0, 1], got {self.information_discount}")
         if min(scales) < 0 or max(scales) == 0:
             raise ValueError(
                 "Expected information_scale and reachability_scale to be 0 or more and not both 0, "
@@ -72,6 +77,7 @@ class RummagingSettings:
             push=DisplacementSettings(hazard="per_mini_step"),
             mppi=MPPISettings(temperature=0.01, cost_scale="raw"),
             reachability_scale=200.0,
+            information_discount=1.0,
             normalise_information=False,
         )
 
@@ -125,6 +131,7 @@ class RummagingPolicy:
             sensing,
             information_scale=settings.information_scale,
             reachability_scale=settings.reachability_scale,
+            information_discount=settings.information_discount,
             normalise=settings.normalise_information,
         )
         watch.lap("costs")

@@ -19,6 +19,7 @@ class TrajectoryCost:
         points_t: sensing points; x and y in the tool's frame, z in the world.
         information_scale: beta_I.
         reachability_scale: beta_R.
+        information_discount: factor by which information is worth less with each action until it is gathered.
         normalise: count information as a share of all there is.
     """
 
@@ -30,10 +31,11 @@ class TrajectoryCost:
         *,
         information_scale: float = 1.0,
         reachability_scale: float = 1.0,
+        information_discount: float = 1.0,
         normalise: bool = True,
     ) -> None:
         self.information_scale, self.reachability_scale = information_scale, reachability_scale
-        self.normalise = normalise
+        self.information_discount, self.normalise = information_discount, normalise
         self._information, self._points = information, points_t
         self._reachability: ReachabilityCost | None = None
         if reachability_scale > 0:
@@ -66,7 +68,12 @@ class TrajectoryCost:
         total = configurations.new_zeros(len(configurations))
         if self.information_scale > 0:
             total += self.information_scale * information_cost(
-                self._information, self._points, configurations, displacements, normalise=self.normalise
+                self._information,
+                self._points,
+                configurations,
+                displacements,
+                discount=self.information_discount,
+                normalise=self.normalise,
             )
         if self._reachability is not None:
             total += self.reachability_scale * self._reachability(displacements)

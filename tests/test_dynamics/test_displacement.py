@@ -1,6 +1,7 @@
 """The displacement model against a loop that spells Alg 7 out, and against what pushing must do."""
 
 import math
+from typing import get_args
 
 import pytest
 import torch
@@ -84,7 +85,7 @@ def reference(
     return states, moved, contact
 
 
-@pytest.mark.parametrize("hazard", ["per_step", "per_mini_step"])
+@pytest.mark.parametrize("hazard", get_args(Hazard))
 @pytest.mark.parametrize("discs", [0, 5])
 @pytest.mark.parametrize("reaching", [False, True])
 def test_is_the_algorithm(hazard: Hazard, discs: int, reaching: bool, generator: torch.Generator) -> None:
@@ -106,7 +107,7 @@ def test_is_the_algorithm(hazard: Hazard, discs: int, reaching: bool, generator:
     assert result.checked < 0.6 if discs else result.checked > 0.3
 
 
-@pytest.mark.parametrize("hazard", ["per_step", "per_mini_step"])
+@pytest.mark.parametrize("hazard", get_args(Hazard))
 @pytest.mark.parametrize("spread", [0.002, 0.04])
 def test_bound_changes_nothing_but_the_work(hazard: Hazard, spread: float, generator: torch.Generator) -> None:
     scale = torch.tensor([spread, spread, 1.0])
@@ -114,9 +115,9 @@ def test_bound_changes_nothing_but_the_work(hazard: Hazard, spread: float, gener
     field = belief_field(Mug(), se3.from_planar(place), workspace(torch.float32))
     tool = make_tool(torch.float32, reaching=True, spacing=0.006)
     controls = torch.rand(150, 10, 3, generator=generator) * 2 - 1
-    draws = torch.rand(150, 4, 10, 1 if hazard == "per_step" else 4, generator=generator)
     start = torch.tensor([0.28, 0.0, 0.0])
     every = DisplacementModel(field, tool, DisplacementSettings(hazard=hazard, discs=0))
+    draws = every.draw(150, 4, 10, generator=generator)
     exact = every.rollout_drawn(start, controls, draws)
     for discs in (1, 8):
         lean = DisplacementModel(field, tool, DisplacementSettings(hazard=hazard, discs=discs))
@@ -207,6 +208,22 @@ def test_chance_of_contact_and_mini_steps(hazard: Hazard) -> None:
         assert float(rollouts.displacements[:, :, -1, 0].mean()) == pytest.approx(expected, rel=0.05)
     assert shares[0] == pytest.approx(0.3, abs=0.02)
     assert shares[1] == (shares[0] if hazard == "per_step" else pytest.approx(1 - 0.7**4, abs=0.02))
+
+
+@pytest.mark.parametrize(("probability", "share"), [(0.05, 0.0), (0.4, 0.4), (0.75, 0.8), (1.0, 1.0)])
+def test_rollouts_of_their_own_worlds(probability: float, share: float, generator: torch.Generator) -> None:
+    """A contact as likely as the field says, however long the way: no chance is taken anew, nor any drawn."""
+    tool = make_tool(torch.float64)
+    controls = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand(3, 6, 3)
+    for mini in (1, 4):
+        settings = DisplacementSettings(mini_steps=mini, hazard="per_rollout")
+        model = DisplacementModel(even_field(probability), tool, settings)
+        before = generator.get_state()
+        rollouts = model.rollout(torch.zeros(3, dtype=torch.float64), controls, rollouts=5, generator=generator)
+        assert torch.equal(generator.get_state(), before)
+        met = rollouts.contact.double().mean((0, 1))
+        torch.testing.assert_close(met, torch.full_like(met, share))
+        assert bool((rollouts.contact[0] == rollouts.contact).all())
 
 
 @pytest.mark.parametrize(("angle", "pushes"), [(40.0, True), (50.0, False), (130.0, False)])

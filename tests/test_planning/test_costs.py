@@ -67,6 +67,23 @@ def test_information_cost_is_the_sum_over_the_set_of_cells(
         assert float(cost.min()) >= -1.0
 
 
+@pytest.mark.parametrize("discount", [0.5, 0.9])
+def test_discount_counts_from_the_first_meeting(discount: float, generator: torch.Generator) -> None:
+    field, points = sparse_field((14, 12, 1), generator), sensing_points(generator)
+    q, d = paths(generator)
+    cost = information_cost(field, points, q, d, discount=discount)
+    for k in range(0, len(q), 4):
+        expected, met = 0.0, set()
+        for action in range(q.shape[1]):
+            cells = met_cells(field, points, q[k, action : action + 1], d[k, action : action + 1]) - met
+            expected -= discount**action * sum(float(field.values[cell]) for cell in cells)
+            met |= cells
+        assert float(cost[k]) == pytest.approx(expected)
+    # worth less than without a discount, but for paths that gather all in their first action
+    assert bool((cost >= information_cost(field, points, q, d)).all())
+    assert bool((cost > information_cost(field, points, q, d)).any())
+
+
 def test_moving_along_with_the_object_gathers_nothing_new(generator: torch.Generator) -> None:
     field, points = sparse_field((30, 30, 1), generator, 1.0), sensing_points(generator)
     start = torch.tensor([0.2, 0.2, 0.7], **DOUBLE)
