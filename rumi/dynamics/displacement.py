@@ -90,11 +90,11 @@ class DisplacementModel:
     of its points, h(q') - d, of which x is the point. If the angle between the mean outward normal at x and the
     opposite of the point's motion d' = h(q')[x] - h(q)[x] is below the push angle, the object moves by d'; if not, the
     tool stays at q. Differs from the printed algorithm: d' is a motion in the world, not against the displaced point
-    (line 10); normals are turned into the world frame before they are summed (line 11); with `per_step` one draw
-    serves all mini steps of a step. A contact without normal or motion does not push.
+    (line 10); normals are turned into the world frame before they are summed (line 11); what decides on contact is
+    set by `hazard`. A contact without normal or motion does not push.
 
     What is skipped, with the same result: a contact needs u < p, so p is looked up only where a bound on it is above
-    the number u that was drawn; and until its first contact a rollout follows the free path of its controls, so that
+    the number u that decides; and until its first contact a rollout follows the free path of its controls, so that
     all rollouts of a control sequence share these look-ups.
 
     Args:

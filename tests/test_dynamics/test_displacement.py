@@ -276,7 +276,7 @@ def test_a_quarter_turn_of_the_world_turns_everything(generator: torch.Generator
 
 def test_seeds_and_samples_are_independent(generator: torch.Generator) -> None:
     field, tool = mug_field(torch.float32, generator), make_tool(torch.float32)
-    model = DisplacementModel(field, tool)
+    model = DisplacementModel(field, tool, DisplacementSettings(hazard="per_step"))
     controls = torch.rand(40, 6, 3, generator=generator) * 2 - 0.8
     start = torch.tensor([0.27, 0.0, 0.0])
 
