@@ -64,7 +64,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Show:
-    """Print the table of the newest code in a file of results, or of one label."""
+    """Print the table of the newest code in a file of results, of all labels or of one."""
 
     results: Path = RESULTS
     label: str | None = None
@@ -218,6 +218,8 @@ def show(options: Show) -> None:
         raise SystemExit(f"There are no runs in {options.results}: do some with `run` first")
     newest = {}
     for r in runs:
+        if r["code"] != runs[-1]["code"]:
+            continue
         newest[(r["column"] + (f" {' '.join(r['changes'])}" if r["changes"] else ""), r["task"], r["seed"])] = r
     columns = list(dict.fromkeys(key[0] for key in newest))
     heads = ("method/preset", "right", "nll <= 20 at any step", "of these at step 0", "stopped: right", "steps")
