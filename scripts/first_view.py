@@ -9,6 +9,7 @@ arc without a gap over 15 degrees, and at most 1 % of them should lie outside it
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 import tyro
@@ -59,8 +60,16 @@ def sweep(discrepancy: Discrepancy, memory: Observation, centre: Tensor, count: 
     return torch.cat(least).reshape(2, count).amin(0)
 
 
-def judge(weight: Tensor, yaw_deg: Tensor) -> tuple[float, float, int]:
-    """Largest gap (degrees) within the plausible arc, share of particles outside it, number of plausible yaws."""
+class Judged(NamedTuple):
+    """Particles held against a sweep: widest gap in the plausible arc, share outside it, and the arc itself."""
+
+    gap_deg: float
+    outside: float
+    plausible_deg: int
+
+
+def judge(weight: Tensor, yaw_deg: Tensor) -> Judged:
+    """Hold the particles of one seed against the weights of a sweep."""
     plausible = weight >= 0.01 * weight.max()
     nearest = ((yaw_deg + 180.0).round().long()) % len(weight)
     # a particle half a degree beyond the last plausible yaw of the sweep is not outside
@@ -73,12 +82,12 @@ def judge(weight: Tensor, yaw_deg: Tensor) -> tuple[float, float, int]:
     for at in list(range(len(weight))) * 2:
         run = 0 if taken[at] or not plausible[at] else run + 1
         gap = max(gap, run)
-    return float(gap), outside, int(plausible.sum())
+    return Judged(float(gap), outside, int(plausible.sum()))
 
 
-def main(options: Options) -> None:
-    """Sweep each task once, initialise it with every seed, print and draw."""
-    drawn = []
+def main(options: Options) -> list[Judged]:
+    """Sweep each task once, initialise it with every seed, print and draw; gives the worst of each task."""
+    drawn, worst = [], []
     for name in options.tasks:
         parts = build(preset("default", task=name), cache_dir=options.cache)
         task, rummager = parts.task, parts.rummager
@@ -95,14 +104,17 @@ def main(options: Options) -> None:
         weight = torch.exp(-rummager.filter.settings.peakiness * (cost - least))
         yaws = [torch.rad2deg(se3.to_planar(b.world_T_object)[:, 2]) for b in beliefs]
         figures = [judge(weight, yaw) for yaw in yaws]
+        gap, outside = max(f.gap_deg for f in figures), max(f.outside for f in figures)
+        worst.append(Judged(gap, outside, figures[0].plausible_deg))
         print(
-            f"{name}: plausible {figures[0][2]} of 360 degrees; worst of {options.seeds} seeds: "
-            f"gap {max(f[0] for f in figures):.0f} degrees, outside {100 * max(f[1] for f in figures):.1f} %"
+            f"{name}: plausible {figures[0].plausible_deg} of 360 degrees; worst of {options.seeds} seeds: "
+            f"gap {gap:.0f} degrees, outside {100 * outside:.1f} %"
         )
         drawn.append((name, weight, yaws))
         task.close()
     if options.figure is not None:
         draw(drawn, options.figure)
+    return worst
 
 
 def draw(drawn: list[tuple[str, Tensor, list[Tensor]]], path: Path) -> None:
