@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from sdf.check import check_finite
 from sensors.observation import Observation
 
 
@@ -25,6 +26,9 @@ class Reading:
         configuration: (*b, Q), the tool's configuration at the last instant (planar: x, y, yaw).
         clipped: (*b), metres of the commanded translation that the arm's reach refused.
         stamp: seconds since the start of the run.
+
+    Raises:
+        ValueError: a value that is not finite, or a point of an instant that there is none of.
     """
 
     observation: Observation
@@ -35,3 +39,18 @@ class Reading:
     configuration: Float[Tensor, "*b Q"]
     clipped: Float[Tensor, "*b"]
     stamp: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no sensor can mean: a belief that has taken in a NaN is lost."""
+        observation, instants = self.observation, self.tool_pose.shape[-3]
+        check_finite("observation.points", observation.points.masked_fill(~observation.valid[..., None], 0.0))
+        for name in ("tool_pose", "object_motion", "configuration"):
+            value = getattr(self, name)
+            if value is not None:
+                check_finite(name, value)
+        wrong = observation.valid & ((self.instant < 0) | (self.instant >= instants))
+        if bool(wrong.any()):
+            raise ValueError(
+                f"Expected instant to be 0 to {instants - 1}, the instants of tool_pose, "
+                f"got {int(self.instant[wrong][0])}"
+            )
