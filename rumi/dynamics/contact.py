@@ -68,8 +68,9 @@ class ContactBound:
         cells = radius / probability.spacing
         filtered, margin = _spread(highest, cells)
         origin = probability.origin - probability.spacing * probability.origin.new_tensor([*map(float, margin), 0.0])
-        centres = torch.cat((centres_t, torch.zeros_like(centres_t[:, :1])), -1)
-        self._field = TiedField(VoxelGrid(filtered[..., None], origin, probability.spacing), centres, "nearest")
+        self.grid = VoxelGrid(filtered[..., None], origin, probability.spacing)
+        self.centres_t = torch.cat((centres_t, torch.zeros_like(centres_t[:, :1])), -1)
+        self._field = TiedField(self.grid, self.centres_t, "nearest")
 
     def __call__(self, features: Float[Tensor, "E 5"]) -> Float[Tensor, "E"]:
         """Greatest contact probability that any tool point can have, for each row of `planar_features`."""

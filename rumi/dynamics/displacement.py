@@ -2,8 +2,10 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Self, get_args
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -12,7 +14,9 @@ from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactBound, ContactField
 from rumi.dynamics.planar import TiedField, at_height, planar_features, world_height
 from rumi.planning.tool import Tool
+from sdf import backend, fused
 from sdf.check import check_shape
+from sdf.voxel_grid import VoxelGrid
 
 Hazard = Literal["per_rollout", "per_step", "per_mini_step"]
 
@@ -106,29 +110,45 @@ class DisplacementModel:
     def __init__(self, field: ContactField, tool: Tool, settings: DisplacementSettings | None = None) -> None:
         self.tool = tool
         self.settings = settings or DisplacementSettings()
-        self._points = world_height(tool.body, tool.height_m).to(field.probability.values)
+        self.points = world_height(tool.body, tool.height_m).to(field.probability.values)
         probability, normal = field.probability, field.normal
-        if bool((self._points[:, 2] == self._points[0, 2]).all()):
-            height = float(self._points[0, 2])
+        if bool((self.points[:, 2] == self.points[0, 2]).all()):
+            height = float(self.points[0, 2])
             probability, normal = at_height(probability, height), at_height(normal, height)
-        self._probability = TiedField(probability, self._points)
-        self._normal = TiedField(normal, self._points)
-        self._bound: ContactBound | None = None
+        self.grids = (probability, normal)
+        self._probability = TiedField(probability, self.points)
+        self._normal = TiedField(normal, self.points)
+        self.bound: ContactBound | None = None
         if self.settings.discs:
             centres, radius = tool.covering_discs(self.settings.discs)
-            self._bound = ContactBound(probability, centres.to(self._points), float(radius))
+            self.bound = ContactBound(probability, centres.to(self.points), float(radius))
+
+    @cached_property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """What the fused version looks up: points by disc, fields and bound (a lone node of 1 where there is none)."""
+        probability, normal = self.grids
+        centres = self.points.new_zeros(1, 3)
+        bound = VoxelGrid(torch.ones_like(probability.values[:1, :1]), probability.origin, probability.spacing)
+        if self.bound is not None:
+            centres, bound = self.bound.centres_t, self.bound.grid
+        owner = torch.cdist(self.points[:, :2], centres[:, :2]).argmin(-1)
+        starts = torch.searchsorted(owner.sort().values, torch.arange(len(centres) + 1, device=owner.device))
+        padded = torch.nn.functional.pad(probability.values[:, :, 0], [2, 2, 2, 2])
+        order = owner.argsort(stable=True)
+        parts = (self.points[order], starts, order, padded, normal.values[:, :, 0], probability.origin)
+        return tuple(part.contiguous().numpy() for part in (*parts, bound.values[:, :, 0], bound.origin, centres))
 
     def draw(
         self, samples: int, rollouts: int, horizon: int, *, generator: torch.Generator
     ) -> Float[Tensor, "K M H S"]:
         """The numbers that decide on contact: S is 1, or the mini steps with `per_mini_step`."""
         if self.settings.hazard == "per_rollout":
-            level = (torch.arange(rollouts, dtype=self._points.dtype, device=self._points.device) + 0.5) / rollouts
+            level = (torch.arange(rollouts, dtype=self.points.dtype, device=self.points.device) + 0.5) / rollouts
             return level[:, None, None].expand(samples, rollouts, horizon, 1)
         parts = 1 if self.settings.hazard == "per_step" else self.settings.mini_steps
         shape = (samples, rollouts, horizon, parts)
-        drawn = torch.rand(shape, generator=generator, dtype=self._points.dtype, device=generator.device)
-        return drawn.to(self._points.device)
+        drawn = torch.rand(shape, generator=generator, dtype=self.points.dtype, device=generator.device)
+        return drawn.to(self.points.device)
 
     def rollout(
         self,
@@ -195,8 +215,8 @@ class DisplacementModel:
         samples, steps = path.shape[:2]
         features = planar_features(path)
         possible = torch.ones_like(draws, dtype=torch.bool)
-        if self._bound is not None:
-            possible = draws < self._bound(features.reshape(-1, 5)).view(samples, 1, steps)
+        if self.bound is not None:
+            possible = draws < self.bound(features.reshape(-1, 5)).view(samples, 1, steps)
         start = torch.full(draws.shape[:2], steps, dtype=torch.long, device=draws.device)
         checked = 0
         for first in range(0, steps, self.settings.mini_steps):
@@ -221,20 +241,18 @@ class DisplacementModel:
     ) -> int:
         """Carry touched rollouts from their first contact on; gives the number of checks."""
         states, moved, contact = out
-        mini, steps = self.settings.mini_steps, path.shape[1] - 1
-        under_way = torch.searchsorted(touched.start, torch.arange(steps, device=path.device), right=True).tolist()
+        mini, horizon = self.settings.mini_steps, contact.shape[1]
+        last = torch.arange(horizon * mini, device=path.device)
+        under_way = torch.searchsorted(touched.start, last, right=True).tolist()
+        version = backend.dispatch("push_action", touched.now, self.points)
         checked = 0
-        for step in range(int(touched.start[0]), steps):
-            count, index = under_way[step], step // mini
-            if step % mini == 0:
-                touched.stuck[:count] = False
-                touched.way[:count] = self._ways(path, touched, count, index)
-            rows = (~touched.stuck[:count]).nonzero()[:, 0]
-            if len(rows):
-                checked += self._mini_step(touched, rows, touched.draws[:, step], contact[:, index])
-            if (step + 1) % mini == 0:
-                states[:count, index + 1] = touched.now[:count]
-                moved[:count, index + 1] = touched.offset[:count]
+        for index in range(int(touched.start[0]) // mini, horizon):
+            begun, count = under_way[index * mini], under_way[(index + 1) * mini - 1]
+            touched.stuck[:begun] = False
+            touched.way[:begun] = self._ways(path, touched, begun, index)
+            checked += version(self, touched, count, index, contact[:, index])
+            states[:count, index + 1] = touched.now[:count]
+            moved[:count, index + 1] = touched.offset[:count]
         return checked
 
     def _ways(
@@ -261,8 +279,8 @@ class DisplacementModel:
         touched.now[rows] = free
         features = planar_features(free, touched.offset[rows])
         possible = torch.arange(len(rows), device=rows.device)
-        if self._bound is not None:
-            possible = (draws[rows] < self._bound(features)).nonzero()[:, 0]
+        if self.bound is not None:
+            possible = (draws[rows] < self.bound(features)).nonzero()[:, 0]
         if not len(possible):
             return 0
         probability = self._probability(features[possible])[0]
@@ -287,7 +305,7 @@ class DisplacementModel:
         self, before: Float[Tensor, "E 3"], after: Float[Tensor, "E 3"], point: Int[Tensor, "E"]
     ) -> Float[Tensor, "E 3"]:
         """World motion of one point of the tool for each row, metres."""
-        x, y = self._points[point, 0], self._points[point, 1]
+        x, y = self.points[point, 0], self.points[point, 1]
         cos = after[:, 2].cos() - before[:, 2].cos()
         sin = after[:, 2].sin() - before[:, 2].sin()
         shift = after - before
@@ -299,3 +317,44 @@ class DisplacementModel:
         tiny = 1e-6
         inward = -(normal * motion).sum(-1)
         return (inward > math.cos(self.settings.push_angle) * length * way) & (length > tiny) & (way > tiny)
+
+
+@backend.register("push_action")
+def _push_action(
+    model: DisplacementModel, touched: _Touched, count: int, index: int, contact: Bool[Tensor, "R"]
+) -> int:
+    """Action `index` of the first `count` touched rollouts, in place; gives the number of checks."""
+    mini, checked = model.settings.mini_steps, 0
+    for step in range(index * mini, (index + 1) * mini):
+        rows = (~touched.stuck[:count] & (touched.start[:count] <= step)).nonzero()[:, 0]
+        if len(rows):
+            checked += model._mini_step(touched, rows, touched.draws[:, step], contact)
+    return checked
+
+
+@backend.register("push_action", "numba", fused.supports)
+def _push_action_numba(
+    model: DisplacementModel, touched: _Touched, count: int, index: int, contact: Bool[Tensor, "R"]
+) -> int:
+    probability = model.grids[0]
+    if probability.shape[2] > 1 or min(probability.shape[:2]) == 1:
+        # points of several heights, or a field that is constant along an axis: the plain version knows how
+        return _push_action(model, touched, count, index, contact)
+    from rumi.dynamics.displacement_numba import push_action
+
+    mini = model.settings.mini_steps
+    met, checks = torch.zeros(count, dtype=torch.bool), torch.zeros(count, dtype=torch.long)
+    push_action(
+        *(part[:count].numpy() for part in (touched.now, touched.way, touched.offset, touched.strayed, touched.stuck)),
+        (touched.start[:count] - index * mini).clamp_min(0).numpy(),
+        touched.draws[:count, index * mini : (index + 1) * mini].contiguous().numpy(),
+        met.numpy(),
+        checks.numpy(),
+        *model.arrays,
+        1.0 / probability.spacing,
+        math.cos(model.settings.push_angle),
+        TIE,
+        model.settings.hazard != "per_mini_step",
+    )
+    contact[:count] |= met
+    return int(checks.sum())

@@ -93,10 +93,15 @@ class Reach(nn.Module):
         """Rotation error that inverse kinematics leaves, radians."""
         return self.errors(q)[1]
 
+    @property
+    def left(self) -> Float[Tensor, "R Y"]:
+        """Position error plus the metres that the rotation error counts as, at the table's nodes."""
+        return self.position + self.settings.rotation_scale_m * self.rotation
+
     def residual(self, q: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
         """Position error plus the metres that the rotation error counts as, which decides what is reachable."""
         place, beyond = self._locate(q)
-        (left,) = _look_up((self.position + self.settings.rotation_scale_m * self.rotation)[None], place)
+        (left,) = _look_up(self.left[None], place)
         return left + beyond
 
     def reachable(self, q: Float[Tensor, "*b 3"]) -> Bool[Tensor, "*b"]:

@@ -3,10 +3,11 @@
 import itertools
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.dynamics.planar import placement, planar_features
+from sdf import backend, fused
 from sdf.voxel_grid import VoxelGrid
 
 # rollouts whose marks are kept at once: few enough for the processor's cache
@@ -61,8 +62,29 @@ def information_cost(
     scale, offset = scale * (1.0 - lone), torch.where(lone > 0, 1.5, offset)  # a lone node holds every coordinate
 
     features = planar_features(configurations, displacements)
-    rows = _worth_counting(features, points_t, scale, offset, sizes).nonzero()[:, 0]
+    near = _worth_counting(features, points_t, scale, offset, sizes).view(rollouts, horizon)
     x, y, _ = placement(points_t, scale, offset).unbind(-1)
+    version = backend.dispatch("gathered_information", value, features)
+    cost = -version(value, layer, x, y, features, near, discount)
+    # sums in another order may differ in their last digit
+    return (cost / total).clamp_min(-1.0) if normalise else cost
+
+
+@backend.register("gathered_information")
+def _gathered(
+    value: Float[Tensor, "X Y Z"],
+    layer: Int[Tensor, "M"],
+    along_x: Float[Tensor, "5 M"],
+    along_y: Float[Tensor, "5 M"],
+    features: Float[Tensor, "R H 5"],
+    near: Bool[Tensor, "R H"],
+    discount: float,
+) -> Float[Tensor, "R"]:
+    """Worth of the cells that each rollout's points meet at the steps `near`, discounted from the first meeting."""
+    rollouts, horizon = near.shape
+    wide, deep, layers = value.shape
+    gathered = features.new_zeros(rollouts)
+    rows = near.reshape(-1).nonzero()[:, 0]
     features, owner = features.reshape(-1, 5)[rows], rows // horizon
     edges = torch.arange(0, rollouts + _CHUNK, _CHUNK, device=owner.device)
     bounds = torch.searchsorted(owner, edges).tolist()
@@ -71,10 +93,10 @@ def information_cost(
             continue
         here, start = features[first:last], chunk * _CHUNK
         count = min(_CHUNK, rollouts - start)
-        cell = (here @ x).clamp_(0.0, sizes[0] - 1.0).trunc_().mul_(float(sizes[1]))
-        cell.add_((here @ y).clamp_(0.0, sizes[1] - 1.0).trunc_())
+        cell = (here @ along_x).clamp_(0.0, wide - 1.0).trunc_().mul_(float(deep))
+        cell.add_((here @ along_y).clamp_(0.0, deep - 1.0).trunc_())
         # whole numbers that floats hold exactly, up to here
-        index = cell.long().mul_(sizes[2]).add_(layer)
+        index = cell.long().mul_(layers).add_(layer)
         index += ((owner[first:last] - start) * value.numel())[:, None]
         marks = value.new_zeros(count * value.numel())
         if discount == 1.0:
@@ -84,8 +106,20 @@ def information_cost(
             # the first to meet a cell marks it last
             for late in range(horizon - 1, -1, -1):
                 marks.index_fill_(0, index[action == late].view(-1), discount**late)
-        cost[start : start + count] = -(marks.view(count, -1) @ value.reshape(-1))
-    return cost / total if normalise else cost
+        gathered[start : start + count] = marks.view(count, -1) @ value.reshape(-1)
+    return gathered
+
+
+@backend.register("gathered_information", "numba", fused.supports)
+def _gathered_numba(
+    value: Tensor, layer: Tensor, along_x: Tensor, along_y: Tensor, features: Tensor, near: Tensor, discount: float
+) -> Tensor:
+    from rumi.planning.costs_numba import gathered
+
+    result = features.new_zeros(len(features))
+    arrays = (part.contiguous().numpy() for part in (value, layer, along_x, along_y, features, near))
+    gathered(*arrays, discount, result.numpy())
+    return result
 
 
 def _in_layers(

@@ -4,12 +4,15 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from rumi.fields.reach_table import SECTOR_RAD
 from rumi.fields.reachability import Reach
 from rumi.planning.gripper import GripperShape
-from sdf import se3
+from sdf import backend, fused, se3
 from sdf.check import check_shape
 
 _PARTS = 16
+# metres by which rounding may make a residual grow that is the same all along a circle about the base
+_SLACK_M = 1e-6
 
 
 class Tool(nn.Module):
@@ -176,15 +179,9 @@ class Tool(nn.Module):
             wanted: (*b, 3).
             residual: (*b), the arm's at q; None without an arm.
         """
-        reached = self._boxed(wanted)
         if self.reach is None or residual is None:
-            return reached, None
-        limit = residual.clamp_min(self.reach.settings.tolerance_m)
-        left = self.reach.residual(reached)
-        refused = left > limit
-        if bool(refused.any()):
-            reached[refused], left[refused] = self._up_to_limit(q[refused], reached[refused], limit[refused])
-        return reached, left
+            return self._boxed(wanted), None
+        return backend.dispatch("step_within", q, wanted)(self, q, wanted, residual)
 
     def _up_to_limit(self, q: Tensor, wanted: Tensor, limit: Tensor) -> tuple[Tensor, Tensor]:
         """Where a step (n, 3) that the arm cannot finish ends, and the residual there."""
@@ -226,3 +223,42 @@ class Tool(nn.Module):
         x = q[..., 0, None] + cosine * points[:, 0] - sine * points[:, 1]
         y = q[..., 1, None] + sine * points[:, 0] + cosine * points[:, 1]
         return torch.stack((x, y, torch.full_like(x, self.height_m)), -1)
+
+
+@backend.register("step_within")
+def _step_within(
+    tool: Tool, q: Float[Tensor, "*b 3"], wanted: Float[Tensor, "*b 3"], residual: Float[Tensor, "*b"]
+) -> tuple[Float[Tensor, "*b 3"], Float[Tensor, "*b"]]:
+    assert tool.reach is not None
+    reached = tool._boxed(wanted)
+    limit = residual.clamp_min(tool.reach.settings.tolerance_m) + _SLACK_M
+    left = tool.reach.residual(reached)
+    refused = left > limit
+    if bool(refused.any()):
+        reached[refused], left[refused] = tool._up_to_limit(q[refused], reached[refused], limit[refused])
+    return reached, left
+
+
+@backend.register("step_within", "numba", fused.supports)
+def _step_within_numba(tool: Tool, q: Tensor, wanted: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
+    from rumi.planning.tool_numba import step_within
+
+    assert tool.reach is not None
+    reach, rows = tool.reach, wanted.reshape(-1, 3).contiguous()
+    reached, left = torch.empty_like(rows), rows.new_empty(len(rows))
+    step_within(
+        q.expand_as(wanted).reshape(-1, 3).contiguous().numpy(),
+        rows.numpy(),
+        residual.expand(wanted.shape[:-1]).reshape(-1).contiguous().numpy(),
+        reach.left.numpy(),
+        reach.settings.radius_step_m,
+        SECTOR_RAD,
+        reach.base.numpy(),
+        tool.bounds.numpy(),
+        reach.settings.tolerance_m,
+        _SLACK_M,
+        _PARTS,
+        reached.numpy(),
+        left.numpy(),
+    )
+    return reached.reshape(wanted.shape), left.reshape(wanted.shape[:-1])

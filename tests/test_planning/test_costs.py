@@ -1,6 +1,6 @@
 """Information and reachability cost against golden numbers and sums spelt out."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -12,10 +12,17 @@ from rumi.fields.workspace import Workspace
 from rumi.planning.costs import information_cost
 from rumi.planning.reach_cost import ReachabilityCost, cross_correlation
 from rumi.planning.trajectory_cost import TrajectoryCost
-from sdf import se3
+from sdf import backend, se3
 from sdf.voxel_grid import VoxelGrid
 
 DOUBLE = {"dtype": torch.float64}
+
+
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every test of this file holds for the plain and for the fused version."""
+    with backend.force(request.param):
+        yield
 
 
 def sparse_field(shape: tuple[int, int, int], generator: torch.Generator, share: float = 0.3) -> VoxelGrid:

@@ -10,8 +10,16 @@ from rumi.fields.reach_table import ReachSettings, ReachTable, table_shape
 from rumi.fields.reachability import Reach
 from rumi.planning.gripper import GripperShape
 from rumi.planning.tool import Tool
+from sdf import backend
 
 BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)
+
+
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request):
+    """Every test of this file holds for the plain and for the fused version."""
+    with backend.force(request.param):
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -217,3 +225,13 @@ def test_bad_arguments(free, no_shape_check):
         free.covering_discs(0)
     with pytest.raises(ValueError, match=r"bounds.*\(2, 2\)"):
         Tool(torch.zeros(2, 3))
+
+
+def test_versions_agree(tool):
+    """On the way to and round every limit, also from places that are out of reach already."""
+    start = torch.cat((reachable_starts(tool, 300), reachable_starts(tool, 300, seed=2) + 0.1))
+    sequences = controls(len(start), 8, seed=3)
+    with backend.force("torch"):
+        plain = tool.free_path(start, sequences, 1)
+    torch.testing.assert_close(tool.free_path(start, sequences, 1), plain, atol=1e-9, rtol=0)
+    assert not torch.allclose(Tool(BOUNDS).free_path(start, sequences, 1), plain, atol=1e-3)
