@@ -2,9 +2,9 @@
 
 import importlib.util
 import sys
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import torch
@@ -33,35 +33,47 @@ def supports(*tensors: Tensor) -> bool:
 
 
 class Kernel:
-    """A function over NumPy arrays that numba compiles, in parallel, for torch's number of threads.
+    """A function over NumPy arrays that numba compiles, for torch's number of threads.
 
-    Compiled code is kept beside the source, or where that is read-only in the user's cache.
+    With one thread a version without any threading runs: a team of threads, even of one, waits by spinning, and where
+    several processes share the cores that is a standstill. Compiled code is kept beside the source, or where that is
+    read-only in the user's cache.
 
     Args:
         function: what numba compiles; its loops over `numba.prange` run in parallel.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: FunctionType) -> None:
         import numba
 
         self._numba: Any = numba
         self._most = int(self._numba.config.NUMBA_NUM_THREADS)
-        self._compiled = numba.njit(cache=True, parallel=True, error_model="numpy")(function)
-        self._announced = False
+        self._alone = numba.njit(cache=True, error_model="numpy")(_renamed(function, f"{function.__name__}_alone"))
+        self._shared = numba.njit(cache=True, error_model="numpy", parallel=True)(function)
+        self._announced: set[str] = set()
 
     def __call__(self, *arguments: Any) -> Any:  # noqa: ANN401  (whatever the function takes and gives)
         """Run it."""
-        self._announce()
-        self._numba.set_num_threads(max(1, min(torch.get_num_threads(), self._most)))
-        return self._compiled(*arguments)
+        threads = min(torch.get_num_threads(), self._most)
+        if threads > 1:
+            self._numba.set_num_threads(threads)
+        compiled: Any = self._shared if threads > 1 else self._alone
+        self._announce(compiled)
+        return compiled(*arguments)
 
-    def _announce(self) -> None:
+    def _announce(self, compiled: Any) -> None:  # noqa: ANN401  (numba comes without types)
         """Say once that compiling takes a while, where nothing compiled is kept yet."""
-        if self._announced:
+        name = compiled.py_func.__name__
+        if name in self._announced:
             return
-        self._announced = True
-        function = self._compiled.py_func
-        kept = Path(str(self._compiled.stats.cache_path)).glob(f"*.{function.__name__}-*.nbi")
-        if next(kept, None) is None:
-            sys.stderr.write(f"rumi: compiling {function.__name__} for this processor (seconds, once)\n")
+        self._announced.add(name)
+        if next(Path(compiled.stats.cache_path).glob(f"*.{name}-*.nbi"), None) is None:
+            sys.stderr.write(f"rumi: compiling {name.strip('_')} for this processor (seconds, once)\n")
             sys.stderr.flush()
+
+
+def _renamed(function: FunctionType, name: str) -> FunctionType:
+    """The same function by another name, under which its compiled code is kept apart."""
+    copy = FunctionType(function.__code__, function.__globals__, name, function.__defaults__, function.__closure__)
+    copy.__qualname__, copy.__module__ = name, function.__module__
+    return copy
