@@ -1,11 +1,11 @@
 """RUMI's push model: the object moves with the point that touches it, if it is touched head-on."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, Self, get_args
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -16,7 +16,6 @@ from rumi.dynamics.planar import TiedField, at_height, planar_features, world_he
 from rumi.planning.tool import Tool
 from sdf import backend, fused
 from sdf.check import check_shape
-from sdf.voxel_grid import VoxelGrid
 
 Hazard = Literal["per_rollout", "per_step", "per_mini_step"]
 
@@ -58,7 +57,7 @@ class DisplacementSettings:
 
 
 @dataclass
-class _Touched:
+class Touched:
     """Rollouts that touch the object, sorted by when they first do; changed in place as they are carried on."""
 
     sample: Int[Tensor, "R"]
@@ -80,6 +79,7 @@ class _Touched:
         start: Int[Tensor, "KM"],
         rows: Int[Tensor, "R"],
     ) -> Self:
+        """Rollouts `rows` at the start of the mini step in which each first touches, on the free path until then."""
         sample, first = rows // (len(draws) // len(path)), start[rows]
         now, no = path[sample, first], torch.zeros(len(rows), dtype=torch.bool, device=rows.device)
         way = path[sample, first + 1] - now
@@ -124,19 +124,11 @@ class DisplacementModel:
             self.bound = ContactBound(probability, centres.to(self.points), float(radius))
 
     @cached_property
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        """What the fused version looks up: points by disc, fields and bound (a lone node of 1 where there is none)."""
-        probability, normal = self.grids
-        centres = self.points.new_zeros(1, 3)
-        bound = VoxelGrid(torch.ones_like(probability.values[:1, :1]), probability.origin, probability.spacing)
-        if self.bound is not None:
-            centres, bound = self.bound.centres_t, self.bound.grid
-        owner = torch.cdist(self.points[:, :2], centres[:, :2]).argmin(-1)
-        starts = torch.searchsorted(owner.sort().values, torch.arange(len(centres) + 1, device=owner.device))
-        padded = torch.nn.functional.pad(probability.values[:, :, 0], [2, 2, 2, 2])
-        order = owner.argsort(stable=True)
-        parts = (self.points[order], starts, order, padded, normal.values[:, :, 0], probability.origin)
-        return tuple(part.contiguous().numpy() for part in (*parts, bound.values[:, :, 0], bound.origin, centres))
+    def fused(self) -> Callable[[Touched, int, int, Tensor], int]:
+        """`push_action` in one kernel; made once a model, at its first use."""
+        from rumi.dynamics.displacement_fused import FusedPush
+
+        return FusedPush(self)
 
     def draw(
         self, samples: int, rollouts: int, horizon: int, *, generator: torch.Generator
@@ -189,7 +181,7 @@ class DisplacementModel:
         if len(rows):
             # by first contact, so that those under way at any time are the first rows
             rows = rows[start.flatten()[rows].sort(stable=True).indices]
-            touched = _Touched.at_first_contact(path, controls, draws.reshape(-1, steps), start.flatten(), rows)
+            touched = Touched.at_first_contact(path, controls, draws.reshape(-1, steps), start.flatten(), rows)
             flat = (states.view(-1, horizon + 1, 3), moved.view(-1, horizon + 1, 3), contact.view(-1, horizon))
             out = (flat[0][rows], flat[1][rows], flat[2][rows])
             checked += self._follow(path, touched, out)
@@ -236,7 +228,7 @@ class DisplacementModel:
     def _follow(
         self,
         path: Float[Tensor, "K S1 3"],
-        touched: _Touched,
+        touched: Touched,
         out: tuple[Float[Tensor, "R H1 3"], Float[Tensor, "R H1 3"], Bool[Tensor, "R H"]],
     ) -> int:
         """Carry touched rollouts from their first contact on; gives the number of checks."""
@@ -256,7 +248,7 @@ class DisplacementModel:
         return checked
 
     def _ways(
-        self, path: Float[Tensor, "K S1 3"], touched: _Touched, count: int, index: int
+        self, path: Float[Tensor, "K S1 3"], touched: Touched, count: int, index: int
     ) -> Float[Tensor, "count 3"]:
         """Free motion of a mini step of action `index` for the first `count` rollouts."""
         mini, now = self.settings.mini_steps, touched.now[:count]
@@ -268,7 +260,7 @@ class DisplacementModel:
 
     def _mini_step(
         self,
-        touched: _Touched,
+        touched: Touched,
         rows: Int[Tensor, "E"],
         draws: Float[Tensor, "R"],
         contact: Bool[Tensor, "R"],
@@ -320,9 +312,7 @@ class DisplacementModel:
 
 
 @backend.register("push_action")
-def _push_action(
-    model: DisplacementModel, touched: _Touched, count: int, index: int, contact: Bool[Tensor, "R"]
-) -> int:
+def _push_action(model: DisplacementModel, touched: Touched, count: int, index: int, contact: Bool[Tensor, "R"]) -> int:
     """Action `index` of the first `count` touched rollouts, in place; gives the number of checks."""
     mini, checked = model.settings.mini_steps, 0
     for step in range(index * mini, (index + 1) * mini):
@@ -334,27 +324,10 @@ def _push_action(
 
 @backend.register("push_action", "numba", fused.supports)
 def _push_action_numba(
-    model: DisplacementModel, touched: _Touched, count: int, index: int, contact: Bool[Tensor, "R"]
+    model: DisplacementModel, touched: Touched, count: int, index: int, contact: Bool[Tensor, "R"]
 ) -> int:
-    probability = model.grids[0]
-    if probability.shape[2] > 1 or min(probability.shape[:2]) == 1:
+    x, y, z = model.grids[0].shape
+    if z > 1 or min(x, y) == 1:
         # points of several heights, or a field that is constant along an axis: the plain version knows how
         return _push_action(model, touched, count, index, contact)
-    from rumi.dynamics.displacement_numba import push_action
-
-    mini = model.settings.mini_steps
-    met, checks = torch.zeros(count, dtype=torch.bool), torch.zeros(count, dtype=torch.long)
-    push_action(
-        *(part[:count].numpy() for part in (touched.now, touched.way, touched.offset, touched.strayed, touched.stuck)),
-        (touched.start[:count] - index * mini).clamp_min(0).numpy(),
-        touched.draws[:count, index * mini : (index + 1) * mini].contiguous().numpy(),
-        met.numpy(),
-        checks.numpy(),
-        *model.arrays,
-        1.0 / probability.spacing,
-        math.cos(model.settings.push_angle),
-        TIE,
-        model.settings.hazard != "per_mini_step",
-    )
-    contact[:count] |= met
-    return int(checks.sum())
+    return model.fused(touched, count, index, contact)

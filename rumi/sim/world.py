@@ -59,8 +59,8 @@ class World:
     def reset(self, configuration: Float[Tensor, "3"], object_pose: Float[Tensor, "3"]) -> None:
         """Put the gripper at (x, y, yaw) and the object upright on the floor at (x, y, yaw), and let both settle.
 
-        A resting object sinks into the floor's soft contact by micrometres and tilts by a milliradian; if that were
-        left to the first action, a slip sensor would report it as a move.
+        A resting object sinks into the floor's soft contact by a tenth of a millimetre and tilts by a milliradian; if
+        that were left to the first action, a slip sensor would report it as a move.
         """
         self._mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self._gripper] = configuration.double().numpy()
