@@ -32,6 +32,16 @@ def supports(*tensors: Tensor) -> bool:
     )
 
 
+def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without types)
+    """Decorator: compile a function that a kernel calls often, without counting references to its arrays.
+
+    Counting costs more than a small function does; so it must not make arrays, only use those that it is given.
+    """
+    import numba
+
+    return numba.njit(cache=True, error_model="numpy", _nrt=False)(function)
+
+
 class Kernel:
     """A function over NumPy arrays that numba compiles, for torch's number of threads.
 
