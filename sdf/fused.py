@@ -39,7 +39,8 @@ def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without t
     """
     import numba
 
-    return numba.njit(cache=True, error_model="numpy", _nrt=False)(function)
+    compiler: Any = numba.njit  # whose stubs leave this out
+    return compiler(cache=True, error_model="numpy", _nrt=False)(function)
 
 
 class Kernel:
