@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 _FLOATS = (torch.float32, torch.float64)
+_FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
 @cache
@@ -41,15 +42,18 @@ class Kernel:
 
     Args:
         function: what numba compiles; its loops over `numba.prange` run in parallel.
+        fast: let sums be reordered and products be added in one go, so that loops become vector instructions;
+            NaN, infinity and the smallest numbers stay what they are.
     """
 
-    def __init__(self, function: FunctionType) -> None:
+    def __init__(self, function: FunctionType, *, fast: bool = False) -> None:
         import numba
 
         self._numba: Any = numba
         self._most = int(self._numba.config.NUMBA_NUM_THREADS)
-        self._alone = numba.njit(cache=True, error_model="numpy")(_renamed(function, f"{function.__name__}_alone"))
-        self._shared = numba.njit(cache=True, error_model="numpy", parallel=True)(function)
+        options: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": _FAST if fast else False}
+        self._alone = numba.njit(**options)(_renamed(function, f"{function.__name__}_alone"))
+        self._shared = numba.njit(**options, parallel=True)(function)
         self._announced: set[str] = set()
 
     def __call__(self, *arguments: Any) -> Any:  # noqa: ANN401  (whatever the function takes and gives)

@@ -146,6 +146,21 @@ class GridSDF(SDF):
         slopes[2] = interpolate(high - low, cells)
         return self._query(value, slopes, offsets, chains)
 
+    def layer(self, z: Float[Tensor, ""]) -> tuple[Float[Tensor, "X Y"], Float[Tensor, "X Y"], Float[Tensor, "2"]]:
+        """The table at one height, in the dtype of `z`: what look-ups at that height draw on.
+
+        Args:
+            z: height, metres.
+
+        Returns:
+            values, metres, at the nodes; their slopes along z, metres a cell; and along z the offset beyond the
+            lattice, fine spacings, with the cells a fine spacing there.
+        """
+        cells, offsets, chains = self._cells(z.new_zeros(1, 2), z, chains=True)
+        low, high, share = self._layers(cells[2])
+        layer, rise = torch.lerp(low, high, share)[..., 0], (high - low)[..., 0]
+        return layer, rise, torch.stack((offsets[2].reshape(()), chains[2].reshape(())))
+
     def _cells(
         self, points: Tensor, z: float | Tensor | None = None, *, chains: bool = False
     ) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
