@@ -1,9 +1,12 @@
 """A `GridSDF` as the arrays that fused CPU kernels take; `grid_numba.py` says how."""
 
+from typing import TypeGuard
+
 import numpy as np
 import torch
 from torch import Tensor
 
+from sdf.base import SDF
 from sdf.grid_sdf import GridSDF
 
 # lattices of more nodes than 32 bits can count are left to the plain version
@@ -12,9 +15,9 @@ _MOST_NODES = 2**31 - 1
 Arrays = tuple[np.ndarray, ...]
 
 
-def fits(sdf: GridSDF) -> bool:
-    """Whether a lattice is small enough for the fused look-ups."""
-    return sdf.values.numel() <= _MOST_NODES
+def takes(sdf: SDF, *tensors: Tensor) -> TypeGuard[GridSDF]:
+    """Whether the fused look-ups can: the SDF is a table, not too large, and the tensors are of one float type."""
+    return isinstance(sdf, GridSDF) and sdf.values.numel() <= _MOST_NODES and len({t.dtype for t in tensors}) == 1
 
 
 def grid_arguments(sdf: GridSDF, dtype: torch.dtype) -> Arrays:

@@ -7,9 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import backend, se3
+from sdf import backend, fused, se3
 from sdf.base import SDF, SDFQuery
 from sdf.check import check_shape
+from sdf.grid_fused import takes
 from sdf.grid_sdf import GridSDF
 
 # pairs looked up at once: few enough for the caches, enough that two threads do not wait for each other all the time
@@ -71,6 +72,24 @@ def _posed_query(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SDFQuery
 
     distance, gradient = _by_blocks(look_up, world_T_object, points_w)
     return SDFQuery(distance[..., 0], gradient)
+
+
+@backend.register("posed_distance", "numba", fused.supports)
+def _posed_distance_numba(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor:
+    if not takes(sdf, world_T_object, points_w):
+        return _posed_distance(sdf, world_T_object, points_w)
+    from sdf.posed_fused import fused_distance
+
+    return fused_distance(sdf, world_T_object, points_w, _common_height(sdf, world_T_object, points_w))
+
+
+@backend.register("posed_query", "numba", fused.supports)
+def _posed_query_numba(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SDFQuery:
+    if not takes(sdf, world_T_object, points_w):
+        return _posed_query(sdf, world_T_object, points_w)
+    from sdf.posed_fused import fused_query
+
+    return fused_query(sdf, world_T_object, points_w, _common_height(sdf, world_T_object, points_w))
 
 
 def _by_blocks(
