@@ -12,6 +12,7 @@ and for points of one height, where four corners do instead of eight,
 
     layer, rise, level = layer_arguments(sdf, z, dtype)          outside of the kernel; with numbers, sizes as above
 
+    level = (level[0], level[1])                                 once, as above
     v = layer_value(x, y, layer, lattice, level)
     v, gx, gy, gz = layer_value_and_gradient(x, y, layer, rise, lattice, level)
 

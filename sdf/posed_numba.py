@@ -45,7 +45,32 @@ def placed_upright(m, x, y):
     return m[0] * x + m[1] * y + m[3], m[4] * x + m[5] * y + m[7]
 
 
-def _distance(rows, points, which, flat, numbers, sizes, distance):
+@block
+def placed_from(planes, poses, j, x, y, z):
+    """A point in the frame of object j, whose numbers lie one by one, `poses` apart."""
+    return (
+        at(planes, j) * x + at(planes, poses + j) * y + at(planes, 2 * poses + j) * z + at(planes, 3 * poses + j),
+        at(planes, 4 * poses + j) * x
+        + at(planes, 5 * poses + j) * y
+        + at(planes, 6 * poses + j) * z
+        + at(planes, 7 * poses + j),
+        at(planes, 8 * poses + j) * x
+        + at(planes, 9 * poses + j) * y
+        + at(planes, 10 * poses + j) * z
+        + at(planes, 11 * poses + j),
+    )
+
+
+@block
+def placed_upright_from(planes, poses, j, x, y):
+    """The same without its height, where the object is upright."""
+    return (
+        at(planes, j) * x + at(planes, poses + j) * y + at(planes, 3 * poses + j),
+        at(planes, 4 * poses + j) * x + at(planes, 5 * poses + j) * y + at(planes, 7 * poses + j),
+    )
+
+
+def _distance(rows, points, which, flat, rise, level, numbers, sizes, distance):
     lattice = lattice_of(numbers, sizes)
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
@@ -61,7 +86,7 @@ def _distance(rows, points, which, flat, numbers, sizes, distance):
             put(distance, to + i, value(x_o, y_o, z_o, flat, lattice))
 
 
-def _query(rows, points, which, flat, numbers, sizes, distance, gradient):
+def _query(rows, points, which, flat, rise, level, numbers, sizes, distance, gradient):
     lattice = lattice_of(numbers, sizes)
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
@@ -82,7 +107,7 @@ def _query(rows, points, which, flat, numbers, sizes, distance, gradient):
 
 
 def _layer_distance(rows, points, which, layer, rise, level, numbers, sizes, distance):
-    lattice = lattice_of(numbers, sizes)
+    lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
     given = points.reshape(-1)
@@ -94,11 +119,11 @@ def _layer_distance(rows, points, which, layer, rise, level, numbers, sizes, dis
         for i in range(first, min(first + _STEP, count)):
             x, y = at(given, from_x + i), at(given, from_y + i)
             x_o, y_o = placed_upright(pose, x, y)
-            put(distance, to + i, layer_value(x_o, y_o, layer, lattice, level))
+            put(distance, to + i, layer_value(x_o, y_o, layer, lattice, height))
 
 
 def _layer_query(rows, points, which, layer, rise, level, numbers, sizes, distance, gradient):
-    lattice = lattice_of(numbers, sizes)
+    lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
     given = points.reshape(-1)
@@ -110,7 +135,7 @@ def _layer_query(rows, points, which, layer, rise, level, numbers, sizes, distan
         for i in range(first, min(first + _STEP, count)):
             x, y = at(given, from_x + i), at(given, from_y + i)
             x_o, y_o = placed_upright(pose, x, y)
-            found, along_x, along_y, along_z = layer_value_and_gradient(x_o, y_o, layer, rise, lattice, level)
+            found, along_x, along_y, along_z = layer_value_and_gradient(x_o, y_o, layer, rise, lattice, height)
             put(distance, to + i, found)
             put(gradient, 3 * (to + i), along_x)
             put(gradient, 3 * (to + i) + 1, along_y)
