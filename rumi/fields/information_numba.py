@@ -2,6 +2,7 @@
 
 import math
 
+import numba
 import numpy as np
 from llvmlite import ir
 from numba import prange, types
@@ -123,16 +124,17 @@ def _cost(v, outcome, settings):
     return excess * (settings[1] if outcome == 2 else settings[2])
 
 
-@block
+@numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _divergence(v, log_weights, mean, outcome, reverse, settings):
     """Information of one outcome, from the distances to all poses, their log-weights and the mean cost."""
-    most = -np.inf
+    kind = type(mean)
+    most = kind(-np.inf)
     for j in range(len(v)):
         most = max(most, log_weights[j] - _cost(v[j], outcome, settings))
-    total, weighted = 0.0, 0.0
+    total, weighted = kind(0.0), kind(0.0)
     for j in range(len(v)):
         cost = _cost(v[j], outcome, settings)
-        share = math.exp(log_weights[j] - cost - most)
+        share = _exp_minus(most - (log_weights[j] - cost))
         total += share
         weighted += share * cost
     log_evidence = most + math.log(total)
@@ -203,9 +205,9 @@ def _field(
                 )
                 if mode != SURROGATE:
                     reverse, belief, found = mode == REVERSE, log_weights[scene], v[:real]
-                    if_free = kind(_divergence(found, belief, if_free, 0, reverse, settings))
-                    if_occupied = kind(_divergence(found, belief, if_occupied, 1, reverse, settings))
-                    if_surface = kind(_divergence(found, belief, if_surface, 2, reverse, settings))
+                    if_free = _divergence(found, belief, if_free, 0, reverse, settings)
+                    if_occupied = _divergence(found, belief, if_occupied, 1, reverse, settings)
+                    if_surface = _divergence(found, belief, if_surface, 2, reverse, settings)
                 gain = free * if_free + occupied * if_occupied + surface * if_surface
             semantics[scene, point, 0] = free
             semantics[scene, point, 1] = occupied
