@@ -3,6 +3,7 @@
 import copy
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, get_args
 
 import pytest
@@ -369,6 +370,20 @@ def test_certainty_and_points_far_off_leave_nothing_undefined(mug: SDF) -> None:
             torch.testing.assert_close(fields.semantics.sum(-1), torch.ones(4, dtype=dtype))
             if mode != "surrogate":
                 assert float(fields.information.abs().max()) < 2e-6
+
+
+def test_module_without_a_graph_is_the_function(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
+    poses, log_weights = beliefs()
+    settings = InformationSettings("reverse_kl", peakiness=1.5, free_scale=8.0, tolerance=0.25, tail=0.0)
+    module = InformationField(mug, settings, trainable=True).double()
+    with torch.no_grad():
+        found = module(poses, log_weights, points)
+    settings = replace(settings, sharpness=module.sharpness.item(), surface_tolerance=module.surface_tolerance.item())
+    close(found, information_field(mug, poses, log_weights, points, settings))
+    # a number of its own for every point is nothing that one pass can take
+    each = torch.full((80,), 1.5, dtype=torch.float64)
+    plain = information_field(mug, poses, log_weights, points, settings, peakiness=each)
+    close(plain, found)
 
 
 def test_refuses_settings_without_meaning(no_shape_check: None) -> None:
