@@ -213,7 +213,7 @@ def _information_field_numba(
         return _information_field(sdf, world_T_object, log_weights, points_w, near, values)
     from rumi.fields.information_fused import fused_fields
 
-    floats = {name: float(torch.as_tensor(value).detach()) for name, value in numbers.items()}
+    floats = {name: value.item() if isinstance(value, Tensor) else float(value) for name, value in numbers.items()}
     return fused_fields(sdf, world_T_object, log_weights, points_w, near, values["mode"], floats)
 
 
