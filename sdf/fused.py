@@ -37,12 +37,13 @@ def supports(*tensors: Tensor) -> bool:
 def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without types)
     """Decorator: compile a function that a kernel calls often, without counting references to its arrays.
 
-    Counting costs more than a small function does; so it must not make arrays, only use those that it is given.
+    Counting costs more than a small function does; so it must not make arrays, only use those that it is given. It is
+    not kept on its own, only within the kernel: what is kept of it would outlive a change of another that it calls.
     """
     import numba
 
     compiler: Any = numba.njit  # whose stubs leave this out
-    return compiler(cache=True, error_model="numpy", _nrt=False)(function)
+    return compiler(error_model="numpy", _nrt=False)(function)
 
 
 class Kernel:
