@@ -11,6 +11,7 @@ from numba import prange
 
 from rumi.planning.tool_numba import residual, step_within
 from sdf.fused import Kernel, bare
+from sdf.grid_numba import at, put
 
 # columns of a group's state
 _X, _Y, _YAW, _WAY_X, _WAY_Y, _WAY_YAW, _OFFSET_X, _OFFSET_Y, _COS, _SIN = range(10)
@@ -46,7 +47,7 @@ def _touch(
     Discs are looked into in the order of what they may hold, until none left can hold as much as was found.
     """
     width, height, scale, tie = int(sizes[0]), int(sizes[1]), sizes[2], sizes[3]
-    kind = flat.dtype.type
+    kind, across, one = flat.dtype.type, np.int32(height), np.int32(1)
     none, last_x, last_y = kind(0.0), kind(width - 1.001), kind(height - 1.001)
     possible = False
     for d in range(len(centres)):
@@ -70,15 +71,18 @@ def _touch(
         first, last = starts[disc], starts[disc + 1]
         for k in range(first, last):
             # the field is padded by two nodes of zeros on each side, on which all that lies outside lands
-            u = min(max(place_x + turn_x * px[k] - turn_y * py[k], none), last_x)
-            v = min(max(place_y + turn_y * px[k] + turn_x * py[k], none), last_y)
-            i, j = np.uint32(u), np.uint32(v)
+            u = place_x + turn_x * at(px, k) - turn_y * at(py, k)
+            v = place_y + turn_y * at(px, k) + turn_x * at(py, k)
+            u, v = u if u > none else none, v if v > none else none
+            u, v = u if u < last_x else last_x, v if v < last_y else last_y
+            i, j = np.int32(u), np.int32(v)
             a, b = u - kind(i), v - kind(j)
-            at = np.uint64(i * np.uint32(height) + j)
-            below = at + np.uint64(height)
-            low = flat[at] + b * (flat[at + np.uint64(1)] - flat[at])
-            high = flat[below] + b * (flat[below + np.uint64(1)] - flat[below])
-            likely[k] = low + a * (high - low)
+            near = i * across + j
+            far = near + across
+            low, high = at(flat, near), at(flat, far)
+            low += b * (at(flat, near + one) - low)
+            high += b * (at(flat, far + one) - high)
+            put(likely, k, low + a * (high - low))
         for k in range(first, last):
             most = max(most, likely[k])
     best, first = -1, len(px)
