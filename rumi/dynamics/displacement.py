@@ -14,7 +14,7 @@ from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactBound, ContactField
 from rumi.dynamics.planar import TiedField, at_height, planar_features, world_height
 from rumi.planning.tool import Tool
-from sdf import backend, fused
+from sdf import backend, fused, savings
 from sdf.check import check_shape
 
 Hazard = Literal["per_rollout", "per_step", "per_mini_step"]
@@ -169,7 +169,11 @@ class DisplacementModel:
         check_shape("configuration", configuration, "(3,)", last=(3,))
         check_shape("controls", controls, "(K, H, A)")
         version = backend.dispatch("push_rollouts", configuration, controls, uniforms, self.points)
-        return version(self, configuration, controls, uniforms)
+        with savings.work("contact_checks") as work:
+            found: PushRollouts = version(self, configuration, controls, uniforms)
+            whole = found.contact.numel() * self.settings.mini_steps
+            work.count(found.checked * whole, whole)
+        return found
 
     def _rollouts(
         self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], uniforms: Float[Tensor, "K M H S"]

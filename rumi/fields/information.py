@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from sdf import backend, fused
+from sdf import backend, fused, savings
 from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.grid_fused import takes
@@ -181,7 +181,10 @@ def information_field(
     near = near_object(sdf, world_T_object, points_w, reach)  # (*b, V)
     tensors = (value for value in values.values() if isinstance(value, Tensor))
     version = backend.dispatch("information_field", world_T_object, log_weights, points_w, *sdf.buffers(), *tensors)
-    return version(sdf, world_T_object, log_weights, points_w, near, values)
+    with savings.work("workspace_points") as work:
+        if savings.kept():
+            work.count(int(near.sum()), near.numel())
+        return version(sdf, world_T_object, log_weights, points_w, near, values)
 
 
 @backend.register("information_field")

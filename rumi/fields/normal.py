@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sdf import backend, fused
+from sdf import backend, fused, savings
 from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.grid_fused import takes
@@ -40,7 +40,10 @@ def expected_normal(
         shape = (*world_T_object.shape[:-3], len(points_w))
         where = torch.ones(shape, dtype=torch.bool, device=points_w.device)
     version = backend.dispatch("expected_normal", world_T_object, log_weights, points_w, *sdf.buffers())
-    return version(sdf, world_T_object, log_weights, points_w, where)
+    with savings.work("normals") as work:
+        if savings.kept():
+            work.count(int(where.sum()), where.numel())
+        return version(sdf, world_T_object, log_weights, points_w, where)
 
 
 @backend.register("expected_normal")

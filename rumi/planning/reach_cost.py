@@ -43,6 +43,7 @@ class ReachabilityCost:
                 f"Expected reachability to have the shape of information, {tuple(information.values.shape)}, "
                 f"got {tuple(reachability.values.shape)}: sample both on one workspace"
             )
+        self.points = information.values.numel()
         total = information.values.sum()
         share = cross_correlation(reachability.values, information.values)
         share = torch.where(total > 0, share / total, torch.zeros_like(share)).clamp(0.0, 1.0)

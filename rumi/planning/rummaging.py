@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import torch
@@ -18,11 +18,10 @@ from rumi.fields.information import (
     InformationSettings,
     WorkspaceFields,
     information_field,
-    near_object,
-    tail_distance,
 )
 from rumi.planning.trajectory_cost import TrajectoryCost
 from rumi.planning.types import Plan, Scene
+from sdf import savings
 from sdf.voxel_grid import VoxelGrid
 
 
@@ -113,6 +112,23 @@ class RummagingPolicy:
         `executed` controls further on. With a budget, no iteration is begun that would likely end after it; one is
         always done.
         """
+        with savings.account() as work:
+            plan = self._act(belief, scene, previous, executed, budget_s, generator)
+        left_out = {
+            "information_cost": float(self.settings.information_scale == 0),
+            "reachability_cost": float(self.settings.reachability_scale == 0),
+        }
+        return replace(plan, skipped=work.skipped() | left_out)
+
+    def _act(
+        self,
+        belief: PoseBelief,
+        scene: Scene,
+        previous: Plan | None,
+        executed: int,
+        budget_s: float | None,
+        generator: torch.Generator,
+    ) -> Plan:
         watch = _Stopwatch()
         settings, workspace, tool = self.settings, scene.workspace, scene.tool
         sdf, poses, log_weights = scene.model.sdf, belief.world_T_object, belief.log_weights
@@ -137,12 +153,10 @@ class RummagingPolicy:
         watch.lap("costs")
 
         configuration = scene.configuration.to(fields.information)
-        checked: list[float] = []
 
         def objective(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
             rollouts = model.rollout(configuration, controls, rollouts=settings.rollouts, generator=generator)
             watch.lap("dynamics")
-            checked.append(rollouts.checked)
             costs = cost(rollouts)
             watch.lap("costs")
             return costs
@@ -160,7 +174,6 @@ class RummagingPolicy:
             path=predicted.configurations[0, 0],
             warm_start=nominal,
             fields=_maps(fields, reachability),
-            skipped=self._skipped(scene, belief, checked),
             timings_s=watch.laps,
             info={
                 "ess": float(samples.ess),
@@ -177,17 +190,6 @@ class RummagingPolicy:
         if previous is None or previous.warm_start is None:
             return mppi.initial(generator=generator), max(1, self.settings.mppi.warmup_iterations)
         return mppi.shift(previous.warm_start, executed), self.settings.mppi.iterations
-
-    def _skipped(self, scene: Scene, belief: PoseBelief, checked: list[float]) -> dict[str, float]:
-        settings, information = self.settings, self.settings.information
-        reach = tail_distance(information.sharpness, information.surface_tolerance, information.tail)
-        near = near_object(scene.model.sdf, belief.world_T_object, scene.workspace.points, reach)
-        return {
-            "workspace_points": 1.0 - float(near.float().mean()),
-            "contact_checks": 1.0 - sum(checked) / len(checked),
-            "information_cost": float(settings.information_scale == 0),
-            "reachability_cost": float(settings.reachability_scale == 0),
-        }
 
 
 def _maps(fields: WorkspaceFields, reachability: VoxelGrid | None) -> dict[str, Tensor]:

@@ -7,6 +7,7 @@ from torch import Tensor
 from rumi.dynamics.base import PushRollouts
 from rumi.planning.costs import InformationCost
 from rumi.planning.reach_cost import ReachabilityCost
+from sdf import savings
 from sdf.voxel_grid import VoxelGrid
 
 
@@ -56,7 +57,10 @@ class TrajectoryCost:
         distinct = twin == torch.arange(count, device=twin.device)
         paths, displacements = rollouts.configurations[:, :, 1:], rollouts.displacements[:, :, 1:]
         cost = rollouts.configurations.new_zeros(samples, count)
-        cost[distinct] = self._of_paths(paths[distinct], displacements[distinct])
+        with savings.work("rollouts_valued") as work:
+            if savings.kept():
+                work.count(int(distinct.sum()), distinct.numel())
+            cost[distinct] = self._of_paths(paths[distinct], displacements[distinct])
         return cost.gather(1, twin).mean(-1)
 
     def _of_paths(
@@ -66,5 +70,7 @@ class TrajectoryCost:
         if self._information is not None:
             total += self.information_scale * self._information(configurations, displacements)
         if self._reachability is not None:
-            total += self.reachability_scale * self._reachability(displacements)
+            with savings.work("reachability_sums") as work:
+                total += self.reachability_scale * self._reachability(displacements)
+                work.count(displacements[..., 0].numel(), displacements[..., 0].numel() * self._reachability.points)
         return total

@@ -69,7 +69,9 @@ def test_a_plan_has_all_that_it_should(scene: Scene) -> None:
     assert float(made.fields["information"].max()) > 0.3
     assert float(made.fields["p_free"].min()) < 0.1
     assert torch.equal(made.fields["reachability"], falling(scene))
-    assert set(made.skipped) == {"workspace_points", "contact_checks", "information_cost", "reachability_cost"}
+    works = {"workspace_points", "normals", "contact_checks", "rollouts_valued", "reachability_sums"}
+    assert set(made.skipped) == works | {"information_cost", "reachability_cost"}
+    assert all(0 <= share <= 1 for share in made.skipped.values())
     assert 0.2 < made.skipped["workspace_points"] < 1
     assert 0.3 < made.skipped["contact_checks"] <= 1
     assert set(made.timings_s) == {"fields", "contact_field", "dynamics", "costs", "planner"}
@@ -118,6 +120,7 @@ def test_goes_where_the_information_is(scene: Scene) -> None:
     way = (made.path[:, :2] - torch.tensor([0.4, 0.0])).norm(dim=-1)
     assert float(way.min()) < float(way[0]) - 0.1
     assert made.skipped["reachability_cost"] == 1.0
+    assert "reachability_sums" not in made.skipped
     assert "reachability" not in made.fields
 
 

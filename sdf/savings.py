@@ -1,0 +1,96 @@
+"""What was skipped, since a scene did not need it, and how much work that was.
+
+Whoever skips says so with `work`; who wants to know keeps an account with `account`. Without one nothing is counted.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+
+import torch
+
+
+@dataclass
+class Work:
+    """One kind of work.
+
+    Attributes:
+        done: units that were done.
+        whole: units that there would have been without skipping.
+        seconds: that those done took, in all.
+    """
+
+    done: float = 0.0
+    whole: float = 0.0
+    seconds: float = 0.0
+
+    @property
+    def skipped(self) -> float:
+        """Share of the whole that was not done; 0 where there was nothing to do."""
+        return 1.0 - self.done / self.whole if self.whole > 0 else 0.0
+
+    @property
+    def saved_s(self) -> float | None:
+        """Seconds that the rest would have taken at the pace of what was done; None where nothing was done."""
+        return self.seconds * (self.whole / self.done - 1.0) if self.done > 0 else None
+
+    def count(self, done: float, whole: float) -> None:
+        """Say how much was done of how much."""
+        self.done += done
+        self.whole += whole
+
+    def add(self, other: "Work") -> None:
+        """Add another's numbers."""
+        self.count(other.done, other.whole)
+        self.seconds += other.seconds
+
+
+@dataclass
+class Account:
+    """Work by name, in the order in which it was first met."""
+
+    works: dict[str, Work] = field(default_factory=dict)
+
+    def add(self, name: str, work: Work) -> None:
+        """Add to the work of a name."""
+        self.works.setdefault(name, Work()).add(work)
+
+    def skipped(self) -> dict[str, float]:
+        """Share that was skipped, by name."""
+        return {name: work.skipped for name, work in self.works.items()}
+
+
+_kept: ContextVar[Account | None] = ContextVar("account", default=None)
+
+
+@contextmanager
+def account() -> Iterator[Account]:
+    """Keep an account of the work within the block; one about it counts it too."""
+    outer, own = _kept.get(), Account()
+    token = _kept.set(own)
+    try:
+        yield own
+    finally:
+        _kept.reset(token)
+        if outer is not None:
+            for name, work in own.works.items():
+                outer.add(name, work)
+
+
+def kept() -> bool:
+    """Whether anyone keeps an account, so that counting is worth its time."""
+    return not torch.compiler.is_compiling() and _kept.get() is not None
+
+
+@contextmanager
+def work(name: str) -> Iterator[Work]:
+    """The work of the block: its time is taken, and it says by `count` how much it did."""
+    own = Work()
+    start = time.perf_counter()
+    yield own
+    own.seconds = time.perf_counter() - start
+    keeper = _kept.get()
+    if keeper is not None and own.whole > 0:
+        keeper.add(name, own)
