@@ -1,0 +1,107 @@
+"""One whole planning pass: fields, push model, costs, sampling."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from rumi.assemble import build, reachability
+from rumi.belief.particles import PoseBelief
+from rumi.bench.case import Case, Setup, Target, case, largest_difference
+from rumi.bench.cases.rollouts import bench_tool
+from rumi.bench.scenes import FieldScene, box_scene, mug_scene
+from rumi.config import preset
+from rumi.loop import first_belief
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
+from rumi.planning.types import Plan, Policy, Scene
+from rumi.seeding import split
+
+_SEED = 0
+
+
+def _pass(
+    policy: Policy, belief: PoseBelief, scene: Scene, previous: Plan, executed: int
+) -> Callable[[], tuple[Tensor, Plan]]:
+    def run() -> tuple[Tensor, Plan]:
+        random = split(_SEED, "bench/plan")
+        plan = policy.act(belief, scene, previous, executed=executed, budget_s=None, generator=random)
+        return plan.controls, plan
+
+    return run
+
+
+def _case(
+    title: str, setup: Setup, policy: Policy, belief: PoseBelief, scene: Scene, targets: tuple[Target, ...]
+) -> Case:
+    first = policy.act(belief, scene, None, executed=0, budget_s=None, generator=split(_SEED, "bench/first"))
+    run = _pass(policy, belief, scene, first, 3)
+    plan = run()[1]
+    skipped = {f"skipped, {name.replace('_', ' ')}": round(share, 3) for name, share in plan.skipped.items() if share}
+    spent = {f"{name.replace('_', ' ')}, ms": round(1e3 * s, 2) for name, s in plan.timings_s.items()}
+    return Case(
+        title,
+        setup.ours(run),
+        ("torch",),
+        1,
+        "pass",
+        targets,
+        lambda found, reference: largest_difference(found[0], reference[0]),
+        # the mean of many samples, weighed by exponentials of costs that differ in their last digits
+        0.1,
+        facts={"error": "of the controls, in [-1, 1]"} | skipped | spent,
+    )
+
+
+@case("plan-mug")
+def plan_mug(setup: Setup) -> Case:
+    """The planning pass of mug-0 after its first view."""
+    if setup.tiny:
+        return _made_up(setup, mug_scene(setup), "made up", ())
+    settings = preset("default", task="mug-0", seed=_SEED)
+    parts = build(settings, cache_dir=setup.cache_dir)
+    try:
+        reading = parts.task.reset(_SEED).reading
+    finally:
+        parts.task.close()
+    rummager = parts.rummager
+    belief, _ = first_belief(rummager, reading, generator=split(_SEED, "initialise"))
+    scene = Scene(rummager.model, rummager.workspace, rummager.tool, reading.configuration)
+    return _case(
+        f"planning pass of mug-0: {_effort(settings.planner)}",
+        setup,
+        rummager.policy,
+        belief,
+        scene,
+        (
+            Target("torch", at_most_s=165e-3),
+            Target("numba", at_most_s=30e-3),
+            Target("numba", at_most_s=20e-3, goal=True),
+        ),
+    )
+
+
+@case("plan-box")
+def plan_box(setup: Setup) -> Case:
+    """A planning pass over 3-D fields."""
+    targets = (
+        Target("torch", at_most_s=500e-3),
+        Target("numba", at_most_s=120e-3),
+        Target("numba", at_most_s=60e-3, goal=True),
+    )
+    return _made_up(setup, box_scene(setup), "3-D fields; the tool and the object move in the plane only", targets)
+
+
+def _effort(settings: RummagingSettings) -> str:
+    return f"{settings.mppi.iterations} iterations of {settings.mppi.samples} x {settings.rollouts} rollouts"
+
+
+def _made_up(setup: Setup, scene: FieldScene, what: str, targets: tuple[Target, ...]) -> Case:
+    settings, tool = preset("default").planner, bench_tool(setup)
+    if setup.tiny:
+        settings = replace(settings, mppi=replace(settings.mppi, samples=10, warmup_iterations=1), rollouts=2)
+    belief = PoseBelief.uniform(scene.world_T_object).reweighted(scene.log_weights)
+    start = torch.tensor([0.28, 0.02, 0.1], device=setup.device)
+    policy = RummagingPolicy(reachability(tool, scene.workspace), settings)
+    title = f"planning pass, {what}: {scene.what}; {_effort(settings)}"
+    return _case(title, setup, policy, belief, Scene(scene.model, scene.workspace, tool, start), targets)
