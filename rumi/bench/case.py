@@ -82,6 +82,7 @@ class Case:
         facts: what else was found, by name.
         remarks: what else to know.
         left_out: variants that are not there, and why.
+        rounds: at most, for work that takes seconds; None for as many as there is time for.
     """
 
     title: str
@@ -96,6 +97,7 @@ class Case:
     facts: dict[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    rounds: int | None = None
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ class Setup:
     Attributes:
         device: where this project's variants run.
         tiny: make everything small, for tests.
-        quick: leave out what takes long to prepare.
+        quick: do less of what takes long to prepare.
         cache_dir: folder that keeps what takes seconds to work out.
         without_peers: why the peers' variants are not there; empty where they are.
     """
@@ -149,12 +151,17 @@ class Setup:
 CASES: dict[str, Callable[[Setup], Case]] = {}
 """All cases by name, in the order of the table."""
 
+SLOW: set[str] = set()
+"""Names of those that a quick run leaves out unless they are asked for."""
 
-def case(name: str) -> Callable[[Callable[[Setup], Case]], Callable[[Setup], Case]]:
+
+def case(name: str, *, slow: bool = False) -> Callable[[Callable[[Setup], Case]], Callable[[Setup], Case]]:
     """Decorator that enters a function as the maker of a case."""
 
     def enter(make: Callable[[Setup], Case]) -> Callable[[Setup], Case]:
         CASES[name] = make
+        if slow:
+            SLOW.add(name)
         return make
 
     return enter

@@ -122,7 +122,10 @@ def carry_out(
 
         return call
 
-    timings = time_in_turn({v.name: waited(v) for v in variants}, budget_s=budget_s, least=least, clock=clock)
+    most = 100 if case.rounds is None else case.rounds
+    timings = time_in_turn(
+        {v.name: waited(v) for v in variants}, budget_s=budget_s, least=min(least, most), most=most, clock=clock
+    )
     rows = tuple(
         Row(v.name, v.by, timings[v.name].scaled(1.0 / v.share), errors[v.name], _note(v), ran[v.name])
         for v in variants

@@ -1,12 +1,13 @@
 """Every case at a small size: its variants agree, and what is not timed is not made up."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from rumi.bench import cases, naive, peers
-from rumi.bench.case import CASES, Setup
+from rumi.bench.case import CASES, SLOW, Setup
 from rumi.bench.cases.discrepancy import view_scene
 from rumi.bench.cases.fields import plain_formula
 from rumi.bench.cases.rollouts import push_scene
@@ -17,7 +18,7 @@ from rumi.planning.costs import information_cost
 from rumi.planning.reach_cost import ReachabilityCost
 from sensors.semantics import Semantics
 
-QUICK = [name for name in CASES if name != "import"]
+QUICK = [name for name in CASES if name not in ("import", "run-mug")]
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -34,6 +35,17 @@ def test_variants_agree(name, tiny):
     names = {row.name for row in result.rows} | {"numba"}
     assert {target.variant for target in result.case.targets} <= names
     assert result.case.baselines[-1] in names
+
+
+@pytest.mark.slow
+@pytest.mark.sim
+def test_a_whole_run_is_replayed(tiny, tmp_path):
+    case = CASES["run-mug"](replace(tiny, cache_dir=tmp_path))
+    assert "run-mug" in SLOW and case.items == 2
+    result = carry_out("run-mug", case, budget_s=0.0, least=1)
+    assert result.agree
+    place, steps = case.variants[0]()
+    assert steps == 2 and 0.5 < float(place[0]) < 0.7
 
 
 def test_sizes_are_the_papers():

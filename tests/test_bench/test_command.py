@@ -27,6 +27,7 @@ def small(tmp_path, monkeypatch):
         return Setup(device, tiny=True, **more | {"without_peers": "not asked for"})
 
     monkeypatch.setattr(command, "Setup", tiny)
+    monkeypatch.setattr(command, "QUICK", (0.0, 3))
 
 
 def test_times_what_is_asked_for(capsys):

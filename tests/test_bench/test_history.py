@@ -10,13 +10,18 @@ from rumi.bench.measure import carry_out
 from rumi.errors import UsageError
 
 
+@pytest.fixture(scope="module")
+def machine():
+    return environment(torch.device("cpu"))
+
+
 @pytest.fixture
-def run(made_up, clock):
+def run(made_up, clock, machine):
     """A recorded run of one made-up case, in which the variant `numba` takes as long as asked."""
 
     def record(quick=0.01, *, name="some", **more):
         result = carry_out(name, made_up(quick, **more), budget_s=1.0, clock=clock)
-        return history.record([result], environment(torch.device("cpu")), stamp="2026-01-02T03:04:05+00:00", quick=True)
+        return history.record([result], machine, stamp="2026-01-02T03:04:05+00:00", quick=True)
 
     return record
 

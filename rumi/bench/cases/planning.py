@@ -1,9 +1,10 @@
 """One whole planning pass: fields, push model, costs, sampling."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from rumi.assemble import build, reachability
@@ -12,10 +13,13 @@ from rumi.bench.case import Case, Setup, Target, case, largest_difference
 from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
 from rumi.config import preset
-from rumi.loop import first_belief
+from rumi.loop import first_belief, rummage
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.planning.types import Plan, Policy, Scene
+from rumi.records import StepRecord
 from rumi.seeding import split
+from rumi.task import StepResult
+from sensors.reading import Reading
 
 _SEED = 0
 
@@ -58,7 +62,7 @@ def plan_mug(setup: Setup) -> Case:
     """The planning pass of mug-0 after its first view."""
     if setup.tiny:
         return _made_up(setup, mug_scene(setup), "made up", ())
-    settings = preset("default", task="mug-0", seed=_SEED)
+    settings = preset("default", task="mug-0", seed=_SEED, device=setup.device.type)
     parts = build(settings, cache_dir=setup.cache_dir)
     try:
         reading = parts.task.reset(_SEED).reading
@@ -105,3 +109,64 @@ def _made_up(setup: Setup, scene: FieldScene, what: str, targets: tuple[Target, 
     policy = RummagingPolicy(reachability(tool, scene.workspace), settings)
     title = f"planning pass, {what}: {scene.what}; {_effort(settings)}"
     return _case(title, setup, policy, belief, Scene(scene.model, scene.workspace, tool, start), targets)
+
+
+class Replay:
+    """A task that reports what another one reported before, whatever it is told to do; it knows no truth.
+
+    Args:
+        readings: the first view's and one an action.
+    """
+
+    def __init__(self, readings: Sequence[Reading]) -> None:
+        self.readings, self._at = tuple(readings), 0
+
+    def reset(self, seed: int) -> StepResult:
+        """The first view."""
+        self._at = 0
+        return StepResult(self.readings[0], None)
+
+    def step(self, control: Float[Tensor, "A"]) -> StepResult:
+        """What came of the next action then."""
+        self._at += 1
+        return StepResult(self.readings[self._at], None)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+@case("run-mug", slow=True)
+def run_mug(setup: Setup) -> Case:
+    """All that a run of mug-0 computes."""
+    settings = preset("default", task="mug-0", seed=_SEED, device=setup.device.type)
+    steps = 40
+    if setup.tiny:
+        mppi = replace(settings.planner.mppi, samples=8, warmup_iterations=1)
+        small = replace(settings.initialise, particles=12, starts=40, polished=12)
+        settings = replace(settings, planner=replace(settings.planner, mppi=mppi, rollouts=1), initialise=small)
+        steps = 2
+    parts = build(settings, cache_dir=setup.cache_dir)
+    readings: list[Reading] = []
+    try:
+        rummage(parts.task, parts.rummager, seed=_SEED, steps=steps, on_step=lambda step: readings.append(step.reading))
+    finally:
+        parts.task.close()
+    task = Replay(readings)
+
+    def run() -> tuple[Tensor, int]:
+        records: list[StepRecord] = []
+        rummage(task, parts.rummager, seed=_SEED, steps=len(readings) - 1, on_step=records.append)
+        return records[-1].belief.mode()[:3, 3], len(records) - 1
+
+    return Case(
+        f"whole run of mug-0, its {len(readings) - 1} recorded actions replayed: all but the simulator",
+        setup.ours(run),
+        ("torch",),
+        len(readings) - 1,
+        "action",
+        (Target("numba", at_most_s=5.0),),
+        lambda found, reference: largest_difference(found[0], reference[0]),
+        2e-3,
+        facts={"error": "of the likeliest position, m"},
+        rounds=3,
+    )
