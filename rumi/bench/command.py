@@ -1,6 +1,7 @@
 """The command `rumi bench`."""
 
 import importlib
+import logging
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -103,6 +104,8 @@ def _check(options: BenchOptions) -> None:
 
 def _studies(options: BenchOptions) -> int:
     """The studies with figures, each in a module of its own."""
+    # they tell how far they are by the log
+    logging.basicConfig(level=logging.INFO, format="rumi: %(message)s")
     lines = options.json if options.json is not None and options.json.suffix == ".jsonl" else None
     for study in [name for name in ("pareto", "scaling") if getattr(options, name)]:
         # loaded only where asked for: they draw figures

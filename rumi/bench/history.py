@@ -20,6 +20,8 @@ WORSE = 1.2
 class Change:
     """A variant of this project's, now and before; times are in those of the baseline in the same run.
 
+    Least times are compared, not medians: what else runs on a machine disturbs them less.
+
     Attributes:
         case: its name.
         variant: its name.
@@ -69,6 +71,7 @@ def _case(result: Result) -> dict[str, Any]:
                 "name": row.name,
                 "by": row.by,
                 "median_s": row.timing.median_s,
+                "least_s": row.timing.least_s,
                 "quartiles_s": [low, high],
                 "samples": len(row.timing.samples_s),
                 "quicker": result.ratio(row),
@@ -195,7 +198,7 @@ def compare(now: Mapping[str, Any], before: Sequence[Mapping[str, Any]]) -> tupl
 
 def _own_ratios(case: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
     """Baseline and time over it of this project's variants that both have."""
-    times = {row["name"]: row["median_s"] for row in case["variants"]}
+    times = {row["name"]: row["least_s"] for row in case["variants"]}
     common = [row["name"] for row in other["variants"] if row["name"] in times]
     if len(common) < 2:
         return {}

@@ -95,6 +95,9 @@ def notes(result: Result) -> Iterator[str]:
     )
     if plain:
         yield f"numba: no fused version of {', '.join(plain)} for these, plain torch ran"
+    scattered = [row.name for row in result.rows if row.timing.scatters]
+    if scattered:
+        yield f"times scatter, as on a busy machine: {', '.join(scattered)}"
     for why in result.left_out:
         yield f"left out: {why}"
 

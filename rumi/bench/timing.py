@@ -27,12 +27,23 @@ class Timing:
         return statistics.median(self.samples_s)
 
     @property
+    def least_s(self) -> float:
+        """The shortest sample, which other processes disturbed least."""
+        return min(self.samples_s)
+
+    @property
     def quartiles_s(self) -> tuple[float, float]:
         """A quarter of the samples took less than the first, a quarter more than the second."""
         if len(self.samples_s) == 1:
             return self.samples_s[0], self.samples_s[0]
         low, _, high = statistics.quantiles(self.samples_s, n=4, method="inclusive")
         return low, high
+
+    @property
+    def scatters(self) -> bool:
+        """Whether the quartiles are further apart than half the median: something else was going on."""
+        low, high = self.quartiles_s
+        return high - low > 0.5 * self.median_s
 
     def scaled(self, factor: float) -> "Timing":
         """The same for `factor` times the work."""

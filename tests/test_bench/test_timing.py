@@ -9,6 +9,8 @@ def test_quartiles():
     assert timing.quartiles_s == (2.0, 4.0)
     assert Timing((7.0,)).quartiles_s == (7.0, 7.0)
     assert timing.scaled(10.0).quartiles_s == (20.0, 40.0)
+    assert timing.least_s == 1.0
+    assert timing.scatters and not Timing((1.0, 1.1, 1.2)).scatters
 
 
 def test_each_call_has_its_turn_in_every_round(clock):
