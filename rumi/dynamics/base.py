@@ -3,7 +3,7 @@
 from typing import NamedTuple, Protocol
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 
@@ -14,13 +14,16 @@ class PushRollouts(NamedTuple):
         configurations: (K, M, T, Q), where the robot is.
         displacements: (K, M, T, 3), how far the object has been moved since the present, metres, world axes.
         contact: (K, M, H), whether the robot touched the object during a step.
-        checked: share of the contact checks that were done point by point; the rest was settled by a bound.
+        checked: share of the contact checks that were done point by point; the rest was settled by a bound, or by
+            another rollout that had met the same so far.
+        twin: (K, M), the first rollout of the same sequence that is known to be the same throughout, itself if none is.
     """
 
     configurations: Float[Tensor, "K M T Q"]
     displacements: Float[Tensor, "K M T 3"]
     contact: Bool[Tensor, "K M H"]
     checked: float
+    twin: Int[Tensor, "K M"]
 
     @property
     def touched(self) -> Bool[Tensor, "K M"]:

@@ -124,8 +124,8 @@ class DisplacementModel:
             self.bound = ContactBound(probability, centres.to(self.points), float(radius))
 
     @cached_property
-    def fused(self) -> Callable[[Touched, int, int, Tensor], int]:
-        """`push_action` in one kernel; made once a model, at its first use."""
+    def fused(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
+        """`rollout_drawn` in one kernel; made once a model, at its first use."""
         from rumi.dynamics.displacement_fused import FusedPush
 
         return FusedPush(self)
@@ -168,6 +168,12 @@ class DisplacementModel:
         """The rollouts that given uniform numbers lead to; nothing else is random."""
         check_shape("configuration", configuration, "(3,)", last=(3,))
         check_shape("controls", controls, "(K, H, A)")
+        version = backend.dispatch("push_rollouts", configuration, controls, uniforms, self.points)
+        return version(self, configuration, controls, uniforms)
+
+    def _rollouts(
+        self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], uniforms: Float[Tensor, "K M H S"]
+    ) -> PushRollouts:
         (samples, horizon, _), rollouts, mini = controls.shape, uniforms.shape[1], self.settings.mini_steps
         steps = horizon * mini
         draws = uniforms.expand(samples, rollouts, horizon, mini).reshape(samples, rollouts, steps)
@@ -187,7 +193,10 @@ class DisplacementModel:
             checked += self._follow(path, touched, out)
             for whole, part in zip(flat, out, strict=True):
                 whole[rows] = part
-        return PushRollouts(states, moved, contact, checked / max(1, samples * rollouts * steps))
+        own = torch.arange(rollouts, device=controls.device).expand(samples, rollouts)
+        untouched = start == steps
+        twin = torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
+        return PushRollouts(states, moved, contact, checked / max(1, samples * rollouts * steps), twin)
 
     def _free_path(
         self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"]
@@ -236,13 +245,15 @@ class DisplacementModel:
         mini, horizon = self.settings.mini_steps, contact.shape[1]
         last = torch.arange(horizon * mini, device=path.device)
         under_way = torch.searchsorted(touched.start, last, right=True).tolist()
-        version = backend.dispatch("push_action", touched.now, self.points)
         checked = 0
         for index in range(int(touched.start[0]) // mini, horizon):
             begun, count = under_way[index * mini], under_way[(index + 1) * mini - 1]
             touched.stuck[:begun] = False
             touched.way[:begun] = self._ways(path, touched, begun, index)
-            checked += version(self, touched, count, index, contact[:, index])
+            for step in range(index * mini, (index + 1) * mini):
+                rows = (~touched.stuck[:count] & (touched.start[:count] <= step)).nonzero()[:, 0]
+                if len(rows):
+                    checked += self._mini_step(touched, rows, touched.draws[:, step], contact[:, index])
             states[:count, index + 1] = touched.now[:count]
             moved[:count, index + 1] = touched.offset[:count]
         return checked
@@ -311,23 +322,15 @@ class DisplacementModel:
         return (inward > math.cos(self.settings.push_angle) * length * way) & (length > tiny) & (way > tiny)
 
 
-@backend.register("push_action")
-def _push_action(model: DisplacementModel, touched: Touched, count: int, index: int, contact: Bool[Tensor, "R"]) -> int:
-    """Action `index` of the first `count` touched rollouts, in place; gives the number of checks."""
-    mini, checked = model.settings.mini_steps, 0
-    for step in range(index * mini, (index + 1) * mini):
-        rows = (~touched.stuck[:count] & (touched.start[:count] <= step)).nonzero()[:, 0]
-        if len(rows):
-            checked += model._mini_step(touched, rows, touched.draws[:, step], contact)
-    return checked
+backend.register("push_rollouts")(DisplacementModel._rollouts)
 
 
-@backend.register("push_action", "numba", fused.supports)
-def _push_action_numba(
-    model: DisplacementModel, touched: Touched, count: int, index: int, contact: Bool[Tensor, "R"]
-) -> int:
+@backend.register("push_rollouts", "numba", fused.supports)
+def _rollouts_numba(
+    model: DisplacementModel, configuration: Tensor, controls: Tensor, uniforms: Tensor
+) -> PushRollouts:
     x, y, z = model.grids[0].shape
     if z > 1 or min(x, y) == 1:
         # points of several heights, or a field that is constant along an axis: the plain version knows how
-        return _push_action(model, touched, count, index, contact)
-    return model.fused(touched, count, index, contact)
+        return model._rollouts(configuration, controls, uniforms)
+    return model.fused(configuration, controls, uniforms)

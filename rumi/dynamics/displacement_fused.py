@@ -1,20 +1,23 @@
-"""The push model as arrays, for the kernel that carries touched rollouts through one action."""
+"""The push model as arrays, for the kernel that rolls control sequences out."""
 
 import math
+from typing import Any
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.displacement import TIE, DisplacementModel, Touched
-from rumi.dynamics.displacement_numba import push_action
+from rumi.dynamics.base import PushRollouts
+from rumi.dynamics.displacement import TIE, DisplacementModel
+from rumi.dynamics.displacement_numba import push_rollouts
 from sdf.voxel_grid import VoxelGrid
 
 
 class FusedPush:
-    """The fused CPU version of `push_action` for a planar model.
+    """The fused CPU version of `rollout_drawn` for a planar model.
 
-    Skipped, with the same result: points of discs that reach nothing above the number that decides on contact.
+    Skipped, with the same result: points of discs that cannot hold the greatest contact probability; and all of a
+    rollout that has met the same as another of its control sequence so far.
 
     Args:
         model: whose fields, points and bound are looked up.
@@ -31,30 +34,40 @@ class FusedPush:
         starts = torch.searchsorted(owner.sort().values, torch.arange(len(centres) + 1))
         order = owner.argsort(stable=True)
         padded = torch.nn.functional.pad(probability.values[:, :, 0], [2, 2, 2, 2])
-        tool = (model.points[order], starts, order)
-        fields = (padded, normal.values[:, :, 0], probability.origin)
-        bounds = (bound.values[:, :, 0], bound.origin, centres)
-        self._arrays = tuple(part.contiguous().numpy() for part in (*tool, *fields, *bounds))
+        self._body = _arrays(model.points[order], starts, order)
+        self._fields = _arrays(padded, probability.origin)
+        (self._normal,) = _arrays(normal.values[:, :, 0])
+        self._discs = _arrays(bound.values[:, :, 0], bound.origin, centres)
+        (self._action,) = _arrays(model.tool.scale)
+        self._arm = model.tool.arm_arrays()
         settings = model.settings
-        self._scale, self._mini_steps = 1.0 / probability.spacing, settings.mini_steps
-        self._push_cosine = math.cos(settings.push_angle)
-        self._holds = settings.hazard != "per_mini_step"
+        holds = settings.hazard != "per_mini_step"
+        self._rules = (1.0 / probability.spacing, math.cos(settings.push_angle), TIE, holds, settings.mini_steps)
 
-    def __call__(self, touched: Touched, count: int, index: int, contact: Bool[Tensor, "R"]) -> int:
-        """Action `index` of the first `count` touched rollouts, in place; gives the number of checks."""
-        mini = self._mini_steps
-        state = (touched.now, touched.way, touched.offset, touched.strayed, touched.stuck)
-        first = (touched.start[:count] - index * mini).clamp_min(0)
-        draws = touched.draws[:count, index * mini : (index + 1) * mini].contiguous()
-        met, checks = torch.zeros(count, dtype=torch.bool), torch.zeros(count, dtype=torch.long)
-        push_action(
-            *(part[:count].numpy() for part in state),
-            *(part.numpy() for part in (first, draws, met, checks)),
-            *self._arrays,
-            self._scale,
-            self._push_cosine,
-            TIE,
-            self._holds,
+    def __call__(
+        self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], uniforms: Float[Tensor, "K M H S"]
+    ) -> PushRollouts:
+        """The rollouts that given uniform numbers lead to."""
+        (samples, horizon, _), rollouts = controls.shape, uniforms.shape[1]
+        states = controls.new_empty(samples, rollouts, horizon + 1, 3)
+        moved = torch.empty_like(states)
+        contact = torch.empty(samples, rollouts, horizon, dtype=torch.bool)
+        twin = torch.empty(samples, rollouts, dtype=torch.long)
+        checks = torch.zeros(samples, dtype=torch.long)
+        push_rollouts(
+            *_arrays(configuration, controls, uniforms),
+            self._action,
+            self._body,
+            self._fields,
+            self._normal,
+            self._discs,
+            self._arm,
+            self._rules,
+            tuple(part.numpy() for part in (states, moved, contact, twin, checks)),
         )
-        contact[:count] |= met
-        return int(checks.sum())
+        whole = samples * rollouts * horizon * self._rules[-1]
+        return PushRollouts(states, moved, contact, int(checks.sum()) / max(1, whole), twin)
+
+
+def _arrays(*tensors: Tensor) -> tuple[Any, ...]:
+    return tuple(tensor.detach().contiguous().numpy() for tensor in tensors)

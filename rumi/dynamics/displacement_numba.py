@@ -1,4 +1,8 @@
-"""The fused CPU version of one action of touched rollouts; `displacement.py` has the definition."""
+"""The fused CPU version of the push rollouts; `displacement.py` has the definition.
+
+Rollouts of one control sequence that have met the same so far are carried on as one group, which splits where some of
+them touch and others do not: while nothing is touched, there is one group.
+"""
 
 import math
 
@@ -6,129 +10,191 @@ import numba
 import numpy as np
 from numba import prange
 
+from rumi.planning.tool_numba import residual, step_within
 from sdf.fused import Kernel
 
-
-@numba.njit(cache=True, error_model="numpy")
-def _corner(x, count):
-    """Lower node and share of the upper one, along one axis; a lone node holds every coordinate."""
-    if count == 1:
-        return 0, 0.0
-    low = math.floor(x)
-    return int(low), x - low
+# columns of a group's state
+_X, _Y, _YAW, _WAY_X, _WAY_Y, _WAY_YAW, _OFFSET_X, _OFFSET_Y, _COS, _SIN = range(10)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _value(grid, x, y):
-    """Bilinear value at lattice coordinates; zero fades in outside."""
-    i, a = _corner(x, grid.shape[0])
-    j, b = _corner(y, grid.shape[1])
+def _value(grid, channel, x, y):
+    """Bilinear value of a channel at lattice coordinates; zero fades in outside."""
+    i, j = math.floor(x), math.floor(y)
+    a, b = x - i, y - j
     value = 0.0
     for di in range(2):
         for dj in range(2):
-            weight = (a if di else 1.0 - a) * (b if dj else 1.0 - b)
-            if weight > 0.0 and 0 <= i + di < grid.shape[0] and 0 <= j + dj < grid.shape[1]:
-                value += weight * grid[i + di, j + dj]
+            if 0 <= i + di < grid.shape[0] and 0 <= j + dj < grid.shape[1]:
+                value += (a if di else 1.0 - a) * (b if dj else 1.0 - b) * grid[i + di, j + dj, channel]
     return value
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _reaches(bound, x, y, level):
-    """Whether what the bound holds at the node next to lattice coordinates is above `level`."""
+def _bound(bound, x, y):
+    """What the bound holds at the node next to lattice coordinates; 0 outside."""
     i = 0 if bound.shape[0] == 1 else math.floor(x + 0.5)
     j = 0 if bound.shape[1] == 1 else math.floor(y + 0.5)
-    return 0 <= i < bound.shape[0] and 0 <= j < bound.shape[1] and level < bound[i, j]
+    return bound[i, j] if 0 <= i < bound.shape[0] and 0 <= j < bound.shape[1] else 0.0
 
 
-def _push_action(
-    now,
-    way,
-    offset,
-    strayed,
-    stuck,
-    first,
-    draws,
-    met,
-    checks,
-    points,
-    starts,
-    order,
-    padded,
-    normal,
-    origin,
-    bound,
-    bound_origin,
-    centres,
-    scale,
-    push_cosine,
-    tie,
-    holds,
-):
-    tiny = 1e-6
+@numba.njit(cache=True, error_model="numpy")
+def _touch(x, y, cos, sin, level, body, fields, discs, scale, tie, ahead, likely):
+    """Greatest contact probability of the tool's points if it is above `level`, and the first point that has it.
+
+    Discs are looked into in the order of what they may hold, until none left can hold as much as was found.
+    """
+    points, starts, order = body
+    padded, origin = fields
+    bound, bound_origin, centres = discs
     kind = padded.dtype.type
     none, last_x, last_y = kind(0.0), kind(padded.shape[0] - 1.001), kind(padded.shape[1] - 1.001)
-    for r in prange(len(now)):
-        likely = np.empty(len(points), padded.dtype)
-        active = np.empty(len(centres), np.bool_)
-        before_cos, before_sin = math.cos(now[r, 2]), math.sin(now[r, 2])
-        for mini in range(first[r], draws.shape[1]):
-            if stuck[r]:
-                break
-            x, y, yaw = now[r, 0] + way[r, 0], now[r, 1] + way[r, 1], now[r, 2] + way[r, 2]
-            cos, sin, level = math.cos(yaw), math.sin(yaw), draws[r, mini]
-            u, v = x - offset[r, 0], y - offset[r, 1]
-            place_x, place_y = kind((u - origin[0]) * scale + 2.0), kind((v - origin[1]) * scale + 2.0)
-            turn_x, turn_y = kind(cos * scale), kind(sin * scale)
-            # only points of discs that reach above the level can be the one that touches
-            most, possible = none, False
-            for d in range(len(centres)):
-                cx = (u + cos * centres[d, 0] - sin * centres[d, 1] - bound_origin[0]) * scale
-                cy = (v + sin * centres[d, 0] + cos * centres[d, 1] - bound_origin[1]) * scale
-                active[d] = _reaches(bound, cx, cy, level - tie)
-                if not active[d]:
-                    continue
-                possible = True
+    possible = False
+    for d in range(len(centres)):
+        cx = (x + cos * centres[d, 0] - sin * centres[d, 1] - bound_origin[0]) * scale
+        cy = (y + sin * centres[d, 0] + cos * centres[d, 1] - bound_origin[1]) * scale
+        ahead[d] = _bound(bound, cx, cy)
+        possible |= ahead[d] > level
+    if not possible:
+        return 0.0, -1, False
+    place_x, place_y = kind((x - origin[0]) * scale + 2.0), kind((y - origin[1]) * scale + 2.0)
+    turn_x, turn_y = kind(cos * scale), kind(sin * scale)
+    most = none
+    while True:
+        disc, highest = -1, max(most, level) - tie
+        for d in range(len(centres)):
+            if ahead[d] >= highest:
+                disc, highest = d, ahead[d]
+        if disc < 0:
+            break
+        ahead[disc] = -2.0
+        for k in range(starts[disc], starts[disc + 1]):
+            # the field is padded by two nodes of zeros on each side, on which all that lies outside lands
+            px = min(max(place_x + turn_x * points[k, 0] - turn_y * points[k, 1], none), last_x)
+            py = min(max(place_y + turn_y * points[k, 0] + turn_x * points[k, 1], none), last_y)
+            i, j = int(px), int(py)
+            a, b = px - kind(i), py - kind(j)
+            low = padded[i, j] + b * (padded[i, j + 1] - padded[i, j])
+            high = padded[i + 1, j] + b * (padded[i + 1, j + 1] - padded[i + 1, j])
+            likely[k] = low + a * (high - low)
+        for k in range(starts[disc], starts[disc + 1]):
+            most = max(most, likely[k])
+    best, first = -1, len(points)
+    if level < most:
+        for d in range(len(centres)):
+            if ahead[d] == -2.0:
                 for k in range(starts[d], starts[d + 1]):
-                    # the field is padded by two nodes of zeros on each side, on which all that lies outside lands
-                    px = min(max(place_x + turn_x * points[k, 0] - turn_y * points[k, 1], none), last_x)
-                    py = min(max(place_y + turn_y * points[k, 0] + turn_x * points[k, 1], none), last_y)
-                    i, j = int(px), int(py)
-                    a, b = px - kind(i), py - kind(j)
-                    low = padded[i, j] + b * (padded[i, j + 1] - padded[i, j])
-                    high = padded[i + 1, j] + b * (padded[i + 1, j + 1] - padded[i + 1, j])
-                    likely[k] = low + a * (high - low)
-                for k in range(starts[d], starts[d + 1]):
-                    most = max(most, likely[k])
-            checks[r] += possible
-            pushed = True
-            if level < most:
-                met[r] = True
-                best, point = -1, len(points)
-                for d in range(len(centres)):
-                    if active[d]:
-                        for k in range(starts[d], starts[d + 1]):
-                            if likely[k] >= most - tie and order[k] < point:
-                                best, point = k, order[k]
-                tx, ty = points[best, 0], points[best, 1]
-                dx = (cos - before_cos) * tx - (sin - before_sin) * ty + way[r, 0]
-                dy = (sin - before_sin) * tx + (cos - before_cos) * ty + way[r, 1]
-                gx = (u + cos * tx - sin * ty - origin[0]) * scale
-                gy = (v + sin * tx + cos * ty - origin[1]) * scale
-                nx = _value(normal[:, :, 0], gx, gy)
-                ny = _value(normal[:, :, 1], gx, gy)
-                nz = _value(normal[:, :, 2], gx, gy)
-                length, moved = math.sqrt(nx * nx + ny * ny + nz * nz), math.sqrt(dx * dx + dy * dy)
-                inward = -(nx * dx + ny * dy)
-                pushed = inward > push_cosine * length * moved and length > tiny and moved > tiny
-                if pushed:
-                    offset[r, 0] += dx
-                    offset[r, 1] += dy
-                else:
-                    strayed[r] = True
-                    stuck[r] = holds
-            if pushed:
-                now[r, 0], now[r, 1], now[r, 2] = x, y, yaw
-                before_cos, before_sin = cos, sin
+                    if likely[k] >= most - tie and order[k] < first:
+                        best, first = k, order[k]
+    return most, best, True
 
 
-push_action = Kernel(_push_action)
+@numba.njit(cache=True, error_model="numpy")
+def _pushes(x, y, cos, sin, tx, ty, dx, dy, normal, origin, scale, push_cosine):
+    """Whether the motion (dx, dy) of the tool's point (tx, ty) goes into the surface within the push angle."""
+    tiny = 1e-6
+    gx, gy = (x + cos * tx - sin * ty - origin[0]) * scale, (y + sin * tx + cos * ty - origin[1]) * scale
+    nx, ny, nz = _value(normal, 0, gx, gy), _value(normal, 1, gx, gy), _value(normal, 2, gx, gy)
+    length, moved = math.sqrt(nx * nx + ny * ny + nz * nz), math.sqrt(dx * dx + dy * dy)
+    return -(nx * dx + ny * dy) > push_cosine * length * moved and length > tiny and moved > tiny
+
+
+def _push_rollouts(start, controls, draws, action, body, fields, normal, discs, arm, rules, out):
+    scale, push_cosine, tie, holds, mini_steps = rules
+    states, moved, contact, twin, checks = out
+    points, origin = body[0], fields[1]
+    samples, rollouts, horizon, parts = draws.shape
+    for k in prange(samples):
+        likely = np.empty(len(points), fields[0].dtype)
+        ahead = np.empty(len(discs[2]), np.float64)
+        group = np.zeros(rollouts, np.int64)  # of each rollout
+        state = np.zeros((rollouts, 10))
+        strayed, stuck = np.zeros(rollouts, np.bool_), np.zeros(rollouts, np.bool_)
+        groups, checked = 1, 0
+        free_x, free_y, free_yaw = float(start[0]), float(start[1]), float(start[2])
+        left = residual(free_x, free_y, free_yaw, arm)
+        state[0, _X], state[0, _Y], state[0, _YAW] = free_x, free_y, free_yaw
+        state[0, _COS], state[0, _SIN] = math.cos(free_yaw), math.sin(free_yaw)
+        for m in range(rollouts):
+            for axis in range(3):
+                states[k, m, 0, axis] = start[axis]
+                moved[k, m, 0, axis] = 0.0
+        for h in range(horizon):
+            ux, uy, uyaw = controls[k, h, 0] * action[0], controls[k, h, 1] * action[1], controls[k, h, 2] * action[2]
+            free_x, free_y, free_yaw, left = step_within(
+                free_x, free_y, free_yaw, free_x + ux, free_y + uy, free_yaw + uyaw, left, arm
+            )
+            for g in range(groups):
+                x, y, yaw = state[g, _X], state[g, _Y], state[g, _YAW]
+                to_x, to_y, to_yaw = free_x, free_y, free_yaw
+                if strayed[g]:
+                    rest = residual(x, y, yaw, arm)
+                    to_x, to_y, to_yaw, _ = step_within(x, y, yaw, x + ux, y + uy, yaw + uyaw, rest, arm)
+                stuck[g] = False
+                state[g, _WAY_X] = (to_x - x) / mini_steps
+                state[g, _WAY_Y] = (to_y - y) / mini_steps
+                state[g, _WAY_YAW] = (to_yaw - yaw) / mini_steps
+            for m in range(rollouts):
+                contact[k, m, h] = False
+            for mini in range(mini_steps):
+                part = min(mini, parts - 1)
+                for g in range(groups):  # those that split off below have done this mini step
+                    if stuck[g]:
+                        continue
+                    level = 2.0
+                    for m in range(rollouts):
+                        if group[m] == g:
+                            level = min(level, draws[k, m, h, part])
+                    x, y = state[g, _X] + state[g, _WAY_X], state[g, _Y] + state[g, _WAY_Y]
+                    yaw = state[g, _YAW] + state[g, _WAY_YAW]
+                    cos, sin = math.cos(yaw), math.sin(yaw)
+                    u, v = x - state[g, _OFFSET_X], y - state[g, _OFFSET_Y]
+                    most, point, looked = _touch(u, v, cos, sin, level, body, fields, discs, scale, tie, ahead, likely)
+                    checked += looked
+                    those = -1  # the group of those that touch
+                    if point >= 0:
+                        every = True
+                        for m in range(rollouts):
+                            if group[m] == g and not draws[k, m, h, part] < most:
+                                every = False
+                        those = g if every else groups
+                        for m in range(rollouts):
+                            if group[m] == g and draws[k, m, h, part] < most:
+                                group[m] = those
+                                contact[k, m, h] = True
+                        tx, ty = points[point, 0], points[point, 1]
+                        dx = (cos - state[g, _COS]) * tx - (sin - state[g, _SIN]) * ty + state[g, _WAY_X]
+                        dy = (sin - state[g, _SIN]) * tx + (cos - state[g, _COS]) * ty + state[g, _WAY_Y]
+                        pushed = _pushes(u, v, cos, sin, tx, ty, dx, dy, normal, origin, scale, push_cosine)
+                        if not every:
+                            groups += 1
+                            state[those] = state[g]
+                            strayed[those] = strayed[g]
+                            stuck[those] = False
+                        if pushed:
+                            state[those, _X], state[those, _Y], state[those, _YAW] = x, y, yaw
+                            state[those, _COS], state[those, _SIN] = cos, sin
+                            state[those, _OFFSET_X] += dx
+                            state[those, _OFFSET_Y] += dy
+                        else:
+                            strayed[those] = True
+                            stuck[those] = holds
+                    if those != g:
+                        state[g, _X], state[g, _Y], state[g, _YAW] = x, y, yaw
+                        state[g, _COS], state[g, _SIN] = cos, sin
+            for m in range(rollouts):
+                g = group[m]
+                states[k, m, h + 1, 0], states[k, m, h + 1, 1] = state[g, _X], state[g, _Y]
+                states[k, m, h + 1, 2] = state[g, _YAW]
+                moved[k, m, h + 1, 0], moved[k, m, h + 1, 1] = state[g, _OFFSET_X], state[g, _OFFSET_Y]
+                moved[k, m, h + 1, 2] = 0.0
+        checks[k] = checked
+        for m in range(rollouts):
+            twin[k, m] = m
+            for other in range(m):
+                if group[other] == group[m]:
+                    twin[k, m] = other
+                    break
+
+
+push_rollouts = Kernel(_push_rollouts)

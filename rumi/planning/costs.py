@@ -1,10 +1,12 @@
 """What a planned motion is worth: the information that its path would gather (RUMI, Eq 29)."""
 
 import itertools
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 from rumi.dynamics.planar import placement, planar_features
 from sdf import backend, fused
@@ -12,17 +14,11 @@ from sdf.voxel_grid import VoxelGrid
 
 # rollouts whose marks are kept at once: few enough for the processor's cache
 _CHUNK = 128
+# cells, against rounding
+_MARGIN = 0.01
 
 
-def information_cost(
-    information: VoxelGrid,
-    points_t: Float[Tensor, "M 3"],
-    configurations: Float[Tensor, "R H 3"],
-    displacements: Float[Tensor, "R H 3"],
-    *,
-    discount: float = 1.0,
-    normalise: bool = False,
-) -> Float[Tensor, "R"]:
+class InformationCost:
     """Minus the information of all lattice cells that the sensing points meet, each counted once (RUMI, Eq 29).
 
     A point y meets the cell around the node next to y - d, since the field rides with the object. Given the H
@@ -35,56 +31,108 @@ def information_cost(
     Args:
         information: (X, Y, Z), nats, 0 or more, 0 outside.
         points_t: sensing points of a planar tool; x and y in its frame, z in the world.
-        configurations: (x, y, yaw) after each action.
-        displacements: of the object by then, metres; z is not used.
         discount: factor by which a cell is worth less with each action before it is first met; 1, the paper's, leaves
             it open when in the horizon something is done.
         normalise: divide by the field's total, so that the cost is in [-1, 0]; 0 where there is no information.
     """
-    rollouts, horizon = configurations.shape[:2]
-    total = information.values.sum()
-    cost = configurations.new_zeros(rollouts)
+
+    def __init__(
+        self,
+        information: VoxelGrid,
+        points_t: Float[Tensor, "M 3"],
+        *,
+        discount: float = 1.0,
+        normalise: bool = False,
+    ) -> None:
+        self.discount = discount
+        self._total = information.values.sum() if normalise else None
+        self._cells = _cells(information, points_t)
+
+    def __call__(
+        self, configurations: Float[Tensor, "R H 3"], displacements: Float[Tensor, "R H 3"]
+    ) -> Float[Tensor, "R"]:
+        """Cost of each path.
+
+        Args:
+            configurations: (x, y, yaw) after each action.
+            displacements: of the object by then, metres; z is not used.
+        """
+        cells = self._cells
+        if cells is None:
+            return configurations.new_zeros(len(configurations))
+        version = backend.dispatch("gathered_information", cells.value, configurations, displacements)
+        cost = -version(cells, configurations, displacements, self.discount)
+        # sums in another order may differ in their last digit
+        return cost if self._total is None else (cost / self._total).clamp_min(-1.0)
+
+
+def information_cost(
+    information: VoxelGrid,
+    points_t: Float[Tensor, "M 3"],
+    configurations: Float[Tensor, "R H 3"],
+    displacements: Float[Tensor, "R H 3"],
+    *,
+    discount: float = 1.0,
+    normalise: bool = False,
+) -> Float[Tensor, "R"]:
+    """`InformationCost` of one field, asked once."""
+    return InformationCost(information, points_t, discount=discount, normalise=normalise)(configurations, displacements)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The cells of a field that are worth something, with the sensing points that may meet them.
+
+    Attributes:
+        value: worth of the cells in a box about all information, with a border of worthless ones in x and y for
+            whatever lies outside.
+        layer: of each point.
+        scale, offset: from metres to cells of the box.
+        points_t: sensing points.
+        middle: of the points' box, tool frame.
+        radius: of the points about it, cells.
+    """
+
+    value: Float[Tensor, "X Y Z"]
+    layer: Int[Tensor, "M"]
+    scale: Float[Tensor, "3"]
+    offset: Float[Tensor, "3"]
+    points_t: Float[Tensor, "M 3"]
+    middle: Float[Tensor, "3"]
+    radius: float
+
+
+def _cells(information: VoxelGrid, points_t: Float[Tensor, "M 3"]) -> Cells | None:
+    """None where nothing can be met."""
     some = (information.values > 0).nonzero()
     if len(some) == 0 or len(points_t) == 0:
-        return cost
+        return None
     low, high = some.amin(0), some.amax(0)
     points_t, layer = _in_layers(points_t, information, int(low[2]), int(high[2]))
     if len(points_t) == 0:
-        return cost
-    # cells of the box about all information, with a border of worthless ones for whatever lies outside
+        return None
     box = information.values[low[0] : high[0] + 1, low[1] : high[1] + 1, low[2] : high[2] + 1]
-    value = torch.nn.functional.pad(box, (0, 0, 1, 1, 1, 1))
-    sizes = (value.shape[0], value.shape[1], value.shape[2])
     scale = torch.full_like(information.origin, 1.0 / information.spacing)
     # a cell reaches half a spacing to each side of its node
     offset = -information.origin * scale - low.to(scale) + 1.5
     lone = scale.new_tensor([float(n == 1) for n in information.shape])
     scale, offset = scale * (1.0 - lone), torch.where(lone > 0, 1.5, offset)  # a lone node holds every coordinate
-
-    features = planar_features(configurations, displacements)
-    near = _worth_counting(features, points_t, scale, offset, sizes).view(rollouts, horizon)
-    x, y, _ = placement(points_t, scale, offset).unbind(-1)
-    version = backend.dispatch("gathered_information", value, features)
-    cost = -version(value, layer, x, y, features, near, discount)
-    # sums in another order may differ in their last digit
-    return (cost / total).clamp_min(-1.0) if normalise else cost
+    middle = 0.5 * (points_t.amin(0) + points_t.amax(0))
+    radius = float((points_t - middle)[:, :2].norm(dim=-1).max() * scale.max())
+    return Cells(functional.pad(box, (0, 0, 1, 1, 1, 1)), layer, scale, offset, points_t, middle, radius)
 
 
 @backend.register("gathered_information")
 def _gathered(
-    value: Float[Tensor, "X Y Z"],
-    layer: Int[Tensor, "M"],
-    along_x: Float[Tensor, "5 M"],
-    along_y: Float[Tensor, "5 M"],
-    features: Float[Tensor, "R H 5"],
-    near: Bool[Tensor, "R H"],
-    discount: float,
+    cells: Cells, configurations: Float[Tensor, "R H 3"], displacements: Float[Tensor, "R H 3"], discount: float
 ) -> Float[Tensor, "R"]:
-    """Worth of the cells that each rollout's points meet at the steps `near`, discounted from the first meeting."""
-    rollouts, horizon = near.shape
+    """Worth of the cells that each path's points meet, discounted from the first meeting."""
+    value, (rollouts, horizon) = cells.value, configurations.shape[:2]
     wide, deep, layers = value.shape
+    features = planar_features(configurations, displacements)
+    rows = _worth_counting(features, cells).nonzero()[:, 0]
+    along_x, along_y, _ = placement(cells.points_t, cells.scale, cells.offset).unbind(-1)
     gathered = features.new_zeros(rollouts)
-    rows = near.reshape(-1).nonzero()[:, 0]
     features, owner = features.reshape(-1, 5)[rows], rows // horizon
     edges = torch.arange(0, rollouts + _CHUNK, _CHUNK, device=owner.device)
     bounds = torch.searchsorted(owner, edges).tolist()
@@ -96,7 +144,7 @@ def _gathered(
         cell = (here @ along_x).clamp_(0.0, wide - 1.0).trunc_().mul_(float(deep))
         cell.add_((here @ along_y).clamp_(0.0, deep - 1.0).trunc_())
         # whole numbers that floats hold exactly, up to here
-        index = cell.long().mul_(layers).add_(layer)
+        index = cell.long().mul_(layers).add_(cells.layer)
         index += ((owner[first:last] - start) * value.numel())[:, None]
         marks = value.new_zeros(count * value.numel())
         if discount == 1.0:
@@ -111,14 +159,20 @@ def _gathered(
 
 
 @backend.register("gathered_information", "numba", fused.supports)
-def _gathered_numba(
-    value: Tensor, layer: Tensor, along_x: Tensor, along_y: Tensor, features: Tensor, near: Tensor, discount: float
-) -> Tensor:
+def _gathered_numba(cells: Cells, configurations: Tensor, displacements: Tensor, discount: float) -> Tensor:
     from rumi.planning.costs_numba import gathered
 
-    result = features.new_zeros(len(features))
-    arrays = (part.contiguous().numpy() for part in (value, layer, along_x, along_y, features, near))
-    gathered(*arrays, discount, result.numpy())
+    result = configurations.new_empty(len(configurations))
+    geometry = (cells.layer, cells.scale, cells.offset, cells.points_t, cells.middle)
+    gathered(
+        cells.value.contiguous().numpy(),
+        *(part.contiguous().numpy() for part in geometry),
+        cells.radius + _MARGIN,
+        configurations.contiguous().numpy(),
+        displacements.contiguous().numpy(),
+        discount,
+        result.numpy(),
+    )
     return result
 
 
@@ -133,21 +187,12 @@ def _in_layers(
     return points_t[keep], layer[keep].long() - low
 
 
-def _worth_counting(
-    features: Float[Tensor, "R H 5"],
-    points_t: Float[Tensor, "M 3"],
-    scale: Float[Tensor, "3"],
-    offset: Float[Tensor, "3"],
-    sizes: tuple[int, int, int],
-) -> Tensor:
-    """(R * H) mask of the steps that may mark a cell of worth which the step before did not."""
-    middle = 0.5 * (points_t.amin(0) + points_t.amax(0))
-    radius = (points_t - middle)[:, :2].norm(dim=-1).max() * scale.max()
-    place = features @ placement(middle[None], scale, offset)[:, 0, :2]
-    limit = place.new_tensor([float(n - 1) for n in sizes[:2]])
-    # a margin against rounding, cells
+def _worth_counting(features: Float[Tensor, "R H 5"], cells: Cells) -> Bool[Tensor, "RH"]:
+    """Steps that may mark a cell of worth which the step before did not."""
+    place = features @ placement(cells.middle[None], cells.scale, cells.offset)[:, 0, :2]
+    limit = place.new_tensor([float(n - 1) for n in cells.value.shape[:2]])
     gap = torch.maximum(1.0 - place, place - limit).amax(-1)
-    near = gap <= radius + 0.01
+    near = gap <= cells.radius + _MARGIN
     again = (features[:, 1:] == features[:, :-1]).all(-1)
     near[:, 1:] &= ~again
     return near.reshape(-1)

@@ -1,5 +1,7 @@
 """The tool that a planner moves: its points at a configuration, and where a command takes it in free space."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
@@ -7,7 +9,7 @@ from torch import Tensor, nn
 from rumi.fields.reach_table import SECTOR_RAD
 from rumi.fields.reachability import Reach
 from rumi.planning.gripper import GripperShape
-from sdf import backend, fused, se3
+from sdf import se3
 from sdf.check import check_shape
 
 _PARTS = 16
@@ -167,6 +169,15 @@ class Tool(nn.Module):
             flat[rows, index] = current
         return flat.reshape(path.shape)
 
+    def arm_arrays(self) -> tuple[Any, ...]:
+        """What limits a step, for `tool_numba`: reach table, base, bounds, and the numbers that go with them."""
+        if self.reach is None:
+            none = self.bounds.new_zeros(1, 3).numpy()
+            return none, none[0], self.bounds.numpy(), 1.0, SECTOR_RAD, 0.0, _SLACK_M, _PARTS, False
+        settings, (table, base) = self.reach.settings, (self.reach.left.numpy(), self.reach.base.numpy())
+        limits = (settings.radius_step_m, SECTOR_RAD, settings.tolerance_m, _SLACK_M, _PARTS, True)
+        return table, base, self.bounds.numpy(), *limits
+
     def _inside(self, q: Tensor) -> Bool[Tensor, "*b"]:
         boxed = ((q[..., :2] >= self.bounds[0]) & (q[..., :2] <= self.bounds[1])).all(-1)
         return boxed if self.reach is None else boxed & self.reach.reachable(q)
@@ -179,9 +190,15 @@ class Tool(nn.Module):
             wanted: (*b, 3).
             residual: (*b), the arm's at q; None without an arm.
         """
+        reached = self._boxed(wanted)
         if self.reach is None or residual is None:
-            return self._boxed(wanted), None
-        return backend.dispatch("step_within", q, wanted)(self, q, wanted, residual)
+            return reached, None
+        limit = residual.clamp_min(self.reach.settings.tolerance_m) + _SLACK_M
+        left = self.reach.residual(reached)
+        refused = left > limit
+        if bool(refused.any()):
+            reached[refused], left[refused] = self._up_to_limit(q[refused], reached[refused], limit[refused])
+        return reached, left
 
     def _up_to_limit(self, q: Tensor, wanted: Tensor, limit: Tensor) -> tuple[Tensor, Tensor]:
         """Where a step (n, 3) that the arm cannot finish ends, and the residual there."""
@@ -223,42 +240,3 @@ class Tool(nn.Module):
         x = q[..., 0, None] + cosine * points[:, 0] - sine * points[:, 1]
         y = q[..., 1, None] + sine * points[:, 0] + cosine * points[:, 1]
         return torch.stack((x, y, torch.full_like(x, self.height_m)), -1)
-
-
-@backend.register("step_within")
-def _step_within(
-    tool: Tool, q: Float[Tensor, "*b 3"], wanted: Float[Tensor, "*b 3"], residual: Float[Tensor, "*b"]
-) -> tuple[Float[Tensor, "*b 3"], Float[Tensor, "*b"]]:
-    assert tool.reach is not None
-    reached = tool._boxed(wanted)
-    limit = residual.clamp_min(tool.reach.settings.tolerance_m) + _SLACK_M
-    left = tool.reach.residual(reached)
-    refused = left > limit
-    if bool(refused.any()):
-        reached[refused], left[refused] = tool._up_to_limit(q[refused], reached[refused], limit[refused])
-    return reached, left
-
-
-@backend.register("step_within", "numba", fused.supports)
-def _step_within_numba(tool: Tool, q: Tensor, wanted: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
-    from rumi.planning.tool_numba import step_within
-
-    assert tool.reach is not None
-    reach, rows = tool.reach, wanted.reshape(-1, 3).contiguous()
-    reached, left = torch.empty_like(rows), rows.new_empty(len(rows))
-    step_within(
-        q.expand_as(wanted).reshape(-1, 3).contiguous().numpy(),
-        rows.numpy(),
-        residual.expand(wanted.shape[:-1]).reshape(-1).contiguous().numpy(),
-        reach.left.numpy(),
-        reach.settings.radius_step_m,
-        SECTOR_RAD,
-        reach.base.numpy(),
-        tool.bounds.numpy(),
-        reach.settings.tolerance_m,
-        _SLACK_M,
-        _PARTS,
-        reached.numpy(),
-        left.numpy(),
-    )
-    return reached.reshape(wanted.shape), left.reshape(wanted.shape[:-1])

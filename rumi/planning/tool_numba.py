@@ -3,9 +3,6 @@
 import math
 
 import numba
-from numba import prange
-
-from sdf.fused import Kernel
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -14,8 +11,11 @@ def _wrapped(angle):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _residual(x, y, yaw, table, radius_step, sector, base):
+def residual(x, y, yaw, arm):
     """What inverse kinematics leaves at a configuration, metres; bilinear in the table, the last node's beyond it."""
+    table, base, _, radius_step, sector, _, _, _, armed = arm
+    if not armed:
+        return 0.0
     dx, dy = x - base[0], y - base[1]
     radius, direction = math.sqrt(dx * dx + dy * dy), math.atan2(dy, dx)
     turned, side = abs(_wrapped(yaw - direction)), abs(_wrapped(direction - base[2]))
@@ -37,54 +37,40 @@ def _within(value, low, high):
     return min(max(value, low), high)
 
 
-def _step_within(q, wanted, residual, table, radius_step, sector, base, bounds, tolerance, slack, parts, reached, left):
-    for r in prange(len(q)):
-        x, y, yaw = q[r, 0], q[r, 1], q[r, 2]
-        to_x = _within(wanted[r, 0], bounds[0, 0], bounds[1, 0])
-        to_y = _within(wanted[r, 1], bounds[0, 1], bounds[1, 1])
-        to_yaw = wanted[r, 2]
-        limit = max(residual[r], tolerance) + slack
-        rest = _residual(to_x, to_y, to_yaw, table, radius_step, sector, base)
-        if rest > limit:
-            # as far as the arm gets on the straight way, a part of the step at a time
-            passed = 0
-            for part in range(1, parts):
-                share = part / parts
-                if (
-                    _residual(
-                        x + share * (to_x - x),
-                        y + share * (to_y - y),
-                        yaw + share * (to_yaw - yaw),
-                        table,
-                        radius_step,
-                        sector,
-                        base,
-                    )
-                    > limit
-                ):
-                    break
-                passed = part
-            share = passed / parts
-            x, y, yaw = x + share * (to_x - x), y + share * (to_y - y), yaw + share * (to_yaw - yaw)
-            # and from there round the limit: without the turn, along the circle, along it and turning with it
-            from_x, from_y, aim_x, aim_y = x - base[0], y - base[1], to_x - base[0], to_y - base[1]
-            stretch = math.sqrt(from_x * from_x + from_y * from_y) / max(math.sqrt(aim_x * aim_x + aim_y * aim_y), 1e-9)
-            round_x = _within(base[0] + aim_x * stretch, bounds[0, 0], bounds[1, 0])
-            round_y = _within(base[1] + aim_y * stretch, bounds[0, 1], bounds[1, 1])
-            swing = math.atan2(from_x * aim_y - from_y * aim_x, from_x * aim_x + from_y * aim_y)
-            turn = to_yaw
-            to_yaw = yaw
-            rest = _residual(to_x, to_y, to_yaw, table, radius_step, sector, base)
-            if rest > limit:
-                to_x, to_y, to_yaw = round_x, round_y, turn
-                rest = _residual(to_x, to_y, to_yaw, table, radius_step, sector, base)
-            if rest > limit:
-                to_yaw = yaw + swing
-                rest = _residual(to_x, to_y, to_yaw, table, radius_step, sector, base)
-            if rest > limit:
-                to_x, to_y, to_yaw = x, y, yaw
-                rest = _residual(x, y, yaw, table, radius_step, sector, base)
-        reached[r, 0], reached[r, 1], reached[r, 2], left[r] = to_x, to_y, to_yaw, rest
-
-
-step_within = Kernel(_step_within)
+@numba.njit(cache=True, error_model="numpy")
+def step_within(x, y, yaw, to_x, to_y, to_yaw, left, arm):
+    """Where a step from (x, y, yaw) to (to_x, to_y, to_yaw) ends, and the arm's residual there; `left` is it now."""
+    _, base, bounds, _, _, tolerance, slack, parts, armed = arm
+    to_x = _within(to_x, bounds[0, 0], bounds[1, 0])
+    to_y = _within(to_y, bounds[0, 1], bounds[1, 1])
+    if not armed:
+        return to_x, to_y, to_yaw, 0.0
+    limit = max(left, tolerance) + slack
+    rest = residual(to_x, to_y, to_yaw, arm)
+    if rest <= limit:
+        return to_x, to_y, to_yaw, rest
+    # as far as the arm gets on the straight way, a part of the step at a time
+    passed = 0
+    for part in range(1, parts):
+        share = part / parts
+        if residual(x + share * (to_x - x), y + share * (to_y - y), yaw + share * (to_yaw - yaw), arm) > limit:
+            break
+        passed = part
+    share = passed / parts
+    x, y, yaw = x + share * (to_x - x), y + share * (to_y - y), yaw + share * (to_yaw - yaw)
+    # and from there round the limit: without the turn, along the circle, along it and turning with it
+    rest = residual(to_x, to_y, yaw, arm)
+    if rest <= limit:
+        return to_x, to_y, yaw, rest
+    from_x, from_y, aim_x, aim_y = x - base[0], y - base[1], to_x - base[0], to_y - base[1]
+    stretch = math.sqrt(from_x * from_x + from_y * from_y) / max(math.sqrt(aim_x * aim_x + aim_y * aim_y), 1e-9)
+    round_x = _within(base[0] + aim_x * stretch, bounds[0, 0], bounds[1, 0])
+    round_y = _within(base[1] + aim_y * stretch, bounds[0, 1], bounds[1, 1])
+    rest = residual(round_x, round_y, to_yaw, arm)
+    if rest <= limit:
+        return round_x, round_y, to_yaw, rest
+    carried = yaw + math.atan2(from_x * aim_y - from_y * aim_x, from_x * aim_x + from_y * aim_y)
+    rest = residual(round_x, round_y, carried, arm)
+    if rest <= limit:
+        return round_x, round_y, carried, rest
+    return x, y, yaw, residual(x, y, yaw, arm)

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.dynamics.base import PushRollouts
-from rumi.planning.costs import information_cost
+from rumi.planning.costs import InformationCost
 from rumi.planning.reach_cost import ReachabilityCost
 from sdf.voxel_grid import VoxelGrid
 
@@ -35,8 +35,11 @@ class TrajectoryCost:
         normalise: bool = True,
     ) -> None:
         self.information_scale, self.reachability_scale = information_scale, reachability_scale
-        self.information_discount, self.normalise = information_discount, normalise
-        self._information, self._points = information, points_t
+        self._information: InformationCost | None = None
+        if information_scale > 0:
+            self._information = InformationCost(
+                information, points_t, discount=information_discount, normalise=normalise
+            )
         self._reachability: ReachabilityCost | None = None
         if reachability_scale > 0:
             if reachability is None:
@@ -47,34 +50,21 @@ class TrajectoryCost:
             self._reachability = ReachabilityCost(information, reachability)
 
     def __call__(self, rollouts: PushRollouts) -> Float[Tensor, "K"]:
-        """Cost of each control sequence: the mean over its rollouts.
-
-        The rollouts of a sequence that touch nothing are all the same, so that only the first of them is worked out.
-        """
-        touched = rollouts.touched
-        samples = torch.arange(len(touched), device=touched.device)
-        stand_in = (~touched).to(torch.uint8).argmax(-1)
-        distinct = touched.clone()
-        distinct[samples, stand_in] = True
-        cost = rollouts.configurations.new_zeros(touched.shape)
-        cost[distinct] = self._of_paths(
-            rollouts.configurations[:, :, 1:][distinct], rollouts.displacements[:, :, 1:][distinct]
-        )
-        return torch.where(touched, cost, cost[samples, stand_in][:, None]).mean(-1)
+        """Cost of each control sequence: the mean over its rollouts, of which the same ones are worked out once."""
+        twin = rollouts.twin
+        samples, count = twin.shape
+        distinct = twin == torch.arange(count, device=twin.device)
+        paths, displacements = rollouts.configurations[:, :, 1:], rollouts.displacements[:, :, 1:]
+        cost = rollouts.configurations.new_zeros(samples, count)
+        cost[distinct] = self._of_paths(paths[distinct], displacements[distinct])
+        return cost.gather(1, twin).mean(-1)
 
     def _of_paths(
         self, configurations: Float[Tensor, "R H 3"], displacements: Float[Tensor, "R H 3"]
     ) -> Float[Tensor, "R"]:
         total = configurations.new_zeros(len(configurations))
-        if self.information_scale > 0:
-            total += self.information_scale * information_cost(
-                self._information,
-                self._points,
-                configurations,
-                displacements,
-                discount=self.information_discount,
-                normalise=self.normalise,
-            )
+        if self._information is not None:
+            total += self.information_scale * self._information(configurations, displacements)
         if self._reachability is not None:
             total += self.reachability_scale * self._reachability(displacements)
         return total

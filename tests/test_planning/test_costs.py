@@ -196,7 +196,9 @@ def made_up_rollouts(generator: torch.Generator) -> PushRollouts:
     other = 0.2 * torch.randn(samples, count, horizon + 1, 3, generator=generator, **DOUBLE)
     moved = 0.05 * torch.randn(samples, count, horizon + 1, 3, generator=generator, **DOUBLE)
     states = torch.where(touched, other, free.expand_as(other))
-    return PushRollouts(states, torch.where(touched, moved, 0.0), contact, 1.0)
+    untouched = ~contact.any(-1)
+    twin = torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), torch.arange(count))
+    return PushRollouts(states, torch.where(touched, moved, 0.0), contact, 1.0, twin)
 
 
 @pytest.mark.parametrize(("beta_i", "beta_r"), [(1.0, 1.0), (0.5, 200.0), (1.0, 0.0), (0.0, 3.0)])
