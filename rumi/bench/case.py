@@ -74,7 +74,8 @@ class Case:
         variants: the first one of this project's is what the results of the others are held against.
         items: how many equal things the work consists of.
         item: what they are called.
-        baselines: the variant that ratios are taken against: the first of these that was timed.
+        baselines: ratios are taken against the quickest of these.
+        otherwise: what they are taken against where none of these was timed.
         targets: see there.
         error: how far a result is from the reference's; None where no results can be compared.
         tolerance: by which all variants of this project must agree.
@@ -88,6 +89,7 @@ class Case:
     title: str
     variants: tuple[Variant, ...]
     baselines: tuple[str, ...]
+    otherwise: str = "torch"
     items: int = 1
     item: str = "pass"
     targets: tuple[Target, ...] = ()

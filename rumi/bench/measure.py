@@ -130,7 +130,9 @@ def carry_out(
         Row(v.name, v.by, timings[v.name].scaled(1.0 / v.share), errors[v.name], _note(v), ran[v.name])
         for v in variants
     )
-    baseline = next((name for name in case.baselines if name in found), variants[0].name)
+    there = [name for name in case.baselines if name in found] or [case.otherwise]
+    medians = {row.name: row.timing.median_s for row in rows}
+    baseline = min(there, key=lambda name: medians[name])
     verdicts = tuple(verdict for target in case.targets if (verdict := judge(target, rows)) is not None)
     return Result(name, case, rows, baseline, verdicts, agree, tuple(left_out))
 

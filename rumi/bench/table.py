@@ -6,7 +6,7 @@ from typing import Any
 from rumi.bench.measure import Result, Row, Verdict
 
 HEADER = ("variant", "median", "quartiles", "each", "quicker", "target", "", "error")
-_WIDTHS = (29, 8, 17, 8, 8, 43, 6, 8)
+_WIDTHS = (22, 8, 15, 8, 7, 34, 6, 7)
 _RIGHT = (False, True, True, True, True, False, False, True)
 
 
@@ -70,7 +70,7 @@ def heading() -> str:
 
 def section(result: Result) -> str:
     """One case: its title, a line a variant with its targets, and what else is to be said."""
-    lines = ["", f"{result.name}: {result.case.title}"]
+    lines = ["", f"{result.name}: {_headline(result)}"]
     lines += [_line(cells) for cells in _cells(result)]
     lines += [f"  {note}" for note in notes(result)]
     return "\n".join(lines)
@@ -106,8 +106,8 @@ def markdown(results: Iterable[Result], machine: dict[str, Any]) -> str:
     """The table for a page."""
     lines = [f"{line}\n" for line in about(machine).strip().splitlines()]
     for result in results:
-        lines += [f"**{result.name}**: {result.case.title}\n"]
-        names = ("variant", "median", "quartiles", f"a {result.case.item}", "quicker", "target", "met", "error")
+        lines += [f"**{result.name}**: {_headline(result)}\n"]
+        names = ("variant", "median", "quartiles", "each", "quicker", "target", "met", "error")
         lines += [f"| {' | '.join(names)} |", f"|{'---|' * len(names)}"]
         lines += [f"| {' | '.join(cells)} |" for cells in _cells(result)]
         lines += ["", *(f"- {note}" for note in notes(result)), ""]
@@ -127,14 +127,14 @@ def _cells(result: Result) -> Iterator[tuple[str, ...]]:
             span(low, high),
             each,
             "1x" if row.name == result.baseline else ratio,
-            *_target(first),
+            *_target(first, result.baseline),
             _error(row),
         )
         for verdict in rest:
-            yield ("", "", "", "", "", *_target(verdict), "")
+            yield ("", "", "", "", "", *_target(verdict, result.baseline), "")
 
 
-def _target(verdict: Verdict | None) -> tuple[str, str]:
+def _target(verdict: Verdict | None, baseline: str) -> tuple[str, str]:
     if verdict is None:
         return "", ""
     target = verdict.target
@@ -143,8 +143,15 @@ def _target(verdict: Verdict | None) -> tuple[str, str]:
         beyond = f" beyond {target.beyond}" if target.beyond else ""
         what = f"{kind}<= {seconds(target.at_most_s)}{beyond}"
     else:
-        what = f"{kind}>= {target.at_least:g}x {verdict.against}: {digits(verdict.factor or 0.0)}x"
+        what = f"{kind}>= {target.at_least:g}x"
+        if verdict.against != baseline:
+            what += f" {verdict.against}: {digits(verdict.factor or 0.0)}x"
     return what, "met" if verdict.met else "MISSED"
+
+
+def _headline(result: Result) -> str:
+    case = result.case
+    return case.title if case.items == 1 else f"{case.title} ({case.items} {case.item}s)"
 
 
 def _error(row: Row) -> str:

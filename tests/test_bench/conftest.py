@@ -52,7 +52,7 @@ def made_up(clock: FakeClock) -> Callable[..., Case]:
         values = {
             "title": "made up",
             "variants": variants,
-            "baselines": ("not there", "peer"),
+            "baselines": ("not there", "peer", "naive"),
             "items": 1000,
             "item": "pair",
             "targets": targets,

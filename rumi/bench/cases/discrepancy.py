@@ -49,12 +49,11 @@ def discrepancy(setup: Setup) -> Case:
     return Case(
         f"discrepancy: {_what(scene)}",
         variants,
-        (_DEFAULT, "torch"),
-        len(scene.world_T_object) * len(scene.points),
-        "pair",
-        (),
-        largest_difference,
-        1e-3,  # of sums of 2300 terms
+        (_DEFAULT, _DIRECT),
+        items=len(scene.world_T_object) * len(scene.points),
+        item="pair",
+        error=largest_difference,
+        tolerance=1e-3,  # of sums of 2300 terms
         left_out=setup.left_out,
     )
 
@@ -75,17 +74,17 @@ def descent_terms(setup: Setup) -> Case:
     return Case(
         f"discrepancy with gradient (rumi: and Hessian): {_what(scene)}",
         variants,
-        (_DEFAULT, "torch"),
-        len(poses) * len(points),
-        "pair",
-        (
+        (_DEFAULT, _DIRECT),
+        items=len(poses) * len(points),
+        item="pair",
+        targets=(
             Target("numba", at_most_s=2.5e-3),
             Target("numba", at_least=1.0, against=(_DEFAULT, _DIRECT)),
             Target("torch", at_most_s=9e-3),
             Target("torch", at_least=1.0, against=(_DIRECT,)),
         ),
-        _relative,
-        1e-3,
+        error=_relative,
+        tolerance=1e-3,
         left_out=setup.left_out,
     )
 

@@ -14,7 +14,7 @@ from rumi.fields.normal import expected_normal
 from sensors.semantics import semantics_probability
 
 _VALUE = ("CachedSDF", "ComposedSDF")
-_GRADIENT = ("CachedSDF with gradient", "ComposedSDF with gradient")
+_GRADIENT = ("CachedSDF gradient", "ComposedSDF gradient")
 _LIMITS_S = {"mug": (12e-3, 3e-3), "box": (110e-3, 10e-3)}
 _NORMAL = ("CachedSDF", "ComposedSDF")
 
@@ -62,12 +62,12 @@ def _field(setup: Setup, scene: FieldScene, mode: InformationMode) -> Case:
     return Case(
         f"semantics and information ({kind}): {scene.what}",
         variants,
-        (*_VALUE, "torch"),
-        scene.pairs,
-        "pair",
-        tuple(targets),
-        largest_difference,
-        5e-5,  # the tail that is left out, and rounding
+        _VALUE,
+        items=scene.pairs,
+        item="pair",
+        targets=tuple(targets),
+        error=largest_difference,
+        tolerance=5e-5,  # the tail that is left out, and rounding
         remarks=setup.remarks,
         left_out=setup.left_out,
     )
@@ -125,13 +125,12 @@ def _normal(setup: Setup, scene: FieldScene) -> Case:
     return Case(
         f"mean outward normal, at every point: {scene.what}",
         variants,
-        (*_NORMAL, "torch"),
-        scene.pairs,
-        "pair",
-        (),
-        largest_difference,
+        _NORMAL,
+        items=scene.pairs,
+        item="pair",
+        error=largest_difference,
         # a gradient is that of the cell that a point falls in, which rounding decides at a node
-        2e-2,
+        tolerance=2e-2,
         remarks=setup.remarks,
         left_out=setup.left_out,
     )

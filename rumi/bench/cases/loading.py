@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from rumi.bench.case import Case, Setup, Target, Variant, case
 
-_TORCH, _ALONE = "import torch, numpy", "torch and numpy alone"
+_TORCH, _ALONE = "import torch, numpy", "torch and numpy"
 
 
 def _fresh(statement: str) -> Callable[[], None]:
@@ -23,7 +23,6 @@ def load(setup: Setup) -> Case:
         "loading in a fresh interpreter",
         (Variant("rumi", _fresh(f"{_TORCH}, rumi")), Variant(_ALONE, _fresh(_TORCH), "naive")),
         (_ALONE,),
-        1,
-        "start",
-        (Target("rumi", at_most_s=1.5, beyond=_ALONE),),
+        _ALONE,
+        targets=(Target("rumi", at_most_s=1.5, beyond=_ALONE),),
     )

@@ -26,12 +26,12 @@ def _lookup(setup: Setup, scene: FieldScene, *, gradient: bool) -> Case:
     return Case(
         f"{what}: {scene.what}",
         variants,
-        (*_PEERS, "torch"),
-        scene.pairs,
-        "pair",
-        targets,
-        lambda found, reference: largest_difference(_distance(found), _distance(reference)),
-        1e-5,
+        _PEERS,
+        items=scene.pairs,
+        item="pair",
+        targets=targets,
+        error=lambda found, reference: largest_difference(_distance(found), _distance(reference)),
+        tolerance=1e-5,
         remarks=setup.remarks,
         left_out=setup.left_out,
     )

@@ -47,12 +47,10 @@ def _case(
         title,
         setup.ours(run),
         ("torch",),
-        1,
-        "pass",
-        targets,
-        lambda found, reference: largest_difference(found[0], reference[0]),
+        targets=targets,
+        error=lambda found, reference: largest_difference(found[0], reference[0]),
         # the mean of many samples, weighed by exponentials of costs that differ in their last digits
-        0.1,
+        tolerance=0.1,
         facts={"error": "of the controls, in [-1, 1]"} | skipped | spent,
     )
 
@@ -162,11 +160,11 @@ def run_mug(setup: Setup) -> Case:
         f"whole run of mug-0, its {len(readings) - 1} recorded actions replayed: all but the simulator",
         setup.ours(run),
         ("torch",),
-        len(readings) - 1,
-        "action",
-        (Target("numba", at_most_s=5.0),),
-        lambda found, reference: largest_difference(found[0], reference[0]),
-        2e-3,
+        items=len(readings) - 1,
+        item="action",
+        targets=(Target("numba", at_most_s=5.0),),
+        error=lambda found, reference: largest_difference(found[0], reference[0]),
+        tolerance=2e-3,
         facts={"error": "of the likeliest position, m"},
         rounds=3,
     )

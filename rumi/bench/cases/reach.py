@@ -10,7 +10,7 @@ from rumi.planning.reach_cost import ReachabilityCost
 from rumi.seeding import split
 from sdf.voxel_grid import VoxelGrid
 
-_DIRECT = "sum for every displacement"
+_DIRECT = "direct sums"
 
 
 def _reach(setup: Setup, scene: FieldScene, limit_s: float) -> Case:
@@ -44,11 +44,12 @@ def _reach(setup: Setup, scene: FieldScene, limit_s: float) -> Case:
             Variant(_DIRECT, lambda: naive.reach_cost(information, reachability, few), "naive", share=some / count),
         ),
         (_DIRECT,),
-        count * horizon,
-        "displacement",
-        (Target("torch, one correlation", at_most_s=limit_s),),
-        lambda found, truth: largest_difference(found[: len(truth)], truth),
-        1e-5,
+        "torch, one correlation",
+        items=count * horizon,
+        item="displacement",
+        targets=(Target("torch, one correlation", at_most_s=limit_s),),
+        error=lambda found, truth: largest_difference(found[: len(truth)], truth),
+        tolerance=1e-5,
         reference=reference,
         facts={
             "error": "of the cost, in [-1, 0], against float64 sums",

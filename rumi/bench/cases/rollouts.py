@@ -21,7 +21,7 @@ from rumi.sim.tasks import find_task, make_tool
 from sdf.voxel_grid import VoxelGrid
 
 ROLLOUTS = 5
-NAIVE = "every point, every mini step"
+NAIVE = "all points, all steps"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,17 +104,17 @@ def rollouts(setup: Setup) -> Case:
         f"push rollouts: {samples} x {count} of {horizon} actions x {mini} mini steps x {points} points",
         (*setup.ours(run), Way(NAIVE, plain, "naive")),
         (NAIVE,),
-        samples * count,
-        "rollout",
-        (
+        items=samples * count,
+        item="rollout",
+        targets=(
             Target("numba", at_most_s=15e-3),
             Target("numba", at_least=15.0, against=(NAIVE,)),
             Target("numba", at_least=25.0, against=(NAIVE,), goal=True),
             Target("torch", at_most_s=80e-3),
         ),
-        share_that_differs,
+        error=share_that_differs,
         # in float32 the last digit of a probability may fall on the other side of a number that was drawn
-        5e-3,
+        tolerance=5e-3,
         facts={
             "error": "share of rollouts with another outcome for the same draws",
             "rollouts that touch": round(float(once.touched.double().mean()), 3),

@@ -143,10 +143,9 @@ def _sampling(setup: Setup, samples: int, horizon: int, knots: int, dimensions: 
     return Case(
         f"KMPPI without dynamics and cost: K={settings.samples} T={horizon} knots={knots}, {dimensions} controls",
         variants,
-        (_PEER, "torch, step by step"),
-        1,
-        "plan",
-        (
+        (_PEER,),
+        "torch, step by step",
+        targets=(
             Target("torch, step by step", at_most_s=1e-3),
             Target("torch, step by step", at_least=5.0, against=(_PEER,)),
             Target("torch, whole sequences", at_least=5.0, against=(_PEER,)),

@@ -10,7 +10,7 @@ from rumi.dynamics.planar import world_height
 from rumi.planning.costs import information_cost
 from sdf import se3
 
-_LOOP, _THINNED = "torch.unique, one by one", "voxel_down_sample, one by one"
+_LOOP, _THINNED = "torch.unique", "voxel_down_sample"
 
 
 @case("trajectory")
@@ -36,23 +36,31 @@ def trajectory(setup: Setup) -> Case:
             costs.append(-grid.interpolate(peers.down_sample(met, grid.spacing)).sum())
         return torch.stack(costs)
 
-    variants = (*setup.ours(run), Variant(_LOOP, loop, "naive"))
+    variants = (*setup.ours(run), Variant(_LOOP, loop, "naive", note="one rollout after the other"))
     if setup.peers:
-        variants += (Variant(_THINNED, thinned, "peer", share=some / len(q), note="lattice of each cloud's own"),)
+        variants += (
+            Variant(
+                _THINNED,
+                thinned,
+                "peer",
+                share=some / len(q),
+                note="one rollout after the other, on a lattice of each one's own",
+            ),
+        )
     return Case(
         f"trajectory information (Eq 29): {len(q)} rollouts x {q.shape[1]} actions x {len(points)} points",
         variants,
         (_LOOP,),
-        len(q),
-        "rollout",
-        (
+        items=len(q),
+        item="rollout",
+        targets=(
             Target("numba", at_most_s=5e-3),
             Target("numba", at_least=30.0, against=(_LOOP,)),
             Target("torch", at_most_s=40e-3),
         ),
-        largest_difference,
+        error=largest_difference,
         # a point on the border of two cells may fall on either side
-        0.05 * float(grid.values.max()) + 1e-4,
+        tolerance=0.05 * float(grid.values.max()) + 1e-4,
         facts={"error": "nats", "information in all, nats": round(float(grid.values.sum()), 3)},
         left_out=setup.left_out,
     )
