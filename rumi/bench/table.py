@@ -6,7 +6,7 @@ from typing import Any
 from rumi.bench.measure import Result, Row, Verdict
 
 HEADER = ("variant", "median", "quartiles", "each", "quicker", "target", "", "error")
-_WIDTHS = (22, 8, 15, 8, 7, 34, 6, 7)
+_WIDTHS = (22, 8, 15, 8, 7, 36, 6, 7)
 _RIGHT = (False, True, True, True, True, False, False, True)
 
 

@@ -14,7 +14,7 @@ from rumi.fields.normal import expected_normal
 from sensors.semantics import semantics_probability
 
 _VALUE = ("CachedSDF", "ComposedSDF")
-_GRADIENT = ("CachedSDF gradient", "ComposedSDF gradient")
+_GRADIENT = ("CachedSDF+grad", "ComposedSDF+grad")
 _LIMITS_S = {"mug": (12e-3, 3e-3), "box": (110e-3, 10e-3)}
 _NORMAL = ("CachedSDF", "ComposedSDF")
 
