@@ -1,1 +1,1 @@
-"""`rumi bench`: how long the work takes, against itself, against others and against the targets."""
+"""Measurements: hot operations against peers, run time against error, scaling."""

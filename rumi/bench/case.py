@@ -83,6 +83,7 @@ class Case:
         facts: what else was found, by name.
         remarks: what else to know.
         left_out: variants that are not there, and why.
+        elsewhere: the work is done by other processes, whose time this one's processor clock does not see.
         rounds: at most, for work that takes seconds; None for as many as there is time for.
     """
 
@@ -99,6 +100,7 @@ class Case:
     facts: dict[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    elsewhere: bool = False
     rounds: int | None = None
 
 

@@ -3,6 +3,7 @@
 import importlib
 import logging
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,6 +17,7 @@ from rumi.bench import history, peers, table
 from rumi.bench.case import CASES, SLOW, Case, Setup, threads
 from rumi.bench.machine import BUSY, environment
 from rumi.bench.measure import Result, carry_out
+from rumi.bench.timing import fitting_clock
 from rumi.cli import DONE, INTERRUPTED
 from rumi.errors import UsageError
 
@@ -158,7 +160,9 @@ def _carry_out(name: str, setup: Setup) -> Result | None:
         _say(f"left out {name}: {error}")
         return None
     budget, least = QUICK if setup.quick else WHOLE
-    return carry_out(name, case, budget_s=budget, least=least, device=setup.device)
+    within = setup.device.type == "cpu" and not case.elsewhere
+    clock = fitting_clock(torch.get_num_threads()) if within else time.perf_counter
+    return carry_out(name, case, budget_s=budget, least=least, device=setup.device, clock=clock)
 
 
 def verdicts(results: Sequence[Result]) -> str:

@@ -2,12 +2,14 @@
 
 import os
 import platform
+import time
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from rumi.bench.timing import fitting_clock
 from rumi.recording import provenance
 
 PACKAGES = ("numba", "pytorch-volumetric", "chsel", "pytorch-mppi", "open3d", "ribs")
@@ -29,6 +31,7 @@ def environment(device: torch.device) -> dict[str, Any]:
         "python": made_with["python"],
         "versions": versions,
         "threads": made_with["threads"],
+        "clock": "processor" if fitting_clock(made_with["threads"]) is time.process_time else "wall",
         "commit": made_with["commit"],
     }
 

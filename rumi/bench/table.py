@@ -56,7 +56,8 @@ def about(machine: dict[str, Any]) -> str:
     load = machine["load"]
     busy = "" if load is None else f"; load {load} before"
     lines = [
-        f"{machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, {machine['device']}{busy}",
+        f"{machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, {machine['device']}, "
+        f"{machine['clock']} time{busy}",
         f"rumi {machine['versions'].get('rumi', '?')} at {machine['commit'] or 'no commit'}",
         f"Python {machine['python']}, {versions}",
     ]

@@ -50,6 +50,11 @@ class Timing:
         return Timing(tuple(factor * sample for sample in self.samples_s))
 
 
+def fitting_clock(threads: int) -> Callable[[], float]:
+    """The processor's clock for one thread, which stands still while others have the processor; else the wall's."""
+    return time.process_time if threads == 1 else time.perf_counter
+
+
 def time_in_turn(
     calls: Mapping[str, Callable[[], object]],
     *,

@@ -1,6 +1,8 @@
+import time
+
 import pytest
 
-from rumi.bench.timing import SHORTEST_S, Timing, time_in_turn
+from rumi.bench.timing import SHORTEST_S, Timing, fitting_clock, time_in_turn
 
 
 def test_quartiles():
@@ -70,3 +72,10 @@ def test_the_collector_runs_again_afterwards(clock):
     with pytest.raises(KeyboardInterrupt):
         time_in_turn({"it": fails}, budget_s=1.0, clock=clock)
     assert gc.isenabled()
+
+
+def test_one_thread_is_timed_by_the_processors_clock():
+    alone, wall = fitting_clock(1), fitting_clock(2)
+    start = alone(), wall()
+    time.sleep(0.05)
+    assert alone() - start[0] < 0.04 <= 0.05 <= wall() - start[1]

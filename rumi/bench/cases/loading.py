@@ -24,5 +24,6 @@ def load(setup: Setup) -> Case:
         (Variant("rumi", _fresh(f"{_TORCH}, rumi")), Variant(_ALONE, _fresh(_TORCH), "naive")),
         (_ALONE,),
         _ALONE,
+        elsewhere=True,
         targets=(Target("rumi", at_most_s=1.5, beyond=_ALONE),),
     )
