@@ -1,5 +1,6 @@
 """Kernels that numba compiles for the CPU at their first use: what they need, and what is said meanwhile."""
 
+import hashlib
 import importlib.util
 import sys
 from functools import cache
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor
 
 _FLOATS = (torch.float32, torch.float64)
+_FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
 @cache
@@ -32,6 +34,18 @@ def supports(*tensors: Tensor) -> bool:
     )
 
 
+def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without types)
+    """Decorator: compile a function that a kernel calls often, without counting references to its arrays.
+
+    Counting costs more than a small function does; so it must not make arrays, only use those that it is given. It is
+    not kept on its own, only within the kernel: what is kept of it would outlive a change of another that it calls.
+    """
+    import numba
+
+    compiler: Any = numba.njit  # whose stubs leave this out
+    return compiler(error_model="numpy", _nrt=False)(function)
+
+
 class Kernel:
     """A function over NumPy arrays that numba compiles, for torch's number of threads.
 
@@ -41,15 +55,20 @@ class Kernel:
 
     Args:
         function: what numba compiles; its loops over `numba.prange` run in parallel.
+        fast: let sums be reordered and products be added in one go, so that loops become vector instructions;
+            NaN, infinity and the smallest numbers stay what they are.
     """
 
-    def __init__(self, function: FunctionType) -> None:
+    def __init__(self, function: FunctionType, *, fast: bool = False) -> None:
         import numba
 
         self._numba: Any = numba
         self._most = int(self._numba.config.NUMBA_NUM_THREADS)
-        self._alone = numba.njit(cache=True, error_model="numpy")(_renamed(function, f"{function.__name__}_alone"))
-        self._shared = numba.njit(cache=True, error_model="numpy", parallel=True)(function)
+        self._label = function.__name__.strip("_")
+        options: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": _FAST if fast else False}
+        name = f"{function.__name__}{_stamp(function)}"
+        self._alone = numba.njit(**options)(_renamed(function, f"{name}_alone"))
+        self._shared = numba.njit(**options, parallel=True)(_renamed(function, name))
         self._announced: set[str] = set()
 
     def __call__(self, *arguments: Any) -> Any:  # noqa: ANN401  (whatever the function takes and gives)
@@ -68,8 +87,26 @@ class Kernel:
             return
         self._announced.add(name)
         if next(Path(compiled.stats.cache_path).glob(f"*.{name}-*.nbi"), None) is None:
-            sys.stderr.write(f"rumi: compiling {name.strip('_')} for this processor (seconds, once)\n")
+            sys.stderr.write(f"rumi: compiling {self._label} for this processor (seconds, once)\n")
             sys.stderr.flush()
+
+
+def _stamp(function: FunctionType) -> str:
+    """What a function's name carries of the building blocks that it takes from other files, if it does.
+
+    Whether compiled code is up to date is told from the file of the function alone.
+    """
+    own, met = function.__module__, {function.__module__}
+    waiting, digest = [own], hashlib.sha256()
+    while waiting:
+        for value in list(vars(sys.modules[waiting.pop()]).values()):
+            module = getattr(value, "__module__", None)
+            if isinstance(module, str) and module.endswith("_numba") and module in sys.modules and module not in met:
+                met.add(module)
+                waiting.append(module)
+    for module in sorted(met - {own}):
+        digest.update(Path(str(sys.modules[module].__file__)).read_bytes())
+    return f"_{digest.hexdigest()[:8]}" if len(met) > 1 else ""
 
 
 def _renamed(function: FunctionType, name: str) -> FunctionType:

@@ -146,6 +146,20 @@ class GridSDF(SDF):
         slopes[2] = interpolate(high - low, cells)
         return self._query(value, slopes, offsets, chains)
 
+    def layer(self, z: Float[Tensor, ""]) -> tuple[Float[Tensor, "X Y"], Float[Tensor, "X Y"], Float[Tensor, "2"]]:
+        """The table at one height, in the dtype of `z`: what look-ups at that height draw on.
+
+        Args:
+            z: height, metres.
+
+        Returns:
+            values, metres, at the nodes; their slopes along z, metres a cell; and along z the offset beyond the
+            lattice, fine spacings, with the cells a fine spacing there.
+        """
+        cell, offset, rate = self._along(2, z, chains=True)
+        low, high, share = self._layers(cell)
+        return torch.lerp(low, high, share)[..., 0], (high - low)[..., 0], torch.stack((offset, rate))
+
     def _cells(
         self, points: Tensor, z: float | Tensor | None = None, *, chains: bool = False
     ) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
@@ -159,29 +173,31 @@ class GridSDF(SDF):
         planes = list(points.unbind(-1))
         if z is not None:
             planes.append(torch.as_tensor(z, dtype=points.dtype, device=points.device))
+        along = [self._along(axis, plane, chains=chains) for axis, plane in enumerate(planes)]
+        cells, offsets, rates = zip(*along, strict=True)
+        return list(cells), list(offsets), list(rates)
+
+    def _along(self, axis: int, plane: Tensor, *, chains: bool) -> tuple[Tensor, Tensor, Tensor]:
+        """The same of one axis; the rate is a placeholder unless it is asked for."""
+        start, last = self.origin[axis], self.values.shape[axis] - 1 - self.outer
         scale, ratio = 1.0 / self.spacing, self.spacing / self.outer_spacing
         reach = self.outer / ratio
-        cells, offsets, rates = [], [], []
-        for plane, start, n in zip(planes, self.origin, self.values.shape, strict=True):
-            last = n - 1 - self.outer
-            # in fine spacings, such that the first fine node, number `outer`, is at `outer`
-            place = keep_within_reach(plane) * scale + (self.outer - start * scale)
-            cell = fine = place.clamp(self.outer, last)
-            kept = place.clamp(self.outer - reach, last + reach) if self.outer else fine
-            offset = place - kept
-            if self.outer:
-                cell = torch.lerp(fine, kept, ratio)
-                if chains or place.requires_grad:
-                    in_fine = ((cell >= self.outer) & (cell < last)).to(cell.dtype)
-                    rate = (ratio + (1.0 - ratio) * in_fine) * (offset.detach() == 0)
-                    if place.requires_grad:
-                        cell = cell.detach() + rate * (place - place.detach())
-                    rates.append(rate)
-            elif chains:
-                rates.append((offset.detach() == 0).to(cell.dtype))
-            cells.append(cell)
-            offsets.append(offset)
-        return cells, offsets, rates
+        # in fine spacings, such that the first fine node, number `outer`, is at `outer`
+        place = keep_within_reach(plane) * scale + (self.outer - start * scale)
+        cell = fine = place.clamp(self.outer, last)
+        kept = place.clamp(self.outer - reach, last + reach) if self.outer else fine
+        offset = place - kept
+        rate = offset
+        if self.outer:
+            cell = torch.lerp(fine, kept, ratio)
+            if chains or place.requires_grad:
+                in_fine = ((cell >= self.outer) & (cell < last)).to(cell.dtype)
+                rate = (ratio + (1.0 - ratio) * in_fine) * (offset.detach() == 0)
+                if place.requires_grad:
+                    cell = cell.detach() + rate * (place - place.detach())
+        elif chains:
+            rate = (offset.detach() == 0).to(cell.dtype)
+        return cell, offset, rate
 
     def _layers(self, cell: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Nodes (X, Y, 1) below and above a lattice height, and how far between them it is."""

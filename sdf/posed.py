@@ -7,9 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import backend, se3
+from sdf import backend, fused, se3
 from sdf.base import SDF, SDFQuery
 from sdf.check import check_shape
+from sdf.grid_fused import takes
 from sdf.grid_sdf import GridSDF
 
 # pairs looked up at once: few enough for the caches, enough that two threads do not wait for each other all the time
@@ -48,7 +49,7 @@ def posed_query(sdf: SDF, world_T_object: Float[Tensor, "*#b N 4 4"], points_w: 
 
 @backend.register("posed_distance")
 def _posed_distance(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor:
-    height = _common_height(sdf, world_T_object, points_w)
+    height = common_height(sdf, world_T_object, points_w)
 
     def look_up(points_o: Tensor) -> tuple[Tensor, ...]:
         if height is not None and isinstance(sdf, GridSDF):
@@ -60,7 +61,7 @@ def _posed_distance(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tenso
 
 @backend.register("posed_query")
 def _posed_query(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SDFQuery:
-    height = _common_height(sdf, world_T_object, points_w)
+    height = common_height(sdf, world_T_object, points_w)
 
     def look_up(points_o: Tensor) -> tuple[Tensor, ...]:
         if height is not None and isinstance(sdf, GridSDF):
@@ -71,6 +72,24 @@ def _posed_query(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SDFQuery
 
     distance, gradient = _by_blocks(look_up, world_T_object, points_w)
     return SDFQuery(distance[..., 0], gradient)
+
+
+@backend.register("posed_distance", "numba", fused.supports)
+def _posed_distance_numba(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor:
+    if not takes(sdf, world_T_object, points_w):
+        return _posed_distance(sdf, world_T_object, points_w)
+    from sdf.posed_fused import fused_distance
+
+    return fused_distance(sdf, world_T_object, points_w, common_height(sdf, world_T_object, points_w))
+
+
+@backend.register("posed_query", "numba", fused.supports)
+def _posed_query_numba(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SDFQuery:
+    if not takes(sdf, world_T_object, points_w):
+        return _posed_query(sdf, world_T_object, points_w)
+    from sdf.posed_fused import fused_query
+
+    return fused_query(sdf, world_T_object, points_w, common_height(sdf, world_T_object, points_w))
 
 
 def _by_blocks(
@@ -96,7 +115,7 @@ def _by_blocks(
     return [torch.cat(parts, dim=-3) if len(rows) > 1 else parts[0] for parts in zip(*rows, strict=True)]
 
 
-def _common_height(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor | None:
+def common_height(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor | None:
     """Height of all points in the frames of all poses if there is one, the poses are upright and no graph is kept."""
     graph = torch.is_grad_enabled() and (world_T_object.requires_grad or points_w.requires_grad)
     if graph or not isinstance(sdf, GridSDF) or not world_T_object.numel() or not points_w.numel():

@@ -12,6 +12,7 @@ from rumi.dynamics.planar import TiedField
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.normal import expected_normal
 from rumi.fields.workspace import Workspace
+from sdf import backend, fused
 from sdf.base import SDF
 from sdf.voxel_grid import VoxelGrid
 
@@ -90,15 +91,31 @@ def _spread(values: Float[Tensor, "X Y"], radius: float) -> tuple[Float[Tensor, 
     half = 1.5 + 1e-3
     widest = int(radius + half) + 1
     mx, my = (widest if n > 1 else 0 for n in values.shape)
-    padded = nnf.pad(values[None, None], [my, my, mx, mx])
+    reaches = [radius**2 - max(abs(row) - half, 0.0) ** 2 for row in range(-mx, mx + 1)]
+    # nodes to each side that count in each row of the footprint; -1 for none at all
+    widths = [-1 if rest < 0 else min(int(half + rest**0.5), my) for rest in reaches]
+    return backend.dispatch("spread", values)(values, widths, my), (mx, my)
+
+
+@backend.register("spread")
+def _spread_plain(values: Float[Tensor, "X Y"], widths: list[int], margin: int) -> Float[Tensor, "X2 Y2"]:
+    middle = len(widths) // 2
+    padded = nnf.pad(values[None, None], [margin, margin, middle, middle])
     result = torch.zeros_like(padded)
     height = padded.shape[2]
-    for row in range(-mx, mx + 1):
-        rest = radius**2 - max(abs(row) - half, 0.0) ** 2
-        if rest < 0:
+    for row, width in enumerate(widths, -middle):
+        if width < 0:
             continue
-        width = min(int(half + rest**0.5), my)
         along = nnf.max_pool2d(nnf.pad(padded, (width, width)), (1, 2 * width + 1), stride=1)
         low, high = max(0, -row), min(height, height - row)
         result[:, :, low:high] = torch.maximum(result[:, :, low:high], along[:, :, low + row : high + row])
-    return result[0, 0], (mx, my)
+    return result[0, 0]
+
+
+@backend.register("spread", "numba", fused.supports)
+def _spread_numba(values: Float[Tensor, "X Y"], widths: list[int], margin: int) -> Float[Tensor, "X2 Y2"]:
+    from rumi.dynamics.contact_numba import spread
+
+    result = values.new_zeros(values.shape[0] + len(widths) - 1, values.shape[1] + 2 * margin)
+    spread(values.contiguous().numpy(), torch.tensor(widths).numpy(), margin, result.numpy())
+    return result

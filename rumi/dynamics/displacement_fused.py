@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -34,15 +35,16 @@ class FusedPush:
         starts = torch.searchsorted(owner.sort().values, torch.arange(len(centres) + 1))
         order = owner.argsort(stable=True)
         padded = torch.nn.functional.pad(probability.values[:, :, 0], [2, 2, 2, 2])
-        self._body = _arrays(model.points[order], starts, order)
-        self._fields = _arrays(padded, probability.origin)
-        (self._normal,) = _arrays(normal.values[:, :, 0])
+        self._body = _arrays(*model.points[order, :2].unbind(-1), starts, order)
+        self._fields = _arrays(padded.flatten(), probability.origin, normal.values[:, :, 0])
         self._discs = _arrays(bound.values[:, :, 0], bound.origin, centres)
         (self._action,) = _arrays(model.tool.scale)
         self._arm = model.tool.arm_arrays()
+        self._sizes = np.array((*padded.shape, 1.0 / probability.spacing, TIE))
         settings = model.settings
         holds = settings.hazard != "per_mini_step"
-        self._rules = (1.0 / probability.spacing, math.cos(settings.push_angle), TIE, holds, settings.mini_steps)
+        self._rules = np.array((math.cos(settings.push_angle), holds, settings.mini_steps))
+        self._mini_steps = settings.mini_steps
 
     def __call__(
         self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], uniforms: Float[Tensor, "K M H S"]
@@ -59,14 +61,25 @@ class FusedPush:
             self._action,
             self._body,
             self._fields,
-            self._normal,
             self._discs,
             self._arm,
+            self._sizes,
             self._rules,
+            self._scratch(samples, rollouts),
             tuple(part.numpy() for part in (states, moved, contact, twin, checks)),
         )
-        whole = samples * rollouts * horizon * self._rules[-1]
+        whole = samples * rollouts * horizon * self._mini_steps
         return PushRollouts(states, moved, contact, int(checks.sum()) / max(1, whole), twin)
+
+    def _scratch(self, samples: int, rollouts: int) -> tuple[Any, ...]:
+        """Room to work in, by control sequence: state, flags and number of each group; bounds; probabilities."""
+        return (
+            np.zeros((samples, rollouts, 10)),
+            np.zeros((samples, 2, rollouts), np.bool_),
+            np.zeros((samples, rollouts), np.int64),
+            np.empty((samples, len(self._discs[2]))),
+            np.empty((samples, len(self._body[0])), self._fields[0].dtype),
+        )
 
 
 def _arrays(*tensors: Tensor) -> tuple[Any, ...]:

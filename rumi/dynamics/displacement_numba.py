@@ -6,18 +6,17 @@ them touch and others do not: while nothing is touched, there is one group.
 
 import math
 
-import numba
 import numpy as np
 from numba import prange
 
 from rumi.planning.tool_numba import residual, step_within
-from sdf.fused import Kernel
+from sdf.fused import Kernel, bare
 
 # columns of a group's state
 _X, _Y, _YAW, _WAY_X, _WAY_Y, _WAY_YAW, _OFFSET_X, _OFFSET_Y, _COS, _SIN = range(10)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@bare
 def _value(grid, channel, x, y):
     """Bilinear value of a channel at lattice coordinates; zero fades in outside."""
     i, j = math.floor(x), math.floor(y)
@@ -30,7 +29,7 @@ def _value(grid, channel, x, y):
     return value
 
 
-@numba.njit(cache=True, error_model="numpy")
+@bare
 def _bound(bound, x, y):
     """What the bound holds at the node next to lattice coordinates; 0 outside."""
     i = 0 if bound.shape[0] == 1 else math.floor(x + 0.5)
@@ -38,17 +37,17 @@ def _bound(bound, x, y):
     return bound[i, j] if 0 <= i < bound.shape[0] and 0 <= j < bound.shape[1] else 0.0
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _touch(x, y, cos, sin, level, body, fields, discs, scale, tie, ahead, likely):
+@bare
+def _touch(
+    x, y, cos, sin, level, px, py, starts, order, flat, origin, bound, bound_origin, centres, sizes, ahead, likely
+):
     """Greatest contact probability of the tool's points if it is above `level`, and the first point that has it.
 
     Discs are looked into in the order of what they may hold, until none left can hold as much as was found.
     """
-    points, starts, order = body
-    padded, origin = fields
-    bound, bound_origin, centres = discs
-    kind = padded.dtype.type
-    none, last_x, last_y = kind(0.0), kind(padded.shape[0] - 1.001), kind(padded.shape[1] - 1.001)
+    width, height, scale, tie = int(sizes[0]), int(sizes[1]), sizes[2], sizes[3]
+    kind = flat.dtype.type
+    none, last_x, last_y = kind(0.0), kind(width - 1.001), kind(height - 1.001)
     possible = False
     for d in range(len(centres)):
         cx = (x + cos * centres[d, 0] - sin * centres[d, 1] - bound_origin[0]) * scale
@@ -68,18 +67,21 @@ def _touch(x, y, cos, sin, level, body, fields, discs, scale, tie, ahead, likely
         if disc < 0:
             break
         ahead[disc] = -2.0
-        for k in range(starts[disc], starts[disc + 1]):
+        first, last = starts[disc], starts[disc + 1]
+        for k in range(first, last):
             # the field is padded by two nodes of zeros on each side, on which all that lies outside lands
-            px = min(max(place_x + turn_x * points[k, 0] - turn_y * points[k, 1], none), last_x)
-            py = min(max(place_y + turn_y * points[k, 0] + turn_x * points[k, 1], none), last_y)
-            i, j = int(px), int(py)
-            a, b = px - kind(i), py - kind(j)
-            low = padded[i, j] + b * (padded[i, j + 1] - padded[i, j])
-            high = padded[i + 1, j] + b * (padded[i + 1, j + 1] - padded[i + 1, j])
+            u = min(max(place_x + turn_x * px[k] - turn_y * py[k], none), last_x)
+            v = min(max(place_y + turn_y * px[k] + turn_x * py[k], none), last_y)
+            i, j = np.uint32(u), np.uint32(v)
+            a, b = u - kind(i), v - kind(j)
+            at = np.uint64(i * np.uint32(height) + j)
+            below = at + np.uint64(height)
+            low = flat[at] + b * (flat[at + np.uint64(1)] - flat[at])
+            high = flat[below] + b * (flat[below + np.uint64(1)] - flat[below])
             likely[k] = low + a * (high - low)
-        for k in range(starts[disc], starts[disc + 1]):
+        for k in range(first, last):
             most = max(most, likely[k])
-    best, first = -1, len(points)
+    best, first = -1, len(px)
     if level < most:
         for d in range(len(centres)):
             if ahead[d] == -2.0:
@@ -89,7 +91,7 @@ def _touch(x, y, cos, sin, level, body, fields, discs, scale, tie, ahead, likely
     return most, best, True
 
 
-@numba.njit(cache=True, error_model="numpy")
+@bare
 def _pushes(x, y, cos, sin, tx, ty, dx, dy, normal, origin, scale, push_cosine):
     """Whether the motion (dx, dy) of the tool's point (tx, ty) goes into the surface within the push angle."""
     tiny = 1e-6
@@ -99,102 +101,132 @@ def _pushes(x, y, cos, sin, tx, ty, dx, dy, normal, origin, scale, push_cosine):
     return -(nx * dx + ny * dy) > push_cosine * length * moved and length > tiny and moved > tiny
 
 
-def _push_rollouts(start, controls, draws, action, body, fields, normal, discs, arm, rules, out):
-    scale, push_cosine, tie, holds, mini_steps = rules
+@bare
+def _sample(k, start, controls, draws, action, body, fields, discs, arm, sizes, rules, scratch, out):
+    """All rollouts of control sequence k."""
+    # arrays in tuples are counted in and out wherever they are taken out: once here
+    px, py, starts, order = body
+    flat, origin, normal = fields
+    bound, bound_origin, centres = discs
+    table, base, bounds, limits = arm
     states, moved, contact, twin, checks = out
-    points, origin = body[0], fields[1]
-    samples, rollouts, horizon, parts = draws.shape
-    for k in prange(samples):
-        likely = np.empty(len(points), fields[0].dtype)
-        ahead = np.empty(len(discs[2]), np.float64)
-        group = np.zeros(rollouts, np.int64)  # of each rollout
-        state = np.zeros((rollouts, 10))
-        strayed, stuck = np.zeros(rollouts, np.bool_), np.zeros(rollouts, np.bool_)
-        groups, checked = 1, 0
-        free_x, free_y, free_yaw = float(start[0]), float(start[1]), float(start[2])
-        left = residual(free_x, free_y, free_yaw, arm)
-        state[0, _X], state[0, _Y], state[0, _YAW] = free_x, free_y, free_yaw
-        state[0, _COS], state[0, _SIN] = math.cos(free_yaw), math.sin(free_yaw)
+    every_state, every_flag, every_group, every_ahead, every_likely = scratch
+    state, strayed, stuck = every_state[k], every_flag[k, 0], every_flag[k, 1]
+    group, ahead, likely = every_group[k], every_ahead[k], every_likely[k]
+    push_cosine, holds, mini_steps = rules[0], rules[1] > 0.0, int(rules[2])
+    scale = sizes[2]
+    _, rollouts, horizon, parts = draws.shape
+    groups, checked = 1, 0
+    free_x, free_y, free_yaw = float(start[0]), float(start[1]), float(start[2])
+    left = residual(free_x, free_y, free_yaw, table, base, limits)
+    state[0, _X], state[0, _Y], state[0, _YAW] = free_x, free_y, free_yaw
+    state[0, _COS], state[0, _SIN] = math.cos(free_yaw), math.sin(free_yaw)
+    for m in range(rollouts):
+        for axis in range(3):
+            states[k, m, 0, axis] = start[axis]
+            moved[k, m, 0, axis] = 0.0
+    for h in range(horizon):
+        ux, uy, uyaw = controls[k, h, 0] * action[0], controls[k, h, 1] * action[1], controls[k, h, 2] * action[2]
+        free_x, free_y, free_yaw, left = step_within(
+            free_x, free_y, free_yaw, free_x + ux, free_y + uy, free_yaw + uyaw, left, table, base, bounds, limits
+        )
+        for g in range(groups):
+            x, y, yaw = state[g, _X], state[g, _Y], state[g, _YAW]
+            to_x, to_y, to_yaw = free_x, free_y, free_yaw
+            if strayed[g]:
+                rest = residual(x, y, yaw, table, base, limits)
+                to_x, to_y, to_yaw, _ = step_within(
+                    x, y, yaw, x + ux, y + uy, yaw + uyaw, rest, table, base, bounds, limits
+                )
+            stuck[g] = False
+            state[g, _WAY_X] = (to_x - x) / mini_steps
+            state[g, _WAY_Y] = (to_y - y) / mini_steps
+            state[g, _WAY_YAW] = (to_yaw - yaw) / mini_steps
         for m in range(rollouts):
-            for axis in range(3):
-                states[k, m, 0, axis] = start[axis]
-                moved[k, m, 0, axis] = 0.0
-        for h in range(horizon):
-            ux, uy, uyaw = controls[k, h, 0] * action[0], controls[k, h, 1] * action[1], controls[k, h, 2] * action[2]
-            free_x, free_y, free_yaw, left = step_within(
-                free_x, free_y, free_yaw, free_x + ux, free_y + uy, free_yaw + uyaw, left, arm
-            )
-            for g in range(groups):
-                x, y, yaw = state[g, _X], state[g, _Y], state[g, _YAW]
-                to_x, to_y, to_yaw = free_x, free_y, free_yaw
-                if strayed[g]:
-                    rest = residual(x, y, yaw, arm)
-                    to_x, to_y, to_yaw, _ = step_within(x, y, yaw, x + ux, y + uy, yaw + uyaw, rest, arm)
-                stuck[g] = False
-                state[g, _WAY_X] = (to_x - x) / mini_steps
-                state[g, _WAY_Y] = (to_y - y) / mini_steps
-                state[g, _WAY_YAW] = (to_yaw - yaw) / mini_steps
-            for m in range(rollouts):
-                contact[k, m, h] = False
-            for mini in range(mini_steps):
-                part = min(mini, parts - 1)
-                for g in range(groups):  # those that split off below have done this mini step
-                    if stuck[g]:
-                        continue
-                    level = 2.0
+            contact[k, m, h] = False
+        for mini in range(mini_steps):
+            part = min(mini, parts - 1)
+            for g in range(groups):  # those that split off below have done this mini step
+                if stuck[g]:
+                    continue
+                level = 2.0
+                for m in range(rollouts):
+                    if group[m] == g:
+                        level = min(level, draws[k, m, h, part])
+                x, y = state[g, _X] + state[g, _WAY_X], state[g, _Y] + state[g, _WAY_Y]
+                yaw = state[g, _YAW] + state[g, _WAY_YAW]
+                cos, sin = math.cos(yaw), math.sin(yaw)
+                u, v = x - state[g, _OFFSET_X], y - state[g, _OFFSET_Y]
+                most, point, looked = _touch(
+                    u,
+                    v,
+                    cos,
+                    sin,
+                    level,
+                    px,
+                    py,
+                    starts,
+                    order,
+                    flat,
+                    origin,
+                    bound,
+                    bound_origin,
+                    centres,
+                    sizes,
+                    ahead,
+                    likely,
+                )
+                checked += looked
+                those = -1  # the group of those that touch
+                if point >= 0:
+                    every = True
                     for m in range(rollouts):
-                        if group[m] == g:
-                            level = min(level, draws[k, m, h, part])
-                    x, y = state[g, _X] + state[g, _WAY_X], state[g, _Y] + state[g, _WAY_Y]
-                    yaw = state[g, _YAW] + state[g, _WAY_YAW]
-                    cos, sin = math.cos(yaw), math.sin(yaw)
-                    u, v = x - state[g, _OFFSET_X], y - state[g, _OFFSET_Y]
-                    most, point, looked = _touch(u, v, cos, sin, level, body, fields, discs, scale, tie, ahead, likely)
-                    checked += looked
-                    those = -1  # the group of those that touch
-                    if point >= 0:
-                        every = True
-                        for m in range(rollouts):
-                            if group[m] == g and not draws[k, m, h, part] < most:
-                                every = False
-                        those = g if every else groups
-                        for m in range(rollouts):
-                            if group[m] == g and draws[k, m, h, part] < most:
-                                group[m] = those
-                                contact[k, m, h] = True
-                        tx, ty = points[point, 0], points[point, 1]
-                        dx = (cos - state[g, _COS]) * tx - (sin - state[g, _SIN]) * ty + state[g, _WAY_X]
-                        dy = (sin - state[g, _SIN]) * tx + (cos - state[g, _COS]) * ty + state[g, _WAY_Y]
-                        pushed = _pushes(u, v, cos, sin, tx, ty, dx, dy, normal, origin, scale, push_cosine)
-                        if not every:
-                            groups += 1
-                            state[those] = state[g]
-                            strayed[those] = strayed[g]
-                            stuck[those] = False
-                        if pushed:
-                            state[those, _X], state[those, _Y], state[those, _YAW] = x, y, yaw
-                            state[those, _COS], state[those, _SIN] = cos, sin
-                            state[those, _OFFSET_X] += dx
-                            state[those, _OFFSET_Y] += dy
-                        else:
-                            strayed[those] = True
-                            stuck[those] = holds
-                    if those != g:
-                        state[g, _X], state[g, _Y], state[g, _YAW] = x, y, yaw
-                        state[g, _COS], state[g, _SIN] = cos, sin
-            for m in range(rollouts):
-                g = group[m]
-                states[k, m, h + 1, 0], states[k, m, h + 1, 1] = state[g, _X], state[g, _Y]
-                states[k, m, h + 1, 2] = state[g, _YAW]
-                moved[k, m, h + 1, 0], moved[k, m, h + 1, 1] = state[g, _OFFSET_X], state[g, _OFFSET_Y]
-                moved[k, m, h + 1, 2] = 0.0
-        checks[k] = checked
+                        if group[m] == g and not draws[k, m, h, part] < most:
+                            every = False
+                    those = g if every else groups
+                    for m in range(rollouts):
+                        if group[m] == g and draws[k, m, h, part] < most:
+                            group[m] = those
+                            contact[k, m, h] = True
+                    tx, ty = px[point], py[point]
+                    dx = (cos - state[g, _COS]) * tx - (sin - state[g, _SIN]) * ty + state[g, _WAY_X]
+                    dy = (sin - state[g, _SIN]) * tx + (cos - state[g, _COS]) * ty + state[g, _WAY_Y]
+                    pushed = _pushes(u, v, cos, sin, tx, ty, dx, dy, normal, origin, scale, push_cosine)
+                    if not every:
+                        groups += 1
+                        for column in range(state.shape[1]):
+                            state[those, column] = state[g, column]
+                        strayed[those] = strayed[g]
+                        stuck[those] = False
+                    if pushed:
+                        state[those, _X], state[those, _Y], state[those, _YAW] = x, y, yaw
+                        state[those, _COS], state[those, _SIN] = cos, sin
+                        state[those, _OFFSET_X] += dx
+                        state[those, _OFFSET_Y] += dy
+                    else:
+                        strayed[those] = True
+                        stuck[those] = holds
+                if those != g:
+                    state[g, _X], state[g, _Y], state[g, _YAW] = x, y, yaw
+                    state[g, _COS], state[g, _SIN] = cos, sin
         for m in range(rollouts):
-            twin[k, m] = m
-            for other in range(m):
-                if group[other] == group[m]:
-                    twin[k, m] = other
-                    break
+            g = group[m]
+            states[k, m, h + 1, 0], states[k, m, h + 1, 1] = state[g, _X], state[g, _Y]
+            states[k, m, h + 1, 2] = state[g, _YAW]
+            moved[k, m, h + 1, 0], moved[k, m, h + 1, 1] = state[g, _OFFSET_X], state[g, _OFFSET_Y]
+            moved[k, m, h + 1, 2] = 0.0
+    checks[k] = checked
+    for m in range(rollouts):
+        twin[k, m] = m
+        for other in range(m):
+            if group[other] == group[m]:
+                twin[k, m] = other
+                break
+
+
+def _push_rollouts(start, controls, draws, action, body, fields, discs, arm, sizes, rules, scratch, out):
+    for k in prange(len(controls)):
+        _sample(k, start, controls, draws, action, body, fields, discs, arm, sizes, rules, scratch, out)
 
 
 push_rollouts = Kernel(_push_rollouts)

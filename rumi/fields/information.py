@@ -9,8 +9,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from sdf import backend, fused
 from sdf.base import SDF
 from sdf.check import check_shape
+from sdf.grid_fused import takes
 from sdf.posed import posed_distance
 
 InformationMode = Literal["surrogate", "reverse_kl", "forward_kl", "sensor_mi"]
@@ -170,7 +172,6 @@ def information_field(
     check_shape("world_T_object", world_T_object, "(*b, N, 4, 4)", last=(4, 4))
     check_shape("points_w", points_w, "(V, 3)", last=(3,))
     settings = settings or InformationSettings()
-    batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
     values: dict[str, Any] = {f.name: getattr(settings, f.name) for f in fields(settings)} | parameters
     tail = values.pop("tail")
     sharpness, surface_tolerance = (
@@ -178,7 +179,18 @@ def information_field(
     )
     reach = tail_distance(sharpness, surface_tolerance, tail)
     near = near_object(sdf, world_T_object, points_w, reach)  # (*b, V)
-    some = near.reshape(-1, len(points_w)).any(0).nonzero()[:, 0]
+    tensors = (value for value in values.values() if isinstance(value, Tensor))
+    version = backend.dispatch("information_field", world_T_object, log_weights, points_w, *sdf.buffers(), *tensors)
+    return version(sdf, world_T_object, log_weights, points_w, near, values)
+
+
+@backend.register("information_field")
+def _information_field(
+    sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, near: Tensor, values: dict[str, Any]
+) -> WorkspaceFields:
+    """Fields of the points `near` (*b, V), the others free and void of information."""
+    batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
+    some = near.reshape(math.prod(batch), len(points_w)).any(0).nonzero()[:, 0]
     semantics = points_w.new_tensor([1.0, 0.0, 0.0]).expand(*batch, len(points_w), 3).clone()
     information = points_w.new_zeros(*batch, len(points_w))
     size = max(1, CHUNK_BYTES // (4 * 16 * max(1, math.prod(batch) * count)))
@@ -189,6 +201,20 @@ def information_field(
         semantics[..., index, :] = torch.where(kept[..., None], here.semantics, semantics[..., index, :])
         information[..., index] = torch.where(kept, here.information, information[..., index])
     return WorkspaceFields(semantics, information)
+
+
+@backend.register("information_field", "numba", fused.supports)
+def _information_field_numba(
+    sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, near: Tensor, values: dict[str, Any]
+) -> WorkspaceFields:
+    numbers = {name: value for name, value in values.items() if name != "mode"}
+    lone = all(value.numel() == 1 for value in numbers.values() if isinstance(value, Tensor))
+    if not lone or not takes(sdf, world_T_object, log_weights, points_w) or not world_T_object.shape[-3]:
+        return _information_field(sdf, world_T_object, log_weights, points_w, near, values)
+    from rumi.fields.information_fused import fused_fields
+
+    floats = {name: value.item() if isinstance(value, Tensor) else float(value) for name, value in numbers.items()}
+    return fused_fields(sdf, world_T_object, log_weights, points_w, near, values["mode"], floats)
 
 
 def tail_distance(sharpness: float, surface_tolerance: float, tail: float) -> float:

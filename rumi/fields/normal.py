@@ -6,8 +6,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from sdf import backend, fused
 from sdf.base import SDF
 from sdf.check import check_shape
+from sdf.grid_fused import takes
 from sdf.posed import posed_query
 
 CHUNK_BYTES = 64 * 2**20
@@ -34,16 +36,34 @@ def expected_normal(
     """
     check_shape("world_T_object", world_T_object, "(*b, N, 4, 4)", last=(4, 4))
     check_shape("points_w", points_w, "(V, 3)", last=(3,))
-    batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
     if where is None:
-        where = torch.ones(*batch, len(points_w), dtype=torch.bool, device=points_w.device)
+        shape = (*world_T_object.shape[:-3], len(points_w))
+        where = torch.ones(shape, dtype=torch.bool, device=points_w.device)
+    version = backend.dispatch("expected_normal", world_T_object, log_weights, points_w, *sdf.buffers())
+    return version(sdf, world_T_object, log_weights, points_w, where)
+
+
+@backend.register("expected_normal")
+def _expected_normal(sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, where: Tensor) -> Tensor:
+    batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
     turned = (log_weights.exp()[..., None, None] * world_T_object[..., :3, :3]).transpose(-3, -2)  # (*b, 3, N, 3)
     turned = turned.reshape(*batch, 3, 3 * count)
     normal = points_w.new_zeros(*batch, len(points_w), 3)
     size = max(1, CHUNK_BYTES // (4 * 40 * max(1, math.prod(batch) * count)))
-    for index in where.reshape(-1, len(points_w)).any(0).nonzero()[:, 0].split(size):
+    for index in where.reshape(math.prod(batch), len(points_w)).any(0).nonzero()[:, 0].split(size):
         points = points_w[index].expand(*batch, len(index), 3)
         gradient = posed_query(sdf, world_T_object, points).gradient  # (*b, N, V, 3), object frames
         stacked = gradient.transpose(-1, -2).reshape(*batch, 3 * count, len(index))
         normal[..., index, :] = (turned @ stacked).mT * where[..., index, None]
     return normal
+
+
+@backend.register("expected_normal", "numba", fused.supports)
+def _expected_normal_numba(
+    sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, where: Tensor
+) -> Tensor:
+    if not takes(sdf, world_T_object, log_weights, points_w):
+        return _expected_normal(sdf, world_T_object, log_weights, points_w, where)
+    from rumi.fields.normal_fused import fused_normal
+
+    return fused_normal(sdf, world_T_object, log_weights, points_w, where)

@@ -163,7 +163,7 @@ def _gathered_numba(cells: Cells, configurations: Tensor, displacements: Tensor,
     from rumi.planning.costs_numba import gathered
 
     result = configurations.new_empty(len(configurations))
-    geometry = (cells.layer, cells.scale, cells.offset, cells.points_t, cells.middle)
+    geometry = (cells.layer, cells.scale, cells.offset, *cells.points_t[:, :2].unbind(-1), cells.middle)
     gathered(
         cells.value.contiguous().numpy(),
         *(part.contiguous().numpy() for part in geometry),

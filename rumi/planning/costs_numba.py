@@ -6,16 +6,33 @@ import numpy as np
 from numba import prange
 
 from sdf.fused import Kernel
+from sdf.grid_numba import at, block, put
 
 
-def _gathered(value, layer, scale, offset, points, middle, radius, configurations, displacements, discount, result):
+@block
+def _cells(x, y, cos, sin, along, across, scale, offset, wide, deep, cell):
+    """Cell of every point of the tool in a layer, clamped to the box; vector instructions."""
+    kind = type(scale[0])
+    none, last_x, last_y = kind(0.0), kind(wide - 1), kind(deep - 1)
+    place_x, place_y = kind(x * scale[0] + offset[0]), kind(y * scale[1] + offset[1])
+    cos_x, sin_x, cos_y, sin_y = kind(cos * scale[0]), kind(sin * scale[0]), kind(cos * scale[1]), kind(sin * scale[1])
+    for m in range(len(along)):
+        u = place_x + cos_x * at(along, m) - sin_x * at(across, m)
+        v = place_y + sin_y * at(along, m) + cos_y * at(across, m)
+        u, v = u if u > none else none, v if v > none else none
+        u, v = u if u < last_x else last_x, v if v < last_y else last_y
+        put(cell, m, np.int32(u) * np.int32(deep) + np.int32(v))
+
+
+def _gathered(
+    value, layer, scale, offset, along, across, middle, radius, configurations, displacements, discount, result
+):
     rollouts, horizon = configurations.shape[:2]
     wide, deep, layers = value.shape
     worth = value.reshape(-1)
-    kind = value.dtype.type
-    none, last_x, last_y = kind(0.0), kind(wide - 1.0), kind(deep - 1.0)
     for r in prange(rollouts):
         met = np.zeros(worth.size, np.bool_)
+        cell = np.empty(along.size, np.int32)
         total, factor = 0.0, 1.0
         for h in range(horizon):
             yaw = configurations[r, h, 2]
@@ -31,22 +48,16 @@ def _gathered(value, layer, scale, offset, points, middle, radius, configuration
                 u = (x + cos * middle[0] - sin * middle[1]) * scale[0] + offset[0]
                 v = (y + sin * middle[0] + cos * middle[1]) * scale[1] + offset[1]
                 if max(max(1.0 - u, u - (wide - 1.0)), max(1.0 - v, v - (deep - 1.0))) <= radius:
-                    place_x, place_y = kind(x * scale[0] + offset[0]), kind(y * scale[1] + offset[1])
-                    cos_x, sin_x, cos_y, sin_y = (
-                        kind(cos * scale[0]),
-                        kind(sin * scale[0]),
-                        kind(cos * scale[1]),
-                        kind(sin * scale[1]),
-                    )
-                    for m in range(layer.size):
-                        i = int(min(max(place_x + cos_x * points[m, 0] - sin_x * points[m, 1], none), last_x))
-                        j = int(min(max(place_y + sin_y * points[m, 0] + cos_y * points[m, 1], none), last_y))
-                        cell = (i * deep + j) * layers + layer[m]
-                        if not met[cell]:
-                            met[cell] = True
-                            total += factor * worth[cell]
+                    _cells(x, y, cos, sin, along, across, scale, offset, wide, deep, cell)
+                    gained = 0.0
+                    for m in range(along.size):
+                        index = np.uint32(cell[m]) * np.uint32(layers) + np.uint32(layer[m])
+                        if not met[index]:
+                            met[index] = True
+                            gained += worth[index]
+                    total += factor * gained
             factor *= discount
         result[r] = total
 
 
-gathered = Kernel(_gathered)
+gathered = Kernel(_gathered, fast=True)

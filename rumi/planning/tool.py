@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
@@ -170,13 +171,14 @@ class Tool(nn.Module):
         return flat.reshape(path.shape)
 
     def arm_arrays(self) -> tuple[Any, ...]:
-        """What limits a step, for `tool_numba`: reach table, base, bounds, and the numbers that go with them."""
+        """What limits a step, for `tool_numba`: reach table, base, bounds, and an array of numbers."""
+        bounds = self.bounds.numpy()
         if self.reach is None:
-            none = self.bounds.new_zeros(1, 3).numpy()
-            return none, none[0], self.bounds.numpy(), 1.0, SECTOR_RAD, 0.0, _SLACK_M, _PARTS, False
-        settings, (table, base) = self.reach.settings, (self.reach.left.numpy(), self.reach.base.numpy())
-        limits = (settings.radius_step_m, SECTOR_RAD, settings.tolerance_m, _SLACK_M, _PARTS, True)
-        return table, base, self.bounds.numpy(), *limits
+            none = np.zeros((1, 3), bounds.dtype)
+            return none, none[0], bounds, np.array((1.0, SECTOR_RAD, 0.0, _SLACK_M, _PARTS, 0.0))
+        settings = self.reach.settings
+        numbers = np.array((settings.radius_step_m, SECTOR_RAD, settings.tolerance_m, _SLACK_M, _PARTS, 1.0))
+        return self.reach.left.contiguous().numpy(), self.reach.base.numpy(), bounds, numbers
 
     def _inside(self, q: Tensor) -> Bool[Tensor, "*b"]:
         boxed = ((q[..., :2] >= self.bounds[0]) & (q[..., :2] <= self.bounds[1])).all(-1)

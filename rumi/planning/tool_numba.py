@@ -1,20 +1,24 @@
-"""The fused CPU version of a step against the arm's reach; `tool.py` has the definition."""
+"""The fused CPU version of a step against the arm's reach; `tool.py` has the definition.
+
+What limits a step comes as `Tool.arm_arrays` gives it: four arrays, the last of numbers. As one tuple, its
+arrays would be counted in and out at every call.
+"""
 
 import math
 
-import numba
+from sdf.fused import bare
 
 
-@numba.njit(cache=True, error_model="numpy")
+@bare
 def _wrapped(angle):
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@numba.njit(cache=True, error_model="numpy")
-def residual(x, y, yaw, arm):
+@bare
+def residual(x, y, yaw, table, base, limits):
     """What inverse kinematics leaves at a configuration, metres; bilinear in the table, the last node's beyond it."""
-    table, base, _, radius_step, sector, _, _, _, armed = arm
-    if not armed:
+    radius_step, sector = limits[0], limits[1]
+    if limits[5] == 0.0:
         return 0.0
     dx, dy = x - base[0], y - base[1]
     radius, direction = math.sqrt(dx * dx + dy * dy), math.atan2(dy, dx)
@@ -32,45 +36,48 @@ def residual(x, y, yaw, arm):
     return low + a * (high - low) + beyond
 
 
-@numba.njit(cache=True, error_model="numpy")
+@bare
 def _within(value, low, high):
     return min(max(value, low), high)
 
 
-@numba.njit(cache=True, error_model="numpy")
-def step_within(x, y, yaw, to_x, to_y, to_yaw, left, arm):
+@bare
+def step_within(x, y, yaw, to_x, to_y, to_yaw, left, table, base, bounds, limits):
     """Where a step from (x, y, yaw) to (to_x, to_y, to_yaw) ends, and the arm's residual there; `left` is it now."""
-    _, base, bounds, _, _, tolerance, slack, parts, armed = arm
+    tolerance, slack, parts = limits[2], limits[3], int(limits[4])
     to_x = _within(to_x, bounds[0, 0], bounds[1, 0])
     to_y = _within(to_y, bounds[0, 1], bounds[1, 1])
-    if not armed:
+    if limits[5] == 0.0:
         return to_x, to_y, to_yaw, 0.0
     limit = max(left, tolerance) + slack
-    rest = residual(to_x, to_y, to_yaw, arm)
+    rest = residual(to_x, to_y, to_yaw, table, base, limits)
     if rest <= limit:
         return to_x, to_y, to_yaw, rest
     # as far as the arm gets on the straight way, a part of the step at a time
     passed = 0
     for part in range(1, parts):
         share = part / parts
-        if residual(x + share * (to_x - x), y + share * (to_y - y), yaw + share * (to_yaw - yaw), arm) > limit:
+        rest = residual(
+            x + share * (to_x - x), y + share * (to_y - y), yaw + share * (to_yaw - yaw), table, base, limits
+        )
+        if rest > limit:
             break
         passed = part
     share = passed / parts
     x, y, yaw = x + share * (to_x - x), y + share * (to_y - y), yaw + share * (to_yaw - yaw)
     # and from there round the limit: without the turn, along the circle, along it and turning with it
-    rest = residual(to_x, to_y, yaw, arm)
+    rest = residual(to_x, to_y, yaw, table, base, limits)
     if rest <= limit:
         return to_x, to_y, yaw, rest
     from_x, from_y, aim_x, aim_y = x - base[0], y - base[1], to_x - base[0], to_y - base[1]
     stretch = math.sqrt(from_x * from_x + from_y * from_y) / max(math.sqrt(aim_x * aim_x + aim_y * aim_y), 1e-9)
     round_x = _within(base[0] + aim_x * stretch, bounds[0, 0], bounds[1, 0])
     round_y = _within(base[1] + aim_y * stretch, bounds[0, 1], bounds[1, 1])
-    rest = residual(round_x, round_y, to_yaw, arm)
+    rest = residual(round_x, round_y, to_yaw, table, base, limits)
     if rest <= limit:
         return round_x, round_y, to_yaw, rest
     carried = yaw + math.atan2(from_x * aim_y - from_y * aim_x, from_x * aim_x + from_y * aim_y)
-    rest = residual(round_x, round_y, carried, arm)
+    rest = residual(round_x, round_y, carried, table, base, limits)
     if rest <= limit:
         return round_x, round_y, carried, rest
-    return x, y, yaw, residual(x, y, yaw, arm)
+    return x, y, yaw, residual(x, y, yaw, table, base, limits)

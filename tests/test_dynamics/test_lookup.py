@@ -1,14 +1,24 @@
 """Quick look-ups and the contact bound against the plain interpolation."""
 
+from collections.abc import Iterator
+
 import pytest
 import torch
 from torch import Tensor
 
 from rumi.dynamics.contact import ContactBound
 from rumi.dynamics.planar import FieldSampler, TiedField, at_height, placement, planar_features
+from sdf import backend
 from sdf.voxel_grid import VoxelGrid
 
 DOUBLE = {"dtype": torch.float64}
+
+
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every test of this file holds for the plain and for the fused version."""
+    with backend.force(request.param):
+        yield
 
 
 def tool_points(count: int, generator: torch.Generator, *, uneven: bool = False) -> Tensor:
@@ -102,3 +112,17 @@ def test_bound_is_close_enough_to_settle_most_checks(generator: torch.Generator)
     distance = away.norm(dim=-1)
     assert bool(near[distance < 0.03].all())
     assert not bool(near[distance > 0.03 + 2.2 * 0.01 + 0.002].any())
+
+
+@pytest.mark.parametrize("version", ["torch"], indirect=True)
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("shape", [(15, 17, 1), (40, 31, 3), (1, 13, 1), (6, 1, 1), (1, 1, 1)])
+@pytest.mark.parametrize("radius", [0.0, 0.06, 0.3, 2.0])
+def test_versions_agree(dtype: torch.dtype, shape: tuple[int, ...], radius: float, generator: torch.Generator) -> None:
+    values = torch.rand(shape, generator=generator) * (torch.rand(shape, generator=generator) < 0.1)
+    grid = VoxelGrid(values.to(dtype).mT.contiguous().mT, torch.zeros(3, dtype=dtype), 0.045)
+    plain = ContactBound(grid, torch.zeros(1, 2, dtype=dtype), radius).grid
+    with backend.force("numba"):
+        found = ContactBound(grid, torch.zeros(1, 2, dtype=dtype), radius).grid
+    assert torch.equal(found.values, plain.values)
+    assert torch.equal(found.origin, plain.origin)

@@ -1,7 +1,9 @@
 """Semantics and information of workspace points against golden numbers, definitions and invariances."""
 
+import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, get_args
 
 import pytest
@@ -19,8 +21,9 @@ from rumi.fields.information import (
     tail_distance,
 )
 from rumi.fields.normal import expected_normal
-from sdf import se3
+from sdf import backend, se3
 from sdf.base import SDF
+from sdf.grid_sdf import GridSDF
 from sdf.posed import posed_distance
 from sdf.primitives import Box, Mug, Sphere
 from sensors.semantics import semantics_probability
@@ -35,6 +38,16 @@ GOLDEN_NAMES = {
 }
 
 
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every test of this file holds for the plain and for the fused version, but where a graph is kept."""
+    with backend.force(request.param):
+        yield
+
+
+only_plain = pytest.mark.parametrize("version", ["torch"], indirect=True)
+
+
 @pytest.fixture
 def beliefs(generator: torch.Generator) -> Beliefs:
     def make(*batch: int, count: int = 6, spread: float = 0.02) -> tuple[Tensor, Tensor]:
@@ -46,9 +59,9 @@ def beliefs(generator: torch.Generator) -> Beliefs:
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def mug() -> SDF:
-    return Mug().double()
+    return GridSDF.from_sdf(Mug(), spacing=0.004).double()
 
 
 @pytest.fixture
@@ -184,7 +197,7 @@ def test_moves_with_the_world(mode: InformationMode, mug: SDF, beliefs: Beliefs,
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("tail", [1e-2, 1e-6])
 def test_what_is_skipped_is_within_its_bound(mode: InformationMode, tail: float, beliefs: Beliefs) -> None:
-    shape = Box((0.03, 0.05, 0.02)).double()
+    shape = GridSDF.from_sdf(Box((0.03, 0.05, 0.02)), spacing=0.005).double()
     poses, log_weights = beliefs(spread=0.05)
     axis = torch.linspace(-0.5, 0.5, 21, dtype=torch.float64)
     points = torch.cartesian_prod(axis, axis, 0.1 * axis[::10])
@@ -245,6 +258,7 @@ def test_expected_normal_where_asked_and_in_batches(mug: SDF, beliefs: Beliefs, 
         torch.testing.assert_close(normal[i], alone * where[i][:, None])
 
 
+@only_plain
 @pytest.mark.parametrize("mode", MODES)
 def test_gradients(mode: InformationMode, generator: torch.Generator) -> None:
     distance = 0.02 * torch.randn(4, 6, generator=generator, dtype=torch.float64)
@@ -258,6 +272,7 @@ def test_gradients(mode: InformationMode, generator: torch.Generator) -> None:
     assert torch.autograd.gradcheck(function, tuple(x.requires_grad_() for x in inputs))
 
 
+@only_plain
 def test_module_has_its_numbers_in_its_state_and_trains_them(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
     poses, log_weights = beliefs()
     fixed = InformationField(mug, InformationSettings(tail=0.0)).double()
@@ -273,6 +288,102 @@ def test_module_has_its_numbers_in_its_state_and_trains_them(mug: SDF, beliefs: 
     assert all(g is not None and bool(g.isfinite()) and float(g) != 0 for g in gradients.values()), gradients
     assert bool(poses.grad.isfinite().all())
     assert float(poses.grad.abs().max()) > 0
+
+
+@only_plain
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(("batch", "count"), [((), 1), ((), 37), ((2, 3), 8), ((0,), 5)])
+def test_versions_agree(
+    dtype: torch.dtype,
+    upright: bool,
+    mode: InformationMode,
+    batch: tuple[int, ...],
+    count: int,
+    mug: SDF,
+    beliefs: Beliefs,
+    generator: torch.Generator,
+) -> None:
+    table = copy.deepcopy(mug).to(dtype)
+    poses, log_weights = beliefs(*batch, count=count)
+    points = 0.6 * torch.rand(500, 3, generator=generator, dtype=torch.float64) - 0.3
+    if upright:
+        points[:, 2] = 0.03
+        poses = se3.from_planar(poses[..., :3, 3], 0.01)
+    else:  # not finite, and on a pose's own origin
+        points[5] = math.nan
+        points[6, 1] = math.inf
+        points[7] = poses.reshape(-1, 4, 4)[0, :3, 3] if poses.numel() else 0.0
+    poses, points = poses.to(dtype), points.to(dtype)
+    # one pose that counts for nothing
+    log_weights = (log_weights - 1e9 * (torch.arange(count) == 1)).log_softmax(-1).to(dtype)
+    where = torch.rand(*batch, 500, generator=generator) < 0.5
+    settings = InformationSettings(mode, tolerance=0.001, tail=1e-4)
+    plain = information_field(table, poses, log_weights, points, settings)
+    plain_normal = expected_normal(table, poses, log_weights, points, where)
+    with backend.force("numba"):
+        found = information_field(table, poses, log_weights, points, settings)
+        normal = expected_normal(table, poses, log_weights, points, where)
+    single = dtype == torch.float32
+    close(found, plain, atol=5e-6 if single else 1e-13)
+    assert found.semantics.dtype == found.information.dtype == normal.dtype == dtype
+    apart = (normal - plain_normal).abs()
+    assert normal.shape == plain_normal.shape
+    # in single precision a point may be rounded to the other side of a node, and takes the slope there
+    assert float((apart > (1e-4 if single else 1e-11)).double().sum()) <= (0.002 * apart.numel() if single else 0)
+    assert bool((normal[~where] == 0).all())
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_same_for_any_number_of_threads(mode: InformationMode, mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
+    poses, log_weights = beliefs(count=20)
+    settings = InformationSettings(mode)
+    before = torch.get_num_threads()
+    found = []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            fields = information_field(mug, poses, log_weights, points, settings)
+            found.append((fields, expected_normal(mug, poses, log_weights, points)))
+    finally:
+        torch.set_num_threads(before)
+    close(found[0][0], found[1][0], atol=1e-13)
+    torch.testing.assert_close(found[0][1], found[1][1], atol=1e-12, rtol=0)
+
+
+def test_certainty_and_points_far_off_leave_nothing_undefined(mug: SDF) -> None:
+    """One pose, points deep inside, on and beyond every tail: the logarithms meet 0 and 1."""
+    pose = torch.eye(4, dtype=torch.float64)[None]
+    points = torch.tensor([[0.0, 0.0, 0.003], [0.045, 0.0, 0.05], [3.0, 0.0, 0.0], [1e7, 0.0, 0.0]]).double()
+    for mode in MODES:
+        for dtype in (torch.float32, torch.float64):
+            fields = information_field(
+                copy.deepcopy(mug).to(dtype),
+                pose.to(dtype),
+                torch.zeros(1, dtype=dtype),
+                points.to(dtype),
+                InformationSettings(mode, tail=0.0),
+            )
+            assert bool(fields.semantics.isfinite().all())
+            assert bool(fields.information.isfinite().all())
+            torch.testing.assert_close(fields.semantics.sum(-1), torch.ones(4, dtype=dtype))
+            if mode != "surrogate":
+                assert float(fields.information.abs().max()) < 2e-6
+
+
+def test_module_without_a_graph_is_the_function(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
+    poses, log_weights = beliefs()
+    settings = InformationSettings("reverse_kl", peakiness=1.5, free_scale=8.0, tolerance=0.25, tail=0.0)
+    module = InformationField(mug, settings, trainable=True).double()
+    with torch.no_grad():
+        found = module(poses, log_weights, points)
+    settings = replace(settings, sharpness=module.sharpness.item(), surface_tolerance=module.surface_tolerance.item())
+    close(found, information_field(mug, poses, log_weights, points, settings))
+    # a number of its own for every point is nothing that one pass can take
+    each = torch.full((80,), 1.5, dtype=torch.float64)
+    plain = information_field(mug, poses, log_weights, points, settings, peakiness=each)
+    close(plain, found)
 
 
 def test_refuses_settings_without_meaning(no_shape_check: None) -> None:

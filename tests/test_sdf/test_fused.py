@@ -1,5 +1,7 @@
 """Kernels: the same for any number of threads, and announced while they are compiled for the first time."""
 
+import importlib
+import sys
 from pathlib import Path
 
 import numba
@@ -37,6 +39,29 @@ def test_kernel_is_announced_once_and_the_same_for_any_threads(count, threads, c
     # what is kept is not compiled, nor announced, again
     fused.Kernel(_squares)(values, np.empty(100))
     assert capsys.readouterr().err == ""
+
+
+def test_code_of_a_changed_building_block_is_not_taken_from_what_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "kept"))
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "user_numba.py").write_text(
+        "from part_numba import part\nfrom sdf.fused import Kernel\n\n\n"
+        "def _fill(result):\n    result[0] = part()\n\n\nfill = Kernel(_fill)\n"
+    )
+    found = []
+    for number in (1, 2):
+        (tmp_path / "part_numba.py").write_text(f"import numba\n\n\n@numba.njit\ndef part():\n    return {number}.0\n")
+        for name in ("part_numba", "user_numba"):
+            sys.modules.pop(name, None)
+        importlib.invalidate_caches()
+        sys.dont_write_bytecode, before = True, sys.dont_write_bytecode
+        result = np.zeros(1)
+        importlib.import_module("user_numba").fill(result)
+        sys.dont_write_bytecode = before
+        found.append(result[0])
+    assert found == [1.0, 2.0]
+    for name in ("part_numba", "user_numba"):
+        del sys.modules[name]
 
 
 def test_what_a_fused_version_can_take():

@@ -1,13 +1,24 @@
 import math
+from collections.abc import Iterator
 
 import pytest
 import torch
 
 import sdf.posed
-from sdf import se3
+from sdf import backend, se3
 from sdf.grid_sdf import GridSDF
 from sdf.posed import posed_distance, posed_query
 from sdf.primitives import Mug
+
+
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every test of this file holds for the plain and for the fused version, but where a graph is kept."""
+    with backend.force(request.param):
+        yield
+
+
+only_plain = pytest.mark.parametrize("version", ["torch"], indirect=True)
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +80,7 @@ def test_each_scene_of_a_batch_stands_alone(shape, upright, block, generator, mo
     assert torch.allclose(shared[1, 2], posed_distance(shape, poses[1, 2], points[0, 0]), atol=1e-14)
 
 
+@only_plain
 def test_one_layer_is_looked_up_only_where_all_pairs_share_it(grid, generator, monkeypatch):
     poses, points = scene(generator, upright=True)
     calls = []
@@ -85,6 +97,7 @@ def test_one_layer_is_looked_up_only_where_all_pairs_share_it(grid, generator, m
     assert len(calls) == 1
 
 
+@only_plain
 @pytest.mark.parametrize("upright", [False, True])
 def test_autograd_to_poses_and_points(shape, upright, generator):
     poses, points = scene(generator, poses=2, points=3, upright=upright)
@@ -135,6 +148,57 @@ def test_float32(grid, generator):
     found = posed_distance(single, poses.float(), points.float())
     assert found.dtype == torch.float32
     assert (found.double() - posed_distance(grid, poses, points)).abs().max() < 1e-6
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("upright", [False, True])
+@pytest.mark.parametrize("outer", [0.0, 0.25])
+@pytest.mark.parametrize(("batch", "shared"), [((), False), ((2, 1), False), ((2, 3), True)])
+@only_plain
+def test_versions_agree(dtype, upright, outer, batch, shared, generator):
+    table = GridSDF.from_sdf(Mug().to(dtype), spacing=0.004, outer=outer)
+    # more points than one task takes; some beyond the table, one of them not finite
+    poses, points = scene(generator, batch, 3, 5000, upright)
+    points[..., ::3, :2] *= 6.0
+    points[..., 7, 0] = math.nan
+    points = points[0, 0] if shared else points
+    # planes apart in memory, as slices and transposes leave them
+    points, poses = points.to(dtype).mT.contiguous().mT, poses.to(dtype).mT.contiguous().mT
+    plain, plain_query = posed_distance(table, poses, points), posed_query(table, poses, points)
+    with backend.force("numba"):
+        found, found_query = posed_distance(table, poses, points), posed_query(table, poses, points)
+    assert found.shape == (*batch, 3, 5000)
+    assert found.dtype == found_query.gradient.dtype == dtype
+    close = {"atol": 2e-6, "rtol": 1e-6} if dtype == torch.float32 else {"atol": 1e-14, "rtol": 1e-13}
+    torch.testing.assert_close(found, plain, **close)
+    torch.testing.assert_close(found_query.distance, plain, **close)
+    apart = (found_query.gradient - plain_query.gradient).abs().amax(-1)
+    if dtype == torch.float64:
+        assert float(apart.max()) < 1e-11
+    else:  # a point rounded to the other side of a node takes the slope of the cell there
+        assert float((apart > 1e-3).double().mean()) < 1e-3
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_same_for_any_number_of_threads(grid, threads, generator):
+    poses, points = scene(generator, (2,), 3, 5000)
+    before = torch.get_num_threads()
+    expected = posed_query(grid, poses, points)
+    torch.set_num_threads(threads)
+    try:
+        found = posed_query(grid, poses, points)
+    finally:
+        torch.set_num_threads(before)
+    torch.testing.assert_close(found.distance, expected.distance, atol=1e-14, rtol=0)
+    torch.testing.assert_close(found.gradient, expected.gradient, atol=1e-12, rtol=0)
+
+
+def test_another_shape_or_a_graph_is_left_to_the_plain_version(grid, generator):
+    poses, points = scene(generator)
+    with backend.force("numba"):
+        assert torch.allclose(posed_distance(Mug(), poses, points), posed_distance(grid, poses, points), atol=1e-2)
+        with pytest.raises(ValueError, match="with graph"):
+            posed_distance(grid, poses.clone().requires_grad_(), points)
 
 
 def test_shape_errors(no_shape_check, grid):

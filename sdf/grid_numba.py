@@ -1,0 +1,312 @@
+"""Building blocks for fused CPU kernels: a `GridSDF` looked up at one object-frame point.
+
+`grid_sdf.py` has the definition, and `grid_fused.py` turns a `GridSDF` into what these functions take:
+
+    flat, numbers, sizes = grid_arguments(sdf, dtype)            outside of the kernel, NumPy arrays
+
+    lattice = lattice_of(numbers, sizes)                         once in the kernel, in front of its loops
+    v = value(x, y, z, flat, lattice)                            metres
+    v, gx, gy, gz = value_and_gradient(x, y, z, flat, lattice)   metres, and the gradient in the object frame
+
+and for points of one height, where four corners do instead of eight,
+
+    layer, rise, level = layer_arguments(sdf, z, dtype)          outside of the kernel; with numbers, sizes as above
+
+    level = (level[0], level[1])                                 once, as above
+    v = layer_value(x, y, layer, lattice, level)
+    v, gx, gy, gz = layer_value_and_gradient(x, y, layer, rise, lattice, level)
+
+x, y, z and all float arrays are of one kind, float32 or float64, and so are the results. Nothing branches, so that an
+innermost loop over points or poses can become vector instructions, three to five times as quick; a coordinate that is
+not finite counts as very far, as there. For that, call them in kernels made by `Kernel(function, fast=True)`, which may
+reorder sums but keeps NaN what it is, and in such a loop either only add up or read and write by `at` and `put`.
+"""
+
+import math
+
+import numba
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+
+from sdf.check import FAR
+
+_TINY = 1e-30
+# not kept on their own: kernels are, and what is kept of a block would outlive a change of another that it uses
+block = numba.njit(error_model="numpy", forceinline=True, fastmath={"contract", "nsz"})
+
+
+def _reads(builder):
+    """What tells the compiler that reads by `at` and writes by `put` never meet; without it no loop becomes vectors."""
+    module = builder.module
+    domain = module.add_metadata([ir.MetaDataString(module, "rumi")])
+    scope = module.add_metadata([ir.MetaDataString(module, "rumi.reads"), domain])
+    return module.add_metadata([scope])
+
+
+@intrinsic
+def at(typingctx, array, index):
+    """array[index] of a flat contiguous array that the kernel does not write to; the index must be within it."""
+
+    def generate(context, builder, signature, arguments):
+        data = cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0]).data
+        loaded = builder.load(builder.gep(data, [arguments[1]]))
+        loaded.set_metadata("alias.scope", _reads(builder))
+        return loaded
+
+    return array.dtype(array, index), generate
+
+
+@intrinsic
+def put(typingctx, array, index, value):
+    """array[index] = value in a flat contiguous array that the kernel does not read; the index must be within it."""
+
+    def generate(context, builder, signature, arguments):
+        data = cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0]).data
+        stored = builder.store(arguments[2], builder.gep(data, [arguments[1]]))
+        stored.set_metadata("noalias", _reads(builder))
+        return context.get_dummy_value()
+
+    return types.void(array, index, array.dtype), generate
+
+
+@intrinsic
+def _whole(typingctx, x):
+    """A number not below 0 without its fraction, 32 bits."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.fptosi(arguments[0], ir.IntType(32))
+
+    return types.int32(x), generate
+
+
+@intrinsic
+def _index(typingctx, i, j, k, stride_i, stride_j):
+    """Place of a node in a flat table: i * stride_i + j * stride_j + k in 32 bits."""
+
+    def generate(context, builder, signature, arguments):
+        i, j, k, stride_i, stride_j = arguments
+        flags = ("nsw",)
+        row = builder.add(builder.mul(i, stride_i, flags=flags), builder.mul(j, stride_j, flags=flags), flags=flags)
+        return builder.add(row, k, flags=flags)
+
+    return types.int32(i, j, k, stride_i, stride_j), generate
+
+
+@intrinsic
+def _next(typingctx, index, stride):
+    """Place of a neighbour: index + stride in 32 bits."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.add(*arguments, flags=("nsw",))
+
+    return types.int32(index, stride), generate
+
+
+@block
+def lattice_of(numbers, sizes):
+    """The numbers of a lattice as one tuple of scalars, for the functions below."""
+    return (
+        numbers[0],  # cells of the fine part a metre
+        numbers[1],  # shift of x, y, z, cells
+        numbers[2],
+        numbers[3],
+        numbers[4],  # first fine node
+        numbers[5],  # last fine node of each axis
+        numbers[6],
+        numbers[7],
+        numbers[8],  # how far the wide cells reach, fine spacings
+        numbers[9],  # wide cells a fine one
+        numbers[10],  # spacing of the fine part, metres
+        numbers[11],  # from the lattice's faces to the object's bounds, fine spacings
+        numbers[12],  # last lower node of each axis
+        numbers[13],
+        numbers[14],
+        numba.int32(sizes[1] * sizes[2]),  # strides in the table
+        numba.int32(sizes[2]),
+        numba.int32(sizes[1]),  # stride in a layer
+    )
+
+
+# without the flag said, that of the caller would hold
+@numba.njit(error_model="numpy", forceinline=True, fastmath=False)
+def _place(x, scale, shift):
+    """Rounded as the plain version rounds, so that a point on a node or a face falls to the same side of it."""
+    return x * scale + shift
+
+
+@block
+def _along(x, shift, first, last, lattice):
+    """Lattice coordinate, and fine spacings beyond the lattice, of a coordinate in metres."""
+    kind = type(x)
+    far = kind(FAR)
+    x = x if x < far else far
+    x = x if x > -far else -far
+    place = _place(x, lattice[0], shift)
+    fine = place if place > first else first
+    fine = fine if fine < last else last
+    low, high = first - lattice[8], last + lattice[8]
+    kept = place if place > low else low
+    kept = kept if kept < high else high
+    return fine + lattice[9] * (kept - fine), place - kept
+
+
+@block
+def _rate(cell, offset, last, lattice):
+    """Lattice cells a fine spacing: of the cell that a lattice coordinate is in; 0 beyond the lattice."""
+    kind = type(cell)
+    fine = (cell >= lattice[4]) & (cell < last)
+    rate = kind(1.0) if fine else lattice[9]
+    return rate if offset == kind(0.0) else kind(0.0)
+
+
+@block
+def _beyond(offset, lattice):
+    """What an offset beyond the lattice adds to the squared distance, square fine spacings."""
+    size = abs(offset)
+    return size * (size + lattice[11] + lattice[11])
+
+
+@block
+def _join(inner, total, lattice):
+    """Distance from the clamped point's value and what the offsets add, and its size."""
+    kind = type(inner)
+    square = total * (lattice[10] * lattice[10]) + inner * inner
+    far = math.sqrt(square if square > kind(_TINY) else kind(_TINY))
+    return inner + (far - abs(inner)), far
+
+
+@block
+def _sign(x):
+    kind = type(x)
+    return (kind(1.0) if x > kind(0.0) else kind(0.0)) - (kind(1.0) if x < kind(0.0) else kind(0.0))
+
+
+@block
+def _low(cell, top):
+    """Lower node of a lattice coordinate."""
+    return _whole(cell if cell < top else top)
+
+
+@block
+def value(x, y, z, flat, lattice):
+    """Signed distance at an object-frame point, metres."""
+    u, over_x = _along(x, lattice[1], lattice[4], lattice[5], lattice)
+    v, over_y = _along(y, lattice[2], lattice[4], lattice[6], lattice)
+    w, over_z = _along(z, lattice[3], lattice[4], lattice[7], lattice)
+    i, j, k = _low(u, lattice[12]), _low(v, lattice[13]), _low(w, lattice[14])
+    kind = type(x)
+    a, b, c = u - kind(i), v - kind(j), w - kind(k)
+    near = _index(i, j, k, lattice[15], lattice[16])
+    far = _next(near, lattice[15])
+    near_up, far_up = _next(near, lattice[16]), _next(far, lattice[16])
+    one = numba.int32(1)
+    v00 = at(flat, near)
+    v01 = at(flat, near_up)
+    v10 = at(flat, far)
+    v11 = at(flat, far_up)
+    v00 += c * (at(flat, _next(near, one)) - v00)
+    v01 += c * (at(flat, _next(near_up, one)) - v01)
+    v10 += c * (at(flat, _next(far, one)) - v10)
+    v11 += c * (at(flat, _next(far_up, one)) - v11)
+    v0 = v00 + b * (v01 - v00)
+    v1 = v10 + b * (v11 - v10)
+    total = _beyond(over_x, lattice) + _beyond(over_y, lattice) + _beyond(over_z, lattice)
+    return _join(v0 + a * (v1 - v0), total, lattice)[0]
+
+
+@block
+def value_and_gradient(x, y, z, flat, lattice):
+    """Signed distance at an object-frame point, metres, and its gradient there."""
+    u, over_x = _along(x, lattice[1], lattice[4], lattice[5], lattice)
+    v, over_y = _along(y, lattice[2], lattice[4], lattice[6], lattice)
+    w, over_z = _along(z, lattice[3], lattice[4], lattice[7], lattice)
+    i, j, k = _low(u, lattice[12]), _low(v, lattice[13]), _low(w, lattice[14])
+    kind = type(x)
+    a, b, c = u - kind(i), v - kind(j), w - kind(k)
+    near = _index(i, j, k, lattice[15], lattice[16])
+    far = _next(near, lattice[15])
+    near_up, far_up = _next(near, lattice[16]), _next(far, lattice[16])
+    one = numba.int32(1)
+    v00 = at(flat, near)
+    v01 = at(flat, near_up)
+    v10 = at(flat, far)
+    v11 = at(flat, far_up)
+    s00 = at(flat, _next(near, one)) - v00
+    s01 = at(flat, _next(near_up, one)) - v01
+    s10 = at(flat, _next(far, one)) - v10
+    s11 = at(flat, _next(far_up, one)) - v11
+    v00 += c * s00
+    v01 += c * s01
+    v10 += c * s10
+    v11 += c * s11
+    s0, s1 = s00 + b * (s01 - s00), s10 + b * (s11 - s10)
+    t0, t1 = v01 - v00, v11 - v10
+    v0, v1 = v00 + b * t0, v10 + b * t1
+    slope_x, slope_y, slope_z = v1 - v0, t0 + a * (t1 - t0), s0 + a * (s1 - s0)
+    total = _beyond(over_x, lattice) + _beyond(over_y, lattice) + _beyond(over_z, lattice)
+    inner = v0 + a * slope_x
+    distance, far_off = _join(inner, total, lattice)
+    inverse = kind(1.0) / far_off
+    steep = (kind(1.0) + (inner * inverse - _sign(inner))) * lattice[0]
+    spread = inverse * lattice[10]
+    return (
+        distance,
+        slope_x * _rate(u, over_x, lattice[5], lattice) * steep + spread * (over_x + _sign(over_x) * lattice[11]),
+        slope_y * _rate(v, over_y, lattice[6], lattice) * steep + spread * (over_y + _sign(over_y) * lattice[11]),
+        slope_z * _rate(w, over_z, lattice[7], lattice) * steep + spread * (over_z + _sign(over_z) * lattice[11]),
+    )
+
+
+@block
+def layer_value(x, y, layer, lattice, level):
+    """What `value` gives at the layer's height."""
+    u, over_x = _along(x, lattice[1], lattice[4], lattice[5], lattice)
+    v, over_y = _along(y, lattice[2], lattice[4], lattice[6], lattice)
+    i, j = _low(u, lattice[12]), _low(v, lattice[13])
+    kind = type(x)
+    a, b = u - kind(i), v - kind(j)
+    one = numba.int32(1)
+    near = _index(i, j, numba.int32(0), lattice[17], one)
+    far = _next(near, lattice[17])
+    v0, v1 = at(layer, near), at(layer, far)
+    v0 += b * (at(layer, _next(near, one)) - v0)
+    v1 += b * (at(layer, _next(far, one)) - v1)
+    total = _beyond(over_x, lattice) + _beyond(over_y, lattice) + _beyond(level[0], lattice)
+    return _join(v0 + a * (v1 - v0), total, lattice)[0]
+
+
+@block
+def layer_value_and_gradient(x, y, layer, rise, lattice, level):
+    """What `value_and_gradient` gives at the layer's height."""
+    u, over_x = _along(x, lattice[1], lattice[4], lattice[5], lattice)
+    v, over_y = _along(y, lattice[2], lattice[4], lattice[6], lattice)
+    over_z = level[0]
+    i, j = _low(u, lattice[12]), _low(v, lattice[13])
+    kind = type(x)
+    a, b = u - kind(i), v - kind(j)
+    one = numba.int32(1)
+    near = _index(i, j, numba.int32(0), lattice[17], one)
+    far = _next(near, lattice[17])
+    near_up, far_up = _next(near, one), _next(far, one)
+    v0, v1 = at(layer, near), at(layer, far)
+    t0, t1 = at(layer, near_up) - v0, at(layer, far_up) - v1
+    v0 += b * t0
+    v1 += b * t1
+    slope_x, slope_y = v1 - v0, t0 + a * (t1 - t0)
+    s0, s1 = at(rise, near), at(rise, far)
+    s0 += b * (at(rise, near_up) - s0)
+    s1 += b * (at(rise, far_up) - s1)
+    slope_z = s0 + a * (s1 - s0)
+    total = _beyond(over_x, lattice) + _beyond(over_y, lattice) + _beyond(over_z, lattice)
+    inner = v0 + a * slope_x
+    distance, far_off = _join(inner, total, lattice)
+    inverse = kind(1.0) / far_off
+    steep = (kind(1.0) + (inner * inverse - _sign(inner))) * lattice[0]
+    spread = inverse * lattice[10]
+    return (
+        distance,
+        slope_x * _rate(u, over_x, lattice[5], lattice) * steep + spread * (over_x + _sign(over_x) * lattice[11]),
+        slope_y * _rate(v, over_y, lattice[6], lattice) * steep + spread * (over_y + _sign(over_y) * lattice[11]),
+        slope_z * level[1] * steep + spread * (over_z + _sign(over_z) * lattice[11]),
+    )
