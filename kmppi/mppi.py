@@ -47,6 +47,7 @@ class MPPI:
         self.noise_variance = self._per_dimension("noise_variance", settings.noise_variance)
         self._noise_std = self.noise_variance.sqrt()
         self._matrix = self.parameterization.matrix.to(self.device, dtype)
+        self._shifts: dict[int, Tensor] = {}
 
     def from_knots(self, knots: Float[Tensor, "S A"]) -> ControlPlan:
         """The plan of given control points (S, A), bounded."""
@@ -64,7 +65,8 @@ class MPPI:
         """Controls (*k, H, A) of knots (*k, S, A), clipped: between knots within the limits a curve may leave them."""
         if self.settings.knots is None:
             return self._bound(knots)
-        return self._bound(self._matrix @ knots)
+        # one product for all samples: `matrix @ knots` would do one for each
+        return self._bound(torch.einsum("hs,...sa->...ha", self._matrix, knots))
 
     def shift(self, plan: ControlPlan, executed: int) -> ControlPlan:
         """The same plan, `executed` controls later; what lies past its end goes to zero (RUMI, IV-G).
@@ -76,8 +78,9 @@ class MPPI:
         """
         if executed < 0:
             raise ValueError(f"Expected executed to be 0 or more, got {executed}")
-        matrix = self.parameterization.shift_matrix(executed).to(self.device, self.dtype)
-        return self.from_knots(matrix @ plan.knots.to(self.device, self.dtype))
+        if executed not in self._shifts:
+            self._shifts[executed] = self.parameterization.shift_matrix(executed).to(self.device, self.dtype)
+        return self.from_knots(self._shifts[executed] @ plan.knots.to(self.device, self.dtype))
 
     @torch.no_grad()
     def plan(

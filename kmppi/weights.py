@@ -28,7 +28,7 @@ def perturbation_cost(
     Returns:
         (*k), units of cost.
     """
-    return temperature * torch.einsum("...sa,sa->...", noise, nominal / noise_variance)
+    return temperature * (noise.flatten(-2) @ (nominal / noise_variance).flatten())
 
 
 def scale_costs(costs: Float[Tensor, "F"], cost_scale: CostScale) -> Float[Tensor, "F"]:

@@ -1,0 +1,1 @@
+"""Measurements: hot operations against peers, run time against error, scaling."""
