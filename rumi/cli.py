@@ -1,4 +1,4 @@
-"""The command `rumi`: list tasks, run one, draw a run again."""
+"""The command `rumi`: list tasks, run one, draw a run again, time the work."""
 
 import os
 import sys
@@ -9,7 +9,7 @@ from rumi.errors import DegenerateBeliefError, UsageError
 
 DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-COMMANDS = ("tasks", "run", "plot")
+COMMANDS = ("tasks", "run", "plot", "bench")
 EXTRAS = {
     "mujoco": "sim",
     "pytorch_kinematics": "robot",
@@ -26,6 +26,7 @@ rumi {__version__}: find the pose of an object by touching and pushing it.
 usage: rumi tasks                  what there is to find
        rumi run TASK [options]     find it, in simulation
        rumi plot RUN [options]     draw the figures of a run again
+       rumi bench [options]        time the work, against others' and against the targets
        rumi --version
 
        rumi run --help             all settings, with their defaults

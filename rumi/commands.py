@@ -121,6 +121,13 @@ def plot(arguments: Sequence[str]) -> int:
     return DONE
 
 
+def bench(arguments: Sequence[str]) -> int:
+    """`rumi bench`: how long the work takes."""
+    from rumi.bench import command
+
+    return command.bench(arguments, cache_dir=cache_folder())
+
+
 def parse_run(arguments: Sequence[str]) -> RunOptions:
     """Options of `rumi run`; the settings start from the preset that is asked for.
 

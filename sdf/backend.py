@@ -19,6 +19,7 @@ PLAIN = "torch"
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _VERSIONS: dict[str, dict[str, tuple[Callable[..., Any], Callable[..., bool]]]] = {}
 _forced: ContextVar[str | None] = ContextVar("forced", default=None)
+_observed: ContextVar[dict[str, str] | None] = ContextVar("observed", default=None)
 
 
 def register(
@@ -58,15 +59,16 @@ def dispatch(op: str, *tensors: Tensor) -> Callable[..., Any]:
     name = _forced.get() or os.environ.get(VARIABLE) or None
     if name is not None:
         _check(name)
-        function, supports = _VERSIONS[op][name if name in names else PLAIN]
+        name = name if name in names else PLAIN
+        function, supports = _VERSIONS[op][name]
         if not supports(*tensors):
             what = ", ".join(f"{t.dtype} on {t.device}{', with graph' * t.requires_grad}" for t in tensors)
             raise ValueError(f"Expected tensors that the forced version {name!r} of {op} supports, got {what}")
-        return function
+        return _noted(op, name, function)
     for name in reversed(names):
         function, supports = _VERSIONS[op][name]
         if supports(*tensors):
-            return function
+            return _noted(op, name, function)
     raise ValueError(f"Expected a version of {op} for these tensors, got none among {names}")
 
 
@@ -79,6 +81,24 @@ def force(version: str) -> Iterator[None]:
         yield
     finally:
         _forced.reset(token)
+
+
+@contextmanager
+def observed() -> Iterator[dict[str, str]]:
+    """Within the block, enters the version that was dispatched last for each operation into the dict it gives."""
+    ran: dict[str, str] = {}
+    token = _observed.set(ran)
+    try:
+        yield ran
+    finally:
+        _observed.reset(token)
+
+
+def _noted(op: str, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    ran = _observed.get()
+    if ran is not None:
+        ran[op] = name
+    return function
 
 
 def _check(version: str) -> None:

@@ -105,7 +105,7 @@ def test_figures_are_drawn_and_drawn_again(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["find"], "There is no command 'find'; the commands are tasks, run, plot"),
+        (["find"], "There is no command 'find'; the commands are tasks, run, plot, bench"),
         (["run", "mug-9"], f"There is no task 'mug-9'; the tasks are {', '.join(TASKS)}"),
         (["run", "mug-0", "--preset", "fast"], "There is no preset 'fast'; the presets are default, paper"),
         (["run", "mug-0", "--preset=fast"], "There is no preset 'fast'"),

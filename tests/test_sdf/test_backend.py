@@ -58,3 +58,12 @@ def test_hot_operations_are_registered():
     with backend.force("torch"):
         distance = posed_distance(Sphere(0.1), se3.identity((1,)), torch.ones(1, 3))
     assert distance.item() == pytest.approx(3**0.5 - 0.1)
+
+
+def test_what_ran_is_observed(versions):
+    with backend.observed() as ran:
+        run("twice", torch.zeros(1))
+        with backend.force("quick"):
+            run("other", torch.zeros(1))
+    run("twice", torch.zeros(1, dtype=torch.float64))
+    assert ran == {"twice": "quick", "other": "torch"}

@@ -1,0 +1,186 @@
+"""What is timed: a case is some work, its variants are ways to do it."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from sdf import backend, fused
+
+By = Literal["rumi", "peer", "naive"]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to do a case's work.
+
+    Attributes:
+        name: of the way.
+        run: does it once and gives the result.
+        by: whose: this project's, a public library's, or the straightforward way written down.
+        version: backend that is forced meanwhile; None leaves the choice.
+        share: of the whole work that `run` does, for ways that would take too long; times are scaled up.
+        note: what else to know, a few words.
+        comparable: whether the result is the same quantity as the reference.
+    """
+
+    name: str
+    run: Callable[[], Any]
+    by: By = "rumi"
+    version: str | None = None
+    share: float = 1.0
+    note: str = ""
+    comparable: bool = True
+
+    def __call__(self) -> Any:  # noqa: ANN401  (whatever the work gives)
+        """Do it once, with the version forced."""
+        if self.version is None:
+            return self.run()
+        with backend.force(self.version):
+            return self.run()
+
+
+@dataclass(frozen=True)
+class Target:
+    """What a variant should achieve: a time, or how many times quicker than the quickest of others it should be.
+
+    Attributes:
+        variant: which.
+        at_most_s: seconds.
+        beyond: the other variant whose time is taken off first; empty for none.
+        at_least: times quicker.
+        against: names of the others; those that were not timed do not count.
+        goal: something to aim at, not a promise.
+    """
+
+    variant: str
+    at_most_s: float | None = None
+    beyond: str = ""
+    at_least: float | None = None
+    against: tuple[str, ...] = ()
+    goal: bool = False
+
+
+@dataclass(frozen=True)
+class Case:
+    """Some work and the ways to do it, on data made once.
+
+    Attributes:
+        title: one line for people.
+        variants: the first one of this project's is what the results of the others are held against.
+        items: how many equal things the work consists of.
+        item: what they are called.
+        baselines: the variant that ratios are taken against: the first of these that was timed.
+        targets: see there.
+        error: how far a result is from the reference's; None where no results can be compared.
+        tolerance: by which all variants of this project must agree.
+        reference: a result beyond doubt, where there is one; else that of the first variant.
+        facts: what else was found, by name.
+        remarks: what else to know.
+        left_out: variants that are not there, and why.
+        rounds: at most, for work that takes seconds; None for as many as there is time for.
+    """
+
+    title: str
+    variants: tuple[Variant, ...]
+    baselines: tuple[str, ...]
+    items: int = 1
+    item: str = "pass"
+    targets: tuple[Target, ...] = ()
+    error: Callable[[Any, Any], float] | None = None
+    tolerance: float = 0.0
+    reference: Any = None
+    facts: dict[str, Any] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    rounds: int | None = None
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What cases are made for.
+
+    Attributes:
+        device: where this project's variants run.
+        tiny: make everything small, for tests.
+        quick: do less of what takes long to prepare.
+        cache_dir: folder that keeps what takes seconds to work out.
+        without_peers: why the peers' variants are not there; empty where they are.
+    """
+
+    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
+    tiny: bool = False
+    quick: bool = False
+    cache_dir: Path | None = None
+    without_peers: str = ""
+
+    def size(self, whole: int, tiny: int) -> int:
+        """A size, by whether everything is to be small."""
+        return tiny if self.tiny else whole
+
+    @property
+    def versions(self) -> tuple[str, ...]:
+        """This project's versions to time on the device."""
+        return ("torch", "numba") if self.device.type == "cpu" and fused.available() else ("torch",)
+
+    @property
+    def peers(self) -> bool:
+        """Whether the peers' variants can be timed: they are installed, and the device is theirs too."""
+        return not self.without_peers and self.device.type == "cpu"
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is to be known of the peers' distances, where they are timed."""
+        return ("CachedSDF and ComposedSDF: the nearest node of a table of 2.5 mm",) if self.peers else ()
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What a case with peers says where they are not timed."""
+        return (f"peers: {self.without_peers or 'timed on the CPU only'}",) if not self.peers else ()
+
+    def ours(self, run: Callable[[], Any], what: str = "") -> tuple[Variant, ...]:
+        """The versions of one way of this project's."""
+        after = f", {what}" if what else ""
+        return tuple(Variant(version + after, run, version=version) for version in self.versions)
+
+
+CASES: dict[str, Callable[[Setup], Case]] = {}
+"""All cases by name, in the order of the table."""
+
+SLOW: set[str] = set()
+"""Names of those that a quick run leaves out unless they are asked for."""
+
+
+def case(name: str, *, slow: bool = False) -> Callable[[Callable[[Setup], Case]], Callable[[Setup], Case]]:
+    """Decorator that enters a function as the maker of a case."""
+
+    def enter(make: Callable[[Setup], Case]) -> Callable[[Setup], Case]:
+        CASES[name] = make
+        if slow:
+            SLOW.add(name)
+        return make
+
+    return enter
+
+
+def largest_difference(found: Any, reference: Any) -> float:  # noqa: ANN401  (tensors, in tuples or alone)
+    """Largest absolute difference of tensors, or of tuples of tensors; a shorter one is held against the start."""
+    if isinstance(found, Tensor):
+        return float((found.double() - reference[: len(found)].double()).abs().max()) if found.numel() else 0.0
+    return max(largest_difference(a, b) for a, b in zip(found, reference, strict=True))
+
+
+@contextmanager
+def threads(count: int | None) -> Iterator[None]:
+    """Within the block torch, and with it the fused kernels, uses this many threads."""
+    before = torch.get_num_threads()
+    try:
+        if count is not None:
+            torch.set_num_threads(count)
+        yield
+    finally:
+        torch.set_num_threads(before)

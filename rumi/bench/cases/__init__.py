@@ -1,0 +1,15 @@
+"""All cases; importing this enters them in `rumi.bench.case.CASES`, in the order of the table."""
+
+from rumi.bench.cases import (  # noqa: I001  (the order of the table)
+    lookup,
+    fields,
+    discrepancy,
+    rollouts,
+    trajectory,
+    reach,
+    sampling,
+    planning,
+    loading,
+)
+
+__all__ = ["discrepancy", "fields", "loading", "lookup", "planning", "reach", "rollouts", "sampling", "trajectory"]

@@ -1,0 +1,94 @@
+"""How far posed objects are from what was seen, and which way is downhill."""
+
+import torch
+from torch import Tensor
+
+from rumi.bench import peers
+from rumi.bench.case import Case, Setup, Target, Variant, case, largest_difference
+from rumi.bench.scenes import ViewScene, view_scene
+from sensors.discrepancy import Discrepancy, normal_equations
+from sensors.observation import Observation
+
+_DEFAULT, _DIRECT = "chsel default", "chsel Eq 3"
+
+
+def _what(scene: ViewScene) -> str:
+    surface = len(scene.points) - scene.free
+    return f"{len(scene.world_T_object)} poses x ({scene.free} free + {surface} surface points), box, 3-D"
+
+
+def _peers(setup: Setup, scene: ViewScene, *, gradient: bool) -> tuple[Variant, ...]:
+    variants = []
+    for name, direct in ((_DEFAULT, False), (_DIRECT, True)):
+        value, both, asked = peers.chsel_cost(
+            scene.model, scene.world_T_object, scene.points[: scene.free], scene.points[scene.free :], direct=direct
+        )
+        which = f"asks about {asked} {'free' if direct else 'interior'} points"
+        # the default's cost is another one, and gradients are to a matrix's entries
+        variants.append(
+            Variant(name, both if gradient else value, "peer", note=which, comparable=direct and not gradient)
+        )
+    return tuple(variants)
+
+
+@case("discrepancy")
+def discrepancy(setup: Setup) -> Case:
+    """The discrepancy of a batch of poses."""
+    scene = view_scene(setup)
+    cost = Discrepancy(scene.model.sdf, scene.model.radius).to(setup.device)
+    seen = torch.ones_like(scene.semantics, dtype=torch.bool)
+    view = Observation(scene.points, scene.semantics, seen, seen)
+
+    def run() -> Tensor:
+        with torch.no_grad():
+            return cost(scene.world_T_object, view)
+
+    variants = setup.ours(run)
+    if setup.peers:
+        variants += _peers(setup, scene, gradient=False)
+    return Case(
+        f"discrepancy: {_what(scene)}",
+        variants,
+        (_DEFAULT, "torch"),
+        len(scene.world_T_object) * len(scene.points),
+        "pair",
+        (),
+        largest_difference,
+        1e-3,  # of sums of 2300 terms
+        left_out=setup.left_out,
+    )
+
+
+@case("descent-terms")
+def descent_terms(setup: Setup) -> Case:
+    """The discrepancy's objective with gradient and Gauss-Newton Hessian."""
+    scene = view_scene(setup)
+    sdf, poses, points, semantics = scene.model.sdf, scene.world_T_object, scene.points, scene.semantics
+    valid = torch.ones_like(semantics, dtype=torch.bool)
+
+    def run() -> tuple[Tensor, ...]:
+        return normal_equations(sdf, poses, points, semantics, valid)
+
+    variants = setup.ours(run)
+    if setup.peers:
+        variants += _peers(setup, scene, gradient=True)
+    return Case(
+        f"discrepancy with gradient (rumi: and Hessian): {_what(scene)}",
+        variants,
+        (_DEFAULT, "torch"),
+        len(poses) * len(points),
+        "pair",
+        (
+            Target("numba", at_most_s=2.5e-3),
+            Target("numba", at_least=1.0, against=(_DEFAULT, _DIRECT)),
+            Target("torch", at_most_s=9e-3),
+            Target("torch", at_least=1.0, against=(_DIRECT,)),
+        ),
+        _relative,
+        1e-3,
+        left_out=setup.left_out,
+    )
+
+
+def _relative(found: tuple[Tensor, ...], reference: tuple[Tensor, ...]) -> float:
+    return max(largest_difference(a, b) / float(b.abs().max()) for a, b in zip(found, reference, strict=True))

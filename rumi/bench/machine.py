@@ -1,0 +1,57 @@
+"""On what something was timed."""
+
+import os
+import platform
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from rumi.recording import provenance
+
+PACKAGES = ("numba", "pytorch-volumetric", "chsel", "pytorch-mppi", "open3d", "ribs")
+BUSY = 0.5
+"""Processes that others keep running above which times are not to be trusted."""
+
+
+def environment(device: torch.device) -> dict[str, Any]:
+    """Processor, cores, load, device, versions, threads and commit, ready for JSON."""
+    made_with = provenance()
+    versions = {name: version for name, version in made_with["versions"].items() if version is not None}
+    versions |= {name: found for name in PACKAGES if (found := _version(name)) is not None}
+    return {
+        "processor": processor(),
+        "cores": cores(),
+        "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
+        "system": made_with["system"],
+        "python": made_with["python"],
+        "versions": versions,
+        "threads": made_with["threads"],
+        "commit": made_with["commit"],
+    }
+
+
+def processor() -> str:
+    """What the processor calls itself."""
+    listing = Path("/proc/cpuinfo")
+    if listing.is_file():
+        for line in listing.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith(("model name", "Hardware", "cpu model")):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None

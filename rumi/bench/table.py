@@ -1,0 +1,158 @@
+"""Results as text: an aligned table as it is read on a terminal, and one for a page."""
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from rumi.bench.measure import Result, Row, Verdict
+
+HEADER = ("variant", "median", "quartiles", "each", "quicker", "target", "", "error")
+_WIDTHS = (29, 8, 17, 8, 8, 43, 6, 8)
+_RIGHT = (False, True, True, True, True, False, False, True)
+
+
+def seconds(value: float) -> str:
+    """A time with three digits and its unit.
+
+    >>> [seconds(x) for x in (12.34, 0.0999996, 4.2e-5, 6.54e-9)]
+    ['12.3 s', '100 ms', '42.0 us', '6.54 ns']
+    """
+    for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+        if value >= 0.9995 * size or unit == "ns":
+            return f"{digits(value / size)} {unit}"
+    raise AssertionError(value)
+
+
+def digits(value: float) -> str:
+    """A number with three digits, without exponent from 0.01 up.
+
+    >>> [digits(x) for x in (1234.5, 99.96, 9.996, 0.0421)]
+    ['1234', '100', '10.0', '0.042']
+    """
+    for limit, decimals in ((99.95, 0), (9.995, 1), (0.9995, 2)):
+        if value >= limit:
+            return f"{value:.{decimals}f}"
+    return f"{value:.3f}"
+
+
+def span(low: float, high: float) -> str:
+    """Two times with one unit.
+
+    >>> span(0.00123, 0.00234)
+    '1.23 - 2.34 ms'
+    """
+    number, unit = seconds(high).split()
+    size = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[unit]
+    return f"{digits(low / size)} - {number} {unit}"
+
+
+def text(results: Iterable[Result], machine: dict[str, Any]) -> str:
+    """The whole table, with the machine above it."""
+    return "\n".join([about(machine), heading(), *(section(result) for result in results)]) + "\n"
+
+
+def about(machine: dict[str, Any]) -> str:
+    """What it was measured on, in three lines."""
+    versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items() if name != "rumi")
+    load = machine["load"]
+    busy = "" if load is None else f"; load {load} before"
+    lines = [
+        f"{machine['processor']}, {machine['cores']} cores, {machine['threads']} threads, {machine['device']}{busy}",
+        f"rumi {machine['versions'].get('rumi', '?')} at {machine['commit'] or 'no commit'}",
+        f"Python {machine['python']}, {versions}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def heading() -> str:
+    """The columns' names."""
+    return _line(HEADER)
+
+
+def section(result: Result) -> str:
+    """One case: its title, a line a variant with its targets, and what else is to be said."""
+    lines = ["", f"{result.name}: {result.case.title}"]
+    lines += [_line(cells) for cells in _cells(result)]
+    lines += [f"  {note}" for note in notes(result)]
+    return "\n".join(lines)
+
+
+def notes(result: Result) -> Iterator[str]:
+    """What a section says below its rows."""
+    if not result.agree:
+        yield f"DIFFER: rumi's own variants are to agree within {result.case.tolerance:g}"
+    spent = {name: value for name, value in result.case.facts.items() if name.endswith(", ms")}
+    for name, value in result.case.facts.items():
+        if name not in spent:
+            yield f"{name}: {value}"
+    if spent:
+        yield "one pass: " + ", ".join(f"{name.removesuffix(', ms')} {value} ms" for name, value in spent.items())
+    yield from result.case.remarks
+    for row in result.rows:
+        if row.note:
+            yield f"{row.name}: {row.note}"
+    plain = sorted(
+        {op for row in result.rows if row.name.startswith("numba") for op, v in row.ran.items() if v == "torch"}
+    )
+    if plain:
+        yield f"numba: no fused version of {', '.join(plain)} for these, plain torch ran"
+    for why in result.left_out:
+        yield f"left out: {why}"
+
+
+def markdown(results: Iterable[Result], machine: dict[str, Any]) -> str:
+    """The table for a page."""
+    lines = [f"{line}\n" for line in about(machine).strip().splitlines()]
+    for result in results:
+        lines += [f"**{result.name}**: {result.case.title}\n"]
+        names = ("variant", "median", "quartiles", f"a {result.case.item}", "quicker", "target", "met", "error")
+        lines += [f"| {' | '.join(names)} |", f"|{'---|' * len(names)}"]
+        lines += [f"| {' | '.join(cells)} |" for cells in _cells(result)]
+        lines += ["", *(f"- {note}" for note in notes(result)), ""]
+    return "\n".join(lines)
+
+
+def _cells(result: Result) -> Iterator[tuple[str, ...]]:
+    for row in result.rows:
+        verdicts = [verdict for verdict in result.verdicts if verdict.target.variant == row.name]
+        first, rest = (verdicts[0], verdicts[1:]) if verdicts else (None, [])
+        low, high = row.timing.quartiles_s
+        each = "" if result.case.items == 1 else seconds(row.timing.median_s / result.case.items)
+        ratio = f"{digits(result.ratio(row))}x"
+        yield (
+            row.name,
+            seconds(row.timing.median_s),
+            span(low, high),
+            each,
+            "1x" if row.name == result.baseline else ratio,
+            *_target(first),
+            _error(row),
+        )
+        for verdict in rest:
+            yield ("", "", "", "", "", *_target(verdict), "")
+
+
+def _target(verdict: Verdict | None) -> tuple[str, str]:
+    if verdict is None:
+        return "", ""
+    target = verdict.target
+    kind = "goal " if target.goal else ""
+    if target.at_most_s is not None:
+        beyond = f" beyond {target.beyond}" if target.beyond else ""
+        what = f"{kind}<= {seconds(target.at_most_s)}{beyond}"
+    else:
+        what = f"{kind}>= {target.at_least:g}x {verdict.against}: {digits(verdict.factor or 0.0)}x"
+    return what, "met" if verdict.met else "MISSED"
+
+
+def _error(row: Row) -> str:
+    if row.error is None:
+        return ""
+    return "0" if row.error == 0.0 else f"{row.error:.1e}"
+
+
+def _line(cells: tuple[str, ...]) -> str:
+    padded = [
+        cell.rjust(width) if right else cell.ljust(width)
+        for cell, width, right in zip(cells, _WIDTHS, _RIGHT, strict=True)
+    ]
+    return ("  " + "  ".join(padded)).rstrip()
