@@ -6,9 +6,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from sdf import se3
+from sdf import backend, fused, se3
 from sdf.base import SDF
 from sdf.posed import posed_distance, posed_query
+from sdf.so3 import vee
 from sensors.observation import Observation, compact
 from sensors.semantics import Semantics
 
@@ -95,6 +96,36 @@ def normal_equations(
     alpha: float | Tensor = 0.0,
 ) -> NormalEquations:
     """Objective, gradient and Gauss-Newton Hessian of every pose over all points (RUMI, Eqs 7-9)."""
+    numbers = [x for x in (free_scale, alpha) if isinstance(x, Tensor)]
+    version = backend.dispatch("normal_equations", frame_T_object, points, *numbers, *sdf.buffers())
+    return version(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)
+
+
+def tangent_gradient(
+    sdf: SDF,
+    frame_T_object: Float[Tensor, "*b N 4 4"],
+    points: Float[Tensor, "*b M 3"],
+    semantics: Int[Tensor, "*b M"],
+    valid: Bool[Tensor, "*b M"],
+    free_scale: float | Tensor = 10.0,
+    alpha: float | Tensor = 0.0,
+) -> tuple[Float[Tensor, "*b N"], Float[Tensor, "*b N 6"]]:
+    """The objective and gradient of `normal_equations` alone, for descents of first order."""
+    numbers = [x for x in (free_scale, alpha) if isinstance(x, Tensor)]
+    version = backend.dispatch("tangent_gradient", frame_T_object, points, *numbers, *sdf.buffers())
+    return version(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)
+
+
+@backend.register("normal_equations")
+def _normal_equations(
+    sdf: SDF,
+    frame_T_object: Tensor,
+    points: Tensor,
+    semantics: Tensor,
+    valid: Tensor,
+    free_scale: float | Tensor,
+    alpha: float | Tensor,
+) -> NormalEquations:
     query = posed_query(sdf, frame_T_object, points)
     shape = query.distance.shape
     semantics = semantics[..., None, :].expand(shape)
@@ -108,6 +139,62 @@ def normal_equations(
         (weighted * residual[..., None]).sum(-2),
         weighted.mT @ rows,
     )
+
+
+@backend.register("tangent_gradient")
+def _tangent_gradient(
+    sdf: SDF,
+    frame_T_object: Tensor,
+    points: Tensor,
+    semantics: Tensor,
+    valid: Tensor,
+    free_scale: float | Tensor,
+    alpha: float | Tensor,
+) -> tuple[Tensor, Tensor]:
+    query = posed_query(sdf, frame_T_object, points)
+    semantics = semantics[..., None, :].expand(query.distance.shape)
+    residual, weight = residuals(query.distance, semantics, free_scale, alpha)
+    pull = weight * residual * valid[..., None, :]
+    pulled = pull[..., None] * query.gradient
+    # moments of the force on each point, about the poses' middle and then the object's origin, without a row a point
+    rotation, origin = frame_T_object[..., :3, :3], frame_T_object[..., :3, 3]
+    middle = origin.detach().mean(-2, keepdim=True)
+    force = (rotation @ pulled.sum(-2)[..., None])[..., 0]
+    moments = ((points - middle).mT[..., None, :, :] @ pulled) @ rotation.mT
+    moments = moments - (origin - middle)[..., :, None] * force[..., None, :]
+    return 0.5 * (pull * residual).sum(-1), -torch.cat((force, vee(moments.mT - moments)), dim=-1)
+
+
+@backend.register("normal_equations", "numba", fused.supports)
+def _normal_equations_numba(
+    sdf: SDF,
+    frame_T_object: Tensor,
+    points: Tensor,
+    semantics: Tensor,
+    valid: Tensor,
+    free_scale: float | Tensor,
+    alpha: float | Tensor,
+) -> NormalEquations:
+    from sensors import discrepancy_fused
+
+    if not discrepancy_fused.takes(sdf, frame_T_object, points):
+        return _normal_equations(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)
+    ready = discrepancy_fused.prepare(sdf, frame_T_object, points, semantics, valid)
+    return discrepancy_fused.normal_equations(ready, frame_T_object, float(free_scale), float(alpha))
+
+
+@backend.register("tangent_gradient", "numba", fused.supports)
+def _tangent_gradient_numba(
+    sdf: SDF,
+    frame_T_object: Tensor,
+    points: Tensor,
+    semantics: Tensor,
+    valid: Tensor,
+    free_scale: float | Tensor,
+    alpha: float | Tensor,
+) -> tuple[Tensor, Tensor]:
+    terms = _normal_equations_numba(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)
+    return terms.objective, terms.gradient
 
 
 class Discrepancy(nn.Module):
@@ -145,11 +232,8 @@ class Discrepancy(nn.Module):
 
     def forward(self, frame_T_object: Float[Tensor, "*b N 4 4"], observation: Observation) -> Float[Tensor, "*b N"]:
         """Discrepancy of each pose; points and poses are in the same frame. No points give 0."""
-        near = self.within_reach(frame_T_object, observation)
-        distance = posed_distance(self.sdf, frame_T_object, near.points)
-        semantics = near.semantics[..., None, :].expand(distance.shape)
-        cost = discrepancy_terms(distance, semantics, self.free_scale.to(distance), -self.tolerance.to(distance))
-        return torch.where(near.valid[..., None, :], cost, torch.zeros_like(cost)).sum(-1)
+        tensors = (frame_T_object, observation.points, *self.parameters(), *self.buffers())
+        return backend.dispatch("discrepancy", *tensors)(self, frame_T_object, observation)
 
     def within_reach(self, frame_T_object: Float[Tensor, "*b N 4 4"], observation: Observation) -> Observation:
         """The observation less the free points outside the ball that holds the object at every pose (exact)."""
@@ -163,3 +247,25 @@ class Discrepancy(nn.Module):
         return compact(
             Observation(observation.points, observation.semantics, observation.attached, observation.valid & ~useless)
         )
+
+
+@backend.register("discrepancy")
+def _discrepancy(
+    module: Discrepancy, frame_T_object: Float[Tensor, "*b N 4 4"], observation: Observation
+) -> Float[Tensor, "*b N"]:
+    near = module.within_reach(frame_T_object, observation)
+    distance = posed_distance(module.sdf, frame_T_object, near.points)
+    semantics = near.semantics[..., None, :].expand(distance.shape)
+    cost = discrepancy_terms(distance, semantics, module.free_scale.to(distance), -module.tolerance.to(distance))
+    return torch.where(near.valid[..., None, :], cost, torch.zeros_like(cost)).sum(-1)
+
+
+@backend.register("discrepancy", "numba", fused.supports)
+def _discrepancy_numba(module: Discrepancy, frame_T_object: Tensor, observation: Observation) -> Tensor:
+    from sensors import discrepancy_fused
+
+    points, semantics, valid = observation.points, observation.semantics, observation.valid
+    if not discrepancy_fused.takes(module.sdf, frame_T_object, points):
+        return _discrepancy(module, frame_T_object, observation)
+    ready = discrepancy_fused.prepare(module.sdf, frame_T_object, points, semantics, valid)
+    return discrepancy_fused.discrepancy(ready, frame_T_object, float(module.free_scale), -float(module.tolerance))

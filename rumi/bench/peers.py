@@ -4,8 +4,10 @@ Nothing else imports them. pytorch_volumetric imports open3d for meshes, which a
 filled from this project's exact distances): where open3d cannot be loaded, an empty module stands in for it.
 """
 
+import contextlib
 import importlib
 import importlib.util
+import io
 import sys
 import tempfile
 from collections.abc import Callable
@@ -14,12 +16,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sdf import se3
 from sdf.object_model import ObjectModel
+from sensors.semantics import Semantics
 
 PACKAGES = ("pytorch_volumetric", "chsel", "pytorch_mppi")
 INSTALL = "pip install 'rumi[peers]'"
@@ -172,6 +176,39 @@ def chsel_cost(
         return found.detach(), slope
 
     return value, value_and_gradient, asked
+
+
+def chsel_register(
+    model: ObjectModel, points: Float[Tensor, "M 3"], semantics: Int[Tensor, "M"], seed: int, *, batch: int = 100
+) -> Callable[[], Float[Tensor, "B 4 4"]]:
+    """The registration of chsel with its test's settings, from random rotations about the points' middle.
+
+    Gives `batch` poses. Its random numbers are the global ones: they are seeded and put back.
+    """
+    import pytorch_kinematics as pk
+
+    chsel = importlib.import_module("chsel")
+    sdf = _cached_sdf(model.name, model, SPACING_M)
+    kinds = [chsel.SemanticsClass.FREE, chsel.SemanticsClass.OCCUPIED, chsel.SemanticsClass.SURFACE]
+    labels = torch.tensor([kind.value for kind in kinds])[semantics]
+    touching = points[semantics != Semantics.FREE]
+
+    def run() -> Tensor:
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            torch.random.fork_rng(),
+            contextlib.redirect_stdout(io.StringIO()),
+        ):
+            torch.manual_seed(seed)
+            np.random.seed(seed)  # noqa: NPY002  (what the peer draws from)
+            start = torch.eye(4).repeat(batch, 1, 1)
+            start[:, :3, :3] = pk.random_rotations(batch)
+            start[:, :3, 3] = -(start[:, :3, :3] @ touching.mean(0)) + model.sdf.bounds.mean(0)
+            peer = chsel.CHSEL(sdf, points, labels, qd_iterations=100, do_qd=True, savedir=folder)
+            found, _ = peer.register(iterations=1, batch=batch, initial_tsf=start)
+            return se3.inverse(chsel.solution_to_world_to_link_matrix(found).detach().to(points))
+
+    return run
 
 
 def down_sample(points: Float[Tensor, "M 3"], spacing: float) -> Float[Tensor, "K 3"]:

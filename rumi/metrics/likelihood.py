@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from sdf import se3
+from sdf import backend, fused, se3
 from sdf.base import SDF
 from sdf.posed import posed_distance
 from sensors.semantics import log_surface_probability
@@ -68,12 +68,47 @@ def self_agreement(
         sharpness: of the sensor model, 1/m.
         tolerance: of the sensor model, m.
     """
-    pose = belief.attached_T_object
-    points = surface_points_o.to(pose)
+    pose, points = belief.attached_T_object, surface_points_o.to(belief.attached_T_object)
+    version = backend.dispatch("self_agreement", pose, belief.log_weights, points, *sdf.buffers())
+    nll, apc = version(pose, belief.log_weights, points, sdf, sharpness, tolerance)
+    scale = nll_points / max(len(points), 1)
+    return SelfAgreement((belief.weights * nll).sum(-1) * scale, apc)
+
+
+@backend.register("self_agreement")
+def _self_agreement(
+    pose: Float[Tensor, "*b N 4 4"],
+    log_weights: Float[Tensor, "*b N"],
+    points: Float[Tensor, "S 3"],
+    sdf: SDF,
+    sharpness: float,
+    tolerance: float,
+) -> tuple[Float[Tensor, "*b N"], Float[Tensor, "*b"]]:
+    """Nll of each particle as if it were the truth, nats over the points, and the APC."""
     batch, count = pose.shape[:-3], pose.shape[-3]
     everywhere = se3.apply(pose, points.expand(*batch, count, *points.shape)).reshape(*batch, -1, 3)
     distance = posed_distance(sdf, pose, everywhere).reshape(*batch, count, count, len(points))
     log = log_surface_probability(distance, sharpness, tolerance)
-    log_mixture = torch.logsumexp(log + belief.log_weights[..., :, None, None], dim=-3)
-    nll = -log_mixture.sum(-1) * (nll_points / max(len(points), 1))
-    return SelfAgreement((belief.weights * nll).sum(-1), distance.abs().mean(dim=(-3, -2, -1)))
+    log_mixture = torch.logsumexp(log + log_weights[..., :, None, None], dim=-3)
+    return -log_mixture.sum(-1), distance.abs().mean(dim=(-3, -2, -1))
+
+
+@backend.register("self_agreement", "numba", fused.supports)
+def _self_agreement_numba(
+    pose: Tensor, log_weights: Tensor, points: Tensor, sdf: SDF, sharpness: float, tolerance: float
+) -> tuple[Tensor, Tensor]:
+    """The same pair by pair, without a table of all."""
+    from sdf.grid_fused import grid_arguments, takes
+
+    if not takes(sdf, pose, points) or pose.numel() == 0 or len(points) == 0:
+        return _self_agreement(pose, log_weights, points, sdf, sharpness, tolerance)
+    from rumi.metrics.likelihood_numba import self_agreement as kernel
+
+    poses = pose.detach().reshape(-1, *pose.shape[-3:]).contiguous().numpy()
+    logs = log_weights.detach().double().reshape(poses.shape[:2]).contiguous().numpy()
+    kind, (nll, distance) = poses.dtype.type, torch.empty(2, *poses.shape[:2], dtype=torch.float64)
+    by_axis = points.detach().mT.reshape(-1).numpy()
+    table = grid_arguments(sdf, pose.dtype)
+    kernel(poses, logs, by_axis, table, kind(sharpness), kind(tolerance), nll.numpy(), distance.numpy())
+    batch = pose.shape[:-3]
+    return nll.to(log_weights).view(*batch, -1), distance.mean(-1).to(pose).view(batch)

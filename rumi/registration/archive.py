@@ -19,7 +19,7 @@ def orientation_bins(rotation: Float[Tensor, "N 3 3"], width_rad: float, search:
         yaw = torch.atan2(rotation[:, 1, 0], rotation[:, 0, 0])
         count = max(1, round(2 * math.pi / width_rad))
         return torch.floor((yaw + math.pi) * (count / (2 * math.pi))).long().clamp(0, count - 1)
-    centres = _super_fibonacci(max(1, round(8 * math.pi**2 / width_rad**3)), rotation)
+    centres = super_fibonacci(max(1, round(8 * math.pi**2 / width_rad**3)), rotation)
     # trace(A^T B) is greatest for the nearest rotation
     return torch.cat([(part.flatten(1) @ centres.flatten(1).T).argmax(-1) for part in rotation.split(256)])
 
@@ -46,7 +46,8 @@ def _lexicographic(first: Tensor, second: Tensor) -> Tensor:
     return inner[torch.argsort(first[inner], stable=True)]
 
 
-def _super_fibonacci(count: int, like: Tensor) -> Float[Tensor, "K 3 3"]:
+def super_fibonacci(count: int, like: Tensor) -> Float[Tensor, "K 3 3"]:
+    """Rotations spread evenly over all of them: a spiral of quaternions (Alexa 2022), in the numbers of `like`."""
     s = torch.arange(count, dtype=torch.float64) + 0.5
     radius, other = (s / count).sqrt(), (1 - s / count).sqrt()
     alpha, beta = 2 * math.pi * s / math.sqrt(2.0), 2 * math.pi * s / 1.533751168755204288118041

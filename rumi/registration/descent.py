@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from sdf import se3, so3
+from sdf import backend, fused, se3, so3
 from sdf.posed import posed_distance, posed_query
 from sensors.discrepancy import Discrepancy, residuals
 from sensors.observation import Observation
@@ -29,6 +29,8 @@ class DescentSettings:
         step_limit_m, step_limit_rad: greatest Gauss-Newton step.
         margin_m: free and occupied points further than this from being violated at the start are left out.
         lever_m: rotations that move the surface by less than this a radian are damped out.
+        enough: part of its objective that a pose's next Gauss-Newton step must promise, or the pose is done. By
+            default what float32 cannot tell from none.
     """
 
     method: Literal["gauss-newton", "adam"] = "gauss-newton"
@@ -38,6 +40,7 @@ class DescentSettings:
     step_limit_rad: float = 0.3
     margin_m: float = 0.008
     lever_m: float = 0.001
+    enough: float = 1e-6
 
     def __post_init__(self) -> None:
         """Refuse what is not a method or a count."""
@@ -45,6 +48,8 @@ class DescentSettings:
             raise ValueError(f"Expected descent method gauss-newton or adam, got {self.method!r}")
         if self.iterations < 0:
             raise ValueError(f"Expected 0 or more descent iterations, got {self.iterations}")
+        if not 0 <= self.enough < 1:
+            raise ValueError(f"Expected enough in [0, 1), got {self.enough}")
 
 
 class Terms(NamedTuple):
@@ -86,22 +91,52 @@ def descend(
     if settings.iterations == 0 or len(observation) == 0:
         return frame_T_object
     with torch.no_grad():
-        pairs = violable_pairs(discrepancy, frame_T_object, observation, settings.margin_m)
-        is_surface = observation.of_class(Semantics.SURFACE)
-        count = int(is_surface.sum(-1).max()) if is_surface.numel() else 0
-        order = torch.argsort((~is_surface).to(torch.uint8), dim=-1, stable=True)[..., :count]
-        points = torch.gather(observation.points, -2, order[..., None].expand(*order.shape, 3))
-        valid = torch.gather(is_surface, -1, order)
+        tensors = (frame_T_object, observation.points, *discrepancy.parameters(), *discrepancy.buffers())
+        version = backend.dispatch("descend", *tensors)
+        return version(discrepancy, frame_T_object, observation, search, settings)
 
-        def terms(pose: Float[Tensor, "*b N 4 4"]) -> Terms:
-            return _add(
-                _surface_terms(discrepancy, pose, points, valid, search), _pair_terms(discrepancy, pose, pairs, search)
-            )
 
-        damping_floor = _damping_floor(valid, search, settings.lever_m, frame_T_object)
-        if settings.method == "adam":
-            return _adam(terms, frame_T_object, search, settings)
-        return _gauss_newton(terms, frame_T_object, search, settings, damping_floor)
+@backend.register("descend")
+def _descend(
+    discrepancy: Discrepancy,
+    frame_T_object: Float[Tensor, "*b N 4 4"],
+    observation: Observation,
+    search: Search,
+    settings: DescentSettings,
+) -> Float[Tensor, "*b N 4 4"]:
+    pairs = violable_pairs(discrepancy, frame_T_object, observation, settings.margin_m)
+    is_surface = observation.of_class(Semantics.SURFACE)
+    count = int(is_surface.sum(-1).max()) if is_surface.numel() else 0
+    order = torch.argsort((~is_surface).to(torch.uint8), dim=-1, stable=True)[..., :count]
+    points = torch.gather(observation.points, -2, order[..., None].expand(*order.shape, 3))
+    valid = torch.gather(is_surface, -1, order)
+
+    def terms(pose: Float[Tensor, "*b N 4 4"]) -> Terms:
+        return _add(
+            _surface_terms(discrepancy, pose, points, valid, search), _pair_terms(discrepancy, pose, pairs, search)
+        )
+
+    damping_floor = _damping_floor(valid, search, settings.lever_m, frame_T_object)
+    if settings.method == "adam":
+        return _adam(terms, frame_T_object, search, settings)
+    return _gauss_newton(terms, frame_T_object, search, settings, damping_floor)
+
+
+@backend.register("descend", "numba", fused.supports)
+def _descend_numba(
+    discrepancy: Discrepancy,
+    frame_T_object: Tensor,
+    observation: Observation,
+    search: Search,
+    settings: DescentSettings,
+) -> Tensor:
+    from rumi.registration.descent_fused import descend as fused_descend
+    from sensors.discrepancy_fused import takes
+
+    sdf = discrepancy.sdf
+    if settings.method != "gauss-newton" or not takes(sdf, frame_T_object, observation.points):
+        return _descend(discrepancy, frame_T_object, observation, search, settings)
+    return fused_descend(sdf, discrepancy, frame_T_object, observation, search, settings)
 
 
 def violable_pairs(
@@ -210,16 +245,17 @@ def _limit(step: Float[Tensor, "*b D"], search: Search, settings: DescentSetting
 def _gauss_newton(
     terms: Callable[[Tensor], Terms], start: Tensor, search: Search, settings: DescentSettings, floor: Tensor
 ) -> Tensor:
-    pose, candidate = start, start
-    best = terms(start)
+    pose, best = start, terms(start)
     damping = torch.full_like(best.objective, 1e-3)
     for iteration in range(settings.iterations):
         diagonal = best.hessian.diagonal(dim1=-2, dim2=-1)
         system = best.hessian + torch.diag_embed(damping[..., None] * diagonal + floor)
         step = _limit(torch.linalg.solve(system, -best.gradient[..., None])[..., 0], search, settings)
+        bend = (best.hessian @ step[..., None])[..., 0]
+        promising = -((best.gradient + 0.5 * bend) * step).sum(-1) > settings.enough * best.objective
         candidate = retract(pose, step, search)
         trial = terms(candidate)
-        better = trial.objective < best.objective
+        better = promising & (trial.objective < best.objective)
         pose = torch.where(better[..., None, None], candidate, pose)
         best = Terms(
             torch.where(better, trial.objective, best.objective),
@@ -227,7 +263,7 @@ def _gauss_newton(
             torch.where(better[..., None, None], trial.hessian, best.hessian),
         )
         damping = torch.where(better, damping * 0.2, damping * 20.0).clamp(1e-6, 1e6)
-        if iteration > 0 and not bool(better.any()):
+        if not bool(promising.any()) or (iteration > 0 and not bool(better.any())):
             break
     return pose
 

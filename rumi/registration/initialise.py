@@ -7,13 +7,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.registration.archive import fill, orientation_bins
-from rumi.registration.descent import DescentSettings, Search, descend
+from rumi.registration.descent import DescentSettings, Search
+from rumi.registration.register import RegisterSettings, register
 from rumi.seeding import uniform
 from sdf import se3
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
-from sensors.semantics import Semantics
 
 
 @dataclass(frozen=True)
@@ -102,34 +101,24 @@ def initialise(
         settings: counts.
         generator: draws the sample of points.
     """
-    surface = observation.of_class(Semantics.SURFACE).nonzero()[:, 0]
-    # drawn where the generator lives, which need not be where the points are
-    shuffled = torch.randperm(len(surface), generator=generator, device=generator.device).to(surface.device)
-    sample = surface[shuffled[: settings.coarse_points]]
-    coarse_points = observation[sample.sort().values]
-    poses = descend(discrepancy, starts, coarse_points, search, settings.coarse)
-    # the sample stands for all surface points, the free points for themselves
-    scale = len(surface) / max(len(sample), 1)
-    free = observation[(observation.semantics != Semantics.SURFACE).nonzero()[:, 0]]
-    coarse = scale * discrepancy(poses, coarse_points) + discrepancy(poses, thinned(free, 8000)) * max(
-        1.0, len(free) / 8000
+    found = register(
+        discrepancy,
+        observation,
+        peakiness,
+        RegisterSettings(
+            kept=settings.particles,
+            starts=len(starts),
+            coarse=settings.coarse,
+            coarse_points=settings.coarse_points,
+            coarse_free=0,
+            polished=settings.polished,
+            fine=settings.fine,
+            bin_rad=settings.bin_rad,
+            plausible=settings.plausible,
+        ),
+        starts=starts,
+        search=search,
+        generator=generator,
     )
-    best = fill(
-        orientation_bins(poses[:, :3, :3], settings.bin_rad, search),
-        coarse,
-        float("inf"),
-        min(settings.polished, len(poses)),
-    )
-    poses = descend(discrepancy, poses[best], observation, search, settings.fine)
-    fine = discrepancy(poses, observation)
-    margin = -torch.log(torch.tensor(settings.plausible)).item() / peakiness
-    chosen = fill(orientation_bins(poses[:, :3, :3], settings.bin_rad, search), fine, margin, settings.particles)
-    belief = PoseBelief.uniform(poses[chosen])
-    return replace(belief, discrepancy=fine[chosen]).reweighted(-peakiness * fine[chosen])
-
-
-def thinned(observation: Observation, count: int) -> Observation:
-    """At most `count` of the points, evenly over their order."""
-    if len(observation) <= count:
-        return observation
-    return observation[torch.linspace(0, len(observation) - 1, count, device=observation.points.device).long()]
+    belief = PoseBelief.uniform(found.frame_T_object)
+    return replace(belief, discrepancy=found.discrepancy).reweighted(-peakiness * found.discrepancy)

@@ -1,6 +1,7 @@
 """nll, expected nll, APC, pose error and the stopping rule."""
 
 import math
+from collections.abc import Iterator
 
 import pytest
 import torch
@@ -9,10 +10,18 @@ from rumi.belief.particles import PoseBelief
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
 from rumi.stopping import StopSettings, converged
-from sdf import se3
+from sdf import backend, se3
+from sdf.grid_sdf import GridSDF
 from sdf.primitives import Box
 
 F64 = torch.float64
+
+
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every test of this file holds for the plain and for the fused version."""
+    with backend.force(request.param):
+        yield
 
 
 def test_golden_nll(golden):
@@ -79,6 +88,31 @@ def test_rows_of_a_batch_equal_scenes_alone():
     for row in range(3):
         alone = PoseBelief(*(getattr(batch, n)[row] for n in PoseBelief.__dataclass_fields__))
         torch.testing.assert_close(together.apc[row], self_agreement(alone, POINTS, BOX).apc)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64], ids=["single", "double"])
+@pytest.mark.parametrize("spread", [1.0, 100.0, 0.0])
+def test_versions_agree(dtype, spread):
+    table = GridSDF.from_sdf(BOX.to(dtype), 0.004)
+    belief = random_belief(9, batch=(2,))
+    pose = belief.attached_T_object.clone()
+    pose[..., :3, 3] *= spread
+    belief = PoseBelief.uniform(pose.to(dtype)).reweighted(spread * belief.log_weights.to(dtype))
+    found = []
+    for name in ("torch", "numba"):
+        with backend.force(name):
+            found.append(self_agreement(belief, POINTS.to(dtype), table))
+    BOX.double()
+    single = dtype == torch.float32
+    close = {"rtol": 2e-5 if single else 1e-11, "atol": 2e-4 if single else 1e-10}
+    torch.testing.assert_close(found[1].expected_nll, found[0].expected_nll, **close)
+    torch.testing.assert_close(found[1].apc, found[0].apc, rtol=close["rtol"], atol=1e-7)
+
+
+def test_no_points_agree_in_everything():
+    belief = random_belief(3)
+    nothing = self_agreement(belief, POINTS[:0], GridSDF.from_sdf(BOX, 0.004))
+    assert float(nothing.expected_nll) == 0.0
 
 
 def test_a_far_belief_has_a_large_finite_nll():

@@ -1,6 +1,8 @@
 """Descent, archive and the first belief."""
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 import torch
@@ -8,7 +10,8 @@ import torch
 from rumi.registration.archive import fill, orientation_bins
 from rumi.registration.descent import DescentSettings, _gauss_newton, _surface_terms, descend, retract, violable_pairs
 from rumi.registration.initialise import InitialiseSettings, initialise, view_starts
-from sdf import se3, so3
+from sdf import backend, se3, so3
+from sdf.grid_sdf import GridSDF
 from sdf.object_model import mug_model
 from sdf.primitives import Box
 from sensors.discrepancy import Discrepancy, normal_equations
@@ -17,6 +20,14 @@ from sensors.semantics import Semantics
 
 F64 = torch.float64
 BOX = Box((0.04, 0.06, 0.1)).double()
+TABLE = GridSDF.from_sdf(BOX, 0.004)
+
+
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every test of this file holds for the plain and for the fused version."""
+    with backend.force(request.param):
+        yield
 
 
 def box_surface(count=300, seed=0):
@@ -28,14 +39,15 @@ def box_surface(count=300, seed=0):
     return points
 
 
+@pytest.mark.parametrize("sdf", [BOX, TABLE], ids=["exact", "table"])
 @pytest.mark.parametrize("search", ["SE(2)", "SE(3)"])
-def test_gauss_newton_finds_the_pose_from_a_view_of_all_sides(search):
+def test_gauss_newton_finds_the_pose_from_a_view_of_all_sides(search, sdf):
     truth = se3.from_planar(torch.tensor([0.4, -0.1, 0.5], dtype=F64), 0.1)
     observation = Observation.of(se3.apply(truth, box_surface()), Semantics.SURFACE)
     size = 3 if search == "SE(2)" else 6
     step = 0.02 * torch.randn(8, size, generator=torch.Generator().manual_seed(1), dtype=F64)
     found = descend(
-        Discrepancy(BOX, 0.125).double(),
+        Discrepancy(sdf, 0.125).double(),
         retract(truth.expand(8, 4, 4), step, search),
         observation,
         search,
@@ -59,11 +71,12 @@ def test_terms_equal_the_public_normal_equations(search):
     torch.testing.assert_close(terms.objective, full.objective)
 
 
-def test_free_points_push_the_object_out():
+@pytest.mark.parametrize("sdf", [BOX, TABLE], ids=["exact", "table"])
+def test_free_points_push_the_object_out(sdf):
     pose = se3.identity((1,), dtype=F64, device="cpu")
     free = torch.tensor([[0.03, y, z] for y in (-0.02, 0.0, 0.02) for z in (-0.05, 0.0, 0.05)], dtype=F64)
     observation = Observation.of(free, Semantics.FREE)
-    module = Discrepancy(BOX, 0.125, free_scale=10.0).double()
+    module = Discrepancy(sdf, 0.125, free_scale=10.0).double()
     found = descend(module, pose, observation, "SE(2)", DescentSettings(iterations=10))
     assert float(module(pose, observation)) > 0.5
     assert float(module(found, observation)) < 1e-6
@@ -108,14 +121,87 @@ def test_pairs_hold_every_violation():
     assert (BOX.distance(local) < 0.008).all()
 
 
-def test_degenerate_inputs_give_finite_poses():
-    module = Discrepancy(BOX, 0.125).double()
+@pytest.mark.parametrize("sdf", [BOX, TABLE], ids=["exact", "table"])
+def test_degenerate_inputs_give_finite_poses(sdf):
+    module = Discrepancy(sdf, 0.125).double()
     pose = se3.identity((2,), dtype=F64, device="cpu")
     for points in (torch.zeros(0, 3), torch.zeros(1, 3), torch.zeros(5, 3), torch.full((3, 3), 1e3)):
         observation = Observation.of(points.double(), Semantics.SURFACE)
         found = descend(module, pose, observation, "SE(3)", DescentSettings())
         assert torch.isfinite(found).all()
         torch.testing.assert_close(found[:, :3, :3] @ found[:, :3, :3].mT, torch.eye(3, dtype=F64).expand(2, 3, 3))
+
+
+def half_squares(module: Discrepancy, poses: torch.Tensor, observation: Observation) -> torch.Tensor:
+    points, semantics, valid = observation.points, observation.semantics, observation.valid
+    terms = normal_equations(module.sdf, poses, points, semantics, valid, module.free_scale, -module.tolerance)
+    return terms.objective
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64], ids=["single", "double"])
+@pytest.mark.parametrize("search", ["SE(2)", "SE(3)"])
+def test_versions_agree(search, dtype):
+    model = mug_model(spacing=0.004, points=300)
+    module = Discrepancy(model.sdf.to(dtype), model.radius, free_scale=20.0, tolerance=0.001).to(dtype)
+    random = torch.Generator().manual_seed(8)
+    free = 0.1 * torch.randn(2, 500, 3, generator=random, dtype=dtype)
+    free = free + 0.02 * torch.nn.functional.normalize(free, dim=-1)
+    kept = model.sdf.distance(free) > 0.002
+    inside = model.surface_points.to(dtype) - 0.002 * model.surface_normals.to(dtype)
+    observation = concatenate(
+        [
+            Observation(free, torch.zeros(2, 500, dtype=torch.long), torch.ones_like(kept), kept),
+            Observation.of(inside[:40].expand(2, 40, 3), Semantics.OCCUPIED),
+            Observation.of(model.surface_points.to(dtype).expand(2, 300, 3), Semantics.SURFACE),
+        ]
+    )
+    size = 3 if search == "SE(2)" else 6
+    near = 0.01 * torch.randn(2, 12, size, generator=random, dtype=dtype)
+    starts = retract(se3.identity((2, 12), dtype=dtype), near, search)
+    settings = DescentSettings(iterations=12)
+    found = {}
+    for name in ("torch", "numba"):
+        with backend.force(name):
+            found[name] = descend(module, starts, observation, search, settings)
+    metres, radians = se3.distance(found["numba"], found["torch"])
+    single = dtype == torch.float32
+    assert float(metres.max()) < (1e-5 if single else 1e-7)
+    assert float(radians.max()) < (1e-3 if single else 1e-5)
+    start, plain, fused = (half_squares(module, poses, observation) for poses in (starts, *found.values()))
+    assert (fused <= plain * (1 + 1e-4) + 1e-9).all()
+    assert (fused < 0.5 * start).all()
+
+
+def test_versions_agree_from_far_away_too():
+    random = torch.Generator().manual_seed(9)
+    poses = se3.exp(0.5 * torch.randn(60, 6, generator=random, dtype=F64))
+    points = 0.1 * torch.randn(120, 3, generator=random, dtype=F64)
+    semantics = torch.randint(0, 3, (120,), generator=random)
+    everything = torch.ones(120, dtype=torch.bool)
+    observation = Observation(points, semantics, everything, everything)
+    module = Discrepancy(TABLE, 0.125, free_scale=5.0).double()
+    found = []
+    for name in ("torch", "numba"):
+        with backend.force(name):
+            found.append(descend(module, poses, observation, "SE(3)", DescentSettings(iterations=5)))
+    metres, _ = se3.distance(*found)
+    # a tie between an uphill and a downhill step may fall either way
+    assert float(metres.median()) < 1e-9
+    assert float((metres < 1e-6).double().mean()) > 0.9
+
+
+def test_a_pose_that_is_good_enough_stays():
+    truth = se3.from_planar(torch.tensor([[0.4, -0.1, 0.5]], dtype=F64), 0.1)
+    observation = Observation.of(se3.apply(truth[0], box_surface()), Semantics.SURFACE)
+    module = Discrepancy(TABLE, 0.125).double()
+    start = retract(truth, torch.tensor([[0.003, 0.002, 0.01]], dtype=F64), "SE(2)")
+    moved = descend(module, start, observation, "SE(2)", DescentSettings(iterations=8))
+    assert not torch.equal(moved, start)
+    settings = DescentSettings(iterations=8, enough=0.999)
+    again = descend(module, moved, observation, "SE(2)", settings)
+    assert torch.equal(again, moved)
+    with pytest.raises(ValueError, match="enough"):
+        replace(settings, enough=1.0)
 
 
 def test_unknown_search_and_method_name_the_valid_ones(no_shape_check):

@@ -1,15 +1,25 @@
 """RUMI's discrepancy, its gradients and its Gauss-Newton terms."""
 
+from collections.abc import Iterator
+
 import pytest
 import torch
 
-from sdf import se3
-from sdf.primitives import Box, Sphere
-from sensors.discrepancy import Discrepancy, discrepancy_terms, normal_equations, residuals
+from sdf import backend, se3
+from sdf.grid_sdf import GridSDF
+from sdf.primitives import Box, Mug, Sphere
+from sensors.discrepancy import Discrepancy, discrepancy_terms, normal_equations, residuals, tangent_gradient
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 
 F64 = torch.float64
+
+
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every test of this file holds for the plain and for the fused version."""
+    with backend.force(request.param):
+        yield
 
 
 def scene(case):
@@ -133,7 +143,8 @@ def test_autograd_reaches_poses_and_parameters():
     poses, observation = random_scene(2)
     module = Discrepancy(Sphere(0.1).double(), 0.1, free_scale=5.0, trainable=True).double()
     poses.requires_grad_()
-    module(poses, observation).sum().backward()
+    with backend.force("torch"):
+        module(poses, observation).sum().backward()
     assert torch.isfinite(poses.grad).all()
     assert float(module.free_scale.grad) > 0
 
@@ -164,3 +175,49 @@ def test_no_points_cost_nothing():
 def test_negative_tolerance_is_refused():
     with pytest.raises(ValueError, match="tolerance"):
         Discrepancy(Sphere(0.1), 0.1, tolerance=-0.01)
+
+
+@pytest.mark.parametrize("tolerance", [0.001, 0.0])
+@pytest.mark.parametrize(
+    ("dtype", "close"),
+    [(torch.float32, {"atol": 2e-4, "rtol": 2e-5}), (F64, {"atol": 1e-11, "rtol": 1e-10})],
+    ids=["single", "double"],
+)
+@pytest.mark.parametrize("outer", [0.25, 0.0])
+def test_versions_agree(dtype, close, outer, tolerance):
+    table = GridSDF.from_sdf(Mug().to(dtype), 0.004, outer=outer)
+    module = Discrepancy(table, 0.085, free_scale=80.0, tolerance=tolerance).to(dtype)
+    random = torch.Generator().manual_seed(5)
+    axis = torch.linspace(-0.15, 0.15, 13, dtype=dtype)
+    lattice = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+    cloud = 0.08 * torch.randn(900, 3, generator=random, dtype=dtype)
+    for batch, points in (
+        ((), torch.cat((lattice, cloud))),
+        ((2,), cloud.reshape(2, 450, 3)),
+        ((), cloud[:0]),
+        ((), 30.0 * cloud),
+    ):
+        count = points.shape[-2]
+        semantics = torch.randint(0, 3, (*batch, count), generator=random)
+        valid = torch.rand(*batch, count, generator=random) < 0.9
+        poses = se3.exp(torch.randn(*batch, 7, 6, generator=random, dtype=dtype) * 0.3)
+        observation = Observation(points, semantics, torch.ones_like(valid), valid)
+        found = []
+        for name in ("torch", "numba"):
+            with backend.force(name):
+                terms = normal_equations(table, poses, points, semantics, valid, 80.0, -tolerance)
+                objective, gradient = tangent_gradient(table, poses, points, semantics, valid, 80.0, -tolerance)
+                found.append((module(poses, observation), *terms, objective, gradient))
+        for plain, fused in zip(*found, strict=True):
+            size = float(plain.abs().max()) if plain.numel() else 0.0
+            torch.testing.assert_close(fused, plain, rtol=close["rtol"], atol=close["atol"] * max(size, 1e-3))
+
+
+def test_tangent_gradient_is_that_of_the_normal_equations():
+    poses, observation = random_scene(6, 80, (2,))
+    arguments = (observation.points, observation.semantics, observation.valid, 3.0, -0.001)
+    for sdf in (Box((0.1, 0.15, 0.08)).double(), GridSDF.from_sdf(Box((0.1, 0.15, 0.08)).double(), 0.01)):
+        terms = normal_equations(sdf, poses, *arguments)
+        objective, gradient = tangent_gradient(sdf, poses, *arguments)
+        torch.testing.assert_close(objective, terms.objective)
+        torch.testing.assert_close(gradient, terms.gradient)

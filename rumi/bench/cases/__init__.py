@@ -7,9 +7,21 @@ from rumi.bench.cases import (  # noqa: I001  (the order of the table)
     rollouts,
     trajectory,
     reach,
+    registration,
     sampling,
     planning,
     loading,
 )
 
-__all__ = ["discrepancy", "fields", "loading", "lookup", "planning", "reach", "rollouts", "sampling", "trajectory"]
+__all__ = [
+    "discrepancy",
+    "fields",
+    "loading",
+    "lookup",
+    "planning",
+    "reach",
+    "registration",
+    "rollouts",
+    "sampling",
+    "trajectory",
+]

@@ -1,0 +1,88 @@
+"""Registration of a drill under 600 points, as chsel tests itself."""
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from rumi.bench import drill, peers
+from rumi.bench.case import Case, Setup, Target, Variant, case
+from rumi.registration.register import RegisterSettings, register
+from sdf.object_model import ObjectModel
+from sensors.discrepancy import Discrepancy
+
+_PEER = "chsel"
+PEAKINESS = 50.0
+"""Nats a metre of discrepancy; points that err by up to 5 mm, each for itself, would make it 400."""
+FREE_SCALE = 20.0
+
+
+def ours(
+    model: ObjectModel, problem: drill.Problem, seed: int, settings: RegisterSettings | None = None
+) -> Callable[[], Tensor]:
+    """This project's registration: 100 poses."""
+    discrepancy = Discrepancy(model.sdf, model.radius, free_scale=FREE_SCALE)
+
+    def run() -> Tensor:
+        random = torch.Generator().manual_seed(seed)
+        found = register(discrepancy, problem.observation, PEAKINESS, settings, generator=random)
+        return found.frame_T_object
+
+    return run
+
+
+@case("registration", slow=True)
+def registration(setup: Setup) -> Case:
+    """All of a registration, and how many of its poses are right."""
+    if drill.missing():
+        raise ValueError(f"Expected the drill's mesh, got none: {drill.missing()}")
+    model = drill.drill()
+    each = setup.size(200, 40)
+    seeds = range(setup.size(3 if setup.quick else 10, 1))
+    problems = {seed: drill.problem(model.sdf, seed, each=each) for seed in seeds}
+    settings = RegisterSettings(kept=10, starts=300, polished=60) if setup.tiny else None
+    facts: dict[str, Any] = {"seeds": len(seeds), "kept": (settings or RegisterSettings()).kept}
+    if setup.versions[-1] == "numba":
+        facts |= _quality("rumi", model, problems, lambda p, seed: ours(model, p, seed, settings))
+    variants = tuple(v for v in setup.ours(ours(model, problems[0], 0, settings)) if v.version != "torch" or setup.tiny)
+    left_out = setup.left_out
+    if setup.peers and not setup.tiny:
+        some = dict(list(problems.items())[: 1 if setup.quick else 3])
+        facts |= _quality(_PEER, model, some, lambda p, seed: peers.chsel_register(model, *p.observation_parts, seed))
+        run = peers.chsel_register(model, *problems[0].observation_parts, 0)
+        variants += (Variant(_PEER, run, "peer", note="1 registration from the middle, 100 poses", comparable=False),)
+    return Case(
+        f"registration: {3 * each} points of a drill, centred, {facts['kept']} poses kept",
+        variants,
+        (_PEER,),
+        1,
+        "registration",
+        (Target("numba", at_most_s=1.0),),
+        None,
+        facts=facts,
+        left_out=left_out,
+        rounds=5,
+    )
+
+
+def _quality(
+    name: str,
+    model: ObjectModel,
+    problems: dict[int, drill.Problem],
+    make: Callable[[drill.Problem, int], Callable[[], Tensor]],
+) -> dict[str, Any]:
+    """How many poses of each seed are within 5 mm, and what a registration takes, compiled code being there."""
+    right: list[int] = []
+    seconds: list[float] = []
+    for seed, problem in problems.items():
+        run = make(problem, seed)
+        if not seconds:
+            run()
+        start = time.perf_counter()
+        poses = run()
+        seconds.append(time.perf_counter() - start)
+        right.append(int((drill.surface_error(model, poses, problem.truth) < drill.FOUND_M).sum()))
+    return {f"{name} within 5 mm": right, f"{name} median s": round(statistics.median(seconds), 3)}

@@ -1,0 +1,163 @@
+"""The fused CPU version of a belief's agreement with itself; `likelihood.py` has the definition."""
+
+import math
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import prange
+from numba.core import types
+from numba.extending import intrinsic
+
+from sdf.fused import Kernel
+from sdf.grid_numba import at, block, lattice_of, put, value
+
+_LOG2_E = 1.0 / math.log(2.0)
+# ln 2 in two parts, of which a whole number times the first is exact
+_LN2_HIGH = 0.693145751953125
+_LN2_LOW = math.log(2.0) - _LN2_HIGH
+_SERIES = tuple(1.0 / math.factorial(k) for k in range(14))
+
+
+@intrinsic
+def _power_of_two(typingctx, exponent, like):
+    """2 to a whole number (32 bits), by the bits of a float of the kind of `like`, in whose range it must be."""
+
+    def generate(context, builder, signature, arguments):
+        double = signature.return_type == types.float64
+        integer, target, bias, mantissa = (
+            (ir.IntType(64), ir.DoubleType(), 1023, 52) if double else (ir.IntType(32), ir.FloatType(), 127, 23)
+        )
+        whole = builder.sext(arguments[0], integer) if double else arguments[0]
+        bits = builder.shl(builder.add(whole, ir.Constant(integer, bias)), ir.Constant(integer, mantissa))
+        return builder.bitcast(bits, target)
+
+    return like(exponent, like), generate
+
+
+@intrinsic
+def _rounded(typingctx, x):
+    """The whole number next to a float not above 0, 32 bits."""
+
+    def generate(context, builder, signature, arguments):
+        half = ir.Constant(arguments[0].type, -0.5)
+        return builder.fptosi(builder.fadd(arguments[0], half), ir.IntType(32))
+
+    return types.int32(x), generate
+
+
+@block
+def decay(x):
+    """The exponential of a number not above 0, to a few units in the last place; below -80 as of -80."""
+    kind = type(x)
+    x = x if x > kind(-80.0) else kind(-80.0)
+    whole = _rounded(x * kind(_LOG2_E))
+    rest = (x - kind(whole) * kind(_LN2_HIGH)) - kind(whole) * kind(_LN2_LOW)
+    result = kind(_SERIES[12])
+    result = result * rest + kind(_SERIES[11])
+    result = result * rest + kind(_SERIES[10])
+    result = result * rest + kind(_SERIES[9])
+    result = result * rest + kind(_SERIES[8])
+    result = result * rest + kind(_SERIES[7])
+    result = result * rest + kind(_SERIES[6])
+    result = result * rest + kind(_SERIES[5])
+    result = result * rest + kind(_SERIES[4])
+    result = result * rest + kind(_SERIES[3])
+    result = result * rest + kind(_SERIES[2])
+    result = result * rest + kind(1.0)
+    result = result * rest + kind(1.0)
+    return result * _power_of_two(whole, x)
+
+
+@block
+def _from_to(a, b):
+    """Twelve numbers of a^-1 b, of poses (4, 4)."""
+    x, y, z = b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]
+    return (
+        a[0, 0] * b[0, 0] + a[1, 0] * b[1, 0] + a[2, 0] * b[2, 0],
+        a[0, 0] * b[0, 1] + a[1, 0] * b[1, 1] + a[2, 0] * b[2, 1],
+        a[0, 0] * b[0, 2] + a[1, 0] * b[1, 2] + a[2, 0] * b[2, 2],
+        a[0, 1] * b[0, 0] + a[1, 1] * b[1, 0] + a[2, 1] * b[2, 0],
+        a[0, 1] * b[0, 1] + a[1, 1] * b[1, 1] + a[2, 1] * b[2, 1],
+        a[0, 1] * b[0, 2] + a[1, 1] * b[1, 2] + a[2, 1] * b[2, 2],
+        a[0, 2] * b[0, 0] + a[1, 2] * b[1, 0] + a[2, 2] * b[2, 0],
+        a[0, 2] * b[0, 1] + a[1, 2] * b[1, 1] + a[2, 2] * b[2, 1],
+        a[0, 2] * b[0, 2] + a[1, 2] * b[1, 2] + a[2, 2] * b[2, 2],
+        a[0, 0] * x + a[1, 0] * y + a[2, 0] * z,
+        a[0, 1] * x + a[1, 1] * y + a[2, 1] * z,
+        a[0, 2] * x + a[1, 2] * y + a[2, 2] * z,
+    )
+
+
+@block
+def _carried(points, room, m, pose):
+    x, y, z = at(points, m), at(points, room + m), at(points, 2 * room + m)
+    return (
+        pose[0] * x + pose[1] * y + pose[2] * z + pose[9],
+        pose[3] * x + pose[4] * y + pose[5] * z + pose[10],
+        pose[6] * x + pose[7] * y + pose[8] * z + pose[11],
+    )
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+def _pair(points, count, pose, flat, lattice, tolerance, distances):
+    """How far each point is beyond the tolerance; gives the sum of the distances."""
+    zero = total = flat.dtype.type(0.0)
+    for m in range(count):
+        x, y, z = _carried(points, count, m, pose)
+        distance = abs(value(x, y, z, flat, lattice))
+        total += distance
+        excess = distance - tolerance
+        put(distances, m, excess if excess > zero else zero)
+    return total
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+def _mix(mixture, weight, sharpness, distances):
+    """Adds a particle's share of the likelihood of each point."""
+    for m in range(len(mixture)):
+        mixture[m] += weight * decay(-sharpness * distances[m])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _log_likelihood(points, m, poses, j, log_weights, flat, lattice, sharpness, tolerance):
+    """The same of one point by logarithms, where no float holds the sum."""
+    most = -math.inf
+    logs = np.empty(len(poses))
+    for i in range(len(poses)):
+        pose = _from_to(poses[i], poses[j])
+        x, y, z = _carried(points, len(points) // 3, m, pose)
+        excess = np.float64(abs(value(x, y, z, flat, lattice)) - tolerance)
+        logs[i] = log_weights[i] - sharpness * max(excess, 0.0)
+        most = max(most, logs[i])
+    total = 0.0
+    for i in range(len(poses)):
+        total += math.exp(logs[i] - most)
+    return most + math.log(total)
+
+
+def _self_agreement(poses, log_weights, points, grid, sharpness, tolerance, nll, distance):
+    flat, numbers, sizes = grid
+    batch, each = nll.shape
+    count = len(points) // 3
+    for row in prange(batch * each):
+        b, j = row // each, row % each
+        lattice = lattice_of(numbers, sizes)
+        mixture, distances = np.zeros(count, flat.dtype), np.empty(count, flat.dtype)
+        total = 0.0
+        for i in range(each):
+            pose = _from_to(poses[b, i], poses[b, j])
+            weight = flat.dtype.type(math.exp(log_weights[b, i]))
+            total += _pair(points, count, pose, flat, lattice, tolerance, distances)
+            _mix(mixture, weight, sharpness, distances)
+        distance[b, j] = total / (each * max(count, 1))
+        log = 0.0
+        for m in range(count):
+            if mixture[m] > 1e-20:
+                log += math.log(mixture[m])
+            else:
+                log += _log_likelihood(points, m, poses[b], j, log_weights[b], flat, lattice, sharpness, tolerance)
+        nll[b, j] = -log
+
+
+self_agreement = Kernel(_self_agreement)

@@ -1,0 +1,157 @@
+"""The fused CPU version of a whole Gauss-Newton descent, one pose after the other; `descent.py` has the definition."""
+
+import math
+
+import numba
+import numpy as np
+from numba import prange
+
+from sdf.fused import Kernel
+from sdf.grid_numba import at, lattice_of, put, value
+from sensors.discrepancy_numba import gather, placed, terms_of, to_frame
+from sensors.tiles_numba import local, near_points
+
+_exact = numba.njit(cache=True, error_model="numpy")
+_fast = numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+
+
+@_fast
+def _violable(near, count, pose, flat, lattice, margin, centre, reach):
+    """Keeps the points less than `margin` from being violated, of free ones those in reach; how many."""
+    far = np.empty(count, flat.dtype)
+    room, given = near.shape[1], near.reshape(-1)
+    for n in range(count):
+        x, y, z = local(at(given, n), at(given, room + n), at(given, 2 * room + n), pose)
+        put(far, n, at(given, 3 * room + n) * value(x, y, z, flat, lattice))
+    left = 0
+    for n in range(count):
+        if far[n] < margin:
+            x, y, z = near[0, n] - centre[0], near[1, n] - centre[1], near[2, n] - centre[2]
+            if near[3, n] < 0 or not math.sqrt(x * x + y * y + z * z) > reach:
+                for row in range(4):
+                    near[row, left] = near[row, n]
+                left += 1
+    return left
+
+
+@_exact
+def _solve(matrix, vector, size):
+    """Solves in place by Cholesky; False where the matrix is not positive definite."""
+    for j in range(size):
+        pivot = matrix[j, j]
+        for k in range(j):
+            pivot -= matrix[j, k] * matrix[j, k]
+        if not pivot > 0.0:
+            return False
+        matrix[j, j] = math.sqrt(pivot)
+        for i in range(j + 1, size):
+            rest = matrix[i, j]
+            for k in range(j):
+                rest -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = rest / matrix[j, j]
+    for i in range(size):
+        for k in range(i):
+            vector[i] -= matrix[i, k] * vector[k]
+        vector[i] /= matrix[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            vector[i] -= matrix[k, i] * vector[k]
+        vector[i] /= matrix[i, i]
+    return True
+
+
+@_exact
+def _retract(pose, step, out):
+    """Shifts the origin by the first three of a step (6) and turns about it by the others (Rodrigues)."""
+    x, y, z = step[3], step[4], step[5]
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    a = math.sin(angle) / angle if angle > 1e-8 else 1.0
+    b = 2.0 * (math.sin(0.5 * angle) / angle) ** 2 if angle > 1e-8 else 0.5
+    turn = (
+        1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y,
+        b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x,
+        b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y),
+    )  # fmt: skip
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = turn[3 * i] * pose[0, j] + turn[3 * i + 1] * pose[1, j] + turn[3 * i + 2] * pose[2, j]
+        out[i, 3] = pose[i, 3] + step[i]
+
+
+@_exact
+def _step(gradient, hessian, freedom, damping, floor, lever, limits, system, step):
+    """A damped step (6), no longer than `limits`, and the decrease that the quadratic model predicts for it."""
+    size = len(freedom)
+    for i in range(size):
+        for j in range(size):
+            system[i, j] = hessian[freedom[i], freedom[j]]
+        system[i, i] += damping * system[i, i] + floor * (1e-6 if freedom[i] < 3 else lever * lever)
+    short = step[6:]
+    for i in range(size):
+        short[i] = -gradient[freedom[i]]
+    if not _solve(system, short, size):
+        return False, 0.0
+    for k in range(6):
+        step[k] = 0.0
+    for i in range(size):
+        step[freedom[i]] = short[i]
+    for half in range(2):
+        square = 0.0
+        for k in range(3 * half, 3 * half + 3):
+            square += step[k] * step[k]
+        share = math.sqrt(square) / limits[half]
+        if share > 1.0:
+            for k in range(3 * half, 3 * half + 3):
+                step[k] /= share
+    decrease = 0.0
+    for i in range(6):
+        decrease -= gradient[i] * step[i]
+        for j in range(6):
+            decrease -= 0.5 * step[i] * hessian[i, j] * step[j]
+    return True, decrease
+
+
+def _descend(
+    poses, scene, grid, steepness, free_scale, alpha, margin, centres, reaches,
+    freedom, lever, iterations, limits, enough, result, passes,
+):  # fmt: skip
+    surface, hinged, signs, small_first, small_balls, large_first, large_balls, counts = scene
+    flat, numbers, sizes = grid
+    batch, each = passes.shape
+    size = len(freedom)
+    for row in prange(batch * each):
+        b, n = row // each, row % each
+        lattice = lattice_of(numbers, sizes)
+        own = (hinged[b], signs[b], small_first[b], small_balls[b], large_first[b], large_balls[b], counts[b])
+        start = placed(poses[b, n])
+        near, count = near_points(own, start, flat, lattice, steepness, margin, counts[b, 0])
+        count = _violable(near, count, start, flat, lattice, margin, centres[b], reaches[b])
+        count = gather(surface[b], counts[b], near, count)
+        floor = max(counts[b, 0], 1)
+        terms, gradient, hessian, work = np.empty(28), np.empty(6), np.empty((6, 6)), np.empty((6, 6))
+        system, step = np.empty((size, size)), np.empty(12)
+        pose, candidate = result[b, n], poses[b, n].copy()
+        pose[:] = candidate
+        terms_of(near, count, start, flat, lattice, free_scale, alpha, terms)
+        to_frame(terms, start, gradient, hessian, work)
+        objective, damping, done = terms[0], 1e-3, 1
+        for _ in range(iterations):
+            found, decrease = _step(gradient, hessian, freedom, damping, floor, lever, limits, system, step)
+            if found and decrease <= enough * objective:
+                break
+            if found:
+                _retract(pose, step, candidate)
+                place = placed(candidate)
+                terms_of(near, count, place, flat, lattice, free_scale, alpha, terms)
+                done += 1
+            if found and terms[0] < objective:
+                pose[:] = candidate
+                to_frame(terms, place, gradient, hessian, work)
+                objective, damping = terms[0], max(damping * 0.2, 1e-6)
+            else:
+                damping = min(damping * 20.0, 1e6)
+        passes[b, n] = done
+
+
+descend = Kernel(_descend)

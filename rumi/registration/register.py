@@ -1,0 +1,154 @@
+"""All plausible poses of an object under some points: starts, descent, archive of orientations, descent, selection."""
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.registration.archive import fill, orientation_bins, super_fibonacci
+from rumi.registration.descent import DescentSettings, Search, descend
+from rumi.seeding import uniform
+from sdf import se3
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation, concatenate
+from sensors.semantics import Semantics
+
+
+@dataclass(frozen=True)
+class RegisterSettings:
+    """How poses are looked for.
+
+    Attributes:
+        kept: number of poses that are kept.
+        starts: poses that the descent starts from.
+        coarse: descent of all starts, on a sample of the points.
+        coarse_points: surface points in that sample.
+        coarse_free: free and occupied points in it; none by default, since seen surfaces are mostly enough.
+        polished: poses that go on to the fine descent.
+        fine: descent of those on all points.
+        bin_rad: width of the archive's orientation bins.
+        plausible: least weight, relative to the best pose's, of a pose that is kept.
+    """
+
+    kept: int = 100
+    starts: int = 4000
+    coarse: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=12, margin_m=0.05))
+    coarse_points: int = 100
+    coarse_free: int = 100
+    polished: int = 600
+    fine: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=20, margin_m=0.05))
+    bin_rad: float = 0.35
+    plausible: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse empty searches."""
+        for name in ("kept", "starts", "polished"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"Expected {name} to be 1 or more, got {getattr(self, name)}")
+        if not 0 < self.plausible <= 1:
+            raise ValueError(f"Expected plausible in (0, 1], got {self.plausible}")
+
+
+class Registered(NamedTuple):
+    """Plausible poses; where there are few of them, some come more than once.
+
+    Attributes:
+        frame_T_object: (P, 4, 4).
+        discrepancy: (P,).
+    """
+
+    frame_T_object: Float[Tensor, "P 4 4"]
+    discrepancy: Float[Tensor, "P"]
+
+
+def uniform_starts(
+    observation: Observation, bounds: Float[Tensor, "2 3"], count: int, *, generator: torch.Generator
+) -> Float[Tensor, "count 4 4"]:
+    """Starts evenly over all orientations, at each of which the points' middle lies somewhere in the object's box.
+
+    Args:
+        observation: of one scene; the middle is that of the surface and occupied points, of all where there are none.
+        bounds: (2, 3), metres, box of the object in its own frame.
+        count: how many starts.
+        generator: turns the spread of orientations and draws the places.
+    """
+    touching = observation.valid & (observation.semantics != Semantics.FREE)
+    points = observation.points[touching if bool(touching.any()) else observation.valid]
+    if len(points) == 0:
+        raise ValueError("Expected an observation with points to register, got none")
+    draw = uniform((count + 1, 3), generator=generator, dtype=torch.float64, device=points.device)
+    # a spread of its own for every seed: all of it turned alike, by a rotation drawn evenly
+    turn = super_fibonacci(997, draw)[int(draw[count, 0] * 997)]
+    rotation = (turn @ super_fibonacci(count, draw)).to(points)
+    middle = 0.5 * (points.amin(0) + points.amax(0))
+    low, high = bounds.to(points)
+    place = low + draw[:count].to(points) * (high - low)
+    return se3.make(rotation, middle - (rotation @ place[..., None])[..., 0])
+
+
+def register(
+    discrepancy: Discrepancy,
+    observation: Observation,
+    peakiness: float,
+    settings: RegisterSettings | None = None,
+    *,
+    starts: Float[Tensor, "N 4 4"] | None = None,
+    search: Search = "SE(3)",
+    generator: torch.Generator,
+) -> Registered:
+    """Plausible poses of one scene under its points alone, spread over all orientations that are plausible.
+
+    In the manner of CHSEL: all starts descend on a sample of the points, the best of every orientation bin on
+    all points, and the archive's plausible elites are kept round robin, so that no mode is lost for another's sake.
+
+    Args:
+        discrepancy: C^.
+        observation: one scene's.
+        peakiness: lambda, nats per metre of discrepancy: what is plausible weighs `settings.plausible` of the best.
+        settings: counts.
+        starts: poses to start from; `uniform_starts` by default.
+        search: "SE(2)" or "SE(3)".
+        generator: draws the starts and the sample of points.
+    """
+    settings = settings or RegisterSettings()
+    if starts is None:
+        starts = uniform_starts(observation, discrepancy.sdf.bounds, settings.starts, generator=generator)
+    surface = observation.of_class(Semantics.SURFACE).nonzero()[:, 0]
+    others = (observation.valid & (observation.semantics != Semantics.SURFACE)).nonzero()[:, 0]
+    sample = drawn(observation, surface, settings.coarse_points, generator=generator)
+    scale = len(surface) / max(len(sample), 1)
+    seen = sample
+    if settings.coarse_free:
+        seen = concatenate([sample, drawn(observation, others, settings.coarse_free, generator=generator)])
+    poses = descend(discrepancy, starts, seen, search, settings.coarse)
+    # the sample stands for all surface points, the free points for themselves
+    free = thinned(observation[others], 8000)
+    coarse = scale * discrepancy(poses, sample) + discrepancy(poses, free) * (len(others) / max(len(free), 1))
+    best = fill(
+        orientation_bins(poses[:, :3, :3], settings.bin_rad, search),
+        coarse,
+        math.inf,
+        min(settings.polished, len(poses)),
+    )
+    poses = descend(discrepancy, poses[best], observation, search, settings.fine)
+    fine = discrepancy(poses, observation)
+    margin = -math.log(settings.plausible) / peakiness
+    chosen = fill(orientation_bins(poses[:, :3, :3], settings.bin_rad, search), fine, margin, settings.kept)
+    return Registered(poses[chosen], fine[chosen])
+
+
+def drawn(observation: Observation, index: Tensor, count: int, *, generator: torch.Generator) -> Observation:
+    """At most `count` of the points `index`, drawn without replacement, in their order."""
+    # drawn where the generator lives, which need not be where the points are
+    shuffled = torch.randperm(len(index), generator=generator, device=generator.device).to(index.device)
+    return observation[index[shuffled[:count]].sort().values]
+
+
+def thinned(observation: Observation, count: int) -> Observation:
+    """At most `count` of the points, evenly over their order."""
+    if len(observation) <= count:
+        return observation
+    return observation[torch.linspace(0, len(observation) - 1, count, device=observation.points.device).long()]
