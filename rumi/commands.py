@@ -15,9 +15,11 @@ from rumi.belief.motion import Motion
 from rumi.cli import DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.config import Settings, preset, setting_names, to_dict
 from rumi.errors import UsageError
+from rumi.explain import Decisions, explain
 from rumi.progress import Progress, both, stages
 from rumi.recording import RunRecorder, holds_run, load_run, prepare_folder
 from rumi.records import RunResult
+from sdf import savings
 
 _RUN_HELP = """Find an object by touch, in simulation; `rumi tasks` lists what there is.
 
@@ -39,12 +41,14 @@ class RunOptions:
             from the touches; short for --filter.motion.
         out: folder of the run; by default runs/TASK-METHOD-PRESET-sSEED, with a number where that is taken.
         figures: draw figures at the end.
+        explain: say at the end what was skipped, since the scene did not need it, and what that saved.
     """
 
     settings: Annotated[Settings, tyro.conf.arg(name="")]
     motion: Motion | None = None
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = True
+    explain: bool = False
 
 
 @dataclass(frozen=True)
@@ -97,12 +101,13 @@ def run(arguments: Sequence[str]) -> int:
     from rumi.assemble import build, scene_sketch
     from rumi.loop import rummage
 
-    with RunRecorder(folder, to_dict(settings)) as recorder:
+    with RunRecorder(folder, to_dict(settings)) as recorder, savings.account() as account:
         task, rummager = build(settings, cache_dir=cache_folder())
         recorder.scene(scene_sketch(rummager))
         try:
             with Progress(settings.task, steps) as progress:
-                result = rummage(task, rummager, seed=settings.seed, steps=steps, on_step=both(recorder, progress))
+                on_step = both(recorder, progress, Decisions(account))
+                result = rummage(task, rummager, seed=settings.seed, steps=steps, on_step=on_step)
         finally:
             task.close()
         recorder.finish(result)
@@ -110,6 +115,8 @@ def run(arguments: Sequence[str]) -> int:
         _say("drawing figures")
         _draw(folder, folder / "figures", None)
     sys.stdout.write(summary(result, folder, settings.task))
+    if options.explain:
+        sys.stdout.write(explain(account))
     return {"converged": DONE, "steps": NOT_CONVERGED, "interrupted": INTERRUPTED}[result.stopped_by]
 
 
@@ -207,8 +214,10 @@ def _asked_preset(arguments: Sequence[str]) -> str:
 def _check_flags(arguments: Sequence[str]) -> None:
     """Refuse flags that are no setting, with those that are."""
     names = [name.replace("_", "-") for name in setting_names() if name != "task"] + ["motion", "out"]
-    switches = {f"{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in [*names, "figures"])}
-    known = {"help", "figures", *names, *switches}
+    switches = {
+        f"{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in [*names, "figures", "explain"])
+    }
+    known = {"help", "figures", "explain", *names, *switches}
     for argument in arguments:
         name = argument[2:].split("=")[0].replace("_", "-")
         if not argument.startswith("--") or not name or name in known:

@@ -85,12 +85,17 @@ def kept() -> bool:
 
 
 @contextmanager
-def work(name: str) -> Iterator[Work]:
-    """The work of the block: its time is taken, and it says by `count` how much it did."""
+def work(name: str, *, alike: bool = True) -> Iterator[Work]:
+    """The work of the block: it says by `count` how much it did, and its time is taken.
+
+    Args:
+        name: what kind of work.
+        alike: whether the units that are skipped would take as long as those done; if not, no time is kept.
+    """
     own = Work()
     start = time.perf_counter()
     yield own
-    own.seconds = time.perf_counter() - start
+    own.seconds = (time.perf_counter() - start) * alike
     keeper = _kept.get()
     if keeper is not None and own.whole > 0:
         keeper.add(name, own)

@@ -14,7 +14,7 @@ from rumi.belief.resampling import resample_systematic
 from rumi.errors import DegenerateBeliefError
 from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
 from rumi.seeding import Generators, normal
-from sdf import se3
+from sdf import savings, se3
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import Evidence, in_attached_frame
 from sensors.observation import Observation, attach, merge
@@ -190,10 +190,13 @@ class PoseFilter(nn.Module):
             (belief.attached_T_object == before.attached_T_object).all()
         )
         fixed = len(memory) > 0 and bool((memory.valid & ~memory.attached).any())
-        if same and not fixed:
-            total = belief.discrepancy + self.discrepancy(belief.attached_T_object, added)
-        else:
-            total = self.total(belief, memory)
+        with savings.work("old_points") as work:
+            if same and not fixed:
+                total = belief.discrepancy + self.discrepancy(belief.attached_T_object, added)
+                work.count(len(added), len(memory))
+            else:
+                total = self.total(belief, memory)
+                work.count(len(memory), len(memory))
         return self._weighted(replace(belief, discrepancy=total), total - before.discrepancy)
 
     def total(self, belief: PoseBelief, memory: Observation) -> Float[Tensor, "*b N"]:

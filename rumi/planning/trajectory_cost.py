@@ -70,7 +70,7 @@ class TrajectoryCost:
         if self._information is not None:
             total += self.information_scale * self._information(configurations, displacements)
         if self._reachability is not None:
-            with savings.work("reachability_sums") as work:
+            with savings.work("reachability_sums", alike=False) as work:
                 total += self.reachability_scale * self._reachability(displacements)
                 work.count(displacements[..., 0].numel(), displacements[..., 0].numel() * self._reachability.points)
         return total

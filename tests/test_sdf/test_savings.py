@@ -46,3 +46,10 @@ def test_saved_time_is_that_of_the_rest_at_the_same_pace() -> None:
     assert Work(4, 4, 2.0).saved_s == 0.0
     assert Work(0, 4, 0.0).saved_s is None
     assert Work().skipped == 0.0
+
+
+def test_no_time_is_kept_of_work_unlike_the_rest() -> None:
+    with account() as kept, work("sums", alike=False) as mine:
+        mine.count(1, 100)
+    assert kept.works["sums"].seconds == 0.0
+    assert kept.skipped() == {"sums": 0.99}
