@@ -86,7 +86,9 @@ def notes(result: Result) -> Iterator[str]:
         if name not in spent:
             yield f"{name}: {value}"
     if spent:
-        yield "one pass: " + ", ".join(f"{name.removesuffix(', ms')} {value} ms" for name, value in spent.items())
+        yield "one pass, least: " + ", ".join(
+            f"{name.removesuffix(', ms')} {value} ms" for name, value in spent.items()
+        )
     yield from result.case.remarks
     for row in result.rows:
         if row.note:

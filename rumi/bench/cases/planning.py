@@ -41,8 +41,10 @@ def _case(
     first = policy.act(belief, scene, None, executed=0, budget_s=None, generator=split(_SEED, "bench/first"))
     run = _pass(policy, belief, scene, first, 3)
     plan = run()[1]
+    passes = [plan.timings_s] + [run()[1].timings_s for _ in range(0 if setup.tiny else 3)]
+    least = {stage: min(seconds[stage] for seconds in passes) for stage in plan.timings_s}
     skipped = {f"skipped, {name.replace('_', ' ')}": round(share, 3) for name, share in plan.skipped.items() if share}
-    spent = {f"{name.replace('_', ' ')}, ms": round(1e3 * s, 2) for name, s in plan.timings_s.items()}
+    spent = {f"{name.replace('_', ' ')}, ms": round(1e3 * s, 2) for name, s in least.items()}
     return Case(
         title,
         setup.ours(run),
