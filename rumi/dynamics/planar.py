@@ -4,9 +4,9 @@ import math
 from typing import Literal
 
 import torch
-import torch.nn.functional as nnf
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 from sdf.voxel_grid import VoxelGrid
 
@@ -68,7 +68,7 @@ class FieldSampler:
     """A lattice field, looked up quickly; zero fades in outside the lattice.
 
     Gives what `VoxelGrid.interpolate(points, outside=0)` gives, up to rounding, by the library's image sampler, whose
-    coordinates of a point are `point * scale + offset`, with the axes in the order `axes`.
+    coordinates of a point are `point * scale + offset` (x and y alone where the field is planar).
 
     Args:
         grid: (X, Y, Z) or (X, Y, Z, C); an axis with one node is constant along it.
@@ -77,24 +77,23 @@ class FieldSampler:
 
     def __init__(self, grid: VoxelGrid, mode: Literal["bilinear", "nearest"] = "bilinear") -> None:
         self.mode = mode
-        counts = grid.origin.new_tensor([float(n) for n in grid.shape])
-        # the sampler wants -1 at the first node and 1 at the last, axes last to first
+        dims = 2 if grid.shape[2] == 1 else 3
+        counts = grid.origin.new_tensor([float(n) for n in grid.shape])[:dims]
+        # the sampler wants -1 at the first node and 1 at the last
         self.scale = torch.where(counts > 1, 2.0 / (grid.spacing * (counts - 1.0).clamp_min(1.0)), 0.0)
-        self.offset = torch.where(counts > 1, -grid.origin * self.scale - 1.0, 0.0)
-        planar = grid.shape[2] == 1
-        self.axes = [1, 0] if planar else [2, 1, 0]
+        self.offset = torch.where(counts > 1, -grid.origin[:dims] * self.scale - 1.0, 0.0)
         values = grid.values if grid.values.ndim == 4 else grid.values[..., None]
-        values = values.permute(3, 0, 1, 2)
-        self.values = (values[..., 0] if planar else values)[None].contiguous()  # (1, C, X, Y[, Z])
+        values = values.permute(3, 2, 1, 0)  # its first coordinate is along the last axis
+        self.values = (values[:, 0] if dims == 2 else values)[None].contiguous()
 
     def place(self, points: Float[Tensor, "E M 3"]) -> Float[Tensor, "E M dims"]:
         """Sampler coordinates of points."""
-        return (points * self.scale + self.offset)[..., self.axes]
+        return torch.addcmul(self.offset, points[..., : len(self.scale)], self.scale)
 
     def __call__(self, place: Float[Tensor, "E M dims"]) -> Float[Tensor, "C E M"]:
         """Values at sampler coordinates."""
         grid = place[None] if place.shape[-1] == 2 else place[None, None]
-        values = nnf.grid_sample(self.values, grid, mode=self.mode, padding_mode="zeros", align_corners=True)
+        values = functional.grid_sample(self.values, grid, mode=self.mode, padding_mode="zeros", align_corners=True)
         return values.reshape(self.values.shape[1], *place.shape[:2])
 
 
@@ -111,7 +110,10 @@ class TiedField:
         self, grid: VoxelGrid, points_t: Float[Tensor, "M 3"], mode: Literal["bilinear", "nearest"] = "bilinear"
     ) -> None:
         self._sample = FieldSampler(grid, mode)
-        self._matrix = placement(points_t, self._sample.scale, self._sample.offset)[..., self._sample.axes]
+        scale, offset = self._sample.scale, self._sample.offset
+        if len(scale) == 2:  # no sampler coordinate along z
+            scale, offset = functional.pad(scale, [0, 1]), functional.pad(offset, [0, 1])
+        self._matrix = placement(points_t, scale, offset)[..., : len(self._sample.scale)]
         self._flat = self._matrix.reshape(5, -1).contiguous()
 
     def __call__(self, features: Float[Tensor, "E 5"]) -> Float[Tensor, "C E M"]:

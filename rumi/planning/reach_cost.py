@@ -17,12 +17,25 @@ def cross_correlation(
     axes = [axis for axis, n in enumerate(shape) if n > 1]
     if not axes:
         return reachability * information
-    padded = [2 * shape[axis] for axis in axes]
+    padded = [_quick_length(2 * shape[axis] - 1) for axis in axes]
     spectrum = torch.fft.rfftn(reachability, padded, axes) * torch.fft.rfftn(information, padded, axes).conj()
     table = torch.fft.irfftn(spectrum, padded, axes)
     for axis in axes:
         table = table.roll(shape[axis] - 1, axis).narrow(axis, 0, 2 * shape[axis] - 1)
     return table
+
+
+def _quick_length(least: int) -> int:
+    """The next length whose Fourier transform is quick: without a prime factor above 7."""
+    length = least
+    while True:
+        rest = length
+        for factor in (2, 3, 5, 7):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return length
+        length += 1
 
 
 class ReachabilityCost:
