@@ -1,0 +1,43 @@
+"""Run time against error: beliefs, fields, plans and whole runs over the settings that their cost depends on."""
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+from rumi.bench.estimates import Bench, measure_estimates
+from rumi.bench.ledger import Ledger
+from rumi.bench.plans import PlanBench, measure_plans
+from rumi.bench.runs import measure_runs
+from rumi.bench.situations import situation
+
+_logger = logging.getLogger(__name__)
+_ESTIMATES = (("mug-1", "view"), ("mug-1", "handle"), ("mug-2", "view"), ("mug-2", "handle"))
+_SEEDS = (1000, 1001, 1002)
+
+
+def run(*, quick: bool, out: Path, jsonl: Path | None = None) -> None:
+    """Measure what is missing and draw the figures.
+
+    Args:
+        quick: few settings of one situation, for a look in a few minutes.
+        out: folder of the figures and of the references, which take minutes to work out and are kept there.
+        jsonl: file of the results; by default `pareto.jsonl` in the folder.
+    """
+    ledger = Ledger(jsonl or out / "pareto.jsonl")
+    for done in measure(ledger, out, quick=quick):
+        if done:
+            _logger.info("%d measurements", sum(1 for _ in ledger.lines()))
+    from rumi.bench.pareto_figures import draw
+
+    draw(ledger, out)
+
+
+def measure(ledger: Ledger, folder: Path, *, quick: bool) -> Iterator[bool]:
+    """Do what is missing, one measurement at a time; gives whether each was missing."""
+    places, seeds = (_ESTIMATES[:1], _SEEDS[:1]) if quick else (_ESTIMATES, _SEEDS)
+    for place in places:
+        here = situation(*place)
+        yield from measure_estimates(ledger, Bench(here, folder), seeds, quick=quick)
+        for seed in seeds:
+            yield from measure_plans(ledger, PlanBench(here, seed), quick=quick)
+    yield from measure_runs(ledger, quick=quick)

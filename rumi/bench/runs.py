@@ -1,0 +1,60 @@
+"""Whole runs of the mug tasks by preset: what the settings come to in the end."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rumi.assemble import build
+from rumi.bench.ledger import Figures, Ledger
+from rumi.commands import cache_folder
+from rumi.config import PRESETS, preset
+from rumi.loop import rummage
+from rumi.sim.tasks import find_task
+
+TASKS = ("mug-0", "mug-1", "mug-2")
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """One run.
+
+    Attributes:
+        task: its name.
+        preset: of the settings.
+        seed: of all randomness.
+        steps: actions at most; None for the task's.
+    """
+
+    task: str
+    preset: str
+    seed: int
+    steps: int | None = None
+
+
+def run_settings(quick: bool) -> list[RunSettings]:
+    """The runs that are compared."""
+    if quick:
+        return [RunSettings("mug-0", name, 1000, steps=2) for name in PRESETS]
+    return [RunSettings(task, name, seed) for seed in range(1000, 1005) for task in TASKS for name in PRESETS]
+
+
+def run_figures(run: RunSettings) -> Figures:
+    """How a run ended and what it took."""
+    settings = preset(run.preset, task=run.task, seed=run.seed, steps=run.steps)
+    parts = build(settings, cache_dir=cache_folder())
+    begun = time.perf_counter()
+    try:
+        steps = find_task(run.task).steps if run.steps is None else run.steps
+        result = rummage(parts.task, parts.rummager, seed=run.seed, steps=steps)
+    finally:
+        parts.task.close()
+    names = ("right", "actions", "stopped_by", "final_nll", "position_error_mm", "rotation_error_deg", "timings_s")
+    figures = dict(result.as_dict())
+    figures["actions"] = figures["steps"]
+    return {name: figures[name] for name in names} | {"seconds": time.perf_counter() - begun}
+
+
+def measure_runs(ledger: Ledger, *, quick: bool) -> Iterator[bool]:
+    """Do the runs that are missing."""
+    for run in run_settings(quick):
+        yield ledger.measure({"part": "run", **vars(run)}, lambda r=run: run_figures(r))  # type: ignore[misc]
