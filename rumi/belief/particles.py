@@ -1,5 +1,6 @@
 """The belief over one object's pose: weighted particles in SE(3)."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -8,6 +9,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sdf import se3
+
+# bytes that a chunk of a table over pairs of particles may take, temporaries included
+CHUNK_BYTES = 64 * 2**20
+_TEMPORARIES = 24  # numbers of a pair that live at once: a product of rotations, and what its angle needs
 
 
 @dataclass(frozen=True)
@@ -61,13 +66,28 @@ class PoseBelief:
             radius_rad: turned no more than this, belong together.
         """
         pose = self.world_T_object
-        table = (*pose.shape[:-2], *pose.shape[-3:])
-        metres, radians = se3.distance(pose[..., :, None, :, :].expand(table), pose[..., None, :, :, :].expand(table))
-        near = ((metres <= radius_m) & (radians <= radius_rad)).to(pose.dtype) * self.weights[..., None, :]
-        # ties go to the heavier particle
-        best = (near.sum(-1) + 1e-6 * self.weights).argmax(-1)
-        own = torch.gather(near, -2, best[..., None, None].expand(*best.shape, 1, near.shape[-1]))[..., 0, :]
-        return se3.mean(pose, own / own.sum(-1, keepdim=True))
+        count, batch = pose.shape[-3], pose.shape[:-3]
+        rows = max(1, CHUNK_BYTES // (pose.element_size() * _TEMPORARIES * max(1, count * math.prod(batch))))
+        most: Tensor | None = None
+        chosen: Tensor | None = None
+        for first in range(0, count, rows):
+            part = pose[..., first : first + rows, :, :]
+            table = (*part.shape[:-2], *pose.shape[-3:])
+            metres, radians = se3.distance(
+                part[..., :, None, :, :].expand(table), pose[..., None, :, :, :].expand(table)
+            )
+            near = ((metres <= radius_m) & (radians <= radius_rad)).to(pose.dtype) * self.weights[..., None, :]
+            # ties go to the heavier particle, and then to the first
+            score, best = (near.sum(-1) + 1e-6 * self.weights[..., first : first + rows]).max(-1)
+            index = best[..., None, None].expand(*best.shape, 1, count)
+            own = torch.gather(near, -2, index)[..., 0, :]
+            if most is None or chosen is None:
+                most, chosen = score, own
+            else:
+                better = score > most
+                most, chosen = torch.where(better, score, most), torch.where(better[..., None], own, chosen)
+        assert chosen is not None
+        return se3.mean(pose, chosen / chosen.sum(-1, keepdim=True))
 
     def mean(self) -> Float[Tensor, "*b 4 4"]:
         """Weighted mean world pose (chordal mean of rotations); means little where there are several modes."""

@@ -80,7 +80,9 @@ class CoarseReference:
         cells = torch.floor(planar.double() / self._size + shift + 1e-9).long()
         yaw = cells[:, 2] % self._turns
         # a whole number a cell: places within a kilometre
-        return _masses(((cells[:, 0] + _HALF) * _WIDE + cells[:, 1] + _HALF) * 1024 + yaw, weights), _masses(yaw, weights)
+        return _masses(((cells[:, 0] + _HALF) * _WIDE + cells[:, 1] + _HALF) * 1024 + yaw, weights), _masses(
+            yaw, weights
+        )
 
     def _connected(self, masses: Masses) -> list[set[int]]:
         """Regions of touching cells, among those that make up 99 % of the mass, that hold at least 1 % of it."""

@@ -85,7 +85,9 @@ def field_estimates(quick: bool) -> list[Estimate]:
         return [Estimate(), Estimate(particles=30), Estimate(lattice_m=0.020), Estimate(look_up="nearest")]
     found = [Estimate(particles=count, lattice_m=lattice) for count in PARTICLES for lattice in LATTICE_M]
     found += [Estimate(sdf_m=spacing, lattice_m=lattice) for spacing in SDF_M for lattice in LATTICE_M]
-    found += [Estimate(source="draws", particles=count, lattice_m=lattice) for count in PARTICLES for lattice in LATTICE_M]
+    found += [
+        Estimate(source="draws", particles=count, lattice_m=lattice) for count in PARTICLES for lattice in LATTICE_M
+    ]
     found += [Estimate(particles=count, precision="float64") for count in PARTICLES]
     for count in PARTICLES:
         found += [Estimate(particles=count, look_up="nearest"), Estimate(particles=count, precision="half")]

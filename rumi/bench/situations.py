@@ -137,9 +137,7 @@ def follow(
     settings, start = filter_settings or FilterSettings(), replace(start or InitialiseSettings(), particles=particles)
     dtype = sdf.values.dtype
     begun = time.perf_counter()
-    discrepancy = Discrepancy(
-        sdf, here.model.radius, free_scale=settings.free_scale, tolerance=settings.tolerance_m
-    )
+    discrepancy = Discrepancy(sdf, here.model.radius, free_scale=settings.free_scale, tolerance=settings.tolerance_m)
     search: Search = "SE(2)"
     pose_filter = PoseFilter(discrepancy, search, settings).to(dtype)
     first = here.readings[0].observation.to(dtype=dtype)

@@ -12,6 +12,10 @@ from sdf.base import SDF
 from sdf.posed import posed_distance
 from sensors.semantics import log_surface_probability
 
+# bytes that a chunk of a table over pairs of a pose and a point may take, temporaries included
+CHUNK_BYTES = 64 * 2**20
+_TEMPORARIES = 6  # numbers of a pair that live at once
+
 
 def negative_log_likelihood(
     world_T_object: Float[Tensor, "*b N 4 4"],
@@ -28,9 +32,11 @@ def negative_log_likelihood(
     for T*^-1. Computed by logsumexp, so that no belief gives infinity.
     """
     points_w = se3.apply(truth, surface_points_o.to(truth).expand(*truth.shape[:-2], *surface_points_o.shape))
-    distance = posed_distance(sdf, world_T_object, points_w)
-    log = log_surface_probability(distance, sharpness, tolerance) + log_weights[..., None]
-    return -torch.logsumexp(log, dim=-2).sum(-1)
+    total = log_weights.new_zeros(log_weights.shape[:-1])
+    for part in points_w.split(_size(log_weights, log_weights.numel()), dim=-2):
+        log = log_surface_probability(posed_distance(sdf, world_T_object, part), sharpness, tolerance)
+        total = total - torch.logsumexp(log + log_weights[..., None], dim=-2).sum(-1)
+    return total
 
 
 class SelfAgreement(NamedTuple):
@@ -86,11 +92,21 @@ def _self_agreement(
 ) -> tuple[Float[Tensor, "*b N"], Float[Tensor, "*b"]]:
     """Nll of each particle as if it were the truth, nats over the points, and the APC."""
     batch, count = pose.shape[:-3], pose.shape[-3]
-    everywhere = se3.apply(pose, points.expand(*batch, count, *points.shape)).reshape(*batch, -1, 3)
-    distance = posed_distance(sdf, pose, everywhere).reshape(*batch, count, count, len(points))
-    log = log_surface_probability(distance, sharpness, tolerance)
-    log_mixture = torch.logsumexp(log + log_weights[..., :, None, None], dim=-3)
-    return -log_mixture.sum(-1), distance.abs().mean(dim=(-3, -2, -1))
+    nll, spread = [], pose.new_zeros(batch)
+    # a chunk holds the surfaces of some particles j, in the frames of all particles i
+    for some in pose.split(_size(pose, log_weights.numel() * len(points)), dim=-3):
+        mine = some.shape[-3]
+        surface = se3.apply(some, points.expand(*batch, mine, *points.shape)).reshape(*batch, -1, 3)
+        distance = posed_distance(sdf, pose, surface).reshape(*batch, count, mine, len(points))
+        log = log_surface_probability(distance, sharpness, tolerance)
+        nll.append(-torch.logsumexp(log + log_weights[..., :, None, None], dim=-3).sum(-1))
+        spread = spread + distance.abs().mean(dim=(-3, -2, -1)) * (mine / count)
+    return torch.cat(nll, -1), spread
+
+
+def _size(like: Tensor, pairs: int) -> int:
+    """Rows of so many pairs that one chunk holds."""
+    return max(1, CHUNK_BYTES // (like.element_size() * _TEMPORARIES * max(1, pairs)))
 
 
 @backend.register("self_agreement", "numba", fused.supports)

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from rumi.belief import particles
 from rumi.belief.particles import PoseBelief
 from sdf import se3
 
@@ -79,3 +80,14 @@ def test_one_particle_and_coincident_particles():
 
 def test_to_changes_dtype():
     assert belief().to(dtype=torch.float32).log_weights.dtype == torch.float32
+
+
+@pytest.mark.parametrize("batch", [(), (3,)])
+@pytest.mark.parametrize("kind", ["random", "equal"])
+def test_the_mode_by_chunks_is_the_mode(batch, kind, monkeypatch):
+    start = belief(23, batch)
+    if kind == "equal":  # every particle ties with every other
+        start = PoseBelief.uniform(start.attached_T_object[..., :1, :, :].expand(*batch, 23, 4, 4))
+    whole = start.mode(0.3, 0.3)
+    monkeypatch.setattr(particles, "CHUNK_BYTES", 1)
+    torch.testing.assert_close(start.mode(0.3, 0.3), whole, rtol=0, atol=0)

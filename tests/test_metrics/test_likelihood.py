@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from rumi.belief.particles import PoseBelief
+from rumi.metrics import likelihood
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
 from rumi.stopping import StopSettings, converged
@@ -113,6 +114,21 @@ def test_no_points_agree_in_everything():
     belief = random_belief(3)
     nothing = self_agreement(belief, POINTS[:0], GridSDF.from_sdf(BOX, 0.004))
     assert float(nothing.expected_nll) == 0.0
+
+
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_by_chunks_both_are_what_they_are_at_once(batch, monkeypatch):
+    belief = random_belief(7, batch=batch)
+    truth = belief.world_T_object[..., 2, :, :]
+
+    def both():
+        nll = negative_log_likelihood(belief.world_T_object, belief.log_weights, truth, POINTS, BOX)
+        return (nll, *self_agreement(belief, POINTS, BOX))
+
+    whole = both()
+    monkeypatch.setattr(likelihood, "CHUNK_BYTES", 1)
+    for part, expected in zip(both(), whole, strict=True):
+        torch.testing.assert_close(part, expected, rtol=1e-12, atol=1e-12)
 
 
 def test_a_far_belief_has_a_large_finite_nll():
