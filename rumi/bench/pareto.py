@@ -11,8 +11,9 @@ from rumi.bench.runs import measure_runs
 from rumi.bench.situations import situation
 
 _logger = logging.getLogger(__name__)
-_ESTIMATES = (("mug-1", "view"), ("mug-1", "handle"), ("mug-2", "view"), ("mug-2", "handle"))
-_SEEDS = (1000, 1001, 1002)
+SITUATIONS = (("mug-1", "view"), ("mug-1", "handle"), ("mug-2", "handle"))
+BELIEF_SEEDS = (1000, 1001)
+PLAN_SEEDS = (1000, 1001, 1002, 1003)
 
 
 def run(*, quick: bool, out: Path, jsonl: Path | None = None) -> None:
@@ -34,10 +35,11 @@ def run(*, quick: bool, out: Path, jsonl: Path | None = None) -> None:
 
 def measure(ledger: Ledger, folder: Path, *, quick: bool) -> Iterator[bool]:
     """Do what is missing, one measurement at a time; gives whether each was missing."""
-    places, seeds = (_ESTIMATES[:1], _SEEDS[:1]) if quick else (_ESTIMATES, _SEEDS)
-    for place in places:
+    many = 1 if quick else None
+    for place in SITUATIONS[:many]:
         here = situation(*place)
-        yield from measure_estimates(ledger, Bench(here, folder), seeds, quick=quick)
-        for seed in seeds:
-            yield from measure_plans(ledger, PlanBench(here, seed), quick=quick)
+        yield from measure_estimates(ledger, Bench(here, folder), BELIEF_SEEDS[:many], quick=quick)
+        for seed in PLAN_SEEDS[:many]:
+            timed = seed == PLAN_SEEDS[0]
+            yield from measure_plans(ledger, PlanBench(here, seed), quick=quick, timed=timed)
     yield from measure_runs(ledger, quick=quick)

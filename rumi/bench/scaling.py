@@ -1,0 +1,126 @@
+"""Time and memory of the hot operations over their size, each size in a process of its own with limited memory."""
+
+import logging
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import torch
+
+from rumi.bench.ledger import Figures, Ledger
+from rumi.bench.scaling_work import SIZES, WORK, Axis, Size
+
+_logger = logging.getLogger(__name__)
+_CALL_S = 20.0
+_SETUP_S = 120.0
+_MEMORY_BYTES = 8 * 2**30
+
+
+def run(*, quick: bool, out: Path, jsonl: Path | None = None) -> None:
+    """Measure what is missing and draw the figure.
+
+    Args:
+        quick: the smaller sizes of a few operations.
+        out: folder of the figure.
+        jsonl: file of the results; by default `scaling.jsonl` in the folder.
+    """
+    ledger = Ledger(jsonl or out / "scaling.jsonl")
+    for done in measure(ledger, quick=quick):
+        if done:
+            _logger.info("%d measurements", sum(1 for _ in ledger.lines()))
+    from rumi.bench.scaling_figure import draw
+
+    draw(ledger, out)
+
+
+def measure(ledger: Ledger, *, quick: bool) -> Iterator[bool]:
+    """Do what is missing; a series ends at the first size that takes too long or too much memory."""
+    for name, (_, axes) in WORK.items():
+        for axis in axes[:1] if quick else axes:
+            yield from _series(ledger, name, axis, SIZES[axis][:2] if quick else SIZES[axis])
+
+
+def _series(ledger: Ledger, name: str, axis: Axis, sizes: tuple[int, ...]) -> Iterator[bool]:
+    for count in sizes:
+        settings = {"part": "scaling", "op": name, "axis": axis, "size": count, "threads": torch.get_num_threads()}
+        yield ledger.measure(settings, lambda n=count: measure_apart(name, replace(Size(), **{axis: n})))  # type: ignore[misc]
+        ended = [f["ended"] for f in ledger.of("scaling") if settings.items() <= f.items()]
+        if ended != ["done"]:
+            return
+
+
+def measure_apart(name: str, size: Size, *, call_s: float = _CALL_S, memory_bytes: int = _MEMORY_BYTES) -> Figures:
+    """Time and memory of one call in a process of its own.
+
+    Args:
+        name: a key of `WORK`.
+        size: of the work.
+        call_s: seconds after which the process is ended.
+        memory_bytes: that the process may take beside what it starts with.
+
+    Returns:
+        `ended`: "done", "time" or "memory"; where done, `seconds`, `peak_bytes` (the most that the call added to the
+        process's memory) and `result_bytes` (of these, what it gave back).
+    """
+    context = get_context("spawn")
+    ours, theirs = context.Pipe()
+    child = context.Process(target=_child, args=(theirs, name, size, torch.get_num_threads(), memory_bytes))
+    child.start()
+    theirs.close()
+    try:
+        figures: Figures = {"ended": "time"}
+        if ours.poll(_SETUP_S):
+            begun = ours.recv()
+            figures = begun if begun is not None else figures
+            if begun is None and ours.poll(call_s):
+                figures = ours.recv()
+        return figures
+    except EOFError:
+        return {"ended": "memory"}  # ended by the system
+    finally:
+        child.kill()
+        child.join()
+
+
+def _child(pipe: Connection, name: str, size: Size, threads: int, memory_bytes: int) -> None:
+    import resource
+
+    torch.set_num_threads(threads)
+    make = WORK[name][0]
+    make(Size(particles=10, samples=10, scenes=min(size.scenes, 2)))()  # compile and fill caches
+    resource.setrlimit(resource.RLIMIT_DATA, (_resident()["VmData"] + memory_bytes, resource.RLIM_INFINITY))
+    try:
+        work = make(size)
+        before = _resident(reset=True)["VmRSS"]
+        pipe.send(None)
+        begun = time.perf_counter()
+        result = work()
+        seconds = time.perf_counter() - begun
+        peak = _resident()["VmHWM"] - before
+        pipe.send({"ended": "done", "seconds": seconds, "peak_bytes": peak, "result_bytes": _bytes(result)})
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "memory" not in str(error):
+            raise
+        pipe.send({"ended": "memory"})
+
+
+def _resident(*, reset: bool = False) -> dict[str, int]:
+    """Memory of this process, bytes by the kernel's names; with `reset` the highest level starts anew."""
+    if reset:
+        Path("/proc/self/clear_refs").write_text("5")
+    rows = (line.split() for line in Path("/proc/self/status").read_text().splitlines() if line.endswith("kB"))
+    return {row[0].rstrip(":"): 1024 * int(row[1]) for row in rows}
+
+
+def _bytes(result: object) -> int:
+    """Of all tensors in a result."""
+    if isinstance(result, torch.Tensor):
+        return result.untyped_storage().nbytes()
+    if isinstance(result, tuple | list):
+        return sum(map(_bytes, result))
+    if hasattr(result, "__dataclass_fields__"):
+        return sum(_bytes(getattr(result, name)) for name in result.__dataclass_fields__)
+    return 0
