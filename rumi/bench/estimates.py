@@ -1,8 +1,9 @@
 """Errors of the belief and of the information field over the settings that their cost depends on."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -17,7 +18,7 @@ from rumi.bench.nearest import NearestGrid
 from rumi.bench.posteriors import reference_posterior, stand_ins
 from rumi.bench.reference import GridPosterior
 from rumi.bench.situations import Followed, Situation, follow
-from rumi.fields.information import InformationSettings, information_field
+from rumi.fields.information import InformationSettings, WorkspaceFields, information_field
 from rumi.fields.workspace import Workspace
 from rumi.metrics.likelihood import negative_log_likelihood
 from rumi.metrics.pose_error import pose_error
@@ -135,15 +136,14 @@ class Bench:
             self._tables[estimate.sdf_m] = GridSDF.from_sdf(self.here.model.exact, estimate.sdf_m)
         table = self._tables[estimate.sdf_m]
         values = table.values.half() if estimate.precision == "half" else table.values
-        made = GridSDF(
+        return GridSDF(
             values.to(estimate.dtype),
-            table.origin,
+            (table.origin[0], table.origin[1], table.origin[2]),
             table.spacing,
             table.bounds.to(estimate.dtype),
             outer=table.outer,
             outer_spacing=table.outer_spacing,
         )
-        return made
 
     def belief(self, estimate: Estimate, seed: int) -> Followed:
         """The filter's belief with an estimate's settings; worked out once."""
@@ -154,6 +154,10 @@ class Bench:
                 self.here, self.sdf(estimate), particles=estimate.particles, seed=seed, start=start
             )
         return self._beliefs[key]
+
+    def forget(self) -> None:
+        """Forget all beliefs, so that they are worked out again."""
+        self._beliefs.clear()
 
     def poses(self, estimate: Estimate, seed: int) -> tuple[Tensor, Tensor]:
         """Poses (N, 4, 4) in the attached frame and log-weights (N)."""
@@ -209,27 +213,18 @@ def belief_figures(bench: Bench, estimate: Estimate, seed: int) -> Figures:
             poses.double(), log_weights.double(), truth.double(), here.model.surface_points, here.model.exact
         )
         figures |= {"position_error_m": float(metres), "rotation_error_rad": float(radians), "nll": float(nll)}
-        figures |= {"first_s": followed.first_s, "step_s": followed.step_s}
     return figures
 
 
-def field_figures(bench: Bench, estimate: Estimate, seed: int, *, timed: bool) -> Figures:
+def field_figures(bench: Bench, estimate: Estimate, seed: int) -> Figures:
     """Error of a field, worked out on a lattice and interpolated at the reference's points; nats and probability."""
-    poses, log_weights = bench.poses(estimate, seed)
-    sdf: SDF = bench.sdf(estimate)
-    if estimate.look_up == "nearest":
-        sdf = NearestGrid(bench.sdf(estimate))
     space = workspace(bench.here, estimate.lattice_m).to(estimate.dtype)
     points = bench.field.points.to(estimate.dtype)
-
-    def work() -> tuple[Tensor, Tensor]:
-        return information_field(sdf, poses, log_weights, space.points)
-
-    semantics, information = work()
+    semantics, information = field_of(bench, estimate, seed)()
     found = space.grid(torch.cat((information[:, None], semantics), -1)).interpolate(points, outside=0.0).double()
     nats = (found[:, 0] - bench.field.information).abs()
     chance = (found[:, 1:] - bench.field.semantics).abs().amax(-1)
-    figures: Figures = {
+    return {
         "information_mean": float(nats.mean()),
         "information_max": float(nats.max()),
         "probability_mean": float(chance.mean()),
@@ -238,12 +233,31 @@ def field_figures(bench: Bench, estimate: Estimate, seed: int, *, timed: bool) -
         "reference_max": float(bench.field.information.max()),
         "reference_uncertainty": bench.field.uncertainty,
     }
-    if timed:
-        figures["seconds"] = median_seconds(work)
-        # nearest look-up has a plain version only: its time compares with that of the plain trilinear one
-        with backend.force("torch"):
-            figures["plain_seconds"] = median_seconds(work)
-    return figures
+
+
+def field_of(bench: Bench, estimate: Estimate, seed: int) -> Callable[[], WorkspaceFields]:
+    """What works out an estimate's field on its lattice."""
+    poses, log_weights = bench.poses(estimate, seed)
+    sdf: SDF = bench.sdf(estimate)
+    if estimate.look_up == "nearest":
+        sdf = NearestGrid(bench.sdf(estimate))
+    points = workspace(bench.here, estimate.lattice_m).to(estimate.dtype).points
+    return lambda: information_field(sdf, poses, log_weights, points)
+
+
+def field_seconds(bench: Bench, estimate: Estimate, seed: int) -> Figures:
+    """Time of an estimate's field; nearest look-up has a plain version only, which compares with the plain one."""
+    work = field_of(bench, estimate, seed)
+    seconds = median_seconds(work)
+    with backend.force("torch"):
+        return {"seconds": seconds, "plain_seconds": median_seconds(work)}
+
+
+def belief_seconds(bench: Bench, estimate: Estimate, seed: int) -> Figures:
+    """Time of an estimate's first belief and of its updates."""
+    bench.forget()
+    followed = bench.belief(estimate, seed)
+    return {"first_s": followed.first_s, "step_s": followed.step_s}
 
 
 def measure_estimates(ledger: Ledger, bench: Bench, seeds: tuple[int, ...], *, quick: bool) -> Iterator[bool]:
@@ -252,10 +266,20 @@ def measure_estimates(ledger: Ledger, bench: Bench, seeds: tuple[int, ...], *, q
     for seed in seeds:
         for estimate in belief_estimates(quick):
             settings = {"part": "belief", **about, "seed": seed, **vars(estimate)}
-            yield ledger.measure(settings, lambda e=estimate, s=seed: belief_figures(bench, e, s))  # type: ignore[misc]
+            yield ledger.measure(settings, partial(belief_figures, bench, estimate, seed))
         for estimate in field_estimates(quick):
             settings = {"part": "field", **about, "seed": seed, **vars(estimate)}
-            timed = seed == seeds[0]
-            yield ledger.measure(  # type: ignore[misc]
-                settings, lambda e=estimate, s=seed, t=timed: field_figures(bench, e, s, timed=t)
-            )
+            yield ledger.measure(settings, partial(field_figures, bench, estimate, seed))
+
+
+def time_estimates(ledger: Ledger, bench: Bench, seed: int, *, quick: bool) -> Iterator[bool]:
+    """Take the times that are missing; meant for a machine with nothing else to do."""
+    about: Settings = {"situation": bench.here.name, "threads": torch.get_num_threads()}
+    for estimate in belief_estimates(quick):
+        if estimate.source == "filter":
+            settings = {"part": "belief-time", **about, **vars(estimate)}
+            yield ledger.measure(settings, partial(belief_seconds, bench, estimate, seed))
+    for estimate in field_estimates(quick):
+        if estimate.source == "filter":
+            settings = {"part": "field-time", **about, **vars(estimate)}
+            yield ledger.measure(settings, partial(field_seconds, bench, estimate, seed))

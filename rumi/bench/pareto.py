@@ -2,17 +2,20 @@
 
 import logging
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
-from rumi.bench.estimates import Bench, measure_estimates
+from rumi.bench.boxes import measure_boxes
+from rumi.bench.estimates import Bench, measure_estimates, time_estimates
 from rumi.bench.ledger import Ledger
-from rumi.bench.plans import PlanBench, measure_plans
+from rumi.bench.plans import PlanBench, measure_plans, time_plans
 from rumi.bench.runs import measure_runs
 from rumi.bench.situations import situation
 
 _logger = logging.getLogger(__name__)
 SITUATIONS = (("mug-1", "view"), ("mug-1", "handle"), ("mug-2", "handle"))
 BELIEF_SEEDS = (1000, 1001)
+CHAINS_AT = TIMED_AT = ("mug-1", "handle")
 PLAN_SEEDS = (1000, 1001, 1002, 1003)
 
 
@@ -25,7 +28,7 @@ def run(*, quick: bool, out: Path, jsonl: Path | None = None) -> None:
         jsonl: file of the results; by default `pareto.jsonl` in the folder.
     """
     ledger = Ledger(jsonl or out / "pareto.jsonl")
-    for done in measure(ledger, out, quick=quick):
+    for done in chain(measure_times(ledger, out, quick=quick), measure(ledger, out, quick=quick)):
         if done:
             _logger.info("%d measurements", sum(1 for _ in ledger.lines()))
     from rumi.bench.pareto_figures import draw
@@ -40,6 +43,13 @@ def measure(ledger: Ledger, folder: Path, *, quick: bool) -> Iterator[bool]:
         here = situation(*place)
         yield from measure_estimates(ledger, Bench(here, folder), BELIEF_SEEDS[:many], quick=quick)
         for seed in PLAN_SEEDS[:many]:
-            timed = seed == PLAN_SEEDS[0]
-            yield from measure_plans(ledger, PlanBench(here, seed), quick=quick, timed=timed)
+            yield from measure_plans(ledger, PlanBench(here, seed), quick=quick)
+    yield from measure_boxes(ledger, situation(*CHAINS_AT), folder, quick=quick)
     yield from measure_runs(ledger, quick=quick)
+
+
+def measure_times(ledger: Ledger, folder: Path, *, quick: bool) -> Iterator[bool]:
+    """Take the times that are missing, of one situation: a minute or three, with nothing else on the machine."""
+    here = situation(*TIMED_AT)
+    yield from time_estimates(ledger, Bench(here, folder), BELIEF_SEEDS[0], quick=quick)
+    yield from time_plans(ledger, PlanBench(here, PLAN_SEEDS[0]), quick=quick)

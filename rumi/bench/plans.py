@@ -1,9 +1,9 @@
 """What a plan made with cheaper settings loses, judged by fine rollouts on a fine lattice."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 from jaxtyping import Float
@@ -137,8 +137,8 @@ class PlanBench:
         )
         return replace(chosen, log_weights=torch.log_softmax(log_weights, -1))
 
-    def plan(self, settings: PlanSettings, seed: int, *, timed: bool = False) -> tuple[Plan, Figures]:
-        """A first plan and, if asked, the seconds of it and of a later one."""
+    def planner(self, settings: PlanSettings, seed: int) -> Callable[[Plan | None], Plan]:
+        """What makes a plan from an earlier one, or a first one from none."""
         scene, belief = self.scene(settings.lattice_m), self.fewer(settings.particles)
         reach = scene.tool.reach
         assert reach is not None
@@ -148,12 +148,7 @@ class PlanBench:
             noise = split(seed, "plan")
             return policy.act(belief, scene, previous, executed=0, budget_s=None, generator=noise)
 
-        begun = time.perf_counter()
-        first = act(None)
-        first_s = time.perf_counter() - begun
-        if not timed:
-            return first, {}
-        return first, {"first_s": first_s, "pass_s": median_seconds(lambda: act(first), repeats=3, budget_s=2.0)}
+        return act
 
 
 class FineObjective:
@@ -198,7 +193,7 @@ def best_plan(bench: PlanBench, *, quick: bool) -> Figures:
     """Least fine cost that a large budget finds, and that of standing still."""
     starts, polish = (1, 2) if quick else (3, 8)
     wide = PlanSettings(samples=200 if quick else 1000, warmup_iterations=5 if quick else 20)
-    plans = [bench.plan(wide, seed)[0] for seed in range(starts)]
+    plans = [bench.planner(wide, seed)(None) for seed in range(starts)]
     costs = bench.objective(torch.stack([plan.controls for plan in plans]))
     least, mppi = float(costs.min()), None
     for index in costs.argsort()[:2].tolist():
@@ -212,18 +207,32 @@ def best_plan(bench: PlanBench, *, quick: bool) -> Figures:
     return {"least": least, "still": still}
 
 
-def plan_figures(bench: PlanBench, settings: PlanSettings, *, timed: bool) -> Figures:
-    """Fine cost of a plan and, if asked, what it took."""
-    plan, figures = bench.plan(settings, bench.seed, timed=timed)
-    return figures | {"cost": float(bench.objective(plan.controls[None])[0])}
+def plan_figures(bench: PlanBench, settings: PlanSettings) -> Figures:
+    """Fine cost of a first plan."""
+    plan = bench.planner(settings, bench.seed)(None)
+    return {"cost": float(bench.objective(plan.controls[None])[0])}
 
 
-def measure_plans(ledger: Ledger, bench: PlanBench, *, quick: bool, timed: bool) -> Iterator[bool]:
+def plan_seconds(bench: PlanBench, settings: PlanSettings) -> Figures:
+    """Time of a first plan and of a later one."""
+    act = bench.planner(settings, bench.seed)
+    act(None)  # warms up
+    begun = time.perf_counter()
+    first = act(None)
+    first_s = time.perf_counter() - begun
+    return {"first_s": first_s, "pass_s": median_seconds(lambda: act(first), budget_s=2.0)}
+
+
+def measure_plans(ledger: Ledger, bench: PlanBench, *, quick: bool) -> Iterator[bool]:
     """Do what is missing for one belief, one measurement at a time."""
     about = {"situation": bench.here.name, "points": bench.here.digest, "seed": bench.seed}
-    yield ledger.measure({"part": "best-plan", **about}, lambda: best_plan(bench, quick=quick))
+    yield ledger.measure({"part": "best-plan", **about}, partial(best_plan, bench, quick=quick))
     for settings in plan_settings(quick):
-        yield ledger.measure(
-            {"part": "plan", **about, **vars(settings)},
-            lambda s=settings: plan_figures(bench, s, timed=timed),  # type: ignore[misc]
-        )
+        yield ledger.measure({"part": "plan", **about, **vars(settings)}, partial(plan_figures, bench, settings))
+
+
+def time_plans(ledger: Ledger, bench: PlanBench, *, quick: bool) -> Iterator[bool]:
+    """Take the times that are missing; meant for a machine with nothing else to do."""
+    about = {"situation": bench.here.name, "threads": torch.get_num_threads()}
+    for settings in plan_settings(quick):
+        yield ledger.measure({"part": "plan-time", **about, **vars(settings)}, partial(plan_seconds, bench, settings))

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from rumi.assemble import build
 from rumi.bench.ledger import Figures, Ledger
@@ -57,4 +58,4 @@ def run_figures(run: RunSettings) -> Figures:
 def measure_runs(ledger: Ledger, *, quick: bool) -> Iterator[bool]:
     """Do the runs that are missing."""
     for run in run_settings(quick):
-        yield ledger.measure({"part": "run", **vars(run)}, lambda r=run: run_figures(r))  # type: ignore[misc]
+        yield ledger.measure({"part": "run", **vars(run)}, partial(run_figures, run))

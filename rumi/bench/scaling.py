@@ -4,6 +4,7 @@ import logging
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -46,7 +47,7 @@ def measure(ledger: Ledger, *, quick: bool) -> Iterator[bool]:
 def _series(ledger: Ledger, name: str, axis: Axis, sizes: tuple[int, ...]) -> Iterator[bool]:
     for count in sizes:
         settings = {"part": "scaling", "op": name, "axis": axis, "size": count, "threads": torch.get_num_threads()}
-        yield ledger.measure(settings, lambda n=count: measure_apart(name, replace(Size(), **{axis: n})))  # type: ignore[misc]
+        yield ledger.measure(settings, partial(measure_apart, name, replace(Size(), **{axis: count})))
         ended = [f["ended"] for f in ledger.of("scaling") if settings.items() <= f.items()]
         if ended != ["done"]:
             return
@@ -62,7 +63,8 @@ def measure_apart(name: str, size: Size, *, call_s: float = _CALL_S, memory_byte
         memory_bytes: that the process may take beside what it starts with.
 
     Returns:
-        `ended`: "done", "time" or "memory"; where done, `seconds`, `peak_bytes` (the most that the call added to the
+        `ended`: "done", "time" or "memory"; where done, `seconds`, `processor_s` (of the
+        processor, on which others that share it tell less), `peak_bytes` (the most that the call added to the
         process's memory) and `result_bytes` (of these, what it gave back).
     """
     context = get_context("spawn")
@@ -96,11 +98,12 @@ def _child(pipe: Connection, name: str, size: Size, threads: int, memory_bytes: 
         work = make(size)
         before = _resident(reset=True)["VmRSS"]
         pipe.send(None)
-        begun = time.perf_counter()
+        begun, busy = time.perf_counter(), time.process_time()
         result = work()
-        seconds = time.perf_counter() - begun
+        seconds, busy = time.perf_counter() - begun, time.process_time() - busy
         peak = _resident()["VmHWM"] - before
-        pipe.send({"ended": "done", "seconds": seconds, "peak_bytes": peak, "result_bytes": _bytes(result)})
+        figures = {"seconds": seconds, "processor_s": busy, "peak_bytes": peak, "result_bytes": _bytes(result)}
+        pipe.send({"ended": "done"} | figures)
     except (MemoryError, RuntimeError) as error:
         if isinstance(error, RuntimeError) and "memory" not in str(error):
             raise
