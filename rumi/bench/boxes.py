@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.belief.particles import PoseBelief
 from rumi.bench.belief_error import CoarseReference
 from rumi.bench.box_view import BoxView, box_density, box_view, face_up, field_points
 from rumi.bench.chains import (
@@ -27,7 +28,6 @@ from rumi.bench.chains import (
 from rumi.bench.ledger import Figures, Ledger
 from rumi.bench.reference import boltzmann, grid_posterior
 from rumi.bench.situations import Situation
-from rumi.belief.particles import PoseBelief
 from rumi.fields.information import InformationSettings, WorkspaceFields, information_field
 from rumi.registration.initialise import InitialiseSettings, initialise
 from rumi.seeding import split

@@ -10,10 +10,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from kmppi import MPPI, MPPISettings
+from rumi.belief.particles import PoseBelief
 from rumi.bench.estimates import workspace
 from rumi.bench.ledger import Figures, Ledger, median_seconds
 from rumi.bench.situations import Situation, follow
-from rumi.belief.particles import PoseBelief
 from rumi.commands import cache_folder
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings
@@ -78,12 +78,11 @@ def plan_settings(quick: bool) -> list[PlanSettings]:
     found += [PlanSettings(rollouts=count) for count in (1, 3, 9)]
     found += [PlanSettings(samples=count) for count in (50, 100, 200, 1000)]
     found += [PlanSettings(mini_steps=count) for count in (1, 2, 8)]
-    found += [PlanSettings(particles=count) for count in (10, 30, 300, 1000)]
+    found += [PlanSettings(particles=count) for count in (10, 30, 300)]
     found += [PlanSettings(lattice_m=spacing) for spacing in (0.005, 0.020)]
-    found += [PlanSettings(warmup_iterations=count) for count in (3, 5, 20)]
-    found += [PlanSettings(samples=s, rollouts=r) for s in (50, 100, 200) for r in (1, 3)]
-    found += [PlanSettings(samples=s, rollouts=3, mini_steps=2) for s in (100, 200, 500)]
-    found += [PlanSettings(samples=1000, rollouts=9, mini_steps=8), PlanSettings(samples=1000, warmup_iterations=20)]
+    found += [PlanSettings(samples=samples, rollouts=count) for samples in (100, 200) for count in (1, 3)]
+    found += [PlanSettings(samples=200, rollouts=3, mini_steps=2, particles=50), PlanSettings(warmup_iterations=20)]
+    found += [PlanSettings(samples=200, rollouts=3, particles=50)]
     return list(dict.fromkeys(found))
 
 

@@ -49,8 +49,9 @@ def reference_posterior(here: Situation, folder: Path) -> GridPosterior:
     (x, y), half = middle.tolist(), _HALF_BOX_M
     found = grid_posterior(density, (x - half, y - half), (x + half, y + half), pilot=pilot)
     folder.mkdir(parents=True, exist_ok=True)
-    arrays = {"planar": found.planar.numpy(), "log_weights": found.log_weights.numpy(), "size": found.size.numpy()}
-    np.savez(path, **arrays, change=found.change, dropped=found.dropped)
+    arrays = [part.numpy() for part in (found.planar, found.log_weights, found.size)]
+    arrays += [np.array(found.change), np.array(found.dropped)]
+    np.savez(path, **dict(zip(("planar", "log_weights", "size", "change", "dropped"), arrays, strict=True)))  # type: ignore[arg-type]
     return found
 
 

@@ -1,6 +1,8 @@
 """Time and memory of the hot operations over their size, each size in a process of its own with limited memory."""
 
 import logging
+import math
+import signal
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,7 +18,8 @@ from rumi.bench.scaling_work import SIZES, WORK, Axis, Size
 
 _logger = logging.getLogger(__name__)
 _CALL_S = 20.0
-_SETUP_S = 120.0
+_SETUP_S = 60.0
+_WALL = 10.0  # times the processor time, before a process is given up that gets no processor
 _MEMORY_BYTES = 8 * 2**30
 
 
@@ -59,7 +62,7 @@ def measure_apart(name: str, size: Size, *, call_s: float = _CALL_S, memory_byte
     Args:
         name: a key of `WORK`.
         size: of the work.
-        call_s: seconds after which the process is ended.
+        call_s: seconds of the processor after which the process is ended.
         memory_bytes: that the process may take beside what it starts with.
 
     Returns:
@@ -67,30 +70,36 @@ def measure_apart(name: str, size: Size, *, call_s: float = _CALL_S, memory_byte
         processor, on which others that share it tell less), `peak_bytes` (the most that the call added to the
         process's memory) and `result_bytes` (of these, what it gave back).
     """
-    context = get_context("spawn")
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["rumi.bench.scaling_work"])
     ours, theirs = context.Pipe()
-    child = context.Process(target=_child, args=(theirs, name, size, torch.get_num_threads(), memory_bytes))
+    child = context.Process(target=_child, args=(theirs, name, size, torch.get_num_threads(), call_s, memory_bytes))
     child.start()
     theirs.close()
     try:
-        figures: Figures = {"ended": "time"}
-        if ours.poll(_SETUP_S):
-            begun = ours.recv()
-            figures = begun if begun is not None else figures
-            if begun is None and ours.poll(call_s):
-                figures = ours.recv()
-        return figures
-    except EOFError:
-        return {"ended": "memory"}  # ended by the system
+        # it reports when it is set up, and when it is done
+        for patience in (_WALL * _SETUP_S, _WALL * call_s):
+            figures: Figures | None = ours.recv() if ours.poll(patience) else {"ended": "time"}
+            if figures is not None:
+                return figures
+        return {"ended": "time"}
+    except EOFError:  # ended by the system
+        child.join()
+        return {"ended": "time" if child.exitcode == -signal.SIGXCPU else "memory"}
     finally:
         child.kill()
         child.join()
 
 
-def _child(pipe: Connection, name: str, size: Size, threads: int, memory_bytes: int) -> None:
+def _child(pipe: Connection, name: str, size: Size, threads: int, call_s: float, memory_bytes: int) -> None:
     import resource
 
+    def allow(seconds: float) -> None:
+        limit = math.ceil(time.process_time() + threads * seconds)
+        resource.setrlimit(resource.RLIMIT_CPU, (limit, resource.RLIM_INFINITY))
+
     torch.set_num_threads(threads)
+    allow(_SETUP_S)
     make = WORK[name][0]
     make(Size(particles=10, samples=10, scenes=min(size.scenes, 2)))()  # compile and fill caches
     resource.setrlimit(resource.RLIMIT_DATA, (_resident()["VmData"] + memory_bytes, resource.RLIM_INFINITY))
@@ -98,6 +107,7 @@ def _child(pipe: Connection, name: str, size: Size, threads: int, memory_bytes: 
         work = make(size)
         before = _resident(reset=True)["VmRSS"]
         pipe.send(None)
+        allow(call_s)
         begun, busy = time.perf_counter(), time.process_time()
         result = work()
         seconds, busy = time.perf_counter() - begun, time.process_time() - busy

@@ -30,7 +30,7 @@ from rumi.seeding import split
 from rumi.sim.tasks import find_task, large_handled_mug, make_tool
 from sdf import se3
 from sdf.object_model import ObjectModel
-from sdf.posed import posed_distance, posed_query
+from sdf.posed import posed_query
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
@@ -122,11 +122,6 @@ def _normal(size: Size) -> Work:
     return lambda: expected_normal(model().sdf, held.world_T_object, held.log_weights, where)
 
 
-def _distance(size: Size) -> Work:
-    held, seen = belief(size), observation(size)
-    return lambda: posed_distance(model().sdf, held.world_T_object, seen.points)
-
-
 def _query(size: Size) -> Work:
     held, seen = belief(size), observation(size)
     return lambda: posed_query(model().sdf, held.world_T_object, seen.points)
@@ -211,16 +206,15 @@ def _plan(size: Size) -> Work:
 WORK: dict[str, tuple[Callable[[Size], Work], tuple[Axis, ...]]] = {
     "information_field": (_field, ("particles", "points", "scenes")),
     "expected_normal": (_normal, ("particles", "points", "scenes")),
-    "posed_distance": (_distance, ("particles", "scenes")),
     "posed_query": (_query, ("particles",)),
     "discrepancy": (_discrepancy, ("particles", "scenes")),
     "descend": (_descent, ("particles", "scenes")),
     "filter.resample": (_resample, ("particles", "scenes")),
     "self_agreement": (_agreement, ("particles", "scenes")),
-    "belief.mode": (_mode, ("particles", "scenes")),
-    "negative_log_likelihood": (_nll, ("particles", "scenes")),
+    "belief.mode": (_mode, ("particles",)),
+    "negative_log_likelihood": (_nll, ("particles",)),
     "push model": (_push_model, ("points",)),
-    "rollouts": (_rollouts, ("samples", "horizon", "points")),
+    "rollouts": (_rollouts, ("samples", "horizon")),
     "information_cost": (_information_cost, ("samples", "horizon", "points")),
     "reachability cost": (_reach_cost, ("samples", "points")),
     "planning pass": (_plan, ("particles", "points", "samples", "horizon")),

@@ -27,18 +27,16 @@ from sensors.semantics import Semantics
 
 # what `default` did with seed 1000, rounded: the same readings whatever the planner is today
 _CONTROLS = {
-    "mug-1": (
-        ((1, -1, 0.45), (1, -0.06, -0.75), (1, 1, -0.97), (-1, -0.03, 0.82), (0.16, -0.48, 1), (1, -0.45, 1))
-        + ((0.59, 0.84, -0.55), (1, 0.6, -1), (0.9, 0.47, -0.84), (0.87, 0.02, -0.44), (-0.06, 0.96, 0.73))
-        + ((-1, 1, -0.48), (-0.22, -0.23, 0.85), (1, -0.92, -1), (0.46, 0.32, 0.13), (0.17, 0.96, 0.98))
-        + ((-0.68, 0.26, 1), (1, -0.44, -1))
-    ),
-    "mug-2": (
-        ((-1, -0.84, -1), (0.22, 0.3, -0.45), (1, 1, -0.19), (1, 0.78, 1), (0.93, -0.42, 0.07), (1, -1, -0.05))
-        + ((1, 0.97, 0.91), (1, 0.08, 0.24), (0.99, -0.97, -0.77), (0.21, -1, -1), (-0.89, -1, -0.09))
-        + ((-1, -1, 0.43), (0.21, -0.1, 1), (-0.18, 0.12, -0.74), (0.12, 0.55, -1), (0.47, 1, 0.87))
-        + ((1, 0.42, -0.34), (1, -0.58, -1), (-1, -1, 0.06), (0.96, 0.99, 0.71))
-    ),
+    "mug-1": """
+        1 -1 .45   1 -.06 -.75   1 1 -.97   -1 -.03 .82   .16 -.48 1   1 -.45 1   .59 .84 -.55   1 .6 -1   .9 .47 -.84
+        .87 .02 -.44   -.06 .96 .73   -1 1 -.48   -.22 -.23 .85   1 -.92 -1   .46 .32 .13   .17 .96 .98   -.68 .26 1
+        1 -.44 -1
+    """,
+    "mug-2": """
+        -1 -.84 -1   .22 .3 -.45   1 1 -.19   1 .78 1   .93 -.42 .07   1 -1 -.05   1 .97 .91   1 .08 .24   .99 -.97 -.77
+        .21 -1 -1   -.89 -1 -.09   -1 -1 .43   .21 -.1 1   -.18 .12 -.74   .12 .55 -1   .47 1 .87   1 .42 -.34
+        1 -.58 -1   -1 -1 .06   .96 .99 .71
+    """,
 }
 STAGES = {"mug-1": {"view": 0, "touch": 12, "handle": 16, "sure": 18}, "mug-2": {"view": 0, "handle": 20}}
 """Actions done at each stage: after the first view, after touches of the wall, after two or more of the handle."""
@@ -87,7 +85,8 @@ def situation(task: str, stage: str) -> Situation:
     robot = make_task(spec, settings, tool=make_tool(spec, settings, cache_dir=cache_folder()), model=model)
     lattice = _lattice(FilterSettings())
     results = [robot.reset(0)]
-    results += [robot.step(torch.tensor(control)) for control in _CONTROLS[task][: STAGES[task][stage]]]
+    controls = torch.tensor([float(word) for word in _CONTROLS[task].split()]).reshape(-1, 3)
+    results += [robot.step(control) for control in controls[: STAGES[task][stage]]]
     robot.close()
     memory, frame = Observation.empty(), torch.eye(4)
     for result in results:
