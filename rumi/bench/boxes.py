@@ -76,10 +76,10 @@ def chains_on_the_plane(here: Situation, settings: ChainSettings) -> Figures:
     close = (memory.points - middle).norm(dim=-1) < 0.10
     free = (memory.of_class(Semantics.FREE) & close).nonzero()[:, 0]
     some = concatenate([memory[surface[::8]], memory[free[::24]]])
-    # each surface point stands for eight: about as narrow a posterior as that of all
+    # sharper, since the points are fewer: about as narrow a posterior as that of all
     density = boltzmann(here.model.exact, some, peakiness=16.0)
     (x, y), half = middle[:2].tolist(), 0.07
-    grid = grid_posterior(density, (x - half, y - half), (x + half, y + half))
+    grid = grid_posterior(density, (x - half, y - half), (x + half, y + half), enough=0.015)
     low, high = (torch.tensor((x + s * half, y + s * half, 0.0), dtype=torch.float64) for s in (-1, 1))
     noise = split(0, "plane chains")
     chains = tempered_chains(lambda poses: density(se3.to_planar(poses)), low, high, "SE(2)", settings, generator=noise)

@@ -76,7 +76,7 @@ def belief_estimates(quick: bool) -> list[Estimate]:
     found += [Estimate(sdf_m=spacing) for spacing in SDF_M]
     found += [Estimate(precision="float64"), Estimate(precision="half")]
     found += [Estimate(starts=starts) for starts in (250, 500, 1000, 4000)]
-    found += [Estimate(starts=500, polished=100), Estimate(starts=500, polished=100, particles=50)]
+    found += [Estimate(starts=500, polished=100)]
     return list(dict.fromkeys(found))
 
 

@@ -62,8 +62,10 @@ class Ledger:
             return False
         line = {"settings": settings, "figures": plain(work()), "commit": commit(), "machine": machine()}
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        # what was cut off ends here
+        start = "\n" if self.path.exists() and not self.path.read_bytes().endswith(b"\n") else ""
         with self.path.open("a") as file:
-            file.write(json.dumps(line) + "\n")
+            file.write(start + json.dumps(line) + "\n")
         self._done.add(_key(settings))
         return True
 

@@ -220,13 +220,13 @@ def _plans(dots: Sequence[Dot], ax: "Axes") -> None:
 def _runs(rows: Sequence[Row], ax: "Axes") -> None:
     """Share of runs that end right, over the seconds of an action."""
     ax.set_title("whole runs of the mug tasks")
-    ax.set_xlabel("time of an action, all included, one thread [s]")
+    ax.set_xlabel("processor time of an action, all included, one thread [s]")
     ax.set_ylabel("runs that end right")
     for name, colour in zip(PRESETS, (style.CONTACT, style.NLL, style.QUIET), strict=False):
         own = [row for row in rows if row["preset"] == name]
         if not own:
             continue
-        seconds = sum(r["seconds"] for r in own) / max(1, sum(r["actions"] for r in own))
+        seconds = sum(r["processor_s"] for r in own) / max(1, sum(r["actions"] for r in own))
         right = sum(bool(r["right"]) for r in own)
         low, high = wilson(right, len(own))
         share = right / len(own)

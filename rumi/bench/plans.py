@@ -81,8 +81,7 @@ def plan_settings(quick: bool) -> list[PlanSettings]:
     found += [PlanSettings(particles=count) for count in (10, 30, 300)]
     found += [PlanSettings(lattice_m=spacing) for spacing in (0.005, 0.020)]
     found += [PlanSettings(samples=samples, rollouts=count) for samples in (100, 200) for count in (1, 3)]
-    found += [PlanSettings(samples=200, rollouts=3, mini_steps=2, particles=50), PlanSettings(warmup_iterations=20)]
-    found += [PlanSettings(samples=200, rollouts=3, particles=50)]
+    found += [PlanSettings(warmup_iterations=20), PlanSettings(samples=200, rollouts=3, particles=50)]
     return list(dict.fromkeys(found))
 
 
