@@ -1,7 +1,6 @@
 """Situations that estimates are measured in: what a robot has sensed of a mug after some recorded actions."""
 
 import hashlib
-import time
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from rumi.belief.filter import FilterSettings, PoseFilter
 from rumi.belief.particles import PoseBelief
+from rumi.bench.ledger import clock
 from rumi.commands import cache_folder
 from rumi.registration.descent import Search
 from rumi.registration.initialise import InitialiseSettings, initialise, view_starts
@@ -135,7 +135,7 @@ def follow(
     """
     settings, start = filter_settings or FilterSettings(), replace(start or InitialiseSettings(), particles=particles)
     dtype = sdf.values.dtype
-    begun = time.perf_counter()
+    begun = clock()
     discrepancy = Discrepancy(sdf, here.model.radius, free_scale=settings.free_scale, tolerance=settings.tolerance_m)
     search: Search = "SE(2)"
     pose_filter = PoseFilter(discrepancy, search, settings).to(dtype)
@@ -147,13 +147,13 @@ def follow(
     belief = initialise(
         discrepancy, memory, starts, search, settings.peakiness, start, generator=split(seed, "initialise")
     )
-    first_s, steps_s, noise = time.perf_counter() - begun, [0.0], split(seed, "filter")
+    first_s, steps_s, noise = clock() - begun, [0.0], split(seed, "filter")
     for reading in here.readings[1:]:
         cast = cast_reading(reading, dtype)
-        begun = time.perf_counter()
+        begun = clock()
         belief, memory, _ = pose_filter(belief, memory, cast, generator=noise)
         if bool(reading.in_contact.any()):
-            steps_s.append(time.perf_counter() - begun)
+            steps_s.append(clock() - begun)
     return Followed(belief, first_s, max(steps_s))
 
 
