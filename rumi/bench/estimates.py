@@ -118,17 +118,19 @@ class Bench:
     Args:
         here: the situation.
         folder: that keeps references.
+        enough: total variation at which the reference is fine enough.
     """
 
     here: Situation
     folder: Path
+    enough: float = 0.01
     _tables: dict[float, GridSDF] = field(default_factory=dict)
     _beliefs: dict[Any, Followed] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.posterior: GridPosterior = reference_posterior(self.here, self.folder)
+        self.posterior: GridPosterior = reference_posterior(self.here, self.folder, self.enough)
         self.coarse = CoarseReference(self.posterior.planar, self.posterior.log_weights.exp())
-        self.field = reference_field(self.here, self.posterior, self.folder)
+        self.field = reference_field(self.here, self.posterior, self.folder, f"{self.enough:g}")
 
     def sdf(self, estimate: Estimate) -> GridSDF:
         """The tabulated SDF of an estimate."""
@@ -168,9 +170,9 @@ class Bench:
         return se3.from_planar(planar), planar.new_full((len(planar),), -math.log(len(planar)))
 
 
-def reference_field(here: Situation, posterior: GridPosterior, folder: Path) -> ReferenceField:
+def reference_field(here: Situation, posterior: GridPosterior, folder: Path, name: str) -> ReferenceField:
     """The field of the reference posterior at random points, by exact distances; kept in the folder."""
-    path = folder / f"field-{here.name.replace('/', '-')}-{here.digest}.npz"
+    path = folder / f"field-{here.name.replace('/', '-')}-{here.digest}-{name}.npz"
     if not path.exists():
         centre = (posterior.log_weights.exp()[:, None] * posterior.planar).sum(0)[:2]
         half = here.model.radius + _MARGIN_M

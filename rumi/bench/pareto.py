@@ -17,6 +17,7 @@ SITUATIONS = (("mug-1", "view"), ("mug-1", "handle"), ("mug-2", "handle"))
 ESTIMATES_AT = SITUATIONS[:2]
 BELIEF_SEEDS = (1000, 1001)
 CHAINS_AT = TIMED_AT = ("mug-1", "handle")
+_QUICK, _ENOUGH = 0.05, 0.01
 PLAN_SEEDS = (1000, 1001, 1002, 1003)
 
 
@@ -43,7 +44,9 @@ def measure(ledger: Ledger, folder: Path, *, quick: bool) -> Iterator[bool]:
     for place in SITUATIONS[:many]:
         here = situation(*place)
         if place in ESTIMATES_AT:
-            yield from measure_estimates(ledger, Bench(here, folder), BELIEF_SEEDS[:many], quick=quick)
+            yield from measure_estimates(
+                ledger, Bench(here, folder, _QUICK if quick else _ENOUGH), BELIEF_SEEDS[:many], quick=quick
+            )
         for seed in PLAN_SEEDS[:many]:
             yield from measure_plans(ledger, PlanBench(here, seed), quick=quick)
     yield from measure_boxes(ledger, situation(*CHAINS_AT), folder, quick=quick)
@@ -52,6 +55,6 @@ def measure(ledger: Ledger, folder: Path, *, quick: bool) -> Iterator[bool]:
 
 def measure_times(ledger: Ledger, folder: Path, *, quick: bool) -> Iterator[bool]:
     """Take the times that are missing, of one situation: a minute or three, with nothing else on the machine."""
-    here = situation(*TIMED_AT)
-    yield from time_estimates(ledger, Bench(here, folder), BELIEF_SEEDS[0], quick=quick)
+    here = situation(*(SITUATIONS[0] if quick else TIMED_AT))
+    yield from time_estimates(ledger, Bench(here, folder, _QUICK if quick else _ENOUGH), BELIEF_SEEDS[0], quick=quick)
     yield from time_plans(ledger, PlanBench(here, PLAN_SEEDS[0]), quick=quick)

@@ -18,14 +18,15 @@ _logger = logging.getLogger(__name__)
 _HALF_BOX_M = 0.07  # about the seen points: farther than an origin can be from them
 
 
-def reference_posterior(here: Situation, folder: Path) -> GridPosterior:
+def reference_posterior(here: Situation, folder: Path, enough: float = 0.01) -> GridPosterior:
     """Posterior of the filter's likelihood on a grid, from exact distances and all points, in float64.
 
     Args:
         here: what was sensed.
         folder: that keeps it; one that is there already is read.
+        enough: total variation against the lattice of half as fine at which it is fine enough.
     """
-    path = folder / f"reference-{here.name.replace('/', '-')}-{here.digest}.npz"
+    path = folder / f"reference-{here.name.replace('/', '-')}-{here.digest}-{enough:g}.npz"
     if path.exists():
         with np.load(path) as kept:
             planar, log_weights, size = (torch.from_numpy(kept[name]) for name in ("planar", "log_weights", "size"))
@@ -47,7 +48,7 @@ def reference_posterior(here: Situation, folder: Path) -> GridPosterior:
         for points, factor in ((memory, 1.0), (some, 10.0))
     )
     (x, y), half = middle.tolist(), _HALF_BOX_M
-    found = grid_posterior(density, (x - half, y - half), (x + half, y + half), pilot=pilot)
+    found = grid_posterior(density, (x - half, y - half), (x + half, y + half), pilot=pilot, enough=enough)
     folder.mkdir(parents=True, exist_ok=True)
     arrays = [part.numpy() for part in (found.planar, found.log_weights, found.size)]
     arrays += [np.array(found.change), np.array(found.dropped)]

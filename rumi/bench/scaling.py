@@ -1,5 +1,6 @@
 """Time and memory of the hot operations over their size, each size in a process of its own with limited memory."""
 
+import ctypes
 import logging
 import math
 import signal
@@ -123,6 +124,10 @@ def _child(pipe: Connection, name: str, size: Size, threads: int, call_s: float,
 def _resident(*, reset: bool = False) -> dict[str, int]:
     """Memory of this process, bytes by the kernel's names; with `reset` the highest level starts anew."""
     if reset:
+        # memory that was freed but is kept for later would hide what is taken from now on
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)
         Path("/proc/self/clear_refs").write_text("5")
     rows = (line.split() for line in Path("/proc/self/status").read_text().splitlines() if line.endswith("kB"))
     return {row[0].rstrip(":"): 1024 * int(row[1]) for row in rows}
