@@ -12,7 +12,7 @@ from sdf import se3
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
 CHUNK_BYTES = 64 * 2**20
-_TEMPORARIES = 24  # numbers of a pair that live at once: a product of rotations, and what its angle needs
+_TEMPORARIES = 80  # numbers of a pair that live at once: a product of rotations, and what its angle needs
 
 
 @dataclass(frozen=True)

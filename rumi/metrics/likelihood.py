@@ -14,7 +14,7 @@ from sensors.semantics import log_surface_probability
 
 # bytes that a chunk of a table over pairs of a pose and a point may take, temporaries included
 CHUNK_BYTES = 64 * 2**20
-_TEMPORARIES = 6  # numbers of a pair that live at once
+_TEMPORARIES = 9  # numbers of a pair that live at once
 
 
 def negative_log_likelihood(
