@@ -26,11 +26,13 @@ class Dot(NamedTuple):
         settings: what tells it from others.
         seconds: that it takes.
         error: mean over situations and seeds.
+        standard_error: of that mean.
     """
 
     settings: Row
     seconds: float
     error: float
+    standard_error: float = 0.0
 
 
 def draw(ledger: Ledger, out: Path) -> list[Path]:
@@ -94,10 +96,14 @@ def _joined(rows: Sequence[Row], timed: Sequence[Row], clock: str, error: Callab
     for row in rows:
         errors[tuple(row[n] for n in names)].append(error(row))
     return [
-        Dot(dict(zip(names, key, strict=True)), seconds[key], statistics.fmean(values))
+        Dot(dict(zip(names, key, strict=True)), seconds[key], statistics.fmean(values), _standard_error(values))
         for key, values in errors.items()
         if key in seconds
     ]
+
+
+def _standard_error(values: Sequence[float]) -> float:
+    return statistics.stdev(values) / len(values) ** 0.5 if len(values) > 1 else 0.0
 
 
 def _of_preset(name: str, dot: Dot) -> bool:
@@ -203,6 +209,8 @@ def _plans(dots: Sequence[Dot], ax: "Axes") -> None:
     ax.set_ylabel("share of the best plan's gain that is lost")
     if not dots:
         return
+    bars = [d.standard_error for d in dots]
+    ax.errorbar([1e3 * d.seconds for d in dots], [d.error for d in dots], bars, fmt="none", color=style.FAINT, zorder=0)
     groups = {
         "fewer or more rollouts": lambda s: s["samples"] == 500 and s["rollouts"] != 5,
         "fewer or more samples": lambda s: s["samples"] != 500 and s["rollouts"] == 5,

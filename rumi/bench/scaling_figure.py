@@ -38,6 +38,7 @@ def draw(ledger: Ledger, out: Path) -> list[Path]:
         axes[0, 0].set_ylabel("processor time, one thread [s]")
         axes[1, 0].set_ylabel("peak memory beside the result [MB]")
         lines = {line.get_label(): line for ax in axes[0] for line in ax.get_lines()}
+        lines.pop("_", None)  # the marks of where a series ended
         made.legend(lines.values(), lines.keys(), loc="outside right center", fontsize=7.5)
         made.savefig(path)
     return [path]
@@ -48,13 +49,18 @@ def extra_bytes(row: dict[str, Any]) -> int:
     return max(int(row["peak_bytes"]) - int(row["result_bytes"]), _LEAST_BYTES)
 
 
+def _seconds(row: dict[str, Any]) -> float:
+    """Processor time; of the shortest calls wall time, as the processor's clock may tick by milliseconds."""
+    return float(row["processor_s"] if row["processor_s"] > 0.005 else row["seconds"])
+
+
 def _panel(rows: list[dict[str, Any]], ax: "Axes", what: str) -> None:
     for place, name in enumerate(WORK):
         own = sorted((row for row in rows if row["op"] == name), key=lambda row: row["size"])
         done = [row for row in own if row["ended"] == "done"]
         if not done:
             continue
-        values = [row["processor_s"] if what == "processor_s" else extra_bytes(row) / 1e6 for row in done]
+        values = [_seconds(row) if what == "processor_s" else extra_bytes(row) / 1e6 for row in done]
         colour, dashes = _COLOURS[place % len(_COLOURS)], _DASHES[place // len(_COLOURS)]
         ax.plot([row["size"] for row in done], values, color=colour, ls=dashes, lw=1.3, marker="o", ms=2.5, label=name)
         if own[-1]["ended"] != "done":  # where the series was ended
