@@ -10,6 +10,7 @@ from torch import Tensor
 
 from rumi.bench import drill, peers
 from rumi.bench.case import Case, Setup, Target, Variant, case
+from rumi.bench.modes import lost_modes, plausible_modes
 from rumi.registration.register import RegisterSettings, register
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
@@ -64,6 +65,39 @@ def registration(setup: Setup) -> Case:
         None,
         facts=facts,
         left_out=left_out,
+        rounds=5,
+    )
+
+
+# seed, slab of the drill (metres along its z axis), points of a class: views that several poses explain
+VIEWS = ((1, 0.12, 0.2, 40), (3, 0.12, 0.2, 60), (4, 0.1, 0.2, 40), (5, 0.1, 0.2, 80), (6, 0.1, 0.2, 60))
+
+
+@case("registration-modes", slow=True)
+def registration_modes(setup: Setup) -> Case:
+    """Registration under points that several poses explain: how many of their modes are kept."""
+    if drill.missing():
+        raise ValueError(f"Expected the drill's mesh, got none: {drill.missing()}")
+    model = drill.drill()
+    discrepancy = Discrepancy(model.sdf, model.radius, free_scale=FREE_SCALE)
+    found, lost = [], []
+    views = VIEWS[: setup.size(2 if setup.quick else len(VIEWS), 1)]
+    for seed, low, high, count in views:
+        view = drill.one_part(drill.problem(model.sdf, seed), low, high, count)
+        random = torch.Generator().manual_seed(1000 + seed)
+        starts = setup.size(20000, 2000)
+        modes = plausible_modes(discrepancy, view.observation, PEAKINESS, starts=starts, generator=random)
+        kept = ours(model, view, seed)()
+        found.append(len(modes.mode.unique()))
+        lost.append([round(weight, 3) for weight in lost_modes(modes, kept, model.sdf.bounds.mean(0))])
+    first = drill.one_part(drill.problem(model.sdf, VIEWS[0][0]), *VIEWS[0][1:])
+    return Case(
+        f"registration of points of one part of a drill: {len(first.observation)} points, 100 poses kept",
+        tuple(v for v in setup.ours(ours(model, first, 0)) if v.version != "torch"),
+        ("numba",),
+        1,
+        "registration",
+        facts={"modes of each view": found, "weights of those lost": lost},
         rounds=5,
     )
 
