@@ -32,8 +32,7 @@ def observe(
     """Measure the belief: what it expects of itself, and, apart from that, against the truth."""
     model, sensor = rummager.model, rummager.model.surface_points
     with clock("agree"):
-        stride = max(1, len(sensor) // rummager.agreement_points)
-        agreement = self_agreement(belief, sensor[::stride], model.sdf, nll_points=len(sensor))
+        expected, apc = _agreement(rummager, history[-1] if history else None, belief)
     with clock("score"):
         nll = None
         if result.truth is not None:
@@ -41,7 +40,7 @@ def observe(
             nll = float(negative_log_likelihood(belief.world_T_object, belief.log_weights, truth, sensor, model.exact))
     touched = bool(result.reading.in_contact.any()) and control is not None
     contacts = (history[-1].contacts if history else 0) + touched
-    fit, expected, apc = float(belief.discrepancy.min()), float(agreement.expected_nll), float(agreement.apc)
+    fit = float(belief.discrepancy.min())
     return StepRecord(
         step=len(history),
         control=control,
@@ -62,6 +61,20 @@ def observe(
         nll=nll,
         timings_s=clock.take(),
     )
+
+
+def _agreement(rummager: Rummager, last: StepRecord | None, belief: PoseBelief) -> tuple[float, float]:
+    """Expected nll and APC; those of the last step where the particles and their weights are still the same."""
+    if (
+        last is not None
+        and torch.equal(last.belief.attached_T_object, belief.attached_T_object)
+        and torch.equal(last.belief.log_weights, belief.log_weights)
+    ):
+        return last.expected_nll, last.apc
+    points = rummager.model.surface_points
+    stride = max(1, len(points) // rummager.agreement_points)
+    agreement = self_agreement(belief, points[::stride], rummager.model.sdf, nll_points=len(points))
+    return float(agreement.expected_nll), float(agreement.apc)
 
 
 def summarise(rummager: Rummager, history: Sequence[StepRecord], stopped_by: str) -> RunResult:

@@ -107,12 +107,11 @@ def one_part(whole: Problem, low: float, high: float, count: int) -> Problem:
     chosen = []
     for kind in (Semantics.FREE, Semantics.SURFACE):
         chosen.append((within & (whole.observation.semantics == kind)).nonzero()[:count, 0])
-    return replace_points(whole, torch.cat(chosen))
-
-
-def replace_points(whole: Problem, index: Tensor) -> Problem:
-    """The problem with some of its points alone."""
-    return Problem(whole.truth, whole.observation[index])
+    observation = whole.observation[torch.cat(chosen)]
+    middle = observation.points.mean(0)
+    truth = whole.truth.clone()
+    truth[:3, 3] -= middle
+    return Problem(truth, replace(observation, points=observation.points - middle))
 
 
 def surface_error(model: ObjectModel, world_T_object: Float[Tensor, "P 4 4"], truth: Tensor) -> Float[Tensor, "P"]:

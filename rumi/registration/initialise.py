@@ -1,5 +1,6 @@
 """The first belief: all plausible poses of the object under the first view."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -114,6 +115,7 @@ def initialise(
             polished=settings.polished,
             fine=settings.fine,
             bin_rad=settings.bin_rad,
+            bin_m=math.inf,
             plausible=settings.plausible,
         ),
         starts=starts,

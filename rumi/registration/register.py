@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.registration.archive import fill, orientation_bins, super_fibonacci
@@ -29,18 +29,21 @@ class RegisterSettings:
         coarse_free: free and occupied points in it; none by default, since seen surfaces are mostly enough.
         polished: poses that go on to the fine descent.
         fine: descent of those on all points.
-        bin_rad: width of the archive's orientation bins.
+        bin_rad: width of the archive's cells, in orientation.
+        bin_m: their width in the place of the object's middle, metres; infinite for orientation alone. Where more
+            cells are plausible than poses are kept, they are widened until each has its pose.
         plausible: least weight, relative to the best pose's, of a pose that is kept.
     """
 
     kept: int = 100
-    starts: int = 4000
+    starts: int = 8000
     coarse: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=12, margin_m=0.05))
     coarse_points: int = 100
     coarse_free: int = 100
-    polished: int = 600
+    polished: int = 2000
     fine: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=20, margin_m=0.05))
     bin_rad: float = 0.35
+    bin_m: float = 0.02
     plausible: float = 0.01
 
     def __post_init__(self) -> None:
@@ -48,6 +51,8 @@ class RegisterSettings:
         for name in ("kept", "starts", "polished"):
             if getattr(self, name) < 1:
                 raise ValueError(f"Expected {name} to be 1 or more, got {getattr(self, name)}")
+        if not (self.bin_rad > 0 and self.bin_m > 0):
+            raise ValueError(f"Expected bin_rad and bin_m above 0, got {self.bin_rad} and {self.bin_m}")
         if not 0 < self.plausible <= 1:
             raise ValueError(f"Expected plausible in (0, 1], got {self.plausible}")
 
@@ -127,17 +132,35 @@ def register(
     # the sample stands for all surface points, the free points for themselves
     free = thinned(observation[others], 8000)
     coarse = scale * discrepancy(poses, sample) + discrepancy(poses, free) * (len(others) / max(len(free), 1))
-    best = fill(
-        orientation_bins(poses[:, :3, :3], settings.bin_rad, search),
-        coarse,
-        math.inf,
-        min(settings.polished, len(poses)),
-    )
+    middle = discrepancy.sdf.bounds.mean(0)
+    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, search)
+    best = fill(cells, coarse, math.inf, min(settings.polished, len(poses)))
     poses = descend(discrepancy, poses[best], observation, search, settings.fine)
     fine = discrepancy(poses, observation)
     margin = -math.log(settings.plausible) / peakiness
-    chosen = fill(orientation_bins(poses[:, :3, :3], settings.bin_rad, search), fine, margin, settings.kept)
+    plausible, wider = fine <= fine.min() + margin, 1.0
+    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, search)
+    while math.isfinite(settings.bin_m) and len(cells[plausible].unique()) > settings.kept:
+        wider *= 1.3
+        cells = pose_cells(poses, middle, min(wider * settings.bin_rad, 6.0), wider * settings.bin_m, search)
+    chosen = fill(cells, fine, margin, settings.kept)
     return Registered(poses[chosen], fine[chosen])
+
+
+def pose_cells(
+    frame_T_object: Float[Tensor, "N 4 4"],
+    middle_o: Float[Tensor, "3"],
+    width_rad: float,
+    width_m: float,
+    search: Search,
+) -> Int[Tensor, "N"]:
+    """Cell of each pose: of its orientation and of where it has the object's middle; numbers mean nothing else."""
+    bins = orientation_bins(frame_T_object[:, :3, :3], width_rad, search)
+    if not math.isfinite(width_m):
+        return bins
+    places = se3.apply(frame_T_object, middle_o.to(frame_T_object).expand(len(frame_T_object), 1, 3))[:, 0]
+    places = torch.floor((places - places.amin(0)) / width_m).long()
+    return torch.unique(torch.cat((bins[:, None], places), -1), dim=0, return_inverse=True)[1]
 
 
 def drawn(observation: Observation, index: Tensor, count: int, *, generator: torch.Generator) -> Observation:

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from rumi.bench.modes import lost_modes, plausible_modes
 from rumi.registration.descent import DescentSettings, descend
 from rumi.registration.register import RegisterSettings, register, uniform_starts
 from sdf import se3, so3
@@ -34,6 +35,19 @@ SYMMETRIES = torch.diag_embed(torch.tensor([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1
 def truth(seed: int) -> torch.Tensor:
     random = torch.Generator().manual_seed(seed)
     return se3.make(so3.exp(2 * torch.randn(3, generator=random)), 0.3 * torch.randn(3, generator=random))
+
+
+def test_modes_are_the_poses_that_explain_the_points_and_are_missed_where_none_is_near():
+    world_T_object = truth(4)
+    points = se3.apply(world_T_object, box_view(150, ALL))
+    observation = Observation.of(points - points.mean(0), Semantics.SURFACE)
+    random = torch.Generator().manual_seed(0)
+    modes = plausible_modes(MODULE, observation, 20.0, starts=600, generator=random)
+    assert len(modes.mode.unique()) == 4
+    assert float(modes.weight.max()) == 1.0
+    found = register(MODULE, observation, 20.0, SETTINGS, generator=random).frame_T_object
+    assert lost_modes(modes, found, torch.zeros(3)) == []
+    assert len(lost_modes(modes, found[:1], torch.zeros(3))) == 3
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

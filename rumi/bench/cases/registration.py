@@ -10,6 +10,7 @@ from torch import Tensor
 
 from rumi.bench import drill, peers
 from rumi.bench.case import Case, Setup, Target, Variant, case
+from rumi.bench.modes import lost_modes, plausible_modes
 from rumi.registration.register import RegisterSettings, register
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
@@ -34,12 +35,9 @@ def ours(
     return run
 
 
-@case("registration", slow=True)
 def registration(setup: Setup) -> Case:
     """All of a registration, and how many of its poses are right."""
-    if drill.missing():
-        raise ValueError(f"Expected the drill's mesh, got none: {drill.missing()}")
-    model = drill.drill()
+    model = drill.drill(0.005 if setup.tiny else 0.0025)
     each = setup.size(200, 40)
     seeds = range(setup.size(3 if setup.quick else 10, 1))
     problems = {seed: drill.problem(model.sdf, seed, each=each) for seed in seeds}
@@ -57,13 +55,43 @@ def registration(setup: Setup) -> Case:
     return Case(
         f"registration: {3 * each} points of a drill, centred, {facts['kept']} poses kept",
         variants,
-        (_PEER,),
+        (_PEER, setup.versions[-1]),
         1,
         "registration",
         (Target("numba", at_most_s=1.0),),
         None,
         facts=facts,
         left_out=left_out,
+        rounds=5,
+    )
+
+
+# seed, slab of the drill (metres along its z axis), points of a class: views that several poses explain
+VIEWS = ((1, 0.12, 0.2, 40), (3, 0.12, 0.2, 60), (4, 0.1, 0.2, 40), (5, 0.1, 0.2, 80), (6, 0.1, 0.2, 60))
+
+
+def registration_modes(setup: Setup) -> Case:
+    """Registration under points that several poses explain: how many of their modes are kept."""
+    model = drill.drill(0.005 if setup.tiny else 0.0025)
+    discrepancy = Discrepancy(model.sdf, model.radius, free_scale=FREE_SCALE)
+    found, lost = [], []
+    views = VIEWS[: setup.size(2 if setup.quick else len(VIEWS), 1)]
+    for seed, low, high, count in views:
+        view = drill.one_part(drill.problem(model.sdf, seed), low, high, count)
+        random = torch.Generator().manual_seed(1000 + seed)
+        starts = setup.size(20000, 2000)
+        modes = plausible_modes(discrepancy, view.observation, PEAKINESS, starts=starts, generator=random)
+        kept = ours(model, view, seed)()
+        found.append(len(modes.mode.unique()))
+        lost.append([round(weight, 3) for weight in lost_modes(modes, kept, model.sdf.bounds.mean(0))])
+    first = drill.one_part(drill.problem(model.sdf, VIEWS[0][0]), *VIEWS[0][1:])
+    return Case(
+        f"registration of points of one part of a drill: {len(first.observation)} points, 100 poses kept",
+        tuple(v for v in setup.ours(ours(model, first, 0)) if v.version == setup.versions[-1]),
+        (setup.versions[-1],),
+        1,
+        "registration",
+        facts={"modes of each view": found, "weights of those lost": lost},
         rounds=5,
     )
 
@@ -86,3 +114,9 @@ def _quality(
         seconds.append(time.perf_counter() - start)
         right.append(int((drill.surface_error(model, poses, problem.truth) < drill.FOUND_M).sum()))
     return {f"{name} within 5 mm": right, f"{name} median s": round(statistics.median(seconds), 3)}
+
+
+# without the mesh there is nothing to register
+if not drill.missing():
+    case("registration", slow=True)(registration)
+    case("registration-modes", slow=True)(registration_modes)

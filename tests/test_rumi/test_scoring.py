@@ -1,0 +1,55 @@
+"""What a step's record holds of the belief's agreement with itself."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi import scoring
+from rumi.belief.filter import FilterSettings, PoseFilter
+from rumi.fields.workspace import Workspace
+from rumi.metrics.likelihood import self_agreement
+from rumi.planning.rummaging import RummagingPolicy
+from rumi.planning.tool import Tool
+from rumi.rummager import Rummager
+from sdf.object_model import mug_model
+from sensors.discrepancy import Discrepancy
+
+
+@pytest.fixture(scope="module")
+def rummager() -> Rummager:
+    model = mug_model(spacing=0.004, points=100)
+    bounds = torch.tensor([[0.0, -0.2, 0.05], [0.4, 0.2, 0.05]])
+    workspace = Workspace.from_bounds(bounds, 0.05, planar_height=0.05)
+    tool = Tool(torch.tensor([[-1.0, -1.0], [1.0, 1.0]]), None, height_m=0.05)
+    discrepancy = Discrepancy(model.sdf, model.radius)
+    policy = RummagingPolicy(torch.ones(len(workspace.points)))
+    return Rummager(
+        model, PoseFilter(discrepancy, "SE(2)", FilterSettings()), policy, workspace, tool, agreement_points=50
+    )
+
+
+def test_agreement_is_worked_out_where_the_belief_changed_and_only_there(made_up, rummager, monkeypatch):
+    asked = []
+
+    def counted(*arguments, **options):
+        asked.append(arguments[0])
+        return self_agreement(*arguments, **options)
+
+    monkeypatch.setattr(scoring, "self_agreement", counted)
+    steps = made_up().steps
+    record = steps[2]
+    expected, apc = scoring._agreement(rummager, None, record.belief)
+    fresh = self_agreement(record.belief, rummager.model.surface_points[::2], rummager.model.sdf, nll_points=100)
+    assert (expected, apc) == (float(fresh.expected_nll), float(fresh.apc))
+    assert len(asked) == 1
+    last = replace(record, expected_nll=expected, apc=apc)
+    # the same particles and weights, carried along by a motion
+    carried = record.belief.moved(steps[-1].belief.world_T_attached)
+    assert scoring._agreement(rummager, last, carried) == (expected, apc)
+    assert len(asked) == 1
+    other = record.belief.reweighted(record.belief.log_weights * 2)
+    assert scoring._agreement(rummager, last, other) != (expected, apc)
+    moved = replace(record.belief, attached_T_object=record.belief.attached_T_object.roll(1, 0))
+    scoring._agreement(rummager, last, moved)
+    assert len(asked) == 3
