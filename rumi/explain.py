@@ -10,6 +10,7 @@ WORKS = {
     "rollouts_valued": "rollouts valued; the others are the same as one of their control sequence",
     "reachability_sums": "terms of the reachability cost; one look-up in a table stands for a sum over all points",
     "old_points": "points weighed; the others' weight carries over, since only the object's frame moved",
+    "observed_points": "looks at an observed point by a particle; the others are free, in balls that it cannot reach",
     "resamplings": "steps that resampled; at the others the belief fitted well enough",
     "plans": "actions planned for; the others came out of the plan that was there",
 }

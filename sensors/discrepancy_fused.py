@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sdf import savings
 from sdf.base import SDF
 from sdf.grid_fused import Arrays, grid_arguments
 from sdf.grid_fused import takes as grid_takes
@@ -51,7 +52,10 @@ def discrepancy(ready: Prepared, frame_T_object: Tensor, free_scale: float, alph
 
     kind = ready.poses.dtype.type
     result = torch.empty(frame_T_object.shape[:-2], dtype=frame_T_object.dtype)
-    kernel(*ready, kind(free_scale), kind(alpha), result.view(ready.poses.shape[:2]).numpy())
+    looked = np.empty(ready.poses.shape[:2], np.int64)
+    with savings.work("observed_points") as work:
+        kernel(*ready, kind(free_scale), kind(alpha), result.view(ready.poses.shape[:2]).numpy(), looked)
+        work.count(float(looked.sum()), float(ready.scene.counts[:, :2].sum()) * looked.shape[1])
     return result
 
 

@@ -8,8 +8,8 @@ from sdf.fused import Kernel
 from sdf.grid_numba import at, block, lattice_of, value, value_and_gradient
 from sensors.tiles_numba import local, near_points
 
-exact = numba.njit(cache=True, error_model="numpy")
-fast = numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+exact = numba.njit(error_model="numpy")
+fast = numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 @block
@@ -52,7 +52,7 @@ def _hinge_cost(points, count, pose, flat, lattice, alpha):
     return total
 
 
-def _discrepancy(poses, scene, grid, steepness, free_scale, alpha, result):
+def _discrepancy(poses, scene, grid, steepness, free_scale, alpha, result, looked):
     surface, hinged, signs, small_first, small_balls, large_first, large_balls, counts = scene
     flat, numbers, sizes = grid
     batch, each = result.shape
@@ -62,6 +62,7 @@ def _discrepancy(poses, scene, grid, steepness, free_scale, alpha, result):
         pose = placed(poses[b, n])
         own = (hinged[b], signs[b], small_first[b], small_balls[b], large_first[b], large_balls[b], counts[b])
         near, count = near_points(own, pose, flat, lattice, steepness, alpha, 0)
+        looked[b, n] = count + counts[b, 0]
         hinge = _hinge_cost(near, count, pose, flat, lattice, alpha)
         result[b, n] = free_scale * hinge + _surface_cost(surface[b], counts[b, 0], pose, flat, lattice)
 

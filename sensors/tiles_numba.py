@@ -16,7 +16,7 @@ _SMALL = _SPLIT**3
 _FEWEST = 6
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(error_model="numpy")
 def _ball(balls, n, points, signs, first, last):
     """Centre, radius and side of a ball about points first..last: the one about their box."""
     low_x = low_y = low_z = math.inf
@@ -33,7 +33,7 @@ def _ball(balls, n, points, signs, first, last):
     balls[3, n], balls[4, n] = math.sqrt(most), signs[first]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(error_model="numpy")
 def _assign(points, kinds, where, number, low_x, low_y, low_z, width, rows, columns, key):
     """The small box of each point, numbered so that those of a large one follow each other; how many hold points."""
     met = np.zeros(16384 + 4 * number, np.bool_)
@@ -123,7 +123,7 @@ def local(x, y, z, pose):
     )
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+@numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _clearances(balls, count, pose, flat, lattice, steepness, limit, far):
     """By how much the points of each ball are surely further than `limit` on their own side, metres."""
     kind = flat.dtype.type
@@ -138,7 +138,7 @@ def _clearances(balls, count, pose, flat, lattice, steepness, limit, far):
         put(far, n, distance - steepness * at(given, 3 * room + n) - limit - slack)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(error_model="numpy")
 def near_points(scene, pose, flat, lattice, steepness, limit, more):
     """Points (x, y, z, sign by M) that may be less than `limit` on their own side, with room for `more`; how many.
 

@@ -8,14 +8,14 @@ from numba import prange
 from sdf.fused import Kernel
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(error_model="numpy")
 def _rectangle(a, b):
     """Signed distance to a rectangle from how far two coordinates are beyond its edges."""
     outside = math.sqrt(max(a, 0.0) ** 2 + max(b, 0.0) ** 2)
     return outside + min(max(a, b), 0.0)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(error_model="numpy")
 def _mug(x, y, z, mug):
     """Signed distance of a point from a mug: the least of its cup's and its handle's."""
     outer, height, wall, base, tube, ring, half_angle = mug

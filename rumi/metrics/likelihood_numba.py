@@ -99,7 +99,7 @@ def _carried(points, room, m, pose):
     )
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+@numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _pair(points, count, pose, flat, lattice, tolerance, distances):
     """How far each point is beyond the tolerance; gives the sum of the distances."""
     zero = total = flat.dtype.type(0.0)
@@ -112,14 +112,14 @@ def _pair(points, count, pose, flat, lattice, tolerance, distances):
     return total
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+@numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 def _mix(mixture, weight, sharpness, distances):
     """Adds a particle's share of the likelihood of each point."""
     for m in range(len(mixture)):
         mixture[m] += weight * decay(-sharpness * distances[m])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(error_model="numpy")
 def _log_likelihood(points, m, poses, j, log_weights, flat, lattice, sharpness, tolerance):
     """The same of one point by logarithms, where no float holds the sum."""
     most = -math.inf

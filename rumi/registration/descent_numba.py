@@ -11,8 +11,8 @@ from sdf.grid_numba import at, lattice_of, put, value
 from sensors.discrepancy_numba import gather, placed, terms_of, to_frame
 from sensors.tiles_numba import local, near_points
 
-_exact = numba.njit(cache=True, error_model="numpy")
-_fast = numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+_exact = numba.njit(error_model="numpy")
+_fast = numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 @_fast

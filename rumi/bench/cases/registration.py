@@ -55,11 +55,10 @@ def registration(setup: Setup) -> Case:
     return Case(
         f"registration: {3 * each} points of a drill, centred, {facts['kept']} poses kept",
         variants,
-        (_PEER, setup.versions[-1]),
-        1,
-        "registration",
-        (Target("numba", at_most_s=1.0),),
-        None,
+        (_PEER,),
+        setup.versions[-1],
+        item="registration",
+        targets=(Target("numba", at_most_s=1.0),),
         facts=facts,
         left_out=left_out,
         rounds=5,
@@ -88,9 +87,9 @@ def registration_modes(setup: Setup) -> Case:
     return Case(
         f"registration of points of one part of a drill: {len(first.observation)} points, 100 poses kept",
         tuple(v for v in setup.ours(ours(model, first, 0)) if v.version == setup.versions[-1]),
-        (setup.versions[-1],),
-        1,
-        "registration",
+        (),
+        setup.versions[-1],
+        item="registration",
         facts={"modes of each view": found, "weights of those lost": lost},
         rounds=5,
     )
