@@ -55,7 +55,7 @@ def discrepancy(ready: Prepared, frame_T_object: Tensor, free_scale: float, alph
     looked = np.empty(ready.poses.shape[:2], np.int64)
     with savings.work("observed_points") as work:
         kernel(*ready, kind(free_scale), kind(alpha), result.view(ready.poses.shape[:2]).numpy(), looked)
-        work.count(float(looked.sum()), float(ready.scene.counts[:, :2].sum()) * looked.shape[1])
+        work.count(float(looked.sum()), float(ready.scene.counts[:, :2].sum()) * len(ready.poses[0]))
     return result
 
 

@@ -27,11 +27,12 @@ def test_a_run_explains_itself(tmp_path: object, capsys: pytest.CaptureFixture[s
     code = main(["run", "mug-0", "--steps", "2", "--out", f"{tmp_path}/run", "--no-figures", "--explain"])
     said = capsys.readouterr().out
     assert code in (0, 1)
-    for words in (
+    works = (
         "workspace points valued",
         "contact checks by point",
         "actions planned for",
         "points weighed",
         "looks at an observed point",
-    ):
+    )
+    for words in works:
         assert words in said
