@@ -70,19 +70,16 @@ class Show:
     label: str | None = None
 
 
+_APART = ("cli", "commands", "explain", "progress", "recording", "trace", "packing", "sketch")
+"""What shows and keeps a run, and does not change it."""
+
+
 def code_hash() -> str:
     """Of all code that a run's figures depend on."""
     digest = hashlib.sha256()
     for package in ("sdf", "sensors", "kmppi", "rumi"):
         for path in sorted((ROOT / package).rglob("*.py")):
-            if "viz" not in path.parts and path.stem not in (
-                "cli",
-                "progress",
-                "recording",
-                "trace",
-                "packing",
-                "sketch",
-            ):
+            if not {"viz", "bench"} & set(path.parts) and path.stem not in _APART:
                 digest.update(str(path.relative_to(ROOT)).encode() + path.read_bytes())
     return digest.hexdigest()[:12]
 
