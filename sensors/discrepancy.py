@@ -1,5 +1,6 @@
 """RUMI's discrepancy between posed objects and semantic points, with its tangent gradient."""
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -12,6 +13,9 @@ from sdf.posed import posed_distance, posed_query
 from sdf.so3 import vee
 from sensors.observation import Observation, compact
 from sensors.semantics import Semantics
+
+# of temporary tables over poses and points, where there is no graph to be kept
+CHUNK_BYTES = 64 * 2**20
 
 
 def discrepancy_terms(
@@ -254,10 +258,19 @@ def _discrepancy(
     module: Discrepancy, frame_T_object: Float[Tensor, "*b N 4 4"], observation: Observation
 ) -> Float[Tensor, "*b N"]:
     near = module.within_reach(frame_T_object, observation)
-    distance = posed_distance(module.sdf, frame_T_object, near.points)
-    semantics = near.semantics[..., None, :].expand(distance.shape)
-    cost = discrepancy_terms(distance, semantics, module.free_scale.to(distance), -module.tolerance.to(distance))
-    return torch.where(near.valid[..., None, :], cost, torch.zeros_like(cost)).sum(-1)
+    free_scale, alpha = module.free_scale.to(near.points), -module.tolerance.to(near.points)
+    parts = []
+    for poses in frame_T_object.split(poses_at_once(frame_T_object, len(near)), dim=-3):
+        distance = posed_distance(module.sdf, poses, near.points)
+        cost = discrepancy_terms(distance, near.semantics[..., None, :].expand(distance.shape), free_scale, alpha)
+        parts.append(torch.where(near.valid[..., None, :], cost, torch.zeros_like(cost)).sum(-1))
+    return torch.cat(parts, dim=-1)
+
+
+def poses_at_once(frame_T_object: Float[Tensor, "*b N 4 4"], points: int, temporaries: int = 6) -> int:
+    """How many poses to take at a time over some points, so that as many temporary tables stay within a budget."""
+    scenes = math.prod(frame_T_object.shape[:-3])
+    return max(1, CHUNK_BYTES // (frame_T_object.element_size() * temporaries * max(1, scenes * points)))
 
 
 @backend.register("discrepancy", "numba", fused.supports)

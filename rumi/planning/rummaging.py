@@ -24,6 +24,9 @@ from rumi.planning.types import Plan, Scene
 from sdf import savings
 from sdf.voxel_grid import VoxelGrid
 
+# control sequences that are rolled out at once: the memory for more is not needed
+_SAMPLES = 4096
+
 
 def _scale_free() -> MPPISettings:
     # near the arg-min of the samples: a warmer mean of plans that go round either side of the object stands still
@@ -155,6 +158,9 @@ class RummagingPolicy:
         configuration = scene.configuration.to(fields.information)
 
         def objective(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
+            return torch.cat([cost_of(part) for part in controls.split(_SAMPLES)])
+
+        def cost_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
             rollouts = model.rollout(configuration, controls, rollouts=settings.rollouts, generator=generator)
             watch.lap("dynamics")
             costs = cost(rollouts)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from sdf import backend, fused, se3, so3
 from sdf.posed import posed_distance, posed_query
-from sensors.discrepancy import Discrepancy, residuals
+from sensors.discrepancy import Discrepancy, poses_at_once, residuals
 from sensors.observation import Observation
 from sensors.semantics import Semantics
 
@@ -104,6 +104,10 @@ def _descend(
     search: Search,
     settings: DescentSettings,
 ) -> Float[Tensor, "*b N 4 4"]:
+    size = poses_at_once(frame_T_object, len(observation), temporaries=16)
+    if size < frame_T_object.shape[-3]:
+        parts = frame_T_object.split(size, dim=-3)
+        return torch.cat([_descend(discrepancy, part, observation, search, settings) for part in parts], dim=-3)
     pairs = violable_pairs(discrepancy, frame_T_object, observation, settings.margin_m)
     is_surface = observation.of_class(Semantics.SURFACE)
     count = int(is_surface.sum(-1).max()) if is_surface.numel() else 0

@@ -8,7 +8,14 @@ import torch
 from sdf import backend, se3
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Box, Mug, Sphere
-from sensors.discrepancy import Discrepancy, discrepancy_terms, normal_equations, residuals, tangent_gradient
+from sensors.discrepancy import (
+    Discrepancy,
+    discrepancy_terms,
+    normal_equations,
+    poses_at_once,
+    residuals,
+    tangent_gradient,
+)
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 
@@ -221,3 +228,16 @@ def test_tangent_gradient_is_that_of_the_normal_equations():
         objective, gradient = tangent_gradient(sdf, poses, *arguments)
         torch.testing.assert_close(objective, terms.objective)
         torch.testing.assert_close(gradient, terms.gradient)
+
+
+def test_chunks_of_poses_change_nothing(monkeypatch: pytest.MonkeyPatch, generator: torch.Generator) -> None:
+    poses = se3.exp(0.05 * torch.randn(2, 7, 6, generator=generator, dtype=torch.float64))
+    points = 0.1 * torch.randn(2, 40, 3, generator=generator, dtype=torch.float64)
+    semantics = torch.randint(0, 3, (2, 40), generator=generator)
+    seen = Observation(points, semantics, torch.ones_like(semantics, dtype=torch.bool), semantics >= 0)
+    module = Discrepancy(Sphere(0.06).double(), 0.06)
+    whole = module(poses, seen)
+    monkeypatch.setattr("sensors.discrepancy.CHUNK_BYTES", 8 * 6 * 80 * 3)
+    assert poses_at_once(poses, 40) == 3
+    torch.testing.assert_close(module(poses, seen), whole, atol=1e-12, rtol=0)
+    assert module(poses[:, :0], seen).shape == (2, 0)
