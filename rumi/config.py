@@ -53,7 +53,7 @@ class Settings:
     steps: int | None = None
     device: Literal["cpu", "cuda"] = "cpu"
     dtype: Literal["float32", "float64"] = "float32"
-    replan_every: int = 3
+    replan_every: int = 1
     filter: FilterSettings = field(default_factory=FilterSettings)
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
     planner: RummagingSettings = field(default_factory=RummagingSettings)
@@ -167,6 +167,7 @@ def _paper() -> Settings:
     """
     return Settings(
         preset="paper",
+        replan_every=3,
         filter=FilterSettings(
             peakiness=2.0,
             free_scale=10.0,

@@ -38,7 +38,7 @@ class Rummager:
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
     stop: StopSettings = field(default_factory=StopSettings)
     height_m: float = 0.0
-    replan_every: int = 3
+    replan_every: int = 1
     budget_s: float | None = None
     nll_threshold: float = 20.0
     position_tolerance_m: float = 0.005
