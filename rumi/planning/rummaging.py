@@ -116,79 +116,68 @@ class RummagingPolicy:
         always done.
         """
         with savings.account() as work:
-            plan = self._act(belief, scene, previous, executed, budget_s, generator)
+            watch = _Stopwatch()
+            settings, workspace, tool = self.settings, scene.workspace, scene.tool
+            sdf, poses, log_weights = scene.model.sdf, belief.world_T_object, belief.log_weights
+            fields = information_field(sdf, poses, log_weights, workspace.points, settings.information)
+            watch.lap("fields")
+            contact = ContactField.from_belief(sdf, poses, log_weights, workspace, fields)
+            model = DisplacementModel(contact, tool, settings.push)
+            watch.lap("contact_field")
+            reachability = None
+            if settings.reachability_scale > 0 and self.reachability is not None:
+                reachability = workspace.grid(self.reachability.to(fields.information))
+            sensing = world_height(tool.info, tool.height_m).to(fields.information)
+            cost = TrajectoryCost(
+                workspace.grid(fields.information),
+                reachability,
+                sensing,
+                information_scale=settings.information_scale,
+                reachability_scale=settings.reachability_scale,
+                information_discount=settings.information_discount,
+                normalise=settings.normalise_information,
+            )
+            watch.lap("costs")
+
+            configuration = scene.configuration.to(fields.information)
+
+            def objective(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
+                return torch.cat([cost_of(part) for part in controls.split(_SAMPLES)])
+
+            def cost_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
+                rollouts = model.rollout(configuration, controls, rollouts=settings.rollouts, generator=generator)
+                watch.lap("dynamics")
+                costs = cost(rollouts)
+                watch.lap("costs")
+                return costs
+
+            mppi = MPPI(settings.mppi, len(configuration), configuration.dtype, configuration.device)
+            start, iterations = self._start(mppi, previous, executed, generator)
+            nominal, samples = mppi.plan(
+                start, objective, iterations=iterations, should_stop=watch.stopper(budget_s), generator=generator
+            )
+            watch.lap("planner")
+            predicted = model.likely(configuration, nominal.controls)
+            watch.lap("dynamics")
+            plan = Plan(
+                controls=nominal.controls,
+                path=predicted.configurations[0, 0],
+                warm_start=nominal,
+                fields=_maps(fields, reachability),
+                timings_s=watch.laps,
+                info={
+                    "ess": float(samples.ess),
+                    "iterations": samples.iterations,
+                    "least_cost": float(samples.costs.min()),
+                    "information_total": float(fields.information.sum()),
+                    "displacement": predicted.displacements[0, 0, -1].tolist(),
+                },
+            )
         left_out = {
-            "information_cost": float(self.settings.information_scale == 0),
-            "reachability_cost": float(self.settings.reachability_scale == 0),
+            "information_cost": float(settings.information_scale == 0),
+            "reachability_cost": float(settings.reachability_scale == 0),
         }
         return replace(plan, skipped=work.skipped() | left_out)
-
-    def _act(
-        self,
-        belief: PoseBelief,
-        scene: Scene,
-        previous: Plan | None,
-        executed: int,
-        budget_s: float | None,
-        generator: torch.Generator,
-    ) -> Plan:
-        watch = _Stopwatch()
-        settings, workspace, tool = self.settings, scene.workspace, scene.tool
-        sdf, poses, log_weights = scene.model.sdf, belief.world_T_object, belief.log_weights
-        fields = information_field(sdf, poses, log_weights, workspace.points, settings.information)
-        watch.lap("fields")
-        contact = ContactField.from_belief(sdf, poses, log_weights, workspace, fields)
-        model = DisplacementModel(contact, tool, settings.push)
-        watch.lap("contact_field")
-        reachability = None
-        if settings.reachability_scale > 0 and self.reachability is not None:
-            reachability = workspace.grid(self.reachability.to(fields.information))
-        sensing = world_height(tool.info, tool.height_m).to(fields.information)
-        cost = TrajectoryCost(
-            workspace.grid(fields.information),
-            reachability,
-            sensing,
-            information_scale=settings.information_scale,
-            reachability_scale=settings.reachability_scale,
-            information_discount=settings.information_discount,
-            normalise=settings.normalise_information,
-        )
-        watch.lap("costs")
-
-        configuration = scene.configuration.to(fields.information)
-
-        def objective(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
-            return torch.cat([cost_of(part) for part in controls.split(_SAMPLES)])
-
-        def cost_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
-            rollouts = model.rollout(configuration, controls, rollouts=settings.rollouts, generator=generator)
-            watch.lap("dynamics")
-            costs = cost(rollouts)
-            watch.lap("costs")
-            return costs
-
-        mppi = MPPI(settings.mppi, len(configuration), configuration.dtype, configuration.device)
-        start, iterations = self._start(mppi, previous, executed, generator)
-        nominal, samples = mppi.plan(
-            start, objective, iterations=iterations, should_stop=watch.stopper(budget_s), generator=generator
-        )
-        watch.lap("planner")
-        predicted = model.likely(configuration, nominal.controls)
-        watch.lap("dynamics")
-        return Plan(
-            controls=nominal.controls,
-            path=predicted.configurations[0, 0],
-            warm_start=nominal,
-            fields=_maps(fields, reachability),
-            timings_s=watch.laps,
-            info={
-                "ess": float(samples.ess),
-                "iterations": samples.iterations,
-                "least_cost": float(samples.costs.min()),
-                "information_total": float(fields.information.sum()),
-                "displacement": predicted.displacements[0, 0, -1].tolist(),
-            },
-        )
 
     def _start(
         self, mppi: MPPI, previous: Plan | None, executed: int, generator: torch.Generator

@@ -140,7 +140,8 @@ def register(
     margin = -math.log(settings.plausible) / peakiness
     plausible, wider = fine <= fine.min() + margin, 1.0
     cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, search)
-    while math.isfinite(settings.bin_m) and len(cells[plausible].unique()) > settings.kept:
+    # best first alone, differences of fit that mean nothing would decide which cells are left out
+    while len(cells[plausible].unique()) > settings.kept:
         wider *= 1.3
         cells = pose_cells(poses, middle, min(wider * settings.bin_rad, 6.0), wider * settings.bin_m, search)
     chosen = fill(cells, fine, margin, settings.kept)

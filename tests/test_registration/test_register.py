@@ -1,8 +1,11 @@
 """Registration of points alone: of one mode, of several, and of nothing."""
 
+import math
+
 import pytest
 import torch
 
+from rumi.bench import box_view as patch
 from rumi.bench.modes import lost_modes, plausible_modes
 from rumi.registration.descent import DescentSettings, descend
 from rumi.registration.register import RegisterSettings, register, uniform_starts
@@ -113,3 +116,15 @@ def test_given_starts_are_what_is_searched_from():
     best = descend(MODULE, near, observation, "SE(3)", settings.fine)
     assert float(found.discrepancy.min()) == pytest.approx(float(MODULE(best, observation).min()), rel=1e-4)
     assert float((found.frame_T_object[:, :3, 3] - world_T_object[:3, 3]).norm(dim=-1).max()) < 0.003
+
+
+def test_few_poses_are_spread_over_all_that_is_plausible() -> None:
+    """Of a box a patch is seen that fits three pairs of its faces, at far more turns than poses are kept."""
+    view = patch.box_view()
+    cost = Discrepancy(GridSDF.from_sdf(view.model.exact, 0.004), view.model.radius, free_scale=80.0, tolerance=0.001)
+    settings = RegisterSettings(
+        kept=20, starts=1200, polished=800, coarse_free=0, bin_rad=math.radians(5.0), bin_m=math.inf
+    )
+    generator = torch.Generator().manual_seed(1000)
+    found = register(cost.double(), view.observation, 2.0, settings, generator=generator)
+    assert patch.face_up(found.frame_T_object).unique().tolist() == [0, 1, 2]
