@@ -36,7 +36,7 @@ from rumi.sim.tasks import find_task
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "mugs.jsonl"
 TASKS = ("mug-0", "mug-1", "mug-2")
-COLUMNS = ("rumi/default", "rumi/paper", "info-only/default", "reach-only/default")
+COLUMNS = ("rumi/default", "rumi/fast", "rumi/paper", "info-only/default", "reach-only/default")
 
 
 @dataclass(frozen=True)
