@@ -241,7 +241,7 @@ class Discrepancy(nn.Module):
 
     def within_reach(self, frame_T_object: Float[Tensor, "*b N 4 4"], observation: Observation) -> Observation:
         """The observation less the free points outside the ball that holds the object at every pose (exact)."""
-        if len(observation) == 0:
+        if len(observation) == 0 or frame_T_object.shape[-3] == 0:
             return observation
         origin = frame_T_object[..., :3, 3]
         centre = 0.5 * (origin.amin(-2) + origin.amax(-2))
