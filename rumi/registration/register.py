@@ -36,11 +36,11 @@ class RegisterSettings:
     """
 
     kept: int = 100
-    starts: int = 8000
+    starts: int = 16000
     coarse: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=12, margin_m=0.05))
     coarse_points: int = 100
     coarse_free: int = 100
-    polished: int = 2000
+    polished: int = 4000
     fine: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=20, margin_m=0.05))
     bin_rad: float = 0.35
     bin_m: float = 0.02
