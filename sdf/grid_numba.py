@@ -34,6 +34,9 @@ from sdf.check import FAR
 _TINY = 1e-30
 # not kept on their own: kernels are, and what is kept of a block would outlive a change of another that it uses
 block = numba.njit(error_model="numpy", forceinline=True, fastmath={"contract", "nsz"})
+# functions that stay functions: to the bit, or with sums reordered so that their loops become vector instructions
+exact = numba.njit(error_model="numpy")
+fast = numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 def _reads(builder):

@@ -1,15 +1,11 @@
 """The fused CPU versions of the discrepancy and of its Gauss-Newton terms; `discrepancy.py` has the definitions."""
 
-import numba
 import numpy as np
 from numba import prange
 
 from sdf.fused import Kernel
-from sdf.grid_numba import at, block, lattice_of, value, value_and_gradient
+from sdf.grid_numba import at, block, exact, fast, lattice_of, value, value_and_gradient
 from sensors.tiles_numba import local, near_points
-
-exact = numba.njit(error_model="numpy")
-fast = numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 @block

@@ -2,12 +2,11 @@
 
 import math
 
-import numba
 import numpy as np
 from numba import prange
 
 from sdf.fused import Kernel
-from sdf.grid_numba import at, block, put, value
+from sdf.grid_numba import at, block, exact, fast, put, value
 
 # small boxes along an axis of a large one
 _SPLIT = 2
@@ -16,7 +15,7 @@ _SMALL = _SPLIT**3
 _FEWEST = 6
 
 
-@numba.njit(error_model="numpy")
+@exact
 def _ball(balls, n, points, signs, first, last):
     """Centre, radius and side of a ball about points first..last: the one about their box."""
     low_x = low_y = low_z = math.inf
@@ -33,7 +32,7 @@ def _ball(balls, n, points, signs, first, last):
     balls[3, n], balls[4, n] = math.sqrt(most), signs[first]
 
 
-@numba.njit(error_model="numpy")
+@exact
 def _assign(points, kinds, where, number, low_x, low_y, low_z, width, rows, columns, key):
     """The small box of each point, numbered so that those of a large one follow each other; how many hold points."""
     met = np.zeros(16384 + 4 * number, np.bool_)
@@ -123,7 +122,7 @@ def local(x, y, z, pose):
     )
 
 
-@numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+@fast
 def _clearances(balls, count, pose, flat, lattice, steepness, limit, far):
     """By how much the points of each ball are surely further than `limit` on their own side, metres."""
     kind = flat.dtype.type
@@ -138,7 +137,7 @@ def _clearances(balls, count, pose, flat, lattice, steepness, limit, far):
         put(far, n, distance - steepness * at(given, 3 * room + n) - limit - slack)
 
 
-@numba.njit(error_model="numpy")
+@exact
 def near_points(scene, pose, flat, lattice, steepness, limit, more):
     """Points (x, y, z, sign by M) that may be less than `limit` on their own side, with room for `more`; how many.
 

@@ -2,14 +2,13 @@
 
 import math
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import prange, types
 from numba.extending import intrinsic, overload
 
 from sdf.fused import Kernel
-from sdf.grid_numba import block, lattice_of, layer_value, put, value
+from sdf.grid_numba import block, fast, lattice_of, layer_value, put, value
 from sdf.posed_numba import placed_from, placed_upright_from
 
 # points of one task, and numbers of the modes
@@ -124,7 +123,7 @@ def _cost(v, outcome, settings):
     return excess * (settings[1] if outcome == 2 else settings[2])
 
 
-@numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+@fast
 def _divergence(v, log_weights, mean, outcome, reverse, settings):
     """Information of one outcome, from the distances to all poses, their log-weights and the mean cost."""
     kind = type(mean)

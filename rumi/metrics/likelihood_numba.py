@@ -2,7 +2,6 @@
 
 import math
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import prange
@@ -10,7 +9,7 @@ from numba.core import types
 from numba.extending import intrinsic
 
 from sdf.fused import Kernel
-from sdf.grid_numba import at, block, lattice_of, put, value
+from sdf.grid_numba import at, block, exact, fast, lattice_of, put, value
 
 _LOG2_E = 1.0 / math.log(2.0)
 # ln 2 in two parts, of which a whole number times the first is exact
@@ -99,7 +98,7 @@ def _carried(points, room, m, pose):
     )
 
 
-@numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+@fast
 def _pair(points, count, pose, flat, lattice, tolerance, distances):
     """How far each point is beyond the tolerance; gives the sum of the distances."""
     zero = total = flat.dtype.type(0.0)
@@ -112,14 +111,14 @@ def _pair(points, count, pose, flat, lattice, tolerance, distances):
     return total
 
 
-@numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+@fast
 def _mix(mixture, weight, sharpness, distances):
     """Adds a particle's share of the likelihood of each point."""
     for m in range(len(mixture)):
         mixture[m] += weight * decay(-sharpness * distances[m])
 
 
-@numba.njit(error_model="numpy")
+@exact
 def _log_likelihood(points, m, poses, j, log_weights, flat, lattice, sharpness, tolerance):
     """The same of one point by logarithms, where no float holds the sum."""
     most = -math.inf

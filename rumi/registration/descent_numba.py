@@ -2,20 +2,16 @@
 
 import math
 
-import numba
 import numpy as np
 from numba import prange
 
 from sdf.fused import Kernel
-from sdf.grid_numba import at, lattice_of, put, value
+from sdf.grid_numba import at, exact, fast, lattice_of, put, value
 from sensors.discrepancy_numba import gather, placed, terms_of, to_frame
 from sensors.tiles_numba import local, near_points
 
-_exact = numba.njit(error_model="numpy")
-_fast = numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 
-
-@_fast
+@fast
 def _violable(near, count, pose, flat, lattice, margin, centre, reach):
     """Keeps the points less than `margin` from being violated, of free ones those in reach; how many."""
     far = np.empty(count, flat.dtype)
@@ -34,7 +30,7 @@ def _violable(near, count, pose, flat, lattice, margin, centre, reach):
     return left
 
 
-@_exact
+@exact
 def _solve(matrix, vector, size):
     """Solves in place by Cholesky; False where the matrix is not positive definite."""
     for j in range(size):
@@ -60,7 +56,7 @@ def _solve(matrix, vector, size):
     return True
 
 
-@_exact
+@exact
 def _retract(pose, step, out):
     """Shifts the origin by the first three of a step (6) and turns about it by the others (Rodrigues)."""
     x, y, z = step[3], step[4], step[5]
@@ -79,7 +75,7 @@ def _retract(pose, step, out):
         out[i, 3] = pose[i, 3] + step[i]
 
 
-@_exact
+@exact
 def _step(gradient, hessian, freedom, damping, floor, lever, limits, system, step):
     """A damped step (6), no longer than `limits`, and the decrease that the quadratic model predicts for it."""
     size = len(freedom)
