@@ -52,8 +52,8 @@ def from_mesh(
         padding: metres of fine lattice beyond the mesh.
         scale: metres that one unit of the file or mesh is.
         band: metres from the surface within which distances are exact; beyond, they are interpolated between nodes
-            four times as far apart: the sign is right, and the error some hundredths of the distance at most. By default
-            everywhere in a table of up to 8 million nodes of up to 200 000 faces, else 20 mm.
+            four times as far apart: the sign is right, and the error some hundredths of the distance at most. By
+            default everywhere in a table of up to 8 million nodes of up to 200 000 faces, else 20 mm.
         most_bytes: that the table may take.
         cache_dir: folder to keep the table in, by the content of the file or mesh; None keeps nothing.
         progress: called with what is being done and how much of it is done, from 0 to 1.

@@ -119,7 +119,9 @@ def report(mesh: TriangleMesh, *, spacing: float | None = None, padding: float =
         shape = MeshSDF(mesh)
     except MeshError as error:
         findings.append(Finding(ERROR, str(error)))
-    wall, chosen, nodes = None, None, ()
+    wall: float | None = None
+    chosen: float | None = None
+    nodes: tuple[int, ...] = ()
     if shape is not None:
         wall = thinnest_wall(shape.repair.surface, mesh.diagonal)
         findings += _findings(shape.repair)
