@@ -1,6 +1,7 @@
 """A table of signed distances from a triangle mesh."""
 
 import logging
+import math
 from pathlib import Path
 
 import torch
@@ -123,12 +124,8 @@ def _build(
 
 
 def _bytes(shape: MeshSDF, spacing: float, padding: float) -> int:
-    """What a table takes, from sizes alone."""
-    extent = (shape.mesh.bounds[1] - shape.mesh.bounds[0] + 2.0 * padding).tolist()
-    nodes = 4
-    for length in extent:
-        nodes *= int(length / spacing) + 2 + 2 * lattice_about(torch.zeros(2, 3), 1.0, 0.0).outer
-    return nodes
+    """What a table takes."""
+    return 4 * math.prod(len(axis) for axis in lattice_about(shape.mesh.bounds, spacing, padding).axes)
 
 
 def _shape(source: str | Path | TriangleMesh | MeshSDF, scale: float) -> MeshSDF:
