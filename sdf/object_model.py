@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Self
 
 import torch
@@ -10,9 +11,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf.base import SDF
+from sdf.build import from_mesh
+from sdf.fill import Progress
 from sdf.grid_sdf import GridSDF
+from sdf.mesh import TriangleMesh, load_mesh
+from sdf.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Mug
-from sdf.surface import sample_surface
+from sdf.surface import sample_surface, sample_triangles
 
 
 @dataclass(frozen=True)
@@ -109,3 +114,48 @@ def box_model(
         raise ValueError(f"Expected three different half_extents, got {tuple(half_extents)}: use object_model")
     turns = torch.tensor([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
     return object_model("box", Box(half_extents), torch.diag_embed(turns), spacing=spacing, points=points, seed=seed)
+
+
+def mesh_model(
+    source: str | Path | TriangleMesh,
+    *,
+    name: str | None = None,
+    spacing: float | None = None,
+    points: int = 500,
+    seed: int = 0,
+    scale: float = 1.0,
+    symmetries: Float[Tensor, "K 3 3"] | None = None,
+    cache_dir: Path | None = None,
+    progress: Progress | None = None,
+) -> ObjectModel:
+    """Model of the object that a triangle mesh shows, in the mesh's frame; float32 on the CPU.
+
+    Args:
+        source: a file, or a mesh.
+        name: what users call it; by default the file's.
+        spacing: of the tabulated SDF, metres; by default from the thinnest wall.
+        points: number of surface points.
+        seed: of the surface points.
+        scale: metres that one unit of the mesh is.
+        symmetries: (K, 3, 3), rotations that leave it as it is, the identity first; by default that alone.
+        cache_dir: folder to keep the table in; None keeps nothing.
+        progress: called with what is done and how much of it, from 0 to 1.
+
+    Raises:
+        sdf.mesh.MeshError: if the mesh cannot be used.
+    """
+    if isinstance(source, str | Path):
+        mesh, name = load_mesh(source, scale=scale), name or Path(source).stem
+    else:
+        mesh = source.scaled(scale)
+    exact = MeshSDF(mesh)
+    generator = torch.Generator().manual_seed(seed)
+    surface_points, surface_normals = sample_triangles(exact.repair.surface, points, generator=generator)
+    return ObjectModel(
+        name or "mesh",
+        exact,
+        from_mesh(exact, spacing=spacing, cache_dir=cache_dir, progress=progress),
+        surface_points.float(),
+        surface_normals.float(),
+        torch.eye(3)[None] if symmetries is None else symmetries.float(),
+    )
