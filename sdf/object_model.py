@@ -13,6 +13,7 @@ from sdf.base import SDF
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Box, Mug
 from sdf.surface import sample_surface
+from sdf.symmetry import Symmetries
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class ObjectModel:
         sdf: SDF that estimation uses, tabulated (so that estimation is not judged by its own approximation).
         surface_points: (S, 3), uniform by area.
         surface_normals: (S, 3), outward, unit.
-        symmetries: (K, 3, 3), rotations that leave the shape as it is, the identity first.
+        symmetries: rotations that leave the shape as it is.
     """
 
     name: str
@@ -33,7 +34,7 @@ class ObjectModel:
     sdf: SDF
     surface_points: Float[Tensor, "S 3"]
     surface_normals: Float[Tensor, "S 3"]
-    symmetries: Float[Tensor, "K 3 3"]
+    symmetries: Symmetries
 
     @property
     def diagonal(self) -> float:
@@ -63,7 +64,7 @@ class ObjectModel:
 def object_model(
     name: str,
     exact: SDF,
-    symmetries: Float[Tensor, "K 3 3"],
+    symmetries: Symmetries,
     *,
     spacing: float = 0.002,
     points: int = 500,
@@ -74,7 +75,7 @@ def object_model(
     Args:
         name: what users call it.
         exact: its SDF.
-        symmetries: (K, 3, 3), rotations that leave it as it is, the identity first.
+        symmetries: rotations that leave it as it is.
         spacing: of the tabulated SDF, metres; at most half of the thinnest wall.
         points: number of surface points.
         seed: of the surface points.
@@ -94,7 +95,7 @@ def object_model(
 
 def mug_model(spacing: float = 0.002, points: int = 500, *, mug: Mug | None = None, seed: int = 0) -> ObjectModel:
     """The built-in mug (or another of its kind); its handle leaves it no symmetry."""
-    return object_model("mug", mug or Mug(), torch.eye(3)[None], spacing=spacing, points=points, seed=seed)
+    return object_model("mug", mug or Mug(), Symmetries.none(), spacing=spacing, points=points, seed=seed)
 
 
 def box_model(
@@ -107,5 +108,4 @@ def box_model(
     """
     if len({round(h, 9) for h in half_extents}) < 3:
         raise ValueError(f"Expected three different half_extents, got {tuple(half_extents)}: use object_model")
-    turns = torch.tensor([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-    return object_model("box", Box(half_extents), torch.diag_embed(turns), spacing=spacing, points=points, seed=seed)
+    return object_model("box", Box(half_extents), Symmetries.parse("x2,y2"), spacing=spacing, points=points, seed=seed)
