@@ -24,3 +24,19 @@ Many poses of it against many points of the world are one call:
 tensor([[-0.0300],
         [ 0.0700]])
 """
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sdf.build import from_mesh
+
+__all__ = ["from_mesh"]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401  (whatever is asked for)
+    """Load what meshes need only when it is asked for."""
+    if name == "from_mesh":
+        from sdf.build import from_mesh
+
+        return from_mesh
+    raise AttributeError(f"module 'sdf' has no attribute {name!r}")

@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Self
 
 import torch
@@ -10,10 +11,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf.base import SDF
+from sdf.build import Progress, from_mesh
+from sdf.find_symmetry import find_symmetries
 from sdf.grid_sdf import GridSDF
+from sdf.mesh import TriangleMesh, load_mesh
+from sdf.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Mug
-from sdf.surface import sample_surface
+from sdf.surface import sample_surface, sample_triangles
 from sdf.symmetry import Symmetries
+
+_LOOKED_AT = 3000  # surface points by which symmetries are found
 
 
 @dataclass(frozen=True)
@@ -109,3 +116,52 @@ def box_model(
     if len({round(h, 9) for h in half_extents}) < 3:
         raise ValueError(f"Expected three different half_extents, got {tuple(half_extents)}: use object_model")
     return object_model("box", Box(half_extents), Symmetries.parse("x2,y2"), spacing=spacing, points=points, seed=seed)
+
+
+def mesh_model(
+    source: str | Path | TriangleMesh,
+    *,
+    name: str | None = None,
+    spacing: float | None = None,
+    points: int = 500,
+    seed: int = 0,
+    scale: float = 1.0,
+    symmetries: Symmetries | None = None,
+    cache_dir: Path | None = None,
+    progress: Progress | None = None,
+) -> ObjectModel:
+    """Model of the object that a triangle mesh shows, in the mesh's frame; float32 on the CPU.
+
+    Args:
+        source: a file, or a mesh.
+        name: what users call it; by default the file's.
+        spacing: of the tabulated SDF, metres; by default from the thinnest wall.
+        points: number of surface points.
+        seed: of the surface points.
+        scale: metres that one unit of the mesh is.
+        symmetries: rotations that leave it as it is; by default those that are found on its surface.
+        cache_dir: folder to keep the table in; None keeps nothing.
+        progress: called with what is done and how much of it, from 0 to 1.
+
+    Raises:
+        sdf.mesh.MeshError: if the mesh cannot be used.
+    """
+    if isinstance(source, str | Path):
+        mesh, name = load_mesh(source, scale=scale), name or Path(source).stem
+    else:
+        mesh = source.scaled(scale)
+    exact = MeshSDF(mesh)
+    table = from_mesh(exact, spacing=spacing, cache_dir=cache_dir, progress=progress)
+    generator = torch.Generator().manual_seed(seed)
+    surface_points, surface_normals = sample_triangles(exact.repair.surface, points, generator=generator)
+    if symmetries is None:
+        many, _ = sample_triangles(exact.repair.surface, _LOOKED_AT, generator=generator)
+        symmetries = find_symmetries(table, many).symmetries
+    return ObjectModel(
+        name or "mesh",
+        exact,
+        table,
+        surface_points.float(),
+        surface_normals.float(),
+        symmetries.to(torch.float32),
+    )

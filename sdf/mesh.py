@@ -1,0 +1,144 @@
+"""Triangle meshes: what they hold, and how they are read from a file."""
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from sdf import se3
+from sdf.check import check_shape
+
+SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
+# of the diagonal: vertices that agree to this are one; three coordinates of so many bits fit one integer
+_MERGE_BITS = 21
+
+
+class MeshError(ValueError):
+    """A mesh that cannot be used: the message says what came, what was expected and what to do."""
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """A surface of triangles, in the object's own frame.
+
+    Attributes:
+        vertices: (V, 3), metres, float64.
+        faces: (F, 3), int64, indices of vertices, counter-clockwise from outside.
+    """
+
+    vertices: Float[Tensor, "V 3"]
+    faces: Int[Tensor, "F 3"]
+
+    def __post_init__(self) -> None:
+        check_shape("vertices", self.vertices, "(V, 3)")
+        check_shape("faces", self.faces, "(F, 3)")
+        object.__setattr__(self, "vertices", self.vertices.detach().double().cpu())
+        object.__setattr__(self, "faces", self.faces.detach().long().cpu())
+        if len(self.vertices) == 0 or len(self.faces) == 0:
+            raise MeshError(f"Expected vertices and faces, got {len(self.vertices)} and {len(self.faces)}")
+        bad = int((~torch.isfinite(self.vertices)).any(-1).sum())
+        if bad:
+            raise MeshError(
+                f"Expected finite vertices, got {bad} of {len(self.vertices)} with NaN or infinity: export the mesh "
+                "again, or remove them"
+            )
+        low, high = int(self.faces.min()), int(self.faces.max())
+        if low < 0 or high >= len(self.vertices):
+            raise MeshError(f"Expected faces of vertices 0 to {len(self.vertices) - 1}, got {low} to {high}")
+
+    @property
+    def corners(self) -> Float[Tensor, "F 3 3"]:
+        """Corner points of each face, metres."""
+        return self.vertices[self.faces]
+
+    @property
+    def bounds(self) -> Float[Tensor, "2 3"]:
+        """Lower and upper corner of what the faces use, metres."""
+        used = self.vertices[self.faces.unique()]
+        return torch.stack((used.amin(0), used.amax(0)))
+
+    @property
+    def diagonal(self) -> float:
+        """Length of the bounding box's diagonal, metres."""
+        low, high = self.bounds
+        return float((high - low).norm())
+
+    def scaled(self, scale: float) -> Self:
+        """The mesh so many times as large."""
+        if not scale > 0:
+            raise ValueError(f"Expected a scale above 0, got {scale}")
+        return replace(self, vertices=self.vertices * scale)
+
+    def moved(self, new_T_old: Float[Tensor, "4 4"]) -> Self:
+        """The mesh in another frame."""
+        return replace(self, vertices=se3.apply(new_T_old.double().cpu(), self.vertices))
+
+
+def load_mesh(path: str | Path, *, scale: float = 1.0) -> TriangleMesh:
+    """Read a mesh; all its parts together, vertices that lie on each other merged.
+
+    Args:
+        path: of a file with one of the endings in `SUFFIXES`.
+        scale: metres that one unit of the file is, such as 0.001 for millimetres.
+
+    Raises:
+        MeshError: if there is no such file, or no mesh in it.
+        ModuleNotFoundError: without trimesh.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise MeshError(f"Expected a mesh ending in {', '.join(SUFFIXES)}, got {path}")
+    if not path.is_file():
+        what = "a folder" if path.is_dir() else "no such file"
+        raise MeshError(f"Expected a mesh in {path}, got {what}")
+    if path.stat().st_size == 0:
+        raise MeshError(f"Expected a mesh in {path}, got an empty file")
+    vertices, faces = _read(path)
+    try:
+        mesh = TriangleMesh(torch.from_numpy(vertices), torch.from_numpy(faces))
+    except MeshError as error:
+        raise MeshError(f"{path}: {error}") from None
+    return merged(mesh).scaled(scale)
+
+
+def merged(mesh: TriangleMesh) -> TriangleMesh:
+    """The same surface with vertices that agree to half a millionth of the diagonal made one, unused ones left out.
+
+    Files store a vertex once for each texture or normal that it has; without this their seams look like cuts.
+    """
+    used, faces = mesh.faces.unique(return_inverse=True)
+    vertices = mesh.vertices[used]
+    low = vertices.amin(0)
+    step = max(float((vertices.amax(0) - low).norm()), 1e-300) / ((1 << _MERGE_BITS) - 1)
+    cell = ((vertices - low) / step).round().long()
+    key = (cell[:, 0] << (2 * _MERGE_BITS)) | (cell[:, 1] << _MERGE_BITS) | cell[:, 2]
+    _, first, which = np.unique(key.numpy(), return_index=True, return_inverse=True)
+    return TriangleMesh(vertices[torch.from_numpy(first)], torch.from_numpy(which.reshape(-1))[faces])
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and triangles of all that is in a file."""
+    import trimesh
+
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs what is raised here
+    try:
+        loaded: Any = trimesh.load(path, process=False, skip_materials=True)
+        if isinstance(loaded, trimesh.Scene):
+            loaded = loaded.to_geometry() if loaded.geometry else None
+    except Exception as error:  # whatever its parsers stumble over
+        raise MeshError(f"Expected a mesh in {path}, could not read it as {path.suffix.lower()}: {error}") from error
+    vertices = np.asarray(getattr(loaded, "vertices", np.empty((0, 3))), dtype=np.float64)
+    faces = getattr(loaded, "faces", None)
+    if faces is None or len(faces) == 0:
+        if len(vertices):
+            raise MeshError(
+                f"Expected a mesh in {path}, got a cloud of {len(vertices)} points without faces: reconstruct its "
+                "surface first"
+            )
+        raise MeshError(f"Expected a mesh in {path}, found no vertices in it: is it what its ending says?")
+    return vertices.reshape(-1, 3).copy(), np.array(faces, dtype=np.int64)

@@ -1,0 +1,56 @@
+"""The exact signed distance function of a triangle mesh."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sdf.base import SDF
+from sdf.mesh import TriangleMesh
+from sdf.primitives import object_points
+from sdf.repair import Repaired, repaired
+from sdf.triangles import nearest, winding_number
+
+# metres: nearer than this, the direction to the surface is the triangle's normal rather than a quotient of roundings
+_ON = 1e-9
+
+
+class MeshSDF(SDF):
+    """Signed distance of a mesh: distance to the nearest triangle, inside where it winds more than half about a point.
+
+    The mesh is put right first (`sdf.repair`), so that it may be open, overlapping or badly oriented. Distances are
+    worked out in float64; autograd reaches the points. A point that is not finite counts as very far outside.
+
+    Args:
+        mesh: as it came.
+        repair: what putting it right gave, if that is known.
+    """
+
+    def __init__(self, mesh: TriangleMesh, *, repair: Repaired | None = None) -> None:
+        super().__init__(mesh.bounds.to(torch.get_default_dtype()))
+        self.mesh = mesh
+        self.repair = repaired(mesh) if repair is None else repair
+
+    @property
+    def solid(self) -> TriangleMesh:
+        """The mesh put right: oriented outward, openings closed."""
+        return self.repair.solid
+
+    def distance(self, points_o: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+        """Signed distance (*b), metres; the derivative to the points is the unit vector away from the surface."""
+        points = object_points(points_o).double()
+        with torch.no_grad():
+            found = nearest(points, self.repair.surface)
+            side = torch.where(winding_number(points, self.repair.windings) > 0.5, -1.0, 1.0).to(points)
+        offset = points - found.point
+        squared = offset.square().sum(-1)
+        off = squared > _ON**2
+        normal = self.repair.surface.normals.to(points.device)[found.face]
+        on_plane = (offset * normal).sum(-1)
+        away = side * torch.where(off, squared, torch.ones_like(squared)).sqrt()
+        return torch.where(off, away, on_plane).to(points_o.dtype)
+
+    def __deepcopy__(self, memo: dict[int, object]) -> "MeshSDF":
+        """Another with bounds of its own; the mesh itself never changes and is shared."""
+        other = MeshSDF(self.mesh, repair=self.repair)
+        other.bounds = self.bounds.clone()
+        return other
