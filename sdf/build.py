@@ -1,14 +1,32 @@
 """A table of signed distances from a triangle mesh."""
 
-from collections.abc import Callable
+import logging
 from pathlib import Path
 
-from sdf.grid_sdf import GridSDF
-from sdf.mesh import TriangleMesh, load_mesh
-from sdf.mesh_sdf import MeshSDF
+import torch
 
-Progress = Callable[[str, float], None]
-"""Called with what is being done and how much of it is, from 0 to 1."""
+from sdf.cache import content_key, load_table, save_table
+from sdf.fill import Progress, inside_nodes, unsigned_distances
+from sdf.grid_sdf import GridSDF, lattice_about
+from sdf.mesh import MeshError, TriangleMesh, check_size, load_mesh
+from sdf.mesh_sdf import MeshSDF
+from sdf.walls import thinnest_wall
+
+VERSION = 1
+"""Of the tables' contents: raise it when the same mesh gives other numbers."""
+
+SPACING_M = 0.002
+"""The widest spacing that is chosen by itself."""
+
+MOST_BYTES = 128 << 20
+"""What a table takes at most, unless told otherwise."""
+
+# metres: no finer than this by itself; and of the diagonal: no wider
+_FINEST, _STEPS = 0.0005, 1.0 / 50.0
+# nodes: a larger table is exact only near the surface, unless told otherwise; and how near, metres
+_MANY, _BAND = 8_000_000, 0.02
+
+_logger = logging.getLogger(__name__)
 
 
 def from_mesh(
@@ -17,11 +35,114 @@ def from_mesh(
     spacing: float | None = None,
     padding: float = 0.02,
     scale: float = 1.0,
-    cache_dir: Path | None = None,
+    band: float | None = None,
+    most_bytes: int = MOST_BYTES,
+    cache_dir: str | Path | None = None,
     progress: Progress | None = None,
 ) -> GridSDF:
-    """Tabulate the signed distances of a mesh, float32."""
+    """Tabulate the signed distances of a mesh, float32 on the CPU.
+
+    The mesh may be open, overlapping or badly oriented (`sdf.repair`, which `sdf.mesh_report` tells about). Beyond the
+    padding the table goes on with cells of 20 mm, as `GridSDF.from_sdf` says.
+
+    Args:
+        source: a file (.obj, .stl, .ply, .off, .glb), a mesh, or its exact SDF.
+        spacing: of the fine part, metres. By default half of the thinnest wall, at most 2 mm and 1/50 of the diagonal
+            and at least 0.5 mm, but as wide as the bytes allow.
+        padding: metres of fine lattice beyond the mesh.
+        scale: metres that one unit of the file or mesh is.
+        band: metres from the surface within which distances are exact; beyond, they are interpolated between nodes
+            four times as far apart, the sign is right, and the error is below 2 % of the distance or so. By default
+            everywhere in a table of up to 8 million nodes, and 20 mm in a larger one.
+        most_bytes: that the table may take.
+        cache_dir: folder to keep the table in, by the content of the file or mesh; None keeps nothing.
+        progress: called with what is being done and how much of it is done, from 0 to 1.
+
+    Raises:
+        sdf.mesh.MeshError: if the mesh cannot be used, or the table would be too large.
+    """
+    if spacing is not None and not spacing > 0:
+        raise ValueError(f"Expected a spacing above 0, got {spacing}")
+    if padding < 0 or (band is not None and band < 0):
+        raise ValueError(f"Expected padding and band not below 0, got {padding} and {band}")
+    path = None
+    if cache_dir is not None:
+        asked = repr((VERSION, spacing, float(padding), float(scale), band, most_bytes))
+        path = Path(cache_dir) / f"mesh-{content_key(asked, *_content(source))}.npz"
+        kept = load_table(path)
+        if kept is not None:
+            return kept
+    shape = _shape(source, scale)
+    table = _build(shape, spacing, padding, band, most_bytes, progress)
+    if path is not None:
+        save_table(path, table)
+    return table
+
+
+def choose_spacing(shape: MeshSDF, padding: float = 0.02, most_bytes: int = MOST_BYTES) -> float:
+    """The spacing, metres, that a mesh is tabulated with unless it is given."""
+    diagonal = shape.mesh.diagonal
+    wall = thinnest_wall(shape.repair.surface, diagonal)
+    wanted = min(SPACING_M, _STEPS * diagonal, *([] if wall is None else [0.5 * wall]))
+    spacing = max(wanted, _FINEST)
+    while _bytes(shape, spacing, padding) > most_bytes:
+        spacing *= 1.05
+    if wall is not None and spacing > 0.5 * wall * 1.001:
+        _logger.warning(
+            "walls of %.2g mm are lost in a table with a node every %.2g mm: give a spacing of %.2g m",
+            1e3 * wall,
+            1e3 * spacing,
+            0.5 * wall,
+        )
+    return spacing
+
+
+def _build(
+    shape: MeshSDF, spacing: float | None, padding: float, band: float | None, most: int, progress: Progress | None
+) -> GridSDF:
+    if spacing is None:
+        check_size(shape.mesh)
+        spacing = choose_spacing(shape, padding, most)
+    size = _bytes(shape, spacing, padding)
+    if size > most:
+        raise MeshError(
+            f"Expected a table of at most {most / 2**20:.0f} MiB, a spacing of {spacing:g} m would take "
+            f"{size / 2**20:.3g} MiB: widen the spacing, or raise most_bytes; or is the mesh not in metres (scale)?"
+        )
+    lattice = lattice_about(shape.mesh.bounds, spacing, padding)
+    if band is None and size > 4 * _MANY:
+        band = _BAND
+    distance = unsigned_distances(lattice, shape.repair.surface, band, progress)
+    inside = inside_nodes(lattice, shape.repair, shape.mesh.bounds, distance, progress)
+    distance[inside] *= -1.0
+    return GridSDF.on_lattice(torch.from_numpy(distance), lattice, shape.mesh.bounds.float())
+
+
+def _bytes(shape: MeshSDF, spacing: float, padding: float) -> int:
+    """What a table takes, from sizes alone."""
+    extent = (shape.mesh.bounds[1] - shape.mesh.bounds[0] + 2.0 * padding).tolist()
+    nodes = 4
+    for length in extent:
+        nodes *= int(length / spacing) + 2 + 2 * lattice_about(torch.zeros(2, 3), 1.0, 0.0).outer
+    return nodes
+
+
+def _shape(source: str | Path | TriangleMesh | MeshSDF, scale: float) -> MeshSDF:
+    if isinstance(source, MeshSDF):
+        if scale != 1.0:
+            raise ValueError("Expected a scale of 1 with a MeshSDF, which has its size already")
+        return source
     if isinstance(source, str | Path):
-        source = load_mesh(source)
-    shape = source if isinstance(source, MeshSDF) else MeshSDF(source.scaled(scale))
-    return GridSDF.from_sdf(shape, spacing or 0.002, padding)
+        return MeshSDF(load_mesh(source, scale=scale))
+    return MeshSDF(source.scaled(scale))
+
+
+def _content(source: str | Path | TriangleMesh | MeshSDF) -> tuple[bytes, ...]:
+    """What the table depends on: of a file its bytes, so that it need not be understood to find its table."""
+    if isinstance(source, str | Path):
+        path = Path(source)
+        if not path.is_file():
+            load_mesh(path)  # says what is wrong
+        return path.suffix.lower().encode(), path.read_bytes()
+    mesh = source.mesh if isinstance(source, MeshSDF) else source
+    return b"mesh", mesh.vertices.numpy().tobytes(), mesh.faces.numpy().tobytes()

@@ -1,7 +1,7 @@
 """A signed distance function tabulated on a lattice: what estimation looks up millions of times."""
 
 import math
-from typing import Self
+from typing import NamedTuple, Self
 
 import torch
 from jaxtyping import Float
@@ -95,30 +95,25 @@ class GridSDF(SDF):
         Raises:
             ValueError: if the SDF gives a distance that is not finite.
         """
-        if not spacing > 0 or padding < 0 or outer < 0:
-            raise ValueError(f"Expected spacing > 0, padding >= 0, outer >= 0, got {spacing}, {padding}, {outer}")
-        corners = sdf.bounds.double().cpu()
-        low, high = (corners[0] - padding).tolist(), (corners[1] + padding).tolist()
-        wide = max(outer_spacing, spacing)
-        count = _whole(outer / wide)
-        beyond = wide * torch.arange(1, count + 1, dtype=torch.float64)
-        axes = []
-        for start, end in zip(low, high, strict=True):
-            fine = start + spacing * torch.arange(max(_whole((end - start) / spacing), 1) + 1, dtype=torch.float64)
-            axes.append(torch.cat((start - beyond.flip(0), fine, fine[-1] + beyond)).to(sdf.bounds))
+        lattice = lattice_about(sdf.bounds, spacing, padding, outer=outer, outer_spacing=outer_spacing)
+        axes = [axis.to(sdf.bounds) for axis in lattice.axes]
         nodes = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1)
         with torch.no_grad():
             values = torch.cat([sdf.distance(part) for part in nodes.reshape(-1, 3).split(_CHUNK)])
         if not bool(torch.isfinite(values).all()):
             raise ValueError(f"Expected finite distances from {type(sdf).__name__}, got NaN or infinity")
-        start_x, start_y, start_z = low
+        return cls.on_lattice(values.reshape(nodes.shape[:-1]), lattice, sdf.bounds.clone())
+
+    @classmethod
+    def on_lattice(cls, values: Float[Tensor, "X Y Z"], lattice: "Lattice", bounds: Float[Tensor, "2 3"]) -> Self:
+        """From distances, metres, at the nodes of a lattice about an object's bounds."""
         return cls(
-            values.reshape(nodes.shape[:-1]),
-            (start_x, start_y, start_z),
-            spacing,
-            sdf.bounds.clone(),
-            outer=count,
-            outer_spacing=wide,
+            values,
+            lattice.origin,
+            lattice.spacing,
+            bounds,
+            outer=lattice.outer,
+            outer_spacing=lattice.outer_spacing,
         )
 
     def distance(self, points_o: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
@@ -231,6 +226,42 @@ class GridSDF(SDF):
             for slope, offset, chain in zip(slopes, offsets, chains, strict=True)
         ]
         return SDFQuery(distance, torch.stack(gradient, dim=-1))
+
+
+class Lattice(NamedTuple):
+    """Where the nodes of a table are.
+
+    Attributes:
+        axes: along x, y and z, metres, float64.
+        origin: metres, the lower corner of the fine part.
+        spacing: of the fine part, metres.
+        outer: number of wide cells on every side.
+        outer_spacing: their width, metres.
+    """
+
+    axes: tuple[Float[Tensor, "X"], Float[Tensor, "Y"], Float[Tensor, "Z"]]
+    origin: tuple[float, float, float]
+    spacing: float
+    outer: int
+    outer_spacing: float
+
+
+def lattice_about(
+    bounds: Float[Tensor, "2 3"], spacing: float, padding: float, *, outer: float = 0.25, outer_spacing: float = 0.02
+) -> Lattice:
+    """The lattice of `GridSDF.from_sdf`, which says what the arguments mean."""
+    if not spacing > 0 or padding < 0 or outer < 0:
+        raise ValueError(f"Expected spacing > 0, padding >= 0, outer >= 0, got {spacing}, {padding}, {outer}")
+    corners = bounds.double().cpu()
+    low, high = (corners[0] - padding).tolist(), (corners[1] + padding).tolist()
+    wide = max(outer_spacing, spacing)
+    count = _whole(outer / wide)
+    beyond = wide * torch.arange(1, count + 1, dtype=torch.float64)
+    axes = []
+    for start, end in zip(low, high, strict=True):
+        fine = start + spacing * torch.arange(max(_whole((end - start) / spacing), 1) + 1, dtype=torch.float64)
+        axes.append(torch.cat((start - beyond.flip(0), fine, fine[-1] + beyond)))
+    return Lattice((axes[0], axes[1], axes[2]), (low[0], low[1], low[2]), spacing, count, wide)
 
 
 def _whole(ratio: float) -> int:

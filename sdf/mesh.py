@@ -14,6 +14,10 @@ from sdf import se3
 from sdf.check import check_shape
 
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
+SMALLEST_M, LARGEST_M = 0.003, 5.0
+"""Diagonals of the meshes that are taken for what they say."""
+
+_UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "kilometres": 1000.0}
 # of the diagonal: vertices that agree to this are one; three coordinates of so many bits fit one integer
 _MERGE_BITS = 21
 
@@ -104,6 +108,23 @@ def load_mesh(path: str | Path, *, scale: float = 1.0) -> TriangleMesh:
     except MeshError as error:
         raise MeshError(f"{path}: {error}") from None
     return merged(mesh).scaled(scale)
+
+
+def check_size(mesh: TriangleMesh) -> None:
+    """Refuse a mesh that is no object of a table-top in metres.
+
+    Raises:
+        MeshError: with the scale that would make it one.
+    """
+    size = mesh.diagonal
+    if SMALLEST_M <= size <= LARGEST_M:
+        return
+    fits = [f"{name} ({scale:g})" for name, scale in _UNITS.items() if 0.01 <= scale * size <= 1.0]
+    guess = f"it looks as if it were in {' or '.join(fits)}" if fits else "what unit is it in?"
+    raise MeshError(
+        f"Expected a mesh in metres between {SMALLEST_M:g} and {LARGEST_M:g} m across, got {size:.4g} m: {guess}; "
+        "say how many metres a unit is (scale=..., on the command line --scale ...), or give a spacing if it is right"
+    )
 
 
 def merged(mesh: TriangleMesh) -> TriangleMesh:

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf.base import SDF
-from sdf.build import Progress, from_mesh
+from sdf.build import from_mesh
+from sdf.fill import Progress
 from sdf.find_symmetry import find_symmetries
 from sdf.grid_sdf import GridSDF
 from sdf.mesh import TriangleMesh, load_mesh

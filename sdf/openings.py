@@ -12,6 +12,7 @@ from sdf.triangles import Triangles, nearest, winding_number
 _LEAST, _MOST = 0.1, 0.9
 # of the opening's width: a fan that lies on the surface closes nothing, the surface was in pieces
 _CLEAR = 1e-3
+_MOST_EDGES = 300_000
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,9 @@ def close_openings(vertices: np.ndarray, faces: np.ndarray) -> Closed:
         faces: (F, 3), each with three different corners, neighbours agreeing on which side is out.
     """
     rings = open_rings(faces)
+    if rings is None:
+        width = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        return Closed(vertices, faces, False, (Opening(_MOST_EDGES, width, False),))
     if not rings:
         return Closed(vertices, faces, True, ())
     fans, middles, owner = [], [], []
@@ -82,12 +86,17 @@ def close_openings(vertices: np.ndarray, faces: np.ndarray) -> Closed:
     return Closed(every, np.concatenate((faces, kept)), bool(good.all()), openings)
 
 
-def open_rings(faces: np.ndarray) -> list[np.ndarray]:
-    """Closed ways along the edges that faces leave open, in the direction that the faces go along them."""
+def open_rings(faces: np.ndarray) -> list[np.ndarray] | None:
+    """Closed ways along the edges that faces leave open, in the direction that the faces go along them.
+
+    None if there are more open edges than a surface has: these are loose triangles.
+    """
     edges = edge_table(faces)
     net = np.bincount(edges.which, edges.forward).astype(np.int64)
     count = np.abs(net)
     which = np.repeat(np.arange(len(net)), count)
+    if len(which) > _MOST_EDGES:
+        return None
     if len(which) == 0:
         return []
     ahead = net[which] > 0

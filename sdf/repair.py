@@ -32,6 +32,7 @@ class Repaired:
         orientation: parts and faces turned.
         openings: each opening, closed or not.
         hidden_share: share of the area that lies inside of other parts.
+        detail: metres to which the surface is cut where parts meet; 0 where none do.
         volume: enclosed, cubic metres; overlaps count as often as they wind.
     """
 
@@ -44,6 +45,7 @@ class Repaired:
     orientation: Orientation
     openings: tuple[Opening, ...]
     hidden_share: float
+    detail: float
     volume: float
 
 
@@ -73,7 +75,7 @@ def repaired(mesh: TriangleMesh) -> Repaired:
             f"{1e3 * mesh.diagonal:.3g} mm: is it a sheet, or are its parts turned inside out?"
         )
     solids = Triangles(corners[size > 0])
-    surface, hidden = outer_surface(solids)
+    surface, hidden, detail = outer_surface(solids)
     return Repaired(
         solid,
         solids,
@@ -84,6 +86,7 @@ def repaired(mesh: TriangleMesh) -> Repaired:
         orientation,
         whole.openings,
         hidden,
+        detail,
         volume,
     )
 

@@ -1,0 +1,91 @@
+"""Arrays kept on disk: written aside and renamed, never pickled, worked out again where they cannot be read."""
+
+import hashlib
+import logging
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from sdf.grid_sdf import GridSDF
+
+_TABLE = ("values", "origin", "spacing", "bounds", "outer", "outer_spacing")
+
+_logger = logging.getLogger(__name__)
+
+
+def content_key(*parts: bytes | str) -> str:
+    """A name for what depends on these parts alone."""
+    digest = hashlib.sha256()
+    for part in parts:
+        content = part.encode() if isinstance(part, str) else part
+        digest.update(len(content).to_bytes(8, "little"))
+        digest.update(content)
+    return digest.hexdigest()[:24]
+
+
+def load_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | None:
+    """Arrays of a file; None if there is no such file, or with a warning if it is not what was written there."""
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in names}
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        _logger.warning("%s cannot be read (%s): working it out again", path, error)
+        return None
+
+
+def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write arrays so that a reader never sees half a file, whoever else writes it meanwhile."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, **dict(arrays))
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def load_table(path: Path) -> GridSDF | None:
+    """A tabulated SDF that `save_table` wrote; None if there is none, or with a warning if it is not one."""
+    arrays = load_arrays(path, _TABLE)
+    if arrays is None:
+        return None
+    try:
+        values = torch.from_numpy(arrays["values"])
+        if values.dtype != torch.float32 or not bool(torch.isfinite(values).all()):
+            raise ValueError("its values are no finite numbers")
+        x, y, z = arrays["origin"].tolist()
+        return GridSDF(
+            values,
+            (x, y, z),
+            float(arrays["spacing"]),
+            torch.from_numpy(arrays["bounds"]),
+            outer=int(arrays["outer"]),
+            outer_spacing=float(arrays["outer_spacing"]),
+        )
+    except (ValueError, TypeError) as error:
+        _logger.warning("%s holds no table of distances (%s): working it out again", path, error)
+        return None
+
+
+def save_table(path: Path, table: GridSDF) -> None:
+    """Write a tabulated SDF."""
+    save_arrays(
+        path,
+        {
+            "values": table.values.numpy(),
+            "origin": np.array(table.origin),
+            "spacing": np.array(table.spacing),
+            "bounds": table.bounds.numpy(),
+            "outer": np.array(table.outer),
+            "outer_spacing": np.array(table.outer_spacing),
+        },
+    )
