@@ -9,7 +9,7 @@ from rumi.errors import DegenerateBeliefError, UsageError
 
 DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-COMMANDS = ("tasks", "run", "plot", "bench")
+COMMANDS = ("tasks", "run", "plot", "bench", "mesh")
 EXTRAS = {
     "mujoco": "sim",
     "pytorch_kinematics": "robot",
@@ -17,6 +17,7 @@ EXTRAS = {
     "PIL": "plot",
     "contourpy": "plot",
     "trimesh": "mesh",
+    "scipy": "mesh",
 }
 """Which extra brings a package that may be missing."""
 
@@ -27,6 +28,7 @@ usage: rumi tasks                  what there is to find
        rumi run TASK [options]     find it, in simulation
        rumi plot RUN [options]     draw the figures of a run again
        rumi bench [options]        time the work, against others' and against the targets
+       rumi mesh FILE [options]    what a triangle mesh is like, and what is wrong with it
        rumi --version
 
        rumi run --help             all settings, with their defaults

@@ -135,6 +135,13 @@ def bench(arguments: Sequence[str]) -> int:
     return command.bench(arguments, cache_dir=cache_folder())
 
 
+def mesh(arguments: Sequence[str]) -> int:
+    """`rumi mesh`: what a mesh is like."""
+    from rumi import mesh_command
+
+    return mesh_command.mesh(arguments)
+
+
 def parse_run(arguments: Sequence[str]) -> RunOptions:
     """Options of `rumi run`; the settings start from the preset that is asked for.
 

@@ -23,8 +23,8 @@ MOST_BYTES = 128 << 20
 
 # metres: no finer than this by itself; and of the diagonal: no wider
 _FINEST, _STEPS = 0.0005, 1.0 / 50.0
-# nodes: a larger table is exact only near the surface, unless told otherwise; and how near, metres
-_MANY, _BAND = 8_000_000, 0.02
+# nodes and faces: a table of more is exact only near the surface, unless told otherwise; and how near, metres
+_MANY, _MANY_FACES, _BAND = 8_000_000, 200_000, 0.02
 
 _logger = logging.getLogger(__name__)
 
@@ -52,8 +52,8 @@ def from_mesh(
         padding: metres of fine lattice beyond the mesh.
         scale: metres that one unit of the file or mesh is.
         band: metres from the surface within which distances are exact; beyond, they are interpolated between nodes
-            four times as far apart, the sign is right, and the error is below 2 % of the distance or so. By default
-            everywhere in a table of up to 8 million nodes, and 20 mm in a larger one.
+            four times as far apart: the sign is right, and the error some hundredths of the distance at most. By
+            default everywhere in a table of up to 8 million nodes of up to 200 000 faces, else 20 mm.
         most_bytes: that the table may take.
         cache_dir: folder to keep the table in, by the content of the file or mesh; None keeps nothing.
         progress: called with what is being done and how much of it is done, from 0 to 1.
@@ -72,7 +72,11 @@ def from_mesh(
         kept = load_table(path)
         if kept is not None:
             return kept
+    if progress is not None:
+        progress("mesh", 0.0)
     shape = _shape(source, scale)
+    if progress is not None:
+        progress("mesh", 1.0)
     table = _build(shape, spacing, padding, band, most_bytes, progress)
     if path is not None:
         save_table(path, table)
@@ -110,7 +114,7 @@ def _build(
             f"{size / 2**20:.3g} MiB: widen the spacing, or raise most_bytes; or is the mesh not in metres (scale)?"
         )
     lattice = lattice_about(shape.mesh.bounds, spacing, padding)
-    if band is None and size > 4 * _MANY:
+    if band is None and (size > 4 * _MANY or len(shape.mesh.faces) > _MANY_FACES):
         band = _BAND
     distance = unsigned_distances(lattice, shape.repair.surface, band, progress)
     inside = inside_nodes(lattice, shape.repair, shape.mesh.bounds, distance, progress)

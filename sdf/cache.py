@@ -7,6 +7,7 @@ import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -42,11 +43,12 @@ def load_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | Non
 
 def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write arrays so that a reader never sees half a file, whoever else writes it meanwhile."""
+    named: Any = dict(arrays)  # else they are checked against options of the function
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".tmp")
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez(file, **dict(arrays))
+            np.savez(file, **named)
         os.replace(name, path)
     except BaseException:
         Path(name).unlink(missing_ok=True)

@@ -1,5 +1,7 @@
 """Triangle meshes: what they hold, and how they are read from a file."""
 
+import contextlib
+import itertools
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -142,6 +144,24 @@ def merged(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(vertices[torch.from_numpy(first)], torch.from_numpy(which.reshape(-1))[faces])
 
 
+def read_off(text: str) -> tuple[list[list[float]], list[list[int]]]:
+    """Vertices and triangles of an OFF file that stricter readers refuse: comments anywhere, numbers of any kind.
+
+    Faces of more corners become fans.
+    """
+    lines = [words for line in text.splitlines() if (words := line.partition("#")[0].split())]
+    if lines and lines[0][0].upper() == "OFF":
+        lines[0] = lines[0][1:]
+        lines = lines if lines[0] else lines[1:]
+    count, polygons = (int(float(word)) for word in lines[0][:2])
+    vertices = [[float(word) for word in words[:3]] for words in lines[1 : 1 + count]]
+    faces = []
+    for words in lines[1 + count : 1 + count + polygons]:
+        corners = [int(float(word)) for word in words[1 : 1 + int(float(words[0]))]]
+        faces += [[corners[0], a, b] for a, b in itertools.pairwise(corners[1:])]
+    return vertices, faces
+
+
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles of all that is in a file."""
     import trimesh
@@ -152,7 +172,17 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
         if isinstance(loaded, trimesh.Scene):
             loaded = loaded.to_geometry() if loaded.geometry else None
     except Exception as error:  # whatever its parsers stumble over
+        if path.suffix.lower() == ".off":
+            with contextlib.suppress(ValueError, IndexError):
+                vertices, faces = read_off(path.read_text(errors="replace"))
+                loaded = trimesh.Trimesh(vertices, faces, process=False)
+                return _arrays(loaded, path)
         raise MeshError(f"Expected a mesh in {path}, could not read it as {path.suffix.lower()}: {error}") from error
+    return _arrays(loaded, path)
+
+
+def _arrays(loaded: Any, path: Path) -> tuple[np.ndarray, np.ndarray]:  # noqa: ANN401  (trimesh comes without types)
+    """Vertices and triangles of what trimesh gave."""
     vertices = np.asarray(getattr(loaded, "vertices", np.empty((0, 3))), dtype=np.float64)
     faces = getattr(loaded, "faces", None)
     if faces is None or len(faces) == 0:

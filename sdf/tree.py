@@ -14,8 +14,8 @@ _MOST_PIECES = 1 << 17
 class Tree(NamedTuple):
     """A complete binary tree: node 1 is the root, nodes 2 i and 2 i + 1 are the children of node i.
 
-    Leaf number j of 2^depth holds pieces floor(j P / 2^depth) up to the same of j + 1. A triangle that is long for
-    the size of the whole has several pieces.
+    Leaf number j holds pieces j L up to (j + 1) L, L of them each. A triangle that is long for the size of the whole
+    has several pieces, and some pieces may be mere points.
 
     Attributes:
         corners: (P, 9), metres, of the pieces.
@@ -47,36 +47,32 @@ def build_tree(corners: np.ndarray) -> Tree:
         corners: (F, 3, 3), metres.
     """
     pieces, owner = split_long(corners, _LONGEST * float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), 0))))
-    count = len(pieces)
-    depth = max(0, int(math.log2(count / _LEAF)))
-    order = _order(pieces, depth)
-    pieces, owner = pieces[order], owner[order]
-    boxes = np.zeros((2 << depth, 6))
-    dipoles = np.zeros((2 << depth, 7))
-    first = _starts(count, depth)[:-1]
-    leaves = slice(1 << depth, 2 << depth)
-    boxes[leaves, :3] = np.minimum.reduceat(pieces.min(1), first)
-    boxes[leaves, 3:] = np.maximum.reduceat(pieces.max(1), first)
-    vector = 0.5 * np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0])
+    depth = max(0, int(math.log2(len(pieces) / _LEAF)))
+    # leaves of one size: what is lacking are points, which are no nearer than what they lie on and wind about nothing
+    spare = -len(pieces) % (1 << depth)
+    points = np.broadcast_to(pieces[-1, 0], (spare, 3, 3))
+    pieces, owner = np.concatenate((pieces, points)), np.concatenate((owner, np.repeat(owner[-1:], spare)))
+    a, b, c = pieces[:, 0], pieces[:, 1], pieces[:, 2]
+    order = _order((a + b + c) / 3.0, depth)
+    a, b, c, owner = a[order], b[order], c[order], owner[order]
+    boxes, dipoles = np.zeros((2 << depth, 6)), np.zeros((2 << depth, 7))
+    vector = 0.5 * np.cross(b - a, c - a)
     # a hair of weight for pieces without area, so that a group of such has a centre
-    area = np.linalg.norm(vector, axis=1) + 1e-300
-    moments = np.concatenate((pieces.mean(1) * area[:, None], vector, area[:, None]), 1)
-    sums = np.zeros((2 << depth, 7))
-    sums[leaves] = np.add.reduceat(moments, first)
-    for level in reversed(range(depth)):
-        here = slice(1 << level, 2 << level)
-        left, right = slice(2 << level, 4 << level, 2), slice((2 << level) + 1, 4 << level, 2)
-        boxes[here, :3] = np.minimum(boxes[left, :3], boxes[right, :3])
-        boxes[here, 3:] = np.maximum(boxes[left, 3:], boxes[right, 3:])
-        sums[here] = sums[left] + sums[right]
-    dipoles[1:, :3] = sums[1:, :3] / sums[1:, 6:]
-    dipoles[1:, 3:6] = sums[1:, 3:6]
-    for level in range(depth + 1):
-        starts = _starts(count, level)
-        centre = np.repeat(dipoles[1 << level : 2 << level, :3], np.diff(starts), axis=0)
-        far = np.sqrt(((pieces - centre[:, None]) ** 2).sum(-1).max(-1))
-        dipoles[1 << level : 2 << level, 6] = np.maximum.reduceat(far, starts[:-1])
-    return Tree(np.ascontiguousarray(pieces.reshape(-1, 9)), owner, boxes, dipoles)
+    area = np.linalg.norm(vector, axis=1, keepdims=True) + 1e-300
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    sums = np.concatenate(((a + b + c) / 3.0 * area, vector, area), 1)
+    for level in reversed(range(depth + 1)):
+        here, groups = slice(1 << level, 2 << level), (1 << level, -1)
+        low, high = low.reshape(*groups, 3).min(1), high.reshape(*groups, 3).max(1)
+        sums = sums.reshape(*groups, 7).sum(1)
+        boxes[here] = np.concatenate((low, high), 1)
+        dipoles[here, :3], dipoles[here, 3:6] = sums[:, :3] / sums[:, 6:], sums[:, 3:6]
+        far = np.zeros(1 << level)
+        for corner in (a, b, c):
+            away = corner.reshape(*groups, 3) - dipoles[here, None, :3]
+            far = np.maximum(far, np.einsum("gpk,gpk->gp", away, away).max(1))
+        dipoles[here, 6] = np.sqrt(far)
+    return Tree(np.concatenate((a, b, c), 1), owner, boxes, dipoles)
 
 
 def split_long(corners: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -104,21 +100,13 @@ def split_long(corners: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndar
     return np.concatenate([part for part, _ in done]), np.concatenate([part for _, part in done])
 
 
-def _starts(count: int, level: int) -> np.ndarray:
-    """First piece of each node of a level, and the number of pieces."""
-    return np.arange((1 << level) + 1, dtype=np.int64) * count >> level
-
-
-def _order(pieces: np.ndarray, depth: int) -> np.ndarray:
-    """Pieces such that every node's are in a row."""
-    middle = pieces.mean(1)
-    order = np.arange(len(pieces))
+def _order(middle: np.ndarray, depth: int) -> np.ndarray:
+    """Pieces, a whole number for each leaf, such that every node's are in a row."""
+    order = np.arange(len(middle))
     for level in range(depth):
-        starts = _starts(len(pieces), level)
-        sizes = np.diff(starts)
-        low = np.minimum.reduceat(middle[order], starts[:-1])
-        high = np.maximum.reduceat(middle[order], starts[:-1])
-        axis = np.repeat((high - low).argmax(1), sizes)
-        node = np.repeat(np.arange(len(sizes)), sizes)
-        order = order[np.lexsort((middle[order, axis], node))]
+        groups = middle[order].reshape(1 << level, -1, 3)
+        axis = np.ptp(groups, axis=1).argmax(-1)
+        along = np.take_along_axis(groups, axis[:, None, None], 2)[..., 0]
+        half = np.argpartition(along, along.shape[1] // 2, axis=1)
+        order = np.take_along_axis(order.reshape(1 << level, -1), half, 1).reshape(-1)
     return order

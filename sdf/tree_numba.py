@@ -68,7 +68,8 @@ def _to_box(px, py, pz, boxes, node):
 @bare
 def _search(px, py, pz, corners, boxes, start, stack, gaps, found):
     """The nearest piece, given one to begin with."""
-    first_leaf, count = len(boxes) // 2, len(corners)
+    first_leaf = len(boxes) // 2
+    size = len(corners) // first_leaf
     best = _closest(px, py, pz, corners, start, np.inf, found)
     piece = start
     top = 1
@@ -96,7 +97,7 @@ def _search(px, py, pz, corners, boxes, start, stack, gaps, found):
         if node == 0:
             continue
         leaf = node - first_leaf
-        for at in range(leaf * count // first_leaf, (leaf + 1) * count // first_leaf):
+        for at in range(leaf * size, (leaf + 1) * size):
             gap = _closest(px, py, pz, corners, at, best, found)
             if gap < best:
                 best, piece = gap, at
@@ -135,7 +136,8 @@ def _solid_angle(px, py, pz, corners, at):
 
 @bare
 def _winding_at(px, py, pz, corners, dipoles, square, stack):
-    first_leaf, count = len(dipoles) // 2, len(corners)
+    first_leaf = len(dipoles) // 2
+    size = len(corners) // first_leaf
     angle, flux = 0.0, 0.0
     top = 1
     stack[0] = 1
@@ -151,7 +153,7 @@ def _winding_at(px, py, pz, corners, dipoles, square, stack):
             top += 2
         else:
             leaf = node - first_leaf
-            for at in range(leaf * count // first_leaf, (leaf + 1) * count // first_leaf):
+            for at in range(leaf * size, (leaf + 1) * size):
                 angle += _solid_angle(px, py, pz, corners, at)
     return (2.0 * angle + flux) / (4.0 * math.pi)
 

@@ -4,9 +4,6 @@ import hashlib
 import json
 import logging
 import math
-import os
-import tempfile
-import zipfile
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +15,7 @@ from torch import Tensor
 
 from rumi.fields.arm import Arm, ArmGeometry
 from sdf import se3
+from sdf.cache import load_arrays, save_arrays
 
 VERSION = 1
 """Of the table's contents: raise it when the same settings give other numbers."""
@@ -90,7 +88,7 @@ def reach_table(settings: ReachSettings, *, cache_dir: Path | None = None) -> Re
     table = _load(path, settings)
     if table is None:
         table = solve_table(settings)
-        _save(path, table)
+        save_arrays(path, {key: value.numpy() for key, value in table._asdict().items()})
     return table
 
 
@@ -188,28 +186,11 @@ def _key(settings: ReachSettings) -> str:
 
 
 def _load(path: Path, settings: ReachSettings) -> ReachTable | None:
-    if not path.exists():
+    arrays = load_arrays(path, ReachTable._fields)
+    if arrays is None:
         return None
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = [np.asarray(stored[name], dtype=np.float64) for name in ReachTable._fields]
-        for array in arrays:
-            if array.shape != table_shape(settings) or not np.isfinite(array).all():
-                raise ValueError(f"a table of shape {array.shape}")
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        _logger.warning("the reach table %s cannot be read (%s): solving it again", path, error)
-        return None
-    return ReachTable(*(torch.from_numpy(array) for array in arrays))
-
-
-def _save(path: Path, table: ReachTable) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # a reader never sees half a file: write beside it, then rename
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **{key: value.numpy() for key, value in table._asdict().items()})
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    for array in arrays.values():
+        if array.shape != table_shape(settings) or array.dtype != np.float64 or not np.isfinite(array).all():
+            _logger.warning("the reach table %s holds a table of shape %s: solving it again", path, array.shape)
+            return None
+    return ReachTable(*(torch.from_numpy(arrays[name]) for name in ReachTable._fields))
