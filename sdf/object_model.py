@@ -25,6 +25,27 @@ _LOOKED_AT = 3000  # surface points by which symmetries are found
 
 
 @dataclass(frozen=True)
+class MeshSource:
+    """Which mesh an object is, and how its frame lies in it.
+
+    Attributes:
+        file: name of the file, without its folder.
+        sha256: of the file's content.
+        faces: number of triangles.
+        scale: metres that one unit of the file is.
+        object_T_mesh: (4, 4), maps the scaled mesh's points to the object's frame, in which it stands.
+        upright: how it was found out which way is up.
+    """
+
+    file: str
+    sha256: str
+    faces: int
+    scale: float
+    object_T_mesh: Float[Tensor, "4 4"]
+    upright: str
+
+
+@dataclass(frozen=True)
 class ObjectModel:
     """Shape, surface samples and symmetries of one rigid object, in its own frame; metres.
 
@@ -35,6 +56,7 @@ class ObjectModel:
         surface_points: (S, 3), uniform by area.
         surface_normals: (S, 3), outward, unit.
         symmetries: rotations that leave the shape as it is.
+        source: the mesh file that it came from, if it did.
     """
 
     name: str
@@ -43,6 +65,16 @@ class ObjectModel:
     surface_points: Float[Tensor, "S 3"]
     surface_normals: Float[Tensor, "S 3"]
     symmetries: Symmetries
+    source: MeshSource | None = None
+
+    @property
+    def judge(self) -> SDF:
+        """What metrics look up: the exact SDF where that is a formula; a mesh's costs too much to ask at every step.
+
+        The table is off by a few tenths of a millimetre near the surface (`sdf.build`), where the metrics' tolerance is
+        millimetres.
+        """
+        return self.sdf if isinstance(self.exact, MeshSDF) else self.exact
 
     @property
     def diagonal(self) -> float:
@@ -120,7 +152,7 @@ def box_model(
 
 
 def mesh_model(
-    source: str | Path | TriangleMesh,
+    source: str | Path | TriangleMesh | MeshSDF,
     *,
     name: str | None = None,
     spacing: float | None = None,
@@ -134,7 +166,7 @@ def mesh_model(
     """Model of the object that a triangle mesh shows, in the mesh's frame; float32 on the CPU.
 
     Args:
-        source: a file, or a mesh.
+        source: a file, a mesh, or its exact SDF.
         name: what users call it; by default the file's.
         spacing: of the tabulated SDF, metres; by default from the thinnest wall.
         points: number of surface points.
@@ -150,8 +182,8 @@ def mesh_model(
     if isinstance(source, str | Path):
         mesh, name = load_mesh(source, scale=scale), name or Path(source).stem
     else:
-        mesh = source.scaled(scale)
-    exact = MeshSDF(mesh)
+        mesh = (source.mesh if isinstance(source, MeshSDF) else source).scaled(scale)
+    exact = source if isinstance(source, MeshSDF) and scale == 1.0 else MeshSDF(mesh)
     table = from_mesh(exact, spacing=spacing, cache_dir=cache_dir, progress=progress)
     generator = torch.Generator().manual_seed(seed)
     surface_points, surface_normals = sample_triangles(exact.repair.surface, points, generator=generator)

@@ -72,3 +72,15 @@ def turn_to_z(up: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
         line = torch.tensor((math.pi, 0.0, 0.0), dtype=up.dtype)
         return so3.exp(line if float(up[2]) < 0 else torch.zeros_like(line))
     return so3.exp(cross * (math.atan2(sine, float(up[2])) / sine))
+
+
+def center_of_mass(mesh: TriangleMesh) -> Float[Tensor, "3"]:
+    """Centre of what a closed, outward oriented mesh encloses, evenly dense; overlaps count as often as they wind.
+
+    Args:
+        mesh: encloses a volume.
+    """
+    middle = mesh.corners.mean((0, 1))
+    a, b, c = (mesh.corners - middle).unbind(-2)
+    volumes = (a * torch.linalg.cross(b, c)).sum(-1)
+    return middle + (volumes[:, None] * (a + b + c)).sum(0) / (4.0 * volumes.sum())

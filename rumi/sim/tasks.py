@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -84,7 +84,7 @@ class TaskSpec:
     motion_noise_rad: float = 0.0
     depth_noise_m: float = 0.0
     steps: int = 40
-    physics: PhysicsSettings = PhysicsSettings()
+    physics: PhysicsSettings = field(default_factory=PhysicsSettings)
 
 
 def large_handled_mug() -> ObjectModel:
