@@ -9,6 +9,8 @@ import torch
 from sdf.triangles import Triangles, winding_number
 
 _SAMPLES = 5
+# of the area to the power of 3/2: a part of less volume is flat
+_FLAT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ def oriented(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, Orien
     flip = flip ^ (turn_area > 0.5 * total_area)[part]
     flip[np.isin(part, one_sided)] = False
     result = np.where(flip[:, None], faces[:, ::-1], faces)
-    turned, cavities = _outward(vertices, result, part, parts)
+    turned, cavities = _outward(vertices, result, area, part, parts)
     result = np.where(turned[part][:, None], result[:, ::-1], result)
     return result, Orientation(parts, int(flip.sum()), int(turned.sum()), cavities, len(one_sided))
 
@@ -106,7 +108,9 @@ def _agreement(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return part, as_it_is != lead[part], one_sided
 
 
-def _outward(vertices: np.ndarray, faces: np.ndarray, part: np.ndarray, parts: int) -> tuple[np.ndarray, int]:
+def _outward(
+    vertices: np.ndarray, faces: np.ndarray, area: np.ndarray, part: np.ndarray, parts: int
+) -> tuple[np.ndarray, int]:
     """Which parts to turn, and how many are cavities.
 
     A part that encloses less than nothing is inside out, or it bounds a hollow: then the parts that enclose something
@@ -118,7 +122,7 @@ def _outward(vertices: np.ndarray, faces: np.ndarray, part: np.ndarray, parts: i
     share = (a * np.cross(b, c)).sum(-1)
     volume = np.bincount(part, share, parts) / 6.0
     # what encloses next to nothing (a flat piece of a surface in pieces) says nothing of its sides
-    solid = np.abs(volume) > 1e-9 * np.bincount(part, np.abs(share), parts) + 1e-30
+    solid = np.abs(volume) > _FLAT * np.bincount(part, area, parts) ** 1.5
     whole = corners.reshape(-1, 3) - corners.reshape(-1, 3).mean(0)
     x, y, z = whole.reshape(-1, 3, 3).transpose(1, 0, 2)
     inside_out = float((x * np.cross(y, z)).sum()) < 0

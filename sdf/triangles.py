@@ -54,7 +54,8 @@ class Triangles:
     @cached_property
     def normals(self) -> Float[Tensor, "F 3"]:
         """Unit normals; zero where a triangle has no area."""
-        return torch.nn.functional.normalize(area_vectors(self.corners), dim=-1, eps=1e-300)
+        vectors = area_vectors(self.corners)
+        return torch.nn.functional.normalize(vectors, dim=-1, eps=torch.finfo(vectors.dtype).tiny)
 
 
 def area_vectors(corners: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3"]:
@@ -85,7 +86,8 @@ def winding_number(
 
     The sum of the triangles' solid angles over 4 pi (Jacobson et al. 2013, eq. 5; Van Oosterom and Strackee 1983). The
     plain version is exact and differentiable. The fused one takes a group of triangles that is `accuracy` times its
-    radius away for one dipole (Barill et al. 2018): its error is below 0.05 at 3, and none at inf.
+    radius away for one dipole (Barill et al. 2018): its error is below 0.05 at 3 for each time that
+    a surface winds, and none at inf.
 
     Args:
         points: (*b, 3), metres, finite.
@@ -146,9 +148,10 @@ def closest_point(points: Float[Tensor, "*#b 3"], corners: Float[Tensor, "*#b 3 
         points: metres; broadcasts against
         corners: metres; a triangle without area counts as its edges.
     """
+    tiny = torch.finfo(corners.dtype).tiny
     edges = corners.roll(-1, -2) - corners
     offset = points[..., None, :] - corners
-    share = ((offset * edges).sum(-1) / edges.square().sum(-1).clamp_min(1e-300)).clamp(0.0, 1.0)
+    share = ((offset * edges).sum(-1) / edges.square().sum(-1).clamp_min(tiny)).clamp(0.0, 1.0)
     feet = corners + share[..., None] * edges
     gaps = (points[..., None, :] - feet).square().sum(-1)
     side = gaps.argmin(-1, keepdim=True)[..., None]
@@ -157,7 +160,7 @@ def closest_point(points: Float[Tensor, "*#b 3"], corners: Float[Tensor, "*#b 3 
     size = normal.square().sum(-1, keepdim=True)
     beside = torch.linalg.cross(*torch.broadcast_tensors(edges, offset))
     within = ((beside * normal[..., None, :]).sum(-1).amin(-1) >= 0) & (size[..., 0] > 0)
-    height = (offset[..., 0, :] * normal).sum(-1, keepdim=True) / size.clamp_min(1e-300)
+    height = (offset[..., 0, :] * normal).sum(-1, keepdim=True) / size.clamp_min(tiny)
     return torch.where(within[..., None], points - height * normal, on_edge)
 
 
