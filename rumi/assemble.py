@@ -1,6 +1,7 @@
 """From settings to the parts of a run."""
 
 import copy
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -18,6 +19,7 @@ from rumi.planning.tool import Tool
 from rumi.planning.types import Policy
 from rumi.registration.descent import Search
 from rumi.rummager import Rummager
+from rumi.sim.objects import with_object
 from rumi.sim.tasks import TaskSpec, find_task, make_task, make_tool
 from rumi.sketch import SceneSketch, sketch
 from rumi.task import StepResult, Task
@@ -40,22 +42,26 @@ class Parts(NamedTuple):
     rummager: Rummager
 
 
-def build(settings: Settings, *, cache_dir: Path | None = None) -> Parts:
+def build(
+    settings: Settings, *, cache_dir: Path | None = None, progress: Callable[[str, float], None] | None = None
+) -> Parts:
     """Make the parts of a run.
 
     Args:
         settings: of the run.
         cache_dir: folder that keeps what takes seconds to work out; None keeps nothing.
+        progress: called with what is being done for a mesh and how much of it is done, from 0 to 1.
 
     Raises:
-        UsageError: there is no such task or device.
+        UsageError: there is no such task or device, or the object does not suit the task.
+        sdf.mesh.MeshError: the object's mesh cannot be used.
     """
     spec, device, dtype = find_task(settings.task), settings.torch_device, settings.torch_dtype
     if settings.steps is not None:
         spec = replace(spec, steps=settings.steps)
-    model = spec.object_factory()
+    spec, model = with_object(spec, settings.object, cache_dir=cache_dir, progress=progress)
     tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
-    task: Task = make_task(spec, settings.simulator, tool=tool, model=model)
+    task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model)
     if device.type != "cpu" or dtype != torch.float32:
         task = Elsewhere(task, device, dtype)
     return Parts(task, build_rummager(spec, settings, model, tool))
@@ -83,6 +89,7 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         tool,
         initialise=settings.initialise,
         stop=settings.stop,
+        height_m=0.0 - float(model.exact.bounds[0, 2]),
         replan_every=settings.replan_every,
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,

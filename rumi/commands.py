@@ -17,7 +17,7 @@ from rumi.config import Settings, preset, setting_names, to_dict
 from rumi.errors import UsageError
 from rumi.explain import Decisions, explain
 from rumi.progress import Progress, both, stages
-from rumi.recording import RunRecorder, holds_run, load_run, prepare_folder
+from rumi.recording import RunRecorder, holds_run, load_run, prepare_folder, write_json
 from rumi.records import RunResult
 from sdf import savings
 
@@ -27,6 +27,7 @@ _RUN_HELP = """Find an object by touch, in simulation; `rumi tasks` lists what t
     rumi run mug-1 --method info-only --seed 3
     rumi run mug-0 --preset paper --steps 10 --out my-run
     rumi run mug-0 --planner.mppi.samples 100 --stop.rule never
+    rumi run mug-0 --mesh drill.obj --scale 0.001 --mass 0.9
 
 Every setting below is a flag; --preset sets where the others start from."""
 
@@ -100,9 +101,11 @@ def run(arguments: Sequence[str]) -> int:
     _say(f"{asked}; writing to {folder}")
     from rumi.assemble import build, scene_sketch
     from rumi.loop import rummage
+    from rumi.sim.objects import record
 
+    task, rummager = build(settings, cache_dir=cache_folder())
     with RunRecorder(folder, to_dict(settings)) as recorder, savings.account() as account:
-        task, rummager = build(settings, cache_dir=cache_folder())
+        write_json(folder / "object.json", record(rummager.model))
         recorder.scene(scene_sketch(rummager))
         try:
             with Progress(settings.task, steps) as progress:
@@ -168,7 +171,8 @@ def parse_run(arguments: Sequence[str]) -> RunOptions:
 
 def default_folder(settings: Settings, root: Path = Path("runs")) -> Path:
     """A folder of `root` that holds no run yet, named after the settings."""
-    name = f"{settings.task}-{settings.method}-{settings.preset}-s{settings.seed}"
+    own = "" if settings.object.mesh is None else f"-{Path(settings.object.mesh).stem}"
+    name = f"{settings.task}{own}-{settings.method}-{settings.preset}-s{settings.seed}"
     folder, number = root / name, 1
     while holds_run(folder):
         number += 1

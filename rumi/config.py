@@ -15,6 +15,7 @@ from rumi.errors import UsageError
 from rumi.planning.rummaging import RummagingSettings
 from rumi.registration.descent import DescentSettings
 from rumi.registration.initialise import InitialiseSettings
+from rumi.sim.objects import ObjectSettings
 from rumi.sim.settings import SimSettings
 from rumi.stopping import StopSettings
 
@@ -44,6 +45,7 @@ class Settings:
         planner: how actions are chosen.
         stop: when the belief is sure enough.
         simulator: how the simulator steps and what its sensors report.
+        object: the object to find, where that is not the task's own.
     """
 
     task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="(required)")] = "mug-0"
@@ -59,6 +61,7 @@ class Settings:
     planner: RummagingSettings = field(default_factory=RummagingSettings)
     stop: StopSettings = field(default_factory=StopSettings)
     simulator: SimSettings = field(default_factory=SimSettings)
+    object: Annotated[ObjectSettings, tyro.conf.arg(name="")] = field(default_factory=ObjectSettings)
 
     def __post_init__(self) -> None:
         for name, valid in (("method", METHODS), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
@@ -123,13 +126,16 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
 
 
 def setting_names(kind: type = Settings, prefix: str = "") -> list[str]:
-    """Names of all settings, nested ones with dots."""
+    """Names of all settings as flags, nested ones with dots."""
     names: list[str] = []
-    for name, hint in typing.get_type_hints(kind).items():
-        if is_dataclass(hint) and isinstance(hint, type):
-            names += setting_names(hint, f"{prefix}{name}.")
+    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+        # a flag may go by another name than the setting, and a group by none
+        given = [extra.name for extra in get_args(hint)[1:] if getattr(extra, "name", None) is not None]
+        called, inner = given[0] if given else name, get_args(hint)[0] if get_origin(hint) is Annotated else hint
+        if is_dataclass(inner) and isinstance(inner, type):
+            names += setting_names(inner, f"{prefix}{called}." if called else prefix)
         else:
-            names.append(prefix + name)
+            names.append(prefix + called)
     return names
 
 

@@ -1,6 +1,7 @@
 """The run folder: what a run writes, so that figures, replay and viewers can read it, and how it is read.
 
 settings.json   all resolved settings with versions, written first
+object.json     what the object is: of a mesh its file's name and hash, and how the object's frame lies in it
 trace.npz       readings, controls, beliefs and plans, step by step; readable while the run goes on and after a kill
 steps.jsonl     one line of plain numbers a step, with seconds by stage
 belief.npz      the last belief: poses (P, 4, 4) object to world, log_weights, stamp, frame

@@ -37,7 +37,7 @@ def observe(
         nll = None
         if result.truth is not None:
             truth = result.truth.to(belief.log_weights)
-            nll = float(negative_log_likelihood(belief.world_T_object, belief.log_weights, truth, sensor, model.exact))
+            nll = float(negative_log_likelihood(belief.world_T_object, belief.log_weights, truth, sensor, model.judge))
     touched = bool(result.reading.in_contact.any()) and control is not None
     contacts = (history[-1].contacts if history else 0) + touched
     fit = float(belief.discrepancy.min())

@@ -114,8 +114,10 @@ def settings_of(column: str, task: str, seed: int, changes: tuple[str, ...]) -> 
 
 
 def settings_hash(settings: Settings) -> str:
-    """Of all settings but the seed and the task."""
+    """Of all settings but the seed and the task; of a mesh by what is in it, not by where it lies."""
     values = {k: v for k, v in to_dict(settings).items() if k not in ("seed", "task")}
+    if settings.object.mesh is not None:
+        values["object"]["mesh"] = hashlib.sha256(Path(settings.object.mesh).read_bytes()).hexdigest()
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
 
 
@@ -164,34 +166,50 @@ def seeds_of(text: str) -> list[int]:
 
 def run(options: Run) -> None:
     """Do what is missing, and append each run as it ends."""
+    about = {"experiment": "mugs", "label": options.label, "changes": list(options.set)}
+    wanted = [
+        (column, settings_of(column, task, seed, options.set), about)
+        for seed in seeds_of(options.seeds)
+        for task in options.tasks
+        for column in options.columns
+    ]
+    carry_out(wanted, options.out, options.jobs)
+
+
+def carry_out(wanted: list[tuple[str, Settings, dict[str, Any]]], out: Path, jobs: int, most: int | None = None) -> int:
+    """Do those of some runs that a file of results does not hold, and append each as it ends.
+
+    Args:
+        wanted: method/preset, settings, and what else the lines say.
+        out: file of results, one JSON line a run.
+        jobs: processes at once.
+        most: runs at most; None for all.
+
+    Returns:
+        how many are still missing.
+    """
     code, here = code_hash(), commit()
-    done = {(r["task"], r["column"], r["seed"], r["settings"], r["code"]) for r in lines(options.out)}
-    wanted = []
-    for seed in seeds_of(options.seeds):
-        for task in options.tasks:
-            for column in options.columns:
-                settings = settings_of(column, task, seed, options.set)
-                if (task, column, seed, settings_hash(settings), code) not in done:
-                    wanted.append((column, settings))
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
-        running = {pool.submit(one_run, settings): (column, settings) for column, settings in wanted}
+    done = {(r["task"], r["column"], r["seed"], r["settings"], r["code"]) for r in lines(out)}
+    missing = [w for w in wanted if (w[1].task, w[0], w[1].seed, settings_hash(w[1]), code) not in done]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        running = {
+            pool.submit(one_run, settings): (column, settings, about) for column, settings, about in missing[:most]
+        }
         for future in tqdm(as_completed(running), total=len(running), file=sys.stderr):
-            column, settings = running[future]
-            line = {
-                "experiment": "mugs",
-                "label": options.label,
+            column, settings, about = running[future]
+            line = about | {
                 "column": column,
                 "task": settings.task,
                 "seed": settings.seed,
                 "settings": settings_hash(settings),
-                "changes": list(options.set),
                 "code": code,
                 "commit": here,
                 "machine": f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}, 1 thread a run",
             }
-            with options.out.open("a") as file:
+            with out.open("a") as file:
                 file.write(json.dumps(line | future.result()) + "\n")
+    return len(missing[most:]) if most is not None else 0
 
 
 def rate(flags: list[bool]) -> str:

@@ -1,14 +1,17 @@
 """The exact signed distance function of a triangle mesh."""
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sdf import se3
 from sdf.base import SDF
 from sdf.mesh import TriangleMesh
 from sdf.primitives import object_points
 from sdf.repair import Repaired, repaired
-from sdf.triangles import nearest, winding_number
+from sdf.triangles import Triangles, nearest, winding_number
 
 # metres: nearer than this, the direction to the surface is the triangle's normal rather than a quotient of roundings
 _ON = 1e-9
@@ -34,6 +37,16 @@ class MeshSDF(SDF):
     def solid(self) -> TriangleMesh:
         """The mesh put right: oriented outward, openings closed."""
         return self.repair.solid
+
+    def moved(self, new_T_old: Float[Tensor, "4 4"]) -> "MeshSDF":
+        """The same surface in another frame, without putting it right again."""
+        pose = new_T_old.double().cpu()
+        windings, surface = (
+            Triangles(se3.apply(pose, part.corners.reshape(-1, 3)).reshape(-1, 3, 3))
+            for part in (self.repair.windings, self.repair.surface)
+        )
+        repair = replace(self.repair, solid=self.repair.solid.moved(pose), windings=windings, surface=surface)
+        return MeshSDF(self.mesh.moved(pose), repair=repair)
 
     def distance(self, points_o: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
         """Signed distance (*b), metres; the derivative to the points is the unit vector away from the surface."""

@@ -13,11 +13,36 @@ from torch import Tensor
 from sdf.base import SDF
 from sdf.build import from_mesh
 from sdf.fill import Progress
+from sdf.find_symmetry import find_symmetries
 from sdf.grid_sdf import GridSDF
 from sdf.mesh import TriangleMesh, load_mesh
 from sdf.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Mug
 from sdf.surface import sample_surface, sample_triangles
+from sdf.symmetry import Symmetries
+
+_LOOKED_AT = 3000  # surface points by which symmetries are found
+
+
+@dataclass(frozen=True)
+class MeshSource:
+    """Which mesh an object is, and how its frame lies in it.
+
+    Attributes:
+        file: name of the file, without its folder.
+        sha256: of the file's content.
+        faces: number of triangles.
+        scale: metres that one unit of the file is.
+        object_T_mesh: (4, 4), maps the scaled mesh's points to the object's frame, in which it stands.
+        upright: how it was found out which way is up.
+    """
+
+    file: str
+    sha256: str
+    faces: int
+    scale: float
+    object_T_mesh: Float[Tensor, "4 4"]
+    upright: str
 
 
 @dataclass(frozen=True)
@@ -30,7 +55,8 @@ class ObjectModel:
         sdf: SDF that estimation uses, tabulated (so that estimation is not judged by its own approximation).
         surface_points: (S, 3), uniform by area.
         surface_normals: (S, 3), outward, unit.
-        symmetries: (K, 3, 3), rotations that leave the shape as it is, the identity first.
+        symmetries: rotations that leave the shape as it is.
+        source: the mesh file that it came from, if it did.
     """
 
     name: str
@@ -38,7 +64,17 @@ class ObjectModel:
     sdf: SDF
     surface_points: Float[Tensor, "S 3"]
     surface_normals: Float[Tensor, "S 3"]
-    symmetries: Float[Tensor, "K 3 3"]
+    symmetries: Symmetries
+    source: MeshSource | None = None
+
+    @property
+    def judge(self) -> SDF:
+        """What metrics look up: the exact SDF where that is a formula; a mesh's costs too much to ask at every step.
+
+        The table is off by a few tenths of a millimetre near the surface (`sdf.build`), where the metrics' tolerance is
+        millimetres.
+        """
+        return self.sdf if isinstance(self.exact, MeshSDF) else self.exact
 
     @property
     def diagonal(self) -> float:
@@ -68,7 +104,7 @@ class ObjectModel:
 def object_model(
     name: str,
     exact: SDF,
-    symmetries: Float[Tensor, "K 3 3"],
+    symmetries: Symmetries,
     *,
     spacing: float = 0.002,
     points: int = 500,
@@ -79,7 +115,7 @@ def object_model(
     Args:
         name: what users call it.
         exact: its SDF.
-        symmetries: (K, 3, 3), rotations that leave it as it is, the identity first.
+        symmetries: rotations that leave it as it is.
         spacing: of the tabulated SDF, metres; at most half of the thinnest wall.
         points: number of surface points.
         seed: of the surface points.
@@ -99,7 +135,7 @@ def object_model(
 
 def mug_model(spacing: float = 0.002, points: int = 500, *, mug: Mug | None = None, seed: int = 0) -> ObjectModel:
     """The built-in mug (or another of its kind); its handle leaves it no symmetry."""
-    return object_model("mug", mug or Mug(), torch.eye(3)[None], spacing=spacing, points=points, seed=seed)
+    return object_model("mug", mug or Mug(), Symmetries.none(), spacing=spacing, points=points, seed=seed)
 
 
 def box_model(
@@ -112,32 +148,31 @@ def box_model(
     """
     if len({round(h, 9) for h in half_extents}) < 3:
         raise ValueError(f"Expected three different half_extents, got {tuple(half_extents)}: use object_model")
-    turns = torch.tensor([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-    return object_model("box", Box(half_extents), torch.diag_embed(turns), spacing=spacing, points=points, seed=seed)
+    return object_model("box", Box(half_extents), Symmetries.parse("x2,y2"), spacing=spacing, points=points, seed=seed)
 
 
 def mesh_model(
-    source: str | Path | TriangleMesh,
+    source: str | Path | TriangleMesh | MeshSDF,
     *,
     name: str | None = None,
     spacing: float | None = None,
     points: int = 500,
     seed: int = 0,
     scale: float = 1.0,
-    symmetries: Float[Tensor, "K 3 3"] | None = None,
+    symmetries: Symmetries | None = None,
     cache_dir: Path | None = None,
     progress: Progress | None = None,
 ) -> ObjectModel:
     """Model of the object that a triangle mesh shows, in the mesh's frame; float32 on the CPU.
 
     Args:
-        source: a file, or a mesh.
+        source: a file, a mesh, or its exact SDF.
         name: what users call it; by default the file's.
         spacing: of the tabulated SDF, metres; by default from the thinnest wall.
         points: number of surface points.
         seed: of the surface points.
         scale: metres that one unit of the mesh is.
-        symmetries: (K, 3, 3), rotations that leave it as it is, the identity first; by default that alone.
+        symmetries: rotations that leave it as it is; by default those that are found on its surface.
         cache_dir: folder to keep the table in; None keeps nothing.
         progress: called with what is done and how much of it, from 0 to 1.
 
@@ -147,15 +182,19 @@ def mesh_model(
     if isinstance(source, str | Path):
         mesh, name = load_mesh(source, scale=scale), name or Path(source).stem
     else:
-        mesh = source.scaled(scale)
-    exact = MeshSDF(mesh)
+        mesh = (source.mesh if isinstance(source, MeshSDF) else source).scaled(scale)
+    exact = source if isinstance(source, MeshSDF) and scale == 1.0 else MeshSDF(mesh)
+    table = from_mesh(exact, spacing=spacing, cache_dir=cache_dir, progress=progress)
     generator = torch.Generator().manual_seed(seed)
     surface_points, surface_normals = sample_triangles(exact.repair.surface, points, generator=generator)
+    if symmetries is None:
+        many, _ = sample_triangles(exact.repair.surface, _LOOKED_AT, generator=generator)
+        symmetries = find_symmetries(table, many).symmetries
     return ObjectModel(
         name or "mesh",
         exact,
-        from_mesh(exact, spacing=spacing, cache_dir=cache_dir, progress=progress),
+        table,
         surface_points.float(),
         surface_normals.float(),
-        torch.eye(3)[None] if symmetries is None else symmetries.float(),
+        symmetries.to(torch.float32),
     )

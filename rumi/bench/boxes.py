@@ -147,7 +147,7 @@ class BoxBench:
 
     def convergence(self) -> Figures:
         """Of the chains, folded by the box's symmetry, and of which face is up."""
-        upright = folded(self.chains.poses, self.view.model.symmetries, torch.eye(3, dtype=torch.float64))
+        upright = folded(self.chains.poses, self.view.model.symmetries.rotations, torch.eye(3, dtype=torch.float64))
         values = torch.cat((coordinates(upright, "SE(3)"), torch.nn.functional.one_hot(face_up(upright), 3)), -1)
         apart = (self.halves[0].information - self.halves[1].information).abs()
         between = {"field_halves_mean": float(apart.mean()), "field_halves_max": float(apart.max())}

@@ -15,6 +15,7 @@ from sdf import se3, so3
 from sdf.base import SDF
 from sdf.object_model import ObjectModel
 from sdf.posed import posed_distance
+from sdf.symmetry import Symmetries
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 
@@ -65,7 +66,7 @@ def drill(spacing: float = 0.0025) -> ObjectModel:
     share = (share / share.sum(-1, keepdim=True))[..., None]
     points = (share * corners[chosen]).sum(1).float()
     unit = torch.nn.functional.normalize(normals[chosen], dim=-1).float()
-    return ObjectModel("power drill", table, table, points, unit, torch.eye(3)[None])
+    return ObjectModel("power drill", table, table, points, unit, Symmetries.none())
 
 
 def problem(sdf: SDF, seed: int, *, each: int = 200) -> Problem:

@@ -132,8 +132,9 @@ def _mug(tiny: bool) -> ObjectModel:
 
 def _coarse_mug() -> ObjectModel:
     from sdf.object_model import object_model
+    from sdf.symmetry import Symmetries
 
-    return object_model("mug", Mug(wall=0.01), torch.eye(3)[None], spacing=0.005)
+    return object_model("mug", Mug(wall=0.01), Symmetries.none(), spacing=0.005)
 
 
 @cache

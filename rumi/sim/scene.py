@@ -1,63 +1,52 @@
 """The MuJoCo model: a floor, an object that stands free on it, and a gripper that flies at one height."""
 
 import math
-from dataclasses import dataclass
-from functools import singledispatch
-from itertools import pairwise
+from typing import Any
 
-from rumi.errors import UsageError
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
 from rumi.planning.gripper import GripperShape
-from sdf.base import SDF
-from sdf.primitives import Mug
+from rumi.sim.bodies import Body, Piece
+from rumi.sim.settings import PhysicsSettings
+from sdf import so3
+from sdf.mesh import TriangleMesh
 
-# who collides with whom: the floor with the object's base, the gripper with the rest of the object
+# who collides with whom: the floor with what it bears of the object, the gripper with what it pushes
 _FLOOR, _SHELL = 1, 2
+RAY_GROUPS = (1, 1, 1, 0, 0, 0)
+"""Which groups of geoms rays meet."""
+_UNSEEN_GROUP = 3
 
 
-@dataclass(frozen=True)
-class PhysicsSettings:
-    """Masses, friction and the gripper's drive.
-
-    Attributes:
-        mass_kg: of the object.
-        friction: sliding friction of everything.
-        gripper_mass_kg: inertia of the drive along x and y.
-        gripper_inertia: inertia of the drive about z, kg m^2.
-        bandwidth_hz: of the critically damped position servos.
-        max_force_n: of the drive along x and y.
-        max_torque_nm: of the drive about z.
-        wall_boxes: boxes that make up the wall of a cup.
-        handle_capsules: capsules that make up its handle.
-    """
-
-    mass_kg: float = 0.35
-    friction: float = 0.5
-    gripper_mass_kg: float = 10.0
-    gripper_inertia: float = 0.1
-    bandwidth_hz: float = 20.0
-    max_force_n: float = 200.0
-    max_torque_nm: float = 20.0
-    wall_boxes: int = 24
-    handle_capsules: int = 12
+def scene_model(
+    mujoco: Any,  # noqa: ANN401  (a module without types)
+    body: Body,
+    gripper: GripperShape,
+    height_m: float,
+    time_step_s: float,
+    physics: PhysicsSettings,
+) -> Any:  # noqa: ANN401
+    """The scene as a MuJoCo model; the arguments are those of `scene_xml`."""
+    spec = mujoco.MjSpec.from_string(scene_xml(body, gripper, height_m, time_step_s, physics))
+    for name, mesh in _meshes(body):
+        added = spec.add_mesh(
+            name=name, uservert=mesh.vertices.reshape(-1).tolist(), userface=mesh.faces.reshape(-1).tolist()
+        )
+        # that of the body is given; the engine's own sums refuse surfaces that are not quite closed
+        added.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+    return spec.compile()
 
 
-@dataclass(frozen=True)
-class Piece:
-    """One geom of an object: its attributes as XML and its volume (m^3), by which the mass is shared out."""
-
-    xml: str
-    volume: float
-    on_floor: bool = False
-
-
-def scene_xml(shape: SDF, gripper: GripperShape, height_m: float, time_step_s: float, physics: PhysicsSettings) -> str:
-    """The scene as MJCF text.
+def scene_xml(body: Body, gripper: GripperShape, height_m: float, time_step_s: float, physics: PhysicsSettings) -> str:
+    """The scene as MJCF text; meshes are named in it, and added by `scene_model`.
 
     Bodies `object` (a free joint) and `gripper` (slides x and y, then a hinge about z, each with a position servo
     of the same name). Driven joints rather than a mocap body, whose tangential motion friction would not see.
 
     Args:
-        shape: the object's exact shape.
+        body: the object.
         gripper: the gripper's shape.
         height_m: height of the tool frame.
         time_step_s: of the physics.
@@ -71,7 +60,7 @@ def scene_xml(shape: SDF, gripper: GripperShape, height_m: float, time_step_s: f
     <geom name="floor" type="plane" size="3 3 0.1" contype="{_FLOOR}" conaffinity="0"/>
     <body name="object">
       <freejoint name="object"/>
-      {_object_xml(shape, physics)}
+      {_object_xml(body, physics)}
     </body>
     {_gripper_xml(gripper, height_m, physics)}
   </worldbody>
@@ -79,15 +68,37 @@ def scene_xml(shape: SDF, gripper: GripperShape, height_m: float, time_step_s: f
 </mujoco>"""
 
 
-def _object_xml(shape: SDF, physics: PhysicsSettings) -> str:
-    parts = pieces(shape, physics)
-    total = sum(part.volume for part in parts)
+def _meshes(body: Body) -> list[tuple[str, TriangleMesh]]:
+    return [(f"mesh{index}", part.mesh) for index, part in enumerate(body.pieces) if part.mesh is not None]
+
+
+def _object_xml(body: Body, physics: PhysicsSettings) -> str:
     lines = []
-    for part in parts:
-        # only the base meets the floor, which makes the contacts few and the steps quick
-        kind = f'contype="0" conaffinity="{_FLOOR}"' if part.on_floor else f'contype="{_SHELL}" conaffinity="0"'
-        lines.append(f'<geom {part.xml} mass="{physics.mass_kg * part.volume / total:.9g}" {kind}/>')
+    if body.solid is not None:
+        mass, inertia = physics.mass_kg, physics.mass_kg * body.solid.inertia
+        place = " ".join(f"{x:.9g}" for x in body.solid.center.tolist())
+        entries = " ".join(f"{float(inertia[i, j]):.9g}" for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+        lines.append(f'<inertial pos="{place}" mass="{mass:.9g}" fullinertia="{entries}"/>')
+    total = sum(part.volume or 0.0 for part in body.pieces)
+    for index, part in enumerate(body.pieces):
+        mass = 0.0 if body.solid is not None else physics.mass_kg * (part.volume or 0.0) / total
+        lines.append(_framed(part, _geom(index, part, mass)))
     return "\n      ".join(lines)
+
+
+def _geom(index: int, part: Piece, mass: float) -> str:
+    shape = part.xml if part.mesh is None else f'type="mesh" mesh="mesh{index}"'
+    group = "" if part.seen else f' group="{_UNSEEN_GROUP}"'
+    kind = f'contype="{_SHELL if part.gripper else 0}" conaffinity="{_FLOOR if part.floor else 0}"'
+    return f'<geom {shape} mass="{mass:.9g}" {kind}{group}/>'
+
+
+def _framed(part: Piece, geom: str) -> str:
+    if part.object_T_piece is None:
+        return geom
+    pose = part.object_T_piece.double()
+    place, turn = (" ".join(f"{x:.12g}" for x in row) for row in (pose[:3, 3].tolist(), _quaternion(pose).tolist()))
+    return f'<frame pos="{place}" quat="{turn}">{geom}</frame>'
 
 
 def _gripper_xml(gripper: GripperShape, height_m: float, physics: PhysicsSettings) -> str:
@@ -121,48 +132,8 @@ def _drive_xml(physics: PhysicsSettings) -> str:
     return f"<actuator>{servos}</actuator>"
 
 
-@singledispatch
-def pieces(shape: SDF, physics: PhysicsSettings) -> list[Piece]:
-    """Geoms that collide as the shape does; one implementation a kind of shape."""
-    known = ", ".join(sorted(kind.__name__ for kind in pieces.registry if kind not in (object, SDF)))
-    raise UsageError(f"Expected a shape that the simulator can build ({known}), got {type(shape).__name__}")
-
-
-@pieces.register
-def _(shape: Mug, physics: PhysicsSettings) -> list[Piece]:
-    count = physics.wall_boxes
-    half = math.pi / count
-    # the polygon's sides lie as far inside the circle as its corners lie outside, on average
-    apothem = shape.outer_radius * (1.0 - half**2 / 6.0)
-    middle, tall = apothem - 0.5 * shape.wall, 0.5 * (shape.height - shape.base)
-    wide = apothem * math.tan(half)
-    parts = [
-        Piece(
-            f'type="cylinder" size="{shape.outer_radius:.9g} {0.5 * shape.base:.9g}" pos="0 0 {0.5 * shape.base:.9g}"',
-            math.pi * shape.outer_radius**2 * shape.base,
-            on_floor=True,
-        )
-    ]
-    for index in range(count):
-        angle = 2.0 * index * half
-        parts.append(
-            Piece(
-                f'type="box" size="{0.5 * shape.wall:.9g} {wide:.9g} {tall:.9g}" '
-                f'pos="{middle * math.cos(angle):.9g} {middle * math.sin(angle):.9g} {shape.base + tall:.9g}" '
-                f'euler="0 0 {math.degrees(angle):.9g}"',
-                8.0 * 0.5 * shape.wall * wide * tall,
-            )
-        )
-    angles = [shape.half_angle * (2.0 * i / physics.handle_capsules - 1.0) for i in range(physics.handle_capsules + 1)]
-    nodes = [
-        (shape.outer_radius + shape.ring_radius * math.cos(a), 0.5 * shape.height + shape.ring_radius * math.sin(a))
-        for a in angles
-    ]
-    for (x0, z0), (x1, z1) in pairwise(nodes):
-        parts.append(
-            Piece(
-                f'type="capsule" size="{shape.tube_radius:.9g}" fromto="{x0:.9g} 0 {z0:.9g} {x1:.9g} 0 {z1:.9g}"',
-                math.pi * shape.tube_radius**2 * math.hypot(x1 - x0, z1 - z0),
-            )
-        )
-    return parts
+def _quaternion(pose: Float[Tensor, "4 4"]) -> Float[Tensor, "4"]:
+    """w, x, y, z of a pose's rotation."""
+    turn = so3.log(pose[:3, :3])
+    half = 0.5 * turn.norm()
+    return torch.cat((half.cos()[None], turn * 0.5 * torch.sinc(half / math.pi)))

@@ -1,5 +1,6 @@
 """How the simulator steps and what its sensors report."""
 
+import math
 from dataclasses import dataclass
 
 from rumi.errors import UsageError
@@ -53,3 +54,42 @@ class SimSettings:
                 f"Expected each of mini_steps ({self.mini_steps}) to last at least one time_step_s "
                 f"({self.time_step_s} s) of action_s ({self.action_s} s): use fewer mini steps or a smaller time step"
             )
+
+
+@dataclass(frozen=True)
+class PhysicsSettings:
+    """Masses, friction and the gripper's drive.
+
+    Attributes:
+        mass_kg: of the object.
+        friction: sliding friction of everything.
+        gripper_mass_kg: inertia of the drive along x and y.
+        gripper_inertia: inertia of the drive about z, kg m^2.
+        bandwidth_hz: of the critically damped position servos.
+        max_force_n: of the drive along x and y.
+        max_torque_nm: of the drive about z.
+        wall_boxes: boxes that make up the wall of a cup.
+        handle_capsules: capsules that make up its handle.
+        collision: how a mesh collides, by its convex "pieces", its "hull", or "auto": pieces where the library for
+            that is installed.
+        concavity: how far a piece may be from convex, relative to half of the mesh's longest side.
+    """
+
+    mass_kg: float = 0.35
+    friction: float = 0.5
+    gripper_mass_kg: float = 10.0
+    gripper_inertia: float = 0.1
+    bandwidth_hz: float = 20.0
+    max_force_n: float = 200.0
+    max_torque_nm: float = 20.0
+    wall_boxes: int = 24
+    handle_capsules: int = 12
+    collision: str = "auto"
+    concavity: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Refuse what no object has."""
+        for name in ("mass_kg", "friction"):
+            value = getattr(self, name)
+            if not (value > 0 and math.isfinite(value)):
+                raise UsageError(f"Expected {name} to be a number above 0, got {value}")

@@ -1,6 +1,7 @@
 """A task carried out in MuJoCo: what the robot does and what it senses."""
 
 import math
+from pathlib import Path
 
 import torch
 from jaxtyping import Float, Int
@@ -8,8 +9,8 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.planning.tool import Tool
-from rumi.sim.scene import PhysicsSettings
-from rumi.sim.settings import SimSettings
+from rumi.sim.bodies import body_of
+from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.tasks import TaskSpec
 from rumi.sim.world import Track, World
@@ -33,7 +34,8 @@ class SimTask:
         settings: of the simulator and its sensors.
         tool: the gripper with the reach of its arm, the same that the planner uses.
         model: the object.
-        physics: masses, friction, drive.
+        physics: masses, friction, drive; by default the task's.
+        cache_dir: folder that keeps convex pieces of meshes; None keeps nothing.
     """
 
     def __init__(
@@ -43,9 +45,13 @@ class SimTask:
         tool: Tool,
         model: ObjectModel,
         physics: PhysicsSettings | None = None,
+        *,
+        cache_dir: Path | None = None,
     ) -> None:
         self.spec, self.settings, self.tool, self.model = spec, settings, tool, model
-        self.world = World(model.exact, tool.shape, spec.height_m, settings.time_step_s, physics)
+        physics = physics or spec.physics
+        body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
+        self.world = World(body, tool.shape, spec.height_m, settings.time_step_s, physics)
         self._pads = tool.shape.pad_shell(settings.pad_spacing_m).float()
         self._body = tool.shape.volume(settings.body_spacing_m).float()
         self._generator = torch.Generator()

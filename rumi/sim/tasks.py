@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from rumi.errors import UsageError
 from rumi.fields.reach_table import ReachSettings
 from rumi.fields.reachability import Reach
 from rumi.planning.tool import Tool
-from rumi.sim.settings import SimSettings
+from rumi.sim.settings import PhysicsSettings, SimSettings
 from sdf.object_model import ObjectModel, mug_model
 from sdf.primitives import Mug
 
@@ -63,6 +63,7 @@ class TaskSpec:
         motion_noise_rad: the same for its yaw.
         depth_noise_m: standard deviation of the camera's depth.
         steps: actions at most.
+        physics: the object's mass and friction, and the gripper's drive.
     """
 
     name: str
@@ -83,6 +84,7 @@ class TaskSpec:
     motion_noise_rad: float = 0.0
     depth_noise_m: float = 0.0
     steps: int = 40
+    physics: PhysicsSettings = field(default_factory=PhysicsSettings)
 
 
 def large_handled_mug() -> ObjectModel:
@@ -159,7 +161,7 @@ def make_task(
     Args:
         spec: the task or its name.
         settings: of the simulator and its sensors.
-        cache_dir: folder that keeps the arm's reach; None solves it each time (seconds).
+        cache_dir: folder that keeps the arm's reach and convex pieces of meshes; None works them out each time.
         tool: made before by `make_tool`; None makes one.
         model: made before by the task's `object_factory`; None makes one.
     """
@@ -168,4 +170,5 @@ def make_task(
     spec = find_task(spec) if isinstance(spec, str) else spec
     settings = settings or SimSettings()
     tool = tool if tool is not None else make_tool(spec, settings, cache_dir=cache_dir)
-    return SimTask(spec, settings, tool, model if model is not None else spec.object_factory())
+    model = model if model is not None else spec.object_factory()
+    return SimTask(spec, settings, tool, model, cache_dir=cache_dir)

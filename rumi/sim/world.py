@@ -8,12 +8,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.errors import UsageError
 from rumi.planning.gripper import GripperShape
-from rumi.sim.scene import PhysicsSettings, scene_xml
+from rumi.sim.bodies import Body, body_of
+from rumi.sim.scene import RAY_GROUPS, scene_model
+from rumi.sim.settings import PhysicsSettings
 from sdf import se3
 from sdf.base import SDF
 
 _SETTLE_S = 1.0
+_STANDS_DEG = 10.0
 
 
 class Track(NamedTuple):
@@ -32,7 +36,7 @@ class World:
     """One scene of MuJoCo; float64.
 
     Args:
-        shape: the object's exact shape.
+        shape: the object's exact shape, or the body that was made of it.
         gripper: the gripper's shape.
         height_m: height of the tool frame.
         time_step_s: of the physics.
@@ -41,7 +45,7 @@ class World:
 
     def __init__(
         self,
-        shape: SDF,
+        shape: SDF | Body,
         gripper: GripperShape,
         height_m: float,
         time_step_s: float,
@@ -49,8 +53,8 @@ class World:
     ) -> None:
         self._mujoco = _import_mujoco()
         self.physics = physics or PhysicsSettings()
-        text = scene_xml(shape, gripper, height_m, time_step_s, self.physics)
-        self.model: Any = self._mujoco.MjModel.from_xml_string(text)
+        self.body = shape if isinstance(shape, Body) else body_of(shape, self.physics)
+        self.model: Any = scene_model(self._mujoco, self.body, gripper, height_m, time_step_s, self.physics)
         self.data: Any = self._mujoco.MjData(self.model)
         self._object = int(self.model.joint("object").qposadr[0])
         self._gripper = [int(self.model.joint(name).qposadr[0]) for name in ("x", "y", "yaw")]
@@ -61,17 +65,26 @@ class World:
 
         A resting object sinks into the floor's soft contact by a tenth of a millimetre and tilts by a milliradian; if
         that were left to the first action, a slip sensor would report it as a move.
+
+        Raises:
+            UsageError: the object tips over.
         """
         self._mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self._gripper] = configuration.double().numpy()
         x, y, yaw = object_pose.tolist()
         start = self._object
-        self.data.qpos[start : start + 7] = (x, y, 0.0, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
+        self.data.qpos[start : start + 7] = (x, y, -self.body.low_m, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
         self.data.ctrl[:] = configuration.double().numpy()
         self._mujoco.mj_step(self.model, self.data, nstep=round(_SETTLE_S / float(self.model.opt.timestep)))
         self.data.qvel[:] = 0.0
         self.data.time = 0.0
         self._mujoco.mj_forward(self.model, self.data)
+        tilt = math.degrees(math.acos(min(1.0, float(self.world_T_object()[2, 2]))))
+        if tilt > _STANDS_DEG:
+            raise UsageError(
+                f"Expected the object to stand by itself, but it tipped by {tilt:.0f} degrees: say how it stands "
+                "(--upright ROLL PITCH YAW)"
+            )
 
     def move(self, targets: Float[Tensor, "K 3"], action_s: float, hold_s: float) -> Track:
         """Drive the gripper through targets spread evenly over `action_s`, then hold; the last entry is after that."""
@@ -126,7 +139,7 @@ class World:
             self.data,
             origin.double().numpy(),
             directions.double().reshape(-1).numpy(),
-            None,
+            np.array(RAY_GROUPS, dtype=np.uint8),
             True,
             -1,
             geom,

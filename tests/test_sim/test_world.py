@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.errors import UsageError
 from rumi.planning.gripper import GripperShape
-from rumi.sim.scene import PhysicsSettings, pieces, scene_xml
+from rumi.sim.bodies import pieces
+from rumi.sim.settings import PhysicsSettings
 from rumi.sim.world import World
 from sdf import se3
-from sdf.primitives import Mug, Sphere
+from sdf.primitives import Mug
 
 pytestmark = pytest.mark.sim
 
@@ -161,7 +161,7 @@ def test_mass_and_floor_contact():
     body = world.model.body("object").id
     assert float(world.model.body_mass[body]) == pytest.approx(0.7)
     parts = pieces(SHAPE, physics)
-    assert [part.on_floor for part in parts].count(True) == 1
+    assert [part.floor for part in parts].count(True) == 1
     assert len(parts) == 1 + physics.wall_boxes + physics.handle_capsules
     world.reset(torch.tensor([0.0, 0.0, 0.0]), torch.tensor([0.4, 0.0, 0.0]))
     world.move(torch.zeros(20, 3), 1.0, 0.1)
@@ -174,8 +174,3 @@ def test_rotation_matrices_are_those_of_mujoco():
     world._mujoco.mj_kinematics(world.model, world.data)
     expected = torch.from_numpy(np.array(world.data.body("object").xmat).reshape(3, 3))
     torch.testing.assert_close(track.world_T_object[-1, :3, :3], expected, atol=1e-9, rtol=0)
-
-
-def test_unknown_shape_is_named():
-    with pytest.raises(UsageError, match=r"\(Mug\), got Sphere"):
-        scene_xml(Sphere(0.05), GripperShape(), HEIGHT, 0.004, PhysicsSettings())
