@@ -135,6 +135,13 @@ def bench(arguments: Sequence[str]) -> int:
     return command.bench(arguments, cache_dir=cache_folder())
 
 
+def reproduce(arguments: Sequence[str]) -> int:
+    """`rumi reproduce`: the paper's tables and figures."""
+    from rumi.reproduce import command
+
+    return command.reproduce(arguments, cache_dir=cache_folder())
+
+
 def parse_run(arguments: Sequence[str]) -> RunOptions:
     """Options of `rumi run`; the settings start from the preset that is asked for.
 
