@@ -34,7 +34,7 @@ def ranks(values: Values) -> np.ndarray:
 
 
 def run_correlation(
-    runs: Sequence[tuple[Sequence[float], Sequence[float]]], *, seed: int = 0, resamples: int = 500
+    runs: Sequence[tuple[Values, Values]], *, seed: int = 0, resamples: int = 500
 ) -> tuple[float, float, float]:
     """Linear correlation over the steps of all runs, with its 95 % bootstrap interval.
 

@@ -121,7 +121,7 @@ KINDS = {
 def column_name(method: str, preset_name: str, overrides: Sequence[str] = ()) -> str:
     """Method, preset and overrides in one, such as `rumi/default planner.rollouts=3`."""
     base = f"{method}/{preset_name}" if preset_name else method
-    return " ".join([base, *overrides])
+    return " ".join([base, *sorted(overrides)])
 
 
 def overridden(values: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:

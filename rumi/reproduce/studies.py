@@ -34,7 +34,8 @@ def correlation(records: Sequence[Record]) -> str:
                 rows.append([f"nll and {name}, {preset} ({methods})", *cells])
         if all(of_task(own, task) for task in tasks):
             spread = [_apc_range(of_task(own, task)) for task in tasks]
-            rows.append([f"APC over the diagonal, {preset}: middle 90 % of the steps", *spread])
+            if any(cell != NOTHING for cell in spread):
+                rows.append([f"APC over the diagonal, {preset}: middle 90 % of the steps", *spread])
     printed = [f"{paper.CORRELATION[task]:.2f}" if task in paper.CORRELATION else NOTHING for task in tasks]
     return table(["", *tasks], [*rows, ["nll and APC, the paper", *printed]] if rows else [])
 

@@ -5,7 +5,11 @@ from collections.abc import Sequence
 from rumi.metrics.intervals import bootstrap_total, bootstrap_total_difference, mcnemar
 from rumi.reproduce import paper
 from rumi.reproduce.cells import NOTHING, cumulative, flags, middle, numbers, plain_median, rate, table
+from rumi.reproduce.jobs import column_name
 from rumi.reproduce.records import Record, by_column
+
+MANY = 10
+"""Failed runs of a column above which they are not listed one by one where most of them failed."""
 
 
 def families(records: Sequence[Record]) -> dict[str, list[str]]:
@@ -97,53 +101,63 @@ def endings(records: Sequence[Record]) -> str:
 
 
 def paired(records: Sequence[Record]) -> str:
-    """Each column against the first one of rumi, run by run of the same task and seed, by object and in all."""
+    """Each column against rumi, run by run of the same task and seed, by object and in all.
+
+    Held against rumi with the same preset where there is one; rumi with other presets and settings, and all else,
+    against the first column of rumi.
+    """
     columns = dict(by_column(records))
     first = next((name for name in columns if name.startswith("rumi/")), next(iter(columns), None))
-    if first is None or len(columns) < 2:
-        return ""
-    heads = [f"against {first}", "tasks", "pairs", "right: both", f"only {first}", "only the other", "McNemar, exact p"]
-    heads += ["nll below the threshold: p", "cumulative nll, other less first", "the same, held to the last step"]
+    heads = ["first", "second", "tasks", "pairs", "right: both", "only the first", "only the second"]
+    heads += ["McNemar, exact p", "nll below the threshold: p", "cumulative nll, second less first"]
+    heads += ["the same, held to the last step"]
     rows = []
     for column, runs in columns.items():
+        own = column_name("rumi", runs[0].preset)
+        other = own if own in columns and own != column else first
+        if other is None or other == column:
+            continue
         groups = families(runs)
         if len(groups) > 1:
             groups["all"] = [task for tasks in groups.values() for task in tasks]
         for name, tasks in groups.items():
-            if column != first:
-                rows += _pair(columns[first], runs, column, name, tasks)
+            rows += _pair(columns[other], runs, [other, column, name], tasks)
     return table(heads, rows)
 
 
 def failed(records: Sequence[Record]) -> str:
-    """Every run of rumi that was not right, with what is known of its end."""
+    """Every run of rumi that was not right, with what is known of its end; a column of which most were not as one."""
     heads = ["run", "seed", "ended", "actions", "in contact", "refused in part by the reach", "nll at the end (least)"]
     heads += ["off by"]
     rows = []
-    for record in records:
-        figures = record.figures
-        if record.method != "rumi" or figures["right"]:
-            continue
-        ended = {"converged": "sure, and wrong", "steps": "out of actions", "degenerate": "belief without weight"}
-        nll, least = figures["final_nll"], figures["min_nll"]
-        off = (figures["position_error_mm"], figures["rotation_error_deg"])
-        rows.append(
-            [
-                f"{record.task} {record.column}",
-                str(record.seed),
-                ended[figures["stopped_by"]],
-                str(figures["steps"]),
-                str(figures["contacts"]),
-                str(figures["clipped"]),
-                NOTHING if nll is None else f"{nll:.0f} ({least:.0f})",
-                NOTHING if None in off else f"{off[0]:.1f} mm, {off[1]:.0f} deg",
-            ]
-        )
+    for column, runs in by_column(record for record in records if record.method == "rumi"):
+        wrong = [record for record in runs if not record.figures["right"]]
+        if len(wrong) > MANY and 2 * len(wrong) > len(runs):
+            rows.append([f"{column}: {len(wrong)} of {len(runs)} runs", *([NOTHING] * (len(heads) - 1))])
+        else:
+            rows += map(_ending, wrong)
     return table(heads, rows)
 
 
+def _ending(record: Record) -> list[str]:
+    figures = record.figures
+    ended = {"converged": "sure, and wrong", "steps": "out of actions", "degenerate": "belief without weight"}
+    nll, least = figures["final_nll"], figures["min_nll"]
+    off = (figures["position_error_mm"], figures["rotation_error_deg"])
+    return [
+        f"{record.task} {record.column}",
+        str(record.seed),
+        ended[figures["stopped_by"]],
+        str(figures["steps"]),
+        NOTHING if figures["contacts"] is None else str(figures["contacts"]),
+        NOTHING if figures["clipped"] is None else str(figures["clipped"]),
+        NOTHING if nll is None else f"{nll:.0f} ({least:.0f})",
+        NOTHING if None in off else f"{off[0]:.1f} mm, {off[1]:.0f} deg",
+    ]
+
+
 def _pair(
-    first: Sequence[Record], second: Sequence[Record], column: str, name: str, tasks: list[str]
+    first: Sequence[Record], second: Sequence[Record], names: Sequence[str], tasks: Sequence[str]
 ) -> list[list[str]]:
     """One row, none without pairs."""
     base = {(record.task, record.seed): record for record in first}
@@ -155,8 +169,7 @@ def _pair(
     counts = [right.count((True, True)), right.count((True, False)), right.count((False, True))]
     return [
         [
-            column,
-            name,
+            *names,
             str(len(pairs)),
             *map(str, counts),
             f"{mcnemar(flags(a, 'right'), flags(b, 'right')):.2g}",
