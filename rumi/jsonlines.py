@@ -48,8 +48,7 @@ def append_line(path: Path, value: Mapping[str, Any]) -> None:
     try:
         if sys.platform != "win32":
             fcntl.flock(file, fcntl.LOCK_EX)
-        size = os.fstat(file).st_size
-        if size and os.pread(file, 1, size - 1) != b"\n":
+        if os.lseek(file, 0, os.SEEK_END) and os.lseek(file, -1, os.SEEK_END) >= 0 and os.read(file, 1) != b"\n":
             text = "\n" + text
         data = text.encode()
         while data:

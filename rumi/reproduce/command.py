@@ -6,6 +6,7 @@ import secrets
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -135,6 +136,8 @@ def chosen(options: ReproduceOptions) -> tuple[list[str], Selection]:
         raise UsageError(f"Expected jobs to be 1 or more, got {options.jobs}")
     if options.code is not None and not options.show:
         raise UsageError("--code says which of the kept runs to show: give --show with it")
+    if options.figures and find_spec("matplotlib") is None:
+        raise UsageError("Figures need matplotlib and pillow: pip install 'rumi[plot]', or give --no-figures")
     if options.slurm and options.executor != "submitit":
         raise UsageError("--slurm is about --executor submitit: give both or none")
     every = "all" in options.experiments

@@ -65,7 +65,7 @@ def _timed_runs(selection: Selection) -> list[Job]:
 
 def _particles(selection: Selection) -> list[Job]:
     variants = [() if p == PARTICLES_BEFORE else (f"initialise.particles={p}",) for p in PARTICLES]
-    return selection.runs(("mug-0",), ("rumi",), ("default",), variants)
+    return selection.runs(_MUGS, ("rumi",), ("default",), variants)
 
 
 def _horizons(selection: Selection) -> list[Job]:

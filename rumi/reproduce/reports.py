@@ -108,6 +108,8 @@ def summary(records: Sequence[Record]) -> str:
     groups = tables.families(records)
     heads = ["method/preset", *(f"{name}: right · nll <= threshold at any step" for name in groups), "stopped: right"]
     heads += ["the paper: " + ", ".join(groups)]
+    if len(groups) > 1:
+        heads.insert(1, "right in all")
     rows = []
     for column, runs in by_column(records):
         cells = []
@@ -122,6 +124,8 @@ def summary(records: Sequence[Record]) -> str:
             else NOTHING
             for tasks in groups.values()
         ]
+        if len(groups) > 1:
+            cells.insert(0, rate(flags(runs, "right")))
         rows.append([column, *cells, f"{len(sure)}: {sum(flags(sure, 'right'))}", ", ".join(printed)])
     return table(heads, rows)
 

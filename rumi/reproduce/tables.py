@@ -81,6 +81,7 @@ def endings(records: Sequence[Record]) -> str:
     """How the runs of each method end, by object."""
     parts = []
     heads = ["method/preset", "actions", "in contact", "position error, mm", "rotation error, deg", "s an action"]
+    heads += ["s a run"]
     for name, tasks in families(records).items():
         own = [record for record in records if record.task in tasks]
         rows = []
@@ -94,6 +95,7 @@ def endings(records: Sequence[Record]) -> str:
                     middle(numbers(runs, "position_error_mm")),
                     middle(numbers(runs, "rotation_error_deg")),
                     f"{seconds / max(1, sum(record.figures['steps'] for record in runs)):.2f}",
+                    f"{seconds / len(runs):.1f}",
                 ]
             )
         parts.append(f"### {name}\n\n{table(heads, rows)}")

@@ -60,7 +60,8 @@ def work(errand: Errand, first: int = 0, of: int = 1) -> None:
         of: how many share: its own is every `of`-th piece from there.
 
     Raises:
-        UsageError: the code is not the one that the command was given with.
+        UsageError: the code is not the one that the command was given with, or something asked for cannot be.
+        ModuleNotFoundError: a package is not installed that some of the work needs.
         KeyboardInterrupt: interrupted; what is done stays.
     """
     changed = [kind for kind, code in errand.codes.items() if code != _code(errand, kind)]
@@ -78,9 +79,18 @@ def work(errand: Errand, first: int = 0, of: int = 1) -> None:
 
 
 def failures(errand: Errand) -> dict[str, str]:
-    """What failed in this session: the message by the id of the work."""
-    lines = (line for line, _ in read_lines(errand.errors))
-    return {line["id"]: line["error"] for line in lines if line.get("session") == errand.session}
+    """What failed in this session: the message by the id of the work.
+
+    Raises:
+        ModuleNotFoundError: a process could not go on for want of a package.
+        UsageError: a process could not go on with what it was asked for.
+    """
+    own = [line for line, _ in read_lines(errand.errors) if line.get("session") == errand.session]
+    for hopeless in (line["hopeless"] for line in own if "hopeless" in line):
+        if hopeless["module"]:
+            raise ModuleNotFoundError(hopeless["message"], name=hopeless["module"])
+        raise UsageError(hopeless["message"])
+    return {line["id"]: line["error"] for line in own}
 
 
 def work_until_parent_ends(errand: Errand, first: int, of: int) -> None:
@@ -97,6 +107,9 @@ def work_until_parent_ends(errand: Errand, first: int, of: int) -> None:
         work(errand, first, of)
     except KeyboardInterrupt:
         os._exit(130)  # the command says so
+    except (ModuleNotFoundError, UsageError) as error:
+        hopeless = {"message": str(error), "module": getattr(error, "name", None)}
+        append_line(errand.errors, {"session": errand.session, "hopeless": hopeless})
 
 
 def _settle(job: Job, errand: Errand, records: Records, claims: Claims) -> bool:
@@ -112,6 +125,8 @@ def _settle(job: Job, errand: Errand, records: Records, claims: Claims) -> bool:
             return True
         try:
             result = job.carry_out(errand.cache_dir)
+        except (ModuleNotFoundError, UsageError):
+            raise  # so would all work of its kind
         except Exception as error:
             name = f"{job.task}, {job.column}, seed {job.seed}"
             said = {"session": errand.session, "id": job.id, "work": name, "error": f"{type(error).__name__}: {error}"}

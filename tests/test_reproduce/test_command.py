@@ -13,12 +13,14 @@ import pytest
 
 from rumi import cli
 from rumi.cli import main
+from rumi.errors import UsageError
 from rumi.jsonlines import read_lines
-from rumi.reproduce import command, experiments, toy
+from rumi.reproduce import command, experiments, toy, worker
 from rumi.reproduce.jobs import KINDS, Kind
 from rumi.reproduce.live import LiveTable
 from rumi.reproduce.live import lines as live_lines
 from rumi.reproduce.records import Records
+from rumi.reproduce.worker import Errand
 
 ROOT = Path(__file__).resolve().parents[2]
 FEW = ("reproduce", "fig8", "--seeds", "1000-1001", "--no-figures")
@@ -133,6 +135,37 @@ def test_an_error_is_no_result_and_is_tried_again(capsys, monkeypatch, quick):
     monkeypatch.setitem(KINDS, "toy", good)
     assert main([*FEW]) == cli.DONE
     assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 6
+
+
+def test_a_missing_package_ends_it(capsys, monkeypatch, quick):
+    good = KINDS["toy"]
+
+    def lacking(job, cache_dir):
+        if job.method == "SMPPI":
+            raise ModuleNotFoundError("No module named 'trimesh'", name="trimesh")
+        return good.carry_out(job, cache_dir)
+
+    monkeypatch.setitem(KINDS, "toy", Kind(good.roots, lacking))
+    assert main([*FEW]) == cli.BAD_INPUT
+    assert "pip install 'rumi[mesh]'" in capsys.readouterr().err
+    assert quick == [("MPPI", 1000)]
+
+
+def test_what_a_process_could_not_go_on_with_is_said(tmp_path, monkeypatch):
+    errand = Errand((), tmp_path / "a.jsonl", {}, tmp_path, "now")
+    monkeypatch.setattr(worker, "work", lambda *_: (_ for _ in ()).throw(UsageError("the code changed")))
+    worker.work_until_parent_ends(errand, 0, 2)
+    with pytest.raises(UsageError, match="the code changed"):
+        worker.failures(errand)
+    later = Errand((), tmp_path / "a.jsonl", {}, tmp_path, "later")
+    assert worker.failures(later) == {}
+
+
+def test_code_that_changed_is_not_taken_for_the_one_asked_for(tmp_path):
+    (job,) = experiments.work_of(["fig8"], experiments.Selection(seeds=(1,)))[:1]
+    with pytest.raises(UsageError, match=r"The code changed since .* \(of toy\)"):
+        worker.work(Errand((job,), tmp_path / "a.jsonl", {"toy": "another"}, tmp_path, "now"))
+    assert not (tmp_path / "a.jsonl").exists()
 
 
 def test_an_interrupt_keeps_what_is_done(capsys, monkeypatch, quick):

@@ -132,7 +132,7 @@ def test_experiments_take_the_runs_they_are_about(runs, made):
     assert {run.preset for run in of_experiment("table5", seeds, every)} == {"default", "fast"}
     assert len(of_experiment("table5", Selection(presets=("default",), seeds=(0, 1)), every)) == 8
     assert len(of_experiment("table5", Selection(methods=("rumi",), tasks=("mug-1",), seeds=(0, 1)), every)) == 2
-    particles = of_experiment("fig5", Selection(seeds=(0,)), every)
+    particles = of_experiment("fig5", Selection(tasks=("mug-0",), seeds=(0,)), every)
     assert [run.overrides for run in particles] == [("initialise.particles=30",), ()]
 
 
@@ -146,6 +146,13 @@ def test_page_and_summary(runs, tmp_path):
         assert f"## {report.title}" in text and report.text in text
     assert "8 runs, seeds 0-1; code c0de, commit abc; here" in text
     assert rows_of(short)["rumi/default"][2:] == ["3: 3", "18/20"]
+
+
+def test_the_summary_adds_objects_up(made):
+    both = [made("mug-0", nll=(5.0,)), made("box-0", nll=(50.0,)), made("box-1", nll=(5.0,))]
+    rows = rows_of(summary(both))
+    assert [cell.split(" ")[0] for cell in rows["rumi/default"][1:4]] == ["2/3", "1/1", "1/2"]
+    assert rows["rumi/default"][-1] == "9/10, 19/20"
 
 
 def test_provenance_counts_seeds(made):
