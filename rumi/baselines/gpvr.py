@@ -17,13 +17,12 @@ from rumi.baselines.implicit_surface import (
 )
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.base import PushRollouts
-from rumi.dynamics.planar import world_height
 from rumi.fields.information import WorkspaceFields
-from rumi.planning.costs import InformationCost
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
+from rumi.planning.tool import Tool
 from rumi.planning.trajectory_cost import mean_over_rollouts
 from rumi.planning.types import Plan, Scene
-from rumi.planning.worth import Worth
+from rumi.planning.worth import Worth, gathering
 from sdf.voxel_grid import VoxelGrid
 from sensors.observation import in_world
 from sensors.semantics import Semantics
@@ -68,13 +67,13 @@ class VarianceCost:
 
     Args:
         variance: (X, Y, Z), 0 or more, taken as 0 outside; a point meets the cell around the node next to it.
-        points_t: sensing points of a planar tool; x and y in its frame, z in the world.
+        tool: whose sensing points meet it.
         discount: beta, by which each step counts less than the one before.
     """
 
-    def __init__(self, variance: VoxelGrid, points_t: Float[Tensor, "M 3"], discount: float) -> None:
+    def __init__(self, variance: VoxelGrid, tool: Tool, discount: float) -> None:
         self.discount = discount
-        self._met = InformationCost(variance, points_t)
+        self._met = gathering(variance, tool)
 
     def __call__(self, rollouts: PushRollouts) -> Float[Tensor, "K"]:
         """Cost of each control sequence: the mean over its rollouts."""
@@ -137,10 +136,9 @@ class GPVRPolicy(RummagingPolicy):
         variance = predictive_variance(data, found, scene.workspace.points)
         share = (variance / variance.amax()).to(fields.information)
         grid = scene.workspace.grid(share)
-        sensing = world_height(scene.tool.info, scene.tool.height_m).to(share)
-        whole = InformationCost(grid, sensing)
+        whole = gathering(grid, scene.tool)
         return Worth(
-            VarianceCost(grid, sensing, settings.discount),
+            VarianceCost(grid, scene.tool, settings.discount),
             lambda configurations, displacements: -whole(configurations, displacements),
             {"variance": share},
             {"gp_hyperparameters": list(found), "gp_points": len(data.points)},

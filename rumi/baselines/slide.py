@@ -76,7 +76,7 @@ class SlidePolicy:
         """
         if scene.reading is None:
             raise ValueError("Expected scene.reading, by which sliding knows of contact, got None: give the last one")
-        turn = previous.info.get("turn") if previous is not None else None
+        turn = None if previous is None else previous.info.get("turn")
         if turn is None:
             heads = torch.rand((), generator=generator, device=generator.device) < 0.5
             turn = CLOCKWISE if bool(heads) else COUNTER_CLOCKWISE

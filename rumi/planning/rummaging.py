@@ -19,10 +19,9 @@ from rumi.fields.information import (
     WorkspaceFields,
     information_field,
 )
-from rumi.planning.costs import InformationCost
 from rumi.planning.trajectory_cost import TrajectoryCost
 from rumi.planning.types import Plan, Scene
-from rumi.planning.worth import Worth, gathered_by_action
+from rumi.planning.worth import Worth, gathered_by_action, gathering
 from sdf import savings
 
 # control sequences that are rolled out at once: the memory for more is not needed
@@ -47,7 +46,7 @@ class RummagingSettings:
         information_discount: factor by which information is worth less with each action until it is gathered. At 1,
             the paper's, a plan may put its touches off to the end of the horizon, and so may the next plan.
         normalise_information: count information as a share of all there is, so that both costs are in [-1, 0].
-        follow_object: count information where the object will have been moved to (Eq 29); False is the ablation
+        displaced_information: count information where the object will have been moved to (Eq 29); False is the ablation
             that counts it where it is now (Eq 28).
         rollouts: how often each control sequence is rolled out; its cost is the mean.
     """
@@ -59,7 +58,7 @@ class RummagingSettings:
     reachability_scale: float = 2.0
     information_discount: float = 0.9
     normalise_information: bool = True
-    follow_object: bool = True
+    displaced_information: bool = True
     rollouts: int = 5
 
     def __post_init__(self) -> None:
@@ -196,9 +195,9 @@ class RummagingPolicy:
             reachability_scale=settings.reachability_scale,
             information_discount=settings.information_discount,
             normalise=settings.normalise_information,
-            follow_object=settings.follow_object,
+            displaced_information=settings.displaced_information,
         )
-        whole = InformationCost(information, sensing)
+        whole = gathering(information, scene.tool)
         return Worth(
             cost,
             lambda configurations, displacements: -whole(configurations, displacements),

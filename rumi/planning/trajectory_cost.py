@@ -24,7 +24,7 @@ class TrajectoryCost:
         reachability_scale: beta_R.
         information_discount: factor by which information is worth less with each action until it is gathered.
         normalise: count information as a share of all there is.
-        follow_object: take the information to ride with the object (RUMI, Eq 29); False leaves the predicted
+        displaced_information: take the information to ride with the object (RUMI, Eq 29); False leaves the predicted
             displacement out of it (Eq 28), so that pushing the object along seems to gather what lies on the way.
     """
 
@@ -38,10 +38,10 @@ class TrajectoryCost:
         reachability_scale: float = 1.0,
         information_discount: float = 1.0,
         normalise: bool = True,
-        follow_object: bool = True,
+        displaced_information: bool = True,
     ) -> None:
         self.information_scale, self.reachability_scale = information_scale, reachability_scale
-        self.follow_object = follow_object
+        self.displaced_information = displaced_information
         self._information: InformationCost | None = None
         if information_scale > 0:
             self._information = InformationCost(
@@ -65,7 +65,7 @@ class TrajectoryCost:
     ) -> Float[Tensor, "R"]:
         total = configurations.new_zeros(len(configurations))
         if self._information is not None:
-            ridden = displacements if self.follow_object else torch.zeros_like(displacements)
+            ridden = displacements if self.displaced_information else torch.zeros_like(displacements)
             total += self.information_scale * self._information(configurations, ridden)
         if self._reachability is not None:
             with savings.work("reachability_sums", alike=False) as work:

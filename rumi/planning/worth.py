@@ -9,6 +9,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.dynamics.base import PushRollouts
+from rumi.dynamics.planar import world_height
+from rumi.planning.costs import InformationCost
+from rumi.planning.tool import Tool
+from sdf.voxel_grid import VoxelGrid
 
 Gathered = Callable[[Float[Tensor, "R H Q"], Float[Tensor, "R H 3"]], Float[Tensor, "R"]]
 """What whole paths gather, from the configurations after each action and the object's displacements by then."""
@@ -31,6 +35,11 @@ class Worth:
     maps: dict[str, Tensor] = field(default_factory=dict)
     info: dict[str, Any] = field(default_factory=dict)
     skipped: dict[str, float] = field(default_factory=dict)
+
+
+def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:
+    """Minus what a tool's sensing points meet of a field along a path, each cell once."""
+    return InformationCost(field, world_height(tool.info, tool.height_m).to(field.values))
 
 
 def gathered_by_action(gathered: Gathered, rollout: PushRollouts) -> Float[Tensor, "H"]:

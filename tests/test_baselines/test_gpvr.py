@@ -85,7 +85,8 @@ def random_rollouts(generator: torch.Generator, samples: int = 6, count: int = 3
 def test_cost_sums_each_steps_own_cells(generator: torch.Generator) -> None:
     """A cell met at two steps counts twice, at one step by two points once."""
     field = VoxelGrid(torch.rand(14, 12, 1, generator=generator), torch.tensor([-0.3, -0.25, 0.0]), 0.04)
-    points = (torch.rand(25, 3, generator=generator) - 0.5) * torch.tensor([0.2, 0.15, 0.0])
+    tool = Tool(torch.tensor([[0.0, -0.4], [0.8, 0.4]]), height_m=HEIGHT, info_spacing_m=0.015)
+    points = tool.info
     rollouts, beta = random_rollouts(generator), 0.9
     expected = torch.zeros(6)
     for k in range(6):
@@ -96,7 +97,7 @@ def test_cost_sums_each_steps_own_cells(generator: torch.Generator) -> None:
                 cells = {tuple(c) for c, held in zip(index.tolist(), inside.tolist(), strict=True) if held}
                 expected[k] -= beta ** (t - 1) * sum(float(field.values[c]) for c in cells) / 3
     assert float(expected.min()) < -0.5
-    torch.testing.assert_close(VarianceCost(field, points, beta)(rollouts), expected, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(VarianceCost(field, tool, beta)(rollouts), expected, atol=1e-4, rtol=1e-4)
 
 
 def test_data_are_what_was_observed_and_what_is_free_for_sure(scene: Scene) -> None:
@@ -141,7 +142,7 @@ def test_hyperparameters_go_on_from_the_last_plan(scene: Scene) -> None:
 
 def met(plan: Plan, scene: Scene) -> Tensor:
     """Variance that each position of the path meets."""
-    cost = VarianceCost(scene.workspace.grid(plan.fields["variance"]), scene.tool.info, 1.0)
+    cost = VarianceCost(scene.workspace.grid(plan.fields["variance"]), scene.tool, 1.0)
     return -cost.of_paths(plan.path[:, None], torch.zeros(len(plan.path), 1, 3))
 
 
@@ -156,7 +157,7 @@ def test_greedy_takes_the_best_next_position(scene: Scene) -> None:
     assert plan.controls.shape == (1, 3)
     # no position that some hundred other controls lead to is much better
     others = 2.0 * torch.rand(300, 3, generator=torch.Generator().manual_seed(5)) - 1.0
-    cost = VarianceCost(scene.workspace.grid(plan.fields["variance"]), scene.tool.info, 1.0)
+    cost = VarianceCost(scene.workspace.grid(plan.fields["variance"]), scene.tool, 1.0)
     reached, _ = scene.tool.free_step(scene.configuration, others)
     values = -cost.of_paths(reached[:, None], torch.zeros(300, 1, 3))
     chosen = float(met(plan, scene)[1])

@@ -229,7 +229,9 @@ def test_information_that_does_not_follow_the_object(generator: torch.Generator)
         states, moved = (torch.nn.functional.pad(x, (0, 0, 1, 0))[:, None] for x in (q, d))
         twin = torch.zeros(len(q), 1, dtype=torch.long)
         rollouts = PushRollouts(states, moved, torch.zeros(len(q), 1, 4, dtype=torch.bool), 1.0, twin)
-        whole = TrajectoryCost(field, None, points, reachability_scale=0.0, normalise=False, follow_object=follow)
+        whole = TrajectoryCost(
+            field, None, points, reachability_scale=0.0, normalise=False, displaced_information=follow
+        )
         return whole(rollouts)
 
     torch.testing.assert_close(cost(False), expected)
