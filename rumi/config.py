@@ -11,6 +11,7 @@ import torch
 import tyro
 
 from rumi.belief.filter import FilterSettings
+from rumi.belief.renewal import RenewalSettings
 from rumi.errors import UsageError
 from rumi.planning.rummaging import RummagingSettings
 from rumi.registration.descent import DescentSettings
@@ -41,6 +42,7 @@ class Settings:
         replan_every: actions carried out of one plan; a contact always asks for a new one.
         filter: how the belief follows the readings.
         initialise: how the first belief is found.
+        renewal: when and how particles are drawn anew, where no camera sees the object.
         planner: how actions are chosen.
         stop: when the belief is sure enough.
         simulator: how the simulator steps and what its sensors report.
@@ -56,6 +58,7 @@ class Settings:
     replan_every: int = 1
     filter: FilterSettings = field(default_factory=FilterSettings)
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
+    renewal: RenewalSettings = field(default_factory=RenewalSettings)
     planner: RummagingSettings = field(default_factory=RummagingSettings)
     stop: StopSettings = field(default_factory=StopSettings)
     simulator: SimSettings = field(default_factory=SimSettings)
@@ -179,8 +182,10 @@ def _paper() -> Settings:
             trigger=5.0,
             trigger_percentile=1.0,
             weigh_before_resampling=False,
+            lies_flat=False,
             descent=DescentSettings(method="adam", iterations=10),
         ),
+        renewal=RenewalSettings.never(),
         planner=RummagingSettings.paper(),
         stop=StopSettings(rule="never", apc_ratio=0.03),
         simulator=SimSettings(free_fraction=0.95, free_spacing_m=0.010),

@@ -112,7 +112,7 @@ class Reach(nn.Module):
         """Distance from the base's axis (m), angle from its forward direction, yaw relative to the radial one."""
         offset = q[..., :2] - self.base[:2]
         direction = torch.atan2(offset[..., 1], offset[..., 0])
-        return offset.norm(dim=-1), _wrap(direction - self.base[2]), _wrap(q[..., 2] - direction)
+        return offset.norm(dim=-1), _wrap(direction - self.base[2]), _wrap(q[..., -1] - direction)
 
     def field(
         self,
@@ -155,17 +155,22 @@ class Reach(nn.Module):
         """Place of each configuration in the table, (yaw, radius) in [-1, 1], and metres beyond the table."""
         radius, direction, yaw = self.relative(q)
         last = (self.position.shape[0] - 1) * self.settings.radius_step_m
-        beyond = (radius - last).clamp_min(0.0) + radius * (direction.abs() - SECTOR_RAD).clamp_min(0.0)
-        return torch.stack((yaw.abs() * (2.0 / math.pi) - 1.0, radius * (2.0 / last) - 1.0), -1), beyond
+        place = torch.stack((yaw.abs() * (2.0 / math.pi) - 1.0, radius * (2.0 / last) - 1.0), -1)
+        return place, self._beyond(radius, direction, last)
+
+    def _beyond(self, radius: Tensor, direction: Tensor, last: float) -> Float[Tensor, "*b"]:
+        """Metres beyond the table, whose last radius is `last`."""
+        return (radius - last).clamp_min(0.0) + radius * (direction.abs() - SECTOR_RAD).clamp_min(0.0)
 
 
-def _look_up(tables: Float[Tensor, "C R Y"], place: Float[Tensor, "*b 2"]) -> tuple[Tensor, ...]:
-    """Bilinear values of C tables, each (*b); beyond the last node the last node's."""
-    rows = place.reshape(1, 1, -1, 2)
+def _look_up(tables: Float[Tensor, "C *nodes"], place: Float[Tensor, "*b D"]) -> tuple[Tensor, ...]:
+    """Multilinear values of C tables of D axes, each (*b); beyond the last node the last node's."""
+    axes = place.shape[-1]
+    rows = place.reshape(*(1,) * axes, -1, axes)
     found = torch.nn.functional.grid_sample(
         tables[None].to(place), rows, mode="bilinear", padding_mode="border", align_corners=True
     )
-    return tuple(channel.reshape(place.shape[:-1]) for channel in found[0, :, 0])
+    return tuple(channel.reshape(place.shape[:-1]) for channel in found.flatten(2)[0])
 
 
 def _wrap(angle: Tensor) -> Tensor:

@@ -136,6 +136,7 @@ class RummagingPolicy:
                 reachability_scale=settings.reachability_scale,
                 information_discount=settings.information_discount,
                 normalise=settings.normalise_information,
+                spatial=tool.spatial,
             )
             watch.lap("costs")
 

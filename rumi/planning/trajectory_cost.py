@@ -17,11 +17,12 @@ class TrajectoryCost:
     Args:
         information: (X, Y, Z), nats.
         reachability: (X, Y, Z), in [0, 1]; needed where its weight is not 0.
-        points_t: sensing points; x and y in the tool's frame, z in the world.
+        points_t: sensing points; x and y in the tool's frame, z in the world, or with `spatial` in its frame too.
         information_scale: beta_I.
         reachability_scale: beta_R.
         information_discount: factor by which information is worth less with each action until it is gathered.
         normalise: count information as a share of all there is.
+        spatial: whether the tool moves in space.
     """
 
     def __init__(
@@ -34,12 +35,13 @@ class TrajectoryCost:
         reachability_scale: float = 1.0,
         information_discount: float = 1.0,
         normalise: bool = True,
+        spatial: bool = False,
     ) -> None:
         self.information_scale, self.reachability_scale = information_scale, reachability_scale
         self._information: InformationCost | None = None
         if information_scale > 0:
             self._information = InformationCost(
-                information, points_t, discount=information_discount, normalise=normalise
+                information, points_t, spatial=spatial, discount=information_discount, normalise=normalise
             )
         self._reachability: ReachabilityCost | None = None
         if reachability_scale > 0:
@@ -64,7 +66,7 @@ class TrajectoryCost:
         return cost.gather(1, twin).mean(-1)
 
     def _of_paths(
-        self, configurations: Float[Tensor, "R H 3"], displacements: Float[Tensor, "R H 3"]
+        self, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]
     ) -> Float[Tensor, "R"]:
         total = configurations.new_zeros(len(configurations))
         if self._information is not None:

@@ -22,7 +22,7 @@ class Scene:
         model: the object's shape.
         workspace: the lattice on which fields live.
         tool: the robot's body points and free-space motion, with its reach.
-        configuration: (Q,), where the tool is now (planar: x, y, yaw).
+        configuration: (Q,), where the tool is now (planar: x, y, yaw; in space: x, y, z, yaw).
     """
 
     model: ObjectModel

@@ -1,6 +1,7 @@
 """All plausible poses of an object under some points: starts, descent, archive of orientations, descent, selection."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -33,6 +34,8 @@ class RegisterSettings:
         bin_m: their width in the place of the object's middle, metres; infinite for orientation alone. Where more
             cells are plausible than poses are kept, they are widened until each has its pose.
         plausible: least weight, relative to the best pose's, of a pose that is kept.
+        bins: orientations that the archive's cells divide: "SE(2)" those about the upright axis, "SE(3)" all; None for
+            those that the search may reach.
     """
 
     kept: int = 100
@@ -45,6 +48,7 @@ class RegisterSettings:
     bin_rad: float = 0.35
     bin_m: float = 0.02
     plausible: float = 0.01
+    bins: Search | None = None
 
     def __post_init__(self) -> None:
         """Refuse empty searches."""
@@ -102,6 +106,7 @@ def register(
     *,
     starts: Float[Tensor, "N 4 4"] | None = None,
     search: Search = "SE(3)",
+    further: Callable[[Float[Tensor, "N 4 4"]], Float[Tensor, "N"]] | None = None,
     generator: torch.Generator,
 ) -> Registered:
     """Plausible poses of one scene under its points alone, spread over all orientations that are plausible.
@@ -116,6 +121,7 @@ def register(
         settings: counts.
         starts: poses to start from; `uniform_starts` by default.
         search: "SE(2)" or "SE(3)".
+        further: what to add to the discrepancy of poses, such as a prior's part.
         generator: draws the starts and the sample of points.
     """
     settings = settings or RegisterSettings()
@@ -132,18 +138,23 @@ def register(
     # the sample stands for all surface points, the free points for themselves
     free = thinned(observation[others], 8000)
     coarse = scale * discrepancy(poses, sample) + discrepancy(poses, free) * (len(others) / max(len(free), 1))
+    if further is not None:
+        coarse = coarse + further(poses)
     middle = discrepancy.sdf.bounds.mean(0)
-    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, search)
+    spread: Search = settings.bins or search
+    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, spread)
     best = fill(cells, coarse, math.inf, min(settings.polished, len(poses)))
     poses = descend(discrepancy, poses[best], observation, search, settings.fine)
     fine = discrepancy(poses, observation)
+    if further is not None:
+        fine = fine + further(poses)
     margin = -math.log(settings.plausible) / peakiness
     plausible, wider = fine <= fine.min() + margin, 1.0
-    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, search)
+    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, spread)
     # best first alone, differences of fit that mean nothing would decide which cells are left out
     while len(cells[plausible].unique()) > settings.kept:
         wider *= 1.3
-        cells = pose_cells(poses, middle, min(wider * settings.bin_rad, 6.0), wider * settings.bin_m, search)
+        cells = pose_cells(poses, middle, min(wider * settings.bin_rad, 6.0), wider * settings.bin_m, spread)
     chosen = fill(cells, fine, margin, settings.kept)
     return Registered(poses[chosen], fine[chosen])
 

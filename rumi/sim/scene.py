@@ -1,4 +1,4 @@
-"""The MuJoCo model: a floor, an object that stands free on it, and a gripper that flies at one height."""
+"""The MuJoCo model: a floor, an object that stands free on it, and a gripper that flies at one height or at any."""
 
 import math
 from dataclasses import dataclass
@@ -25,7 +25,9 @@ class PhysicsSettings:
         gripper_inertia: inertia of the drive about z, kg m^2.
         bandwidth_hz: of the critically damped position servos.
         max_force_n: of the drive along x and y.
+        max_lift_n: of the drive along z, for a gripper that moves in space.
         max_torque_nm: of the drive about z.
+        lead_m: by how much a command may be ahead of the measured position along an axis; infinite for any.
         wall_boxes: boxes that make up the wall of a cup.
         handle_capsules: capsules that make up its handle.
     """
@@ -36,30 +38,38 @@ class PhysicsSettings:
     gripper_inertia: float = 0.1
     bandwidth_hz: float = 20.0
     max_force_n: float = 200.0
+    max_lift_n: float = 200.0
     max_torque_nm: float = 20.0
+    lead_m: float = math.inf
     wall_boxes: int = 24
     handle_capsules: int = 12
 
 
 @dataclass(frozen=True)
 class Piece:
-    """One geom of an object: its attributes as XML and its volume (m^3), by which the mass is shared out."""
+    """One geom of an object: its attributes as XML and its volume (m^3), by which the mass is shared out.
+
+    It meets the gripper, unless it is `on_floor`: then it meets the floor alone. What `tips` meets both.
+    """
 
     xml: str
     volume: float
     on_floor: bool = False
+    tips: bool = False
 
 
-def scene_xml(shape: SDF, gripper: GripperShape, height_m: float, time_step_s: float, physics: PhysicsSettings) -> str:
+def scene_xml(
+    shape: SDF, gripper: GripperShape, height_m: float | None, time_step_s: float, physics: PhysicsSettings
+) -> str:
     """The scene as MJCF text.
 
-    Bodies `object` (a free joint) and `gripper` (slides x and y, then a hinge about z, each with a position servo
-    of the same name). Driven joints rather than a mocap body, whose tangential motion friction would not see.
+    Bodies `object` (a free joint) and `gripper` (slides x and y, in space z, then a hinge about z, each with a position
+    servo of the same name). Driven joints rather than a mocap body, whose tangential motion friction would not see.
 
     Args:
         shape: the object's exact shape.
         gripper: the gripper's shape.
-        height_m: height of the tool frame.
+        height_m: height of the tool frame; None for a gripper that moves in space.
         time_step_s: of the physics.
         physics: masses, friction, drive.
     """
@@ -75,7 +85,7 @@ def scene_xml(shape: SDF, gripper: GripperShape, height_m: float, time_step_s: f
     </body>
     {_gripper_xml(gripper, height_m, physics)}
   </worldbody>
-  {_drive_xml(physics)}
+  {_drive_xml(physics, spatial=height_m is None)}
 </mujoco>"""
 
 
@@ -86,31 +96,35 @@ def _object_xml(shape: SDF, physics: PhysicsSettings) -> str:
     for part in parts:
         # only the base meets the floor, which makes the contacts few and the steps quick
         kind = f'contype="0" conaffinity="{_FLOOR}"' if part.on_floor else f'contype="{_SHELL}" conaffinity="0"'
+        if part.tips:
+            kind = f'contype="{_SHELL}" conaffinity="{_FLOOR}"'
         lines.append(f'<geom {part.xml} mass="{physics.mass_kg * part.volume / total:.9g}" {kind}/>')
     return "\n      ".join(lines)
 
 
-def _gripper_xml(gripper: GripperShape, height_m: float, physics: PhysicsSettings) -> str:
+def _gripper_xml(gripper: GripperShape, height_m: float | None, physics: PhysicsSettings) -> str:
     palm = " ".join(f"{0.5 * side:.9g}" for side in gripper.palm_m)
     pad = " ".join(f"{side:.9g}" for side in gripper.pad_m)
     kind = f'mass="0.1" contype="0" conaffinity="{_SHELL}" solref="0.01 1"'
     pads = "\n      ".join(
         f'<geom type="ellipsoid" size="{pad}" pos="{x:.9g} {y:.9g} {z:.9g}" {kind}/>' for x, y, z in gripper.pad_centers
     )
-    return f"""<body name="gripper" pos="0 0 {height_m:.9g}" gravcomp="1">
+    rise = f'\n      <joint name="z" type="slide" axis="0 0 1" armature="{physics.gripper_mass_kg}"/>'
+    return f"""<body name="gripper" pos="0 0 {height_m or 0.0:.9g}" gravcomp="1">
       <joint name="x" type="slide" axis="1 0 0" armature="{physics.gripper_mass_kg}"/>
-      <joint name="y" type="slide" axis="0 1 0" armature="{physics.gripper_mass_kg}"/>
+      <joint name="y" type="slide" axis="0 1 0" armature="{physics.gripper_mass_kg}"/>{rise * (height_m is None)}
       <joint name="yaw" type="hinge" axis="0 0 1" armature="{physics.gripper_inertia}"/>
       <geom type="box" size="{palm}" pos="{gripper.palm_center_m:.9g} 0 0" {kind}/>
       {pads}
     </body>"""
 
 
-def _drive_xml(physics: PhysicsSettings) -> str:
+def _drive_xml(physics: PhysicsSettings, *, spatial: bool) -> str:
     square = (2.0 * math.pi * physics.bandwidth_hz) ** 2
     axes = (
         ("x", physics.gripper_mass_kg, physics.max_force_n),
         ("y", physics.gripper_mass_kg, physics.max_force_n),
+        *((("z", physics.gripper_mass_kg, physics.max_lift_n),) * spatial),
         ("yaw", physics.gripper_inertia, physics.max_torque_nm),
     )
     servos = "".join(
