@@ -44,8 +44,8 @@ class FilterSettings:
         weigh_before_resampling: False is the order of the paper's Alg 1, whose resampling has not seen the new
             data and whose weights after it are all 1/P.
         descent: the optimiser after resampling (Alg 4).
-        lies_flat: the object is known to lie flat on the floor at the start, so that in the frame that rides with it poses
-            keep their height and tilt even where all may be searched; only with a prior, which has these.
+        lies_flat: the object is known to lie flat on the floor at the start, so that in the frame that rides with it
+            poses keep their height and tilt even where all may be searched; only with a prior, which has these.
         still_m, still_rad: motions below these are no move: no noise, discrepancies carry over.
     """
 

@@ -340,7 +340,7 @@ def _rollouts_numba(
     model: DisplacementModel, configuration: Tensor, controls: Tensor, uniforms: Tensor
 ) -> PushRollouts:
     x, y, z = model.grids[0].shape
-    if model.tool.spatial or z > 1 or min(x, y) == 1:
-        # points of several heights, or a field that is constant along an axis: the plain version knows how
+    if min(x, y) == 1 or (z > 1) != model.tool.spatial:
+        # points of several heights in a plane, or a field constant along an axis: the plain version knows how
         return model._rollouts(configuration, controls, uniforms)
     return model.fused(configuration, controls, uniforms)

@@ -61,7 +61,7 @@ class SpatialReach(Reach):
         tables = [reach_table(replace(settings, height_m=height), cache_dir=cache_dir) for height in heights_m]
         return cls(tables, heights_m, settings, base)
 
-    def _oriented(self, points_w: Tensor, yaws: Sequence[float]) -> Float[Tensor, "*b R 4"]:
+    def _oriented(self, points_w: Tensor, yaws: Sequence[float]) -> Float[Tensor, "*b R Q"]:
         check_shape("points_w", points_w, "(*b, 3)", last=(3,))
         if len(yaws) == 0:
             raise ValueError("Expected yaws to hold at least one angle, got none")
@@ -69,7 +69,7 @@ class SpatialReach(Reach):
         places = points_w[..., None, :].expand(*points_w.shape[:-1], len(turns), 3)
         return torch.cat((places, turns[:, None].expand(*places.shape[:-1], 1)), -1)
 
-    def _locate(self, q: Tensor) -> tuple[Float[Tensor, "*b 3"], Float[Tensor, "*b"]]:
+    def _locate(self, q: Tensor) -> tuple[Float[Tensor, "*b D"], Float[Tensor, "*b"]]:
         radius, direction, yaw = self.relative(q)
         last = (self.position.shape[1] - 1) * self.settings.radius_step_m
         low, high = self.heights_m[0], self.heights_m[-1]

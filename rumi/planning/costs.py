@@ -99,7 +99,7 @@ class Cells:
     """
 
     value: Float[Tensor, "X Y Z"]
-    layer: Int[Tensor, "M"]
+    layer: Int[Tensor, "L"]
     scale: Float[Tensor, "3"]
     offset: Float[Tensor, "3"]
     points_t: Float[Tensor, "M 3"]
@@ -177,12 +177,14 @@ def _gathered(
 
 @backend.register("gathered_information", "numba", fused.supports)
 def _gathered_numba(cells: Cells, configurations: Tensor, displacements: Tensor, discount: float) -> Tensor:
-    if cells.spatial:
-        return _gathered(cells, configurations, displacements, discount)
-    from rumi.planning.costs_numba import gathered
-
     result = configurations.new_empty(len(configurations))
-    geometry = (cells.layer, cells.scale, cells.offset, *cells.points_t[:, :2].unbind(-1), cells.middle)
+    geometry: tuple[Tensor, ...] = (cells.scale, cells.offset, *cells.points_t.unbind(-1), cells.middle)
+    if cells.spatial:
+        from rumi.planning.costs_space_numba import gathered
+    else:
+        from rumi.planning.costs_numba import gathered
+
+        geometry = (cells.layer, *geometry[:-2], cells.middle)  # heights are told by the layers
     gathered(
         cells.value.contiguous().numpy(),
         *(part.contiguous().numpy() for part in geometry),

@@ -175,11 +175,13 @@ class Tool(nn.Module):
         """What limits a step, for `tool_numba`: reach table, base, bounds, and an array of numbers."""
         bounds = self.bounds.numpy()
         if self.reach is None:
-            none = np.zeros((1, 3), bounds.dtype)
-            return none, none[0], bounds, np.array((1.0, SECTOR_RAD, 0.0, _SLACK_M, _PARTS, 0.0))
-        settings = self.reach.settings
-        numbers = np.array((settings.radius_step_m, SECTOR_RAD, settings.tolerance_m, _SLACK_M, _PARTS, 1.0))
-        return self.reach.left.contiguous().numpy(), self.reach.base.numpy(), bounds, numbers
+            none = np.zeros((1,) * self.spatial + (1, 3), bounds.dtype)
+            numbers = (1.0, SECTOR_RAD, 0.0, _SLACK_M, _PARTS, 0.0)
+            return none, none.reshape(-1), bounds, np.array(numbers + (0.0, 1.0) * self.spatial)
+        settings, heights = self.reach.settings, self.reach.heights_m
+        numbers = (settings.radius_step_m, SECTOR_RAD, settings.tolerance_m, _SLACK_M, _PARTS, 1.0)
+        left = self.reach.left.contiguous().numpy()
+        return left, self.reach.base.numpy(), bounds, np.array(numbers + heights[:1] + heights[-1:])
 
     def _inside(self, q: Tensor) -> Bool[Tensor, "*b"]:
         boxed = ((q[..., :-1] >= self.bounds[0]) & (q[..., :-1] <= self.bounds[1])).all(-1)
