@@ -1,7 +1,7 @@
 """Shape of the gripper that touches: a palm and two rounded pads, and points on and in it."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -59,6 +59,33 @@ class GripperShape:
         pad = torch.cat(rows)
         both = torch.cat([pad + pad.new_tensor(center[:2]) for center in self.pad_centers])
         return both[~self.in_palm(both)]
+
+    def solid(self, spacing: float) -> Float[Tensor, "n 3"]:
+        """Points of the palm and the pads, borders included, about `spacing` metres apart."""
+        length, width, height = self.palm_m
+        axes = [
+            torch.linspace(low, high, _count(high - low, spacing), dtype=torch.float64)
+            for low, high in (
+                (self.palm_front_m - length, self.palm_front_m),
+                (-0.5 * width, 0.5 * width),
+                (-0.5 * height, 0.5 * height),
+            )
+        ]
+        palm = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        return torch.cat((palm, self.pad_solid(spacing)))
+
+    def pad_solid(self, spacing: float) -> Float[Tensor, "n 3"]:
+        """Points of the pads outside the palm, borders included, about `spacing` metres apart."""
+        deep = self.pad_m[2]
+        poles = torch.tensor([center[:2] for center in self.pad_centers], dtype=torch.float64)
+        layers = []
+        for z in torch.linspace(-deep, deep, _count(2.0 * deep, spacing), dtype=torch.float64).tolist():
+            share = math.sqrt(max(0.0, 1.0 - (z / deep) ** 2))
+            scaled = (share * self.pad_m[0], share * self.pad_m[1], deep)
+            flat = replace(self, pad_m=scaled).pad_section(spacing) if share > 0 else poles
+            layers.append(torch.cat((flat, torch.full_like(flat[:, :1], z)), -1))
+        points = torch.cat(layers)
+        return points[~self.in_palm(points)]
 
     def pad_shell(self, spacing: float) -> Float[Tensor, "n 3"]:
         """Points on the pads' surface outside the palm, about `spacing` metres apart."""

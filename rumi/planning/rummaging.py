@@ -196,6 +196,7 @@ class RummagingPolicy:
             information_discount=settings.information_discount,
             normalise=settings.normalise_information,
             displaced_information=settings.displaced_information,
+            spatial=scene.tool.spatial,
         )
         whole = gathering(information, scene.tool)
         return Worth(

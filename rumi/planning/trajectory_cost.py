@@ -19,13 +19,14 @@ class TrajectoryCost:
     Args:
         information: (X, Y, Z), nats.
         reachability: (X, Y, Z), in [0, 1]; needed where its weight is not 0.
-        points_t: sensing points; x and y in the tool's frame, z in the world.
+        points_t: sensing points; x and y in the tool's frame, z in the world, or with `spatial` in its frame too.
         information_scale: beta_I.
         reachability_scale: beta_R.
         information_discount: factor by which information is worth less with each action until it is gathered.
         normalise: count information as a share of all there is.
         displaced_information: take the information to ride with the object (RUMI, Eq 29); False leaves the predicted
             displacement out of it (Eq 28), so that pushing the object along seems to gather what lies on the way.
+        spatial: whether the tool moves in space.
     """
 
     def __init__(
@@ -39,13 +40,14 @@ class TrajectoryCost:
         information_discount: float = 1.0,
         normalise: bool = True,
         displaced_information: bool = True,
+        spatial: bool = False,
     ) -> None:
         self.information_scale, self.reachability_scale = information_scale, reachability_scale
         self.displaced_information = displaced_information
         self._information: InformationCost | None = None
         if information_scale > 0:
             self._information = InformationCost(
-                information, points_t, discount=information_discount, normalise=normalise
+                information, points_t, spatial=spatial, discount=information_discount, normalise=normalise
             )
         self._reachability: ReachabilityCost | None = None
         if reachability_scale > 0:
@@ -61,7 +63,7 @@ class TrajectoryCost:
         return mean_over_rollouts(rollouts, self._of_paths)
 
     def _of_paths(
-        self, configurations: Float[Tensor, "R H 3"], displacements: Float[Tensor, "R H 3"]
+        self, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]
     ) -> Float[Tensor, "R"]:
         total = configurations.new_zeros(len(configurations))
         if self._information is not None:

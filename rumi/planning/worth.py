@@ -39,7 +39,8 @@ class Worth:
 
 def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:
     """Minus what a tool's sensing points meet of a field along a path, each cell once."""
-    return InformationCost(field, world_height(tool.info, tool.height_m).to(field.values))
+    sensing = world_height(tool.info, tool.height_m).to(field.values)
+    return InformationCost(field, sensing, spatial=tool.spatial)
 
 
 def gathered_by_action(gathered: Gathered, rollout: PushRollouts) -> Float[Tensor, "H"]:
