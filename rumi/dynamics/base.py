@@ -1,6 +1,6 @@
 """What every push model is: control sequences in, predicted motion of robot and object out."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,11 +12,14 @@ class PushRollouts(NamedTuple):
 
     Attributes:
         configurations: (K, M, T, Q), where the robot is.
-        displacements: (K, M, T, 3), how far the object has been moved since the present, metres, world axes.
+        displacements: (K, M, T, 3), how far the object (with a `pivot`, its point that is there at present) has been
+            moved since the present, metres, world axes.
         contact: (K, M, H), whether the robot touched the object during a step.
         checked: share of the contact checks that were done point by point; the rest was settled by a bound, or by
             another rollout that had met the same so far.
         twin: (K, M), the first rollout of the same sequence that is known to be the same throughout, itself if none is.
+        turns: (K, M, T), how far the object has been turned since the present, radians; None if never.
+        pivot: (2,), the point whose displacements are told, where objects turn.
     """
 
     configurations: Float[Tensor, "K M T Q"]
@@ -24,6 +27,8 @@ class PushRollouts(NamedTuple):
     contact: Bool[Tensor, "K M H"]
     checked: float
     twin: Int[Tensor, "K M"]
+    turns: Float[Tensor, "K M T"] | None = None
+    pivot: Float[Tensor, "2"] | None = None
 
     @property
     def touched(self) -> Bool[Tensor, "K M"]:
@@ -31,6 +36,7 @@ class PushRollouts(NamedTuple):
         return self.contact.any(-1)
 
 
+@runtime_checkable
 class PushModel(Protocol):
     """Predicts how the robot moves and what it does to the object."""
 

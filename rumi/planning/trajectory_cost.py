@@ -11,6 +11,19 @@ from sdf import savings
 from sdf.voxel_grid import VoxelGrid
 
 
+def as_seen(
+    configurations: Float[Tensor, "*b 3"],
+    displacements: Float[Tensor, "*b 3"],
+    turns: Float[Tensor, "*b"],
+    pivot: Float[Tensor, "2"],
+) -> Float[Tensor, "*b 3"]:
+    """Configurations of the tool as they are to an object that has been moved, were it still at its old place."""
+    cos, sin = turns.cos(), turns.sin()
+    x, y = (configurations[..., :2] - pivot - displacements[..., :2]).unbind(-1)
+    place = torch.stack((cos * x + sin * y, cos * y - sin * x), -1) + pivot
+    return torch.cat((place, (configurations[..., 2] - turns)[..., None]), -1)
+
+
 class TrajectoryCost:
     """Weighted sum of information and reachability cost, each left out where its weight is 0 (RUMI, Eq 31).
 
@@ -56,21 +69,37 @@ class TrajectoryCost:
         samples, count = twin.shape
         distinct = twin == torch.arange(count, device=twin.device)
         paths, displacements = rollouts.configurations[:, :, 1:], rollouts.displacements[:, :, 1:]
+        turns = None if rollouts.turns is None else rollouts.turns[:, :, 1:]
         cost = rollouts.configurations.new_zeros(samples, count)
         with savings.work("rollouts_valued") as work:
             if savings.kept():
                 work.count(int(distinct.sum()), distinct.numel())
-            cost[distinct] = self._of_paths(paths[distinct], displacements[distinct])
+            cost[distinct] = self._of_paths(
+                paths[distinct],
+                displacements[distinct],
+                None if turns is None else turns[distinct],
+                rollouts.pivot,
+            )
         return cost.gather(1, twin).mean(-1)
 
     def _of_paths(
-        self, configurations: Float[Tensor, "R H 3"], displacements: Float[Tensor, "R H 3"]
+        self,
+        configurations: Float[Tensor, "R H 3"],
+        displacements: Float[Tensor, "R H 3"],
+        turns: Float[Tensor, "R H"] | None = None,
+        pivot: Float[Tensor, "2"] | None = None,
     ) -> Float[Tensor, "R"]:
         total = configurations.new_zeros(len(configurations))
         if self._information is not None:
-            total += self.information_scale * self._information(configurations, displacements)
+            if turns is None or pivot is None:
+                gathered = self._information(configurations, displacements)
+            else:
+                # the information turns with the object: look from where it has not moved
+                seen = as_seen(configurations, displacements, turns, pivot)
+                gathered = self._information(seen, torch.zeros_like(displacements))
+            total += self.information_scale * gathered
         if self._reachability is not None:
             with savings.work("reachability_sums", alike=False) as work:
-                total += self.reachability_scale * self._reachability(displacements)
+                total += self.reachability_scale * self._reachability(displacements, turns, pivot)
                 work.count(displacements[..., 0].numel(), displacements[..., 0].numel() * self._reachability.points)
         return total
