@@ -84,6 +84,7 @@ class RummagingSettings:
         """The paper's settings (Table IV)."""
         return cls(
             information=InformationSettings(mode="surrogate"),
+            push_model="displacement",
             push=DisplacementSettings(hazard="per_mini_step"),
             mppi=MPPISettings(temperature=0.01, cost_scale="raw"),
             reachability_scale=200.0,
