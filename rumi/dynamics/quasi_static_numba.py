@@ -5,41 +5,10 @@ import math
 import numpy as np
 from numba import prange
 
+from rumi.dynamics.sliding_numba import settled, slope, value
 from rumi.planning.tool_numba import residual, step_within
 from sdf.fused import Kernel, bare
 from sdf.grid_numba import at, put
-
-_WEDGED = 0.1
-
-
-@bare
-def _value(x, y, values, low_x, low_y, spacing):
-    """Signed distance at a point of the object's frame."""
-    rows, columns = values.shape
-    u, v = (x - low_x) / spacing, (y - low_y) / spacing
-    a, b = min(max(u, 0.0), rows - 1.0), min(max(v, 0.0), columns - 1.0)
-    beyond = 0.0
-    if a != u or b != v:
-        beyond = math.sqrt((u - a) * (u - a) + (v - b) * (v - b)) * spacing
-    i, j = min(int(a), rows - 2), min(int(b), columns - 2)
-    a, b = a - i, b - j
-    low = values[i, j] + b * (values[i, j + 1] - values[i, j])
-    high = values[i + 1, j] + b * (values[i + 1, j + 1] - values[i + 1, j])
-    return low + a * (high - low) + beyond
-
-
-@bare
-def _slope(x, y, values, low_x, low_y, spacing):
-    """Gradient there."""
-    rows, columns = values.shape
-    a = min(max((x - low_x) / spacing, 0.0), rows - 1.0)
-    b = min(max((y - low_y) / spacing, 0.0), columns - 1.0)
-    i, j = min(int(a), rows - 2), min(int(b), columns - 2)
-    a, b = a - i, b - j
-    v00, v01, v10, v11 = values[i, j], values[i, j + 1], values[i + 1, j], values[i + 1, j + 1]
-    along = (v10 + b * (v11 - v10)) - (v00 + b * (v01 - v00))
-    across = (1.0 - a) * (v01 - v00) + a * (v11 - v10)
-    return along / spacing, across / spacing
 
 
 @bare
@@ -60,7 +29,7 @@ def _deepest(x, y, cos, sin, px, py, order, starts, centres, radii, values, flat
     for group in range(len(radii)):
         cx = x + cos * centres[group, 0] - sin * centres[group, 1]
         cy = y + sin * centres[group, 0] + cos * centres[group, 1]
-        clear = _value(cx, cy, values, low_x, low_y, spacing) - radii[group] - slack
+        clear = value(cx, cy, values, low_x, low_y, spacing) - radii[group] - slack
         gap = min(gap, clear)
         if -clear < depth:
             continue
@@ -84,24 +53,6 @@ def _deepest(x, y, cos, sin, px, py, order, starts, centres, radii, values, flat
             if inside[k] > depth or (inside[k] == depth and inside[k] > 0.0 and order[k] < first):
                 depth, best, first = inside[k], k, order[k]
     return depth, best, gap
-
-
-@bare
-def _twist(rx, ry, nx, ny, wx, wy, lever, friction):
-    """Motion of the centre of friction and turn; see `contact_twist`."""
-    square = lever * lever
-    whole = square + rx * rx + ry * ry
-    fx = ((square + rx * rx) * wx + rx * ry * wy) / whole
-    fy = (rx * ry * wx + (square + ry * ry) * wy) / whole
-    normal, tangential = fx * nx + fy * ny, fy * nx - fx * ny
-    if not abs(tangential) <= friction * normal:
-        side = friction if tangential > 0.0 else (-friction if tangential < 0.0 else 0.0)
-        ex, ey = nx - side * ny, ny + side * nx
-        moment, turned = rx * ey - ry * ex, rx * ny - ry * nx
-        straight = 1.0 + turned * turned / square
-        size = (wx * nx + wy * ny) / max(1.0 + turned * moment / square, _WEDGED * straight)
-        fx, fy = size * ex, size * ey
-    return fx, fy, (rx * fy - ry * fx) / square
 
 
 @bare
@@ -162,7 +113,7 @@ def _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers,
                 checked += 1
                 tool_yaw = from_yaw + (part + 1) * way_yaw
                 tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
-                first_x, first_y, first_yaw = x, y, yaw
+                first = (x, y, yaw)
                 for _ in range(passes):
                     dx, dy = tool_x - x, tool_y - y
                     turn_cos = tool_cos * cos + tool_sin * sin
@@ -190,7 +141,7 @@ def _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers,
                         break
                     still, gap = False, 0.0
                     contact[k, m, action] = True
-                    gx, gy = _slope(
+                    gx, gy = slope(
                         place_x + turn_cos * px[point] - turn_sin * py[point],
                         place_y + turn_sin * px[point] + turn_cos * py[point],
                         values,
@@ -198,37 +149,22 @@ def _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers,
                         low_y,
                         spacing,
                     )
-                    length = max(math.sqrt(gx * gx + gy * gy), 1e-9)
-                    nx, ny = -(cos * gx - sin * gy) / length, -(sin * gx + cos * gy) / length
-                    # the touched point, from the tool's frame and from the object's
-                    ax = tool_cos * px[point] - tool_sin * py[point]
-                    ay = tool_sin * px[point] + tool_cos * py[point]
-                    ox, oy = tool_x + ax - x, tool_y + ay - y
-                    c, s = math.cos(way_yaw), -math.sin(way_yaw)
-                    slip_x = c * ax - s * ay - ax - way_x
-                    slip_y = s * ax + c * ay - ay - way_y
-                    c, s = math.cos(first_yaw - yaw), math.sin(first_yaw - yaw)
-                    slip_x = first_x - x + c * ox - s * oy - ox - slip_x
-                    slip_y = first_y - y + s * ox + c * oy - oy - slip_y
-                    along = slip_x * nx + slip_y * ny
-                    slip_x, slip_y = slip_x - along * nx, slip_y - along * ny
-                    arm_x, arm_y = cos * centre_x - sin * centre_y, sin * centre_x + cos * centre_y
-                    fx, fy, turn = _twist(
-                        ox - arm_x,
-                        oy - arm_y,
-                        nx,
-                        ny,
-                        depth * nx + slip_x,
-                        depth * ny + slip_y,
-                        lever,
-                        friction,
+                    x, y, yaw = settled(
+                        x,
+                        y,
+                        yaw,
+                        first,
+                        (tool_x, tool_y),
+                        (way_x, way_y, way_yaw),
+                        tool_cos * px[point] - tool_sin * py[point],
+                        tool_sin * px[point] + tool_cos * py[point],
+                        gx,
+                        gy,
+                        depth,
+                        0.0,
+                        (centre_x, centre_y, lever, friction),
                     )
-                    c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
-                    x, y = x + arm_x + c * fx - s * fy, y + arm_y + s * fx + c * fy
-                    yaw += turn
                     cos, sin = math.cos(yaw), math.sin(yaw)
-                    x -= cos * centre_x - sin * centre_y
-                    y -= sin * centre_x + cos * centre_y
             if still:
                 for axis in range(3):
                     track[k, m, action + 1, axis] = poses[m, axis]
