@@ -87,6 +87,35 @@ class GripperShape:
         points = torch.cat(layers)
         return points[~self.in_palm(points)]
 
+    def outline(self, spacing: float) -> Float[Tensor, "n 2"]:
+        """Points on the border of the palm's and the pads' section at z = 0, about `spacing` metres apart."""
+        length, width, _ = self.palm_m
+        x = torch.linspace(self.palm_front_m - length, self.palm_front_m, _count(length, spacing), dtype=torch.float64)
+        y = torch.linspace(-0.5 * width, 0.5 * width, _count(width, spacing), dtype=torch.float64)
+        sides = [torch.stack((x, torch.full_like(x, float(end))), -1) for end in (y[0], y[-1])]
+        sides += [torch.stack((torch.full_like(y[1:-1], float(end)), y[1:-1]), -1) for end in (x[0], x[-1])]
+        a, b, _ = self.pad_m
+        fine = torch.linspace(0.0, 2.0 * math.pi, 1441, dtype=torch.float64)
+        around = torch.stack((a * fine.cos(), b * fine.sin()), -1)
+        along = torch.cat((torch.zeros(1, dtype=torch.float64), (around[1:] - around[:-1]).norm(dim=-1).cumsum(0)))
+        count = max(4, math.ceil(float(along[-1]) / spacing))
+        pad = around[torch.searchsorted(along, torch.arange(count, dtype=torch.float64) * (along[-1] / count))]
+        both = torch.cat([pad + pad.new_tensor(center[:2]) for center in self.pad_centers])
+        hidden = torch.stack(
+            [
+                ((both - both.new_tensor(c[:2])) / both.new_tensor((a, b))).square().sum(-1) < 1.0 - 1e-9
+                for c in self.pad_centers
+            ]
+        ).any(0)
+        palm = torch.cat(sides)
+        covered = torch.stack(
+            [
+                ((palm - palm.new_tensor(c[:2])) / palm.new_tensor((a, b))).square().sum(-1) < 1.0
+                for c in self.pad_centers
+            ]
+        ).any(0)
+        return torch.cat((palm[~covered], both[~self.in_palm(both) & ~hidden]))
+
     def pad_shell(self, spacing: float) -> Float[Tensor, "n 3"]:
         """Points on the pads' surface outside the palm, about `spacing` metres apart."""
         a, b, c = self.pad_m

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.base import PushRollouts
+from rumi.dynamics.base import Paths, PushRollouts
 from rumi.planning.costs import InformationCost
 from rumi.planning.reach_cost import ReachabilityCost
 from sdf import savings
@@ -62,36 +62,32 @@ class TrajectoryCost:
         """Cost of each control sequence: the mean over its rollouts, of which the same ones are worked out once."""
         return mean_over_rollouts(rollouts, self._of_paths)
 
-    def _of_paths(
-        self, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]
-    ) -> Float[Tensor, "R"]:
-        total = configurations.new_zeros(len(configurations))
+    def _of_paths(self, paths: Paths) -> Float[Tensor, "R"]:
+        total = paths.configurations.new_zeros(len(paths.configurations))
         if self._information is not None:
-            ridden = displacements if self.displaced_information else torch.zeros_like(displacements)
-            total += self.information_scale * self._information(configurations, ridden)
+            seen, moved = paths.riding() if self.displaced_information else paths.staying()
+            total += self.information_scale * self._information(seen, moved)
         if self._reachability is not None:
             with savings.work("reachability_sums", alike=False) as work:
-                total += self.reachability_scale * self._reachability(displacements)
-                work.count(displacements[..., 0].numel(), displacements[..., 0].numel() * self._reachability.points)
+                moved = paths.displacements
+                total += self.reachability_scale * self._reachability(moved, paths.turns, paths.pivot)
+                work.count(moved[..., 0].numel(), moved[..., 0].numel() * self._reachability.points)
         return total
 
 
-def mean_over_rollouts(
-    rollouts: PushRollouts, of_paths: Callable[[Float[Tensor, "R H Q"], Float[Tensor, "R H 3"]], Float[Tensor, "R"]]
-) -> Float[Tensor, "K"]:
+def mean_over_rollouts(rollouts: PushRollouts, of_paths: Callable[[Paths], Float[Tensor, "R"]]) -> Float[Tensor, "K"]:
     """Mean cost of each control sequence over its rollouts, of which the same ones are worked out once.
 
     Args:
         rollouts: of K sequences.
-        of_paths: cost of paths, from the configurations after each action and the displacements by then.
+        of_paths: cost of R paths.
     """
     twin = rollouts.twin
     samples, count = twin.shape
     distinct = twin == torch.arange(count, device=twin.device)
-    paths, displacements = rollouts.configurations[:, :, 1:], rollouts.displacements[:, :, 1:]
     cost = rollouts.configurations.new_zeros(samples, count)
     with savings.work("rollouts_valued") as work:
         if savings.kept():
             work.count(int(distinct.sum()), distinct.numel())
-        cost[distinct] = of_paths(paths[distinct], displacements[distinct])
+        cost[distinct] = of_paths(rollouts.paths(distinct))
     return cost.gather(1, twin).mean(-1)

@@ -45,7 +45,7 @@ def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:
 
 def gathered_by_action(gathered: Gathered, rollout: PushRollouts) -> Float[Tensor, "H"]:
     """What each action of one rollout (K = M = 1) gathers that those before it did not."""
-    configurations, displacements = rollout.configurations[0, 0, 1:], rollout.displacements[0, 0, 1:]
+    configurations, displacements = (x[0] for x in rollout.paths(torch.ones_like(rollout.touched)).riding())
     steps = torch.arange(len(configurations), device=configurations.device)
     # path h stands still after action h: standing still meets nothing new
     until = torch.minimum(steps[:, None], steps[None])

@@ -10,6 +10,7 @@ from kmppi import MPPI, MPPISettings
 from rumi.baselines.ablations import info_only, reach_only
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import InformationSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
@@ -74,7 +75,7 @@ def test_a_plan_has_all_that_it_should(scene: Scene) -> None:
     assert all(0 <= share <= 1 for share in made.skipped.values())
     assert 0.2 < made.skipped["workspace_points"] < 1
     assert 0.3 < made.skipped["contact_checks"] <= 1
-    assert set(made.timings_s) == {"fields", "contact_field", "dynamics", "costs", "planner"}
+    assert set(made.timings_s) == {"fields", "push_model", "dynamics", "costs", "planner"}
     assert made.info["iterations"] == 4
     assert made.warm_start is not None
 
@@ -174,3 +175,21 @@ def test_refuses_what_it_cannot_plan_for(scene: Scene) -> None:
         plan(RummagingPolicy(None, SMALL), scene, belief())
     with pytest.raises(ValueError, match="one row a workspace point"):
         plan(RummagingPolicy(torch.ones(7), SMALL), scene, belief())
+
+
+def test_the_quasi_static_model_plans_too(scene: Scene) -> None:
+    settings = replace(SMALL, push_model="quasi-static", quasi_static=QuasiStaticSettings(mini_steps=2, spacing_m=0.01))
+    policy = RummagingPolicy(falling(scene), settings)
+    made = plan(policy, scene, belief())
+    assert "pushes" in made.skipped
+    assert "normals" not in made.skipped
+    # nothing holds the tool up: the path is the free one
+    free = scene.tool.free_path(scene.configuration[None], made.controls[None], 1)[0]
+    torch.testing.assert_close(made.path[1:], free)
+    again = plan(RummagingPolicy(falling(scene), settings), scene, belief())
+    assert torch.equal(made.controls, again.controls)
+
+
+def test_only_push_models_that_exist(no_shape_check: None) -> None:
+    with pytest.raises(ValueError, match="push_model"):
+        RummagingSettings(push_model="magnetic")  # type: ignore[arg-type]
