@@ -1,6 +1,7 @@
 """The command `rumi reproduce`."""
 
 import os
+import platform
 import re
 import sys
 import time
@@ -206,9 +207,8 @@ def _done(
     wrong: dict[str, str] = {}
     if len(records.done(own)) < len(own):
         codes = {kind: next(job.code for job in own if job.kind == kind) for kind in KINDS if _any(own, kind)}
-        errand = Errand(
-            tuple(own), options.path.absolute(), codes, cache_dir.absolute(), f"{os.getpid():x}-{time.time_ns():x}"
-        )
+        session = f"{platform.node()} {os.getpid()} {time.time_ns()}"
+        errand = Errand(tuple(own), options.path.absolute(), codes, cache_dir.absolute(), session)
         with LiveTable(own, options.path, workers=options.jobs):
             if options.executor == "submitit":
                 on_a_cluster(errand, options.jobs, options.out / "submitit", parameters)
