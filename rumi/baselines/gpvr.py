@@ -105,6 +105,8 @@ class GPVRPolicy(RummagingPolicy):
         UsageError: the library of Gaussian processes is not installed.
     """
 
+    worth_stage = "gp_fit"
+
     def __init__(
         self, settings: RummagingSettings | None = None, gp: GPVRSettings | None = None, *, greedy: bool = False
     ) -> None:

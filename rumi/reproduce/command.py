@@ -1,10 +1,8 @@
 """The command `rumi reproduce`."""
 
 import os
-import platform
 import re
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -19,7 +17,7 @@ from rumi.config import METHODS
 from rumi.errors import UsageError
 from rumi.reproduce.executors import on_a_cluster, on_this_machine
 from rumi.reproduce.experiments import EXPERIMENTS, Selection, missing, valid_presets, valid_tasks, work_of
-from rumi.reproduce.jobs import KINDS, Job
+from rumi.reproduce.jobs import Job
 from rumi.reproduce.live import LiveTable
 from rumi.reproduce.records import Record, Records
 from rumi.reproduce.reports import Report, reports, write_page
@@ -206,9 +204,7 @@ def _done(
     records = Records(options.path)
     wrong: dict[str, str] = {}
     if len(records.done(own)) < len(own):
-        codes = {kind: next(job.code for job in own if job.kind == kind) for kind in KINDS if _any(own, kind)}
-        session = f"{platform.node()} {os.getpid()} {time.time_ns()}"
-        errand = Errand(tuple(own), options.path.absolute(), codes, cache_dir.absolute(), session)
+        errand = Errand.of(own, options.path, cache_dir)
         with LiveTable(own, options.path, workers=options.jobs):
             if options.executor == "submitit":
                 on_a_cluster(errand, options.jobs, options.out / "submitit", parameters)
@@ -228,10 +224,6 @@ def _shown(options: ReproduceOptions, jobs: Sequence[Job]) -> list[Record]:
     if jobs and not records:
         raise UsageError(f"{options.path} holds no results: leave out --show to run")
     return records
-
-
-def _any(jobs: Sequence[Job], kind: str) -> bool:
-    return any(job.kind == kind for job in jobs)
 
 
 def _among(what: str, names: Sequence[str], known: Sequence[str]) -> None:
