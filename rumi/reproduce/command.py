@@ -48,7 +48,7 @@ class ReproduceOptions:
     Attributes:
         experiments: tables and figures of the paper, or all.
         tasks: which; by default what each experiment takes.
-        methods: which; by default all for the tables, rumi for the ablations.
+        methods: which; by default the paper's five for the tables, rumi for the ablations.
         presets: which; by default "default" and "paper" for the tables, "default" for the ablations.
         seeds: of the runs, such as 0-9 or 0,3,5-7; the record has 0-9, tuning starts from 1000.
         set: settings on top of the presets, such as planner.rollouts=3.

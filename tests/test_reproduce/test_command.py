@@ -306,6 +306,26 @@ def test_killed_five_times_the_end_is_the_same():
 
 
 @pytest.mark.slow
+def test_what_a_killed_worker_was_doing_another_does():
+    asked = ("fig8", "--seeds", "1000-1009", "--no-figures", "--out", "shared", "--jobs", "2")
+    process = start(*asked)
+    listing = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    if not listing.exists():
+        process.kill()
+        pytest.skip("this system does not list the children of a process")
+    wait_for(Path("shared/runs.jsonl"), 2)
+    workers = [
+        int(child)
+        for child in listing.read_text().split()
+        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+    ]
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    finish(process)
+    assert len(results("shared")) == 30
+
+
+@pytest.mark.slow
 def test_two_commands_at_once_share_the_work():
     asked = ("fig8", "--seeds", "1000-1009", "--no-figures", "--out", "shared")
     both = [start(*asked), start(*asked, "--jobs", "2")]
