@@ -188,18 +188,21 @@ def _drive(mass_kg: float) -> PhysicsSettings:
     return PhysicsSettings(mass_kg=mass_kg, max_force_n=25.0, max_lift_n=15.0, max_torque_nm=4.0, lead_m=0.006)
 
 
-_PRIOR_MEAN = (0.45, 0.0)
+# 1.0 m from the base, with starts 1.00, 1.02 and 1.04 m from it: the tool reaches 1.04 m there, less turned aside, and
+# what is pushed on is soon out of its reach. How far out was set by what information alone achieves (seeds 1000-1002,
+# measured motion off by 1 mm and 1 degree): right in 12 of 16 runs, where the paper's is in 49 of 60.
+_PRIOR_MEAN = (0.55, 0.0)
 
 TASKS: dict[str, TaskSpec] = {
     spec.name: spec
     for spec in (
         *(TaskSpec(name, description, large_handled_mug, start) for name, description, start in _STARTS),
-        _drill("drill-0", "a drill ahead that no camera sees", (0.48, 0.03, math.radians(25.0))),
-        _drill("drill-1", "a drill ahead that no camera sees", (0.42, -0.05, math.radians(150.0))),
-        _drill("drill-2", "a drill ahead that no camera sees", (0.50, -0.02, math.radians(-100.0))),
-        _box("box-0", "a box lying flat that no camera sees", "x", (0.48, 0.03, math.radians(25.0))),
-        _box("box-1", "a box standing upright that no camera sees", "z", (0.42, -0.04, math.radians(70.0))),
-        _box("box-2", "a box on its long side that no camera sees", "y", (0.49, -0.05, math.radians(120.0))),
+        _drill("drill-0", "a drill ahead that no camera sees, pointing ahead", (0.57, 0.03, math.radians(25.0))),
+        _drill("drill-1", "a drill ahead that no camera sees, pointing back", (0.55, -0.05, math.radians(150.0))),
+        _drill("drill-2", "a drill ahead that no camera sees, pointing right", (0.59, -0.02, math.radians(-100.0))),
+        _box("box-0", "a box lying flat that no camera sees", "x", (0.57, 0.03, math.radians(25.0))),
+        _box("box-1", "a box standing upright that no camera sees", "z", (0.55, -0.05, math.radians(70.0))),
+        _box("box-2", "a box on its long side that no camera sees", "y", (0.59, -0.02, math.radians(120.0))),
     )
 }
 """All tasks by name."""
