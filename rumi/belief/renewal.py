@@ -85,7 +85,7 @@ def redraw(
             bins="SE(3)",
         ),
         starts=prior.starts(settings.starts, generator=generator),
-        search=pose_filter.search,
+        search="SE(3)" if bool(pose_filter.tipped(belief)) else pose_filter.search,
         further=pose_filter.prior_part,
         generator=generator,
     )

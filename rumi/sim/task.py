@@ -59,6 +59,7 @@ class SimTask:
         height = None if spec.spatial else spec.height_m
         self.world = World(body, tool.shape, height, settings.time_step_s, physics)
         self._pads = tool.shape.pad_shell(settings.pad_spacing_m).float()
+        self._felt_at = self._pads + spec.felt_ahead_m * tool.shape.pad_normals(self._pads)
         self._body = tool.shape.volume(settings.body_spacing_m).float()
         self._generator = torch.Generator()
         self._region = torch.zeros(2, 3)
@@ -203,7 +204,7 @@ class SimTask:
         )
         clear = self._distance(object_T_tool, self._body, swept.instant, index) > settings.contact_m
         free = type(swept)(swept.points[clear], swept.instant[clear])
-        observation, instant = tactile_observation(touched_points(tool_pose, self._pads, touched), free)
+        observation, instant = tactile_observation(touched_points(tool_pose, self._felt_at, touched), free)
         return Reading(
             observation,
             instant,

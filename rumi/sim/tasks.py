@@ -82,6 +82,8 @@ class TaskSpec:
         motion_noise_m: standard deviation of the measured motion's error along x and y, for an action that moved
             the object.
         motion_noise_rad: the same for its yaw.
+        felt_ahead_m: distance in front of the pads at which felt points are reported; half of the simulator's
+            `contact_m` is the middle of the layer in which the surface then is, none the pads' own surface.
         depth_noise_m: standard deviation of the camera's depth.
         steps: actions at most.
         physics: the object's mass and friction, and the gripper's drive.
@@ -108,6 +110,7 @@ class TaskSpec:
     base: tuple[float, float, float] = (-0.45, 0.0, 0.0)
     motion_noise_m: float = 0.0
     motion_noise_rad: float = 0.0
+    felt_ahead_m: float = 0.0
     depth_noise_m: float = 0.0
     steps: int = 40
     physics: PhysicsSettings = field(default_factory=PhysicsSettings)
@@ -148,8 +151,9 @@ def _in_space(name: str, description: str, **changes: Any) -> TaskSpec:  # noqa:
         field_spacing_m=0.02,
         camera=None,
         tool_start=(0.20, 0.0, 0.10, 0.0),
-        motion_noise_m=0.001,
-        motion_noise_rad=math.radians(1.0),
+        motion_noise_m=0.0005,
+        motion_noise_rad=math.radians(0.5),
+        felt_ahead_m=0.0015,
         **changes,
     )
     return common
