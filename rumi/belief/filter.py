@@ -47,8 +47,8 @@ class FilterSettings:
         descent: the optimiser after resampling (Alg 4).
         lies_flat: the object is known to lie flat on the floor at the start, so that in the frame that rides with it
             poses keep their height and tilt even where all may be searched; only with a prior, which has these.
-        tipped_rad: tilt of that frame beyond which poses move freely all the same, since errors of the measured motion,
-            level ones in the world, are then not level in the frame; only with a prior.
+        tipped_rad: tilt of that frame beyond which poses are optimised along the world's floor as well: errors of the
+            measured motion, which are level in the world, are then not level in the frame; only with a prior.
         still_m, still_rad: motions below these are no move: no noise, discrepancies carry over.
     """
 
@@ -201,13 +201,15 @@ class PoseFilter(nn.Module):
 
     def descend(self, belief: PoseBelief, here: Observation, settings: DescentSettings) -> Float[Tensor, "*b N 4 4"]:
         """Poses optimised on points that are in the attached frame as well (Alg 4)."""
-        poses = belief.attached_T_object
-        level = descend(self.discrepancy, poses, here, self.search, settings)
+        poses = descend(self.discrepancy, belief.attached_T_object, here, self.search, settings)
         tipped = self.tipped(belief)
         if self.search == "SE(3)" or not bool(tipped.any()):
-            return level
-        free = descend(self.discrepancy, poses, here, "SE(3)", settings)
-        return torch.where(tipped[..., None, None, None], free, level)
+            return poses
+        world_T_attached = belief.world_T_attached
+        there = replace(here, points=se3.apply(world_T_attached, here.points))
+        level = descend(self.discrepancy, world_T_attached[..., None, :, :] @ poses, there, "SE(2)", settings)
+        level = se3.inverse(world_T_attached)[..., None, :, :] @ level
+        return torch.where(tipped[..., None, None, None], level, poses)
 
     def tipped(self, belief: PoseBelief) -> Bool[Tensor, "*b"]:
         """Whether the frame that rides with the object has tilted since the start; never without a prior."""
