@@ -73,7 +73,10 @@ def test_pieces_of_an_ell(tmp_path, monkeypatch, caplog):
     (kept,) = tmp_path.glob("convex-*.npz")
     monkeypatch.setattr(convex, "_decomposed", lambda *_: pytest.fail("worked out again"))
     loaded = convex_pieces(mesh, cache_dir=tmp_path)
-    assert all(torch.equal(a.faces, b.faces) and torch.equal(a.vertices, b.vertices) for a, b in zip(pieces, loaded))
+    assert all(
+        torch.equal(a.faces, b.faces) and torch.equal(a.vertices, b.vertices)
+        for a, b in zip(pieces, loaded, strict=True)
+    )
     monkeypatch.setattr(convex, "_decomposed", lambda *_: (hull(mesh),))
     assert len(convex_pieces(ell(long=0.11), cache_dir=tmp_path)) == 1
     assert len(convex_pieces(mesh, ConvexSettings(concavity=0.2), cache_dir=tmp_path)) == 1

@@ -55,7 +55,7 @@ def test_else_the_most_likely(shapes):
 
 
 def test_the_middle_decides(shapes):
-    """A slim box stands on its foot; with its mass in one end it would rather lie, and never on the other end's side."""
+    """A slim box stands on its foot; with its mass in one end it hardly lands on the other."""
     box = shapes.box((0.01, 0.01, 0.05))
     even, heavy = (
         {round(float(pose.rest_R_mesh[2, 2])): pose.probability for pose in resting_poses(box, middle)}
