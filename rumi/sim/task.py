@@ -36,6 +36,9 @@ class SimTask:
         model: the object.
         physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes; None keeps nothing.
+
+    Raises:
+        UsageError: the simulator cannot build the object, or it does not stand by itself.
     """
 
     def __init__(
@@ -52,6 +55,8 @@ class SimTask:
         physics = physics or spec.physics
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
         self.world = World(body, tool.shape, spec.height_m, settings.time_step_s, physics)
+        # what cannot stand is refused before anything begins
+        self.world.reset(torch.tensor(spec.tool_start), torch.tensor(spec.start))
         self._pads = tool.shape.pad_shell(settings.pad_spacing_m).float()
         self._body = tool.shape.volume(settings.body_spacing_m).float()
         self._generator = torch.Generator()
