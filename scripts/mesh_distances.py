@@ -1,8 +1,8 @@
 """Measure signed distances of meshes against libigl's exact ones, and how long tables take.
 
-    python scripts/mesh_distances.py accuracy            # one JSON line a shape in scripts/results/mesh_distances.jsonl
-    python scripts/mesh_distances.py time --threads 2    # the drill's table of 128^3 nodes, from the cache, and 10^6 faces
-    python scripts/mesh_distances.py show                # Markdown
+    python scripts/mesh_distances.py accuracy          # one JSON line a shape in scripts/results/mesh_distances.jsonl
+    python scripts/mesh_distances.py time --threads 2  # the drill's table of 128^3 nodes, from the cache, and 10^6 faces
+    python scripts/mesh_distances.py show              # Markdown
 
 Needs libigl, and the environment variable RUMI_DATA for the drill. Lines of a shape or a timing replace older ones.
 """
@@ -24,6 +24,7 @@ import tyro
 
 from rumi.bench import meshes
 from rumi.bench.machine import environment
+from rumi.bench.mug_mesh import damaged, mug_mesh
 from sdf.base import SDF
 from sdf.build import from_mesh
 from sdf.mesh import TriangleMesh, load_mesh
@@ -107,14 +108,14 @@ def _drill() -> Shape:
 
 
 def _overlap() -> Shape:
-    parts = (meshes.cup_part(Mug()), meshes.handle_part(Mug()))
+    _, handle = meshes.parts_of(mug_mesh(Mug()))
+    parts = (meshes.cup_part(Mug()), handle)
     return Shape(meshes.together(*parts), parts)
 
 
 def _holed() -> Shape:
     good = drill()
-    place, _ = sample_triangles(Triangles(good.corners), 1, generator=random())
-    return Shape(meshes.holed(good, LOST, HOLE_M, place[0], generator=random()), (good,))
+    return Shape(damaged(good, share=LOST, hole_m=HOLE_M), (good,))
 
 
 def _flipped() -> Shape:

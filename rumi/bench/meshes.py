@@ -1,11 +1,9 @@
-"""Meshes to measure with: a mug in two ways, a slice of a cube, and good meshes spoilt in known ways."""
+"""Meshes to measure distances with; `mug_mesh.py` has the mug that tasks run with, and damage."""
 
 import math
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from sdf.mesh import TriangleMesh, merged
 from sdf.primitives import Mug
@@ -35,23 +33,6 @@ def cup_part(mug: Mug, sections: int = 96) -> TriangleMesh:
     return TriangleMesh(torch.cat((*rings, ends)), torch.tensor(_tube(sections, len(rings))))
 
 
-def handle_part(mug: Mug, sections: int = 24, steps: int = 48) -> TriangleMesh:
-    """The mug's handle as a tube of its own, whose ends are within the cup's wall."""
-    start = torch.tensor([mug.outer_radius, 0.0, 0.5 * mug.height], dtype=torch.float64)
-    turns = torch.arange(sections, dtype=torch.float64) * (2.0 * math.pi / sections)
-    # flat ends, in the middle of the wall
-    angle = math.acos(-0.5 * mug.wall / mug.ring_radius)
-    along = torch.linspace(-angle, angle, steps + 1, dtype=torch.float64)
-    rings = []
-    for a in along.tolist():
-        out = torch.tensor([math.cos(a), 0.0, math.sin(a)], dtype=torch.float64)
-        side = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-        ring = turns.cos()[:, None] * out + turns.sin()[:, None] * side
-        rings.append(start + mug.ring_radius * out + mug.tube_radius * ring)
-    ends = torch.stack((rings[0].mean(0), rings[-1].mean(0)))
-    return TriangleMesh(torch.cat((*rings, ends)), torch.tensor(_tube(sections, len(rings))))
-
-
 def _tube(sections: int, rings: int) -> list[tuple[int, int, int]]:
     """Faces of rings one after the other, closed by fans about the last two vertices."""
     first, last = sections * rings, sections * rings + 1
@@ -65,6 +46,21 @@ def _tube(sections: int, rings: int) -> list[tuple[int, int, int]]:
     return faces
 
 
+def parts_of(mesh: TriangleMesh) -> list[TriangleMesh]:
+    """The parts of a mesh whose faces share vertices."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    faces = mesh.faces.numpy()
+    links = (np.ones(2 * len(faces)), (np.repeat(faces[:, 0], 2), faces[:, 1:].reshape(-1)))
+    count, label = connected_components(coo_matrix(links, (len(mesh.vertices),) * 2), directed=False)
+    which = torch.from_numpy(label[faces[:, 0]])
+    found = [
+        TriangleMesh(mesh.vertices, mesh.faces[which == number]) for number in range(count) if (which == number).any()
+    ]
+    return [merged(part) for part in found]
+
+
 def together(*meshes: TriangleMesh) -> TriangleMesh:
     """All of them as one mesh, parts as they were."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
@@ -72,7 +68,7 @@ def together(*meshes: TriangleMesh) -> TriangleMesh:
     return TriangleMesh(torch.cat([mesh.vertices for mesh in meshes]), torch.cat(faces))
 
 
-def one_surface(mug: Mug, spacing: float = 0.0015) -> TriangleMesh:
+def one_surface(mug: Mug, spacing: float = 0.002) -> TriangleMesh:
     """The mug as one closed surface of many small faces, by marching cubes (libigl's), on the closed form."""
     import igl
 
@@ -93,20 +89,3 @@ def turned(mesh: TriangleMesh, share: float = 1.0, *, generator: torch.Generator
     """Some of its faces inside out."""
     which = torch.rand(len(mesh.faces), generator=generator) < share
     return TriangleMesh(mesh.vertices, torch.where(which[:, None], mesh.faces.flip(-1), mesh.faces))
-
-
-def holed(
-    mesh: TriangleMesh, share: float, width: float, at: Float[Tensor, "3"], *, generator: torch.Generator
-) -> TriangleMesh:
-    """Without some of its faces, and without all near a place.
-
-    Args:
-        mesh: the good mesh.
-        share: of the faces to leave out.
-        width: of the hole, metres.
-        at: its middle, metres.
-        generator: which faces.
-    """
-    keep = torch.rand(len(mesh.faces), generator=generator) >= share
-    keep &= (mesh.corners - at).norm(dim=-1).amin(-1) > 0.5 * width
-    return TriangleMesh(mesh.vertices, mesh.faces[keep])
