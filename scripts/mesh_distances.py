@@ -1,7 +1,7 @@
 """Measure signed distances of meshes against libigl's exact ones, and how long tables take.
 
     python scripts/mesh_distances.py accuracy          # one JSON line a shape in scripts/results/mesh_distances.jsonl
-    python scripts/mesh_distances.py time --threads 2  # the drill's table of 128^3 nodes, from the cache, and 10^6 faces
+    python scripts/mesh_distances.py time --threads 2  # of tables: 128^3 nodes, from the cache, 10^6 faces
     python scripts/mesh_distances.py show              # Markdown
 
 Needs libigl, and the environment variable RUMI_DATA for the drill. Lines of a shape or a timing replace older ones.
