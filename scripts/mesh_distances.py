@@ -13,10 +13,10 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -67,11 +67,13 @@ class Time:
     """Measure times and memory.
 
     Attributes:
-        threads: of torch, of compiled loops and of libigl (which takes IGL_NUM_THREADS).
+        what: "table" (the drill's, and from the cache), "peers" (48^3 nodes, and libigl's time), "large" (many faces).
+        threads: of torch and of compiled loops; libigl takes IGL_NUM_THREADS.
         faces: of the largest mesh, roughly.
         out: file of results.
     """
 
+    what: tuple[Literal["table", "peers", "large"], ...] = ("table", "peers", "large")
     threads: int = 2
     faces: int = MILLION
     out: Path = RESULTS
@@ -260,61 +262,73 @@ def _clock(work: Callable[[], Any]) -> tuple[float, float, Any]:
 
 def timings(options: Time) -> None:
     """Time tables and keep the lines."""
+    torch.set_num_threads(options.threads)
+    path = Path(os.environ["RUMI_DATA"]) / "ycb_power_drill" / "power_drill.obj"
+    from_mesh(meshes.box((0.02, 0.02, 0.02)), spacing=0.004)  # compiles
+    works = {"table": _time_table, "peers": _time_peers, "large": lambda file: _time_large(file, options.faces)}
+    for what in options.what:
+        for row in works[what](path):
+            _say(f"{row['what']}: {row['seconds']:.3g} s ({row['processor_seconds']:.3g} s of the processors)")
+            _keep(options.out, {"kind": "time", "threads": options.threads, **row}, "what")
+
+
+def _timed(name: str, work: Callable[[], Any], repeats: int = 1) -> dict[str, Any]:
+    """The least of a few times, seconds."""
+    found = [_clock(work)[:2] for _ in range(repeats)]
+    wall, processor = min(found)
+    return {"what": name, "seconds": wall, "processor_seconds": processor}
+
+
+def _time_table(path: Path) -> Iterator[dict[str, Any]]:
+    """The drill's table of 128^3 nodes, from its file and from the cache."""
+    spacing = 0.00195
+    nodes = from_mesh(path, spacing=spacing).values.numel()
+    yield {**_timed("drill, 128^3 nodes", lambda: from_mesh(path, spacing=spacing), 3), "nodes": nodes / 128**3}
+    with tempfile.TemporaryDirectory() as cache:
+        from_mesh(path, spacing=spacing, cache_dir=cache)
+        yield _timed("the same from the cache", lambda: from_mesh(path, spacing=spacing, cache_dir=cache), 5)
+
+
+def _time_peers(path: Path) -> Iterator[dict[str, Any]]:
+    """Distance and sign at 48^3 nodes, ours and libigl's."""
     import igl
 
-    torch.set_num_threads(options.threads)
-    rows: dict[str, dict[str, Any]] = {}
-
-    def enter(name: str, work: Callable[[], Any], repeats: int = 3, **more: Any) -> Any:  # noqa: ANN401
-        found = [_clock(work) for _ in range(repeats)]
-        wall, processor, result = min(found, key=lambda entry: entry[0])
-        rows[name] = {"seconds": wall, "processor_seconds": processor, **more}
-        _say(f"{name}: {wall:.3g} s ({processor:.3g} s of the processors)")
-        return result
-
-    folder = os.environ["RUMI_DATA"]
-    path = Path(folder) / "ycb_power_drill" / "power_drill.obj"
-    from_mesh(meshes.box((0.02, 0.02, 0.02)), spacing=0.004)  # compiles
-    table = enter("drill, 128^3 nodes, from the file", lambda: from_mesh(path, spacing=0.00195))
-    rows["drill, 128^3 nodes, from the file"]["nodes"] = table.values.numel() / 128**3
-    with tempfile.TemporaryDirectory() as cache:
-        from_mesh(path, spacing=0.00195, cache_dir=cache)
-        enter("the same, from the cache", lambda: from_mesh(path, spacing=0.00195, cache_dir=cache))
     for name, mesh in (("drill", load_mesh(path)), ("cup of long faces", meshes.cup_part(Mug()))):
         low, high = mesh.bounds[0] - PADDING_M, mesh.bounds[1] + PADDING_M
         axes = [torch.linspace(a, b, 48, dtype=torch.float64) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
         nodes = torch.cartesian_prod(*axes)
-        vertices, faces, grid = mesh.vertices.numpy(), mesh.faces.numpy(), nodes.numpy()
+        parts, grid = (mesh.vertices.numpy(), mesh.faces.numpy()), nodes.numpy()
         shape = MeshSDF(mesh)
-        enter(f"{name}, 48^3 nodes: ours", lambda s=shape, n=nodes: s.distance(n))
-        enter(
-            f"{name}, 48^3 nodes: libigl",
-            lambda v=vertices, f=faces, g=grid: (
-                igl.point_mesh_squared_distance(g, v, f),
-                igl.fast_winding_number(v, f, g),
-            ),
-            1,
+        shape.distance(nodes[:10])
+        yield _timed(f"{name}, 48^3 nodes: distance and sign", lambda s=shape, n=nodes: s.distance(n), 3)
+        yield _timed(
+            f"{name}, 48^3 nodes: libigl's distance",
+            lambda p=parts, g=grid: igl.point_mesh_squared_distance(g, *p),
+            3,
         )
-    vertices, faces = load_mesh(path).vertices, load_mesh(path).faces
-    while len(faces) < options.faces:
-        vertices, faces = _quartered(vertices, faces)
-    large = Path(tempfile.mkdtemp()) / "large.ply"
+        yield _timed(
+            f"{name}, 48^3 nodes: libigl's winding number", lambda p=parts, g=grid: igl.fast_winding_number(*p, g)
+        )
+
+
+def _time_large(path: Path, least: int) -> Iterator[dict[str, Any]]:
+    """The drill's table from very many faces; with the most memory that this process took."""
     import trimesh
 
-    trimesh.Trimesh(vertices.numpy(), faces.numpy(), process=False).export(large)
-    del vertices, table
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    mesh = load_mesh(path)
+    vertices, faces = mesh.vertices, mesh.faces
+    while len(faces) < least:
+        vertices, faces = _quartered(vertices, faces)
     told: list[str] = []
-    enter(
-        f"{len(faces)} faces, 2 mm",
-        lambda: from_mesh(large, spacing=0.002, progress=lambda what, share: told.append(f"{what} {share:.0%}")),
-        1,
-    )
-    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    rows[f"{len(faces)} faces, 2 mm"] |= {"peak_gib": after, "before_gib": before, "told": len(told)}
-    large.unlink()
-    for name, row in rows.items():
-        _keep(options.out, {"kind": "time", "what": name, "threads": options.threads, **row}, "what")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "large.ply"
+        trimesh.Trimesh(vertices.numpy(), faces.numpy(), process=False).export(file)
+        row = _timed(
+            f"drill of {len(faces)} faces, a node every 2 mm",
+            lambda: from_mesh(file, spacing=0.002, progress=lambda what, share: told.append(f"{what} {share:.0%}")),
+        )
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    yield {**row, "peak_gib": peak, "told": told}
 
 
 def _quartered(vertices: torch.Tensor, faces: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
