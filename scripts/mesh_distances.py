@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -86,6 +87,7 @@ class Show:
     results: Path = RESULTS
 
 
+@cache
 def drill() -> TriangleMesh:
     """The drill."""
     folder = os.environ.get("RUMI_DATA")
@@ -190,26 +192,37 @@ def exact(parts: tuple[TriangleMesh, ...], points: torch.Tensor) -> Exact:
     return Exact(least, known)
 
 
-def places(shape: Shape, count: int, slice_only: bool) -> tuple[torch.Tensor, torch.Tensor]:
+def places(parts: tuple[TriangleMesh, ...], count: int, slice_only: bool) -> tuple[torch.Tensor, torch.Tensor]:
     """Points near the surface and points of the whole box, where a table has its nodes."""
     generator = random(1)
-    every = torch.cat([part.corners for part in shape.truth])
+    every = torch.cat([part.corners for part in parts])
     on, _ = sample_triangles(Triangles(every), count, generator=generator)
     step = torch.randn(count, 3, generator=generator, dtype=torch.float64)
     reach = NEAR_M * torch.rand(count, 1, generator=generator, dtype=torch.float64)
     near = on + reach * torch.nn.functional.normalize(step, dim=-1)
-    low, high = shape.mesh.bounds[0] - PADDING_M, shape.mesh.bounds[1] + PADDING_M
+    corners = every.reshape(-1, 3)
+    low, high = corners.amin(0) - PADDING_M, corners.amax(0) + PADDING_M
     far = low + (high - low) * torch.rand(count, 3, generator=generator, dtype=torch.float64)
     if slice_only:
         near[:, 2] = far[:, 2] = 0.0
     return near, far
 
 
+_ASKED: dict[tuple[int, ...], tuple[torch.Tensor, Exact]] = {}
+
+
+def asked(parts: tuple[TriangleMesh, ...], count: int, slice_only: bool) -> tuple[torch.Tensor, Exact]:
+    """Points about a shape and the truth there, the same for every mesh of it."""
+    key = (*map(id, parts), count, slice_only)
+    if key not in _ASKED:
+        points = torch.cat(places(parts, count, slice_only))
+        _ASKED[key] = points, exact(parts, points)
+    return _ASKED[key]
+
+
 def measure(name: str, shape: Shape, count: int) -> dict[str, Any]:
     """Wrong signs and errors of one shape."""
-    near, far = places(shape, count, "in its slice" in name)
-    points = torch.cat((near, far))
-    truth = exact(shape.truth, points)
+    points, truth = asked(shape.truth, count, "in its slice" in name)
     ours = MeshSDF(shape.mesh)
     found = ours.distance(points)
     wrong = ((found < 0) != (truth.distance < 0)) & (truth.distance.abs() > 1e-9)
