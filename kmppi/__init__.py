@@ -1,8 +1,8 @@
-"""Sampling model predictive control: MPPI, and KMPPI, its kernel-interpolated version."""
+"""Sampling model predictive control: MPPI, SMPPI (smooth) and KMPPI (kernel-interpolated)."""
 
 from kmppi.kernels import KERNELS, kernel_matrix
 from kmppi.mppi import MPPI
-from kmppi.parameterization import KernelKnots, Parameterization, PerStep, make_parameterization
+from kmppi.parameterization import Changes, KernelKnots, Parameterization, PerStep, make_parameterization
 from kmppi.rollout import rollout_objective
 from kmppi.types import (
     ControlPlan,
@@ -18,6 +18,7 @@ from kmppi.weights import perturbation_cost, sample_weights, scale_costs
 __all__ = [
     "KERNELS",
     "MPPI",
+    "Changes",
     "ControlPlan",
     "CostScale",
     "KernelKnots",

@@ -6,13 +6,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from kmppi.parameterization import make_parameterization
+from kmppi.parameterization import PerStep, make_parameterization
 from kmppi.types import ControlPlan, MPPISettings, Objective, Rollouts
 from kmppi.weights import perturbation_cost, sample_weights
 
 
 class MPPI:
     """Sampling MPC over control points: MPPI with one a step, KMPPI with a few and a kernel between (RUMI, IV-I).
+
+    SMPPI samples the changes from step to step instead.
 
     Holds settings and matrices only; the plan goes in and comes out.
 
@@ -54,7 +56,7 @@ class MPPI:
         expected = (self.parameterization.knots, self.control_dim)
         if tuple(knots.shape) != expected:
             raise ValueError(f"Expected knots to have shape (S, A) = {expected}, got {tuple(knots.shape)}")
-        bounded = self._bound(knots.to(self.device, self.dtype))
+        bounded = self._bound_knots(knots.to(self.device, self.dtype))
         return ControlPlan(bounded, self.controls(bounded))
 
     def initial(self, *, generator: torch.Generator) -> ControlPlan:
@@ -63,7 +65,7 @@ class MPPI:
 
     def controls(self, knots: Float[Tensor, "*k S A"]) -> Float[Tensor, "*k H A"]:
         """Controls (*k, H, A) of knots (*k, S, A), clipped: between knots within the limits a curve may leave them."""
-        if self.settings.knots is None:
+        if isinstance(self.parameterization, PerStep):
             return self._bound(knots)
         # one product for all samples: `matrix @ knots` would do one for each
         return self._bound(torch.einsum("hs,...sa->...ha", self._matrix, knots))
@@ -125,16 +127,21 @@ class MPPI:
         noise = self._noise(settings.samples, generator)
         if settings.include_nominal:
             noise[0] = 0.0
-        knots = self._bound(plan.knots + noise)
+        knots = self._bound_knots(plan.knots + noise)
         controls = self.controls(knots)
         costs = self._evaluate(objective, controls)
+        weighed = costs
+        if settings.change_cost > 0:
+            weighed = costs + settings.change_cost * controls.diff(dim=1).square().sum((1, 2))
         # the noise that was left after clipping is the one that was rolled out
         perturbation = (
             perturbation_cost(plan.knots, knots - plan.knots, self.noise_variance, settings.temperature)
             if settings.perturbation_cost
             else None
         )
-        weights = sample_weights(costs, settings.temperature, cost_scale=settings.cost_scale, perturbation=perturbation)
+        weights = sample_weights(
+            weighed, settings.temperature, cost_scale=settings.cost_scale, perturbation=perturbation
+        )
         ess = (1.0 / weights.square().sum()).to(self.dtype)
         weights = weights.to(self.dtype)
         updated = (weights @ knots.flatten(1)).view_as(plan.knots)
@@ -157,6 +164,9 @@ class MPPI:
 
     def _bound(self, values: Float[Tensor, "*k A"]) -> Float[Tensor, "*k A"]:
         return torch.clamp(values, self.control_min, self.control_max)
+
+    def _bound_knots(self, knots: Float[Tensor, "*k S A"]) -> Float[Tensor, "*k S A"]:
+        return self.parameterization.bound(knots, self.control_min, self.control_max)
 
     def _per_dimension(self, name: str, value: float | tuple[float, ...]) -> Float[Tensor, "A"]:
         values = value if isinstance(value, tuple) else (value,)

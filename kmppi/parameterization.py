@@ -1,4 +1,4 @@
-"""What is sampled, and how it becomes controls: the one difference between MPPI and KMPPI is a matrix."""
+"""What is sampled, and how it becomes controls: MPPI, SMPPI and KMPPI differ by a matrix."""
 
 import torch
 from jaxtyping import Float
@@ -33,6 +33,12 @@ class Parameterization:
         """(S, S), the knots that stand for the same controls `steps` steps later."""
         raise NotImplementedError  # abstract: every member has one
 
+    def bound(
+        self, knots: Float[Tensor, "*k S A"], low: Float[Tensor, "A"], high: Float[Tensor, "A"]
+    ) -> Float[Tensor, "*k S A"]:
+        """The nearest knots within limits of the controls; here the knots themselves are clipped."""
+        return torch.clamp(knots, low, high)
+
 
 class PerStep(Parameterization):
     """MPPI: every step is sampled by itself.
@@ -50,6 +56,37 @@ class PerStep(Parameterization):
         if steps >= self.horizon:
             return torch.zeros_like(self.matrix)
         return torch.diag(torch.ones(self.horizon - steps, dtype=torch.float64), steps)
+
+
+class Changes(Parameterization):
+    """SMPPI: the change from each control to the next is sampled; the first one is the first control itself.
+
+    Smooth MPPI (Kim et al., arXiv 2112.09988) lifts the controls to their derivative. Here that is the derivative in
+    time, `u_t = u_(t-1) + v_t`, so that noise is a random walk over the horizon; the authors of RUMI, in public code,
+    sum v over iterations instead and leave each step's noise independent.
+
+    Args:
+        horizon: control steps H.
+    """
+
+    def __init__(self, horizon: int) -> None:
+        self.matrix = torch.ones(horizon, horizon, dtype=torch.float64).tril()
+
+    def shift_matrix(self, steps: int) -> Float[Tensor, "S S"]:
+        """(H, H), the controls from `steps` on, the last one held."""
+        _check_steps(steps)
+        moved = torch.zeros_like(self.matrix)
+        if steps < self.horizon:
+            moved += torch.diag(torch.ones(self.horizon - steps, dtype=torch.float64), steps)
+        moved[0, : steps + 1] = 1.0
+        return moved
+
+    def bound(
+        self, knots: Float[Tensor, "*k S A"], low: Float[Tensor, "A"], high: Float[Tensor, "A"]
+    ) -> Float[Tensor, "*k S A"]:
+        """The changes between the clipped controls: past a limit nothing is stored up."""
+        controls = torch.clamp(knots.cumsum(-2), low, high)
+        return torch.diff(controls, dim=-2, prepend=torch.zeros_like(controls[..., :1, :]))
 
 
 class KernelKnots(Parameterization):
@@ -100,7 +137,9 @@ class KernelKnots(Parameterization):
 
 
 def make_parameterization(settings: MPPISettings) -> Parameterization:
-    """MPPI's or KMPPI's, by whether the settings name a number of knots."""
+    """KMPPI's if the settings name a number of knots, SMPPI's if they ask for changes, else MPPI's."""
+    if settings.changes:
+        return Changes(settings.horizon)
     if settings.knots is None:
         return PerStep(settings.horizon)
     return KernelKnots(settings.horizon, settings.knots, settings.kernel, settings.kernel_scale)

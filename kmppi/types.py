@@ -63,12 +63,16 @@ class Rollouts:
 
 @dataclass(frozen=True)
 class MPPISettings:
-    """Settings of MPPI and, with `knots`, of KMPPI; the defaults are RUMI's (IV-I and V.F, Table IV).
+    """Settings of MPPI, with `knots` KMPPI, with `changes` SMPPI; the defaults are RUMI's (IV-I and V.F, Table IV).
 
     Attributes:
         horizon: control steps H.
         knots: control points S of KMPPI, evenly spread from the first step to the last; None samples every step
             by itself (MPPI).
+        changes: sample the changes from each control to the next (SMPPI); `knots` is None then, and `noise_variance`
+            the changes'.
+        change_cost: weight of the squared changes between following controls, in units of the cost, that is added to
+            each sample's cost (SMPPI's action cost); 0 leaves it out.
         kernel: time kernel that interpolates between the knots.
         kernel_scale: its length, steps.
         samples: control sequences K an iteration.
@@ -89,6 +93,8 @@ class MPPISettings:
 
     horizon: int = 15
     knots: int | None = 8
+    changes: bool = False
+    change_cost: float = 0.0
     kernel: KernelName = "rbf"
     kernel_scale: float = 2.0
     samples: int = 500
@@ -111,6 +117,8 @@ class MPPISettings:
         for name, valid in (("kernel", get_args(KernelName)), ("cost_scale", get_args(CostScale))):
             if getattr(self, name) not in valid:
                 raise ValueError(f"Expected {name} to be one of {', '.join(valid)}, got {getattr(self, name)!r}")
+        if not (math.isfinite(self.change_cost) and self.change_cost >= 0):
+            raise ValueError(f"Expected change_cost to be 0 or more and finite, got {self.change_cost}")
         for name in ("kernel_scale", "temperature", "noise_variance"):
             if not all(math.isfinite(value) and value > 0 for value in _values(getattr(self, name))):
                 raise ValueError(f"Expected {name} to be positive and finite, got {getattr(self, name)}")
@@ -119,6 +127,8 @@ class MPPISettings:
     def _check_knots(self) -> None:
         if self.knots is None:
             return
+        if self.changes:
+            raise ValueError(f"Expected knots to be None where changes are sampled, got {self.knots}")
         _check_count("knots", self.knots, 1)
         if self.knots > self.horizon or (self.knots == 1 and self.horizon > 1):
             raise ValueError(

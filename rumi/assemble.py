@@ -11,6 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.baselines.ablations import info_only, reach_only
+from rumi.baselines.gpvr import GPVRPolicy
+from rumi.baselines.slide import SlidePolicy
 from rumi.belief.filter import PoseFilter
 from rumi.config import Settings
 from rumi.fields.workspace import Workspace
@@ -110,11 +112,19 @@ def reachability(tool: Tool, workspace: Workspace) -> Float[Tensor, "V"]:
 
 
 def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
-    """The policy of the settings' method."""
+    """The policy of the settings' method.
+
+    Raises:
+        UsageError: the method needs a package that is not installed.
+    """
     if settings.method == "info-only":
         return info_only(settings.planner)
     if settings.method == "reach-only":
         return reach_only(reach, settings.planner)
+    if settings.method == "slide":
+        return SlidePolicy(settings.slide)
+    if settings.method in ("gpvr", "gpvr-greedy"):
+        return GPVRPolicy(settings.planner, settings.gpvr, greedy=settings.method == "gpvr-greedy")
     return RummagingPolicy(reach, settings.planner)
 
 

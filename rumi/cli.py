@@ -1,4 +1,4 @@
-"""The command `rumi`: list tasks, run one, draw a run again, time the work."""
+"""The command `rumi`: list tasks, run one, draw a run again, time the work, reproduce the paper."""
 
 import os
 import sys
@@ -9,7 +9,7 @@ from rumi.errors import DegenerateBeliefError, UsageError
 
 DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-COMMANDS = ("tasks", "run", "plot", "bench", "mesh")
+COMMANDS = ("tasks", "run", "plot", "bench", "mesh", "reproduce")
 EXTRAS = {
     "mujoco": "sim",
     "pytorch_kinematics": "robot",
@@ -18,6 +18,7 @@ EXTRAS = {
     "contourpy": "plot",
     "trimesh": "mesh",
     "scipy": "mesh",
+    "submitit": "cluster",
 }
 """Which extra brings a package that may be missing."""
 
@@ -29,6 +30,7 @@ usage: rumi tasks                  what there is to find
        rumi plot RUN [options]     draw the figures of a run again
        rumi bench [options]        time the work, against others' and against the targets
        rumi mesh FILE [options]    what a triangle mesh is like, and what is wrong with it
+       rumi reproduce WHAT ...     the paper's tables and figures, beside the paper's own
        rumi --version
 
        rumi run --help             all settings, with their defaults

@@ -145,6 +145,13 @@ def mesh(arguments: Sequence[str]) -> int:
     return mesh_command.mesh(arguments)
 
 
+def reproduce(arguments: Sequence[str]) -> int:
+    """`rumi reproduce`: the paper's tables and figures."""
+    from rumi.reproduce import command
+
+    return command.reproduce(arguments, cache_dir=cache_folder())
+
+
 def parse_run(arguments: Sequence[str]) -> RunOptions:
     """Options of `rumi run`; the settings start from the preset that is asked for.
 

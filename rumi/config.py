@@ -10,6 +10,8 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 import torch
 import tyro
 
+from rumi.baselines.gpvr import GPVRSettings
+from rumi.baselines.slide import SlideSettings
 from rumi.belief.filter import FilterSettings
 from rumi.errors import UsageError
 from rumi.planning.rummaging import RummagingSettings
@@ -19,7 +21,7 @@ from rumi.sim.objects import ObjectSettings
 from rumi.sim.settings import SimSettings
 from rumi.stopping import StopSettings
 
-Method = Literal["rumi", "info-only", "reach-only"]
+Method = Literal["rumi", "info-only", "reach-only", "slide", "gpvr", "gpvr-greedy"]
 Preset = Literal["default", "fast", "paper"]
 METHODS: tuple[str, ...] = get_args(Method)
 
@@ -33,7 +35,8 @@ class Settings:
     Attributes:
         task: what to find; `rumi tasks` lists them.
         method: "rumi" weighs information against reachability; "info-only" and "reach-only" are the paper's
-            ablations with one of the two costs.
+            ablations with one of the two costs. "slide" goes to the object and along its surface; "gpvr" and
+            "gpvr-greedy" go where a Gaussian-process implicit surface is least sure (extra `baselines`).
         preset: where all other settings started from; "paper" holds the paper's Table IV.
         seed: of all randomness.
         steps: actions at most; None for as many as the task allows.
@@ -43,6 +46,8 @@ class Settings:
         filter: how the belief follows the readings.
         initialise: how the first belief is found.
         planner: how actions are chosen.
+        slide: how the method slide moves.
+        gpvr: the process of the methods gpvr and gpvr-greedy, which plan by `planner`.
         stop: when the belief is sure enough.
         simulator: how the simulator steps and what its sensors report.
         object: the object to find, where that is not the task's own.
@@ -59,6 +64,8 @@ class Settings:
     filter: FilterSettings = field(default_factory=FilterSettings)
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
     planner: RummagingSettings = field(default_factory=RummagingSettings)
+    slide: SlideSettings = field(default_factory=SlideSettings)
+    gpvr: GPVRSettings = field(default_factory=GPVRSettings)
     stop: StopSettings = field(default_factory=StopSettings)
     simulator: SimSettings = field(default_factory=SimSettings)
     object: Annotated[ObjectSettings, tyro.conf.arg(name="")] = field(default_factory=ObjectSettings)

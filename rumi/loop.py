@@ -53,7 +53,9 @@ def rummage(
         executed, surprised = 0, False
         while not last.converged and last.step < steps:
             if plan is None or surprised or executed >= min(rummager.replan_every, len(plan.controls)):
-                scene = Scene(rummager.model, rummager.workspace, rummager.tool, result.reading.configuration)
+                reading = result.reading
+                place = (rummager.model, rummager.workspace, rummager.tool)
+                scene = Scene(*place, reading.configuration, observed=memory, reading=reading)
                 with clock("plan"):
                     plan = rummager.policy.act(
                         belief, scene, plan, executed=executed, budget_s=rummager.budget_s, generator=random["plan"]

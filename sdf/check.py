@@ -60,3 +60,9 @@ def check_finite(name: str, tensor: Tensor) -> None:
 def keep_within_reach(coordinates: Tensor) -> Tensor:
     """Coordinates moved to within `FAR` metres of 0, NaN to `FAR`: hot paths answer "far outside", never NaN."""
     return torch.nan_to_num(coordinates, nan=FAR).clamp(-FAR, FAR)
+
+
+def may_look() -> bool:
+    """Whether code may branch on what is in its tensors: not while it is compiled or under a `torch.func` transform."""
+    # the one way to ask for transforms that torch itself uses
+    return not torch.compiler.is_compiling() and not torch._C._are_functorch_transforms_active()

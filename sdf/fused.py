@@ -11,6 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from sdf.check import may_look
+
 _FLOATS = (torch.float32, torch.float64)
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
@@ -30,7 +32,7 @@ def supports(*tensors: Tensor) -> bool:
         and not graph
         and all(t.device.type == "cpu" for t in tensors)
         and all(dtype in _FLOATS for dtype in floats)
-        and not torch.compiler.is_compiling()
+        and may_look()
     )
 
 

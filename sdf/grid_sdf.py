@@ -8,12 +8,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf.base import SDF, SDFQuery
-from sdf.check import check_shape, keep_within_reach
+from sdf.check import check_shape, keep_within_reach, may_look
 from sdf.lookup import interpolate, interpolate_with_slopes
 
 _CHUNK = 1 << 18
 # squared metres: less than any distance that matters, more than float32 loses
 _TINY = 1e-30
+# fine spacings from the lattice's end within which points are not taken as within it: more than rounding moves them
+_EDGE = 1e-2
 
 
 class GridSDF(SDF):
@@ -118,28 +120,30 @@ class GridSDF(SDF):
 
     def distance(self, points_o: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
         """Signed distance (*b), metres; differentiable (twice) to points and to `values`."""
-        cells, offsets, _ = self._cells(points_o)
+        cells, offsets = self._cells(points_o)
         return self._join(interpolate(self.values, cells), offsets)[0]
 
     def forward(self, points_o: Float[Tensor, "*b 3"]) -> SDFQuery:
         """Signed distance (*b), metres, and the exact gradient (*b, 3) of what `distance` gives."""
-        cells, offsets, chains = self._cells(points_o, chains=True)
-        value, slopes = interpolate_with_slopes(self.values, cells)
-        return self._query(value, slopes, offsets, chains)
+        cells, offsets = self._cells(points_o)
+        rates = [self._rates(axis, points_o) for axis in range(3)]
+        value, slopes = interpolate_with_slopes(self.values, cells, rates)
+        return self._query(value, slopes, offsets)
 
     def distance_at_height(self, xy: Float[Tensor, "*b 2"], z: float | Float[Tensor, ""]) -> Float[Tensor, "*b"]:
         """What `distance` gives at points (x, y, z) of one height: four corners a point instead of eight."""
-        cells, offsets, _ = self._cells(xy, z)
-        low, high, share = self._layers(cells[2])
+        cells, offsets = self._cells(xy, z)
+        low, high, share, _ = self._layers(cells[2])
         return self._join(interpolate(torch.lerp(low, high, share), cells), offsets)[0]
 
     def query_at_height(self, xy: Float[Tensor, "*b 2"], z: float | Float[Tensor, ""]) -> SDFQuery:
         """What `forward` gives at points (x, y, z) of one height, gradient (*b, 3)."""
-        cells, offsets, chains = self._cells(xy, z, chains=True)
-        low, high, share = self._layers(cells[2])
-        value, slopes = interpolate_with_slopes(torch.lerp(low, high, share), cells)
-        slopes[2] = interpolate(high - low, cells)
-        return self._query(value, slopes, offsets, chains)
+        cells, offsets = self._cells(xy, z)
+        low, high, share, rate = self._layers(cells[2])
+        rates = [self._rates(axis, xy) for axis in range(3)]
+        value, slopes = interpolate_with_slopes(torch.lerp(low, high, share), cells, rates)
+        slopes[2] = interpolate((high - low) * rate, cells)
+        return self._query(value, slopes, offsets)
 
     def layer(self, z: Float[Tensor, ""]) -> tuple[Float[Tensor, "X Y"], Float[Tensor, "X Y"], Float[Tensor, "2"]]:
         """The table at one height, in the dtype of `z`: what look-ups at that height draw on.
@@ -151,81 +155,124 @@ class GridSDF(SDF):
             values, metres, at the nodes; their slopes along z, metres a cell; and along z the offset beyond the
             lattice, fine spacings, with the cells a fine spacing there.
         """
-        cell, offset, rate = self._along(2, z, chains=True)
-        low, high, share = self._layers(cell)
-        return torch.lerp(low, high, share)[..., 0], (high - low)[..., 0], torch.stack((offset, rate))
+        cell, offset = self._along(2, z, within=False)
+        assert offset is not None
+        low, high, share, rate = self._layers(cell)
+        cells = rate * self.spacing * (offset == 0)
+        return torch.lerp(low, high, share)[..., 0], (high - low)[..., 0], torch.stack((offset, cells))
 
-    def _cells(
-        self, points: Tensor, z: float | Tensor | None = None, *, chains: bool = False
-    ) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
-        """By axis: lattice coordinates, offsets beyond the lattice and, if asked, cells per fine spacing.
+    def _cells(self, points: Tensor, z: float | Tensor | None = None) -> tuple[list[Tensor], list[Tensor | None]]:
+        """By axis: lattice coordinates, and offsets beyond the lattice, None where no point is beyond it.
 
-        Offsets are in fine spacings. In lattice coordinates a wide cell is one unit, as a fine one is. Which of them
-        a point is in, `floor` of its coordinate decides, for the derivative too: at their common node, or an ulp
-        beside it, a derivative of the one with the slope of the other would be wrong by the ratio of their widths.
+        Offsets are in fine spacings. In lattice coordinates a wide cell is one unit, as a fine one is. What is
+        skipped: clamping, and joining what is beyond, along an axis on which every point is within the lattice.
+        That is looked up only where no graph is kept.
         """
         check_shape("points", points, "(*b, 3)" if z is None else "(*b, 2)")
         planes = list(points.unbind(-1))
         if z is not None:
             planes.append(torch.as_tensor(z, dtype=points.dtype, device=points.device))
-        along = [self._along(axis, plane, chains=chains) for axis, plane in enumerate(planes)]
-        cells, offsets, rates = zip(*along, strict=True)
-        return list(cells), list(offsets), list(rates)
+        within = self._within(planes)
+        along = [
+            self._along(axis, plane, inner) for axis, (plane, inner) in enumerate(zip(planes, within, strict=True))
+        ]
+        cells, offsets = zip(*along, strict=True)
+        return list(cells), list(offsets)
 
-    def _along(self, axis: int, plane: Tensor, *, chains: bool) -> tuple[Tensor, Tensor, Tensor]:
-        """The same of one axis; the rate is a placeholder unless it is asked for."""
-        start, last = self.origin[axis], self.values.shape[axis] - 1 - self.outer
-        scale, ratio = 1.0 / self.spacing, self.spacing / self.outer_spacing
-        reach = self.outer / ratio
+    def _within(self, planes: list[Tensor]) -> list[bool]:
+        """By axis, whether all points are within the lattice; False where that may not or need not be known."""
+        graph = torch.is_grad_enabled() and any(plane.requires_grad for plane in planes)
+        if graph or not all(plane.numel() for plane in planes) or not may_look():
+            return [False] * len(planes)
+        extremes = torch.stack([extreme for plane in planes for extreme in torch.aminmax(plane)]).tolist()
+        reach = self.outer * self.outer_spacing - _EDGE * self.spacing
+        starts = [start - reach for start in self.origin]
+        ends = [
+            start + (n - 1 - 2 * self.outer) * self.spacing + reach
+            for start, n in zip(self.origin, self.values.shape, strict=True)
+        ]
+        # never so for NaN
+        return [
+            start < low and high < end
+            for low, high, start, end in zip(extremes[::2], extremes[1::2], starts, ends, strict=True)
+        ]
+
+    def _along(self, axis: int, plane: Tensor, within: bool) -> tuple[Tensor, Tensor | None]:
+        """Lattice coordinate and offset of one axis.
+
+        Which cell a point is in, `floor` of its coordinate decides, for the derivative too: at the node where fine and
+        wide cells meet, or an ulp beside it, a derivative of the one with the slope of the other would be wrong by the
+        ratio of their widths.
+        """
+        last, ratio = self.values.shape[axis] - 1 - self.outer, self.spacing / self.outer_spacing
+        scale, reach = 1.0 / self.spacing, self.outer / ratio
         # in fine spacings, such that the first fine node, number `outer`, is at `outer`
-        place = keep_within_reach(plane) * scale + (self.outer - start * scale)
+        place = (plane if within else keep_within_reach(plane)) * scale + (self.outer - self.origin[axis] * scale)
+        if within:
+            return torch.lerp(place.clamp(self.outer, last), place, ratio) if self.outer else place, None
         cell = fine = place.clamp(self.outer, last)
         kept = place.clamp(self.outer - reach, last + reach) if self.outer else fine
         offset = place - kept
-        rate = offset
         if self.outer:
             cell = torch.lerp(fine, kept, ratio)
-            if chains or place.requires_grad:
+            if place.requires_grad:
                 in_fine = ((cell >= self.outer) & (cell < last)).to(cell.dtype)
                 rate = (ratio + (1.0 - ratio) * in_fine) * (offset.detach() == 0)
-                if place.requires_grad:
-                    cell = cell.detach() + rate * (place - place.detach())
-        elif chains:
-            rate = (offset.detach() == 0).to(cell.dtype)
-        return cell, offset, rate
+                cell = cell.detach() + rate * (place - place.detach())
+        return cell, offset
 
-    def _layers(self, cell: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Nodes (X, Y, 1) below and above a lattice height, and how far between them it is."""
+    def _rates(self, axis: int, like: Tensor) -> Tensor:
+        """(n - 1,), cells a metre in each cell of an axis."""
+        rates = like.new_full((self.values.shape[axis] - 1,), 1.0 / self.spacing)
+        if self.outer:
+            rates[: self.outer] = rates[-self.outer :] = 1.0 / self.outer_spacing
+        return rates
+
+    def _layers(self, cell: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Nodes (X, Y, 1) below and above a lattice height, how far between them it is, and the cells a metre there."""
         below = cell.detach().floor().clamp(0.0, self.values.shape[2] - 2.0)
         values, index = self.values.to(cell.dtype), below.long()[None]
-        return values.index_select(2, index), values.index_select(2, index + 1), cell - below
+        low, high = values.index_select(2, index), values.index_select(2, index + 1)
+        return low, high, cell - below, self._rates(2, cell)[index[0]]
 
-    def _join(self, value: Tensor, offsets: list[Tensor]) -> tuple[Tensor, Tensor]:
-        """The distance from the clamped point's value and the offsets beyond the lattice, and its size.
+    def _join(self, value: Tensor, offsets: list[Tensor | None]) -> tuple[Tensor, Tensor | None]:
+        """The distance from the clamped point's value and the offsets beyond the lattice; and its size, if any is.
 
         Without branches, which cost more than the sums: where nothing is beyond, the root is |value| to the bit.
         """
+        sizes = [offset.abs() for offset in offsets if offset is not None]
+        if not sizes:
+            return value, None
         twice = 2.0 * self.inset / self.spacing
-        sizes = [offset.abs() for offset in offsets]
         total = sizes[0] * (sizes[0] + twice)
         for size in sizes[1:]:
             total = torch.addcmul(total, size, size + twice)
         far = torch.addcmul(total * self.spacing**2, value, value).clamp_min(_TINY).sqrt()
         return value + (far - value.abs()), far
 
-    def _query(self, value: Tensor, slopes: list[Tensor], offsets: list[Tensor], chains: list[Tensor]) -> SDFQuery:
-        """Distance and gradient from the look-up's value and slopes, by the chain rule."""
+    def _query(self, value: Tensor, slopes: list[Tensor], offsets: list[Tensor | None]) -> SDFQuery:
+        """Distance and gradient from the look-up's value and slopes a metre, by the chain rule."""
         distance, far = self._join(value, offsets)
+        if far is None:
+            return SDFQuery(distance, _vectors(slopes))
         inverse = 1.0 / far
-        # cells a metre in the fine part, less where the value counts for less of the distance
-        ratio = (1.0 + (value * inverse - value.sign())) / self.spacing
+        # less than 1 where the value counts for less of the distance
+        share = 1.0 + (value * inverse - value.sign())
         spread = inverse * self.spacing
         inset = self.inset / self.spacing
-        gradient = [
-            torch.addcmul(slope * chain * ratio, spread, torch.add(offset, offset.sign(), alpha=inset))
-            for slope, offset, chain in zip(slopes, offsets, chains, strict=True)
-        ]
-        return SDFQuery(distance, torch.stack(gradient, dim=-1))
+        gradient = []
+        for slope, offset in zip(slopes, offsets, strict=True):
+            along = slope * share
+            if offset is not None:
+                beyond = torch.add(offset, offset.sign(), alpha=inset)
+                along = torch.addcmul(along * (offset.detach() == 0), spread, beyond)
+            gradient.append(along)
+        return SDFQuery(distance, _vectors(gradient))
+
+
+def _vectors(planes: list[Tensor]) -> Tensor:
+    """Vectors (*b, 3) of three planes (*b), kept plane by plane: copied in one go."""
+    return torch.stack(planes).movedim(0, -1)
 
 
 class Lattice(NamedTuple):

@@ -66,14 +66,26 @@ def interpolate(values: Float[Tensor, "X Y Z *C"], cells: list[Tensor]) -> Float
 
     The plane of an axis with a single node is not looked at.
     """
-    flat, base, axes = _locate(values, cells)
+    flat, base, axes, _ = _locate(values, cells)
     return _value(flat, base, axes, 0).reshape((*cells[0].shape, *values.shape[3:]))
 
 
-def interpolate_with_slopes(values: Float[Tensor, "X Y Z"], cells: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
-    """The same with the slopes along the three axes, a cell each; 0 along an axis with a single node."""
-    flat, base, axes = _locate(values, cells)
+def interpolate_with_slopes(
+    values: Float[Tensor, "X Y Z"], cells: list[Tensor], rates: list[Tensor] | None = None
+) -> tuple[Tensor, list[Tensor]]:
+    """The same with the slopes along the three axes; 0 along an axis with a single node.
+
+    Args:
+        values: (X, Y, Z), at the nodes.
+        cells: lattice coordinates.
+        rates: by axis, (n - 1,): cells a unit of length, of each cell, where their widths differ. Slopes are then
+            by that unit, otherwise a cell each.
+    """
+    flat, base, axes, lowers = _locate(values, cells)
     value, slopes = _value_and_slopes(flat, base, axes, 0)
+    if rates is not None:
+        used = [rate for rate, n in zip(rates, values.shape, strict=True) if n > 1]
+        slopes = [slope * rate.index_select(0, lower) for slope, rate, lower in zip(slopes, used, lowers, strict=True)]
     shape, rest = cells[0].shape, iter(slopes)
     zero = torch.zeros_like(cells[0])
     return value.reshape(shape), [next(rest).reshape(shape) if n > 1 else zero for n in values.shape]
@@ -92,21 +104,26 @@ def _cells(values: Tensor, origin: Tensor, spacing: float, points: Tensor) -> tu
     return cells, [cell == plane for cell, plane in zip(cells, free, strict=True)]
 
 
-def _locate(values: Tensor, cells: list[Tensor]) -> tuple[Tensor, Tensor, list[tuple[int, Tensor]]]:
-    """Flat values, flat index of each point's lower corner, and stride and fraction along each axis of more nodes."""
+def _locate(values: Tensor, cells: list[Tensor]) -> tuple[Tensor, Tensor, list[tuple[int, Tensor]], list[Tensor]]:
+    """Flat values, flat index of each point's lower corner; of each axis of more nodes stride and fraction, and index.
+
+    The last is the lower corner's along the axis.
+    """
     x, y, z = values.shape[:3]
     # 32 bits are quicker, where they reach
     kind = torch.int32 if x * y * z < 2**31 else torch.int64
     channels = (1,) * (values.ndim - 3)
     base = torch.zeros(cells[0].numel(), dtype=kind, device=values.device)
     axes: list[tuple[int, Tensor]] = []
+    lowers: list[Tensor] = []
     for cell, n, stride in zip(cells, (x, y, z), (y * z, z, 1), strict=True):
         if n > 1:
             plane = cell.reshape(-1)
             lower = plane.detach().to(kind).clamp_max_(n - 2)
             base = lower * stride if not axes else base.add_(lower, alpha=stride)
             axes.append((stride, (plane - lower).reshape(-1, *channels)))
-    return values.reshape(x * y * z, *values.shape[3:]).to(cells[0].dtype), base, axes
+            lowers.append(lower)
+    return values.reshape(x * y * z, *values.shape[3:]).to(cells[0].dtype), base, axes, lowers
 
 
 def _value(flat: Tensor, base: Tensor, axes: list[tuple[int, Tensor]], offset: int) -> Tensor:

@@ -1,5 +1,6 @@
 """What a mesh is like, what is wrong with it, and what is done about that."""
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -90,7 +91,7 @@ class MeshReport:
         if self.spacing_m is not None:
             lines.append(
                 f"table      a node every {1e3 * self.spacing_m:.3g} mm, {' x '.join(map(str, self.nodes))} nodes, "
-                f"{4 * _product(self.nodes) / 2**20:.3g} MiB"
+                f"{4 * math.prod(self.nodes) / 2**20:.3g} MiB"
             )
         lines += [f"{finding.level + ':':<10} {finding.text}" for finding in self.findings]
         if not self.findings:
@@ -210,10 +211,3 @@ def _wall_findings(wall: float | None, spacing: float) -> list[Finding]:
 
 def _count(number: int, word: str, many: str | None = None) -> str:
     return f"{number} {word if number == 1 else many or word + 's'}"
-
-
-def _product(numbers: tuple[int, ...]) -> int:
-    result = 1
-    for number in numbers:
-        result *= number
-    return result

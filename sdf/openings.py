@@ -132,7 +132,7 @@ def _parting(patches: np.ndarray, of: np.ndarray, width: np.ndarray, corners: np
     """Whether each opening's fan parts inside from outside: most of its area is neither, and clear of the faces."""
     surface = Triangles(torch.from_numpy(corners))
     middle = torch.from_numpy(patches.mean(1))
-    around = winding_number(middle, surface).numpy()
+    around = winding_number(middle, surface).numpy() % 1.0  # within another part it is one more
     gap = (nearest(middle, surface).point - middle).norm(dim=-1).numpy()
     area = np.linalg.norm(np.cross(patches[:, 1] - patches[:, 0], patches[:, 2] - patches[:, 0]), axis=1)
     fit = (around > _LEAST) & (around < _MOST) & (gap > _CLEAR * width[of])

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from sdf import backend, fused, se3
 from sdf.base import SDF, SDFQuery
-from sdf.check import check_shape
+from sdf.check import check_shape, may_look
 from sdf.grid_fused import takes
 from sdf.grid_sdf import GridSDF
 
@@ -53,10 +53,10 @@ def _posed_distance(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tenso
 
     def look_up(points_o: Tensor) -> tuple[Tensor, ...]:
         if height is not None and isinstance(sdf, GridSDF):
-            return (sdf.distance_at_height(points_o[..., :2], height)[..., None],)
-        return (sdf.distance(points_o)[..., None],)
+            return (sdf.distance_at_height(points_o[..., :2], height),)
+        return (sdf.distance(points_o),)
 
-    return _by_blocks(look_up, world_T_object, points_w)[0][..., 0]
+    return _by_blocks(look_up, world_T_object, points_w)[0]
 
 
 @backend.register("posed_query")
@@ -68,10 +68,11 @@ def _posed_query(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SDFQuery
             query = sdf.query_at_height(points_o[..., :2], height)
         else:
             query = sdf(points_o)
-        return query.distance[..., None], query.gradient
+        # plane by plane, as the coordinates are: blocks are then joined by copies of whole rows
+        return query.distance, query.gradient.movedim(-1, 0)
 
     distance, gradient = _by_blocks(look_up, world_T_object, points_w)
-    return SDFQuery(distance[..., 0], gradient)
+    return SDFQuery(distance, gradient.movedim(0, -1))
 
 
 @backend.register("posed_distance", "numba", fused.supports)
@@ -95,7 +96,7 @@ def _posed_query_numba(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SD
 def _by_blocks(
     look_up: Callable[[Tensor], tuple[Tensor, ...]], world_T_object: Tensor, points_w: Tensor
 ) -> list[Tensor]:
-    """Results (*b, N, M, n) of a function of object-frame points, a block of poses and points at a time."""
+    """Results (..., N, M) of a function of object-frame points, a block of poses and points at a time."""
     batch = torch.broadcast_shapes(world_T_object.shape[:-3], points_w.shape[:-2])
     poses, points = world_T_object.shape[-3], points_w.shape[-2]
     scenes = math.prod(batch)
@@ -111,8 +112,8 @@ def _by_blocks(
             # coordinate planes (3, *b, n, m), each contiguous, seen as points (*b, n, m, 3)
             planes = transforms @ homogeneous[..., start : start + point_step]
             row.append(look_up(planes.movedim(0, -1)))
-        rows.append([torch.cat(parts, dim=-2) if len(row) > 1 else parts[0] for parts in zip(*row, strict=True)])
-    return [torch.cat(parts, dim=-3) if len(rows) > 1 else parts[0] for parts in zip(*rows, strict=True)]
+        rows.append([torch.cat(parts, dim=-1) if len(row) > 1 else parts[0] for parts in zip(*row, strict=True)])
+    return [torch.cat(parts, dim=-2) if len(rows) > 1 else parts[0] for parts in zip(*rows, strict=True)]
 
 
 def common_height(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor | None:
@@ -120,7 +121,7 @@ def common_height(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor 
     graph = torch.is_grad_enabled() and (world_T_object.requires_grad or points_w.requires_grad)
     if graph or not isinstance(sdf, GridSDF) or not world_T_object.numel() or not points_w.numel():
         return None
-    if torch.compiler.is_compiling():
+    if not may_look():
         return None
     heights, levels = points_w[..., 2].reshape(-1), world_T_object[..., 2, 3].reshape(-1)
     upright = world_T_object[..., 2, :3] == world_T_object.new_tensor((0.0, 0.0, 1.0))

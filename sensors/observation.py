@@ -110,6 +110,12 @@ def attach(
     return replace(observation, points=torch.where(observation.attached[..., None], carried, observation.points))
 
 
+def in_world(observation: Observation, world_T_attached: Float[Tensor, "*b 4 4"]) -> Observation:
+    """The observation with its attached points carried to where they are in the world now."""
+    carried = se3.apply(world_T_attached.to(observation.points), observation.points)
+    return replace(observation, points=torch.where(observation.attached[..., None], carried, observation.points))
+
+
 def thin_mask(
     observation: Observation, spacing: Float[Tensor, "3"], taken: Int[Tensor, "T"] | None = None
 ) -> Bool[Tensor, "*b M"]:

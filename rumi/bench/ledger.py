@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 
+from rumi.jsonlines import append_line, read_lines
 from rumi.plain import plain
 
 Settings = dict[str, Any]
@@ -35,13 +36,7 @@ class Ledger:
 
     def lines(self) -> Iterator[dict[str, Any]]:
         """All measurements."""
-        if not self.path.exists():
-            return
-        for text in self.path.read_text().splitlines():
-            try:
-                yield json.loads(text)
-            except json.JSONDecodeError:
-                continue
+        yield from (line for line, _ in read_lines(self.path))
 
     def of(self, part: str) -> list[dict[str, Any]]:
         """Settings and figures together, of the lines of one part."""
@@ -61,11 +56,7 @@ class Ledger:
         if _key(settings) in self._done:
             return False
         line = {"settings": settings, "figures": plain(work()), "commit": commit(), "machine": machine()}
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        # what was cut off ends here
-        start = "\n" if self.path.exists() and not self.path.read_bytes().endswith(b"\n") else ""
-        with self.path.open("a") as file:
-            file.write(start + json.dumps(line) + "\n")
+        append_line(self.path, line)
         self._done.add(_key(settings))
         return True
 

@@ -36,7 +36,7 @@ def run_settings(quick: bool) -> list[RunSettings]:
     """The runs that are compared."""
     if quick:
         return [RunSettings("mug-0", name, 1000, steps=2) for name in PRESETS]
-    # what `paper` does on these tasks the table of `scripts/mug_table.py` says
+    # what `paper` does on these tasks `rumi reproduce table5` says
     names = [name for name in PRESETS if name != "paper"]
     return [RunSettings(task, name, seed) for seed in range(1000, 1030) for task in TASKS for name in names]
 

@@ -20,13 +20,51 @@ def wilson(successes: int, runs: int, z: float = 1.959964) -> tuple[float, float
 
 def bootstrap_median(values: Sequence[float], *, seed: int = 0, resamples: int = 2000) -> tuple[float, float, float]:
     """Median of some values and its 95 % percentile-bootstrap interval; NaN-free values, at least one."""
+    medians = np.median(_resampled(values, np.random.default_rng(seed), resamples), axis=1)
+    return _with_interval([float(np.median(np.asarray(values, dtype=float)))], [medians])
+
+
+def bootstrap_total(
+    groups: Sequence[Sequence[float]], *, seed: int = 0, resamples: int = 2000
+) -> tuple[float, float, float]:
+    """Sum of the medians of some groups, and its 95 % interval by resampling within each; finite values."""
+    drawn = [_resampled(group, np.random.default_rng([seed, k]), resamples) for k, group in enumerate(groups)]
+    return _with_interval([float(np.median(group)) for group in groups], [np.median(d, axis=1) for d in drawn])
+
+
+def bootstrap_total_difference(
+    first: Sequence[Sequence[float]], second: Sequence[Sequence[float]], *, seed: int = 0, resamples: int = 2000
+) -> tuple[float, float, float]:
+    """How much larger the sum of the medians is for the first than for the second, with its 95 % interval.
+
+    Args:
+        first: finite values of each group.
+        second: of the same groups; value k of a group belongs to value k of the first, and is drawn with it.
+        seed: of the resampling.
+        resamples: how many.
+    """
+    if [len(group) for group in first] != [len(group) for group in second]:
+        raise ValueError(f"Expected pairs in each group, got {[*map(len, first)]} and {[*map(len, second)]} values")
+    middles, drawn = [], []
+    for k, (a, b) in enumerate(zip(first, second, strict=True)):
+        pair = [_resampled(values, np.random.default_rng([seed, k]), resamples) for values in (a, b)]
+        middles.append(float(np.median(a)) - float(np.median(b)))
+        drawn.append(np.median(pair[0], axis=1) - np.median(pair[1], axis=1))
+    return _with_interval(middles, drawn)
+
+
+def _resampled(values: Sequence[float], random: np.random.Generator, resamples: int) -> np.ndarray:
     data = np.asarray(values, dtype=float)
     if data.size == 0 or not np.isfinite(data).all():
         raise ValueError(f"Expected one or more finite values, got {data.size} with {np.isfinite(data).sum()} finite")
-    random = np.random.default_rng(seed)
-    medians = np.median(data[random.integers(0, data.size, (resamples, data.size))], axis=1)
-    low, high = np.quantile(medians, [0.025, 0.975])
-    return float(np.median(data)), float(low), float(high)
+    return np.asarray(data[random.integers(0, data.size, (resamples, data.size))])
+
+
+def _with_interval(middles: Sequence[float], drawn: Sequence[np.ndarray]) -> tuple[float, float, float]:
+    if not middles:
+        raise ValueError("Expected one or more groups, got none")
+    low, high = np.quantile(np.sum(drawn, axis=0), [0.025, 0.975])
+    return float(sum(middles)), float(low), float(high)
 
 
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> float:

@@ -21,8 +21,8 @@ from rumi.fields.information import (
 )
 from rumi.planning.trajectory_cost import TrajectoryCost
 from rumi.planning.types import Plan, Scene
+from rumi.planning.worth import Worth, gathered_by_action, gathering
 from sdf import savings
-from sdf.voxel_grid import VoxelGrid
 
 # control sequences that are rolled out at once: the memory for more is not needed
 _SAMPLES = 4096
@@ -46,6 +46,8 @@ class RummagingSettings:
         information_discount: factor by which information is worth less with each action until it is gathered. At 1,
             the paper's, a plan may put its touches off to the end of the horizon, and so may the next plan.
         normalise_information: count information as a share of all there is, so that both costs are in [-1, 0].
+        displaced_information: count information where the object will have been moved to (Eq 29); False is the ablation
+            that counts it where it is now (Eq 28).
         rollouts: how often each control sequence is rolled out; its cost is the mean.
     """
 
@@ -56,6 +58,7 @@ class RummagingSettings:
     reachability_scale: float = 2.0
     information_discount: float = 0.9
     normalise_information: bool = True
+    displaced_information: bool = True
     rollouts: int = 5
 
     def __post_init__(self) -> None:
@@ -124,19 +127,7 @@ class RummagingPolicy:
             contact = ContactField.from_belief(sdf, poses, log_weights, workspace, fields)
             model = DisplacementModel(contact, tool, settings.push)
             watch.lap("contact_field")
-            reachability = None
-            if settings.reachability_scale > 0 and self.reachability is not None:
-                reachability = workspace.grid(self.reachability.to(fields.information))
-            sensing = world_height(tool.info, tool.height_m).to(fields.information)
-            cost = TrajectoryCost(
-                workspace.grid(fields.information),
-                reachability,
-                sensing,
-                information_scale=settings.information_scale,
-                reachability_scale=settings.reachability_scale,
-                information_discount=settings.information_discount,
-                normalise=settings.normalise_information,
-            )
+            worth = self.worth(belief, scene, fields, previous)
             watch.lap("costs")
 
             configuration = scene.configuration.to(fields.information)
@@ -147,7 +138,7 @@ class RummagingPolicy:
             def cost_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
                 rollouts = model.rollout(configuration, controls, rollouts=settings.rollouts, generator=generator)
                 watch.lap("dynamics")
-                costs = cost(rollouts)
+                costs = worth.cost(rollouts)
                 watch.lap("costs")
                 return costs
 
@@ -159,25 +150,63 @@ class RummagingPolicy:
             watch.lap("planner")
             predicted = model.likely(configuration, nominal.controls)
             watch.lap("dynamics")
+            gathered = gathered_by_action(worth.gathered, predicted)
+            watch.lap("costs")
+            moves = predicted.displacements[0, 0]
             plan = Plan(
                 controls=nominal.controls,
                 path=predicted.configurations[0, 0],
                 warm_start=nominal,
-                fields=_maps(fields, reachability),
+                fields={"information": fields.information, "p_free": fields.semantics[..., 0]} | worth.maps,
                 timings_s=watch.laps,
                 info={
                     "ess": float(samples.ess),
                     "iterations": samples.iterations,
                     "least_cost": float(samples.costs.min()),
                     "information_total": float(fields.information.sum()),
-                    "displacement": predicted.displacements[0, 0, -1].tolist(),
-                },
+                    "displacement": moves[-1].tolist(),
+                    "predicted_information": gathered.tolist(),
+                    "predicted_displacement": torch.diff(moves, dim=0).tolist(),
+                }
+                | worth.info,
             )
-        left_out = {
-            "information_cost": float(settings.information_scale == 0),
-            "reachability_cost": float(settings.reachability_scale == 0),
-        }
-        return replace(plan, skipped=work.skipped() | left_out)
+        return replace(plan, skipped=work.skipped() | worth.skipped)
+
+    def worth(self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields, previous: Plan | None) -> Worth:
+        """What motions are worth: information gathered and kept within reach (Eq 31).
+
+        Args:
+            belief: one scene's.
+            scene: what else is known.
+            fields: of the belief on the scene's workspace.
+            previous: the last plan, None at the start.
+        """
+        settings, workspace = self.settings, scene.workspace
+        reachability = None
+        if settings.reachability_scale > 0 and self.reachability is not None:
+            reachability = workspace.grid(self.reachability.to(fields.information))
+        sensing = world_height(scene.tool.info, scene.tool.height_m).to(fields.information)
+        information = workspace.grid(fields.information)
+        cost = TrajectoryCost(
+            information,
+            reachability,
+            sensing,
+            information_scale=settings.information_scale,
+            reachability_scale=settings.reachability_scale,
+            information_discount=settings.information_discount,
+            normalise=settings.normalise_information,
+            displaced_information=settings.displaced_information,
+        )
+        whole = gathering(information, scene.tool)
+        return Worth(
+            cost,
+            lambda configurations, displacements: -whole(configurations, displacements),
+            {} if reachability is None else {"reachability": reachability.values.flatten()},
+            skipped={
+                "information_cost": float(settings.information_scale == 0),
+                "reachability_cost": float(settings.reachability_scale == 0),
+            },
+        )
 
     def _start(
         self, mppi: MPPI, previous: Plan | None, executed: int, generator: torch.Generator
@@ -185,13 +214,6 @@ class RummagingPolicy:
         if previous is None or previous.warm_start is None:
             return mppi.initial(generator=generator), max(1, self.settings.mppi.warmup_iterations)
         return mppi.shift(previous.warm_start, executed), self.settings.mppi.iterations
-
-
-def _maps(fields: WorkspaceFields, reachability: VoxelGrid | None) -> dict[str, Tensor]:
-    maps = {"information": fields.information, "p_free": fields.semantics[..., 0]}
-    if reachability is not None:
-        maps["reachability"] = reachability.values.flatten()
-    return maps
 
 
 class _Stopwatch:

@@ -1,5 +1,7 @@
 """What a predicted motion of robot and object costs in all (RUMI, Eq 31)."""
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -22,6 +24,8 @@ class TrajectoryCost:
         reachability_scale: beta_R.
         information_discount: factor by which information is worth less with each action until it is gathered.
         normalise: count information as a share of all there is.
+        displaced_information: take the information to ride with the object (RUMI, Eq 29); False leaves the predicted
+            displacement out of it (Eq 28), so that pushing the object along seems to gather what lies on the way.
     """
 
     def __init__(
@@ -34,8 +38,10 @@ class TrajectoryCost:
         reachability_scale: float = 1.0,
         information_discount: float = 1.0,
         normalise: bool = True,
+        displaced_information: bool = True,
     ) -> None:
         self.information_scale, self.reachability_scale = information_scale, reachability_scale
+        self.displaced_information = displaced_information
         self._information: InformationCost | None = None
         if information_scale > 0:
             self._information = InformationCost(
@@ -52,25 +58,38 @@ class TrajectoryCost:
 
     def __call__(self, rollouts: PushRollouts) -> Float[Tensor, "K"]:
         """Cost of each control sequence: the mean over its rollouts, of which the same ones are worked out once."""
-        twin = rollouts.twin
-        samples, count = twin.shape
-        distinct = twin == torch.arange(count, device=twin.device)
-        paths, displacements = rollouts.configurations[:, :, 1:], rollouts.displacements[:, :, 1:]
-        cost = rollouts.configurations.new_zeros(samples, count)
-        with savings.work("rollouts_valued") as work:
-            if savings.kept():
-                work.count(int(distinct.sum()), distinct.numel())
-            cost[distinct] = self._of_paths(paths[distinct], displacements[distinct])
-        return cost.gather(1, twin).mean(-1)
+        return mean_over_rollouts(rollouts, self._of_paths)
 
     def _of_paths(
         self, configurations: Float[Tensor, "R H 3"], displacements: Float[Tensor, "R H 3"]
     ) -> Float[Tensor, "R"]:
         total = configurations.new_zeros(len(configurations))
         if self._information is not None:
-            total += self.information_scale * self._information(configurations, displacements)
+            ridden = displacements if self.displaced_information else torch.zeros_like(displacements)
+            total += self.information_scale * self._information(configurations, ridden)
         if self._reachability is not None:
             with savings.work("reachability_sums", alike=False) as work:
                 total += self.reachability_scale * self._reachability(displacements)
                 work.count(displacements[..., 0].numel(), displacements[..., 0].numel() * self._reachability.points)
         return total
+
+
+def mean_over_rollouts(
+    rollouts: PushRollouts, of_paths: Callable[[Float[Tensor, "R H Q"], Float[Tensor, "R H 3"]], Float[Tensor, "R"]]
+) -> Float[Tensor, "K"]:
+    """Mean cost of each control sequence over its rollouts, of which the same ones are worked out once.
+
+    Args:
+        rollouts: of K sequences.
+        of_paths: cost of paths, from the configurations after each action and the displacements by then.
+    """
+    twin = rollouts.twin
+    samples, count = twin.shape
+    distinct = twin == torch.arange(count, device=twin.device)
+    paths, displacements = rollouts.configurations[:, :, 1:], rollouts.displacements[:, :, 1:]
+    cost = rollouts.configurations.new_zeros(samples, count)
+    with savings.work("rollouts_valued") as work:
+        if savings.kept():
+            work.count(int(distinct.sum()), distinct.numel())
+        cost[distinct] = of_paths(paths[distinct], displacements[distinct])
+    return cost.gather(1, twin).mean(-1)

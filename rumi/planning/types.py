@@ -12,6 +12,8 @@ from rumi.belief.particles import PoseBelief
 from rumi.fields.workspace import Workspace
 from rumi.planning.tool import Tool
 from sdf.object_model import ObjectModel
+from sensors.observation import Observation
+from sensors.reading import Reading
 
 
 @dataclass(frozen=True)
@@ -23,12 +25,16 @@ class Scene:
         workspace: the lattice on which fields live.
         tool: the robot's body points and free-space motion, with its reach.
         configuration: (Q,), where the tool is now (planar: x, y, yaw).
+        observed: all points so far, attached ones in the object-attached frame; None where nobody keeps them.
+        reading: the last one; None before the first.
     """
 
     model: ObjectModel
     workspace: Workspace
     tool: Tool
     configuration: Float[Tensor, "Q"]
+    observed: Observation | None = None
+    reading: Reading | None = None
 
 
 @dataclass(frozen=True)
@@ -42,6 +48,9 @@ class Plan:
         fields: maps that the plan rests on, by name, on the workspace lattice (for figures).
         skipped: what was skipped, by name, and how much of the whole (0..1).
         timings_s: seconds by stage.
+        info: plain values about the plan. Policies that predict say by `predicted_information` what each action is
+            expected to gather anew (in the unit of the field that they plan on), and by `predicted_displacement` how
+            far each is expected to move the object (metres, world axes), both for the likeliest rollout.
     """
 
     controls: Float[Tensor, "T A"]

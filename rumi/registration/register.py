@@ -31,20 +31,21 @@ class RegisterSettings:
         fine: descent of those on all points.
         bin_rad: width of the archive's cells, in orientation.
         bin_m: their width in the place of the object's middle, metres; infinite for orientation alone. Where more
-            cells are plausible than poses are kept, they are widened until each has its pose.
+            cells are plausible than poses are kept, poses are kept instead that lie as far apart, by these widths,
+            as leaves none out.
         plausible: least weight, relative to the best pose's, of a pose that is kept.
     """
 
     kept: int = 100
-    starts: int = 16000
+    starts: int = 32000
     coarse: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=12, margin_m=0.05))
     coarse_points: int = 100
     coarse_free: int = 100
-    polished: int = 4000
+    polished: int = 8000
     fine: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=20, margin_m=0.05))
     bin_rad: float = 0.35
     bin_m: float = 0.02
-    plausible: float = 0.01
+    plausible: float = 0.007
 
     def __post_init__(self) -> None:
         """Refuse empty searches."""
@@ -138,12 +139,11 @@ def register(
     poses = descend(discrepancy, poses[best], observation, search, settings.fine)
     fine = discrepancy(poses, observation)
     margin = -math.log(settings.plausible) / peakiness
-    plausible, wider = fine <= fine.min() + margin, 1.0
+    plausible = fine <= fine.min() + margin
     cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, search)
-    # best first alone, differences of fit that mean nothing would decide which cells are left out
-    while len(cells[plausible].unique()) > settings.kept:
-        wider *= 1.3
-        cells = pose_cells(poses, middle, min(wider * settings.bin_rad, 6.0), wider * settings.bin_m, search)
+    if len(cells[plausible].unique()) > settings.kept:
+        # best first alone, differences of fit that mean nothing would decide which cells are left out
+        cells[plausible] = net(poses[plausible], fine[plausible], middle, settings)
     chosen = fill(cells, fine, margin, settings.kept)
     return Registered(poses[chosen], fine[chosen])
 
@@ -162,6 +162,50 @@ def pose_cells(
     places = se3.apply(frame_T_object, middle_o.to(frame_T_object).expand(len(frame_T_object), 1, 3))[:, 0]
     places = torch.floor((places - places.amin(0)) / width_m).long()
     return torch.unique(torch.cat((bins[:, None], places), -1), dim=0, return_inverse=True)[1]
+
+
+def net(
+    frame_T_object: Float[Tensor, "N 4 4"],
+    discrepancy: Float[Tensor, "N"],
+    middle_o: Float[Tensor, "3"],
+    settings: RegisterSettings,
+) -> Int[Tensor, "N"]:
+    """Which of at most `settings.kept` of the poses each one lies by, all of them as near to theirs as that allows.
+
+    Best first, each pose that none so far is near to becomes one that others are near to. Near is within a multiple
+    of `bin_m` and `bin_rad`, the least, to 3 %, at which no more than `kept` are needed.
+    """
+    order = torch.argsort(discrepancy, stable=True)
+    turns = frame_T_object[order, :3, :3].flatten(1)
+    middles = se3.apply(frame_T_object[order], middle_o.to(turns).expand(len(order), 1, 3))[:, 0] / settings.bin_m
+
+    def within(radius: float) -> Tensor | None:
+        region = torch.full_like(order, -1)
+        left, least = torch.arange(len(order), device=order.device), math.cos(min(radius * settings.bin_rad, math.pi))
+        for number in range(settings.kept):
+            first = left[0]
+            near = (middles[left] - middles[first]).norm(dim=-1) <= radius
+            near &= turns[left] @ turns[first] >= 1.0 + 2.0 * least - 1e-5
+            near[0] = True
+            region[left[near]] = number
+            left = left[~near]
+            if len(left) == 0:
+                return region
+        return None
+
+    narrow, wide = 0.0, 1.0
+    while (region := within(wide)) is None:
+        narrow, wide = wide, 2.0 * wide
+    while wide - narrow > 0.03 * wide:
+        radius = 0.5 * (narrow + wide)
+        found = within(radius)
+        if found is None:
+            narrow = radius
+        else:
+            wide, region = radius, found
+    labels = torch.empty_like(region)
+    labels[order] = region
+    return labels
 
 
 def drawn(observation: Observation, index: Tensor, count: int, *, generator: torch.Generator) -> Observation:

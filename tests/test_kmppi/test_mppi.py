@@ -315,3 +315,39 @@ def test_wrong_shapes_are_named(dtype):
         mppi.from_knots(torch.zeros(5, 2, dtype=dtype))
     with pytest.raises(ValueError, match="iterations to be 1 or more, got 0"):
         mppi.plan(start, quadratic(0.0), iterations=0, generator=seeded())
+
+
+def smooth(**changes):
+    return settings(**{"knots": None, "changes": True} | changes)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-1.0, 1.0), ((0.2, -3.0), (0.4, -1.0))])
+def test_sampled_changes_leave_no_limit_of_the_controls(low, high, dtype):
+    mppi = MPPI(smooth(control_min=low, control_max=high, noise_variance=50.0), 2, dtype)
+    start = mppi.initial(generator=seeded())
+    plan, rollouts = mppi.plan(start, lambda u: u.sum((1, 2)), iterations=4, generator=seeded(1))
+    for controls in (start.controls, plan.controls, mppi.shift(plan, 3).controls, rollouts.controls):
+        assert bool(((controls >= mppi.control_min) & (controls <= mppi.control_max)).all())
+    torch.testing.assert_close(plan.knots.cumsum(0), plan.controls)
+
+
+def test_sampled_changes_converge_to_the_target(dtype):
+    target = torch.linspace(-0.5, 0.7, 7, dtype=dtype)[:, None]
+    mppi = MPPI(smooth(noise_variance=0.003, temperature=0.01, samples=400, perturbation_cost=False), 1, dtype)
+    plan, _ = mppi.plan(mppi.initial(generator=seeded()), quadratic(target), iterations=60, generator=seeded(1))
+    assert (plan.controls - target).abs().max() < 0.1
+
+
+@pytest.mark.parametrize("knots", [None, 4])
+def test_change_cost_weighs_what_it_says(knots):
+    """As if the objective held it; the costs that are given back are the objective's alone."""
+    weight, base = 0.7, quadratic(0.3)
+
+    def jumpy(controls):
+        return base(controls) + weight * controls.diff(dim=1).square().sum((1, 2))
+
+    start = MPPI(settings(knots=knots), 2, torch.float64).initial(generator=seeded())
+    own = MPPI(settings(knots=knots, change_cost=weight), 2, torch.float64).plan(start, base, generator=seeded(1))
+    objective = MPPI(settings(knots=knots), 2, torch.float64).plan(start, jumpy, generator=seeded(1))
+    torch.testing.assert_close(own[0].knots, objective[0].knots)
+    assert_same(own[1].costs, base(own[1].controls))

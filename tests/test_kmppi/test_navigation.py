@@ -22,9 +22,18 @@ def hilly(state, control, _):
     return away + hill + 0.05 * state[..., 2:].square().sum(-1) + 0.01 * control.square().sum(-1)
 
 
-@pytest.mark.parametrize("knots", [None, 6])
-def test_reaches_the_goal_around_the_hill(knots):
-    settings = MPPISettings(horizon=15, knots=knots, samples=200, noise_variance=0.5, temperature=0.1, cost_scale="std")
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"knots": None},
+        {"knots": 6},
+        {"knots": None, "changes": True, "noise_variance": 0.1, "change_cost": 0.1, "perturbation_cost": False},
+    ],
+)
+def test_reaches_the_goal_around_the_hill(how):
+    settings = MPPISettings(
+        **{"horizon": 15, "samples": 200, "noise_variance": 0.5, "temperature": 0.1, "cost_scale": "std"} | how
+    )
     mppi = MPPI(settings, 2, torch.float64)
     generator = torch.Generator().manual_seed(3)
     state = torch.zeros(4, dtype=torch.float64)

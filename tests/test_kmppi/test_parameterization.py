@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from kmppi import KERNELS, KernelKnots, PerStep
+from kmppi import KERNELS, Changes, KernelKnots, PerStep
 
 SHAPES = [(15, 8, 2.0), (20, 5, 2.0), (12, 12, 1.0), (2, 2, 1.0), (1, 1, 2.0), (8, 5, 1.5)]
 
@@ -40,7 +40,7 @@ def test_interpolates_smooth_curves(kernel):
     assert (knots.matrix @ curve[::2] - curve).abs().max() < 0.06
 
 
-@pytest.mark.parametrize("member", [PerStep(9), KernelKnots(9, 5), KernelKnots(9, 9, "rbf", 1.0)])
+@pytest.mark.parametrize("member", [PerStep(9), Changes(9), KernelKnots(9, 5), KernelKnots(9, 9, "rbf", 1.0)])
 def test_shift_by_nothing_is_nothing(member):
     torch.testing.assert_close(member.shift_matrix(0), torch.eye(member.knots, dtype=torch.float64), rtol=0, atol=1e-12)
 
@@ -55,6 +55,27 @@ def test_per_step_shift_drops_the_first_and_appends_zeros():
 def test_per_step_shifts_compose():
     one = PerStep(6).shift_matrix(1)
     torch.testing.assert_close(PerStep(6).shift_matrix(3), one @ one @ one, rtol=0, atol=0)
+
+
+def test_changes_add_up_and_their_shift_holds_the_last_control():
+    member = Changes(4)
+    changes = torch.tensor([0.5, -0.25, 1.0, 0.125], dtype=torch.float64)
+    controls = member.matrix @ changes
+    torch.testing.assert_close(controls, changes.cumsum(0), rtol=0, atol=0)
+    for steps in range(7):
+        held = torch.cat((controls[steps:], controls[-1:].expand(min(steps, 4))))
+        torch.testing.assert_close(member.matrix @ (member.shift_matrix(steps) @ changes), held, rtol=0, atol=1e-15)
+
+
+def test_bounded_changes_stand_for_the_clipped_controls():
+    member, low, high = Changes(5), torch.tensor([-1.0]), torch.tensor([2.0])
+    changes = torch.tensor([[1.5], [3.0], [-1.0], [-9.0], [0.5]])
+    got = member.bound(changes, low, high)
+    controls = changes.cumsum(0).clamp(low, high)  # 1.5, 2, 2, -1, -1
+    torch.testing.assert_close(got.cumsum(0), controls)
+    torch.testing.assert_close(got, torch.tensor([[1.5], [0.5], [0.0], [-3.0], [0.0]]))
+    inside = torch.tensor([[1.0], [0.5], [-2.0], [0.25], [0.25]])
+    torch.testing.assert_close(member.bound(inside, low, high), inside, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("kernel", sorted(KERNELS))
@@ -85,7 +106,7 @@ def test_shift_is_no_power_and_fades():
     assert knots.shift_matrix(60).abs().max() < 1e-9
 
 
-@pytest.mark.parametrize("member", [PerStep(4), KernelKnots(4, 3)])
+@pytest.mark.parametrize("member", [PerStep(4), Changes(4), KernelKnots(4, 3)])
 def test_shift_refuses_to_go_back(member):
     with pytest.raises(ValueError, match="steps to be 0 or more, got -1"):
         member.shift_matrix(-1)

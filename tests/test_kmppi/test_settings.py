@@ -5,7 +5,7 @@ from dataclasses import FrozenInstanceError, replace
 import pytest
 import torch
 
-from kmppi import MPPI, KernelKnots, MPPISettings, PerStep, make_parameterization
+from kmppi import MPPI, Changes, KernelKnots, MPPISettings, PerStep, make_parameterization
 
 pytestmark = pytest.mark.usefixtures("no_shape_check")
 
@@ -32,6 +32,9 @@ pytestmark = pytest.mark.usefixtures("no_shape_check")
         ({"control_min": (-1.0, 2.0)}, "control_min to be finite and below"),
         ({"control_min": (-1.0, -1.0), "control_max": (1.0, 1.0, 1.0)}, "as many control_min as control_max"),
         ({"control_max": float("inf")}, "finite control_max"),
+        ({"changes": True}, "knots to be None where changes are sampled, got 8"),
+        ({"change_cost": -1.0}, "change_cost to be 0 or more"),
+        ({"change_cost": float("inf")}, "change_cost to be 0 or more and finite"),
     ],
 )
 def test_refuses(changes, message):
@@ -50,6 +53,7 @@ def test_defaults_are_the_papers():
 def test_knots_choose_the_method():
     assert isinstance(make_parameterization(MPPISettings(knots=None)), PerStep)
     assert isinstance(make_parameterization(MPPISettings()), KernelKnots)
+    assert isinstance(make_parameterization(MPPISettings(knots=None, changes=True)), Changes)
 
 
 def test_planner_refuses_what_does_not_fit():

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from rumi.dynamics.base import PushRollouts
 from rumi.fields.workspace import Workspace
-from rumi.planning.costs import information_cost
+from rumi.planning.costs import InformationCost, information_cost
 from rumi.planning.reach_cost import ReachabilityCost, cross_correlation
 from rumi.planning.trajectory_cost import TrajectoryCost
+from rumi.planning.worth import gathered_by_action
 from sdf import backend, se3
 from sdf.voxel_grid import VoxelGrid
 
@@ -214,3 +215,44 @@ def test_trajectory_cost_is_the_mean_of_every_rollouts_own(
     gathered = torch.stack([information_cost(information, points, q[k], d[k]) for k in range(len(q))])
     reached = ReachabilityCost(information, reachability)(d)
     torch.testing.assert_close(cost, (beta_i * gathered + beta_r * reached).mean(-1))
+
+
+def test_information_that_does_not_follow_the_object(generator: torch.Generator) -> None:
+    """Without displacement the cost is that of an object that stays (Eq 28), and pushing along seems to gather."""
+    field = sparse_field((14, 12, 1), generator)
+    points = sensing_points(generator)
+    q, d = paths(generator, 40)
+    still = torch.zeros_like(d)
+    expected = information_cost(field, points, q, still)
+
+    def cost(follow: bool) -> Tensor:
+        states, moved = (torch.nn.functional.pad(x, (0, 0, 1, 0))[:, None] for x in (q, d))
+        twin = torch.zeros(len(q), 1, dtype=torch.long)
+        rollouts = PushRollouts(states, moved, torch.zeros(len(q), 1, 4, dtype=torch.bool), 1.0, twin)
+        whole = TrajectoryCost(
+            field, None, points, reachability_scale=0.0, normalise=False, displaced_information=follow
+        )
+        return whole(rollouts)
+
+    torch.testing.assert_close(cost(False), expected)
+    torch.testing.assert_close(cost(True), information_cost(field, points, q, d))
+    assert float((cost(True) - cost(False)).abs().max()) > 0.1
+
+
+def test_what_each_action_gathers_anew(generator: torch.Generator) -> None:
+    field = sparse_field((14, 12, 1), generator)
+    points = sensing_points(generator)
+    q, d = (x[0] for x in paths(generator, 1))
+    whole = InformationCost(field, points)
+    states, moved = (torch.nn.functional.pad(x, (0, 0, 1, 0))[None, None] for x in (q, d))
+    likely = PushRollouts(
+        states, moved, torch.zeros(1, 1, 4, dtype=torch.bool), 1.0, torch.zeros(1, 1, dtype=torch.long)
+    )
+    by_action = gathered_by_action(lambda *path: -whole(*path), likely)
+    seen: set[tuple[int, ...]] = set()
+    for h in range(4):
+        here = met_cells(field, points, q[h : h + 1], d[h : h + 1])
+        new = sum(float(field.values[cell]) for cell in here - seen)
+        assert float(by_action[h]) == pytest.approx(new, abs=1e-9)
+        seen |= here
+    assert float(by_action.sum()) == pytest.approx(-float(whole(q[None], d[None])))

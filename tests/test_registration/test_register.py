@@ -8,7 +8,7 @@ import torch
 from rumi.bench import box_view as patch
 from rumi.bench.modes import lost_modes, plausible_modes
 from rumi.registration.descent import DescentSettings, descend
-from rumi.registration.register import RegisterSettings, register, uniform_starts
+from rumi.registration.register import RegisterSettings, net, register, uniform_starts
 from sdf import se3, so3
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Box
@@ -128,3 +128,24 @@ def test_few_poses_are_spread_over_all_that_is_plausible() -> None:
     generator = torch.Generator().manual_seed(1000)
     found = register(cost.double(), view.observation, 2.0, settings, generator=generator)
     assert patch.face_up(found.frame_T_object).unique().tolist() == [0, 1, 2]
+
+
+def test_a_net_leaves_no_pose_far_from_those_it_chooses(generator):
+    """Poses along a line and turned about it: as near to the net as so few of them can be."""
+    along = torch.linspace(0.0, 1.0, 401)
+    poses = se3.make(
+        so3.exp(torch.stack((along, 0 * along, 0 * along), -1)), torch.stack((along, 0 * along, 0 * along), -1)
+    )
+    settings = RegisterSettings(kept=10, bin_m=0.02, bin_rad=1.0)
+    cost = torch.rand(401, generator=generator)
+    region = net(poses, cost, torch.zeros(3), settings)
+    assert region.unique().tolist() == list(range(int(region.max()) + 1))
+    assert 6 <= len(region.unique()) <= settings.kept
+    centres = [int(torch.where(region == k, cost, 2.0).argmin()) for k in region.unique()]
+    assert region[centres].tolist() == region.unique().tolist()
+    reach = (along - along[centres][region]).abs().max()
+    # ten intervals could reach 0.05 at best; chosen in the order of their cost, at most twice as far
+    assert 0.05 <= float(reach) <= 0.1
+    # where orientation alone counts, place does not
+    turned = net(poses, cost, torch.zeros(3), RegisterSettings(kept=3, bin_m=math.inf, bin_rad=0.35))
+    assert len(turned.unique()) <= 3

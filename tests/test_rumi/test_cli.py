@@ -112,7 +112,7 @@ def test_figures_are_drawn_and_drawn_again(capsys):
         (["run", "mug-0", "--filter.triger", "3"], "did you mean --filter.trigger?"),
         (["run", "mug-0", "--whatever"], "--planner.mppi.samples"),
         (["run", "mug-0", "--steps", "41"], "Expected steps to be at most the 40 of mug-0, got 41"),
-        (["run", "mug-0", "--method", "slide"], "'rumi'"),
+        (["run", "mug-0", "--method", "poke"], "'rumi'"),
         (["run", "mug-0", "--seed", "x"], "--seed"),
         (["run", "mug-0", "--seed", "-1"], "Expected seed to be 0 or more, got -1"),
         (["run", "mug-0", "--initialise.particles", "0"], "Expected at least one particle, got 0"),

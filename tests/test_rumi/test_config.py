@@ -63,7 +63,7 @@ def test_names_of_nested_settings():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"method": "slide"}, f"one of {', '.join(METHODS)}, got 'slide'"),
+        ({"method": "poke"}, f"one of {', '.join(METHODS)}, got 'poke'"),
         ({"preset": "quick"}, "one of default, fast, paper, got 'quick'"),
         ({"sed": 1}, "There is no setting sed; there are task, method"),
         ({"filter": {"triger": 1}}, "There is no setting filter.triger; there are filter.peakiness"),
@@ -84,8 +84,8 @@ def test_what_is_wrong_is_named(values, message):
 
 
 def test_wrong_settings_are_refused_however_they_are_made(no_shape_check):
-    with pytest.raises(UsageError, match="There is no method 'slide'; there are rumi, info-only, reach-only"):
-        Settings(method="slide")
+    with pytest.raises(UsageError, match="There is no method 'poke'; there are rumi, info-only, reach-only"):
+        Settings(method="poke")
     with pytest.raises(UsageError, match="There is no preset 'x'; the presets are default, fast, paper"):
         preset("x")
     with pytest.raises(UsageError, match="steps"):

@@ -83,3 +83,26 @@ def test_the_first_belief_covers_what_the_view_leaves_open(task, tmp_path):
     assert found.gap_deg <= 15
     assert found.outside <= 0.01
     assert figure.stat().st_size > 1000
+
+
+def test_predicted_against_realised(capsys, tmp_path, monkeypatch):
+    """Two short runs, done once, and their tables; the same from a run folder."""
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    monkeypatch.setenv("RUMI_CACHE", str(tmp_path))
+    module = load(ROOT / "scripts" / "predicted_realised.py")
+    small = ("steps=3", "planner.mppi.samples=40", "initialise.starts=60", "initialise.polished=20")
+    options = module.Run(
+        columns=("rumi/default", "slide/default"), tasks=("mug-0",), seeds="1000", out=tmp_path / "p.jsonl", set=small
+    )
+    module.run(options)
+    whole = options.out.read_text()
+    module.run(options)
+    assert options.out.read_text() == whole
+    capsys.readouterr()
+    module.show(module.Show(options.out))
+    shown = capsys.readouterr().out
+    rows = [line.split(" | ") for line in shown.splitlines() if line.startswith("| rumi")]
+    assert rows[0][1:3] == ["1", "3"]
+    assert len(rows) == 1 + 4 + 4
+    # sliding predicts nothing by itself, but can be asked about
+    assert len([line for line in shown.splitlines() if line.startswith("| slide")]) == 4 + 4

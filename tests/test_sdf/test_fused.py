@@ -72,3 +72,10 @@ def test_what_a_fused_version_can_take():
         assert fused.supports(plain)
     assert not fused.supports(torch.zeros(3, dtype=torch.float16))
     assert not fused.supports(torch.zeros(3, device="meta"))
+
+
+def test_no_kernel_under_a_transform_of_torch_func():
+    seen = []
+    torch.func.vmap(lambda x: seen.append(fused.supports(x)) or x)(torch.zeros(3))
+    assert seen == [False]
+    assert fused.supports(torch.zeros(3)) == fused.available()

@@ -140,6 +140,32 @@ def test_one_height_is_the_same_interpolation(grid, generator):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("outer", [0.0, 0.25])
+@pytest.mark.parametrize("beyond", [0, 1, 2, None])
+def test_points_within_the_lattice_are_looked_up_the_same_whatever_else_is_asked(mug, outer, beyond, dtype, generator):
+    grid = GridSDF.from_sdf(mug.to(dtype), spacing=0.004, outer=outer)
+    points = around(mug, outer, 500, generator, dtype)
+    points[0] = grid.origin[0] - outer * 0.999
+    # one point beyond the lattice, along one axis, or all axes clamped and joined
+    far = torch.full((1, 3), math.nan, dtype=dtype)
+    if beyond is not None:
+        far = points[1:2].clone()
+        far[0, beyond] = 5.0
+    alone, together = grid(points), grid(torch.cat((points, far)))
+    close = {"rtol": 0, "atol": 1e-6 if dtype == torch.float32 else 1e-14}
+    torch.testing.assert_close(together.distance[:-1], alone.distance, **close)
+    torch.testing.assert_close(grid.distance(points), alone.distance, **close)
+    torch.testing.assert_close(together.gradient[:-1], alone.gradient, rtol=0, atol=100 * close["atol"])
+
+
+def test_transforms_of_torch_func(grid, generator):
+    points = around(grid, 0.4, 20, generator)
+    query = grid(points)
+    torch.testing.assert_close(torch.func.vmap(grid.distance)(points), query.distance)
+    torch.testing.assert_close(torch.func.vmap(torch.func.grad(grid.distance))(points), query.gradient)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_not_finite_is_far_and_never_nan(grid, dtype):
     nan, inf = math.nan, math.inf
     points = torch.tensor([[nan] * 3, [inf, 0, 0], [0, 0, -inf], [0, nan, inf], [1e30, 0, 0]], dtype=dtype)

@@ -206,3 +206,10 @@ def test_shape_errors(no_shape_check, grid):
         posed_distance(grid, torch.eye(4), torch.zeros(3, 3))
     with pytest.raises(ValueError, match=r"Expected points_w to have shape \(\*b, M, 3\), got \(3,\)"):
         posed_query(grid, torch.eye(4)[None], torch.zeros(3))
+
+
+@only_plain
+def test_transforms_of_torch_func(grid, generator):
+    poses, points = scene(generator, (4,), 3, 50)
+    expected = posed_distance(grid, poses, points)
+    torch.testing.assert_close(torch.func.vmap(lambda pose, x: posed_distance(grid, pose, x))(poses, points), expected)

@@ -1,10 +1,13 @@
 """Observations: thinning, merging and carrying them to the object's frame."""
 
+import math
+from dataclasses import replace
+
 import pytest
 import torch
 
 from sdf import se3
-from sensors.observation import Observation, attach, compact, concatenate, merge, thin_mask
+from sensors.observation import Observation, attach, compact, concatenate, in_world, merge, thin_mask
 from sensors.semantics import Semantics
 
 SPACING = torch.tensor([0.01, 0.01, 0.002])
@@ -109,3 +112,11 @@ def test_empty_is_ordinary():
     merged, added = merge(empty, empty, SPACING)
     assert len(merged) == 0
     assert len(added) == 0
+
+
+def test_attached_points_go_to_the_world_and_others_stay():
+    points = torch.tensor([[0.1, 0.0, 0.0], [0.1, 0.0, 0.0]])
+    mixed = replace(Observation.of(points, 2), attached=torch.tensor([True, False]))
+    moved = in_world(mixed, se3.from_planar(torch.tensor([1.0, 2.0, math.pi / 2])))
+    torch.testing.assert_close(moved.points, torch.tensor([[1.0, 2.1, 0.0], [0.1, 0.0, 0.0]]))
+    assert torch.equal(moved.attached, mixed.attached)

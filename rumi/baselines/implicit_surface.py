@@ -1,0 +1,201 @@
+"""A Gaussian process whose zero level is the object's surface, and how unsure it is of each point (RUMI, V-H)."""
+
+import importlib
+import math
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.errors import UsageError
+from sdf.check import check_shape
+from sdf.voxel_grid import lattice_keys
+
+# points whose covariances with the data are held at once: few enough for the processor's cache
+_CHUNK = 512
+_LEAST_SCALE = 1e-4
+# the library's own bound: with it, covariances of twice the same point have a factor
+_LEAST_NOISE = 1e-4
+
+
+class Labelled(NamedTuple):
+    """What a process is fitted to.
+
+    Attributes:
+        points: (N, 3), metres, float64.
+        labels: (N,), 0 on the surface and 1 in free space.
+    """
+
+    points: Float[Tensor, "N 3"]
+    labels: Float[Tensor, "N"]
+
+
+class Hyperparameters(NamedTuple):
+    """Of a process with a constant mean and a Matern kernel of smoothness 1.5.
+
+    Attributes:
+        lengthscale_m: of the kernel, metres.
+        outputscale: variance of the process far from all data.
+        noise: variance of the labels' noise.
+        mean: constant mean of the labels.
+    """
+
+    lengthscale_m: float = 0.2
+    outputscale: float = 0.2
+    noise: float = 0.01
+    mean: float = 0.5
+
+
+def library() -> ModuleType:
+    """The library of Gaussian processes.
+
+    Raises:
+        UsageError: it is not installed.
+    """
+    try:
+        return importlib.import_module("gpytorch")
+    except ImportError as error:
+        raise UsageError(
+            f"The methods gpvr and gpvr-greedy need gpytorch ({error}): pip install 'rumi[baselines]'"
+        ) from error
+
+
+def labelled(
+    surface: Float[Tensor, "S 3"], free: Float[Tensor, "F 3"], spacing: float, most: int | None = None
+) -> Labelled:
+    """Data of surface and free points, free ones thinned and both capped.
+
+    Args:
+        surface: label 0.
+        free: label 1; of each lattice cell the point next to its centre stays.
+        spacing: of that lattice, metres.
+        most: points in all; None keeps every one. Surface points may take what free ones leave, at least half of it;
+            of each class those stay that are farthest from each other.
+    """
+    free = nearest_to_centres(free, spacing)
+    if most is not None:
+        surface = spread_out(surface, max(most - len(free), most - most // 2))
+        free = spread_out(free, most - len(surface))
+    points = torch.cat((surface, free)).double()
+    return Labelled(points, (torch.arange(len(points), device=points.device) >= len(surface)).double())
+
+
+def nearest_to_centres(points: Float[Tensor, "N 3"], spacing: float) -> Float[Tensor, "M 3"]:
+    """One point for each cell of the world's lattice that holds any: the one nearest to the cell's centre."""
+    check_shape("points", points, "(N, 3)", last=(3,))
+    if len(points) == 0:
+        return points
+    away = (points - (torch.floor(points / spacing) + 0.5) * spacing).norm(dim=-1)
+    order = torch.argsort(away, stable=True)
+    keys = lattice_keys(points, spacing)[order]
+    by_cell = torch.argsort(keys, stable=True)
+    first = torch.ones_like(keys, dtype=torch.bool)
+    first[1:] = keys[by_cell][1:] != keys[by_cell][:-1]
+    return points[order[by_cell[first]]]
+
+
+def spread_out(points: Float[Tensor, "N 3"], count: int) -> Float[Tensor, "M 3"]:
+    """At most `count` of the points, each next one the farthest from those chosen; the first one starts."""
+    if len(points) <= count:
+        return points
+    chosen = [0] if count > 0 else []
+    away = (points - points[0]).norm(dim=-1)
+    for _ in range(count - 1):
+        chosen.append(int(away.argmax()))
+        away = torch.minimum(away, (points - points[chosen[-1]]).norm(dim=-1))
+    return points[chosen]
+
+
+def fit(
+    data: Labelled, start: Hyperparameters | None = None, *, steps: int = 50, learning_rate: float = 0.1
+) -> Hyperparameters:
+    """Hyperparameters after some steps of Adam on the exact marginal likelihood.
+
+    They are held between bounds that only data without any contrast would leave, and what is not finite (no data has
+    led there) keeps its start.
+
+    Args:
+        data: one point or more.
+        start: where to start, the last fit's for a warm start.
+        steps: of the optimiser.
+        learning_rate: of the unconstrained parameters.
+    """
+    start = start or Hyperparameters()
+    if len(data.points) == 0 or steps == 0:
+        return start
+    gp = library()
+    with torch.enable_grad(), _exactly(gp):
+        model = _model(gp, data, start).train()
+        likelihood = gp.mlls.ExactMarginalLogLikelihood(model.likelihood, model)
+        optimiser = torch.optim.Adam(model.parameters(), lr=learning_rate)
+        for _ in range(steps):
+            optimiser.zero_grad()
+            loss = -likelihood(model(data.points), data.labels)
+            loss.backward()
+            optimiser.step()
+    kernel = model.covar_module
+    values = (kernel.base_kernel.lengthscale, kernel.outputscale, model.likelihood.noise, model.mean_module.constant)
+    found = Hyperparameters(*(value.item() for value in values))
+    if not bool(torch.tensor(found).isfinite().all()):
+        return start
+    widest = float((data.points.amax(0) - data.points.amin(0)).norm())
+    length = min(max(found.lengthscale_m, 1e-3), max(widest, 1e-3))
+    return found._replace(lengthscale_m=length, outputscale=max(found.outputscale, _LEAST_SCALE))
+
+
+@torch.no_grad()
+def predictive_variance(
+    data: Labelled, hyperparameters: Hyperparameters, points: Float[Tensor, "V 3"]
+) -> Float[Tensor, "V"]:
+    """Variance of the process at some points given the data, float64: 0 or more, at most the outputscale.
+
+    `k(x, x) - k(x, X) (k(X, X) + noise)^-1 k(X, x)` by one Cholesky factor, and one triangular solve a point.
+    """
+    scale, places = hyperparameters.outputscale, points.double()
+    if len(data.points) == 0:
+        return places.new_full((len(points),), scale)
+    covariance = _matern(data.points, data.points, hyperparameters)
+    covariance.diagonal().add_(max(hyperparameters.noise, _LEAST_NOISE))
+    factor = torch.linalg.cholesky(covariance)
+    known = [
+        torch.linalg.solve_triangular(factor, _matern(data.points, part, hyperparameters), upper=False).square().sum(0)
+        for part in places.split(_CHUNK)
+    ]
+    return (scale - torch.cat(known)).clamp(0.0, scale) if known else places.new_zeros(0)
+
+
+def _matern(
+    first: Float[Tensor, "N 3"], second: Float[Tensor, "M 3"], hyperparameters: Hyperparameters
+) -> Float[Tensor, "N M"]:
+    """Matern covariances of smoothness 1.5."""
+    # not by way of the scalar product, which loses the digits of points a millimetre apart
+    away = torch.cdist(first, second, compute_mode="donot_use_mm_for_euclid_dist")
+    away *= math.sqrt(3.0) / hyperparameters.lengthscale_m
+    return hyperparameters.outputscale * (1.0 + away) * torch.exp(-away)
+
+
+def _exactly(gp: ModuleType) -> Any:  # noqa: ANN401  (a context of the library)
+    """Cholesky factors instead of iterations, whatever the number of points."""
+    return gp.settings.fast_computations(covar_root_decomposition=False, log_prob=False, solves=False)
+
+
+def _model(gp: ModuleType, data: Labelled, start: Hyperparameters) -> Any:  # noqa: ANN401  (of the library)
+    """The library's exact process, float64, at given hyperparameters."""
+
+    class Surface(gp.models.ExactGP):  # type: ignore[name-defined]
+        def __init__(self) -> None:
+            super().__init__(data.points, data.labels, gp.likelihoods.GaussianLikelihood())
+            self.mean_module = gp.means.ConstantMean()
+            self.covar_module = gp.kernels.ScaleKernel(gp.kernels.MaternKernel(nu=1.5))
+
+        def forward(self, points: Tensor) -> object:
+            return gp.distributions.MultivariateNormal(self.mean_module(points), self.covar_module(points))
+
+    model = Surface().to(data.points)
+    model.covar_module.base_kernel.lengthscale = start.lengthscale_m
+    model.covar_module.outputscale = start.outputscale
+    model.likelihood.noise = max(start.noise, 1.001 * _LEAST_NOISE)
+    model.mean_module.constant.data.fill_(start.mean)
+    return model

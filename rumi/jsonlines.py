@@ -1,0 +1,93 @@
+"""Files of JSON lines that several processes add to, and that a kill at any moment leaves readable."""
+
+import errno
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+if sys.platform != "win32":  # there one process at a time
+    import fcntl
+
+
+def read_lines(path: Path, start: int = 0) -> Iterator[tuple[dict[str, Any], int]]:
+    """The objects of a file, each with the byte at which the next line starts.
+
+    Lines that are no JSON object (cut off by a kill, say) are passed over; a last one without its end is left for
+    later, since whoever writes it may not be done.
+
+    Args:
+        path: of the file; none there is an empty one.
+        start: byte to start from, such as one that was given before.
+    """
+    if not path.exists():
+        return
+    with path.open("rb") as file:
+        file.seek(start)
+        for text in file:
+            start += len(text)
+            whole = text.endswith(b"\n")
+            try:
+                found = json.loads(text)
+            except ValueError:
+                continue
+            if isinstance(found, dict) and whole:
+                yield found, start
+
+
+def append_line(path: Path, value: Mapping[str, Any]) -> None:
+    """Add an object, after those that others add at the same time, and have it on the disk when this returns.
+
+    What a kill had cut off ends before it, with a line of its own.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(value, allow_nan=False) + "\n"
+    file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
+    try:
+        if sys.platform != "win32":
+            fcntl.flock(file, fcntl.LOCK_EX)
+        if os.lseek(file, 0, os.SEEK_END) and os.lseek(file, -1, os.SEEK_END) >= 0 and os.read(file, 1) != b"\n":
+            text = "\n" + text
+        data = text.encode()
+        while data:
+            data = data[os.write(file, data) :]
+        os.fsync(file)
+    finally:
+        os.close(file)  # and with it the lock
+
+
+class Claims:
+    """Which pieces of work a process has taken; the system gives them free when the process ends, however it ends.
+
+    One lock a piece, on one byte of one file: nothing is left behind that would have to be cleaned up. Locks are the
+    process's: within one process they keep nobody out.
+
+    Args:
+        path: of the file that carries the locks; made with its folder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # kept open until the process ends: closing it would drop all locks
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+
+    def take(self, name: str) -> bool:
+        """Claim a piece of work by a name of hexadecimal digits; False where another process has it."""
+        try:
+            if sys.platform != "win32":
+                fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _place(name))
+        except OSError as error:
+            # where a file system has no locks two may do the same work: then it is there twice
+            return error.errno not in (errno.EACCES, errno.EAGAIN)
+        return True
+
+    def leave(self, name: str) -> None:
+        """Give a piece of work back."""
+        if sys.platform != "win32":
+            fcntl.lockf(self._file, fcntl.LOCK_UN, 1, _place(name))
+
+
+def _place(name: str) -> int:
+    return int(name[:15], 16)  # below the largest offset of a file

@@ -1,0 +1,227 @@
+"""What holds for every method: RUMI, its ablations and the baselines."""
+
+import importlib.util
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from kmppi import MPPISettings
+from rumi.assemble import make_policy
+from rumi.baselines.gpvr import GPVRSettings
+from rumi.belief.particles import PoseBelief
+from rumi.config import METHODS, Settings
+from rumi.dynamics.displacement import DisplacementSettings
+from rumi.fields.workspace import Workspace
+from rumi.plain import plain
+from rumi.planning.rummaging import RummagingSettings
+from rumi.planning.tool import Tool
+from rumi.planning.types import Plan, Policy, Scene
+from sdf import se3
+from sdf.object_model import ObjectModel, object_model
+from sdf.primitives import Mug
+from sensors.observation import Observation, concatenate
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+
+HEIGHT = 0.045
+BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]])
+PLANNER = RummagingSettings(
+    mppi=MPPISettings(horizon=5, knots=3, samples=40, warmup_iterations=2, temperature=0.1, cost_scale="std"),
+    push=DisplacementSettings(mini_steps=2),
+    rollouts=2,
+)
+GPVR = GPVRSettings(refit_steps=5, max_points=40)
+NEEDS = {"gpvr": "gpytorch", "gpvr-greedy": "gpytorch"}
+CENTRE = torch.tensor([0.4, 0.0, 0.3])
+
+
+@pytest.fixture(params=METHODS)
+def method(request: pytest.FixtureRequest) -> str:
+    library = NEEDS.get(request.param)
+    if library and importlib.util.find_spec(library) is None:
+        pytest.skip(f"{request.param} needs {library}")
+    return request.param
+
+
+@pytest.fixture
+def policy(method: str, scene: Scene) -> Policy:
+    reach = (1.0 - scene.workspace.points[:, 0]).clamp(0, 1)
+    return make_policy(Settings(method=method, planner=PLANNER, gpvr=GPVR), reach)
+
+
+@pytest.fixture(scope="module")
+def mug() -> ObjectModel:
+    return object_model("mug", Mug(), torch.eye(3)[None], spacing=0.004, points=120)
+
+
+@pytest.fixture
+def scene(mug: ObjectModel) -> Scene:
+    workspace = Workspace.from_bounds(
+        torch.tensor([[0.0, -0.4, HEIGHT], [0.8, 0.4, HEIGHT]]), 0.02, planar_height=HEIGHT
+    )
+    tool = Tool(BOUNDS, height_m=HEIGHT, body_spacing_m=0.02, info_spacing_m=0.01)
+    return at(Scene(mug, workspace, tool, torch.tensor([0.2, 0.0, 0.0])), seen(mug))
+
+
+def seen(model: ObjectModel) -> Observation:
+    """The near side of the mug, and free space before it."""
+    surface = se3.apply(se3.from_planar(CENTRE), model.surface_points)
+    near = surface[surface[:, 0] < CENTRE[0] - 0.01]
+    free = near - torch.tensor([0.05, 0.0, 0.0])
+    return concatenate([Observation.of(near, Semantics.SURFACE), Observation.of(free, Semantics.FREE)])
+
+
+def at(scene: Scene, observed: Observation, *, contact: bool = False, touched: Tensor | None = None) -> Scene:
+    """The scene with a reading taken where the tool is."""
+    points = torch.zeros(0, 3) if touched is None else touched
+    now = scene.configuration
+    reading = Reading(
+        Observation.of(points, Semantics.SURFACE),
+        torch.ones(len(points), dtype=torch.long),
+        scene.tool.pose(now.expand(2, 3)),
+        torch.tensor([False, contact]),
+        None,
+        now,
+        torch.zeros(()),
+    )
+    return replace(scene, observed=observed, reading=reading)
+
+
+def believed(count: int = 15, spread: float = 1.0) -> PoseBelief:
+    random = torch.Generator().manual_seed(3)
+    noise = torch.randn(count, 3, generator=random) * torch.tensor([0.005, 0.005, 0.8])
+    return PoseBelief.uniform(se3.from_planar(CENTRE + spread * noise))
+
+
+def act(policy: Policy, scene: Scene, belief: PoseBelief, previous: Plan | None = None, seed: int = 0) -> Plan:
+    random = torch.Generator().manual_seed(seed)
+    return policy.act(belief, scene, previous, executed=1, budget_s=None, generator=random)
+
+
+def check(plan: Plan, scene: Scene) -> None:
+    """A plan that can be carried out, recorded and drawn."""
+    count = len(plan.controls)
+    assert count >= 1
+    assert plan.controls.shape == (count, 3)
+    assert bool(plan.controls.isfinite().all())
+    assert float(plan.controls.abs().max()) <= 1.0
+    assert plan.path.shape == (count + 1, 3)
+    assert bool(plan.path.isfinite().all())
+    assert torch.equal(plan.path[0], scene.configuration)
+    inside = (plan.path[:, :2] >= BOUNDS[0] - 1e-5) & (plan.path[:, :2] <= BOUNDS[1] + 1e-5)
+    assert bool(inside.all())
+    for values in plan.fields.values():
+        assert values.shape == (len(scene.workspace),)
+        assert bool(values.isfinite().all())
+    assert all(0.0 <= share <= 1.0 for share in plan.skipped.values())
+    assert json.loads(json.dumps(plain(plan.info))) == plan.info
+
+
+def test_is_a_policy(policy: Policy) -> None:
+    assert isinstance(policy, Policy)
+
+
+def test_first_plan_without_contact(policy: Policy, scene: Scene) -> None:
+    check(act(policy, scene, believed()), scene)
+
+
+def test_same_seed_same_plan(policy: Policy, scene: Scene) -> None:
+    """Also with a plan before, and with another run in between: a policy keeps nothing."""
+    before = torch.get_rng_state()
+    first = act(policy, scene, believed(), seed=4)
+    later = act(policy, scene, believed(), first, seed=5)
+    act(policy, scene, believed(spread=0.1), seed=6)
+    again = act(policy, scene, believed(), seed=4)
+    assert torch.equal(first.controls, again.controls)
+    assert torch.equal(later.controls, act(policy, scene, believed(), again, seed=5).controls)
+    assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_plans_go_on_through_a_contact(policy: Policy, scene: Scene) -> None:
+    plan = act(policy, scene, believed())
+    touched = torch.tensor([[0.36, 0.0, HEIGHT], [0.361, 0.002, HEIGHT]])
+    close = at(
+        replace(scene, configuration=torch.tensor([0.32, 0.0, 0.2])), scene.observed, contact=True, touched=touched
+    )
+    for _ in range(3):
+        plan = act(policy, close, believed(), plan)
+        check(plan, close)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_few_particles(policy: Policy, scene: Scene, count: int) -> None:
+    check(act(policy, scene, believed(count)), scene)
+
+
+def test_a_sure_belief(policy: Policy, scene: Scene) -> None:
+    """Nothing is left to learn."""
+    check(act(policy, scene, believed(spread=0.0)), scene)
+    lone = believed().reweighted(torch.tensor([0.0] + [-1e6] * 14))
+    check(act(policy, scene, lone), scene)
+
+
+def test_nothing_observed_yet(policy: Policy, scene: Scene) -> None:
+    """A first view may not show the object at all."""
+    blind = at(scene, Observation.empty())
+    check(act(policy, blind, believed(spread=5.0)), blind)
+
+
+def test_contact_without_points(policy: Policy, scene: Scene) -> None:
+    felt = at(scene, scene.observed, contact=True)
+    check(act(policy, felt, believed()), felt)
+
+
+@pytest.mark.parametrize("corner", [(0.0, -0.4), (0.8, 0.4)])
+def test_at_the_border(policy: Policy, scene: Scene, corner: tuple[float, float]) -> None:
+    there = at(replace(scene, configuration=torch.tensor([*corner, 3.0])), scene.observed)
+    check(act(policy, there, believed()), there)
+
+
+def test_on_top_of_the_object(policy: Policy, scene: Scene) -> None:
+    """The tool is where the belief has the object's middle: no direction leads there."""
+    middle = believed().world_T_object[:, :3, 3].mean(0)
+    there = at(replace(scene, configuration=torch.tensor([*middle[:2].tolist(), 0.0])), scene.observed)
+    check(act(policy, there, believed(spread=0.0)), there)
+
+
+def test_a_spent_budget(policy: Policy, scene: Scene) -> None:
+    random = torch.Generator().manual_seed(0)
+    check(policy.act(believed(), scene, None, executed=0, budget_s=0.0, generator=random), scene)
+
+
+def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> None:
+    wide, belief = torch.float64, believed().to(dtype=torch.float64)
+    reading = scene.reading
+    assert reading is not None
+    there = Scene(
+        mug.to(wide),
+        scene.workspace.to(wide),
+        Tool(BOUNDS.double(), height_m=HEIGHT, body_spacing_m=0.02, info_spacing_m=0.01).to(wide),
+        scene.configuration.double(),
+        scene.observed.to(dtype=wide),
+        replace(
+            reading,
+            observation=reading.observation.to(dtype=wide),
+            tool_pose=reading.tool_pose.double(),
+            configuration=reading.configuration.double(),
+        ),
+    )
+    plan = act(policy, there, belief)
+    check(plan, there)
+    assert plan.controls.dtype == wide
+
+
+def test_says_what_it_predicts(method: str, policy: Policy, scene: Scene) -> None:
+    """One number and one displacement an action, from every policy that rolls its plans out."""
+    plan = act(policy, scene, believed())
+    if method == "slide":
+        assert "predicted_information" not in plan.info
+        return
+    gathered, moved = (torch.tensor(plan.info[f"predicted_{name}"]) for name in ("information", "displacement"))
+    assert gathered.shape == (len(plan.controls),)
+    assert bool((gathered >= 0).all())
+    assert moved.shape == (len(plan.controls), 3)
+    torch.testing.assert_close(moved.sum(0), torch.tensor(plan.info["displacement"]), atol=1e-5, rtol=0)

@@ -1,0 +1,183 @@
+"""GPVR: its cost against sums spelt out, its data against what was observed, its plans against where variance is."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from kmppi import MPPISettings
+from rumi.baselines.gpvr import GPVRPolicy, GPVRSettings, VarianceCost
+from rumi.belief.particles import PoseBelief
+from rumi.dynamics.base import PushRollouts
+from rumi.dynamics.displacement import DisplacementSettings
+from rumi.fields.information import information_field
+from rumi.fields.workspace import Workspace
+from rumi.planning.rummaging import RummagingSettings
+from rumi.planning.tool import Tool
+from rumi.planning.types import Plan, Scene
+from sdf import backend, se3
+from sdf.object_model import ObjectModel, object_model
+from sdf.primitives import Mug
+from sdf.voxel_grid import VoxelGrid
+from sensors.observation import Observation, concatenate
+from sensors.semantics import Semantics
+
+gpytorch = pytest.importorskip("gpytorch")
+
+HEIGHT = 0.045
+PLANNER = RummagingSettings(
+    mppi=MPPISettings(horizon=6, knots=4, samples=80, warmup_iterations=4, temperature=0.03, cost_scale="std"),
+    push=DisplacementSettings(mini_steps=2),
+    rollouts=2,
+)
+
+
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every test of this file holds for the plain and for the fused version."""
+    with backend.force(request.param):
+        yield
+
+
+@pytest.fixture(scope="module")
+def mug() -> ObjectModel:
+    return object_model("mug", Mug(), torch.eye(3)[None], spacing=0.004, points=150)
+
+
+@pytest.fixture
+def scene(mug: ObjectModel) -> Scene:
+    workspace = Workspace.from_bounds(
+        torch.tensor([[0.0, -0.4, HEIGHT], [0.8, 0.4, HEIGHT]]), 0.02, planar_height=HEIGHT
+    )
+    tool = Tool(torch.tensor([[0.0, -0.4], [0.8, 0.4]]), height_m=HEIGHT, body_spacing_m=0.02, info_spacing_m=0.01)
+    near = mug.surface_points[mug.surface_points[:, 0] < 0]
+    observed = concatenate([Observation.of(near, Semantics.SURFACE), Observation.of(near * 3.0, Semantics.FREE)])
+    return Scene(mug, workspace, tool, torch.tensor([0.2, 0.0, 0.0]), observed=observed)
+
+
+def believed(spread: float = 1.0) -> PoseBelief:
+    """Of a mug that was observed at the origin and has moved 0.4 m since."""
+    random = torch.Generator().manual_seed(3)
+    yaw = spread * torch.randn(12, 1, generator=random)
+    belief = PoseBelief.uniform(se3.from_planar(torch.cat((torch.zeros(12, 2), yaw), -1)))
+    return belief.moved(se3.from_planar(torch.tensor([0.4, 0.0, 0.0])))
+
+
+def act(scene: Scene, gp: GPVRSettings | None = None, previous: Plan | None = None, *, greedy: bool = False) -> Plan:
+    policy = GPVRPolicy(PLANNER, gp or GPVRSettings(max_points=60), greedy=greedy)
+    random = torch.Generator().manual_seed(0)
+    return policy.act(believed(), scene, previous, executed=1, budget_s=None, generator=random)
+
+
+def random_rollouts(generator: torch.Generator, samples: int = 6, count: int = 3, horizon: int = 4) -> PushRollouts:
+    shape = (samples, count, horizon + 1, 3)
+    q = torch.randn(shape, generator=generator) * torch.tensor([0.3, 0.3, 2.0])
+    d = 0.1 * torch.randn(shape, generator=generator) * torch.tensor([1.0, 1.0, 0.0])
+    q[:, :, 2] = q[:, :, 1]  # a step that stands still
+    d[:, :, 2] = d[:, :, 1]
+    twin = torch.arange(count).repeat(samples, 1)
+    q[0, 2], d[0, 2], twin[0, 2] = q[0, 1], d[0, 1], 1
+    return PushRollouts(q, d, torch.zeros(samples, count, horizon, dtype=torch.bool), 1.0, twin)
+
+
+def test_cost_sums_each_steps_own_cells(generator: torch.Generator) -> None:
+    """A cell met at two steps counts twice, at one step by two points once."""
+    field = VoxelGrid(torch.rand(14, 12, 1, generator=generator), torch.tensor([-0.3, -0.25, 0.0]), 0.04)
+    tool = Tool(torch.tensor([[0.0, -0.4], [0.8, 0.4]]), height_m=HEIGHT, info_spacing_m=0.015)
+    points = tool.info
+    rollouts, beta = random_rollouts(generator), 0.9
+    expected = torch.zeros(6)
+    for k in range(6):
+        for m in range(3):
+            for t in range(1, 5):
+                world = se3.apply(se3.from_planar(rollouts.configurations[k, m, t]), points)
+                index, inside = field.nearest_index(world - rollouts.displacements[k, m, t])
+                cells = {tuple(c) for c, held in zip(index.tolist(), inside.tolist(), strict=True) if held}
+                expected[k] -= beta ** (t - 1) * sum(float(field.values[c]) for c in cells) / 3
+    assert float(expected.min()) < -0.5
+    torch.testing.assert_close(VarianceCost(field, tool, beta)(rollouts), expected, atol=1e-4, rtol=1e-4)
+
+
+def test_data_are_what_was_observed_and_what_is_free_for_sure(scene: Scene) -> None:
+    policy, belief = GPVRPolicy(PLANNER, GPVRSettings(max_points=0)), believed()
+    fields = information_field(
+        scene.model.sdf, belief.world_T_object, belief.log_weights, scene.workspace.points, PLANNER.information
+    )
+    data = policy.data(belief, scene, fields)
+    surface, free = data.points[data.labels == 0], data.points[data.labels == 1]
+    # all surface points, in the world where the mug is now
+    assert scene.observed is not None
+    seen = scene.observed.points[scene.observed.semantics == int(Semantics.SURFACE)]
+    torch.testing.assert_close(surface.float(), seen + torch.tensor([0.4, 0.0, 0.0]))
+    # free ones: one a cell of 7 spacings, none where the object may be
+    cells = {tuple(cell) for cell in torch.floor(free / 0.14).long().tolist()}
+    assert len(cells) == len(free) > 20
+    lattice = scene.workspace.points
+    doubtful = lattice[fields.semantics[:, 0] <= 0.99].double()
+    assert len(doubtful) > 10
+    own = free[free[:, 2] == float(lattice[0, 2])]
+    assert float(torch.cdist(own, doubtful).min()) > 0.01
+
+
+def test_variance_is_normalised_and_least_where_much_is_known(scene: Scene) -> None:
+    plan = act(scene)
+    variance = plan.fields["variance"]
+    assert float(variance.max()) == pytest.approx(1.0)
+    assert float(variance.min()) >= 0.0
+    grid = scene.workspace.grid(variance)
+    known, unknown = torch.tensor([[0.36, 0.0, HEIGHT]]), torch.tensor([[0.48, 0.0, HEIGHT]])
+    assert float(grid.interpolate(known)) < 0.5 * float(grid.interpolate(unknown))
+
+
+def test_hyperparameters_go_on_from_the_last_plan(scene: Scene) -> None:
+    first = act(scene, GPVRSettings(refit_steps=20, max_points=60))
+    kept = act(scene, GPVRSettings(refit_steps=0, max_points=60), first)
+    assert kept.info["gp_hyperparameters"] == first.info["gp_hyperparameters"]
+    later = act(scene, GPVRSettings(refit_steps=20, max_points=60), first)
+    assert later.info["gp_hyperparameters"] != first.info["gp_hyperparameters"]
+    assert first.info["gp_points"] == 60
+
+
+def met(plan: Plan, scene: Scene) -> Tensor:
+    """Variance that each position of the path meets."""
+    cost = VarianceCost(scene.workspace.grid(plan.fields["variance"]), scene.tool, 1.0)
+    return -cost.of_paths(plan.path[:, None], torch.zeros(len(plan.path), 1, 3))
+
+
+def test_plans_meet_more_variance_than_staying(scene: Scene) -> None:
+    plan = act(scene)
+    values = met(plan, scene)
+    assert float(values[1:].mean()) > 1.2 * float(values[0])
+
+
+def test_greedy_takes_the_best_next_position(scene: Scene) -> None:
+    plan = act(scene, greedy=True)
+    assert plan.controls.shape == (1, 3)
+    # no position that some hundred other controls lead to is much better
+    others = 2.0 * torch.rand(300, 3, generator=torch.Generator().manual_seed(5)) - 1.0
+    cost = VarianceCost(scene.workspace.grid(plan.fields["variance"]), scene.tool, 1.0)
+    reached, _ = scene.tool.free_step(scene.configuration, others)
+    values = -cost.of_paths(reached[:, None], torch.zeros(300, 1, 3))
+    chosen = float(met(plan, scene)[1])
+    assert chosen >= float(values.quantile(0.95))
+    assert chosen > float(values.median())
+    # and it starts anew each time
+    again = act(scene, GPVRSettings(refit_steps=0, max_points=60), plan, greedy=True)
+    assert again.controls.shape == (1, 3)
+
+
+def test_refuses_what_has_no_meaning(scene: Scene) -> None:
+    for wrong in (
+        {"refit_steps": -1},
+        {"max_points": -1},
+        {"learning_rate": 0.0},
+        {"free_spacing": 0.0},
+        {"free_probability": 1.1},
+        {"discount": -0.1},
+    ):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            GPVRSettings(**wrong)
+    with pytest.raises(ValueError, match=r"Expected scene\.observed"):
+        act(replace(scene, observed=None))

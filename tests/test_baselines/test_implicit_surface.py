@@ -1,0 +1,194 @@
+"""The Gaussian process against one spelt out in numpy, and the choice of its data against slow searches."""
+
+import importlib.util
+import math
+import sys
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
+
+from rumi.baselines.implicit_surface import (
+    Hyperparameters,
+    Labelled,
+    fit,
+    labelled,
+    nearest_to_centres,
+    predictive_variance,
+    spread_out,
+)
+from rumi.errors import UsageError
+
+needs_library = pytest.mark.skipif(importlib.util.find_spec("gpytorch") is None, reason="needs gpytorch")
+SOME = Hyperparameters(0.08, 0.3, 0.002, 0.7)
+
+
+def kernel(a: np.ndarray, b: np.ndarray, h: Hyperparameters) -> np.ndarray:
+    r = math.sqrt(3) * np.linalg.norm(a[:, None] - b[None], axis=-1) / h.lengthscale_m
+    return h.outputscale * (1 + r) * np.exp(-r)
+
+
+def dense_variance(data: Labelled, h: Hyperparameters, points: Tensor) -> np.ndarray:
+    x, at = data.points.numpy(), points.numpy()
+    gram = kernel(x, x, h) + h.noise * np.eye(len(x))
+    cross = kernel(at, x, h)
+    return h.outputscale - np.einsum("vn,nv->v", cross, np.linalg.solve(gram, cross.T))
+
+
+def dense_loss(data: Labelled, h: Hyperparameters) -> float:
+    """Negative log marginal likelihood."""
+    x, y = data.points.numpy(), data.labels.numpy() - h.mean
+    gram = kernel(x, x, h) + h.noise * np.eye(len(x))
+    return float(0.5 * (y @ np.linalg.solve(gram, y) + np.linalg.slogdet(gram)[1] + len(x) * math.log(2 * math.pi)))
+
+
+def scattered(count: int, seed: int = 0) -> Tensor:
+    random = torch.Generator().manual_seed(seed)
+    return torch.rand(count, 3, generator=random, dtype=torch.float64) * torch.tensor([0.4, 0.3, 0.1]).double()
+
+
+def ball(count: int = 60) -> Labelled:
+    """Surface points of a ball, and free ones about it."""
+    random = torch.Generator().manual_seed(1)
+    ways = torch.nn.functional.normalize(torch.randn(count, 3, generator=random, dtype=torch.float64), dim=-1)
+    points = torch.cat((0.05 * ways[: count // 2], 0.12 * ways[count // 2 :]))
+    return Labelled(points, (torch.arange(count) >= count // 2).double())
+
+
+@pytest.mark.parametrize("h", [SOME, Hyperparameters(0.5, 1.0, 1e-3, 0.0), Hyperparameters(0.01, 0.05, 0.1, 1.0)])
+def test_variance_is_that_of_the_dense_process(h: Hyperparameters) -> None:
+    data, at = ball(), scattered(700) - 0.1
+    expected = dense_variance(data, h, at)
+    np.testing.assert_allclose(predictive_variance(data, h, at).numpy(), expected, atol=1e-10)
+    assert expected.min() < 0.9 * h.outputscale
+
+
+@needs_library
+def test_variance_is_the_librarys() -> None:
+    import gpytorch
+
+    from rumi.baselines.implicit_surface import _exactly, _model
+
+    data, at = ball(), scattered(50)
+    with torch.no_grad(), _exactly(gpytorch):
+        theirs = _model(gpytorch, data, SOME).eval()(at).variance
+    # it adds a little to the diagonal
+    torch.testing.assert_close(predictive_variance(data, SOME, at), theirs, atol=1e-7, rtol=0)
+
+
+@given(st.integers(0, 10_000), st.integers(0, 30), st.floats(0.005, 2.0), st.floats(1e-4, 1.0))
+def test_more_data_never_makes_less_sure(seed: int, count: int, length: float, noise: float) -> None:
+    """The reduction of variance is 0 or more everywhere, and what is left is between 0 and the prior's."""
+    h = Hyperparameters(length, 0.4, noise, 0.5)
+    points, at = scattered(count + 1, seed), scattered(40, seed + 1)
+    some = Labelled(points[:-1], torch.zeros(count, dtype=torch.float64))
+    more = Labelled(points, torch.zeros(count + 1, dtype=torch.float64))
+    before, after = predictive_variance(some, h, at), predictive_variance(more, h, at)
+    assert float((before - after).min()) >= -1e-10
+    assert float(after.min()) >= 0.0
+    assert float(before.max()) <= 0.4
+
+
+def test_variance_without_data_is_the_prior() -> None:
+    none = Labelled(torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.float64))
+    assert bool((predictive_variance(none, SOME, scattered(5)) == SOME.outputscale).all())
+    assert predictive_variance(ball(), SOME, torch.zeros(0, 3)).shape == (0,)
+
+
+def test_variance_stands_points_that_coincide() -> None:
+    twice = Labelled(ball().points.repeat(3, 1), ball().labels.repeat(3))
+    variance = predictive_variance(twice, SOME._replace(noise=0.0, lengthscale_m=5.0), scattered(20))
+    assert bool(variance.isfinite().all())
+
+
+@needs_library
+class TestFit:
+    def test_makes_the_data_likelier(self) -> None:
+        data, start = ball(), Hyperparameters()
+        found = fit(data, start, steps=50)
+        assert dense_loss(data, found) < dense_loss(data, start) - 1.0
+
+    def test_converges_to_where_no_neighbour_is_likelier(self) -> None:
+        """Labels that a process has drawn."""
+        truth, points = Hyperparameters(0.05, 0.3, 0.01, 0.5), scattered(120)
+        gram = torch.from_numpy(kernel(points.numpy(), points.numpy(), truth)) + truth.noise * torch.eye(120).double()
+        drawn = torch.randn(120, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        data = Labelled(points, truth.mean + torch.linalg.cholesky(gram) @ drawn)
+        found = fit(data, steps=600)
+        best = dense_loss(data, found)
+        assert 0.02 < found.lengthscale_m < 0.12
+        for name in ("lengthscale_m", "outputscale", "noise", "mean"):
+            for factor in (0.8, 1.25):
+                assert dense_loss(data, found._replace(**{name: factor * getattr(found, name)})) > best
+
+    def test_goes_on_from_where_it_is_told(self) -> None:
+        data, good = ball(), Hyperparameters(0.05, 0.3, 1e-3, 0.8)
+        assert fit(data, good, steps=0) == good
+        assert dense_loss(data, fit(data, good, steps=5)) < dense_loss(data, fit(data, steps=5))
+
+    def test_is_the_same_each_time(self) -> None:
+        before = torch.get_rng_state()
+        assert fit(ball(), steps=5) == fit(ball(), steps=5)
+        assert torch.equal(torch.get_rng_state(), before)
+
+    @pytest.mark.parametrize("count", [0, 1, 30])
+    @pytest.mark.parametrize("label", [0.0, 1.0])
+    def test_stands_data_without_contrast(self, count: int, label: float) -> None:
+        points = scattered(30)[:count]
+        found = fit(Labelled(points, torch.full((count,), label, dtype=torch.float64)), steps=300)
+        assert all(math.isfinite(value) for value in found)
+        assert found.lengthscale_m <= 0.55
+        variance = predictive_variance(Labelled(points, torch.zeros(count, dtype=torch.float64)), found, scattered(9))
+        assert float(variance.amax()) > 0.0
+
+    def test_works_while_gradients_are_off(self) -> None:
+        with torch.no_grad():
+            assert fit(ball(), steps=3) == fit(ball(), steps=3) != Hyperparameters()
+
+
+def test_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gpytorch", None)
+    with pytest.raises(UsageError, match=r"need gpytorch.*pip install 'rumi\[baselines\]'"):
+        fit(ball())
+
+
+def test_thinning_keeps_the_point_next_to_each_cells_centre() -> None:
+    points, spacing = scattered(400) - 0.1, 0.07
+    best: dict[tuple[int, ...], tuple[float, int]] = {}
+    for index, point in enumerate(points.tolist()):
+        cell = tuple(math.floor(value / spacing) for value in point)
+        away = math.dist(point, [(value + 0.5) * spacing for value in cell])
+        best[cell] = min(best.get(cell, (math.inf, -1)), (away, index))
+    kept = nearest_to_centres(points, spacing)
+    assert {tuple(p) for p in kept.tolist()} == {tuple(points[index].tolist()) for _, index in best.values()}
+    assert torch.equal(nearest_to_centres(kept, spacing), kept)
+    assert nearest_to_centres(points[:0], spacing).shape == (0, 3)
+
+
+def test_spread_out_points_cover_the_others() -> None:
+    """Farthest-point sampling covers at most twice as badly as the best choice; every pair is that far apart."""
+    points = scattered(300)
+    chosen = spread_out(points, 12)
+    assert chosen.shape == (12, 3)
+    radius = torch.cdist(points, chosen).amin(-1).max()
+    apart = torch.cdist(chosen, chosen) + torch.eye(12)
+    assert float(apart.min()) >= float(radius)
+    assert torch.equal(spread_out(points, 300), points)
+    assert spread_out(points, 0).shape == (0, 3)
+    assert len(spread_out(points[:1].repeat(5, 1), 3)) == 3
+
+
+@pytest.mark.parametrize(
+    ("surface", "free", "expected"), [(200, 40, (60, 40)), (200, 90, (50, 50)), (20, 300, (20, 80))]
+)
+def test_cap_leaves_each_class_its_share(surface: int, free: int, expected: tuple[int, int]) -> None:
+    """Free points here are in cells of their own."""
+    apart = torch.stack((torch.arange(float(free)), torch.zeros(free), torch.zeros(free)), -1) + 0.5
+    data = labelled(scattered(surface).float(), apart, 1.0, 100)
+    assert (int((data.labels == 0).sum()), int((data.labels == 1).sum())) == expected
+    assert data.points.dtype == data.labels.dtype == torch.float64
+    whole = labelled(scattered(surface).float(), apart, 1.0, None)
+    assert len(whole.points) == surface + free

@@ -1,0 +1,373 @@
+"""`rumi reproduce`: what it refuses, does once, goes on with, and leaves behind however it ends."""
+
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from rumi import cli
+from rumi.cli import main
+from rumi.errors import UsageError
+from rumi.jsonlines import read_lines
+from rumi.reproduce import command, experiments, toy, worker
+from rumi.reproduce.jobs import KINDS, Kind
+from rumi.reproduce.live import LiveTable
+from rumi.reproduce.live import lines as live_lines
+from rumi.reproduce.records import Records
+from rumi.reproduce.worker import Errand
+
+ROOT = Path(__file__).resolve().parents[2]
+FEW = ("reproduce", "fig8", "--seeds", "1000-1001", "--no-figures")
+
+
+@pytest.fixture(autouse=True)
+def at_home(tmp_path, monkeypatch):
+    """Every test in a folder of its own, where default folders land."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RUMI_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv("RUMI_DEBUG", raising=False)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """A toy that is done at once, and a count of how often."""
+    calls = []
+
+    def carry_out(job, cache_dir):
+        calls.append((job.method, job.seed))
+        names = ("cost", "change", "jerk", "end_distance", "plan_cost", "plan_change", "plan_jerk")
+        figures = dict.fromkeys(names, 1.0)
+        curves = {name: [float(job.seed), 1.0] for name in ("path_x", "path_y", "plan_x", "plan_y")}
+        return {"figures": figures, "timings": {"wall_s": 0.5}, "curves": curves}
+
+    monkeypatch.setitem(KINDS, "toy", Kind(("rumi.reproduce.toy",), carry_out))
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "Which experiment. There are table5"),
+        (["table9"], "no experiment 'table9'; there are table5.*all"),
+        (["table5", "--tasks", "mug-9"], "no task 'mug-9'; there are mug-0"),
+        (["table5", "--methods", "magic"], "no method 'magic'; there are rumi"),
+        (["table5", "--presets", "best"], "no preset 'best'; there are default"),
+        (["table5", "--seeds", "9-0"], "Expected seeds such as 0-9"),
+        (["fig8", "--jobs", "0"], "Expected jobs to be 1 or more, got 0"),
+        (["fig8", "--shard", "3/2"], "Expected shard to be i/n"),
+        (["fig8", "--executor", "cloud"], "executor"),
+        (["fig8", "--slurm", "a=1"], "--slurm is about --executor submitit"),
+        (["fig8", "--executor", "submitit", "--slurm", "alone"], "Expected --slurm name=value"),
+        (["fig8", "--code", "abc"], "give --show with it"),
+        (["fig8", "--show"], "There are no results in"),
+        (["table5", "--set", "planner.rolouts=3"], "Expected a setting and its value"),
+        (["table5", "--set", "planner.rollouts=0"], "rollouts to be 1 or more"),
+        (["fig8", "--results", "."], "Cannot write"),
+        (["fig8", "--nonsense", "1"], "nonsense"),
+    ],
+)
+def test_refuses(arguments, message, capsys, quick):
+    assert main(["reproduce", *arguments]) == cli.BAD_INPUT
+    said = capsys.readouterr()
+    assert "Traceback" not in said.err
+    assert re.search(message, " ".join((said.err + said.out).split()))
+    assert quick == []
+
+
+def test_help_names_the_experiments(capsys):
+    assert main(["reproduce", "--help"]) == cli.DONE
+    said = " ".join(capsys.readouterr().out.split())
+    for word in (*experiments.EXPERIMENTS, "--shard", "--executor", "--jobs", "submitit"):
+        assert word in said
+
+
+def test_what_is_done_is_not_done_again(capsys, quick):
+    assert main([*FEW]) == cli.DONE
+    first = capsys.readouterr()
+    assert sorted(quick) == sorted((method, seed) for method in toy.SETTINGS for seed in (1000, 1001))
+    assert first.err == "" and "| KMPPI | 2 | 1 [1, 1] |" in first.out
+    assert main([*FEW]) == cli.DONE
+    assert len(quick) == 6
+    assert capsys.readouterr().out == first.out
+    assert main(["reproduce", "fig8", "--seeds", "1001-1002", "--no-figures"]) == cli.DONE
+    assert len(quick) == 9
+    assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 9
+
+
+def test_other_code_does_it_again(monkeypatch, quick):
+    assert main([*FEW]) == cli.DONE
+    monkeypatch.setattr("rumi.reproduce.jobs.code_hash", lambda roots: "another")
+    assert main([*FEW]) == cli.DONE
+    assert len(quick) == 12
+
+
+def test_shards_together_are_the_whole(capsys, quick):
+    for k in (1, 2, 3):
+        assert main([*FEW, "--shard", f"{k}/3"]) == cli.DONE
+    assert len(quick) == 6
+    shards = capsys.readouterr().out
+    assert main([*FEW]) == cli.DONE
+    assert len(quick) == 6
+    assert shards.endswith(capsys.readouterr().out)
+
+
+def test_an_error_is_no_result_and_is_tried_again(capsys, monkeypatch, quick):
+    good, seen = KINDS["toy"], []
+
+    def bad(job, cache_dir):
+        seen.append(job.seed)
+        if (job.method, job.seed) == ("SMPPI", 1001):
+            raise RuntimeError("out of luck")
+        return good.carry_out(job, cache_dir)
+
+    monkeypatch.setitem(KINDS, "toy", Kind(good.roots, bad))
+    assert main([*FEW]) == command.FAILED
+    assert "rumi: toy, SMPPI, seed 1001 failed: RuntimeError: out of luck" in capsys.readouterr().err
+    assert len(seen) == 6 and len(Records(Path("runs/reproduce/runs.jsonl")).every) == 5
+    (error,) = (line for line, _ in read_lines(Path("runs/reproduce/.runs.errors.jsonl")))
+    assert "Traceback" in error["traceback"] and error["work"] == "toy, SMPPI, seed 1001"
+    monkeypatch.setitem(KINDS, "toy", good)
+    assert main([*FEW]) == cli.DONE
+    assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 6
+
+
+def test_a_missing_package_ends_it(capsys, monkeypatch, quick):
+    good = KINDS["toy"]
+
+    def lacking(job, cache_dir):
+        if job.method == "SMPPI":
+            raise ModuleNotFoundError("No module named 'trimesh'", name="trimesh")
+        return good.carry_out(job, cache_dir)
+
+    monkeypatch.setitem(KINDS, "toy", Kind(good.roots, lacking))
+    assert main([*FEW]) == cli.BAD_INPUT
+    assert "pip install 'rumi[mesh]'" in capsys.readouterr().err
+    assert quick == [("MPPI", 1000)]
+
+
+def test_what_a_process_could_not_go_on_with_is_said(tmp_path, monkeypatch):
+    errand = Errand((), tmp_path / "a.jsonl", {}, tmp_path, "now")
+    monkeypatch.setattr(worker, "work", lambda *_: (_ for _ in ()).throw(UsageError("the code changed")))
+    worker.work_until_parent_ends(errand, 0, 2)
+    with pytest.raises(UsageError, match="the code changed"):
+        worker.failures(errand)
+    later = Errand((), tmp_path / "a.jsonl", {}, tmp_path, "later")
+    assert worker.failures(later) == {}
+
+
+def test_code_that_changed_is_not_taken_for_the_one_asked_for(tmp_path):
+    (job,) = experiments.work_of(["fig8"], experiments.Selection(seeds=(1,)))[:1]
+    with pytest.raises(UsageError, match=r"The code changed since .* \(of toy\)"):
+        worker.work(Errand((job,), tmp_path / "a.jsonl", {"toy": "another"}, tmp_path, "now"))
+    assert not (tmp_path / "a.jsonl").exists()
+
+
+def test_an_interrupt_keeps_what_is_done(capsys, monkeypatch, quick):
+    good = KINDS["toy"]
+
+    def interrupted(job, cache_dir):
+        if len(quick) == 4:
+            raise KeyboardInterrupt
+        return good.carry_out(job, cache_dir)
+
+    monkeypatch.setitem(KINDS, "toy", Kind(good.roots, interrupted))
+    assert main([*FEW]) == cli.INTERRUPTED
+    assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 4
+    monkeypatch.setitem(KINDS, "toy", good)
+    assert main([*FEW]) == cli.DONE
+    assert len(quick) == 6
+
+
+def test_show_runs_nothing(capsys, quick):
+    assert main([*FEW]) == cli.DONE
+    ran = capsys.readouterr().out
+    assert main([*FEW, "--show"]) == cli.DONE
+    assert capsys.readouterr().out == ran
+    assert main(["reproduce", "fig8", "--no-figures", "--show", "--seeds", "5"]) == cli.DONE
+    assert "| KMPPI" not in capsys.readouterr().out
+    assert len(quick) == 6
+
+
+def test_show_of_the_recorded_mugs_and_their_page(capsys):
+    results = ROOT / "scripts" / "results" / "mugs.jsonl"
+    asked = ("table5", "table6", "fig16", "--show", "--results", str(results), "--markdown", "docs/results.md")
+    assert main(["reproduce", *asked]) == cli.DONE
+    summary = capsys.readouterr().out
+    page = Path("docs/results.md").read_text()
+    assert summary in page and "| rumi/default | 29/30 [0.83, 0.99] · 29 | 29: 29 | 28/30 |" in summary
+    pictures = [line.split("](")[1].rstrip(")") for line in page.splitlines() if line.startswith("![")]
+    assert pictures == [f"results/fig16-{preset}.png" for preset in ("default", "fast", "paper")]
+    assert all((Path("docs") / name).stat().st_size > 10_000 for name in pictures)
+
+
+def test_figures_are_drawn(capsys):
+    assert main(["reproduce", "fig8", "--seeds", "1000", "--out", "here"]) == cli.DONE
+    assert "figure: here/figures/fig8.png" in capsys.readouterr().out
+    assert Path("here/figures/fig8.png").stat().st_size > 10_000
+
+
+class Terminal:
+    """A stream that is a terminal, or is not."""
+
+    def __init__(self, terminal):
+        self.text, self.terminal = "", terminal
+
+    def write(self, text):
+        self.text += text
+        return len(text)
+
+    def flush(self):
+        pass
+
+    def isatty(self):
+        return self.terminal
+
+
+def test_a_live_table_on_a_terminal_alone(quick):
+    jobs = experiments.work_of(["fig8"], experiments.Selection(seeds=(1000, 1001)))
+    path = Path("runs/reproduce/runs.jsonl")
+    shown, piped = Terminal(True), Terminal(False)
+    with LiveTable(jobs, path, shown), LiveTable(jobs, path, piped):
+        assert main([*FEW, "--shard", "1/2"]) == cli.DONE
+    assert piped.text == ""
+    last = shown.text.rsplit("\x1b[J", 1)[-1].splitlines()
+    assert [line.split()[0] for line in last[:3]] == ["MPPI", "SMPPI", "KMPPI"]
+    assert last[3].startswith("3 of 6 done") and "left with 1 at once" in last[3]
+    records = Records(path)
+    left = live_lines(jobs, records, 3600.0, before=1, workers=2)[-1]
+    assert left == "3 of 6 done, 1:00:00 so far, 1:30:00 left with 2 at once"
+
+
+def start(*arguments, **changes):
+    """The command in a process of its own, in a group of its own."""
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(
+        [sys.executable, "-m", "rumi", "reproduce", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        start_new_session=True,
+        **changes,
+    )
+
+
+def finish(process):
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == cli.DONE, err
+    return out
+
+
+def results(folder):
+    """What is kept, timings apart, by id; every id once."""
+    lines = [line for line, _ in read_lines(Path(folder) / "runs.jsonl")]
+    found = {line["id"]: {name: line[name] for name in ("figures", "curves", "method", "seed")} for line in lines}
+    assert len(found) == len(lines)
+    return found
+
+
+def wait_for(path, lines):
+    """Until a file has some lines."""
+    for _ in range(600):
+        if path.exists() and path.read_bytes().count(b"\n") >= lines:
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"{path} never had {lines} lines")
+
+
+@pytest.mark.slow
+def test_killed_five_times_the_end_is_the_same():
+    asked = ("fig8", "--seeds", "1000-1013", "--no-figures", "--jobs", "2")
+    whole = finish(start(*asked, "--out", "undisturbed"))
+    chance = random.Random(5)
+    path = Path("disturbed/runs.jsonl")
+    for kill in range(5):
+        process = start(*asked, "--out", "disturbed")
+        wait_for(path, 1 + 4 * kill)
+        time.sleep(chance.uniform(0.0, 0.8))
+        process.kill()  # and with it the processes that it started
+        process.communicate()
+        time.sleep(1.0)
+        before = path.read_bytes()
+        time.sleep(1.0)
+        assert path.read_bytes() == before, "a worker outlived its command"
+        if kill % 2:  # as if the kill had come while a line was being written
+            path.write_bytes(before[: -chance.randrange(2, 400)])
+    assert 0 < len(list(read_lines(path))) < 42
+    assert finish(start(*asked, "--out", "disturbed")).replace("disturbed", "undisturbed") == whole
+    assert results("disturbed") == results("undisturbed")
+    assert len(results("disturbed")) == 42
+
+
+@pytest.mark.slow
+def test_two_commands_at_once_share_the_work():
+    asked = ("fig8", "--seeds", "1000-1009", "--no-figures", "--out", "shared")
+    both = [start(*asked), start(*asked, "--jobs", "2")]
+    first, second = map(finish, both)
+    assert first == second
+    assert len(results("shared")) == 30  # each once
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_ctrl_c_leaves_what_is_done(jobs):
+    process = start("fig8", "--seeds", "1000-1099", "--out", "stopped", "--jobs", str(jobs))
+    wait_for(Path("stopped/runs.jsonl"), 3)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == cli.INTERRUPTED
+    assert out == "" and err == "rumi: interrupted\n"
+    kept = results("stopped")
+    assert 3 <= len(kept) < 300
+    time.sleep(1.0)
+    assert results("stopped") == kept
+
+
+@pytest.mark.slow
+def test_jobs_of_a_cluster(tmp_path):
+    """By submitit's local executor, which hands the same pickles to processes of this machine."""
+    pytest.importorskip("submitit")
+    asked = ("fig8", "--seeds", "1000-1003", "--no-figures", "--out", "cluster")
+    out = finish(start(*asked, "--executor", "submitit", "--jobs", "2", "--slurm", "timeout_min=5"))
+    assert len(results("cluster")) == 12
+    assert list(Path("cluster/submitit").glob("*result.pkl"))
+    assert finish(start(*asked)) == out
+    finish(start("fig8", "--seeds", "1000-1003", "--no-figures", "--out", "here"))
+    assert results("here") == results("cluster")
+
+
+def test_a_cluster_needs_its_extra(monkeypatch, capsys, quick):
+    monkeypatch.setitem(sys.modules, "submitit", None)
+    assert main([*FEW, "--executor", "submitit"]) == cli.BAD_INPUT
+    assert "pip install 'rumi[cluster]'" in capsys.readouterr().err
+
+
+SMALL = (
+    *("steps=2", "initialise.particles=12", "initialise.starts=40", "initialise.polished=12"),
+    *("planner.mppi.samples=8", "planner.mppi.warmup_iterations=1", "planner.rollouts=1"),
+)
+
+
+@pytest.mark.sim
+def test_runs_of_a_task(capsys):
+    asked = ("--tasks", "mug-0", "--methods", "rumi", "info-only", "--presets", "default", "--seeds", "1000")
+    assert main(["reproduce", "table5", "table7", "fig13", *asked, "--set", *SMALL]) == cli.DONE
+    said = capsys.readouterr().out
+    first, second = Records(Path("runs/reproduce/runs.jsonl")).every
+    assert (first.method, second.method) == ("rumi", "info-only")
+    assert first.figures["steps"] == first.figures["allowed"] == 2
+    assert [len(values) for values in first.curves.values()] == [3, 3, 3]
+    assert first.figures["cumulative_nll"] == pytest.approx(sum(first.curves["nll"]), rel=1e-4)
+    assert first.figures["apc"] == pytest.approx(first.curves["apc"][-1], rel=1e-4)
+    assert first.timings["plans"] == 2 and first.timings["planning_s"]["dynamics"] > 0
+    assert first.curves["nll"][0] == second.curves["nll"][0]  # the same first view
+    for word in (f"rumi/default {' '.join(sorted(SMALL))}", "dynamics", "figures/fig13-default.png"):
+        assert word in said
+    again = main(["reproduce", "table5", *asked, "--set", *SMALL])
+    assert again == cli.DONE and len(Records(Path("runs/reproduce/runs.jsonl")).every) == 2

@@ -1,0 +1,29 @@
+"""The paper's figures as they are printed: its sums are those of its rows, but for one misprint."""
+
+import pytest
+
+from rumi.reproduce import paper
+
+
+@pytest.mark.parametrize(
+    ("name", "figures"), [("successes", paper.SUCCESSES), ("cumulative_nll", paper.CUMULATIVE_NLL)]
+)
+def test_rows_add_up(name, figures):
+    for family, printed in paper.TOTALS[name].items():
+        for (method, own), total in zip(figures.items(), printed, strict=True):
+            added = sum(own[task] for task in paper.FAMILIES[family])
+            if (name, family, method) == ("cumulative_nll", "mug", "info-only"):
+                assert (added, total) == (3872, 4444)
+            else:
+                assert added == total, (family, method)
+
+
+def test_mean_correlation_is_the_one_of_the_text():
+    flat = [paper.CORRELATION[task] for name in ("mug", "drill") for task in paper.FAMILIES[name]]
+    assert round(sum(flat) / len(flat), 2) == 0.87
+
+
+def test_families():
+    assert [paper.family(task) for task in ("mug-1", "box-2", "shelf-mug", "cup-3", "sphere")] == [
+        *("mug", "box", "shelf", "cup", "sphere")
+    ]

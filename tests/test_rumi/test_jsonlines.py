@@ -1,0 +1,86 @@
+"""Lines that several processes add to one file, and claims that end with their process."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from rumi.jsonlines import Claims, append_line, read_lines
+
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="locks of files are POSIX's")
+
+
+def values(path, start=0):
+    return [line for line, _ in read_lines(path, start)]
+
+
+def test_lines_are_read_as_they_come(tmp_path):
+    path = tmp_path / "deep" / "a.jsonl"
+    assert values(path) == []
+    append_line(path, {"k": 0})
+    ((first, end),) = read_lines(path)
+    assert first == {"k": 0} and end == path.stat().st_size
+    append_line(path, {"k": 1})
+    assert values(path, end) == [{"k": 1}]
+
+
+@pytest.mark.parametrize("cut", [1, 5, 9])
+def test_what_was_cut_off_is_passed_over(tmp_path, cut):
+    path = tmp_path / "a.jsonl"
+    append_line(path, {"k": 0})
+    append_line(path, {"k": 1})
+    path.write_bytes(path.read_bytes()[:-cut])
+    assert values(path) == [{"k": 0}]
+    append_line(path, {"k": 2})
+    # a line that only lacked its end is whole now
+    assert values(path) == [{"k": 0}, *([{"k": 1}] if cut == 1 else []), {"k": 2}]
+    path.write_text(path.read_text() + "no json\n[1]\n")
+    assert values(path)[-1] == {"k": 2}
+
+
+def test_numbers_that_json_has_not_are_refused(tmp_path):
+    with pytest.raises(ValueError):
+        append_line(tmp_path / "a.jsonl", {"k": float("nan")})
+    assert not (tmp_path / "a.jsonl").exists() or values(tmp_path / "a.jsonl") == []
+
+
+@POSIX
+def test_processes_do_not_mix_their_lines(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from rumi.jsonlines import append_line\n"
+        "for k in range(60): append_line(Path(sys.argv[1]), {'who': sys.argv[2], 'k': k, 'fill': 'x' * 9000})"
+    )
+    path = tmp_path / "a.jsonl"
+    started = [subprocess.Popen([sys.executable, "-c", code, str(path), who]) for who in "abc"]
+    assert [process.wait() for process in started] == [0, 0, 0]
+    lines = [json.loads(text) for text in path.read_text().splitlines()]
+    assert sorted((line["who"], line["k"]) for line in lines) == [(w, k) for w in "abc" for k in range(60)]
+
+
+@POSIX
+def test_a_claim_ends_with_its_process(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from rumi.jsonlines import Claims\n"
+        "claims = Claims(Path(sys.argv[1])); print(claims.take('00ab' * 4), claims.take('ffff' * 4), flush=True)\n"
+        "sys.stdin.readline(); claims.leave('ffff' * 4); print('left', flush=True); sys.stdin.readline()"
+    )
+    path = tmp_path / "claims"
+    other = subprocess.Popen(
+        [sys.executable, "-c", code, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert other.stdout.readline().split() == ["True", "True"]
+        own = Claims(path)
+        assert not own.take("00ab" * 4)
+        assert own.take("0000" * 4)
+        assert not own.take("ffff" * 4)
+        other.stdin.write("\n")
+        other.stdin.flush()
+        assert other.stdout.readline() == "left\n"
+        assert own.take("ffff" * 4)
+        assert not own.take("00ab" * 4)
+    finally:
+        other.kill()
+        other.wait()
+    assert own.take("00ab" * 4)
