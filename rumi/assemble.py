@@ -14,6 +14,7 @@ from rumi.baselines.ablations import info_only, reach_only
 from rumi.baselines.gpvr import GPVRPolicy
 from rumi.baselines.slide import SlidePolicy
 from rumi.belief.filter import PoseFilter
+from rumi.belief.prior import PosePrior
 from rumi.config import Settings
 from rumi.fields.workspace import Workspace
 from rumi.planning.rummaging import RummagingPolicy
@@ -82,13 +83,15 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     discrepancy = Discrepancy(
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
+    prior = prior_of(spec, model)
     return Rummager(
         model,
-        PoseFilter(discrepancy, cast(Search, spec.search), settings.filter).to(*to),
+        PoseFilter(discrepancy, cast(Search, spec.search), settings.filter, prior).to(*to),
         make_policy(settings, reachability(tool, workspace)),
         workspace,
         tool,
         initialise=settings.initialise,
+        renewal=settings.renewal,
         stop=settings.stop,
         height_m=0.0 - float(model.exact.bounds[0, 2]),
         replan_every=settings.replan_every,
@@ -98,9 +101,19 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     )
 
 
+def prior_of(spec: TaskSpec, model: ObjectModel) -> PosePrior | None:
+    """What is known of the pose before anything is sensed, on the model's device; None where a camera sees it."""
+    if spec.prior is None:
+        return None
+    return PosePrior.of(spec.prior.mean_m, spec.prior.spread_m, model.sdf.bounds, spec.up)
+
+
 def workspace_of(spec: TaskSpec) -> Workspace:
-    """The planar lattice of a task, at the height of its tool."""
+    """The lattice of a task: planar at the height of its tool, or from the floor up where that moves in space."""
     (left, bottom), (right, top) = spec.bounds
+    if spec.spatial:
+        box = torch.tensor([[left, bottom, 0.0], [right, top, spec.workspace_top_m]])
+        return Workspace.from_bounds(box, spec.field_spacing_m)
     bounds = torch.tensor([[left, bottom, spec.height_m], [right, top, spec.height_m]])
     return Workspace.from_bounds(bounds, spec.field_spacing_m, planar_height=spec.height_m)
 

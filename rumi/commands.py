@@ -14,6 +14,7 @@ import tyro
 from rumi.belief.motion import Motion
 from rumi.cli import DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.config import Settings, preset, setting_names, to_dict
+from rumi.dynamics.family import PushChoice
 from rumi.errors import UsageError
 from rumi.explain import Decisions, explain
 from rumi.progress import Progress, both, stages
@@ -40,6 +41,7 @@ class RunOptions:
         settings: of the run.
         motion: how the object's motion is known: measured by a slip sensor, sticking to the tool, or estimated
             from the touches; short for --filter.motion.
+        push_model: how the planner expects the object to move; short for --planner.push-model.
         out: folder of the run; by default runs/TASK-METHOD-PRESET-sSEED, with a number where that is taken.
         figures: draw figures at the end.
         explain: say at the end what was skipped, since the scene did not need it, and what that saved.
@@ -47,6 +49,7 @@ class RunOptions:
 
     settings: Annotated[Settings, tyro.conf.arg(name="")]
     motion: Motion | None = None
+    push_model: PushChoice | None = None
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = True
     explain: bool = False
@@ -170,10 +173,12 @@ def parse_run(arguments: Sequence[str]) -> RunOptions:
     )
     if not options.settings.task:
         raise UsageError("Which task? Give its name, as in `rumi run mug-0`; `rumi tasks` lists them")
-    if options.motion is None:
-        return options
-    motion = replace(options.settings.filter, motion=options.motion)
-    return replace(options, settings=replace(options.settings, filter=motion))
+    settings = options.settings
+    if options.motion is not None:
+        settings = replace(settings, filter=replace(settings.filter, motion=options.motion))
+    if options.push_model is not None:
+        settings = replace(settings, planner=replace(settings.planner, push_model=options.push_model))
+    return replace(options, settings=settings)
 
 
 def default_folder(settings: Settings, root: Path = Path("runs")) -> Path:
@@ -231,7 +236,7 @@ def _asked_preset(arguments: Sequence[str]) -> str:
 
 def _check_flags(arguments: Sequence[str]) -> None:
     """Refuse flags that are no setting, with those that are."""
-    names = [name.replace("_", "-") for name in setting_names() if name != "task"] + ["motion", "out"]
+    names = [name.replace("_", "-") for name in setting_names() if name != "task"] + ["motion", "push-model", "out"]
     switches = {
         f"{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in [*names, "figures", "explain"])
     }

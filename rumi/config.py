@@ -13,6 +13,7 @@ import tyro
 from rumi.baselines.gpvr import GPVRSettings
 from rumi.baselines.slide import SlideSettings
 from rumi.belief.filter import FilterSettings
+from rumi.belief.renewal import RenewalSettings
 from rumi.errors import UsageError
 from rumi.planning.rummaging import RummagingSettings
 from rumi.registration.descent import DescentSettings
@@ -45,6 +46,7 @@ class Settings:
         replan_every: actions carried out of one plan; a contact always asks for a new one.
         filter: how the belief follows the readings.
         initialise: how the first belief is found.
+        renewal: when and how particles are drawn anew, where no camera sees the object.
         planner: how actions are chosen.
         slide: how the method slide moves.
         gpvr: the process of the methods gpvr and gpvr-greedy, which plan by `planner`.
@@ -63,6 +65,7 @@ class Settings:
     replan_every: int = 1
     filter: FilterSettings = field(default_factory=FilterSettings)
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
+    renewal: RenewalSettings = field(default_factory=RenewalSettings)
     planner: RummagingSettings = field(default_factory=RummagingSettings)
     slide: SlideSettings = field(default_factory=SlideSettings)
     gpvr: GPVRSettings = field(default_factory=GPVRSettings)
@@ -192,8 +195,10 @@ def _paper() -> Settings:
             trigger=5.0,
             trigger_percentile=1.0,
             weigh_before_resampling=False,
+            lies_flat=False,
             descent=DescentSettings(method="adam", iterations=10),
         ),
+        renewal=RenewalSettings.never(),
         planner=RummagingSettings.paper(),
         stop=StopSettings(rule="never", apc_ratio=0.03),
         simulator=SimSettings(free_fraction=0.95, free_spacing_m=0.010),

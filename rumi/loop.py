@@ -5,6 +5,7 @@ from collections.abc import Callable
 import torch
 
 from rumi.belief.particles import PoseBelief
+from rumi.belief.renewal import challenge, prior_belief, redraw
 from rumi.clock import Clock
 from rumi.planning.types import Plan, Scene
 from rumi.records import RunResult, StepRecord
@@ -34,7 +35,9 @@ def rummage(
     """
     clock = Clock()
     history: list[StepRecord] = []
-    random = {name: split(seed, name) for name in ("initialise", "filter", "plan")}
+    random = {name: split(seed, name) for name in ("initialise", "filter", "plan", "renewal")}
+    unseen = rummager.filter.prior is not None
+    renews, challenges = unseen and rummager.renewal.at_contact, unseen and rummager.renewal.challenge
 
     def emit(record: StepRecord) -> StepRecord:
         history.append(record)
@@ -67,10 +70,17 @@ def rummage(
             executed += 1
             with clock("belief"):
                 belief, memory, info = rummager.filter(belief, memory, result.reading, generator=random["filter"])
+                if renews and last.contacts == 0 and bool(result.reading.in_contact.any()):
+                    belief = redraw(rummager.filter, belief, memory, rummager.renewal, generator=random["renewal"])
             # what was touched, by the pads or not, is not where the plan had it
             surprised = bool(info.moved) or bool(result.reading.in_contact.any())
-            resampled = bool(info.resampled)
-            last = emit(observe(rummager, clock, history, result, belief, info.added, control, plan, resampled))
+            done = (control, plan, bool(info.resampled))
+            last = observe(rummager, clock, history, result, belief, info.added, *done)
+            if last.converged and challenges:
+                with clock("belief"):
+                    belief = challenge(rummager.filter, belief, memory, rummager.renewal, generator=random["renewal"])
+                last = observe(rummager, clock, history, result, belief, info.added, *done)
+            emit(last)
         if last.converged:
             stopped_by = "converged"
     except KeyboardInterrupt:
@@ -81,10 +91,12 @@ def rummage(
 
 
 def first_belief(rummager: Rummager, reading: Reading, *, generator: torch.Generator) -> tuple[PoseBelief, Observation]:
-    """The belief and the memory after the first view (Alg 1, lines 1-3)."""
+    """The belief and the memory after the first view, or without one from the prior (Alg 1, lines 1-3)."""
     points = reading.observation.points
     none = Observation.empty(dtype=points.dtype, device=points.device)
     memory, _ = merge(none, reading.observation, rummager.filter.lattice)
+    if rummager.filter.prior is not None:
+        return prior_belief(rummager.filter, memory, rummager.initialise.particles, generator=generator), memory
     surface = memory.points[memory.of_class(Semantics.SURFACE)]
     if len(surface) == 0:
         raise ValueError("Expected a first view with surface points of the object, got none: check the object's mask")

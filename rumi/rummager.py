@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from rumi.belief.filter import PoseFilter
+from rumi.belief.renewal import RenewalSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.tool import Tool
 from rumi.planning.types import Policy
@@ -22,6 +23,7 @@ class Rummager:
         workspace: the lattice of the fields.
         tool: the robot's body and free-space motion.
         initialise: how the first belief is found.
+        renewal: when and how particles are drawn anew; only where the filter has a prior.
         stop: when to stop.
         height_m: z of the origin of an upright object.
         replan_every: actions carried out of one plan; a contact always asks for a new one.
@@ -36,6 +38,7 @@ class Rummager:
     workspace: Workspace
     tool: Tool
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
+    renewal: RenewalSettings = field(default_factory=RenewalSettings)
     stop: StopSettings = field(default_factory=StopSettings)
     height_m: float = 0.0
     replan_every: int = 1

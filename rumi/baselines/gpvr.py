@@ -77,7 +77,7 @@ class VarianceCost:
 
     def __call__(self, rollouts: PushRollouts) -> Float[Tensor, "K"]:
         """Cost of each control sequence: the mean over its rollouts."""
-        return mean_over_rollouts(rollouts, self.of_paths)
+        return mean_over_rollouts(rollouts, lambda paths: self.of_paths(*paths.riding()))
 
     def of_paths(
         self, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]

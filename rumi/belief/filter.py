@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from rumi.belief.motion import MOTIONS, Motion, object_motion
 from rumi.belief.particles import PoseBelief
+from rumi.belief.prior import PosePrior
 from rumi.belief.resampling import resample_systematic
 from rumi.errors import DegenerateBeliefError
 from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
@@ -43,6 +44,8 @@ class FilterSettings:
         weigh_before_resampling: False is the order of the paper's Alg 1, whose resampling has not seen the new
             data and whose weights after it are all 1/P.
         descent: the optimiser after resampling (Alg 4).
+        lies_flat: the object is known to lie flat on the floor at the start, so that in the frame that rides with it
+            poses keep their height and tilt even where all may be searched; only with a prior, which has these.
         still_m, still_rad: motions below these are no move: no noise, discrepancies carry over.
     """
 
@@ -59,6 +62,7 @@ class FilterSettings:
     weighing: Literal["scratch", "incremental"] = "scratch"
     weigh_before_resampling: bool = True
     descent: DescentSettings = field(default_factory=DescentSettings)
+    lies_flat: bool = True
     still_m: float = 1e-4
     still_rad: float = 1e-3
 
@@ -99,17 +103,21 @@ class PoseFilter(nn.Module):
         discrepancy: C^ with the settings' scale and tolerance.
         search: "SE(2)" or "SE(3)".
         settings: how.
+        prior: of the pose at the start; its part is added to the discrepancy, as if it were an observation.
     """
 
     lattice: Tensor
 
-    def __init__(self, discrepancy: Discrepancy, search: Search, settings: FilterSettings) -> None:
+    def __init__(
+        self, discrepancy: Discrepancy, search: Search, settings: FilterSettings, prior: PosePrior | None = None
+    ) -> None:
         super().__init__()
         if search not in SEARCHES:
             raise ValueError(f"Expected search to be one of {', '.join(SEARCHES)}, got {search!r}")
         self.discrepancy = discrepancy
-        self.search: Search = search
+        self.search: Search = "SE(2)" if prior is not None and settings.lies_flat else search
         self.settings = settings
+        self.prior = prior
         lattice = (settings.free_spacing_m, settings.free_spacing_m, settings.surface_spacing_m)
         self.register_buffer("lattice", torch.tensor(lattice))
 
@@ -200,8 +208,19 @@ class PoseFilter(nn.Module):
         return self._weighted(replace(belief, discrepancy=total), total - before.discrepancy)
 
     def total(self, belief: PoseBelief, memory: Observation) -> Float[Tensor, "*b N"]:
-        """Discrepancy of all observations."""
-        return self.discrepancy(belief.attached_T_object, in_attached_frame(memory, belief.world_T_attached))
+        """Discrepancy of all observations, and the prior's part."""
+        return self.cost(belief.attached_T_object, in_attached_frame(memory, belief.world_T_attached))
+
+    def cost(self, attached_T_object: Float[Tensor, "*b N 4 4"], here: Observation) -> Float[Tensor, "*b N"]:
+        """Discrepancy of poses under points that are in the attached frame as well, and the prior's part."""
+        total = self.discrepancy(attached_T_object, here)
+        return total if self.prior is None else total + self.prior_part(attached_T_object)
+
+    def prior_part(self, attached_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
+        """The discrepancy that the prior amounts to: the attached frame is the world's at the start."""
+        if self.prior is None:
+            return torch.zeros_like(attached_T_object[..., 0, 0])
+        return self.prior.nats(attached_T_object) / self.settings.peakiness
 
     def _weighted(self, belief: PoseBelief, change: Float[Tensor, "*b N"]) -> PoseBelief:
         if not bool(torch.isfinite(belief.discrepancy).any(-1).all()):
@@ -224,7 +243,7 @@ class PoseFilter(nn.Module):
         poses = self.perturb(fresh.attached_T_object, generator=generator, rows=rows)
         here = in_attached_frame(memory, belief.world_T_attached)
         poses = descend(self.discrepancy, poses, here, self.search, settings.descent)
-        total = self.discrepancy(poses, here)
+        total = self.cost(poses, here)
         fresh = replace(fresh, attached_T_object=poses, discrepancy=total)
         if settings.weighing == "scratch" and settings.weigh_before_resampling:
             fresh = fresh.reweighted(-settings.peakiness * total)

@@ -1,10 +1,41 @@
 """What every push model is: control sequences in, predicted motion of robot and object out."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+
+
+class Paths(NamedTuple):
+    """What the robot and the object do in some rollouts, after each of H actions.
+
+    Attributes:
+        configurations: (*b, H, Q), where the robot is.
+        displacements: (*b, H, 3), how far the object, or its point at the `pivot`, has been moved, metres, world axes.
+        turns: (*b, H), how far it has been turned, radians; None if never.
+        pivot: (2,), where objects turn.
+    """
+
+    configurations: Float[Tensor, "*b H Q"]
+    displacements: Float[Tensor, "*b H 3"]
+    turns: Float[Tensor, "*b H"] | None = None
+    pivot: Float[Tensor, "2"] | None = None
+
+    def riding(self) -> tuple[Float[Tensor, "*b H Q"], Float[Tensor, "*b H 3"]]:
+        """Configurations and displacements that meet of a field at rest what these meet of one riding on the object."""
+        if self.turns is None or self.pivot is None:
+            return self.configurations, self.displacements
+        # the field turns with the object: look from where it has not moved
+        cos, sin = self.turns.cos(), self.turns.sin()
+        x, y = (self.configurations[..., :2] - self.pivot - self.displacements[..., :2]).unbind(-1)
+        place = torch.stack((cos * x + sin * y, cos * y - sin * x), -1) + self.pivot
+        seen = torch.cat((place, (self.configurations[..., 2] - self.turns)[..., None]), -1)
+        return seen, torch.zeros_like(self.displacements)
+
+    def staying(self) -> tuple[Float[Tensor, "*b H Q"], Float[Tensor, "*b H 3"]]:
+        """The same as if the object stayed."""
+        return self.configurations, torch.zeros_like(self.displacements)
 
 
 class PushRollouts(NamedTuple):
@@ -12,11 +43,14 @@ class PushRollouts(NamedTuple):
 
     Attributes:
         configurations: (K, M, T, Q), where the robot is.
-        displacements: (K, M, T, 3), how far the object has been moved since the present, metres, world axes.
+        displacements: (K, M, T, 3), how far the object (with a `pivot`, its point that is there at present) has been
+            moved since the present, metres, world axes.
         contact: (K, M, H), whether the robot touched the object during a step.
         checked: share of the contact checks that were done point by point; the rest was settled by a bound, or by
             another rollout that had met the same so far.
         twin: (K, M), the first rollout of the same sequence that is known to be the same throughout, itself if none is.
+        turns: (K, M, T), how far the object has been turned since the present, radians; None if never.
+        pivot: (2,), the point whose displacements are told, where objects turn.
     """
 
     configurations: Float[Tensor, "K M T Q"]
@@ -24,13 +58,21 @@ class PushRollouts(NamedTuple):
     contact: Bool[Tensor, "K M H"]
     checked: float
     twin: Int[Tensor, "K M"]
+    turns: Float[Tensor, "K M T"] | None = None
+    pivot: Float[Tensor, "2"] | None = None
 
     @property
     def touched(self) -> Bool[Tensor, "K M"]:
         """Whether a rollout touched the object at all; one that did not follows the free path."""
         return self.contact.any(-1)
 
+    def paths(self, which: Bool[Tensor, "K M"]) -> Paths:
+        """Some of the rollouts, (R, H, ...), after each action."""
+        turns = None if self.turns is None else self.turns[:, :, 1:][which]
+        return Paths(self.configurations[:, :, 1:][which], self.displacements[:, :, 1:][which], turns, self.pivot)
 
+
+@runtime_checkable
 class PushModel(Protocol):
     """Predicts how the robot moves and what it does to the object."""
 

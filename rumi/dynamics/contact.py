@@ -55,16 +55,21 @@ class ContactField:
 class ContactBound:
     """Upper bound on the contact probability of a tool, from a few look-ups instead of one for each point.
 
-    The tool's points lie in discs. What a disc can meet is at most the greatest node value that interpolation at any
-    point of it may draw on: a maximum filter of the field, looked up at the node next to the disc's centre.
+    The tool's points lie in discs, in space in balls. What a disc can meet is at most the greatest node value that
+    interpolation at any point of it may draw on: a maximum filter of the field, looked up at the node next to the
+    disc's centre.
 
     Args:
         probability: contact probability (X, Y, Z).
-        centres_t: centres of discs that cover the tool's points, tool frame.
+        centres_t: centres of discs that cover the tool's points, or of balls, tool frame.
         radius: of the discs, metres.
     """
 
-    def __init__(self, probability: VoxelGrid, centres_t: Float[Tensor, "D 2"], radius: float) -> None:
+    def __init__(self, probability: VoxelGrid, centres_t: Float[Tensor, "D A"], radius: float) -> None:
+        if centres_t.shape[-1] == 3:
+            self.grid, self.centres_t = _spread_in_space(probability, radius), centres_t
+            self._field = TiedField(self.grid, centres_t, "nearest", spatial=True)
+            return
         highest = probability.values.amax(2)
         cells = radius / probability.spacing
         filtered, margin = _spread(highest, cells)
@@ -73,9 +78,23 @@ class ContactBound:
         self.centres_t = torch.cat((centres_t, torch.zeros_like(centres_t[:, :1])), -1)
         self._field = TiedField(self.grid, self.centres_t, "nearest")
 
-    def __call__(self, features: Float[Tensor, "E 5"]) -> Float[Tensor, "E"]:
+    def __call__(self, features: Float[Tensor, "E F"]) -> Float[Tensor, "E"]:
         """Greatest contact probability that any tool point can have, for each row of `planar_features`."""
         return self._field(features)[0].amax(-1)
+
+
+def _spread_in_space(grid: VoxelGrid, radius: float) -> VoxelGrid:
+    """Maximum over a cube that holds a ball of `radius` metres, on a lattice wider by as much on every side.
+
+    As for `_spread`: a ball's points draw on nodes up to its radius and 1.5 cells off the node next to its centre.
+    """
+    reach = int(radius / grid.spacing + 1.5 + 1e-3)
+    values = nnf.pad(grid.values[None, None], [reach] * 6)
+    for axis in range(3):
+        kernel = [1, 1, 1]
+        kernel[axis] = 2 * reach + 1
+        values = nnf.max_pool3d(values, kernel, stride=1, padding=[k // 2 for k in kernel])
+    return VoxelGrid(values[0, 0], grid.origin - reach * grid.spacing, grid.spacing)
 
 
 def _spread(values: Float[Tensor, "X Y"], radius: float) -> tuple[Float[Tensor, "X2 Y2"], tuple[int, int]]:

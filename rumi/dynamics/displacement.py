@@ -64,8 +64,8 @@ class Touched:
     start: Int[Tensor, "R"]
     controls: Float[Tensor, "R H A"]
     draws: Float[Tensor, "R S"]
-    now: Float[Tensor, "R 3"]
-    way: Float[Tensor, "R 3"]  # free motion of a mini step
+    now: Float[Tensor, "R Q"]
+    way: Float[Tensor, "R Q"]  # free motion of a mini step
     offset: Float[Tensor, "R 3"]
     strayed: Bool[Tensor, "R"]  # was held up, hence off the free path
     stuck: Bool[Tensor, "R"]  # held up, and would be again at every mini step left of this step
@@ -73,7 +73,7 @@ class Touched:
     @classmethod
     def at_first_contact(
         cls,
-        path: Float[Tensor, "K S1 3"],
+        path: Float[Tensor, "K S1 Q"],
         controls: Float[Tensor, "K H A"],
         draws: Float[Tensor, "KM S"],
         start: Int[Tensor, "KM"],
@@ -83,11 +83,12 @@ class Touched:
         sample, first = rows // (len(draws) // len(path)), start[rows]
         now, no = path[sample, first], torch.zeros(len(rows), dtype=torch.bool, device=rows.device)
         way = path[sample, first + 1] - now
-        return cls(sample, first, controls[sample], draws[rows], now, way, torch.zeros_like(now), no, no.clone())
+        offset = torch.zeros_like(now[:, :3])
+        return cls(sample, first, controls[sample], draws[rows], now, way, offset, no, no.clone())
 
 
 class DisplacementModel:
-    """RUMI's Alg 7 for a planar tool, all rollouts at once.
+    """RUMI's Alg 7 for a level tool, all rollouts at once.
 
     A mini step moves the tool to q', an equal part of the straight way on which its free motion would take it in a
     whole action (so that its limits are asked once an action). Contact happens with the greatest contact probability
@@ -95,7 +96,8 @@ class DisplacementModel:
     opposite of the point's motion d' = h(q')[x] - h(q)[x] is below the push angle, the object moves by d'; if not, the
     tool stays at q. Differs from the printed algorithm: d' is a motion in the world, not against the displaced point
     (line 10); normals are turned into the world frame before they are summed (line 11); what decides on contact is
-    set by `hazard`. A contact without normal or motion does not push.
+    set by `hazard`. A contact without normal or motion does not push. The object stands on a floor: of d' it takes the
+    level part, and where the surface faces up or down rather than sideways, it does not give way.
 
     What is skipped, with the same result: a contact needs u < p, so p is looked up only where a bound on it is above
     the number u that decides; and until its first contact a rollout follows the free path of its controls, so that
@@ -111,13 +113,13 @@ class DisplacementModel:
         self.tool = tool
         self.settings = settings or DisplacementSettings()
         self.points = world_height(tool.body, tool.height_m).to(field.probability.values)
-        probability, normal = field.probability, field.normal
-        if bool((self.points[:, 2] == self.points[0, 2]).all()):
+        probability, normal, spatial = field.probability, field.normal, tool.spatial
+        if not spatial and bool((self.points[:, 2] == self.points[0, 2]).all()):
             height = float(self.points[0, 2])
             probability, normal = at_height(probability, height), at_height(normal, height)
         self.grids = (probability, normal)
-        self._probability = TiedField(probability, self.points)
-        self._normal = TiedField(normal, self.points)
+        self._probability = TiedField(probability, self.points, spatial=spatial)
+        self._normal = TiedField(normal, self.points, spatial=spatial)
         self.bound: ContactBound | None = None
         if self.settings.discs:
             centres, radius = tool.covering_discs(self.settings.discs)
@@ -144,29 +146,30 @@ class DisplacementModel:
 
     def rollout(
         self,
-        configuration: Float[Tensor, "3"],
+        configuration: Float[Tensor, "Q"],
         controls: Float[Tensor, "K H A"],
         *,
         rollouts: int,
         generator: torch.Generator,
     ) -> PushRollouts:
-        """Roll control sequences out `rollouts` times each from one configuration (x, y, yaw)."""
+        """Roll control sequences out `rollouts` times each from one configuration of the tool."""
         uniforms = self.draw(controls.shape[0], rollouts, controls.shape[1], generator=generator)
         return self.rollout_drawn(configuration, controls, uniforms)
 
-    def likely(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "H A"]) -> PushRollouts:
+    def likely(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) in which contact happens where it is more likely than not."""
         return self.rollout_drawn(configuration, controls[None], controls.new_full((1, 1, len(controls), 1), 0.5))
 
     @torch.no_grad()
     def rollout_drawn(
         self,
-        configuration: Float[Tensor, "3"],
+        configuration: Float[Tensor, "Q"],
         controls: Float[Tensor, "K H A"],
         uniforms: Float[Tensor, "K M H S"],
     ) -> PushRollouts:
         """The rollouts that given uniform numbers lead to; nothing else is random."""
-        check_shape("configuration", configuration, "(3,)", last=(3,))
+        size = len(self.tool.scale)
+        check_shape("configuration", configuration, f"({size},)", last=(size,))
         check_shape("controls", controls, "(K, H, A)")
         version = backend.dispatch("push_rollouts", configuration, controls, uniforms, self.points)
         with savings.work("contact_checks") as work:
@@ -176,7 +179,7 @@ class DisplacementModel:
         return found
 
     def _rollouts(
-        self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], uniforms: Float[Tensor, "K M H S"]
+        self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "K H A"], uniforms: Float[Tensor, "K M H S"]
     ) -> PushRollouts:
         (samples, horizon, _), rollouts, mini = controls.shape, uniforms.shape[1], self.settings.mini_steps
         steps = horizon * mini
@@ -184,15 +187,15 @@ class DisplacementModel:
         path = self._free_path(configuration, controls)
         start, checked = self._first_contact(path[:, 1:], draws)  # (K, M), `steps` if none
 
-        states = path[:, None, ::mini].expand(samples, rollouts, horizon + 1, 3).clone()
-        moved = torch.zeros_like(states)
+        states = path[:, None, ::mini].expand(samples, rollouts, horizon + 1, path.shape[-1]).clone()
+        moved = torch.zeros_like(states[..., :3])
         contact = torch.zeros(samples, rollouts, horizon, dtype=torch.bool, device=controls.device)
         rows = (start.flatten() < steps).nonzero()[:, 0]
         if len(rows):
             # by first contact, so that those under way at any time are the first rows
             rows = rows[start.flatten()[rows].sort(stable=True).indices]
             touched = Touched.at_first_contact(path, controls, draws.reshape(-1, steps), start.flatten(), rows)
-            flat = (states.view(-1, horizon + 1, 3), moved.view(-1, horizon + 1, 3), contact.view(-1, horizon))
+            flat = (states.view(-1, *states.shape[2:]), moved.view(-1, horizon + 1, 3), contact.view(-1, horizon))
             out = (flat[0][rows], flat[1][rows], flat[2][rows])
             checked += self._follow(path, touched, out)
             for whole, part in zip(flat, out, strict=True):
@@ -203,10 +206,10 @@ class DisplacementModel:
         return PushRollouts(states, moved, contact, checked / max(1, samples * rollouts * steps), twin)
 
     def _free_path(
-        self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"]
-    ) -> Float[Tensor, "K S1 3"]:
+        self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "K H A"]
+    ) -> Float[Tensor, "K S1 Q"]:
         """Where each mini step leads if there is no contact, the present configuration first."""
-        mini, start = self.settings.mini_steps, configuration.expand(len(controls), 1, 3)
+        mini, start = self.settings.mini_steps, configuration.expand(len(controls), 1, len(configuration))
         ends = self.tool.free_path(start[:, 0], controls, 1)
         begins = torch.cat((start, ends[:, :-1]), 1)
         parts = torch.arange(1, mini + 1, dtype=ends.dtype, device=ends.device)[:, None] / mini
@@ -214,14 +217,14 @@ class DisplacementModel:
         return torch.cat((start, between.flatten(1, 2)), 1)
 
     def _first_contact(
-        self, path: Float[Tensor, "K S 3"], draws: Float[Tensor, "K M S"]
+        self, path: Float[Tensor, "K S Q"], draws: Float[Tensor, "K M S"]
     ) -> tuple[Int[Tensor, "K M"], int]:
         """Mini step of each rollout's first contact on the free path, S where there is none; checks done."""
         samples, steps = path.shape[:2]
         features = planar_features(path)
         possible = torch.ones_like(draws, dtype=torch.bool)
         if self.bound is not None:
-            possible = draws < self.bound(features.reshape(-1, 5)).view(samples, 1, steps)
+            possible = draws < self.bound(features.flatten(0, 1)).view(samples, 1, steps)
         start = torch.full(draws.shape[:2], steps, dtype=torch.long, device=draws.device)
         checked = 0
         for first in range(0, steps, self.settings.mini_steps):
@@ -240,9 +243,9 @@ class DisplacementModel:
 
     def _follow(
         self,
-        path: Float[Tensor, "K S1 3"],
+        path: Float[Tensor, "K S1 Q"],
         touched: Touched,
-        out: tuple[Float[Tensor, "R H1 3"], Float[Tensor, "R H1 3"], Bool[Tensor, "R H"]],
+        out: tuple[Float[Tensor, "R H1 Q"], Float[Tensor, "R H1 3"], Bool[Tensor, "R H"]],
     ) -> int:
         """Carry touched rollouts from their first contact on; gives the number of checks."""
         states, moved, contact = out
@@ -263,8 +266,8 @@ class DisplacementModel:
         return checked
 
     def _ways(
-        self, path: Float[Tensor, "K S1 3"], touched: Touched, count: int, index: int
-    ) -> Float[Tensor, "count 3"]:
+        self, path: Float[Tensor, "K S1 Q"], touched: Touched, count: int, index: int
+    ) -> Float[Tensor, "count Q"]:
         """Free motion of a mini step of action `index` for the first `count` rollouts."""
         mini, now = self.settings.mini_steps, touched.now[:count]
         ends = path[touched.sample[:count], (index + 1) * mini]
@@ -301,7 +304,7 @@ class DisplacementModel:
             pushes = self._pushes(self._normal.at(features[at], point).mT, motion)
             contact[rows[at]] = True
             pushed, blocked = at[pushes], at[~pushes]
-            touched.offset[rows[pushed]] += motion[pushes]
+            touched.offset[rows[pushed], :2] += motion[pushes, :2]
             touched.now[rows[blocked]] = before[blocked]
             touched.strayed[rows[blocked]] = True
             # nothing that decides on the next mini step has changed
@@ -309,21 +312,24 @@ class DisplacementModel:
         return len(possible)
 
     def _motion(
-        self, before: Float[Tensor, "E 3"], after: Float[Tensor, "E 3"], point: Int[Tensor, "E"]
+        self, before: Float[Tensor, "E Q"], after: Float[Tensor, "E Q"], point: Int[Tensor, "E"]
     ) -> Float[Tensor, "E 3"]:
         """World motion of one point of the tool for each row, metres."""
         x, y = self.points[point, 0], self.points[point, 1]
-        cos = after[:, 2].cos() - before[:, 2].cos()
-        sin = after[:, 2].sin() - before[:, 2].sin()
+        cos = after[:, -1].cos() - before[:, -1].cos()
+        sin = after[:, -1].sin() - before[:, -1].sin()
         shift = after - before
-        return torch.stack((cos * x - sin * y + shift[:, 0], sin * x + cos * y + shift[:, 1], torch.zeros_like(x)), -1)
+        rise = shift[:, 2] if self.tool.spatial else torch.zeros_like(x)
+        return torch.stack((cos * x - sin * y + shift[:, 0], sin * x + cos * y + shift[:, 1], rise), -1)
 
     def _pushes(self, normal: Float[Tensor, "E 3"], motion: Float[Tensor, "E 3"]) -> Bool[Tensor, "E"]:
         """Whether the motion goes into the surface within the push angle; never without a normal or a motion."""
         length, way = normal.norm(dim=-1), motion.norm(dim=-1)
         tiny = 1e-6
         inward = -(normal * motion).sum(-1)
-        return (inward > math.cos(self.settings.push_angle) * length * way) & (length > tiny) & (way > tiny)
+        pushes = (inward > math.cos(self.settings.push_angle) * length * way) & (length > tiny) & (way > tiny)
+        # what is met from above or below stands on the floor, or hangs on what does
+        return pushes & (normal[:, :2].norm(dim=-1) >= normal[:, 2].abs()) if self.tool.spatial else pushes
 
 
 backend.register("push_rollouts")(DisplacementModel._rollouts)
@@ -334,7 +340,7 @@ def _rollouts_numba(
     model: DisplacementModel, configuration: Tensor, controls: Tensor, uniforms: Tensor
 ) -> PushRollouts:
     x, y, z = model.grids[0].shape
-    if z > 1 or min(x, y) == 1:
-        # points of several heights, or a field that is constant along an axis: the plain version knows how
+    if min(x, y) == 1 or (z > 1) != model.tool.spatial:
+        # points of several heights in a plane, or a field constant along an axis: the plain version knows how
         return model._rollouts(configuration, controls, uniforms)
     return model.fused(configuration, controls, uniforms)

@@ -10,12 +10,11 @@ from torch import Tensor
 
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.displacement import TIE, DisplacementModel
-from rumi.dynamics.displacement_numba import push_rollouts
 from sdf.voxel_grid import VoxelGrid
 
 
 class FusedPush:
-    """The fused CPU version of `rollout_drawn` for a planar model.
+    """The fused CPU version of `rollout_drawn`, for a tool that moves in a plane or in space.
 
     Skipped, with the same result: points of discs that cannot hold the greatest contact probability; and all of a
     rollout that has met the same as another of its control sequence so far.
@@ -26,18 +25,23 @@ class FusedPush:
 
     def __init__(self, model: DisplacementModel) -> None:
         probability, normal = model.grids
+        self._spatial = model.tool.spatial
+        axes = 3 if self._spatial else 2
         centres = model.points.new_zeros(1, 3)
         # without a bound, one disc that may always touch
-        bound = VoxelGrid(torch.ones_like(probability.values[:1, :1]), probability.origin, probability.spacing)
+        bound = VoxelGrid(torch.ones_like(probability.values[:1, :1, :1]), probability.origin, probability.spacing)
         if model.bound is not None:
             centres, bound = model.bound.centres_t, model.bound.grid
-        owner = torch.cdist(model.points[:, :2], centres[:, :2]).argmin(-1)
+        owner = torch.cdist(model.points[:, :axes], centres[:, :axes]).argmin(-1)
         starts = torch.searchsorted(owner.sort().values, torch.arange(len(centres) + 1))
         order = owner.argsort(stable=True)
-        padded = torch.nn.functional.pad(probability.values[:, :, 0], [2, 2, 2, 2])
-        self._body = _arrays(*model.points[order, :2].unbind(-1), starts, order)
-        self._fields = _arrays(padded.flatten(), probability.origin, normal.values[:, :, 0])
-        self._discs = _arrays(bound.values[:, :, 0], bound.origin, centres)
+        values = [
+            grid if self._spatial else grid[:, :, 0] for grid in (probability.values, normal.values, bound.values)
+        ]
+        padded = torch.nn.functional.pad(values[0], [2] * 2 * axes)
+        self._body = _arrays(*model.points[order, :axes].unbind(-1), starts, order)
+        self._fields = _arrays(padded.flatten(), probability.origin, values[1])
+        self._discs = _arrays(values[2], bound.origin, centres)
         (self._action,) = _arrays(model.tool.scale)
         self._arm = model.tool.arm_arrays()
         self._sizes = np.array((*padded.shape, 1.0 / probability.spacing, TIE))
@@ -47,15 +51,19 @@ class FusedPush:
         self._mini_steps = settings.mini_steps
 
     def __call__(
-        self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], uniforms: Float[Tensor, "K M H S"]
+        self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "K H A"], uniforms: Float[Tensor, "K M H S"]
     ) -> PushRollouts:
         """The rollouts that given uniform numbers lead to."""
         (samples, horizon, _), rollouts = controls.shape, uniforms.shape[1]
-        states = controls.new_empty(samples, rollouts, horizon + 1, 3)
-        moved = torch.empty_like(states)
+        states = controls.new_empty(samples, rollouts, horizon + 1, len(configuration))
+        moved = controls.new_empty(samples, rollouts, horizon + 1, 3)
         contact = torch.empty(samples, rollouts, horizon, dtype=torch.bool)
         twin = torch.empty(samples, rollouts, dtype=torch.long)
         checks = torch.zeros(samples, dtype=torch.long)
+        if self._spatial:
+            from rumi.dynamics.displacement_space_numba import push_rollouts
+        else:
+            from rumi.dynamics.displacement_numba import push_rollouts
         push_rollouts(
             *_arrays(configuration, controls, uniforms),
             self._action,
@@ -74,7 +82,7 @@ class FusedPush:
     def _scratch(self, samples: int, rollouts: int) -> tuple[Any, ...]:
         """Room to work in, by control sequence: state, flags and number of each group; bounds; probabilities."""
         return (
-            np.zeros((samples, rollouts, 10)),
+            np.zeros((samples, rollouts, 12 if self._spatial else 10)),
             np.zeros((samples, 2, rollouts), np.bool_),
             np.zeros((samples, rollouts), np.int64),
             np.empty((samples, len(self._discs[2]))),

@@ -1,4 +1,4 @@
-"""Points of a planar tool, placed on a lattice by one matrix product, and lattice fields looked up there."""
+"""Points of a level tool, placed on a lattice by one matrix product, and lattice fields looked up there."""
 
 import math
 from typing import Literal
@@ -17,28 +17,30 @@ def world_height(points_t: Float[Tensor, "M 3"], height: float) -> Float[Tensor,
 
 
 def planar_features(
-    configurations: Float[Tensor, "*b 3"], displacements: Float[Tensor, "*b 3"] | None = None
-) -> Float[Tensor, "*b 5"]:
+    configurations: Float[Tensor, "*b Q"], displacements: Float[Tensor, "*b 3"] | None = None
+) -> Float[Tensor, "*b F"]:
     """(cos yaw, sin yaw, x, y, 1) of configurations (x, y, yaw), in the frame of an object moved by `displacements`.
 
-    A world point y meets the object where y - d met it before it moved, hence x - dx and y - dy; a planar tool has
-    no use for dz.
+    A world point y meets the object where y - d met it before it moved, hence x - dx and y - dy; objects stay on the
+    floor, so that there is no use for dz. A configuration in space (x, y, z, yaw) has its z as a sixth feature.
     """
-    x, y, yaw = configurations.unbind(-1)
+    x, y, yaw = configurations[..., 0], configurations[..., 1], configurations[..., -1]
     if displacements is not None:
         x, y = x - displacements[..., 0], y - displacements[..., 1]
-    return torch.stack((yaw.cos(), yaw.sin(), x, y, torch.ones_like(x)), -1)
+    features = (yaw.cos(), yaw.sin(), x, y, torch.ones_like(x))
+    return torch.stack((*features, configurations[..., 2]) if configurations.shape[-1] == 4 else features, -1)
 
 
 def placement(
-    points_t: Float[Tensor, "M 3"], scale: Float[Tensor, "3"], offset: Float[Tensor, "3"]
-) -> Float[Tensor, "5 M 3"]:
+    points_t: Float[Tensor, "M 3"], scale: Float[Tensor, "3"], offset: Float[Tensor, "3"], *, spatial: bool = False
+) -> Float[Tensor, "F M 3"]:
     """Matrix from `planar_features` to `scale * point + offset` of every tool point.
 
     Args:
-        points_t: metres; x and y in the tool frame, z in the world.
+        points_t: metres; x and y in the tool frame, z in the world, or with `spatial` in the tool frame too.
         scale: of each world axis.
         offset: of each world axis, after scaling.
+        spatial: whether the features are those of configurations in space.
     """
     px, py, pz = points_t.unbind(-1)
     none, one = torch.zeros_like(px), torch.ones_like(px)
@@ -47,7 +49,10 @@ def placement(
     along_z = torch.stack((none, none, none, none, pz * scale[2]))
     matrix = torch.stack((along_x, along_y, along_z), -1)
     matrix[4] += offset
-    return matrix
+    if not spatial:
+        return matrix
+    rise = torch.stack((none, none, one * scale[2]), -1)
+    return torch.cat((matrix, rise[None]))
 
 
 def at_height(grid: VoxelGrid, height: float) -> VoxelGrid:
@@ -98,29 +103,35 @@ class FieldSampler:
 
 
 class TiedField:
-    """A lattice field, looked up at points that are tied to a planar tool; see `FieldSampler`.
+    """A lattice field, looked up at points that are tied to a level tool; see `FieldSampler`.
 
     Args:
         grid: the field.
-        points_t: points of the tool; x and y in its frame, z in the world.
+        points_t: points of the tool; x and y in its frame, z in the world, or with `spatial` in its frame too.
         mode: as for `FieldSampler`.
+        spatial: whether the tool moves in space.
     """
 
     def __init__(
-        self, grid: VoxelGrid, points_t: Float[Tensor, "M 3"], mode: Literal["bilinear", "nearest"] = "bilinear"
+        self,
+        grid: VoxelGrid,
+        points_t: Float[Tensor, "M 3"],
+        mode: Literal["bilinear", "nearest"] = "bilinear",
+        *,
+        spatial: bool = False,
     ) -> None:
         self._sample = FieldSampler(grid, mode)
         scale, offset = self._sample.scale, self._sample.offset
         if len(scale) == 2:  # no sampler coordinate along z
             scale, offset = functional.pad(scale, [0, 1]), functional.pad(offset, [0, 1])
-        self._matrix = placement(points_t, scale, offset)[..., : len(self._sample.scale)]
-        self._flat = self._matrix.reshape(5, -1).contiguous()
+        self._matrix = placement(points_t, scale, offset, spatial=spatial)[..., : len(self._sample.scale)]
+        self._flat = self._matrix.reshape(len(self._matrix), -1).contiguous()
 
-    def __call__(self, features: Float[Tensor, "E 5"]) -> Float[Tensor, "C E M"]:
+    def __call__(self, features: Float[Tensor, "E F"]) -> Float[Tensor, "C E M"]:
         """Values at every point of the tool for each row of `planar_features`."""
         return self._sample((features @ self._flat).view(len(features), *self._matrix.shape[1:]))
 
-    def at(self, features: Float[Tensor, "E 5"], index: Int[Tensor, "E"]) -> Float[Tensor, "C E"]:
+    def at(self, features: Float[Tensor, "E F"], index: Int[Tensor, "E"]) -> Float[Tensor, "C E"]:
         """Values at one point of the tool for each row of features."""
         place = (features.mT[..., None] * self._matrix[:, index]).sum(0)
         return self._sample(place[:, None])[..., 0]

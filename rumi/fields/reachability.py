@@ -57,6 +57,7 @@ class Reach(nn.Module):
         self.register_buffer("position", table.position.to(torch.float32))
         self.register_buffer("rotation", table.rotation.to(torch.float32))
         self.register_buffer("base", torch.tensor(base, dtype=torch.float32))
+        self.heights_m: tuple[float, ...] = ()
         self.position: Tensor
         self.rotation: Tensor
         self.base: Tensor
@@ -79,40 +80,40 @@ class Reach(nn.Module):
         settings = settings or ReachSettings()
         return cls(reach_table(settings, cache_dir=cache_dir), settings, base)
 
-    def errors(self, q: Float[Tensor, "*b 3"]) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
+    def errors(self, q: Float[Tensor, "*b Q"]) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
         """Position error (m) and rotation error (rad) that remain at configurations (x, y, yaw)."""
         place, beyond = self._locate(q)
         position, rotation = _look_up(torch.stack((self.position, self.rotation)), place)
         return position + beyond, rotation
 
-    def residual_m(self, q: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+    def residual_m(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b"]:
         """Position error that inverse kinematics leaves, metres."""
         return self.errors(q)[0]
 
-    def rotation_residual(self, q: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+    def rotation_residual(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b"]:
         """Rotation error that inverse kinematics leaves, radians."""
         return self.errors(q)[1]
 
     @property
-    def left(self) -> Float[Tensor, "R Y"]:
+    def left(self) -> Float[Tensor, "*Z R Y"]:
         """Position error plus the metres that the rotation error counts as, at the table's nodes."""
         return self.position + self.settings.rotation_scale_m * self.rotation
 
-    def residual(self, q: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+    def residual(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b"]:
         """Position error plus the metres that the rotation error counts as, which decides what is reachable."""
         place, beyond = self._locate(q)
         (left,) = _look_up(self.left[None], place)
         return left + beyond
 
-    def reachable(self, q: Float[Tensor, "*b 3"]) -> Bool[Tensor, "*b"]:
+    def reachable(self, q: Float[Tensor, "*b Q"]) -> Bool[Tensor, "*b"]:
         """Whether the arm gets there: the residual is within the tolerance."""
         return self.residual(q) <= self.settings.tolerance_m
 
-    def relative(self, q: Float[Tensor, "*b 3"]) -> tuple[Tensor, Tensor, Tensor]:
+    def relative(self, q: Float[Tensor, "*b Q"]) -> tuple[Tensor, Tensor, Tensor]:
         """Distance from the base's axis (m), angle from its forward direction, yaw relative to the radial one."""
         offset = q[..., :2] - self.base[:2]
         direction = torch.atan2(offset[..., 1], offset[..., 0])
-        return offset.norm(dim=-1), _wrap(direction - self.base[2]), _wrap(q[..., 2] - direction)
+        return offset.norm(dim=-1), _wrap(direction - self.base[2]), _wrap(q[..., -1] - direction)
 
     def field(
         self,
@@ -143,7 +144,7 @@ class Reach(nn.Module):
         """
         return self.reachable(self._oriented(points_w, yaws)).to(points_w.dtype).mean(-1)
 
-    def _oriented(self, points_w: Tensor, yaws: Sequence[float]) -> Float[Tensor, "*b R 3"]:
+    def _oriented(self, points_w: Tensor, yaws: Sequence[float]) -> Float[Tensor, "*b R Q"]:
         check_shape("points_w", points_w, "(*b, 3)", last=(3,))
         if len(yaws) == 0:
             raise ValueError("Expected yaws to hold at least one angle, got none")
@@ -151,21 +152,26 @@ class Reach(nn.Module):
         planar = points_w[..., None, :2].expand(*points_w.shape[:-1], len(turns), 2)
         return torch.cat((planar, turns[:, None].expand(*planar.shape[:-1], 1)), -1)
 
-    def _locate(self, q: Tensor) -> tuple[Float[Tensor, "*b 2"], Float[Tensor, "*b"]]:
+    def _locate(self, q: Tensor) -> tuple[Float[Tensor, "*b D"], Float[Tensor, "*b"]]:
         """Place of each configuration in the table, (yaw, radius) in [-1, 1], and metres beyond the table."""
         radius, direction, yaw = self.relative(q)
         last = (self.position.shape[0] - 1) * self.settings.radius_step_m
-        beyond = (radius - last).clamp_min(0.0) + radius * (direction.abs() - SECTOR_RAD).clamp_min(0.0)
-        return torch.stack((yaw.abs() * (2.0 / math.pi) - 1.0, radius * (2.0 / last) - 1.0), -1), beyond
+        place = torch.stack((yaw.abs() * (2.0 / math.pi) - 1.0, radius * (2.0 / last) - 1.0), -1)
+        return place, self._beyond(radius, direction, last)
+
+    def _beyond(self, radius: Tensor, direction: Tensor, last: float) -> Float[Tensor, "*b"]:
+        """Metres beyond the table, whose last radius is `last`."""
+        return (radius - last).clamp_min(0.0) + radius * (direction.abs() - SECTOR_RAD).clamp_min(0.0)
 
 
-def _look_up(tables: Float[Tensor, "C R Y"], place: Float[Tensor, "*b 2"]) -> tuple[Tensor, ...]:
-    """Bilinear values of C tables, each (*b); beyond the last node the last node's."""
-    rows = place.reshape(1, 1, -1, 2)
+def _look_up(tables: Float[Tensor, "C *nodes"], place: Float[Tensor, "*b D"]) -> tuple[Tensor, ...]:
+    """Multilinear values of C tables of D axes, each (*b); beyond the last node the last node's."""
+    axes = place.shape[-1]
+    rows = place.reshape(*(1,) * axes, -1, axes)
     found = torch.nn.functional.grid_sample(
         tables[None].to(place), rows, mode="bilinear", padding_mode="border", align_corners=True
     )
-    return tuple(channel.reshape(place.shape[:-1]) for channel in found[0, :, 0])
+    return tuple(channel.reshape(place.shape[:-1]) for channel in found.flatten(2)[0])
 
 
 def _wrap(angle: Tensor) -> Tensor:

@@ -30,7 +30,9 @@ class InformationCost:
 
     Args:
         information: (X, Y, Z), nats, 0 or more, 0 outside.
-        points_t: sensing points of a planar tool; x and y in its frame, z in the world.
+        points_t: sensing points of a planar tool, x and y in its frame, z in the world; of one that moves in space,
+            in its frame.
+        spatial: whether the tool moves in space.
         discount: factor by which a cell is worth less with each action before it is first met; 1, the paper's, leaves
             it open when in the horizon something is done.
         normalise: divide by the field's total, so that the cost is in [-1, 0]; 0 where there is no information.
@@ -41,20 +43,21 @@ class InformationCost:
         information: VoxelGrid,
         points_t: Float[Tensor, "M 3"],
         *,
+        spatial: bool = False,
         discount: float = 1.0,
         normalise: bool = False,
     ) -> None:
         self.discount = discount
         self._total = information.values.sum() if normalise else None
-        self._cells = _cells(information, points_t)
+        self._cells = _cells(information, points_t, spatial)
 
     def __call__(
-        self, configurations: Float[Tensor, "R H 3"], displacements: Float[Tensor, "R H 3"]
+        self, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]
     ) -> Float[Tensor, "R"]:
         """Cost of each path.
 
         Args:
-            configurations: (x, y, yaw) after each action.
+            configurations: (x, y, yaw) after each action, in space (x, y, z, yaw).
             displacements: of the object by then, metres; z is not used.
         """
         cells = self._cells
@@ -69,14 +72,16 @@ class InformationCost:
 def information_cost(
     information: VoxelGrid,
     points_t: Float[Tensor, "M 3"],
-    configurations: Float[Tensor, "R H 3"],
+    configurations: Float[Tensor, "R H Q"],
     displacements: Float[Tensor, "R H 3"],
     *,
     discount: float = 1.0,
     normalise: bool = False,
 ) -> Float[Tensor, "R"]:
     """`InformationCost` of one field, asked once."""
-    return InformationCost(information, points_t, discount=discount, normalise=normalise)(configurations, displacements)
+    spatial = configurations.shape[-1] == 4
+    cost = InformationCost(information, points_t, spatial=spatial, discount=discount, normalise=normalise)
+    return cost(configurations, displacements)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +89,9 @@ class Cells:
     """The cells of a field that are worth something, with the sensing points that may meet them.
 
     Attributes:
-        value: worth of the cells in a box about all information, with a border of worthless ones in x and y for
-            whatever lies outside.
-        layer: of each point.
+        value: worth of the cells in a box about all information, with a border of worthless ones in x and y, in space
+            in z too, for whatever lies outside.
+        layer: of each point of a planar tool; empty in space.
         scale, offset: from metres to cells of the box.
         points_t: sensing points.
         middle: of the points' box, tool frame.
@@ -94,23 +99,30 @@ class Cells:
     """
 
     value: Float[Tensor, "X Y Z"]
-    layer: Int[Tensor, "M"]
+    layer: Int[Tensor, "L"]
     scale: Float[Tensor, "3"]
     offset: Float[Tensor, "3"]
     points_t: Float[Tensor, "M 3"]
     middle: Float[Tensor, "3"]
     radius: float
 
+    @property
+    def spatial(self) -> bool:
+        """Whether the tool moves in space."""
+        return len(self.layer) == 0
 
-def _cells(information: VoxelGrid, points_t: Float[Tensor, "M 3"]) -> Cells | None:
+
+def _cells(information: VoxelGrid, points_t: Float[Tensor, "M 3"], spatial: bool) -> Cells | None:
     """None where nothing can be met."""
     some = (information.values > 0).nonzero()
     if len(some) == 0 or len(points_t) == 0:
         return None
     low, high = some.amin(0), some.amax(0)
-    points_t, layer = _in_layers(points_t, information, int(low[2]), int(high[2]))
-    if len(points_t) == 0:
-        return None
+    layer = torch.zeros(0, dtype=torch.long, device=points_t.device)
+    if not spatial:
+        points_t, layer = _in_layers(points_t, information, int(low[2]), int(high[2]))
+        if len(points_t) == 0:
+            return None
     box = information.values[low[0] : high[0] + 1, low[1] : high[1] + 1, low[2] : high[2] + 1]
     scale = torch.full_like(information.origin, 1.0 / information.spacing)
     # a cell reaches half a spacing to each side of its node
@@ -119,21 +131,23 @@ def _cells(information: VoxelGrid, points_t: Float[Tensor, "M 3"]) -> Cells | No
     scale, offset = scale * (1.0 - lone), torch.where(lone > 0, 1.5, offset)  # a lone node holds every coordinate
     middle = 0.5 * (points_t.amin(0) + points_t.amax(0))
     radius = float((points_t - middle)[:, :2].norm(dim=-1).max() * scale.max())
-    return Cells(functional.pad(box, (0, 0, 1, 1, 1, 1)), layer, scale, offset, points_t, middle, radius)
+    border = (1, 1, 1, 1, 1, 1) if spatial else (0, 0, 1, 1, 1, 1)
+    return Cells(functional.pad(box, border), layer, scale, offset, points_t, middle, radius)
 
 
 @backend.register("gathered_information")
 def _gathered(
-    cells: Cells, configurations: Float[Tensor, "R H 3"], displacements: Float[Tensor, "R H 3"], discount: float
+    cells: Cells, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"], discount: float
 ) -> Float[Tensor, "R"]:
     """Worth of the cells that each path's points meet, discounted from the first meeting."""
     value, (rollouts, horizon) = cells.value, configurations.shape[:2]
     wide, deep, layers = value.shape
     features = planar_features(configurations, displacements)
     rows = _worth_counting(features, cells).nonzero()[:, 0]
-    along_x, along_y, _ = placement(cells.points_t, cells.scale, cells.offset).unbind(-1)
+    placed = placement(cells.points_t, cells.scale, cells.offset, spatial=cells.spatial)
+    along_x, along_y, along_z = placed.unbind(-1)
     gathered = features.new_zeros(rollouts)
-    features, owner = features.reshape(-1, 5)[rows], rows // horizon
+    features, owner = features.flatten(0, 1)[rows], rows // horizon
     edges = torch.arange(0, rollouts + _CHUNK, _CHUNK, device=owner.device)
     bounds = torch.searchsorted(owner, edges).tolist()
     for chunk, (first, last) in enumerate(itertools.pairwise(bounds)):
@@ -144,7 +158,10 @@ def _gathered(
         cell = (here @ along_x).clamp_(0.0, wide - 1.0).trunc_().mul_(float(deep))
         cell.add_((here @ along_y).clamp_(0.0, deep - 1.0).trunc_())
         # whole numbers that floats hold exactly, up to here
-        index = cell.long().mul_(layers).add_(cells.layer)
+        layer = cells.layer
+        if cells.spatial:
+            layer = (here @ along_z).clamp_(0.0, layers - 1.0).long()
+        index = cell.long().mul_(layers).add_(layer)
         index += ((owner[first:last] - start) * value.numel())[:, None]
         marks = value.new_zeros(count * value.numel())
         if discount == 1.0:
@@ -160,10 +177,14 @@ def _gathered(
 
 @backend.register("gathered_information", "numba", fused.supports)
 def _gathered_numba(cells: Cells, configurations: Tensor, displacements: Tensor, discount: float) -> Tensor:
-    from rumi.planning.costs_numba import gathered
-
     result = configurations.new_empty(len(configurations))
-    geometry = (cells.layer, cells.scale, cells.offset, *cells.points_t[:, :2].unbind(-1), cells.middle)
+    geometry: tuple[Tensor, ...] = (cells.scale, cells.offset, *cells.points_t.unbind(-1), cells.middle)
+    if cells.spatial:
+        from rumi.planning.costs_space_numba import gathered
+    else:
+        from rumi.planning.costs_numba import gathered
+
+        geometry = (cells.layer, *geometry[:-2], cells.middle)  # heights are told by the layers
     gathered(
         cells.value.contiguous().numpy(),
         *(part.contiguous().numpy() for part in geometry),
@@ -187,9 +208,10 @@ def _in_layers(
     return points_t[keep], layer[keep].long() - low
 
 
-def _worth_counting(features: Float[Tensor, "R H 5"], cells: Cells) -> Bool[Tensor, "RH"]:
+def _worth_counting(features: Float[Tensor, "R H F"], cells: Cells) -> Bool[Tensor, "RH"]:
     """Steps that may mark a cell of worth which the step before did not."""
-    place = features @ placement(cells.middle[None], cells.scale, cells.offset)[:, 0, :2]
+    spatial = cells.spatial
+    place = features @ placement(cells.middle[None], cells.scale, cells.offset, spatial=spatial)[:, 0, :2]
     limit = place.new_tensor([float(n - 1) for n in cells.value.shape[:2]])
     gap = torch.maximum(1.0 - place, place - limit).amax(-1)
     near = gap <= cells.radius + _MARGIN

@@ -1,7 +1,7 @@
 """Shape of the gripper that touches: a palm and two rounded pads, and points on and in it."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -59,6 +59,62 @@ class GripperShape:
         pad = torch.cat(rows)
         both = torch.cat([pad + pad.new_tensor(center[:2]) for center in self.pad_centers])
         return both[~self.in_palm(both)]
+
+    def solid(self, spacing: float) -> Float[Tensor, "n 3"]:
+        """Points of the palm and the pads, borders included, about `spacing` metres apart."""
+        length, width, height = self.palm_m
+        axes = [
+            torch.linspace(low, high, _count(high - low, spacing), dtype=torch.float64)
+            for low, high in (
+                (self.palm_front_m - length, self.palm_front_m),
+                (-0.5 * width, 0.5 * width),
+                (-0.5 * height, 0.5 * height),
+            )
+        ]
+        palm = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        return torch.cat((palm, self.pad_solid(spacing)))
+
+    def pad_solid(self, spacing: float) -> Float[Tensor, "n 3"]:
+        """Points of the pads outside the palm, borders included, about `spacing` metres apart."""
+        deep = self.pad_m[2]
+        poles = torch.tensor([center[:2] for center in self.pad_centers], dtype=torch.float64)
+        layers = []
+        for z in torch.linspace(-deep, deep, _count(2.0 * deep, spacing), dtype=torch.float64).tolist():
+            share = math.sqrt(max(0.0, 1.0 - (z / deep) ** 2))
+            scaled = (share * self.pad_m[0], share * self.pad_m[1], deep)
+            flat = replace(self, pad_m=scaled).pad_section(spacing) if share > 0 else poles
+            layers.append(torch.cat((flat, torch.full_like(flat[:, :1], z)), -1))
+        points = torch.cat(layers)
+        return points[~self.in_palm(points)]
+
+    def outline(self, spacing: float) -> Float[Tensor, "n 2"]:
+        """Points on the border of the palm's and the pads' section at z = 0, about `spacing` metres apart."""
+        length, width, _ = self.palm_m
+        x = torch.linspace(self.palm_front_m - length, self.palm_front_m, _count(length, spacing), dtype=torch.float64)
+        y = torch.linspace(-0.5 * width, 0.5 * width, _count(width, spacing), dtype=torch.float64)
+        sides = [torch.stack((x, torch.full_like(x, float(end))), -1) for end in (y[0], y[-1])]
+        sides += [torch.stack((torch.full_like(y[1:-1], float(end)), y[1:-1]), -1) for end in (x[0], x[-1])]
+        a, b, _ = self.pad_m
+        fine = torch.linspace(0.0, 2.0 * math.pi, 1441, dtype=torch.float64)
+        around = torch.stack((a * fine.cos(), b * fine.sin()), -1)
+        along = torch.cat((torch.zeros(1, dtype=torch.float64), (around[1:] - around[:-1]).norm(dim=-1).cumsum(0)))
+        count = max(4, math.ceil(float(along[-1]) / spacing))
+        pad = around[torch.searchsorted(along, torch.arange(count, dtype=torch.float64) * (along[-1] / count))]
+        both = torch.cat([pad + pad.new_tensor(center[:2]) for center in self.pad_centers])
+        hidden = torch.stack(
+            [
+                ((both - both.new_tensor(c[:2])) / both.new_tensor((a, b))).square().sum(-1) < 1.0 - 1e-9
+                for c in self.pad_centers
+            ]
+        ).any(0)
+        palm = torch.cat(sides)
+        covered = torch.stack(
+            [
+                ((palm - palm.new_tensor(c[:2])) / palm.new_tensor((a, b))).square().sum(-1) < 1.0
+                for c in self.pad_centers
+            ]
+        ).any(0)
+        return torch.cat((palm[~covered], both[~self.in_palm(both) & ~hidden]))
 
     def pad_shell(self, spacing: float) -> Float[Tensor, "n 3"]:
         """Points on the pads' surface outside the palm, about `spacing` metres apart."""

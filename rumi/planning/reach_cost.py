@@ -1,8 +1,11 @@
 """What moving the object costs: information pushed to where the robot does not reach (RUMI, Alg 8)."""
 
+import math
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 from rumi.dynamics.planar import FieldSampler
 from sdf.check import check_shape
@@ -43,28 +46,88 @@ class ReachabilityCost:
 
     `-mean_t sum_x r(x) I(x - d_t) / sum_x I(x)`, with I multilinear between nodes and zero outside the lattice. For
     fractional d this is, exactly, the same interpolation of a table over whole shifts, the cross-correlation of r and
-    I: one Fourier transform for a plan and one look-up for a displacement.
+    I: one Fourier transform for a plan and one look-up for a displacement. Turns of the object about a point have a
+    table for every `turn_step`, made where a turn needs it, with linear interpolation between (planar fields only).
 
     Args:
         information: (X, Y, Z), 0 or more.
         reachability: (X, Y, Z) on the same lattice, in [0, 1].
+        turn_step: between the turns that have a table, radians.
     """
 
-    def __init__(self, information: VoxelGrid, reachability: VoxelGrid) -> None:
+    def __init__(self, information: VoxelGrid, reachability: VoxelGrid, *, turn_step: float = math.radians(10)) -> None:
         if information.values.shape != reachability.values.shape:
             raise ValueError(
                 f"Expected reachability to have the shape of information, {tuple(information.values.shape)}, "
                 f"got {tuple(reachability.values.shape)}: sample both on one workspace"
             )
         self.points = information.values.numel()
-        total = information.values.sum()
-        share = cross_correlation(reachability.values, information.values)
-        share = torch.where(total > 0, share / total, torch.zeros_like(share)).clamp(0.0, 1.0)
-        first = [-(n - 1.0) * information.spacing for n in information.shape]
-        self._share = FieldSampler(VoxelGrid(share, share.new_tensor(first), information.spacing))
+        self.turn_step = turn_step
+        self._information, self._reachability = information, reachability
+        self._total = information.values.sum()
+        self._origin = self._total.new_tensor([-(n - 1.0) * information.spacing for n in information.shape])
+        self._share = FieldSampler(VoxelGrid(self._table(information.values), self._origin, information.spacing))
+        self._turned: dict[int, Tensor] = {}
 
-    def __call__(self, displacements: Float[Tensor, "*b H 3"]) -> Float[Tensor, "*b"]:
-        """Cost in [-1, 0] of displacements after each of H steps, metres; 0 where there is no information."""
+    def __call__(
+        self,
+        displacements: Float[Tensor, "*b H 3"],
+        turns: Float[Tensor, "*b H"] | None = None,
+        pivot: Float[Tensor, "2"] | None = None,
+    ) -> Float[Tensor, "*b"]:
+        """Cost in [-1, 0] after each of H steps; 0 where there is no information.
+
+        Args:
+            displacements: metres, of the object, or of the `pivot` where it is turned.
+            turns: radians, about the pivot.
+            pivot: (2,), needed with turns; the same at every call.
+        """
         check_shape("displacements", displacements, "(*b, H, 3)", last=(3,))
+        if turns is not None and pivot is not None and bool((turns != 0).any()):
+            return -self._turned_shares(displacements[..., :2], turns, pivot).mean(-1)
         place = self._share.place(displacements.reshape(1, -1, 3))
         return -self._share(place).view(displacements.shape[:-1]).mean(-1)
+
+    def _table(self, information: Tensor) -> Tensor:
+        share = cross_correlation(self._reachability.values, information)
+        return torch.where(self._total > 0, share / self._total, torch.zeros_like(share)).clamp(0.0, 1.0)
+
+    def _turned_shares(self, displacements: Tensor, turns: Tensor, pivot: Tensor) -> Tensor:
+        if self._information.shape[2] != 1:
+            raise ValueError(
+                f"Expected a planar information field for objects that turn, got {self._information.shape[2]} layers"
+            )
+        place = turns / self.turn_step
+        first, last = int(place.min().floor()), int(place.max().floor()) + 1
+        for index in range(first, last + 1):
+            if index not in self._turned:
+                self._turned[index] = self._table(self._turn(index * self.turn_step, pivot))[:, :, 0]
+        stack = torch.stack([self._turned[index] for index in range(first, last + 1)])
+        angles, wide, deep = stack.shape
+        x, y = ((displacements - self._origin[:2]) / self._information.spacing).unbind(-1)
+        # the sampler wants -1 at the first node and 1 at the last, and the last axis first
+        grid = torch.stack((y * (2.0 / (deep - 1)), x * (2.0 / (wide - 1)), (place - first) * (2.0 / (angles - 1))), -1)
+        found = functional.grid_sample(
+            stack[None, None], grid.reshape(1, 1, 1, -1, 3) - 1.0, padding_mode="zeros", align_corners=True
+        )
+        return found.view(displacements.shape[:-1])
+
+    def _turn(self, turn: float, pivot: Tensor) -> Tensor:
+        """The information turned about the pivot: each node's value goes to the four nodes about its new place."""
+        values, origin = self._information.values[:, :, 0], self._information.origin
+        x, y = values.nonzero().unbind(-1)
+        held, spacing = values[x, y], self._information.spacing
+        from_pivot = torch.stack((x, y), -1) * spacing + origin[:2] - pivot
+        cos, sin = math.cos(turn), math.sin(turn)
+        way = from_pivot @ from_pivot.new_tensor([[cos, sin], [-sin, cos]])
+        node = (way + pivot - origin[:2]) / spacing
+        corner = node.floor()
+        share = node - corner
+        result = torch.zeros_like(values)
+        for dx in (0, 1):
+            for dy in (0, 1):
+                i, j = corner[:, 0].long() + dx, corner[:, 1].long() + dy
+                part = held * (share[:, 0] if dx else 1 - share[:, 0]) * (share[:, 1] if dy else 1 - share[:, 1])
+                inside = (i >= 0) & (j >= 0) & (i < values.shape[0]) & (j < values.shape[1])
+                result.index_put_((i[inside], j[inside]), part[inside], accumulate=True)
+        return result[..., None]

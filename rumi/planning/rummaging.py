@@ -11,9 +11,10 @@ from torch import Tensor
 
 from kmppi import MPPI, ControlPlan, MPPISettings
 from rumi.belief.particles import PoseBelief
-from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings
+from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.family import PUSH_MODELS, PushChoice, PushModels
 from rumi.dynamics.planar import world_height
+from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import (
     InformationSettings,
     WorkspaceFields,
@@ -39,7 +40,10 @@ class RummagingSettings:
 
     Attributes:
         information: the field that is to be gathered.
-        push: how the object is expected to move.
+        push_model: how the object is expected to move: "displacement" carries it with the point that touches it, as
+            in the paper; "quasi-static" pushes single poses of the belief, which slide and turn.
+        push: settings of the displacement model.
+        quasi_static: settings of the quasi-static model.
         mppi: the planner; its iterations are `warmup_iterations` for the first plan.
         information_scale: weight of the information cost (beta_I); 0 leaves it out.
         reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out.
@@ -52,7 +56,9 @@ class RummagingSettings:
     """
 
     information: InformationSettings = field(default_factory=InformationSettings)
+    push_model: PushChoice = "displacement"
     push: DisplacementSettings = field(default_factory=DisplacementSettings)
+    quasi_static: QuasiStaticSettings = field(default_factory=QuasiStaticSettings)
     mppi: MPPISettings = field(default_factory=_scale_free)
     information_scale: float = 1.0
     reachability_scale: float = 2.0
@@ -65,6 +71,8 @@ class RummagingSettings:
         """Refuse what gives nothing to plan for."""
         if self.rollouts < 1:
             raise ValueError(f"Expected rollouts to be 1 or more, got {self.rollouts}")
+        if self.push_model not in PUSH_MODELS:
+            raise ValueError(f"Expected push_model to be one of {', '.join(PUSH_MODELS)}, got {self.push_model!r}")
         scales = (self.information_scale, self.reachability_scale)
         if not 0 < self.information_discount <= 1:
             raise ValueError(f"Expected information_discount in (0, 1], got {self.information_discount}")
@@ -79,6 +87,7 @@ class RummagingSettings:
         """The paper's settings (Table IV)."""
         return cls(
             information=InformationSettings(mode="surrogate"),
+            push_model="displacement",
             push=DisplacementSettings(hazard="per_mini_step"),
             mppi=MPPISettings(temperature=0.01, cost_scale="raw"),
             reachability_scale=200.0,
@@ -100,6 +109,8 @@ class RummagingPolicy:
     ) -> None:
         self.settings = settings or RummagingSettings()
         self.reachability = reachability
+        own = self.settings
+        self.push_models = PushModels(own.push_model, own.push, own.quasi_static)
 
     @torch.no_grad()
     def act(
@@ -124,9 +135,8 @@ class RummagingPolicy:
             sdf, poses, log_weights = scene.model.sdf, belief.world_T_object, belief.log_weights
             fields = information_field(sdf, poses, log_weights, workspace.points, settings.information)
             watch.lap("fields")
-            contact = ContactField.from_belief(sdf, poses, log_weights, workspace, fields)
-            model = DisplacementModel(contact, tool, settings.push)
-            watch.lap("contact_field")
+            model = self.push_models.of_belief(sdf, poses, log_weights, tool, workspace, fields)
+            watch.lap("push_model")
             worth = self.worth(belief, scene, fields, previous)
             watch.lap("costs")
 
@@ -196,6 +206,7 @@ class RummagingPolicy:
             information_discount=settings.information_discount,
             normalise=settings.normalise_information,
             displaced_information=settings.displaced_information,
+            spatial=scene.tool.spatial,
         )
         whole = gathering(information, scene.tool)
         return Worth(

@@ -24,7 +24,7 @@ class Scene:
         model: the object's shape.
         workspace: the lattice on which fields live.
         tool: the robot's body points and free-space motion, with its reach.
-        configuration: (Q,), where the tool is now (planar: x, y, yaw).
+        configuration: (Q,), where the tool is now (planar: x, y, yaw; in space: x, y, z, yaw).
         observed: all points so far, attached ones in the object-attached frame; None where nobody keeps them.
         reading: the last one; None before the first.
     """

@@ -39,12 +39,13 @@ class Worth:
 
 def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:
     """Minus what a tool's sensing points meet of a field along a path, each cell once."""
-    return InformationCost(field, world_height(tool.info, tool.height_m).to(field.values))
+    sensing = world_height(tool.info, tool.height_m).to(field.values)
+    return InformationCost(field, sensing, spatial=tool.spatial)
 
 
 def gathered_by_action(gathered: Gathered, rollout: PushRollouts) -> Float[Tensor, "H"]:
     """What each action of one rollout (K = M = 1) gathers that those before it did not."""
-    configurations, displacements = rollout.configurations[0, 0, 1:], rollout.displacements[0, 0, 1:]
+    configurations, displacements = (x[0] for x in rollout.paths(torch.ones_like(rollout.touched)).riding())
     steps = torch.arange(len(configurations), device=configurations.device)
     # path h stands still after action h: standing still meets nothing new
     until = torch.minimum(steps[:, None], steps[None])

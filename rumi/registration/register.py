@@ -1,6 +1,7 @@
 """All plausible poses of an object under some points: starts, descent, archive of orientations, descent, selection."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -34,6 +35,8 @@ class RegisterSettings:
             cells are plausible than poses are kept, poses are kept instead that lie as far apart, by these widths,
             as leaves none out.
         plausible: least weight, relative to the best pose's, of a pose that is kept.
+        bins: orientations that the archive's cells divide: "SE(2)" those about the upright axis, "SE(3)" all; None for
+            those that the search may reach.
     """
 
     kept: int = 100
@@ -46,6 +49,7 @@ class RegisterSettings:
     bin_rad: float = 0.35
     bin_m: float = 0.02
     plausible: float = 0.007
+    bins: Search | None = None
 
     def __post_init__(self) -> None:
         """Refuse empty searches."""
@@ -103,6 +107,7 @@ def register(
     *,
     starts: Float[Tensor, "N 4 4"] | None = None,
     search: Search = "SE(3)",
+    further: Callable[[Float[Tensor, "N 4 4"]], Float[Tensor, "N"]] | None = None,
     generator: torch.Generator,
 ) -> Registered:
     """Plausible poses of one scene under its points alone, spread over all orientations that are plausible.
@@ -117,6 +122,7 @@ def register(
         settings: counts.
         starts: poses to start from; `uniform_starts` by default.
         search: "SE(2)" or "SE(3)".
+        further: what to add to the discrepancy of poses, such as a prior's part.
         generator: draws the starts and the sample of points.
     """
     settings = settings or RegisterSettings()
@@ -133,14 +139,19 @@ def register(
     # the sample stands for all surface points, the free points for themselves
     free = thinned(observation[others], 8000)
     coarse = scale * discrepancy(poses, sample) + discrepancy(poses, free) * (len(others) / max(len(free), 1))
+    if further is not None:
+        coarse = coarse + further(poses)
     middle = discrepancy.sdf.bounds.mean(0)
-    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, search)
+    spread: Search = settings.bins or search
+    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, spread)
     best = fill(cells, coarse, math.inf, min(settings.polished, len(poses)))
     poses = descend(discrepancy, poses[best], observation, search, settings.fine)
     fine = discrepancy(poses, observation)
+    if further is not None:
+        fine = fine + further(poses)
     margin = -math.log(settings.plausible) / peakiness
     plausible = fine <= fine.min() + margin
-    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, search)
+    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, spread)
     if len(cells[plausible].unique()) > settings.kept:
         # best first alone, differences of fit that mean nothing would decide which cells are left out
         cells[plausible] = net(poses[plausible], fine[plausible], middle, settings)

@@ -2,8 +2,8 @@
 
 import os
 import re
-import secrets
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -206,7 +206,9 @@ def _done(
     wrong: dict[str, str] = {}
     if len(records.done(own)) < len(own):
         codes = {kind: next(job.code for job in own if job.kind == kind) for kind in KINDS if _any(own, kind)}
-        errand = Errand(tuple(own), options.path.absolute(), codes, cache_dir.absolute(), secrets.token_hex(4))
+        errand = Errand(
+            tuple(own), options.path.absolute(), codes, cache_dir.absolute(), f"{os.getpid():x}-{time.time_ns():x}"
+        )
         with LiveTable(own, options.path, workers=options.jobs):
             if options.executor == "submitit":
                 on_a_cluster(errand, options.jobs, options.out / "submitit", parameters)

@@ -11,7 +11,7 @@ from rumi.reproduce.records import Record, by_column
 from rumi.reproduce.tables import of_task
 
 PROCESSES = (
-    ("cache", "p(S), information field", ("fields", "contact_field")),
+    ("cache", "p(S), information field", ("fields", "push_model")),
     ("dynamics", "dynamics", ("dynamics",)),
     ("cost", "cost look-up", ("costs",)),
     ("gp_fit", "GP fit", ("gp_fit",)),

@@ -215,8 +215,9 @@ def _check_fits(spec: "TaskSpec", bounds: Float[Tensor, "2 3"]) -> None:
         raise UsageError(
             f"Expected an object at most {1e3 * room:.0f} mm wide, got {size} mm: is it in millimetres (--scale 0.001)?"
         )
-    if float(high[2] - low[2]) < spec.height_m - _PAD_M:
+    lowest = (spec.height_m if spec.heights_m is None else spec.heights_m[0]) - _PAD_M
+    if float(high[2] - low[2]) < lowest:
         raise UsageError(
-            f"Expected an object at least {1e3 * (spec.height_m - _PAD_M):.0f} mm high, where the tool can touch it, "
+            f"Expected an object at least {1e3 * lowest:.0f} mm high, where the tool can touch it, "
             f"got {size} mm: scale it (--scale), or stand it otherwise (--upright ROLL PITCH YAW)"
         )

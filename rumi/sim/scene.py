@@ -1,4 +1,4 @@
-"""The MuJoCo model: a floor, an object that stands free on it, and a gripper that flies at one height."""
+"""The MuJoCo model: a floor, an object that stands free on it, and a gripper that flies at one height or at any."""
 
 import math
 from typing import Any
@@ -24,7 +24,7 @@ def scene_model(
     mujoco: Any,  # noqa: ANN401  (a module without types)
     body: Body,
     gripper: GripperShape,
-    height_m: float,
+    height_m: float | None,
     time_step_s: float,
     physics: PhysicsSettings,
 ) -> Any:  # noqa: ANN401
@@ -39,16 +39,18 @@ def scene_model(
     return spec.compile()
 
 
-def scene_xml(body: Body, gripper: GripperShape, height_m: float, time_step_s: float, physics: PhysicsSettings) -> str:
+def scene_xml(
+    body: Body, gripper: GripperShape, height_m: float | None, time_step_s: float, physics: PhysicsSettings
+) -> str:
     """The scene as MJCF text; meshes are named in it, and added by `scene_model`.
 
-    Bodies `object` (a free joint) and `gripper` (slides x and y, then a hinge about z, each with a position servo
-    of the same name). Driven joints rather than a mocap body, whose tangential motion friction would not see.
+    Bodies `object` (a free joint) and `gripper` (slides x and y, in space z, then a hinge about z, each with a position
+    servo of the same name). Driven joints rather than a mocap body, whose tangential motion friction would not see.
 
     Args:
         body: the object.
         gripper: the gripper's shape.
-        height_m: height of the tool frame.
+        height_m: height of the tool frame; None for a gripper that moves in space.
         time_step_s: of the physics.
         physics: masses, friction, drive.
     """
@@ -64,7 +66,7 @@ def scene_xml(body: Body, gripper: GripperShape, height_m: float, time_step_s: f
     </body>
     {_gripper_xml(gripper, height_m, physics)}
   </worldbody>
-  {_drive_xml(physics)}
+  {_drive_xml(physics, spatial=height_m is None)}
 </mujoco>"""
 
 
@@ -101,27 +103,29 @@ def _framed(part: Piece, geom: str) -> str:
     return f'<frame pos="{place}" quat="{turn}">{geom}</frame>'
 
 
-def _gripper_xml(gripper: GripperShape, height_m: float, physics: PhysicsSettings) -> str:
+def _gripper_xml(gripper: GripperShape, height_m: float | None, physics: PhysicsSettings) -> str:
     palm = " ".join(f"{0.5 * side:.9g}" for side in gripper.palm_m)
     pad = " ".join(f"{side:.9g}" for side in gripper.pad_m)
     kind = f'mass="0.1" contype="0" conaffinity="{_SHELL}" solref="0.01 1"'
     pads = "\n      ".join(
         f'<geom type="ellipsoid" size="{pad}" pos="{x:.9g} {y:.9g} {z:.9g}" {kind}/>' for x, y, z in gripper.pad_centers
     )
-    return f"""<body name="gripper" pos="0 0 {height_m:.9g}" gravcomp="1">
+    rise = f'\n      <joint name="z" type="slide" axis="0 0 1" armature="{physics.gripper_mass_kg}"/>'
+    return f"""<body name="gripper" pos="0 0 {height_m or 0.0:.9g}" gravcomp="1">
       <joint name="x" type="slide" axis="1 0 0" armature="{physics.gripper_mass_kg}"/>
-      <joint name="y" type="slide" axis="0 1 0" armature="{physics.gripper_mass_kg}"/>
+      <joint name="y" type="slide" axis="0 1 0" armature="{physics.gripper_mass_kg}"/>{rise * (height_m is None)}
       <joint name="yaw" type="hinge" axis="0 0 1" armature="{physics.gripper_inertia}"/>
       <geom type="box" size="{palm}" pos="{gripper.palm_center_m:.9g} 0 0" {kind}/>
       {pads}
     </body>"""
 
 
-def _drive_xml(physics: PhysicsSettings) -> str:
+def _drive_xml(physics: PhysicsSettings, *, spatial: bool) -> str:
     square = (2.0 * math.pi * physics.bandwidth_hz) ** 2
     axes = (
         ("x", physics.gripper_mass_kg, physics.max_force_n),
         ("y", physics.gripper_mass_kg, physics.max_force_n),
+        *((("z", physics.gripper_mass_kg, physics.max_lift_n),) * spatial),
         ("yaw", physics.gripper_inertia, physics.max_torque_nm),
     )
     servos = "".join(

@@ -67,7 +67,9 @@ class PhysicsSettings:
         gripper_inertia: inertia of the drive about z, kg m^2.
         bandwidth_hz: of the critically damped position servos.
         max_force_n: of the drive along x and y.
+        max_lift_n: of the drive along z, for a gripper that moves in space.
         max_torque_nm: of the drive about z.
+        lead_m: by how much a command may be ahead of the measured position along an axis; infinite for any.
         wall_boxes: boxes that make up the wall of a cup.
         handle_capsules: capsules that make up its handle.
         collision: how a mesh collides, by its convex "pieces", its "hull", or "auto": pieces where the library for
@@ -81,7 +83,9 @@ class PhysicsSettings:
     gripper_inertia: float = 0.1
     bandwidth_hz: float = 20.0
     max_force_n: float = 200.0
+    max_lift_n: float = 200.0
     max_torque_nm: float = 20.0
+    lead_m: float = math.inf
     wall_boxes: int = 24
     handle_capsules: int = 12
     collision: str = "auto"

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from rumi.belief.prior import lying
 from rumi.errors import UsageError
 from rumi.planning.tool import Tool
 from rumi.sim.bodies import body_of
@@ -20,11 +21,15 @@ from sdf.object_model import ObjectModel
 from sensors.camera import depth_observation, look_at, pinhole, pixel_rays
 from sensors.observation import Observation
 from sensors.reading import Reading
+from sensors.semantics import Semantics
 from sensors.tactile import swept_points, tactile_observation, touched_points
+
+# standard deviations of the prior up to which free points are reported
+_SPREADS = 4.0
 
 
 class SimTask:
-    """A `rumi.task.Task` in simulation: a level gripper beside an object on the floor.
+    """A `rumi.task.Task` in simulation: a level gripper about an object on the floor.
 
     The same seed gives the same bytes; seeds change the noise alone, and without noise nothing. Readings are
     float32. Truth is in `StepResult.truth` only.
@@ -54,9 +59,10 @@ class SimTask:
         self.spec, self.settings, self.tool, self.model = spec, settings, tool, model
         physics = physics or spec.physics
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
-        self.world = World(body, tool.shape, spec.height_m, settings.time_step_s, physics)
+        height = None if spec.spatial else spec.height_m
+        self.world = World(body, tool.shape, height, settings.time_step_s, physics)
         # what cannot stand is refused before anything begins
-        self.world.reset(torch.tensor(spec.tool_start), torch.tensor(spec.start))
+        self.world.reset(torch.tensor(spec.tool_start), self._start())
         self._pads = tool.shape.pad_shell(settings.pad_spacing_m).float()
         self._body = tool.shape.volume(settings.body_spacing_m).float()
         self._generator = torch.Generator()
@@ -65,13 +71,13 @@ class SimTask:
         self._steps: int | None = None
 
     def reset(self, seed: int) -> StepResult:
-        """Put everything at its start and return the first view: one instant, seen by the camera.
+        """Put everything at its start and return the first view: one instant, seen by the camera if there is one.
 
         Args:
             seed: of the sensors' noise.
         """
         self._generator.manual_seed(seed)
-        self.world.reset(torch.tensor(self.spec.tool_start), torch.tensor(self.spec.start))
+        self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
         observation = self._view()
         configuration = self.world.configuration().float()
@@ -87,19 +93,26 @@ class SimTask:
         )
         return StepResult(reading, self.world.world_T_object().float())
 
+    def _start(self) -> Tensor:
+        """Where the object starts, as `World.reset` takes it."""
+        start = torch.tensor(self.spec.start)
+        if self.spec.start_up != "z" or self.spec.prior is not None:
+            return se3.from_planar(start) @ lying(self.model.exact.bounds.float(), self.spec.start_up)
+        return start
+
     def step(self, control: Float[Tensor, "A"]) -> StepResult:
         """Carry out (dx, dy, dyaw), each in [-1, 1] of the action scales, as far as the arm reaches.
 
         Args:
-            control: (3,), cut to [-1, 1].
+            control: (3,), in space (dx, dy, dz, dyaw) and (4,), cut to [-1, 1].
 
         Raises:
-            UsageError: before `reset`, after the task's last step, or if the control is not three finite numbers.
+            UsageError: before `reset`, after the task's last step, or if the control is not as many finite numbers.
         """
         control = self._checked(control)
         start = self.world.configuration().float()
         path = self.tool.free_path(start, control[None], self.settings.mini_steps)
-        refused = (start + control * self.tool.scale - path[-1])[:2].norm()
+        refused = (start + control * self.tool.scale - path[-1])[:-1].norm()
         before = self.world.world_T_object()
         track = self.world.move(path, self.settings.action_s, self.settings.hold_s)
         assert self._steps is not None
@@ -109,6 +122,9 @@ class SimTask:
     def _view(self) -> Observation:
         """What the camera sees now: surface points of the object and free points about it."""
         camera = self.spec.camera
+        if camera is None:
+            self._region = self._region_of_prior()
+            return Observation.empty() if self.spec.search == "SE(2)" else self._floor()
         intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad)
         world_T_camera = look_at(torch.tensor(camera.position), torch.tensor(camera.target))
         depth, is_object = self.depth_image()
@@ -130,6 +146,8 @@ class SimTask:
     def depth_image(self) -> tuple[Float[Tensor, "H W"], Tensor]:
         """Depth (H, W), metres, infinite where nothing is met; and where it shows the object (H, W)."""
         camera = self.spec.camera
+        if camera is None:
+            raise UsageError(f"Expected a task with a camera, got {self.spec.name}")
         intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad, dtype=torch.float64)
         pose = look_at(torch.tensor(camera.position).double(), torch.tensor(camera.target).double())
         rays = pixel_rays(camera.height, camera.width, intrinsics).reshape(-1, 3) @ pose[:3, :3].mT
@@ -145,7 +163,7 @@ class SimTask:
         """Let go of the simulator: no step until the next `reset`."""
         self._steps = None
 
-    def _checked(self, control: Tensor) -> Float[Tensor, "3"]:
+    def _checked(self, control: Tensor) -> Float[Tensor, "A"]:
         if self._steps is None:
             raise UsageError("Expected reset(seed) before the first step")
         if self._steps >= self.spec.steps:
@@ -154,8 +172,10 @@ class SimTask:
                 "task's steps"
             )
         control = torch.as_tensor(control, dtype=torch.float32).detach().cpu()
-        if tuple(control.shape) != (3,) or not bool(torch.isfinite(control).all()):
-            raise UsageError(f"Expected control to be 3 finite numbers (dx, dy, dyaw), got {control.tolist()}")
+        names = "(dx, dy, dz, dyaw)" if self.spec.spatial else "(dx, dy, dyaw)"
+        size = len(self.tool.scale)
+        if tuple(control.shape) != (size,) or not bool(torch.isfinite(control).all()):
+            raise UsageError(f"Expected control to be {size} finite numbers {names}, got {control.tolist()}")
         return control.clamp(-1.0, 1.0)
 
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> Reading:
@@ -228,6 +248,23 @@ class SimTask:
         places = (own[:, :3, :3] @ points[index][..., None])[..., 0] + own[:, :3, 3]
         with torch.no_grad():
             return self.model.exact.distance(places)
+
+    def _floor(self) -> Observation:
+        """Free points where the floor is, fixed in the world (RUMI, V.B)."""
+        step = self.spec.field_spacing_m
+        low, high = self._region[:, :2]
+        x, y = (torch.arange(float(low[axis]), float(high[axis]) + 0.5 * step, step) for axis in (0, 1))
+        points = torch.stack(torch.meshgrid(x, y, torch.zeros(1), indexing="ij"), -1).reshape(-1, 3)
+        return Observation.of(points, Semantics.FREE, attached=False)
+
+    def _region_of_prior(self) -> Float[Tensor, "2 3"]:
+        """The box that holds the object wherever it may well be."""
+        prior, bounds = self.spec.prior, self.model.exact.bounds.float()
+        if prior is None:
+            raise UsageError(f"Expected {self.spec.name} to have a camera or a prior, got neither")
+        mean, reach = torch.tensor(prior.mean_m), _SPREADS * prior.spread_m + self.model.radius
+        top = max(float((bounds[1] - bounds[0])["xyz".index(up)]) for up in self.spec.up)
+        return torch.tensor([[*(mean - reach).tolist(), 0.0], [*(mean + reach).tolist(), top]])
 
     def _region_about(self, surface: Float[Tensor, "M 3"]) -> Float[Tensor, "2 3"]:
         """The box in which free points can refute a pose that the view leaves open."""

@@ -1,19 +1,22 @@
 """The tasks by name: what stands where, and what the robot knows of it. Light: no simulator is loaded here."""
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from rumi.errors import UsageError
 from rumi.fields.reach_table import ReachSettings
 from rumi.fields.reachability import Reach
+from rumi.fields.spatial_reach import SpatialReach
 from rumi.planning.tool import Tool
 from rumi.sim.settings import PhysicsSettings, SimSettings
-from sdf.object_model import ObjectModel, mug_model
+from sdf.drill import drill_model
+from sdf.object_model import ObjectModel, box_model, mug_model
 from sdf.primitives import Mug
 
 if TYPE_CHECKING:
@@ -40,6 +43,19 @@ class CameraSpec:
 
 
 @dataclass(frozen=True)
+class PriorSpec:
+    """Where the object is known to be about before anything is sensed.
+
+    Attributes:
+        mean_m: x and y of the object's origin.
+        spread_m: standard deviation along x and along y.
+    """
+
+    mean_m: tuple[float, float]
+    spread_m: float = 0.05
+
+
+@dataclass(frozen=True)
 class TaskSpec:
     """One task: an object to be found, where it stands, and the robot about it; metres and radians.
 
@@ -47,16 +63,21 @@ class TaskSpec:
         name: by which it is asked for.
         description: one line for people.
         object_factory: makes the object's model.
-        start: (x, y, yaw) of the upright object; the robot does not know it.
+        start: (x, y, yaw) of the object; the robot does not know it.
+        up: axes of the object one of which points up where it lies on the floor; the robot knows no more than these.
+        start_up: the one that does.
+        prior: where the object is known to be about; None where a camera sees it.
         bounds: lower and upper corner of the workspace, x and y.
         height_m: of the plane in which the tool works.
+        heights_m: lowest and highest of a tool that moves in space, actions (dx, dy, dz, dyaw); None for the plane.
+        workspace_top_m: height up to which the workspace's lattice goes where the tool moves in space.
         field_spacing_m: of the workspace's lattice (RUMI's r_w).
         search: freedom of the object's pose, "SE(2)" or "SE(3)".
         nll_threshold: nll at or below which the paper counts the object as found.
         position_tolerance_m: error of the pose that still counts as right.
         rotation_tolerance_rad: the same for its rotation.
-        camera: the fixed camera.
-        tool_start: (x, y, yaw) of the tool.
+        camera: the fixed camera; None where it sees nothing of the object.
+        tool_start: (x, y, yaw) of the tool, in space (x, y, z, yaw).
         base: (x, y, yaw) of the arm's base.
         motion_noise_m: standard deviation of the measured motion's error along x and y, for an action that moved
             the object.
@@ -70,21 +91,31 @@ class TaskSpec:
     description: str
     object_factory: Callable[[], ObjectModel]
     start: tuple[float, float, float]
+    up: tuple[str, ...] = ("z",)
+    start_up: str = "z"
+    prior: PriorSpec | None = None
     bounds: tuple[tuple[float, float], tuple[float, float]] = ((0.0, -0.4), (0.8, 0.4))
     height_m: float = 0.045
+    heights_m: tuple[float, float] | None = None
+    workspace_top_m: float = 0.2
     field_spacing_m: float = 0.01
     search: str = "SE(2)"
     nll_threshold: float = 20.0
     position_tolerance_m: float = 0.005
     rotation_tolerance_rad: float = math.radians(10.0)
-    camera: CameraSpec = CameraSpec()
-    tool_start: tuple[float, float, float] = (0.20, 0.0, 0.0)
+    camera: CameraSpec | None = CameraSpec()
+    tool_start: tuple[float, ...] = (0.20, 0.0, 0.0)
     base: tuple[float, float, float] = (-0.45, 0.0, 0.0)
     motion_noise_m: float = 0.0
     motion_noise_rad: float = 0.0
     depth_noise_m: float = 0.0
     steps: int = 40
     physics: PhysicsSettings = field(default_factory=PhysicsSettings)
+
+    @property
+    def spatial(self) -> bool:
+        """Whether the tool moves in space."""
+        return self.heights_m is not None
 
 
 def large_handled_mug() -> ObjectModel:
@@ -107,8 +138,69 @@ _STARTS = (
     ),
 )
 
+
+def _in_space(name: str, description: str, **changes: Any) -> TaskSpec:  # noqa: ANN401  (fields of the spec)
+    """A task that a camera does not see, with actions in space (RUMI, V.B and Table I)."""
+    common = TaskSpec(
+        name,
+        description,
+        heights_m=(0.03, 0.20),
+        field_spacing_m=0.02,
+        camera=None,
+        tool_start=(0.20, 0.0, 0.10, 0.0),
+        motion_noise_m=0.001,
+        motion_noise_rad=math.radians(1.0),
+        **changes,
+    )
+    return common
+
+
+def _drill(name: str, description: str, start: tuple[float, float, float]) -> TaskSpec:
+    return _in_space(
+        name,
+        description,
+        object_factory=drill_model,
+        start=start,
+        prior=PriorSpec(_PRIOR_MEAN),
+        nll_threshold=100.0,
+        physics=_drive(mass_kg=0.9),
+    )
+
+
+def _box(name: str, description: str, up: str, start: tuple[float, float, float]) -> TaskSpec:
+    return _in_space(
+        name,
+        description,
+        object_factory=box_model,
+        start=start,
+        up=("x", "y", "z"),
+        start_up=up,
+        prior=PriorSpec(_PRIOR_MEAN),
+        search="SE(3)",
+        nll_threshold=150.0,
+        position_tolerance_m=0.008,
+        physics=_drive(mass_kg=0.41),
+    )
+
+
+def _drive(mass_kg: float) -> PhysicsSettings:
+    """A drive that gives way: one that presses an object into the floor would break what a hand does not."""
+    return PhysicsSettings(mass_kg=mass_kg, max_force_n=25.0, max_lift_n=15.0, max_torque_nm=4.0, lead_m=0.006)
+
+
+_PRIOR_MEAN = (0.45, 0.0)
+
 TASKS: dict[str, TaskSpec] = {
-    name: TaskSpec(name, description, large_handled_mug, start) for name, description, start in _STARTS
+    spec.name: spec
+    for spec in (
+        *(TaskSpec(name, description, large_handled_mug, start) for name, description, start in _STARTS),
+        _drill("drill-0", "a drill ahead that no camera sees", (0.48, 0.03, math.radians(25.0))),
+        _drill("drill-1", "a drill ahead that no camera sees", (0.42, -0.05, math.radians(150.0))),
+        _drill("drill-2", "a drill ahead that no camera sees", (0.50, -0.02, math.radians(-100.0))),
+        _box("box-0", "a box lying flat that no camera sees", "x", (0.48, 0.03, math.radians(25.0))),
+        _box("box-1", "a box standing upright that no camera sees", "z", (0.42, -0.04, math.radians(70.0))),
+        _box("box-2", "a box on its long side that no camera sees", "y", (0.49, -0.05, math.radians(120.0))),
+    )
 }
 """All tasks by name."""
 
@@ -136,16 +228,17 @@ def make_tool(
         free_flying: leave the arm out.
     """
     settings = settings or SimSettings()
-    reach = None
+    make = functools.partial(Tool, action_scale_m=settings.action_scale_m, action_scale_rad=settings.action_scale_rad)
+    reach: Reach | None = None
+    if spec.heights_m is not None:
+        if not free_flying:
+            reach = SpatialReach.of_arm(spec.base, cache_dir=cache_dir)
+        bounds = torch.tensor([(*corner, z) for corner, z in zip(spec.bounds, spec.heights_m, strict=True)])
+        step = spec.field_spacing_m
+        return make(bounds, reach, body_spacing_m=0.6 * step, info_spacing_m=0.5 * step)
     if not free_flying:
         reach = Reach.of_arm(spec.base, ReachSettings(height_m=spec.height_m), cache_dir=cache_dir)
-    return Tool(
-        torch.tensor(spec.bounds),
-        reach,
-        height_m=spec.height_m,
-        action_scale_m=settings.action_scale_m,
-        action_scale_rad=settings.action_scale_rad,
-    )
+    return make(torch.tensor(spec.bounds), reach, height_m=spec.height_m)
 
 
 def make_task(

@@ -18,17 +18,18 @@ from sdf.base import SDF
 
 _SETTLE_S = 1.0
 _STANDS_DEG = 10.0
+_LEVER_M = 0.1  # of a turn of the gripper, by which angles are measured against lengths
 
 
 class Track(NamedTuple):
     """Where gripper and object were at the end of each mini step.
 
     Attributes:
-        configuration: (K, 3), measured x, y, yaw of the gripper.
+        configuration: (K, Q), measured x, y, in space z, and yaw of the gripper.
         world_T_object: (K, 4, 4).
     """
 
-    configuration: Float[Tensor, "K 3"]
+    configuration: Float[Tensor, "K Q"]
     world_T_object: Float[Tensor, "K 4 4"]
 
 
@@ -38,7 +39,7 @@ class World:
     Args:
         shape: the object's exact shape, or the body that was made of it.
         gripper: the gripper's shape.
-        height_m: height of the tool frame.
+        height_m: height of the tool frame; None for a gripper that moves in space.
         time_step_s: of the physics.
         physics: masses, friction, drive.
     """
@@ -47,7 +48,7 @@ class World:
         self,
         shape: SDF | Body,
         gripper: GripperShape,
-        height_m: float,
+        height_m: float | None,
         time_step_s: float,
         physics: PhysicsSettings | None = None,
     ) -> None:
@@ -57,11 +58,17 @@ class World:
         self.model: Any = scene_model(self._mujoco, self.body, gripper, height_m, time_step_s, self.physics)
         self.data: Any = self._mujoco.MjData(self.model)
         self._object = int(self.model.joint("object").qposadr[0])
-        self._gripper = [int(self.model.joint(name).qposadr[0]) for name in ("x", "y", "yaw")]
+        self._gripper = [int(self.model.joint(name).qposadr[0]) for name in self._axes(height_m)]
         self._object_body = int(self.model.body("object").id)
 
-    def reset(self, configuration: Float[Tensor, "3"], object_pose: Float[Tensor, "3"]) -> None:
-        """Put the gripper at (x, y, yaw) and the object upright on the floor at (x, y, yaw), and let both settle.
+    @staticmethod
+    def _axes(height_m: float | None) -> tuple[str, ...]:
+        return ("x", "y", "z", "yaw") if height_m is None else ("x", "y", "yaw")
+
+    def reset(self, configuration: Float[Tensor, "Q"], object_pose: Float[Tensor, "*p"]) -> None:
+        """Put the gripper and the object where they start, and let both settle.
+
+        The object's pose is (x, y, yaw) upright on the floor, or a transform (4, 4) from its frame to the world's.
 
         A resting object sinks into the floor's soft contact by a tenth of a millimetre and tilts by a milliradian; if
         that were left to the first action, a slip sensor would report it as a move.
@@ -71,34 +78,48 @@ class World:
         """
         self._mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self._gripper] = configuration.double().numpy()
-        x, y, yaw = object_pose.tolist()
         start = self._object
-        self.data.qpos[start : start + 7] = (x, y, -self.body.low_m, math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
+        if object_pose.ndim == 1:
+            x, y, yaw = object_pose.tolist()
+            half = 0.5 * yaw
+            self.data.qpos[start : start + 7] = (x, y, -self.body.low_m, math.cos(half), 0.0, 0.0, math.sin(half))
+        else:
+            quaternion = np.empty(4)
+            self._mujoco.mju_mat2Quat(quaternion, object_pose[:3, :3].double().reshape(-1).numpy())
+            self.data.qpos[start : start + 7] = (*object_pose[:3, 3].tolist(), *quaternion)
         self.data.ctrl[:] = configuration.double().numpy()
+        standing = self.world_T_object()[2, :3].clone()
         self._mujoco.mj_step(self.model, self.data, nstep=round(_SETTLE_S / float(self.model.opt.timestep)))
         self.data.qvel[:] = 0.0
         self.data.time = 0.0
         self._mujoco.mj_forward(self.model, self.data)
-        tilt = math.degrees(math.acos(min(1.0, float(self.world_T_object()[2, 2]))))
+        up = self.world_T_object()[2, :3]
+        tilt = math.degrees(math.acos(min(1.0, float(up @ standing))))
         if tilt > _STANDS_DEG:
             raise UsageError(
                 f"Expected the object to stand by itself, but it tipped by {tilt:.0f} degrees: say how it stands "
                 "(--upright ROLL PITCH YAW)"
             )
 
-    def move(self, targets: Float[Tensor, "K 3"], action_s: float, hold_s: float) -> Track:
+    def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float) -> Track:
         """Drive the gripper through targets spread evenly over `action_s`, then hold; the last entry is after that."""
         step_s = float(self.model.opt.timestep)
         count, steps = len(targets), round(action_s / step_s)
         knots = np.concatenate((np.asarray(self.data.ctrl)[None], targets.double().numpy()))
         # the commands in between go along straight lines
         phase = (np.arange(steps) + 1.0) * (count / steps)
-        commands = np.stack([np.interp(phase, np.arange(count + 1.0), knots[:, axis]) for axis in range(3)], -1)
+        commands = np.stack(
+            [np.interp(phase, np.arange(count + 1.0), knots[:, axis]) for axis in range(knots.shape[1])], -1
+        )
         ends = {max(1, round((k + 1) * steps / count)): k for k in range(count)}
         control, position, step = self.data.ctrl, self.data.qpos, self._mujoco.mj_step
         states = np.empty((count, len(position)))
+        lead, gripper = self.physics.lead_m, self._gripper
+        ahead = np.array([lead] * (len(gripper) - 1) + [lead / _LEVER_M])
         for index, command in enumerate(commands):
             control[:] = command
+            if math.isfinite(lead):
+                np.clip(control, position[gripper] - ahead, position[gripper] + ahead, out=control)
             step(self.model, self.data)
             if index + 1 in ends:
                 states[ends[index + 1]] = position
@@ -107,8 +128,8 @@ class World:
             states[-1] = position
         return Track(torch.from_numpy(states[:, self._gripper]), self._object_poses(states))
 
-    def configuration(self) -> Float[Tensor, "3"]:
-        """Measured x, y, yaw of the gripper."""
+    def configuration(self) -> Float[Tensor, "Q"]:
+        """Measured x, y, in space z, and yaw of the gripper."""
         return torch.from_numpy(np.array(self.data.qpos[self._gripper]))
 
     def world_T_object(self) -> Float[Tensor, "4 4"]:
@@ -133,7 +154,6 @@ class World:
         count = len(directions)
         geom, distance = np.empty(count, np.int32), np.empty(count)
         # positions follow the state only after the kinematics of the next step
-        self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_multiRay(
             self.model,
             self.data,

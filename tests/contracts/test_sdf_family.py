@@ -11,6 +11,7 @@ import torch
 from rumi.bench.meshes import box
 from sdf import se3, so3
 from sdf.base import SDF
+from sdf.drill import Drill
 from sdf.grid_sdf import GridSDF
 from sdf.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Capsule, Cup, Cylinder, Mug, Placed, Sphere, TorusArc, Union
@@ -42,6 +43,7 @@ MEMBERS = {
     "union": Member(lambda: Union((Sphere(0.05), Capsule((0, 0, 0), (0.1, 0, 0), 0.02))), (0.1, 0, 0)),
     "placed": Member(placed, (0.1, 0.2, -0.1), slope=1.0 + 1e-6),
     "mug": Member(Mug, (0.071, 0, 0.0475)),
+    "drill": Member(Drill, (0.03, 0, 0.158), slope=1.0 + 1e-6),
     "large mug": Member(lambda: Mug(tube_radius=0.008, ring_radius=0.035), (0.076, 0, 0.0475)),
     "mesh": Member(lambda: MeshSDF(box((0.03, 0.08, 0.1))), (0.02, 0, 0)),
     # each slope along an axis is at most 1: the gradient at most sqrt 3, in the cells at a sharp edge

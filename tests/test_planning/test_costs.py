@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.dynamics.base import PushRollouts
+from rumi.dynamics.base import Paths, PushRollouts
 from rumi.fields.workspace import Workspace
 from rumi.planning.costs import InformationCost, information_cost
 from rumi.planning.reach_cost import ReachabilityCost, cross_correlation
@@ -256,3 +256,77 @@ def test_what_each_action_gathers_anew(generator: torch.Generator) -> None:
         assert float(by_action[h]) == pytest.approx(new, abs=1e-9)
         seen |= here
     assert float(by_action.sum()) == pytest.approx(-float(whole(q[None], d[None])))
+
+
+def turning_rollouts(generator: torch.Generator) -> PushRollouts:
+    made = made_up_rollouts(generator)
+    turns = torch.where(made.touched[..., None], torch.randn(made.displacements.shape[:-1], generator=generator), 0.0)
+    return made._replace(turns=turns.double(), pivot=torch.tensor([0.1, -0.05], **DOUBLE))
+
+
+def test_information_turns_with_the_object(generator: torch.Generator) -> None:
+    """What the tool meets of a moved object is what it meets of an unmoved one from the place moved back."""
+    rollouts = turning_rollouts(generator)
+    assert rollouts.turns is not None
+    assert rollouts.pivot is not None
+    points = torch.cat((sensing_points(generator)[:, :2], torch.ones(len(sensing_points(generator)), 1, **DOUBLE)), -1)
+    seen, _ = Paths(rollouts.configurations, rollouts.displacements, rollouts.turns, rollouts.pivot).riding()
+    for k, m, t in ((0, 1, 2), (0, 3, 4), (1, 0, 1)):
+        turn, pivot = rollouts.turns[k, m, t], rollouts.pivot
+        object_moved = se3.from_planar(torch.cat((pivot + rollouts.displacements[k, m, t, :2], turn[None])))
+        object_before = se3.from_planar(torch.cat((pivot, torch.zeros(1, **DOUBLE))))
+        from_object = se3.inverse(object_moved) @ se3.from_planar(rollouts.configurations[k, m, t])
+        expected = se3.apply(object_before @ from_object, points)
+        torch.testing.assert_close(se3.apply(se3.from_planar(seen[k, m, t]), points), expected)
+
+
+def test_trajectory_cost_of_turning_objects(generator: torch.Generator) -> None:
+    information, reachability = (sparse_field((12, 11, 1), generator) for _ in range(2))
+    points, rollouts = sensing_points(generator), turning_rollouts(generator)
+    assert rollouts.turns is not None
+    assert rollouts.pivot is not None
+    cost = TrajectoryCost(information, reachability, points, normalise=False)(rollouts)
+    q, d = rollouts.configurations[:, :, 1:], rollouts.displacements[:, :, 1:]
+    seen, _ = Paths(q, d, rollouts.turns[:, :, 1:], rollouts.pivot).riding()
+    gathered = torch.stack(
+        [information_cost(information, points, seen[k], torch.zeros_like(d[k])) for k in range(len(q))]
+    )
+    reached = ReachabilityCost(information, reachability)(d, rollouts.turns[:, :, 1:], rollouts.pivot)
+    torch.testing.assert_close(cost, (gathered + reached).mean(-1))
+    # without turns it is the cost of displacements
+    still = rollouts._replace(turns=torch.zeros_like(rollouts.turns))
+    plain = rollouts._replace(turns=None, pivot=None)
+    cost_of = TrajectoryCost(information, reachability, points)
+    torch.testing.assert_close(cost_of(still), cost_of(plain))
+
+
+def test_reachability_of_turned_information_is_the_direct_sum(generator: torch.Generator) -> None:
+    """A smooth reach and a patch of information that stays inside: turned, moved, and summed point by point."""
+    low = torch.tensor([[-0.5, -0.5, 0.0], [0.5, 0.5, 0.0]], **DOUBLE)
+    lattice = VoxelGrid.from_bounds(low, 0.02)
+    nodes = lattice.centers().reshape(*lattice.shape, 3)
+    pivot = torch.tensor([0.03, -0.06], **DOUBLE)
+    arm = nodes[..., :2] - pivot
+    information = VoxelGrid(
+        torch.rand(lattice.shape, generator=generator, **DOUBLE) * ((arm - 0.06).norm(dim=-1) < 0.08),
+        lattice.origin,
+        lattice.spacing,
+    )
+    reachability = VoxelGrid((0.5 + nodes[..., 0] - 0.7 * nodes[..., 1] ** 2).clamp(0, 1), lattice.origin, 0.02)
+    displacements = 0.08 * torch.randn(5, 3, 3, generator=generator, **DOUBLE)
+    turns = 1.5 * torch.randn(5, 3, generator=generator, **DOUBLE)
+    cost = ReachabilityCost(information, reachability)(displacements, turns, pivot)
+    total = torch.zeros(5, 3, **DOUBLE)
+    for i in range(5):
+        for j in range(3):
+            cos, sin = turns[i, j].cos(), turns[i, j].sin()
+            away = arm @ torch.stack((torch.stack((cos, sin)), torch.stack((-sin, cos))))
+            place = torch.cat((away + pivot + displacements[i, j, :2], torch.zeros_like(away[..., :1])), -1)
+            total[i, j] = (reachability.interpolate(place.reshape(-1, 3)) * information.values.reshape(-1)).sum()
+    expected = -(total / information.values.sum()).mean(-1)
+    torch.testing.assert_close(cost, expected, atol=5e-3, rtol=0)
+    finer = ReachabilityCost(information, reachability, turn_step=0.02)(displacements, turns, pivot)
+    torch.testing.assert_close(finer, expected, atol=5e-4, rtol=0)
+    with pytest.raises(ValueError, match="planar information"):
+        layered = sparse_field((4, 5, 2), generator)
+        ReachabilityCost(layered, layered)(displacements, turns, pivot)

@@ -10,6 +10,7 @@ from kmppi import MPPI, MPPISettings
 from rumi.baselines.ablations import info_only, reach_only
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import InformationSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
@@ -18,6 +19,7 @@ from rumi.planning.types import Plan, Scene
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
+from sdf.symmetry import Symmetries
 
 HEIGHT = 0.045
 BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
@@ -30,7 +32,7 @@ SMALL = RummagingSettings(
 
 @pytest.fixture(scope="module")
 def mug() -> ObjectModel:
-    return object_model("mug", Mug(), torch.eye(3)[None], spacing=0.004, points=20)
+    return object_model("mug", Mug(), Symmetries.none(), spacing=0.004, points=20)
 
 
 @pytest.fixture
@@ -74,7 +76,7 @@ def test_a_plan_has_all_that_it_should(scene: Scene) -> None:
     assert all(0 <= share <= 1 for share in made.skipped.values())
     assert 0.2 < made.skipped["workspace_points"] < 1
     assert 0.3 < made.skipped["contact_checks"] <= 1
-    assert set(made.timings_s) == {"fields", "contact_field", "dynamics", "costs", "planner"}
+    assert set(made.timings_s) == {"fields", "push_model", "dynamics", "costs", "planner"}
     assert made.info["iterations"] == 4
     assert made.warm_start is not None
 
@@ -174,3 +176,21 @@ def test_refuses_what_it_cannot_plan_for(scene: Scene) -> None:
         plan(RummagingPolicy(None, SMALL), scene, belief())
     with pytest.raises(ValueError, match="one row a workspace point"):
         plan(RummagingPolicy(torch.ones(7), SMALL), scene, belief())
+
+
+def test_the_quasi_static_model_plans_too(scene: Scene) -> None:
+    settings = replace(SMALL, push_model="quasi-static", quasi_static=QuasiStaticSettings(mini_steps=2, spacing_m=0.01))
+    policy = RummagingPolicy(falling(scene), settings)
+    made = plan(policy, scene, belief())
+    assert "pushes" in made.skipped
+    assert "normals" not in made.skipped
+    # nothing holds the tool up: the path is the free one
+    free = scene.tool.free_path(scene.configuration[None], made.controls[None], 1)[0]
+    torch.testing.assert_close(made.path[1:], free)
+    again = plan(RummagingPolicy(falling(scene), settings), scene, belief())
+    assert torch.equal(made.controls, again.controls)
+
+
+def test_only_push_models_that_exist(no_shape_check: None) -> None:
+    with pytest.raises(ValueError, match="push_model"):
+        RummagingSettings(push_model="magnetic")  # type: ignore[arg-type]

@@ -224,7 +224,7 @@ def test_bad_arguments(free, no_shape_check):
     with pytest.raises(ValueError, match="count"):
         free.covering_discs(0)
     with pytest.raises(ValueError, match=r"bounds.*\(2, 2\)"):
-        Tool(torch.zeros(2, 3))
+        Tool(torch.zeros(3, 2))
 
 
 def test_versions_agree(tool):

@@ -106,7 +106,7 @@ def test_figures_are_drawn_and_drawn_again(capsys):
     ("arguments", "message"),
     [
         (["find"], "There is no command 'find'; the commands are tasks, run, plot, bench"),
-        (["run", "mug-9"], f"There is no task 'mug-9'; the tasks are {', '.join(TASKS)}"),
+        (["run", "mug-9"], f"There is no task 'mug-9'; the tasks are {', '.join(sorted(TASKS))}"),
         (["run", "mug-0", "--preset", "quick"], "There is no preset 'quick'; the presets are default, fast, paper"),
         (["run", "mug-0", "--preset=quick"], "There is no preset 'quick'"),
         (["run", "mug-0", "--filter.triger", "3"], "did you mean --filter.trigger?"),

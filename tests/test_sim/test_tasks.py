@@ -18,6 +18,8 @@ from sensors.semantics import Semantics
 
 pytestmark = pytest.mark.sim
 
+MUGS = ("mug-0", "mug-1", "mug-2")
+
 
 def surface_in_object(task, result):
     """Surface points of a reading in the object's frame, each by the object's pose at its own instant."""
@@ -103,7 +105,7 @@ BRINGING_ROUND = {
 }
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", MUGS)
 def test_handle_is_hidden_at_first(name, arm_tool, mug):
     task = task_named(name, arm_tool, mug)
     points = surface_in_object(task, task.reset(0))
@@ -116,7 +118,7 @@ def test_handle_is_hidden_at_first(name, arm_tool, mug):
     assert int(on_handle(turned, surface_in_object(turned, turned.reset(0))).sum()) > 50
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", MUGS)
 def test_start_is_at_the_edge_of_reach(name, arm_tool):
     """A tool pointing away from the base gets a little beyond the mug's axis, one turned aside by 60 degrees does
     not get there."""
@@ -137,7 +139,7 @@ def test_start_is_at_the_edge_of_reach(name, arm_tool):
     assert bool(arm_tool.reach.reachable(torch.tensor(spec.tool_start)))
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", MUGS)
 def test_pushing_straight_on_loses_the_mug(name, arm_tool, mug):
     """Afterwards no point of the handle is within what the pads' tips reach at any yaw."""
     task = task_named(name, arm_tool, mug)
@@ -156,7 +158,7 @@ def test_pushing_straight_on_loses_the_mug(name, arm_tool, mug):
     assert float((se3.apply(result.truth, handle)[:, :2] - base).norm(dim=-1).min()) > farthest
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", MUGS)
 def test_handle_can_be_reached(name, arm_tool, mug):
     """Hard is not impossible: some way of pushing brings the handle to the pads."""
     task = task_named(name, arm_tool, mug)
@@ -170,10 +172,11 @@ def test_handle_can_be_reached(name, arm_tool, mug):
 
 
 def test_starts_differ():
-    starts = torch.tensor([spec.start for spec in TASKS.values()])
-    assert set(TASKS) == {"mug-0", "mug-1", "mug-2"}
-    gaps = torch.pdist(starts)
-    assert float(gaps.min()) > 0.1
+    kinds = {name.rpartition("-")[0] for name in TASKS}
+    assert {"mug", "drill", "box"} <= kinds
+    for kind in kinds:
+        starts = torch.tensor([spec.start for name, spec in TASKS.items() if name.rpartition("-")[0] == kind])
+        assert len(starts) == 1 or float(torch.pdist(starts).min()) > 0.1
 
 
 def test_unknown_task_names_the_valid_ones():

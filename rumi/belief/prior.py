@@ -1,0 +1,91 @@
+"""What is known of an object's pose before anything is sensed: where it stands about, and how it may lie."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.errors import UsageError
+from rumi.seeding import uniform
+from sdf import se3
+
+REACH = 2.5
+"""Standard deviations up to which places are taken to be possible."""
+
+_AXES = "xyz"
+_R3 = 1.2207440846057596
+
+
+def lying(bounds: Float[Tensor, "2 3"], up: str = "z") -> Float[Tensor, "4 4"]:
+    """Pose of an object above the world's origin that lies on the floor with one of its axes pointing up.
+
+    Args:
+        bounds: (2, 3), metres, the object's box in its own frame.
+        up: "x", "y" or "z"; the other two axes follow in cyclic order.
+    """
+    if up not in _AXES or len(up) != 1:
+        raise UsageError(f"Expected the axis that points up to be x, y or z, got {up!r}")
+    axis = _AXES.index(up)
+    # the last row, the world's z, is the object's axis that points up
+    rotation = torch.eye(3, dtype=bounds.dtype, device=bounds.device).roll(2 - axis, 0)
+    height = -bounds[0, axis]
+    return se3.make(rotation, torch.stack((torch.zeros_like(height), torch.zeros_like(height), height)))
+
+
+@dataclass(frozen=True, eq=False)
+class PosePrior:
+    """The object lies in one of some ways, as likely as each other, at any yaw; its place is normally distributed.
+
+    RUMI, V.B, whose box is assumed upright.
+
+    Attributes:
+        mean: (2,), x and y of the object's origin, metres.
+        spread_m: standard deviation along x and along y.
+        ways: (R, 4, 4), poses above the world's origin in which the object may lie.
+    """
+
+    mean: Float[Tensor, "2"]
+    spread_m: float
+    ways: Float[Tensor, "R 4 4"]
+
+    @classmethod
+    def of(
+        cls, mean: Sequence[float], spread_m: float, bounds: Float[Tensor, "2 3"], up: Sequence[str] = ("z",)
+    ) -> Self:
+        """The prior of an object with a box `bounds` that lies with one of the axes `up` pointing up."""
+        if not spread_m > 0:
+            raise UsageError(f"Expected spread_m to be positive, got {spread_m}")
+        return cls(bounds.new_tensor(tuple(mean)), spread_m, torch.stack([lying(bounds, axis) for axis in up]))
+
+    def starts(self, count: int, *, generator: torch.Generator) -> Float[Tensor, "count 4 4"]:
+        """Poses evenly over all ways, yaws and places within `REACH` standard deviations: to be weighed by `nats`.
+
+        Args:
+            count: how many.
+            generator: shifts the spread.
+        """
+        index = torch.arange(count, dtype=self.mean.dtype, device=self.mean.device)
+        draw = uniform((3,), generator=generator, dtype=self.mean.dtype, device=self.mean.device)
+        # a three-dimensional Kronecker sequence covers yaw and disc evenly at any count (R3 sequence)
+        rank = torch.div(index, len(self.ways), rounding_mode="floor")
+        share = torch.stack([(draw[k] + (rank + 1) / _R3 ** (k + 1)) % 1.0 for k in range(3)], -1)
+        angle, radius = 2 * math.pi * share[:, 1], REACH * self.spread_m * share[:, 2].sqrt()
+        place = self.mean + radius[:, None] * torch.stack((angle.cos(), angle.sin()), -1)
+        planar = torch.cat((place, 2 * math.pi * share[:, :1] - math.pi), -1)
+        return se3.from_planar(planar) @ self.ways[index.long() % len(self.ways)]
+
+    def nats(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
+        """Minus the log-density of poses that lie in one of the ways, up to a constant."""
+        off = (world_T_object[..., :2, 3] - self.mean.to(world_T_object)) / self.spread_m
+        return 0.5 * off.square().sum(-1)
+
+    def to(self, *targets: torch.device | torch.dtype | str) -> Self:
+        """Move to devices or floating dtypes."""
+        mean, ways = self.mean, self.ways
+        for target in targets:
+            mean, ways = mean.to(target), ways.to(target)
+        return type(self)(mean, self.spread_m, ways)

@@ -1,0 +1,144 @@
+"""Particles carried along one tool path: where each is after every instant, and how far the tool then is from it."""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.dynamics.outline import GridOutline, RectangleOutline
+from rumi.dynamics.sliding import Outline, Sliding, push, rotated
+from sdf import backend, fused
+from sdf.check import check_shape
+
+
+class Pusher(NamedTuple):
+    """A planar tool that pushes.
+
+    Attributes:
+        points: (n, 2), of its border, tool frame, metres.
+        thickness: radius of a disc about every point, metres; one point with a radius is a round finger.
+    """
+
+    points: Float[Tensor, "n 2"]
+    thickness: float = 0.0
+
+    @property
+    def radius(self) -> float:
+        """Greatest distance of the tool's border from its frame's origin, metres."""
+        return float(self.points.norm(dim=-1).max()) + self.thickness
+
+    @staticmethod
+    def disc(radius: float, like: Tensor) -> "Pusher":
+        """A round finger."""
+        return Pusher(like.new_zeros(1, 2), radius)
+
+
+class Carried(NamedTuple):
+    """What a tool path did to E objects.
+
+    Attributes:
+        track: (E, K, 3), pose (x, y, yaw) after each instant.
+        distance: (E, K), metres from the tool's border to the object then; 0 where they touch, or less by what depth
+            a step has left.
+    """
+
+    track: Float[Tensor, "E K 3"]
+    distance: Float[Tensor, "E K"]
+
+
+def carry(
+    poses: Float[Tensor, "E 3"],
+    path: Float[Tensor, "#E K1 3"],
+    pusher: Pusher,
+    outline: Outline,
+    sliding: Sliding,
+    *,
+    substeps: int = 2,
+    passes: int = 2,
+) -> Carried:
+    """Push objects along tool paths, quasi-statically (`sliding.push` has the mechanics).
+
+    Skipped, with the same poses: motions in which the tool is too far off to touch.
+
+    Args:
+        poses: (x, y, yaw) of each object, metres and radians.
+        path: (x, y, yaw) of the tool at K + 1 instants, the present first; for each object, or one for all.
+        pusher: the tool.
+        outline: of the objects.
+        sliding: of each object.
+        substeps: equal parts of the way from one instant to the next.
+        passes: contacts that are settled in a part, at most.
+    """
+    check_shape("poses", poses, "(E, 3)", last=(3,))
+    check_shape("path", path, "(#E, K1, 3)", last=(3,))
+    sliding = sliding.expand(len(poses))
+    version = backend.dispatch("carry", poses, path, pusher.points, *sliding)
+    found: Carried = version(poses, path, pusher, outline, sliding, substeps, passes)
+    return found
+
+
+@backend.register("carry")
+def _carry(
+    poses: Tensor, path: Tensor, pusher: Pusher, outline: Outline, sliding: Sliding, substeps: int, passes: int
+) -> Carried:
+    path = path.expand(len(poses), *path.shape[1:])
+    reach, now = pusher.radius + outline.radius, poses
+    track, distance = [], []
+    for instant in range(path.shape[1] - 1):
+        begin, way = path[:, instant], path[:, instant + 1] - path[:, instant]
+        for part in range(substeps):
+            before, after = begin + (part / substeps) * way, begin + ((part + 1) / substeps) * way
+            near = ((after - now)[:, :2].norm(dim=-1) < reach).nonzero()[:, 0]
+            if len(near):
+                pushed, _ = push(
+                    now[near],
+                    before[near],
+                    after[near],
+                    pusher.points,
+                    outline,
+                    sliding.at(near),
+                    thickness=pusher.thickness,
+                    passes=passes,
+                )
+                now = now.index_copy(0, near, pushed)
+        track.append(now)
+        distance.append(distance_to(now, path[:, instant + 1], pusher, outline))
+    if not track:
+        return Carried(poses.new_zeros(len(poses), 0, 3), poses.new_zeros(len(poses), 0))
+    return Carried(torch.stack(track, 1), torch.stack(distance, 1))
+
+
+def distance_to(
+    poses: Float[Tensor, "E 3"], tool: Float[Tensor, "#E 3"], pusher: Pusher, outline: Outline
+) -> Float[Tensor, "E"]:
+    """Distance of a tool's border from objects, metres."""
+    placed = tool[:, None, :2] + rotated(pusher.points, tool[:, None, 2])
+    local = rotated(placed - poses[:, None, :2], -poses[:, None, 2])
+    return outline(local).distance.amin(-1) - pusher.thickness
+
+
+@backend.register("carry", "numba", fused.supports)
+def _carry_numba(
+    poses: Tensor, path: Tensor, pusher: Pusher, outline: Outline, sliding: Sliding, substeps: int, passes: int
+) -> Carried:
+    from rumi.dynamics.carry_numba import carry as kernel
+
+    if not isinstance(outline, GridOutline | RectangleOutline):
+        return _carry(poses, path, pusher, outline, sliding, substeps, passes)
+    count, instants = len(poses), path.shape[1] - 1
+    track, distance = poses.new_empty(count, instants, 3), poses.new_empty(count, instants)
+    if isinstance(outline, RectangleOutline):
+        table, shape = poses.new_zeros(1, 1), (1.0, *outline.half, 0.0)
+    else:
+        table, shape = outline.values, (0.0, *outline.origin.tolist(), outline.spacing)
+    kernel(
+        *(part.detach().contiguous().numpy() for part in (poses, path, pusher.points, table, *sliding)),
+        np.array(shape),
+        np.array((pusher.thickness, pusher.radius + outline.radius)),
+        np.array((substeps, passes)),
+        track.numpy(),
+        distance.numpy(),
+    )
+    return Carried(track, distance)

@@ -1,0 +1,286 @@
+"""The fused CPU version of the push rollouts of a tool that moves in space; `displacement.py` has the definition.
+
+As `displacement_numba` for a tool that moves in a plane: rollouts that have met the same so far go on as one group.
+"""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from rumi.planning.tool_space_numba import residual, step_within
+from sdf.fused import Kernel, bare
+from sdf.grid_numba import at, put
+
+# columns of a group's state
+_X, _Y, _Z, _YAW, _WAY_X, _WAY_Y, _WAY_Z, _WAY_YAW, _OFFSET_X, _OFFSET_Y, _COS, _SIN = range(12)
+
+
+@bare
+def _value(grid, channel, x, y, z):
+    """Trilinear value of a channel at lattice coordinates; zero fades in outside."""
+    i, j, k = math.floor(x), math.floor(y), math.floor(z)
+    a, b, c = x - i, y - j, z - k
+    value = 0.0
+    for di in range(2):
+        for dj in range(2):
+            for dk in range(2):
+                u, v, w = i + di, j + dj, k + dk
+                if 0 <= u < grid.shape[0] and 0 <= v < grid.shape[1] and 0 <= w < grid.shape[2]:
+                    share = (a if di else 1.0 - a) * (b if dj else 1.0 - b) * (c if dk else 1.0 - c)
+                    value += share * grid[u, v, w, channel]
+    return value
+
+
+@bare
+def _bound(bound, x, y, z):
+    """What the bound holds at the node next to lattice coordinates; 0 outside. A single node holds everywhere."""
+    if bound.size == 1:
+        return bound[0, 0, 0]
+    i, j, k = math.floor(x + 0.5), math.floor(y + 0.5), math.floor(z + 0.5)
+    inside = 0 <= i < bound.shape[0] and 0 <= j < bound.shape[1] and 0 <= k < bound.shape[2]
+    return bound[i, j, k] if inside else 0.0
+
+
+@bare
+def _touch(
+    x,
+    y,
+    z,
+    cos,
+    sin,
+    level,
+    px,
+    py,
+    pz,
+    starts,
+    order,
+    flat,
+    origin,
+    bound,
+    bound_origin,
+    centres,
+    sizes,
+    ahead,
+    likely,
+):
+    """Greatest contact probability of the tool's points if it is above `level`, and the first point that has it.
+
+    Balls are looked into in the order of what they may hold, until none left can hold as much as was found.
+    """
+    width, depth, height, scale, tie = int(sizes[0]), int(sizes[1]), int(sizes[2]), sizes[3], sizes[4]
+    kind, across, slab, one = flat.dtype.type, np.int32(height), np.int32(depth * height), np.int32(1)
+    none, last_x, last_y, last_z = kind(0.0), kind(width - 1.001), kind(depth - 1.001), kind(height - 1.001)
+    possible = False
+    for d in range(len(centres)):
+        cx = (x + cos * centres[d, 0] - sin * centres[d, 1] - bound_origin[0]) * scale
+        cy = (y + sin * centres[d, 0] + cos * centres[d, 1] - bound_origin[1]) * scale
+        ahead[d] = _bound(bound, cx, cy, (z + centres[d, 2] - bound_origin[2]) * scale)
+        possible |= ahead[d] > level
+    if not possible:
+        return 0.0, -1, False
+    # the field is padded by two nodes of zeros on each side, on which all that lies outside lands
+    place_x, place_y = kind((x - origin[0]) * scale + 2.0), kind((y - origin[1]) * scale + 2.0)
+    place_z, rise = kind((z - origin[2]) * scale + 2.0), kind(scale)
+    turn_x, turn_y = kind(cos * scale), kind(sin * scale)
+    most = none
+    while True:
+        ball, highest = -1, max(most, level) - tie
+        for d in range(len(centres)):
+            if ahead[d] >= highest:
+                ball, highest = d, ahead[d]
+        if ball < 0:
+            break
+        ahead[ball] = -2.0
+        first, last = starts[ball], starts[ball + 1]
+        for n in range(first, last):
+            u = place_x + turn_x * at(px, n) - turn_y * at(py, n)
+            v = place_y + turn_y * at(px, n) + turn_x * at(py, n)
+            w = place_z + rise * at(pz, n)
+            u, v, w = u if u > none else none, v if v > none else none, w if w > none else none
+            u, v, w = u if u < last_x else last_x, v if v < last_y else last_y, w if w < last_z else last_z
+            i, j, k = np.int32(u), np.int32(v), np.int32(w)
+            a, b, c = u - kind(i), v - kind(j), w - kind(k)
+            near = i * slab + j * across + k
+            low = at(flat, near) + c * (at(flat, near + one) - at(flat, near))
+            side = near + across
+            high = at(flat, side) + c * (at(flat, side + one) - at(flat, side))
+            low += b * (high - low)
+            near += slab
+            first_far = at(flat, near) + c * (at(flat, near + one) - at(flat, near))
+            side = near + across
+            high = at(flat, side) + c * (at(flat, side + one) - at(flat, side))
+            first_far += b * (high - first_far)
+            put(likely, n, low + a * (first_far - low))
+        for n in range(first, last):
+            most = max(most, likely[n])
+    best, first = -1, len(px)
+    if level < most:
+        for d in range(len(centres)):
+            if ahead[d] == -2.0:
+                for n in range(starts[d], starts[d + 1]):
+                    if likely[n] >= most - tie and order[n] < first:
+                        best, first = n, order[n]
+    return most, best, True
+
+
+@bare
+def _pushes(x, y, z, cos, sin, tx, ty, tz, dx, dy, dz, normal, origin, scale, push_cosine):
+    """Whether the motion of the tool's point goes into the surface within the push angle, and sideways."""
+    tiny = 1e-6
+    gx, gy = (x + cos * tx - sin * ty - origin[0]) * scale, (y + sin * tx + cos * ty - origin[1]) * scale
+    gz = (z + tz - origin[2]) * scale
+    nx, ny, nz = _value(normal, 0, gx, gy, gz), _value(normal, 1, gx, gy, gz), _value(normal, 2, gx, gy, gz)
+    level = math.sqrt(nx * nx + ny * ny)
+    length, moved = math.sqrt(level * level + nz * nz), math.sqrt(dx * dx + dy * dy + dz * dz)
+    inward = -(nx * dx + ny * dy + nz * dz)
+    return inward > push_cosine * length * moved and length > tiny and moved > tiny and level >= abs(nz)
+
+
+@bare
+def _sample(k, start, controls, draws, action, body, fields, discs, arm, sizes, rules, scratch, out):
+    """All rollouts of control sequence k."""
+    # arrays in tuples are counted in and out wherever they are taken out: once here
+    px, py, pz, starts, order = body
+    flat, origin, normal = fields
+    bound, bound_origin, centres = discs
+    tables, base, bounds, limits = arm
+    states, moved, contact, twin, checks = out
+    every_state, every_flag, every_group, every_ahead, every_likely = scratch
+    state, strayed, stuck = every_state[k], every_flag[k, 0], every_flag[k, 1]
+    group, ahead, likely = every_group[k], every_ahead[k], every_likely[k]
+    push_cosine, holds, mini_steps = rules[0], rules[1] > 0.0, int(rules[2])
+    scale = sizes[3]
+    _, rollouts, horizon, parts = draws.shape
+    groups, checked = 1, 0
+    free_x, free_y, free_z, free_yaw = float(start[0]), float(start[1]), float(start[2]), float(start[3])
+    left = residual(free_x, free_y, free_z, free_yaw, tables, base, limits)
+    state[0, _X], state[0, _Y], state[0, _Z], state[0, _YAW] = free_x, free_y, free_z, free_yaw
+    state[0, _COS], state[0, _SIN] = math.cos(free_yaw), math.sin(free_yaw)
+    for m in range(rollouts):
+        for axis in range(4):
+            states[k, m, 0, axis] = start[axis]
+        for axis in range(3):
+            moved[k, m, 0, axis] = 0.0
+    for h in range(horizon):
+        ux, uy = controls[k, h, 0] * action[0], controls[k, h, 1] * action[1]
+        uz, uyaw = controls[k, h, 2] * action[2], controls[k, h, 3] * action[3]
+        free_x, free_y, free_z, free_yaw, left = step_within(
+            free_x,
+            free_y,
+            free_z,
+            free_yaw,
+            free_x + ux,
+            free_y + uy,
+            free_z + uz,
+            free_yaw + uyaw,
+            left,
+            tables,
+            base,
+            bounds,
+            limits,
+        )
+        for g in range(groups):
+            x, y, z, yaw = state[g, _X], state[g, _Y], state[g, _Z], state[g, _YAW]
+            to_x, to_y, to_z, to_yaw = free_x, free_y, free_z, free_yaw
+            if strayed[g]:
+                rest = residual(x, y, z, yaw, tables, base, limits)
+                to_x, to_y, to_z, to_yaw, _ = step_within(
+                    x, y, z, yaw, x + ux, y + uy, z + uz, yaw + uyaw, rest, tables, base, bounds, limits
+                )
+            stuck[g] = False
+            state[g, _WAY_X] = (to_x - x) / mini_steps
+            state[g, _WAY_Y] = (to_y - y) / mini_steps
+            state[g, _WAY_Z] = (to_z - z) / mini_steps
+            state[g, _WAY_YAW] = (to_yaw - yaw) / mini_steps
+        for m in range(rollouts):
+            contact[k, m, h] = False
+        for mini in range(mini_steps):
+            part = min(mini, parts - 1)
+            for g in range(groups):  # those that split off below have done this mini step
+                if stuck[g]:
+                    continue
+                level = 2.0
+                for m in range(rollouts):
+                    if group[m] == g:
+                        level = min(level, draws[k, m, h, part])
+                x, y = state[g, _X] + state[g, _WAY_X], state[g, _Y] + state[g, _WAY_Y]
+                z, yaw = state[g, _Z] + state[g, _WAY_Z], state[g, _YAW] + state[g, _WAY_YAW]
+                cos, sin = math.cos(yaw), math.sin(yaw)
+                u, v = x - state[g, _OFFSET_X], y - state[g, _OFFSET_Y]
+                most, point, looked = _touch(
+                    u,
+                    v,
+                    z,
+                    cos,
+                    sin,
+                    level,
+                    px,
+                    py,
+                    pz,
+                    starts,
+                    order,
+                    flat,
+                    origin,
+                    bound,
+                    bound_origin,
+                    centres,
+                    sizes,
+                    ahead,
+                    likely,
+                )
+                checked += looked
+                those = -1  # the group of those that touch
+                if point >= 0:
+                    every = True
+                    for m in range(rollouts):
+                        if group[m] == g and not draws[k, m, h, part] < most:
+                            every = False
+                    those = g if every else groups
+                    for m in range(rollouts):
+                        if group[m] == g and draws[k, m, h, part] < most:
+                            group[m] = those
+                            contact[k, m, h] = True
+                    tx, ty, tz = px[point], py[point], pz[point]
+                    dx = (cos - state[g, _COS]) * tx - (sin - state[g, _SIN]) * ty + state[g, _WAY_X]
+                    dy = (sin - state[g, _SIN]) * tx + (cos - state[g, _COS]) * ty + state[g, _WAY_Y]
+                    dz = state[g, _WAY_Z]
+                    pushed = _pushes(u, v, z, cos, sin, tx, ty, tz, dx, dy, dz, normal, origin, scale, push_cosine)
+                    if not every:
+                        groups += 1
+                        for column in range(state.shape[1]):
+                            state[those, column] = state[g, column]
+                        strayed[those] = strayed[g]
+                        stuck[those] = False
+                    if pushed:
+                        state[those, _X], state[those, _Y], state[those, _Z] = x, y, z
+                        state[those, _YAW], state[those, _COS], state[those, _SIN] = yaw, cos, sin
+                        state[those, _OFFSET_X] += dx
+                        state[those, _OFFSET_Y] += dy
+                    else:
+                        strayed[those] = True
+                        stuck[those] = holds
+                if those != g:
+                    state[g, _X], state[g, _Y], state[g, _Z] = x, y, z
+                    state[g, _YAW], state[g, _COS], state[g, _SIN] = yaw, cos, sin
+        for m in range(rollouts):
+            g = group[m]
+            states[k, m, h + 1, 0], states[k, m, h + 1, 1] = state[g, _X], state[g, _Y]
+            states[k, m, h + 1, 2], states[k, m, h + 1, 3] = state[g, _Z], state[g, _YAW]
+            moved[k, m, h + 1, 0], moved[k, m, h + 1, 1] = state[g, _OFFSET_X], state[g, _OFFSET_Y]
+            moved[k, m, h + 1, 2] = 0.0
+    checks[k] = checked
+    for m in range(rollouts):
+        twin[k, m] = m
+        for other in range(m):
+            if group[other] == group[m]:
+                twin[k, m] = other
+                break
+
+
+def _push_rollouts_in_space(start, controls, draws, action, body, fields, discs, arm, sizes, rules, scratch, out):
+    for k in prange(len(controls)):
+        _sample(k, start, controls, draws, action, body, fields, discs, arm, sizes, rules, scratch, out)
+
+
+push_rollouts = Kernel(_push_rollouts_in_space)

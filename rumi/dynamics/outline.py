@@ -1,0 +1,161 @@
+"""Outlines that a tool meets at its height, and what of an object's shape decides how it slides."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as nnf
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from rumi.dynamics.sliding import OutlineQuery
+from sdf.base import SDF
+from sdf.primitives import rectangle
+
+
+@dataclass(frozen=True)
+class RectangleOutline:
+    """A rectangle about the origin, in closed form.
+
+    Attributes:
+        half: half of its length along x and along y, metres.
+    """
+
+    half: tuple[float, float]
+
+    @property
+    def radius(self) -> float:
+        """Distance of its corners from the origin, metres."""
+        return float(torch.tensor(self.half).norm())
+
+    def __call__(self, points_o: Float[Tensor, "*b 2"]) -> OutlineQuery:
+        """Signed distance and gradient."""
+        excess = points_o.abs() - points_o.new_tensor(self.half)
+        distance, outside = rectangle(excess), excess.clamp_min(0.0)
+        length = outside.norm(dim=-1, keepdim=True)
+        nearest = torch.nn.functional.one_hot(excess.argmax(-1), 2).to(points_o)
+        away = torch.where(length > 0, outside / length.clamp_min(1e-12), nearest)
+        return OutlineQuery(distance, away * torch.where(points_o < 0, -1.0, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class GridOutline:
+    """An outline as a table of signed distances, bilinear between nodes.
+
+    Attributes:
+        values: (X, Y), metres; positive on the border.
+        origin: (2,), where node (0, 0) is.
+        spacing: metres between nodes.
+        radius: greatest distance of the region from the frame's origin, metres.
+    """
+
+    values: Float[Tensor, "X Y"]
+    origin: Float[Tensor, "2"]
+    spacing: float
+    radius: float
+
+    @classmethod
+    def of_slice(cls, sdf: SDF, height: float, *, spacing: float = 0.001, margin: float = 0.012) -> "GridOutline":
+        """What a tool meets of an upright object at one height: cavities that it could only jump into are filled.
+
+        Args:
+            sdf: of the object.
+            height: of the slice, object frame, metres.
+            spacing: of the table.
+            margin: of free space about the object's bounds.
+
+        Raises:
+            ValueError: if the object is not met at that height.
+        """
+        low, high = sdf.bounds[0, :2] - margin, sdf.bounds[1, :2] + margin
+        counts = torch.ceil((high - low) / spacing).long() + 1
+        axes = [low[i] + spacing * torch.arange(int(counts[i]), dtype=low.dtype, device=low.device) for i in range(2)]
+        nodes = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
+        points = torch.cat((nodes, torch.full_like(nodes[..., :1], height)), -1)
+        with torch.no_grad():
+            values = sdf.distance(points)
+        if not bool((values <= 0).any()):
+            raise ValueError(f"Expected the object to reach the height {height:g} m of the tool, got nothing there")
+        outside = _outside(values)
+        values = _filled(values, outside, nodes, spacing)
+        radius = float(nodes[~outside].norm(dim=-1).max()) + spacing
+        return cls(values, low.clone(), spacing, radius)
+
+    def __call__(self, points_o: Float[Tensor, "*b 2"]) -> OutlineQuery:
+        """Signed distance and gradient; beyond the table, a positive lower bound of the distance."""
+        last = self.values.new_tensor([float(n - 1) for n in self.values.shape])
+        place = (points_o - self.origin) / self.spacing
+        inside = torch.minimum(place.clamp_min(0.0), last)
+        corner = torch.minimum(inside.floor(), last - 1.0)
+        a, b = (inside - corner).unbind(-1)
+        i, j = corner.long().unbind(-1)
+        v00, v01, v10, v11 = (self.values[i + di, j + dj] for di in (0, 1) for dj in (0, 1))
+        low, high = v00 + b * (v01 - v00), v10 + b * (v11 - v10)
+        along = torch.stack((high - low, (1.0 - a) * (v01 - v00) + a * (v11 - v10)), -1) / self.spacing
+        beyond = (place - inside).norm(dim=-1) * self.spacing
+        return OutlineQuery(low + a * (high - low) + beyond, along)
+
+    def to(self, like: Tensor) -> "GridOutline":
+        """A copy on the device and of the dtype of a tensor."""
+        return GridOutline(self.values.to(like), self.origin.to(like), self.spacing, self.radius)
+
+
+class Support(NamedTuple):
+    """Where and how widely an object rests on the floor.
+
+    Attributes:
+        centre: (2,), below the centre of mass, object frame, metres.
+        spread: mean distance of what rests on the floor from there, metres.
+    """
+
+    centre: Float[Tensor, "2"]
+    spread: float
+
+
+def support_of(sdf: SDF, *, spacing: float = 0.002, above_m: float = 0.001) -> Support:
+    """Centre of mass and base of an upright object of even density, from its signed distances on a lattice.
+
+    Args:
+        sdf: of the object.
+        spacing: of the lattice, metres.
+        above_m: what reaches down to this height above the lowest point rests on the floor.
+    """
+    low, high = sdf.bounds
+    axes = [torch.arange(float(low[i]), float(high[i]), spacing, dtype=low.dtype) + 0.5 * spacing for i in range(3)]
+    points = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3).to(low)
+    with torch.no_grad():
+        inside = points[sdf.distance(points) <= 0]
+        lowest = inside[:, 2].min()
+        base = inside[inside[:, 2] <= lowest + above_m]
+    centre = inside[:, :2].mean(0)
+    return Support(centre, float((base[:, :2] - centre).norm(dim=-1).mean()))
+
+
+def _outside(values: Float[Tensor, "X Y"]) -> Bool[Tensor, "X Y"]:
+    """Free nodes that are joined to the border by free ones."""
+    free = values > 0
+    reached = torch.zeros_like(free)
+    reached[0] = reached[-1] = True
+    reached[:, 0] = reached[:, -1] = True
+    reached &= free
+    while True:
+        grown = nnf.max_pool2d(reached.to(values.dtype)[None, None], 3, stride=1, padding=1)[0, 0] > 0
+        grown &= free
+        if bool((grown == reached).all()):
+            return reached
+        reached = grown
+
+
+def _filled(
+    values: Float[Tensor, "X Y"], outside: Bool[Tensor, "X Y"], nodes: Float[Tensor, "X Y 2"], spacing: float
+) -> Float[Tensor, "X Y"]:
+    """Minus the distance to the outer border inside of it, where that is not what the table holds already."""
+    slope = torch.stack(torch.gradient(values, spacing=spacing), -1)
+    slope = slope / slope.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    near = outside & (values < 2.0 * spacing)
+    feet = nodes[near] - values[near, None] * slope[near]
+    within = ~outside
+    depth = torch.cdist(nodes[within], feet).amin(-1)
+    known = values[within]
+    filled = torch.where((known <= 0) & (depth < spacing - known), known, -depth)
+    return values.masked_scatter(within, filled)

@@ -1,0 +1,214 @@
+"""Quasi-static pushing of single particles: each rollout pushes one pose that the belief holds likely."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from rumi.dynamics.base import PushRollouts
+from rumi.dynamics.outline import GridOutline, Support
+from rumi.dynamics.sliding import Sliding, push, rotated
+from rumi.planning.tool import Tool
+from sdf import backend, fused, savings, se3
+from sdf.check import check_shape
+
+
+@dataclass(frozen=True)
+class QuasiStaticSettings:
+    """Settings of the quasi-static push model.
+
+    Attributes:
+        mini_steps: parts into which every action is cut, one contact problem each.
+        friction: coefficient between tool and object.
+        lever_ratio: c of the limit surface, as a multiple of the mean distance of the object's base from below its
+            centre of mass. 1 is even pressure; what rests on its rim or on corners has more.
+        passes: contacts that are settled in a mini step, at most.
+        spacing_m: between the points of the tool's border.
+    """
+
+    mini_steps: int = 16
+    friction: float = 0.5
+    lever_ratio: float = 1.5
+    passes: int = 3
+    spacing_m: float = 0.005
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        for name in ("mini_steps", "passes"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"Expected {name} to be 1 or more, got {getattr(self, name)}")
+        for name in ("lever_ratio", "spacing_m"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if not self.friction >= 0:
+            raise ValueError(f"Expected friction to be 0 or more, got {self.friction}")
+
+
+class QuasiStaticModel:
+    """A planar tool that goes where it wants and pushes particles of the belief before it: a `PushModel`.
+
+    Where the displacement model asks how likely a contact is and moves the object with the point that touches it, here
+    every rollout has one pose of the object, and pushes that: it slides along the tool, turns, and slips off. The
+    rollouts' poses stand for equal shares of the belief in the order of their yaws, and are the same for every control
+    sequence; nothing is random. Motions are told as those of the belief's mean position (`pivot`), and a turn.
+
+    Skipped, with the same result: mini steps in which the tool is too far off to touch.
+
+    Args:
+        outline: what the tool meets of the object.
+        support: how the object rests on the floor.
+        tool: points and free-space motion.
+        world_T_object: (N, 4, 4), upright poses.
+        log_weights: (N), of the poses.
+        settings: see there.
+    """
+
+    def __init__(
+        self,
+        outline: GridOutline,
+        support: Support,
+        tool: Tool,
+        world_T_object: Float[Tensor, "N 4 4"],
+        log_weights: Float[Tensor, "N"],
+        settings: QuasiStaticSettings | None = None,
+    ) -> None:
+        self.settings = settings or QuasiStaticSettings()
+        self.tool = tool
+        self.poses = se3.to_planar(world_T_object)
+        self.weights = log_weights.softmax(-1)
+        self.pivot = self.weights @ self.poses[:, :2]
+        self.points = tool.shape.outline(self.settings.spacing_m).to(self.poses)
+        self.outline = outline.to(self.poses)
+        self.sliding = Sliding(
+            support.centre.to(self.poses),
+            self.poses.new_tensor(self.settings.lever_ratio * support.spread),
+            self.poses.new_tensor(self.settings.friction),
+        )
+        # a tool farther than this from an object does not touch it
+        self.reach = float(self.points.norm(dim=-1).max()) + self.outline.radius
+
+    @cached_property
+    def fused(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
+        """`rollout_poses` in one kernel; made once a model, at its first use."""
+        from rumi.dynamics.quasi_static_fused import FusedPush
+
+        return FusedPush(self)
+
+    def representatives(self, count: int) -> Float[Tensor, "count 3"]:
+        """Poses in the middles of `count` equal shares of the belief, in the order of their yaws."""
+        return self.poses[representatives(self.poses[:, 2], self.weights, count)]
+
+    def rollout(
+        self,
+        configuration: Float[Tensor, "3"],
+        controls: Float[Tensor, "K H A"],
+        *,
+        rollouts: int,
+        generator: torch.Generator | None = None,
+    ) -> PushRollouts:
+        """Roll control sequences out from one configuration (x, y, yaw), once for each of `rollouts` poses."""
+        return self.rollout_poses(configuration, controls, self.representatives(rollouts))
+
+    def likely(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "H A"]) -> PushRollouts:
+        """The one rollout (K = M = 1) of the likeliest pose."""
+        return self.rollout_poses(configuration, controls[None], self.poses[self.weights.argmax()][None])
+
+    @torch.no_grad()
+    def rollout_poses(
+        self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], poses: Float[Tensor, "M 3"]
+    ) -> PushRollouts:
+        """The rollouts in which the object starts at given poses (x, y, yaw)."""
+        check_shape("configuration", configuration, "(3,)", last=(3,))
+        check_shape("controls", controls, "(K, H, A)")
+        version = backend.dispatch("quasi_static_rollouts", configuration, controls, poses, self.points)
+        with savings.work("pushes") as work:
+            found: PushRollouts = version(self, configuration, controls, poses)
+            whole = found.contact.numel() * self.settings.mini_steps
+            work.count(found.checked * whole, whole)
+        return found
+
+    def free_path(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K T 3"]:
+        """Where the tool is after each action, the present configuration first; nothing holds it up."""
+        start = configuration.expand(len(controls), 1, 3)
+        return torch.cat((start, self.tool.free_path(start[:, 0], controls, 1)), 1)
+
+    def _rollouts(
+        self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], poses: Float[Tensor, "M 3"]
+    ) -> PushRollouts:
+        (samples, horizon, _), rollouts, mini = controls.shape, len(poses), self.settings.mini_steps
+        path = self.free_path(configuration, controls)[:, None].expand(samples, rollouts, horizon + 1, 3)
+        rows = path.reshape(-1, horizon + 1, 3)
+        now = poses.expand(samples, rollouts, 3).reshape(-1, 3)
+        start, sliding = now, self.sliding.expand(len(now))
+        track, contact, checked = [now], torch.zeros(len(now), horizon, dtype=torch.bool, device=now.device), 0
+        for action in range(horizon):
+            way = (rows[:, action + 1] - rows[:, action]) / mini
+            for part in range(mini):
+                before = rows[:, action] + part * way
+                after = rows[:, action] + (part + 1) * way
+                near = ((after - now)[:, :2].norm(dim=-1) < self.reach).nonzero()[:, 0]
+                if not len(near):
+                    continue
+                checked += len(near)
+                pushed, touched = push(
+                    now[near],
+                    before[near],
+                    after[near],
+                    self.points,
+                    self.outline,
+                    sliding.at(near),
+                    passes=self.settings.passes,
+                )
+                now = now.index_copy(0, near, pushed)
+                contact[near, action] |= touched
+            track.append(now)
+        shifts, turns = self.motions(start, torch.stack(track, 1))
+        shape = (samples, rollouts, horizon + 1)
+        contact = contact.view(samples, rollouts, horizon)
+        return PushRollouts(
+            path.clone(),
+            shifts.view(*shape, 3),
+            contact,
+            checked / max(1, samples * rollouts * horizon * mini),
+            twins(contact),
+            turns.view(shape),
+            self.pivot,
+        )
+
+    def motions(
+        self, start: Float[Tensor, "E 3"], track: Float[Tensor, "E T 3"]
+    ) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
+        """Displacement of the pivot, were it part of the object, and turn, since the start."""
+        turn = track[..., 2] - start[:, None, 2]
+        arm = (self.pivot - start[:, :2])[:, None].expand(-1, track.shape[1], 2)
+        shift = track[..., :2] - start[:, None, :2] + rotated(arm, turn) - arm
+        still = (track == start[:, None]).all(-1, keepdim=True)
+        return torch.cat((torch.where(still, 0.0, shift), torch.zeros_like(shift[..., :1])), -1), turn
+
+
+def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
+    """Indices of the yaws in the middles of `count` equal shares of the weight, counted from opposite their mean."""
+    mean = torch.atan2(weights @ yaw.sin(), weights @ yaw.cos())
+    turned = torch.remainder(yaw - mean + torch.pi, 2.0 * torch.pi)
+    order = turned.sort(stable=True).indices
+    below = weights[order].cumsum(0)
+    middles = (torch.arange(count, dtype=below.dtype, device=below.device) + 0.5) / count
+    return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(yaw) - 1)]
+
+
+def twins(contact: Tensor) -> Int[Tensor, "K M"]:
+    """The first rollout that touches nothing for those that touch nothing, else the rollout itself."""
+    untouched = ~contact.any(-1)
+    own = torch.arange(contact.shape[1], device=contact.device).expand(untouched.shape)
+    return torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
+
+
+backend.register("quasi_static_rollouts")(QuasiStaticModel._rollouts)
+
+
+@backend.register("quasi_static_rollouts", "numba", fused.supports)
+def _rollouts_numba(model: QuasiStaticModel, configuration: Tensor, controls: Tensor, poses: Tensor) -> PushRollouts:
+    return model.fused(configuration, controls, poses)

@@ -1,0 +1,182 @@
+"""The fused CPU version of the quasi-static rollouts; `quasi_static.py` and `sliding.py` have the definition."""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from rumi.dynamics.sliding_numba import settled, slope, value
+from rumi.planning.tool_numba import residual, step_within
+from sdf.fused import Kernel, bare
+from sdf.grid_numba import at, put
+
+
+@bare
+def _deepest(x, y, cos, sin, px, py, order, starts, centres, radii, values, flat, low_x, low_y, spacing, inside):
+    """The tool's point that is deepest in the object, its depth, and how far all are from the object at least.
+
+    The tool is at (x, y, cos, sin) in the object's frame.
+    """
+    depth, best, first, gap = 0.0, -1, len(px), 1e9
+    # tables are off by rounding and their bilinear values may be steeper than distances are
+    slack = spacing
+    kind, across = flat.dtype.type, np.int32(values.shape[1])
+    one, none = np.int32(1), kind(0.0)
+    last_x, last_y = kind(values.shape[0] - 1.0), kind(values.shape[1] - 1.0)
+    end_x, end_y = np.int32(values.shape[0] - 2), np.int32(values.shape[1] - 2)
+    place_x, place_y = kind((x - low_x) / spacing), kind((y - low_y) / spacing)
+    turn_x, turn_y = kind(cos / spacing), kind(sin / spacing)
+    for group in range(len(radii)):
+        cx = x + cos * centres[group, 0] - sin * centres[group, 1]
+        cy = y + sin * centres[group, 0] + cos * centres[group, 1]
+        clear = value(cx, cy, values, low_x, low_y, spacing) - radii[group] - slack
+        gap = min(gap, clear)
+        if -clear < depth:
+            continue
+        begin, end = starts[group], starts[group + 1]
+        for k in range(begin, end):
+            # beyond the table is outside of the object, as its border is
+            u = place_x + turn_x * at(px, k) - turn_y * at(py, k)
+            v = place_y + turn_y * at(px, k) + turn_x * at(py, k)
+            u, v = u if u > none else none, v if v > none else none
+            u, v = u if u < last_x else last_x, v if v < last_y else last_y
+            i, j = np.int32(u), np.int32(v)
+            i, j = i if i < end_x else end_x, j if j < end_y else end_y
+            a, b = u - kind(i), v - kind(j)
+            near = i * across + j
+            far = near + across
+            low, high = at(flat, near), at(flat, far)
+            low += b * (at(flat, near + one) - low)
+            high += b * (at(flat, far + one) - high)
+            put(inside, k, -(low + a * (high - low)))
+        for k in range(begin, end):
+            if inside[k] > depth or (inside[k] == depth and inside[k] > 0.0 and order[k] < first):
+                depth, best, first = inside[k], k, order[k]
+    return depth, best, gap
+
+
+@bare
+def _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers, counts, scratch, out):
+    """All rollouts of control sequence k."""
+    px, py, order, starts, centres, radii = body
+    values, flat, low = outline
+    low_x, low_y = low[0], low[1]
+    spacing, reach, width = numbers[0], numbers[1], numbers[2]
+    centre_x, centre_y, lever, friction = numbers[3], numbers[4], numbers[5], numbers[6]
+    mini, passes = counts[0], counts[1]
+    track, contact, checks = out
+    inside = scratch[k]
+    actions = path.shape[1] - 1
+    table, base, bounds, limits = arm
+    free_x, free_y, free_yaw = float(path[k, 0, 0]), float(path[k, 0, 1]), float(path[k, 0, 2])
+    left = residual(free_x, free_y, free_yaw, table, base, limits)
+    for h in range(actions):
+        free_x, free_y, free_yaw, left = step_within(
+            free_x,
+            free_y,
+            free_yaw,
+            free_x + controls[k, h, 0] * action_scale[0],
+            free_y + controls[k, h, 1] * action_scale[1],
+            free_yaw + controls[k, h, 2] * action_scale[2],
+            left,
+            table,
+            base,
+            bounds,
+            limits,
+        )
+        path[k, h + 1, 0], path[k, h + 1, 1], path[k, h + 1, 2] = free_x, free_y, free_yaw
+    checked = 0
+    for m in range(len(poses)):
+        x, y, yaw = float(poses[m, 0]), float(poses[m, 1]), float(poses[m, 2])
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        track[k, m, 0, 0], track[k, m, 0, 1], track[k, m, 0, 2] = poses[m, 0], poses[m, 1], poses[m, 2]
+        still, gap = True, 0.0  # metres that the tool may go before it can touch
+        for action in range(actions):
+            from_x, from_y, from_yaw = (
+                float(path[k, action, 0]),
+                float(path[k, action, 1]),
+                float(path[k, action, 2]),
+            )
+            way_x = (path[k, action + 1, 0] - from_x) / mini
+            way_y = (path[k, action + 1, 1] - from_y) / mini
+            way_yaw = (path[k, action + 1, 2] - from_yaw) / mini
+            way = math.sqrt(way_x * way_x + way_y * way_y) + abs(way_yaw) * width
+            for part in range(mini):
+                gap -= way
+                if gap > 0.0:
+                    continue
+                tool_x, tool_y = from_x + (part + 1) * way_x, from_y + (part + 1) * way_y
+                apart = math.sqrt((tool_x - x) * (tool_x - x) + (tool_y - y) * (tool_y - y))
+                if apart >= reach:
+                    gap = apart - reach
+                    continue
+                checked += 1
+                tool_yaw = from_yaw + (part + 1) * way_yaw
+                tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
+                first = (x, y, yaw)
+                for _ in range(passes):
+                    dx, dy = tool_x - x, tool_y - y
+                    turn_cos = tool_cos * cos + tool_sin * sin
+                    turn_sin = tool_sin * cos - tool_cos * sin
+                    place_x, place_y = cos * dx + sin * dy, cos * dy - sin * dx
+                    depth, point, gap = _deepest(
+                        place_x,
+                        place_y,
+                        turn_cos,
+                        turn_sin,
+                        px,
+                        py,
+                        order,
+                        starts,
+                        centres,
+                        radii,
+                        values,
+                        flat,
+                        low_x,
+                        low_y,
+                        spacing,
+                        inside,
+                    )
+                    if point < 0:
+                        break
+                    still, gap = False, 0.0
+                    contact[k, m, action] = True
+                    gx, gy = slope(
+                        place_x + turn_cos * px[point] - turn_sin * py[point],
+                        place_y + turn_sin * px[point] + turn_cos * py[point],
+                        values,
+                        low_x,
+                        low_y,
+                        spacing,
+                    )
+                    x, y, yaw = settled(
+                        x,
+                        y,
+                        yaw,
+                        first,
+                        (tool_x, tool_y),
+                        (way_x, way_y, way_yaw),
+                        tool_cos * px[point] - tool_sin * py[point],
+                        tool_sin * px[point] + tool_cos * py[point],
+                        gx,
+                        gy,
+                        depth,
+                        0.0,
+                        (centre_x, centre_y, lever, friction),
+                    )
+                    cos, sin = math.cos(yaw), math.sin(yaw)
+            if still:
+                for axis in range(3):
+                    track[k, m, action + 1, axis] = poses[m, axis]
+            else:
+                track[k, m, action + 1, 0], track[k, m, action + 1, 1] = x, y
+                track[k, m, action + 1, 2] = yaw
+    checks[k] = checked
+
+
+def _push_rollouts(controls, action_scale, arm, path, poses, body, outline, numbers, counts, scratch, out):
+    for k in prange(len(path)):
+        _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers, counts, scratch, out)
+
+
+push_rollouts = Kernel(_push_rollouts)

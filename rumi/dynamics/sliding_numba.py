@@ -1,0 +1,86 @@
+"""Building blocks of fused pushing: one contact of a tool and an object; `sliding.py` has the definition."""
+
+import math
+
+from sdf.fused import bare
+
+_WEDGED = 0.1
+
+
+@bare
+def value(x, y, values, low_x, low_y, spacing):
+    """Signed distance at a point of the object's frame."""
+    rows, columns = values.shape
+    u, v = (x - low_x) / spacing, (y - low_y) / spacing
+    a, b = min(max(u, 0.0), rows - 1.0), min(max(v, 0.0), columns - 1.0)
+    beyond = 0.0
+    if a != u or b != v:
+        beyond = math.sqrt((u - a) * (u - a) + (v - b) * (v - b)) * spacing
+    i, j = min(int(a), rows - 2), min(int(b), columns - 2)
+    a, b = a - i, b - j
+    low = values[i, j] + b * (values[i, j + 1] - values[i, j])
+    high = values[i + 1, j] + b * (values[i + 1, j + 1] - values[i + 1, j])
+    return low + a * (high - low) + beyond
+
+
+@bare
+def slope(x, y, values, low_x, low_y, spacing):
+    """Gradient there."""
+    rows, columns = values.shape
+    a = min(max((x - low_x) / spacing, 0.0), rows - 1.0)
+    b = min(max((y - low_y) / spacing, 0.0), columns - 1.0)
+    i, j = min(int(a), rows - 2), min(int(b), columns - 2)
+    a, b = a - i, b - j
+    v00, v01, v10, v11 = values[i, j], values[i, j + 1], values[i + 1, j], values[i + 1, j + 1]
+    along = (v10 + b * (v11 - v10)) - (v00 + b * (v01 - v00))
+    across = (1.0 - a) * (v01 - v00) + a * (v11 - v10)
+    return along / spacing, across / spacing
+
+
+@bare
+def twist(rx, ry, nx, ny, wx, wy, lever, friction):
+    """Motion of the centre of friction and turn; see `contact_twist`."""
+    square = lever * lever
+    whole = square + rx * rx + ry * ry
+    fx = ((square + rx * rx) * wx + rx * ry * wy) / whole
+    fy = (rx * ry * wx + (square + ry * ry) * wy) / whole
+    normal, tangential = fx * nx + fy * ny, fy * nx - fx * ny
+    if not abs(tangential) <= friction * normal:
+        side = friction if tangential > 0.0 else (-friction if tangential < 0.0 else 0.0)
+        ex, ey = nx - side * ny, ny + side * nx
+        moment, turned = rx * ey - ry * ex, rx * ny - ry * nx
+        straight = 1.0 + turned * turned / square
+        size = (wx * nx + wy * ny) / max(1.0 + turned * moment / square, _WEDGED * straight)
+        fx, fy = size * ex, size * ey
+    return fx, fy, (rx * fy - ry * fx) / square
+
+
+@bare
+def settled(x, y, yaw, first, tool, way, ax, ay, gx, gy, depth, thickness, body):
+    """Pose of an object after one contact; see `push`.
+
+    The object is at (x, y, yaw) and was at `first` before the motion, `way`, which brought the tool to `tool`. The
+    tool's deepest point lies (ax, ay) from there, along the world's axes, and by `depth` in the object, where the
+    outline's gradient, in the object's frame, is (gx, gy). `body` holds centre of friction (x, y), lever and friction.
+    """
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    centre_x, centre_y, lever, friction = body
+    length = max(math.sqrt(gx * gx + gy * gy), 1e-9)
+    nx, ny = -(cos * gx - sin * gy) / length, -(sin * gx + cos * gy) / length
+    ax, ay = ax + thickness * nx, ay + thickness * ny
+    # the touched point, from the tool's frame and from the object's
+    ox, oy = tool[0] + ax - x, tool[1] + ay - y
+    c, s = math.cos(way[2]), -math.sin(way[2])
+    slip_x, slip_y = c * ax - s * ay - ax - way[0], s * ax + c * ay - ay - way[1]
+    c, s = math.cos(first[2] - yaw), math.sin(first[2] - yaw)
+    slip_x = first[0] - x + c * ox - s * oy - ox - slip_x
+    slip_y = first[1] - y + s * ox + c * oy - oy - slip_y
+    along = slip_x * nx + slip_y * ny
+    slip_x, slip_y = slip_x - along * nx, slip_y - along * ny
+    arm_x, arm_y = cos * centre_x - sin * centre_y, sin * centre_x + cos * centre_y
+    fx, fy, turn = twist(ox - arm_x, oy - arm_y, nx, ny, depth * nx + slip_x, depth * ny + slip_y, lever, friction)
+    c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
+    x, y = x + arm_x + c * fx - s * fy, y + arm_y + s * fx + c * fy
+    yaw += turn
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return x - (cos * centre_x - sin * centre_y), y - (sin * centre_x + cos * centre_y), yaw

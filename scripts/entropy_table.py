@@ -1,0 +1,98 @@
+"""How far entropy estimates of weighted sets are from the truth, for uniform and Gaussian sets in 1 to 3 dimensions.
+
+python scripts/entropy_table.py                     # Markdown: mean error and standard deviation, nats
+python scripts/entropy_table.py --count 400 --neighbours 9 --sets 500
+"""
+
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+import tyro
+from torch import Tensor
+
+from rumi.belief.entropy import Entropy, KernelEntropy, NeighbourEntropy, SharedSupport, SpatialEntropy
+from rumi.belief.states import StateMetric
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is estimated.
+
+    Attributes:
+        count: states in a set, of equal weight.
+        neighbours: nearest that make up a box.
+        sets: how many sets are drawn.
+        seed: of the draws.
+    """
+
+    count: int = 100
+    neighbours: int = 5
+    sets: int = 300
+    seed: int = 0
+
+
+class Row(NamedTuple):
+    """Errors of one estimate."""
+
+    shape: str
+    dims: int
+    estimate: str
+    bias: float
+    deviation: float
+
+
+def estimates(dims: int, neighbours: int) -> dict[str, Entropy]:
+    """What is compared, by name."""
+    metric = StateMetric.euclidean(dims)
+    own = SharedSupport(metric, neighbours)
+    return {
+        "spatial": SpatialEntropy(own),
+        "spatial, without itself": SpatialEntropy(SharedSupport(metric, neighbours, include_self=False)),
+        "spatial, geometric mean": SpatialEntropy(SharedSupport(metric, neighbours, mean="geometric")),
+        "kernel": KernelEntropy(own),
+        "neighbour": NeighbourEntropy(metric, neighbours - 1),
+    }
+
+
+def rows(options: Options) -> Iterator[Row]:
+    """Errors of every estimate on every kind of set."""
+    generator = torch.Generator().manual_seed(options.seed)
+    log_weights = torch.zeros(options.count, dtype=torch.float64)
+    for dims in (1, 2, 3):
+        shape = (options.sets, options.count, dims)
+        uniform = torch.rand(shape, generator=generator, dtype=torch.float64)
+        gaussian = torch.randn(shape, generator=generator, dtype=torch.float64)
+        truths: dict[str, tuple[Tensor, float]] = {
+            "uniform": (uniform, 0.0),
+            "Gaussian": (gaussian, 0.5 * dims * math.log(2.0 * math.pi * math.e)),
+        }
+        for name, (states, truth) in truths.items():
+            for estimate, entropy in estimates(dims, options.neighbours).items():
+                error = entropy(states, log_weights) - truth
+                yield Row(name, dims, estimate, float(error.mean()), float(error.std()))
+
+
+def table(found: list[Row]) -> str:
+    """Markdown, an estimate a line."""
+    columns = list(dict.fromkeys((row.shape, row.dims) for row in found))
+    cells = {(row.estimate, row.shape, row.dims): f"{row.bias:+.2f} ({row.deviation:.2f})" for row in found}
+    head = "| estimate | " + " | ".join(f"{shape}, {dims}-D" for shape, dims in columns) + " |"
+    lines = [head, "|" + "---|" * (len(columns) + 1)]
+    for estimate in dict.fromkeys(row.estimate for row in found):
+        lines.append(f"| {estimate} | " + " | ".join(cells[(estimate, *column)] for column in columns) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Print the table."""
+    options = tyro.cli(Options, description=__doc__)
+    sys.stdout.write(f"{options.count} states, {options.neighbours} neighbours, {options.sets} sets\n\n")
+    sys.stdout.write(table(list(rows(options))) + "\n")
+
+
+if __name__ == "__main__":
+    main()

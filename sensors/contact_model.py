@@ -1,0 +1,191 @@
+"""Binary contact as evidence: how likely a contact signal is, given how far the robot is from the object.
+
+A reading says contact or none, for the robot as a whole. In the proximity model (touch-only paper, Eq 10) the chance
+of a contact signal falls off with the distance of the robot's surface from the object, over all links; the binary model
+has a step instead.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from sdf import se3
+from sdf.base import SDF
+from sdf.check import check_shape
+from sdf.posed import posed_distance
+
+
+def proximity_probability(
+    distance: Float[Tensor, "*b"],
+    true_positive: float | Tensor = 0.5,
+    false_positive: float | Tensor = 0.1,
+    decay: float | Tensor = 1000.0,
+) -> Float[Tensor, "*b"]:
+    """P(contact signal) at a distance of robot and object: fp + (tp - fp) exp(-decay d) (Eq 10).
+
+    As printed it exceeds 1 where the robot is inside of the object: the distance is clamped at 0.
+
+    Args:
+        distance: metres, of the robot's nearest surface point; below 0 inside.
+        true_positive: probability at contact.
+        false_positive: probability far away.
+        decay: fall-off, 1/m.
+    """
+    return false_positive + (true_positive - false_positive) * torch.exp(-decay * distance.clamp_min(0.0))
+
+
+def touching_probability(
+    distance: Float[Tensor, "*b"],
+    true_positive: float | Tensor = 0.5,
+    false_positive: float | Tensor = 0.1,
+    tolerance: float | Tensor = 0.0,
+) -> Float[Tensor, "*b"]:
+    """P(contact signal) that knows touching and not touching only: tp within the tolerance (m), fp beyond."""
+    near = (distance <= tolerance).to(distance.dtype)
+    return false_positive + (true_positive - false_positive) * near
+
+
+class ContactModel(nn.Module):
+    """P(contact signal | distance): buffers, or trained if asked.
+
+    Args:
+        true_positive: probability of a signal at contact.
+        false_positive: probability of a signal far away.
+        decay: of the proximity model, 1/m; None for the binary model.
+        tolerance: of the binary model, metres.
+        trainable: make them nn.Parameters.
+    """
+
+    def __init__(
+        self,
+        true_positive: float = 0.5,
+        false_positive: float = 0.1,
+        decay: float | None = 1000.0,
+        *,
+        tolerance: float = 0.0,
+        trainable: bool = False,
+    ) -> None:
+        super().__init__()
+        for name, rate in (("true_positive", true_positive), ("false_positive", false_positive)):
+            if not 0 <= rate <= 1:
+                raise ValueError(f"Expected {name} to be a probability, got {rate}")
+        if decay is not None and not decay > 0:
+            raise ValueError(f"Expected decay above 0 or None for the binary model, got {decay}")
+        self.smooth = decay is not None
+        values = {
+            "true_positive": true_positive,
+            "false_positive": false_positive,
+            "decay": 0.0 if decay is None else decay,
+            "tolerance": tolerance,
+        }
+        for name, value in values.items():
+            tensor = torch.tensor(float(value), dtype=torch.float64)
+            if trainable:
+                self.register_parameter(name, nn.Parameter(tensor))
+            else:
+                self.register_buffer(name, tensor)
+        self.true_positive: Tensor
+        self.false_positive: Tensor
+        self.decay: Tensor
+        self.tolerance: Tensor
+
+    def forward(self, distance: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """P(contact signal) at distances, metres."""
+        tp, fp = self.true_positive.to(distance), self.false_positive.to(distance)
+        if self.smooth:
+            return proximity_probability(distance, tp, fp, self.decay.to(distance))
+        return touching_probability(distance, tp, fp, self.tolerance.to(distance))
+
+    def log_likelihood(
+        self, distance: Float[Tensor, "*#b"], contact: Bool[Tensor, "*#b"], floor: float = 1e-12
+    ) -> Float[Tensor, "*#b"]:
+        """Log P(signal) where there was a contact signal, log (1 - P) where there was none; never below log floor."""
+        probability = self(distance)
+        return torch.where(contact, probability, 1.0 - probability).clamp_min(floor).log()
+
+
+def robot_distance(
+    sdf: SDF, world_T_object: Float[Tensor, "*b N 4 4"], points_w: Float[Tensor, "*b K M 3"]
+) -> Float[Tensor, "*b N K"]:
+    """Distance of a robot's surface points, all links together, from the object at every pose, at every instant.
+
+    Args:
+        sdf: of the object.
+        world_T_object: (*b, N, 4, 4), poses of the object.
+        points_w: (*b, K, M, 3), points on the robot's surface at each of K instants, world frame, metres.
+
+    Returns:
+        (*b, N, K), metres; infinite where there are no points.
+    """
+    check_shape("points_w", points_w, "(*b, K, M, 3)", last=(3,))
+    instants, count = points_w.shape[-3:-1]
+    poses = world_T_object.shape[-3]
+    if instants * count == 0:
+        return points_w.new_full((*world_T_object.shape[:-3], poses, instants), torch.inf)
+    flat = points_w.reshape(*points_w.shape[:-3], instants * count, 3)
+    distance = posed_distance(sdf, world_T_object, flat)
+    return distance.reshape(*distance.shape[:-1], instants, count).amin(-1)
+
+
+@dataclass(frozen=True)
+class ContactReadings:
+    """Binary contact signals at K instants, with the robot's surface points then, as an `Evidence` (Eq 10).
+
+    The points stand where the robot was relative to the object: when the object is moved afterwards, they go with it.
+
+    Attributes:
+        sdf: of the object.
+        points_w: (*b, K, M, 3), on the surface of all links, metres; sampled as densely as distances are to be exact.
+        contact: (*b, K), signals.
+        model: of the signal.
+        weight: by which log-likelihoods are multiplied: 1 for readings that err independently, below it for readings
+            that err together (K readings of which every one repeats the error of the others have 1 / K).
+    """
+
+    sdf: SDF
+    points_w: Float[Tensor, "*b K M 3"]
+    contact: Bool[Tensor, "*b K"]
+    model: ContactModel
+    weight: float = 1.0
+
+    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
+        """Sum over the instants, for each pose."""
+        distance = robot_distance(self.sdf, world_T_object, self.points_w)
+        return self.weight * self.model.log_likelihood(distance, self.contact[..., None, :]).sum(-1)
+
+    def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
+        """The same evidence on where the object is after a known motion."""
+        return replace(self, points_w=se3.apply(motion[..., None, :, :], self.points_w))
+
+
+@dataclass(frozen=True)
+class ContactFreeSweep:
+    """A whole motion without a contact signal, as one reading: the nearest that the robot came decides.
+
+    Attributes:
+        sdf: of the object.
+        points_w: (*b, K, M, 3), as for `ContactReadings`.
+        model: of a signal anywhere in the sweep.
+        weight: as for `ContactReadings`.
+    """
+
+    sdf: SDF
+    points_w: Float[Tensor, "*b K M 3"]
+    model: ContactModel
+    weight: float = 1.0
+
+    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
+        """Log of the probability that nothing was felt, for each pose."""
+        distance = robot_distance(self.sdf, world_T_object, self.points_w)
+        if distance.shape[-1] == 0:
+            return distance.new_zeros(distance.shape[:-1])
+        nearest = distance.amin(-1)
+        silent = torch.zeros_like(nearest, dtype=torch.bool)
+        return self.weight * self.model.log_likelihood(nearest, silent)
+
+    def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
+        """The same evidence on where the object is after a known motion."""
+        return replace(self, points_w=se3.apply(motion[..., None, :, :], self.points_w))

@@ -1,0 +1,130 @@
+"""Particles drawn anew: a mode that the particles have lost comes back where no observation refutes it."""
+
+import math
+
+import pytest
+import torch
+
+from rumi.belief.filter import FilterSettings, PoseFilter
+from rumi.belief.particles import PoseBelief
+from rumi.belief.prior import PosePrior
+from rumi.belief.renewal import RenewalSettings, challenge, prior_belief, redraw
+from rumi.metrics.pose_error import pose_error
+from sdf import se3
+from sdf.object_model import box_model
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation, concatenate
+from sensors.semantics import Semantics
+
+UP = ("x", "y", "z")
+
+
+@pytest.fixture(scope="module")
+def box():
+    return box_model()
+
+
+@pytest.fixture(scope="module")
+def prior(box):
+    return PosePrior.of((0.4, 0.0), 0.05, box.sdf.bounds, UP)
+
+
+@pytest.fixture(scope="module")
+def pose_filter(box, prior):
+    settings = FilterSettings()
+    discrepancy = Discrepancy(box.sdf, box.radius, free_scale=settings.free_scale, tolerance=settings.tolerance_m)
+    return PoseFilter(discrepancy, "SE(3)", settings, prior)
+
+
+def lying_at(prior, way, planar):
+    return se3.from_planar(torch.tensor(planar)) @ prior.ways[way]
+
+
+def felt(box, truth, normals):
+    """The points of the surface whose outward normals are among some world directions, below 10 cm."""
+    points, facing = se3.apply(truth, box.surface_points), se3.rotate(truth, box.surface_normals)
+    chosen = (facing @ torch.tensor(normals).T).amax(-1) > 0.9
+    return Observation.of(points[chosen & (points[:, 2] < 0.1)], Semantics.SURFACE)
+
+
+def right(box, pose, truth):
+    metres, radians = pose_error(pose, truth.expand_as(pose), box.symmetries)
+    return (metres < 0.008) & (radians < math.radians(10))
+
+
+def test_lying_flat_keeps_height_and_tilt(pose_filter):
+    assert pose_filter.search == "SE(2)"
+    free = PoseFilter(pose_filter.discrepancy, "SE(3)", FilterSettings(lies_flat=False), pose_filter.prior)
+    assert free.search == "SE(3)"
+    assert PoseFilter(pose_filter.discrepancy, "SE(3)", FilterSettings()).search == "SE(3)"
+
+
+def test_belief_starts_as_the_prior(pose_filter, prior, generator):
+    belief = prior_belief(pose_filter, Observation.empty(), 300, generator=generator)
+    off = (belief.world_T_object[:, :2, 3] - prior.mean) / prior.spread_m
+    weights = belief.weights
+    # what is cut off beyond 2.5 standard deviations makes it a little narrower
+    assert float((weights[:, None] * off.square()).sum() / 2) == pytest.approx(0.86, abs=0.06)
+    shares = [float(weights[way::3].sum()) for way in range(3)]
+    assert max(shares) - min(shares) < 0.03
+
+
+def test_first_contact_leaves_every_way_that_explains_it(box, pose_filter, prior, generator):
+    """One low face was felt: whichever face the box lies on, it has one."""
+    truth = lying_at(prior, 0, [0.43, 0.02, 0.4])
+    turn = se3.from_planar(torch.tensor([0.0, 0.0, 0.4]))[:3, 0]
+    seen = felt(box, truth, [(-turn).tolist()])
+    assert len(seen) > 3
+    start = prior_belief(pose_filter, Observation.empty(), 100, generator=generator)
+    belief = redraw(pose_filter, start, seen, RenewalSettings(), generator=generator)
+    assert belief.log_weights.shape == (100,)
+    assert float(belief.weights.sum()) == pytest.approx(1.0)
+    torch.testing.assert_close(belief.discrepancy, pose_filter.total(belief, seen))
+    up = belief.world_T_object[:, 2, :3].abs().argmax(-1)
+    assert len(up.unique()) == 3
+    assert bool(right(box, belief.world_T_object, truth).any())
+    assert (
+        float(belief.discrepancy.max() - belief.discrepancy.min()) < -math.log(RenewalSettings().plausible) / 2 + 1e-5
+    )
+
+
+def test_challenge_brings_back_a_lost_truth(box, pose_filter, prior, generator):
+    """Two long sides of a flat box were felt, nothing of its ends: lying the other way along fits as well."""
+    truth = lying_at(prior, 0, [0.42, 0.0, 0.0])
+    seen = felt(box, truth, [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    wrong = lying_at(prior, 0, [0.42, 0.035, 0.0])
+    lost = PoseBelief.uniform(wrong.expand(100, 4, 4).clone())
+    assert not bool(right(box, lost.world_T_object, truth).any())
+    belief = challenge(pose_filter, lost, seen, RenewalSettings(), generator=generator)
+    assert bool(right(box, belief.world_T_object, truth).any())
+    # the particles' own mode stays, since nothing refutes it
+    assert bool(right(box, belief.world_T_object, wrong).any())
+
+
+def test_challenge_leaves_a_belief_that_is_right(box, pose_filter, prior, generator):
+    truth = lying_at(prior, 1, [0.42, 0.03, 0.5])
+    surface = Observation.of(se3.apply(truth, box.surface_points), Semantics.SURFACE)
+    noise = 0.0005 * torch.randn(100, 2, generator=generator)
+    poses = truth.expand(100, 4, 4).clone()
+    poses[:, :2, 3] += noise
+    belief = challenge(pose_filter, PoseBelief.uniform(poses), surface, RenewalSettings(), generator=generator)
+    share = belief.weights[right(box, belief.world_T_object, truth)].sum()
+    assert float(share) > 0.999
+
+
+def test_follows_the_attached_frame(box, pose_filter, prior, generator):
+    """The prior is that of the start: what was felt before the object moved stands where it stood then."""
+    truth = lying_at(prior, 2, [0.40, 0.02, 0.3])
+    seen = felt(box, truth, [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+    floor = Observation.of(torch.tensor([[0.4, 0.0, 0.0], [0.45, 0.05, 0.0]]), Semantics.FREE, attached=False)
+    motion = se3.from_planar(torch.tensor([0.05, -0.3, 0.7]))
+    start = prior_belief(pose_filter, Observation.empty(), 100, generator=generator).moved(motion)
+    belief = redraw(pose_filter, start, concatenate([seen, floor]), RenewalSettings(), generator=generator)
+    assert bool(right(box, belief.world_T_object, motion @ truth).any())
+
+
+def test_without_a_prior_there_is_nothing_to_draw_from(pose_filter, generator):
+    bare = PoseFilter(pose_filter.discrepancy, "SE(3)", FilterSettings())
+    belief = PoseBelief.uniform(se3.identity((3,), dtype=torch.float32))
+    with pytest.raises(ValueError, match="prior to draw from"):
+        redraw(bare, belief, Observation.empty(), RenewalSettings(), generator=generator)

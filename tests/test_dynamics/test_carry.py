@@ -1,0 +1,130 @@
+"""Particles along a path: one push after the other, both versions, and a path for each."""
+
+from collections.abc import Iterator
+
+import pytest
+import torch
+from torch import Tensor
+
+from rumi.dynamics.carry import Carried, Pusher, carry, distance_to
+from rumi.dynamics.outline import GridOutline, RectangleOutline
+from rumi.dynamics.sliding import Outline, OutlineQuery, Sliding, push
+from sdf import backend
+from sdf.primitives import Mug
+
+DOUBLE = {"dtype": torch.float64}
+BOX = RectangleOutline((0.03, 0.08))
+
+
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every test of this file holds for the plain and for the fused version."""
+    with backend.force(request.param):
+        yield
+
+
+def objects(generator: torch.Generator, count: int = 20, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Sliding]:
+    poses = torch.randn(count, 3, generator=generator, **DOUBLE) * torch.tensor([0.02, 0.03, 0.5])
+    spread = torch.rand(count, 2, generator=generator, **DOUBLE)
+    centre = 0.01 * torch.randn(count, 2, generator=generator, **DOUBLE)
+    return poses.to(dtype), Sliding(centre.to(dtype), (0.03 + 0.04 * spread[:, 0]).to(dtype), spread[:, 1].to(dtype))
+
+
+def straight(instants: int = 12, dtype: torch.dtype = torch.float64) -> Tensor:
+    share = torch.linspace(0, 1, instants + 1, **DOUBLE)[:, None]
+    start, end = torch.tensor([-0.15, 0.01, 0.0], **DOUBLE), torch.tensor([0.02, -0.01, 0.4], **DOUBLE)
+    return (start + share * (end - start)).to(dtype)[None]
+
+
+def finger(kind: str, dtype: torch.dtype = torch.float64) -> Pusher:
+    if kind == "disc":
+        return Pusher.disc(0.03, torch.zeros(1, dtype=dtype))
+    return Pusher(torch.tensor([[0.02, 0.02], [0.02, -0.02], [-0.02, 0.0]], dtype=dtype), 0.005)
+
+
+@pytest.mark.parametrize("kind", ["disc", "three points"])
+def test_is_pushes_in_a_row(kind: str, generator: torch.Generator) -> None:
+    poses, sliding = objects(generator)
+    path, tool = straight(), finger(kind)
+    found = carry(poses, path, tool, BOX, sliding, substeps=3, passes=2)
+    now = poses
+    for k in range(12):
+        way = (path[0, k + 1] - path[0, k]).expand(20, 3)
+        for part in range(3):
+            before, after = path[0, k] + part / 3 * way, path[0, k] + (part + 1) / 3 * way
+            now, _ = push(now, before, after, tool.points, BOX, sliding, thickness=tool.thickness, passes=2)
+        torch.testing.assert_close(found.track[:, k], now, atol=1e-10, rtol=0)
+        expected = distance_to(now, path[:, k + 1], tool, BOX)
+        torch.testing.assert_close(found.distance[:, k], expected, atol=1e-10, rtol=0)
+    assert float((found.track[:, -1] - poses).norm(dim=-1).max()) > 0.02
+    assert float(found.distance.min()) > -0.004
+    assert float((found.distance[:, -1].abs() < 1e-3).double().mean()) > 0.3
+
+
+def test_a_path_for_each_is_a_path_alone(generator: torch.Generator) -> None:
+    poses, sliding = objects(generator, 6)
+    paths = straight().expand(6, -1, -1) + 0.01 * torch.randn(6, 1, 3, generator=generator, **DOUBLE)
+    together = carry(poses, paths, finger("disc"), BOX, sliding)
+    for e in range(6):
+        row = torch.tensor([e])
+        alone = carry(poses[row], paths[row], finger("disc"), BOX, sliding.at(row))
+        torch.testing.assert_close(alone.track[0], together.track[e], atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("kind", ["disc", "three points"])
+@pytest.mark.parametrize("shape", ["box", "mug"])
+def test_versions_agree(shape: str, kind: str, dtype: torch.dtype, generator: torch.Generator) -> None:
+    outline: Outline = BOX
+    if shape == "mug":
+        outline = GridOutline.of_slice(Mug().to(dtype), 0.045, spacing=0.002)
+    poses, sliding = objects(generator, 40, dtype)
+    arguments = (poses, straight(dtype=dtype), finger(kind, dtype), outline, sliding)
+    found = carry(*arguments)
+    with backend.force("torch"):
+        plain = carry(*arguments)
+    # rounding may decide which of two points is the deeper
+    off = (found.track - plain.track).abs().amax((-1, -2)) > (1e-3 if dtype == torch.float32 else 1e-9)
+    assert float(off.double().mean()) <= (0.1 if dtype == torch.float32 else 0.0)
+    torch.testing.assert_close(found.distance[~off], plain.distance[~off], atol=1e-3, rtol=0)
+
+
+def test_nothing_to_do(generator: torch.Generator) -> None:
+    poses, sliding = objects(generator, 3)
+    still = carry(poses, straight()[:, :1], finger("disc"), BOX, sliding)
+    assert isinstance(still, Carried)
+    assert still.track.shape == (3, 0, 3)
+    none = carry(poses[:0], straight(), finger("disc"), BOX, sliding.at(torch.zeros(0, dtype=torch.long)))
+    assert none.distance.shape == (0, 12)
+    far = carry(poses + torch.tensor([1.0, 0.0, 0.0]), straight(), finger("disc"), BOX, sliding)
+    assert torch.equal(far.track[:, -1], poses + torch.tensor([1.0, 0.0, 0.0]))
+    assert float(far.distance.min()) > 0.5
+
+
+def test_other_outlines_work_too(generator: torch.Generator) -> None:
+    """A round object pushed off its middle, with friction: nothing but slides round the finger."""
+
+    class Round:
+        radius = 0.05
+
+        def __call__(self, points_o: Tensor) -> OutlineQuery:
+            length = points_o.norm(dim=-1)
+            return OutlineQuery(length - 0.05, points_o / length[..., None])
+
+    _, sliding = objects(generator, 1)
+    pose = torch.tensor([[0.0, 0.02, 0.0]], **DOUBLE)
+    found = carry(pose, straight(60), finger("disc"), Round(), sliding._replace(centre=torch.zeros(1, 2, **DOUBLE)))
+    # it ends where the finger leaves it: touching, and pushed to its own side
+    assert float(found.track[0, -1, 1]) > 0.03
+    assert float(found.distance[0].min()) > -1e-3
+
+
+def test_gradients_reach_the_start_pose(generator: torch.Generator) -> None:
+    poses, sliding = objects(generator, 3)
+    with backend.force("torch"):
+        poses = poses.requires_grad_()
+        found = carry(poses, straight(4), finger("disc"), BOX, sliding)
+        found.track[:, -1].sum().backward()
+    assert poses.grad is not None
+    assert bool(torch.isfinite(poses.grad).all())
+    assert float(poses.grad.abs().max()) > 0

@@ -1,0 +1,230 @@
+"""The quasi-static push model: both versions, and what a pushed object must do."""
+
+import math
+from collections.abc import Iterator
+
+import pytest
+import torch
+from torch import Tensor
+
+from rumi.dynamics.family import PushModels
+from rumi.dynamics.outline import GridOutline, Support, support_of
+from rumi.dynamics.quasi_static import QuasiStaticModel, QuasiStaticSettings, representatives
+from rumi.dynamics.sliding import push, rotated
+from rumi.fields.information import information_field
+from rumi.fields.reach_table import ReachTable
+from rumi.fields.reachability import Reach
+from rumi.fields.workspace import Workspace
+from rumi.planning.tool import Tool
+from sdf import backend, se3
+from sdf.primitives import Mug
+
+HEIGHT = 0.045
+FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
+COARSE = QuasiStaticSettings(mini_steps=4, spacing_m=0.01)
+
+
+@pytest.fixture(autouse=True, params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Every test of this file holds for the plain and for the fused version."""
+    with backend.force(request.param):
+        yield
+
+
+@pytest.fixture(scope="module")
+def shape() -> tuple[GridOutline, Support]:
+    mug = Mug().double()
+    return GridOutline.of_slice(mug, HEIGHT, spacing=0.002), support_of(mug, spacing=0.004)
+
+
+def make(
+    shape: tuple[GridOutline, Support],
+    poses: Tensor,
+    weights: Tensor | None = None,
+    settings: QuasiStaticSettings = COARSE,
+    *,
+    reaching: bool = False,
+) -> QuasiStaticModel:
+    """With a tool that flies freely, or one that must stay within 0.35 m of the origin."""
+    radius = torch.arange(141.0)[:, None].expand(141, 61) * 0.01
+    reach = Reach(ReachTable((radius - 0.35).clamp_min(0), torch.zeros(141, 61))) if reaching else None
+    tool = Tool(FREE, reach, height_m=HEIGHT).to(poses)
+    log_weights = torch.zeros(len(poses), dtype=poses.dtype) if weights is None else weights.log()
+    return QuasiStaticModel(*shape, tool, se3.from_planar(poses), log_weights.log_softmax(-1), settings)
+
+
+def scattered(generator: torch.Generator, count: int, dtype: torch.dtype = torch.float64) -> Tensor:
+    noise = torch.randn(count, 3, generator=generator, dtype=torch.float64)
+    return (torch.tensor([0.4, 0.0, 0.3]) + noise * torch.tensor([0.01, 0.01, 0.8])).to(dtype)
+
+
+def walks(generator: torch.Generator, samples: int, horizon: int, dtype: torch.dtype = torch.float64) -> Tensor:
+    way = torch.rand(samples, horizon, 3, generator=generator, dtype=torch.float64) * 2 - 1
+    return (way + torch.tensor([0.5, 0.0, 0.0])).clamp(-1, 1).to(dtype)
+
+
+START = torch.tensor([0.25, 0.0, 0.0], dtype=torch.float64)
+
+
+def test_rollouts_are_single_pushes_in_a_row(shape: tuple[GridOutline, Support], generator: torch.Generator) -> None:
+    model = make(shape, scattered(generator, 9))
+    controls = walks(generator, 6, 4)
+    found = model.rollout(START, controls, rollouts=3)
+    assert found.contact.any()
+    path = model.tool.free_path(START.expand(6, 3), controls, 1)
+    starts, mini = model.representatives(3), COARSE.mini_steps
+    for k in range(6):
+        for m in range(3):
+            now, tool = starts[m][None], START[None]
+            for h in range(4):
+                way, met = (path[k, h] - tool) / mini, False
+                for part in range(mini):
+                    now, touched = push(
+                        now,
+                        tool + part * way,
+                        tool + (part + 1) * way,
+                        model.points,
+                        model.outline,
+                        model.sliding.expand(1),
+                    )
+                    met |= bool(touched)
+                tool = path[k, h][None]
+                torch.testing.assert_close(found.configurations[k, m, h + 1], path[k, h])
+                assert bool(found.contact[k, m, h]) == met
+                # the pivot rides with the object
+                local = rotated(model.pivot - starts[m, :2], -starts[m, 2])
+                moved = now[0, :2] + rotated(local, now[0, 2]) - model.pivot
+                torch.testing.assert_close(found.displacements[k, m, h + 1, :2], moved, atol=1e-9, rtol=0)
+                assert found.turns is not None
+                assert float(found.turns[k, m, h + 1]) == pytest.approx(float(now[0, 2] - starts[m, 2]), abs=1e-9)
+
+
+@pytest.mark.parametrize("reaching", [False, True])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_versions_agree(
+    shape: tuple[GridOutline, Support], dtype: torch.dtype, reaching: bool, generator: torch.Generator
+) -> None:
+    model = make(shape, scattered(generator, 20, dtype), reaching=reaching)
+    controls = walks(generator, 30, 5, dtype)
+    found = model.rollout(START.to(dtype), controls, rollouts=4)
+    with backend.force("torch"):
+        plain = model.rollout(START.to(dtype), controls, rollouts=4)
+    assert found.turns is not None
+    assert plain.turns is not None
+    # rounding may decide which of two points is the deeper
+    off = (found.displacements - plain.displacements).abs().amax((-1, -2)) > (1e-4 if dtype == torch.float32 else 1e-9)
+    assert float(off.double().mean()) <= (0.1 if dtype == torch.float32 else 0.0)
+    torch.testing.assert_close(found.turns[~off], plain.turns[~off], atol=1e-3, rtol=0)
+    torch.testing.assert_close(found.configurations, plain.configurations, atol=1e-5, rtol=1e-5)
+    assert torch.equal(found.contact[~off], plain.contact[~off])
+    assert torch.equal(found.twin[~off], plain.twin[~off])
+    assert 0 < found.checked <= plain.checked <= 1
+
+
+@pytest.mark.parametrize("sizes", [(0, 3, 2), (2, 3, 1)])
+def test_empty_and_single(shape: tuple[GridOutline, Support], sizes: tuple[int, int, int]) -> None:
+    samples, horizon, rollouts = sizes
+    model = make(shape, torch.tensor([[0.4, 0.0, 0.3]], dtype=torch.float64))
+    found = model.rollout(START, torch.zeros(samples, horizon, 3, dtype=torch.float64), rollouts=rollouts)
+    assert found.configurations.shape == (samples, rollouts, horizon + 1, 3)
+    assert found.displacements.shape == (samples, rollouts, horizon + 1, 3)
+    assert not found.contact.any()
+
+
+def test_who_is_not_touched_stays_to_the_bit(shape: tuple[GridOutline, Support], generator: torch.Generator) -> None:
+    model = make(shape, scattered(generator, 20))
+    found = model.rollout(START, walks(generator, 40, 3), rollouts=4)
+    untouched = ~found.touched
+    assert untouched.any()
+    assert not untouched.all()
+    assert found.turns is not None
+    assert float(found.displacements[untouched].abs().max()) == 0
+    assert float(found.turns[untouched].abs().max()) == 0
+    assert float(found.displacements[~untouched][:, -1].norm(dim=-1).min()) > 0
+    # those that touch nothing are the same as the first of them
+    assert torch.equal(found.contact[untouched], torch.zeros_like(found.contact[untouched]))
+
+
+def test_a_push_at_the_middle_goes_straight_and_one_beside_it_turns(shape: tuple[GridOutline, Support]) -> None:
+    """Handle away from the tool, so that centre of mass and axis are in line."""
+    fine = QuasiStaticSettings(mini_steps=40)
+    model = make(shape, torch.tensor([[0.4, 0.0, 0.0]], dtype=torch.float64), settings=fine)
+    ahead = torch.tensor([[[1.0, 0.0, 0.0]] * 2], dtype=torch.float64)
+    straight = model.rollout(torch.tensor([0.2, 0.0, 0.0], dtype=torch.float64), ahead, rollouts=1)
+    beside = model.rollout(torch.tensor([0.2, 0.045, 0.0], dtype=torch.float64), ahead, rollouts=1)
+    assert straight.turns is not None
+    assert beside.turns is not None
+    assert bool(straight.contact.any())
+    assert abs(float(straight.turns[0, 0, -1])) < 0.02
+    assert abs(float(straight.displacements[0, 0, -1, 1])) < 0.002
+    assert float(straight.displacements[0, 0, -1, 0]) > 0.02
+    # pushed on its left, it leaves the tool to the right
+    assert float(beside.displacements[0, 0, -1, 1]) < -0.004
+
+
+def test_a_pull_at_the_handle_brings_it(shape: tuple[GridOutline, Support]) -> None:
+    """From behind a handle that points aside, the mug comes along and swings."""
+    model = make(shape, torch.tensor([[0.4, 0.0, math.pi / 2]], dtype=torch.float64), settings=QuasiStaticSettings())
+    behind = torch.tensor([0.475, 0.085, -math.pi / 2], dtype=torch.float64)
+    back = torch.tensor([[[-0.5, 0.0, 0.0]] * 4], dtype=torch.float64)
+    found = model.rollout(behind, back, rollouts=1)
+    assert found.turns is not None
+    assert float(found.displacements[0, 0, -1, 0]) < -0.01
+    assert float(found.turns[0, 0, -1]) > 0.2
+
+
+def test_representatives_are_equal_shares_of_the_weight(generator: torch.Generator) -> None:
+    yaw = torch.tensor([0.4, 0.2, 0.3, 0.1], dtype=torch.float64)
+    weights = torch.tensor([0.1, 0.6, 0.2, 0.1], dtype=torch.float64)
+    assert representatives(yaw, weights, 3).tolist() == [1, 1, 2]
+    assert representatives(yaw, weights, 1).tolist() == [1]
+    many = torch.rand(2000, generator=generator, dtype=torch.float64)
+    chosen = many[representatives(many, torch.full((2000,), 1 / 2000, dtype=torch.float64), 4)]
+    torch.testing.assert_close(chosen, torch.tensor([0.125, 0.375, 0.625, 0.875]).double(), atol=0.03, rtol=0)
+    # a belief about the seam is one heap
+    seam = torch.remainder(many + math.pi - 0.5 + math.pi, 2 * math.pi) - math.pi
+    again = seam[representatives(seam, torch.full((2000,), 1 / 2000, dtype=torch.float64), 4)]
+    torch.testing.assert_close(torch.remainder(again - math.pi + 0.5, 2 * math.pi), chosen, atol=1e-9, rtol=0)
+
+
+def test_same_settings_same_rollouts(shape: tuple[GridOutline, Support], generator: torch.Generator) -> None:
+    model, controls = make(shape, scattered(generator, 12)), walks(generator, 8, 4)
+    first, again = (model.rollout(START, controls, rollouts=3) for _ in range(2))
+    assert torch.equal(first.displacements, again.displacements)
+
+
+def test_the_likely_rollout_pushes_the_likeliest_pose(shape: tuple[GridOutline, Support]) -> None:
+    poses = torch.tensor([[0.4, 0.3, 0.0], [0.4, 0.0, 0.0]], dtype=torch.float64)
+    model = make(shape, poses, torch.tensor([0.4, 0.6], dtype=torch.float64))
+    ahead = torch.tensor([[1.0, 0.0, 0.0]] * 2, dtype=torch.float64)
+    assert bool(model.likely(START, ahead).contact.any())
+
+
+def test_the_family_refuses_what_it_does_not_have(no_shape_check: None) -> None:
+    with pytest.raises(ValueError, match="push model out of"):
+        PushModels("magnetic")  # type: ignore[arg-type]
+
+
+def test_the_family_makes_it_and_refuses_tilted_particles() -> None:
+    workspace = Workspace.from_bounds(torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]]), 0.02, planar_height=HEIGHT)
+    tool = Tool(FREE, height_m=HEIGHT)
+    mug, poses = Mug(), se3.from_planar(torch.tensor([[0.4, 0.0, 0.3], [0.4, 0.0, 0.5]]))
+    weights = torch.zeros(2).log_softmax(-1)
+    fields = information_field(mug, poses, weights, workspace.points)
+    family = PushModels("quasi-static")
+    model = family.of_belief(mug, poses, weights, tool, workspace, fields)
+    assert isinstance(model, QuasiStaticModel)
+    again = family.of_belief(mug, poses, weights, tool, workspace, fields)
+    assert isinstance(again, QuasiStaticModel)
+    assert again.sliding.lever == model.sliding.lever
+    tilted = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.2, 0.0, 0.0])) @ poses
+    with pytest.raises(ValueError, match="upright"):
+        family.of_belief(mug, tilted, weights, tool, workspace, fields)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("mini_steps", 0), ("passes", 0), ("lever_ratio", 0.0), ("spacing_m", 0.0), ("friction", -0.1)]
+)
+def test_settings_without_meaning_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=name):
+        QuasiStaticSettings(**{name: value})
