@@ -56,8 +56,7 @@ def build(
         progress: called with what is being done for a mesh and how much of it is done, from 0 to 1.
 
     Raises:
-        UsageError: there is no such task or device, or the object does not suit the task.
-        sdf.mesh.MeshError: the object's mesh cannot be used.
+        UsageError: there is no such task or device, or the object cannot be used or does not suit the task.
     """
     spec, device, dtype = find_task(settings.task), settings.torch_device, settings.torch_dtype
     if settings.steps is not None:

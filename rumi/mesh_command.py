@@ -12,6 +12,9 @@ import tyro
 from rumi.cli import BAD_INPUT, DONE
 from rumi.errors import UsageError
 
+_MANY = 200_000
+"""Faces from which on it takes long enough to say so."""
+
 
 @dataclass(frozen=True)
 class MeshOptions:
@@ -39,7 +42,11 @@ def mesh(arguments: Sequence[str]) -> int:
     from sdf.mesh_report import report
 
     try:
-        found = report(load_mesh(options.file, scale=options.scale), spacing=options.spacing)
+        loaded = load_mesh(options.file, scale=options.scale)
+        if len(loaded.faces) > _MANY:
+            sys.stderr.write(f"rumi: looking at {len(loaded.faces)} faces: some {len(loaded.faces) // _MANY * 4} s\n")
+            sys.stderr.flush()
+        found = report(loaded, spacing=options.spacing)
     except MeshError as error:
         raise UsageError(str(error)) from None
     if options.json:

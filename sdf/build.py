@@ -8,7 +8,7 @@ import torch
 
 from sdf.cache import content_key, load_table, save_table
 from sdf.fill import Progress, inside_nodes, unsigned_distances
-from sdf.grid_sdf import GridSDF, lattice_about
+from sdf.grid_sdf import GridSDF, Lattice, lattice_about
 from sdf.mesh import MeshError, TriangleMesh, check_size, load_mesh
 from sdf.mesh_sdf import MeshSDF
 from sdf.walls import thinnest_wall
@@ -35,6 +35,7 @@ def from_mesh(
     *,
     spacing: float | None = None,
     padding: float = 0.02,
+    outer: float = 0.25,
     scale: float = 1.0,
     band: float | None = None,
     most_bytes: int = MOST_BYTES,
@@ -43,14 +44,14 @@ def from_mesh(
 ) -> GridSDF:
     """Tabulate the signed distances of a mesh, float32 on the CPU.
 
-    The mesh may be open, overlapping or badly oriented (`sdf.repair`, which `sdf.mesh_report` tells about). Beyond the
-    padding the table goes on with cells of 20 mm, as `GridSDF.from_sdf` says.
+    The mesh may be open, overlapping or badly oriented (`sdf.repair`, which `sdf.mesh_report` tells about).
 
     Args:
         source: a file (.obj, .stl, .ply, .off, .glb), a mesh, or its exact SDF.
         spacing: of the fine part, metres. By default half of the thinnest wall, at most 2 mm and 1/50 of the diagonal
             and at least 0.5 mm, but as wide as the bytes allow.
         padding: metres of fine lattice beyond the mesh.
+        outer: metres, at least, of cells 20 mm wide beyond that; 0 for none.
         scale: metres that one unit of the file or mesh is.
         band: metres from the surface within which distances are exact; beyond, they are interpolated between nodes
             four times as far apart: the sign is right, and the error some hundredths of the distance at most. By
@@ -64,11 +65,11 @@ def from_mesh(
     """
     if spacing is not None and not spacing > 0:
         raise ValueError(f"Expected a spacing above 0, got {spacing}")
-    if padding < 0 or (band is not None and band < 0):
-        raise ValueError(f"Expected padding and band not below 0, got {padding} and {band}")
+    if min(padding, outer) < 0 or (band is not None and band < 0):
+        raise ValueError(f"Expected padding, outer and band not below 0, got {padding}, {outer} and {band}")
     path = None
     if cache_dir is not None:
-        asked = repr((VERSION, spacing, float(padding), float(scale), band, most_bytes))
+        asked = repr((VERSION, spacing, float(padding), float(outer), float(scale), band, most_bytes))
         path = Path(cache_dir) / f"mesh-{content_key(asked, *_content(source))}.npz"
         kept = load_table(path)
         if kept is not None:
@@ -78,19 +79,21 @@ def from_mesh(
     shape = _shape(source, scale)
     if progress is not None:
         progress("mesh", 1.0)
-    table = _build(shape, spacing, padding, band, most_bytes, progress)
+    table = _build(shape, spacing, (padding, outer), band, most_bytes, progress)
     if path is not None:
         save_table(path, table)
     return table
 
 
-def choose_spacing(shape: MeshSDF, padding: float = 0.02, most_bytes: int = MOST_BYTES) -> float:
+def choose_spacing(
+    shape: MeshSDF, padding: float = 0.02, outer: float = 0.25, *, most_bytes: int = MOST_BYTES
+) -> float:
     """The spacing, metres, that a mesh is tabulated with unless it is given."""
     diagonal = shape.mesh.diagonal
     wall = thinnest_wall(shape.repair.surface, diagonal)
     wanted = min(SPACING_M, _STEPS * diagonal, *([] if wall is None else [0.5 * wall]))
     spacing = max(wanted, _FINEST)
-    while _bytes(shape, spacing, padding) > most_bytes:
+    while _bytes(shape, spacing, (padding, outer)) > most_bytes:
         spacing *= 1.05
     if wall is not None and spacing > 0.5 * wall * 1.001:
         _logger.warning(
@@ -103,18 +106,23 @@ def choose_spacing(shape: MeshSDF, padding: float = 0.02, most_bytes: int = MOST
 
 
 def _build(
-    shape: MeshSDF, spacing: float | None, padding: float, band: float | None, most: int, progress: Progress | None
+    shape: MeshSDF,
+    spacing: float | None,
+    margins: tuple[float, float],
+    band: float | None,
+    most: int,
+    progress: Progress | None,
 ) -> GridSDF:
     if spacing is None:
         check_size(shape.mesh)
-        spacing = choose_spacing(shape, padding, most)
-    size = _bytes(shape, spacing, padding)
+        spacing = choose_spacing(shape, *margins, most_bytes=most)
+    size = _bytes(shape, spacing, margins)
     if size > most:
         raise MeshError(
             f"Expected a table of at most {most / 2**20:.0f} MiB, a spacing of {spacing:g} m would take "
             f"{size / 2**20:.3g} MiB: widen the spacing, or raise most_bytes; or is the mesh not in metres (scale)?"
         )
-    lattice = lattice_about(shape.mesh.bounds, spacing, padding)
+    lattice = _lattice(shape, spacing, margins)
     if band is None and (size > 4 * _MANY or len(shape.mesh.faces) > _MANY_FACES):
         band = _BAND
     distance = unsigned_distances(lattice, shape.repair.surface, band, progress)
@@ -123,9 +131,14 @@ def _build(
     return GridSDF.on_lattice(torch.from_numpy(distance), lattice, shape.mesh.bounds.float())
 
 
-def _bytes(shape: MeshSDF, spacing: float, padding: float) -> int:
+def _lattice(shape: MeshSDF, spacing: float, margins: tuple[float, float]) -> Lattice:
+    padding, outer = margins
+    return lattice_about(shape.mesh.bounds, spacing, padding, outer=outer)
+
+
+def _bytes(shape: MeshSDF, spacing: float, margins: tuple[float, float]) -> int:
     """What a table takes."""
-    return 4 * math.prod(len(axis) for axis in lattice_about(shape.mesh.bounds, spacing, padding).axes)
+    return 4 * math.prod(len(axis) for axis in _lattice(shape, spacing, margins).axes)
 
 
 def _shape(source: str | Path | TriangleMesh | MeshSDF, scale: float) -> MeshSDF:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sdf import se3
@@ -53,7 +53,7 @@ class MeshSDF(SDF):
         points = object_points(points_o).double()
         with torch.no_grad():
             found = nearest(points, self.repair.surface)
-            side = torch.where(winding_number(points, self.repair.windings) > 0.5, -1.0, 1.0).to(points)
+            side = torch.where(self._inside(points), -1.0, 1.0).to(points)
         offset = points - found.point
         squared = offset.square().sum(-1)
         off = squared > _ON**2
@@ -61,6 +61,13 @@ class MeshSDF(SDF):
         on_plane = (offset * normal).sum(-1)
         away = side * torch.where(off, squared, torch.ones_like(squared)).sqrt()
         return torch.where(off, away, on_plane).to(points_o.dtype)
+
+    def _inside(self, points: Float[Tensor, "*b 3"]) -> Bool[Tensor, "*b"]:
+        """Whether the mesh winds more than half about points; nothing beyond its bounds is inside."""
+        low, high = self.mesh.bounds.to(points)
+        inside = ((points >= low) & (points <= high)).all(-1)
+        inside[inside.clone()] = winding_number(points[inside], self.repair.windings) > 0.5
+        return inside
 
     def __deepcopy__(self, memo: dict[int, object]) -> "MeshSDF":
         """Another with bounds of its own; the mesh itself never changes and is shared."""

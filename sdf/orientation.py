@@ -11,6 +11,8 @@ from sdf.triangles import Triangles, winding_number
 _SAMPLES = 5
 # of the area to the power of 3/2: a part of less volume is flat
 _FLAT = 1e-6
+# of the area: what closing a part would take at least, in parts that are not taken for bodies of their own
+_OPEN = 0.3
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def oriented(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, Orien
     part, flip, one_sided = _agreement(faces)
     parts = int(part.max()) + 1
     corners = vertices[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     # of the two ways a part can be made to agree, the one that turns the lesser area
     turn_area = np.bincount(part, area * flip, parts)
     total_area = np.bincount(part, area, parts)
@@ -121,8 +123,11 @@ def _outward(
     a, b, c = np.moveaxis(corners - (middle / np.bincount(part)[:, None])[part][:, None], 1, 0)
     share = (a * np.cross(b, c)).sum(-1)
     volume = np.bincount(part, share, parts) / 6.0
-    # what encloses next to nothing (a flat piece of a surface in pieces) says nothing of its sides
-    solid = np.abs(volume) > _FLAT * np.bincount(part, area, parts) ** 1.5
+    # of a piece that is open or flat, its volume says nothing: it may be a dent of a larger surface
+    total = np.bincount(part, area, parts)
+    cross = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    gape = np.linalg.norm(np.stack([np.bincount(part, cross[:, k], parts) for k in range(3)], -1), axis=1)
+    solid = (np.abs(volume) > _FLAT * total**1.5) & (gape < _OPEN * total)
     whole = corners.reshape(-1, 3) - corners.reshape(-1, 3).mean(0)
     x, y, z = whole.reshape(-1, 3, 3).transpose(1, 0, 2)
     inside_out = float((x * np.cross(y, z)).sum()) < 0

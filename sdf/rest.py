@@ -37,10 +37,15 @@ def resting_poses(mesh: TriangleMesh, center: Float[Tensor, "3"]) -> list[Restin
 
     Raises:
         ModuleNotFoundError: without trimesh, scipy or networkx.
+        ValueError: the centre of mass is not within the hull.
     """
     import trimesh
 
     outer = hull(mesh)
+    a, b, c = outer.corners.unbind(-2)
+    if not bool((((center.double() - a) * torch.linalg.cross(b - a, c - a)).sum(-1) < 0).all()):
+        # with it outside there is no end to the toppling
+        raise ValueError(f"Expected a centre of mass within the hull, got {center.tolist()} m: is the mesh inside out?")
     body: Any = trimesh.Trimesh(outer.vertices.numpy(), outer.faces.numpy(), process=False)
     transforms, probabilities = body.compute_stable_poses(center_mass=center.double().numpy())
     ups = torch.from_numpy(np.asarray(transforms)[:, 2, :3].copy())

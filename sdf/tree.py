@@ -6,16 +6,16 @@ from typing import NamedTuple
 import numpy as np
 
 _LEAF = 4
-# of the diagonal: longer triangles are split, since a group with a long one is near to everything
-_LONGEST = 1.0 / 24.0
+# of the diagonal: longer triangles are split, unless they are so few that groups gain nothing
+_LONGEST, _FEW = 1.0 / 24.0, 256
 _MOST_PIECES = 1 << 17
 
 
 class Tree(NamedTuple):
     """A complete binary tree: node 1 is the root, nodes 2 i and 2 i + 1 are the children of node i.
 
-    Leaf number j holds pieces j L up to (j + 1) L, L of them each. A triangle that is long for the size of the whole
-    has several pieces, and some pieces may be mere points.
+    Leaf number j holds pieces j L up to (j + 1) L, L of them each. A triangle may have several pieces, and some pieces
+    are mere points.
 
     Attributes:
         corners: (P, 9), metres, of the pieces.
@@ -40,13 +40,24 @@ class Tree(NamedTuple):
         return self.corners, self.dipoles
 
 
-def build_tree(corners: np.ndarray) -> Tree:
-    """Split at the median of the longest side, again and again.
+def has_long(corners: np.ndarray) -> bool:
+    """Whether `split` splits any of some triangles (F, 3, 3)."""
+    sides = corners[:, [1, 2, 0]] - corners
+    limit = _LONGEST * float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), 0)))
+    return len(corners) > _FEW and bool(np.einsum("fck,fck->fc", sides, sides).max() > limit * limit)
+
+
+def build_tree(corners: np.ndarray, *, split: bool = False) -> Tree:
+    """Groups by the median along the longest side of their box, again and again.
 
     Args:
         corners: (F, 3, 3), metres.
+        split: split long triangles first. For dipoles that pays, since a group with a long one is never far enough
+            away to count as one; for boxes it does not.
     """
-    pieces, owner = split_long(corners, _LONGEST * float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), 0))))
+    pieces, owner = np.asarray(corners, dtype=np.float64), np.arange(len(corners))
+    if split:
+        pieces, owner = split_long(corners, _LONGEST * float(np.linalg.norm(np.ptp(corners.reshape(-1, 3), 0))))
     depth = max(0, int(math.log2(len(pieces) / _LEAF)))
     # leaves of one size: what is lacking are points, which are no nearer than what they lie on and wind about nothing
     spare = -len(pieces) % (1 << depth)

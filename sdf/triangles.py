@@ -13,7 +13,7 @@ from torch import Tensor
 
 from sdf import backend, fused
 from sdf.check import check_shape
-from sdf.tree import Tree, build_tree
+from sdf.tree import Tree, build_tree, has_long
 
 # pairs of a point and a triangle at once; each takes some 200 bytes meanwhile
 _PAIRS = 1 << 19
@@ -48,8 +48,14 @@ class Triangles:
 
     @cached_property
     def tree(self) -> Tree:
-        """Boxes and dipoles of ever smaller groups."""
+        """Boxes of ever smaller groups."""
         return build_tree(self.corners.double().cpu().numpy())
+
+    @cached_property
+    def dipoles(self) -> Tree:
+        """Dipoles of ever smaller groups; the same tree unless long triangles are split."""
+        corners = self.corners.double().cpu().numpy()
+        return build_tree(corners, split=True) if has_long(corners) else self.tree
 
     @cached_property
     def normals(self) -> Float[Tensor, "F 3"]:
@@ -137,7 +143,7 @@ def _winding_fused(points: Tensor, triangles: Triangles, accuracy: float) -> Ten
 
     places = points.detach().double().contiguous()
     result = torch.empty(len(points), dtype=torch.float64)
-    winding_kernel(places.numpy(), *triangles.tree.for_winding, float(accuracy), result.numpy())
+    winding_kernel(places.numpy(), *triangles.dipoles.for_winding, float(accuracy), result.numpy())
     return result.to(points)
 
 

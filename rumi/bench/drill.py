@@ -1,5 +1,6 @@
 """The registration problem of chsel's own test: points about one part of a power drill, in three classes."""
 
+import importlib.util
 import os
 from dataclasses import replace
 from functools import cache
@@ -10,9 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.bench.mesh import mesh_table, read_obj
 from sdf import se3, so3
 from sdf.base import SDF
+from sdf.build import from_mesh
+from sdf.mesh import load_mesh
 from sdf.object_model import ObjectModel
 from sdf.posed import posed_distance
 from sdf.symmetry import Symmetries
@@ -49,16 +51,16 @@ def missing() -> str:
     folder = os.environ.get("RUMI_DATA")
     if not folder or not (Path(folder) / MESH).is_file():
         return f"the environment variable RUMI_DATA names no folder with {MESH}"
-    return ""
+    lacking = [name for name in ("trimesh", "scipy") if importlib.util.find_spec(name) is None]
+    return f"{' and '.join(lacking)} not installed (the extra mesh)" if lacking else ""
 
 
 @cache
 def drill(spacing: float = 0.0025) -> ObjectModel:
     """The drill, tabulated every `spacing` metres, with 500 points of its surface."""
-    path = Path(os.environ["RUMI_DATA"]) / MESH
-    table = mesh_table(path, spacing)
-    vertices, faces = read_obj(path)
-    corners = vertices[faces]
+    mesh = load_mesh(Path(os.environ["RUMI_DATA"]) / MESH)
+    table = from_mesh(mesh, spacing=spacing, padding=0.01, outer=0.06)
+    corners = mesh.corners
     normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     random = torch.Generator().manual_seed(0)
     chosen = torch.multinomial(normals.norm(dim=-1), 500, replacement=True, generator=random)

@@ -82,8 +82,7 @@ def with_object(
         progress: called with what is done and how much of it, from 0 to 1.
 
     Raises:
-        UsageError: the mesh does not suit the task.
-        sdf.mesh.MeshError: the mesh cannot be used.
+        UsageError: the mesh cannot be used, or does not suit the task.
     """
     physics = replace(
         spec.physics,
@@ -94,14 +93,14 @@ def with_object(
     spec = replace(spec, physics=physics)
     if settings.mesh is None:
         return spec, spec.object_factory()
-    model = own_model(settings, cache_dir=cache_dir, progress=progress)
-    _check_fits(spec, model)
+    model = own_model(settings, fits=lambda box: _check_fits(spec, box), cache_dir=cache_dir, progress=progress)
     return replace(spec, object_factory=lambda: model), model
 
 
 def own_model(
     settings: ObjectSettings,
     *,
+    fits: Callable[[Tensor], None] | None = None,
     cache_dir: Path | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> "ObjectModel":
@@ -112,27 +111,36 @@ def own_model(
 
     Args:
         settings: of the object; its mesh must be given.
+        fits: looks at the upright object's bounds (2, 3) before what takes time, and raises if they do not suit it.
         cache_dir: folder that keeps tables of distances; None keeps nothing.
         progress: called with what is done and how much of it, from 0 to 1.
+
+    Raises:
+        UsageError: the mesh cannot be used.
     """
-    from sdf.mesh import load_mesh
+    from sdf.mesh import MeshError, load_mesh
     from sdf.mesh_sdf import MeshSDF
     from sdf.object_model import MeshSource, mesh_model
 
     if settings.mesh is None:
         raise UsageError("Expected a mesh: give --mesh FILE")
     path = Path(settings.mesh)
-    exact = MeshSDF(load_mesh(path, scale=settings.scale))
-    object_T_mesh, how = _standing(exact, settings.upright)
-    exact = exact.moved(object_T_mesh)
-    model = mesh_model(
-        exact,
-        name=path.stem,
-        spacing=settings.spacing_m,
-        symmetries=_declared(settings.symmetry, exact, object_T_mesh),
-        cache_dir=cache_dir,
-        progress=progress,
-    )
+    try:
+        exact = MeshSDF(load_mesh(path, scale=settings.scale))
+        object_T_mesh, how = _standing(exact, settings.upright)
+        exact = exact.moved(object_T_mesh)
+        if fits is not None:
+            fits(exact.bounds)
+        model = mesh_model(
+            exact,
+            name=path.stem,
+            spacing=settings.spacing_m,
+            symmetries=_declared(settings.symmetry, exact, object_T_mesh),
+            cache_dir=cache_dir,
+            progress=progress,
+        )
+    except MeshError as error:
+        raise UsageError(str(error)) from error
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     source = MeshSource(path.name, digest, len(exact.mesh.faces), settings.scale, object_T_mesh, how)
     return replace(model, source=source)
@@ -198,17 +206,18 @@ def _declared(text: str, exact: "MeshSDF", object_T_mesh: Tensor) -> "Symmetries
     return replace(own, rotations=turn @ own.rotations @ turn.mT, center=center, axis=axis)
 
 
-def _check_fits(spec: "TaskSpec", model: "ObjectModel") -> None:
+def _check_fits(spec: "TaskSpec", bounds: Float[Tensor, "2 3"]) -> None:
     """The object is neither larger than the workspace allows nor lower than the tool reaches down."""
-    low, high = model.exact.bounds.double()
+    low, high = bounds.double()
     size = " x ".join(f"{1e3 * x:.0f}" for x in (high - low).tolist())
     room = _ROOM * min(b - a for a, b in zip(*spec.bounds, strict=True))
     if float((high - low)[:2].max()) > room:
         raise UsageError(
             f"Expected an object at most {1e3 * room:.0f} mm wide, got {size} mm: is it in millimetres (--scale 0.001)?"
         )
-    if float(high[2] - low[2]) < spec.height_m - _PAD_M:
+    lowest = (spec.height_m if spec.heights_m is None else spec.heights_m[0]) - _PAD_M
+    if float(high[2] - low[2]) < lowest:
         raise UsageError(
-            f"Expected an object at least {1e3 * (spec.height_m - _PAD_M):.0f} mm high, where the tool can touch it, "
+            f"Expected an object at least {1e3 * lowest:.0f} mm high, where the tool can touch it, "
             f"got {size} mm: scale it (--scale), or stand it otherwise (--upright ROLL PITCH YAW)"
         )

@@ -42,6 +42,9 @@ class SimTask:
         model: the object.
         physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes; None keeps nothing.
+
+    Raises:
+        UsageError: the simulator cannot build the object, or it does not stand by itself.
     """
 
     def __init__(
@@ -59,6 +62,8 @@ class SimTask:
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
         height = None if spec.spatial else spec.height_m
         self.world = World(body, tool.shape, height, settings.time_step_s, physics)
+        # what cannot stand is refused before anything begins
+        self.world.reset(torch.tensor(spec.tool_start), self._start())
         self._pads = tool.shape.pad_shell(settings.pad_spacing_m).float()
         self._felt_at = self._pads + spec.felt_ahead_m * tool.shape.pad_normals(self._pads)
         self._body = tool.shape.volume(settings.body_spacing_m).float()
@@ -74,10 +79,7 @@ class SimTask:
             seed: of the sensors' noise.
         """
         self._generator.manual_seed(seed)
-        start = torch.tensor(self.spec.start)
-        if self.spec.start_up != "z" or self.spec.prior is not None:
-            start = se3.from_planar(start) @ lying(self.model.exact.bounds.float(), self.spec.start_up)
-        self.world.reset(torch.tensor(self.spec.tool_start), start)
+        self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
         observation = self._view()
         configuration = self.world.configuration().float()
@@ -92,6 +94,13 @@ class SimTask:
             torch.zeros(()),
         )
         return StepResult(reading, self.world.world_T_object().float())
+
+    def _start(self) -> Tensor:
+        """Where the object starts, as `World.reset` takes it."""
+        start = torch.tensor(self.spec.start)
+        if self.spec.start_up != "z" or self.spec.prior is not None:
+            return se3.from_planar(start) @ lying(self.model.exact.bounds.float(), self.spec.start_up)
+        return start
 
     def step(self, control: Float[Tensor, "A"]) -> StepResult:
         """Carry out (dx, dy, dyaw), each in [-1, 1] of the action scales, as far as the arm reaches.

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import pytest
 import torch
 
+from rumi.bench.meshes import box
 from sdf import se3, so3
 from sdf.base import SDF
 from sdf.drill import Drill
 from sdf.grid_sdf import GridSDF
+from sdf.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Capsule, Cup, Cylinder, Mug, Placed, Sphere, TorusArc, Union
 from sdf.surface import sample_surface
 
@@ -43,6 +45,7 @@ MEMBERS = {
     "mug": Member(Mug, (0.071, 0, 0.0475)),
     "drill": Member(Drill, (0.03, 0, 0.158), slope=1.0 + 1e-6),
     "large mug": Member(lambda: Mug(tube_radius=0.008, ring_radius=0.035), (0.076, 0, 0.0475)),
+    "mesh": Member(lambda: MeshSDF(box((0.03, 0.08, 0.1))), (0.02, 0, 0)),
     # each slope along an axis is at most 1: the gradient at most sqrt 3, in the cells at a sharp edge
     "grid": Member(lambda: GridSDF.from_sdf(Mug()), (0.071, 0, 0.0475), error=1.5e-3, slope=3**0.5),
     "bare grid": Member(lambda: GridSDF.from_sdf(Mug(), outer=0.0), (0.071, 0, 0.0475), error=1.5e-3, slope=3**0.5),

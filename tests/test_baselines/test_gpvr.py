@@ -20,6 +20,7 @@ from rumi.planning.types import Plan, Scene
 from sdf import backend, se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
+from sdf.symmetry import Symmetries
 from sdf.voxel_grid import VoxelGrid
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
@@ -43,7 +44,7 @@ def version(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def mug() -> ObjectModel:
-    return object_model("mug", Mug(), torch.eye(3)[None], spacing=0.004, points=150)
+    return object_model("mug", Mug(), Symmetries.none(), spacing=0.004, points=150)
 
 
 @pytest.fixture

@@ -1,0 +1,408 @@
+"""Measure signed distances of meshes against libigl's exact ones, and how long tables take.
+
+    python scripts/mesh_distances.py accuracy          # one JSON line a shape in scripts/results/mesh_distances.jsonl
+    python scripts/mesh_distances.py time --threads 2  # of tables: 128^3 nodes, from the cache, 10^6 faces
+    python scripts/mesh_distances.py show              # Markdown
+
+Needs libigl, and the environment variable RUMI_DATA for the drill. Lines of a shape or a timing replace older ones.
+"""
+
+import json
+import os
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+import tyro
+
+from rumi.bench import meshes
+from rumi.bench.machine import environment
+from rumi.bench.mug_mesh import damaged, mug_mesh
+from sdf.base import SDF
+from sdf.build import from_mesh
+from sdf.mesh import TriangleMesh, load_mesh
+from sdf.mesh_sdf import MeshSDF
+from sdf.primitives import Mug
+from sdf.surface import sample_triangles
+from sdf.triangles import Triangles
+
+RESULTS = Path(__file__).resolve().parent / "results" / "mesh_distances.jsonl"
+SPACINGS_MM = (1.0, 2.0, 3.0, 5.0)
+NEAR_M, PADDING_M, HOLE_M, LOST = 0.003, 0.02, 0.012, 0.01
+MILLION = 1_000_000
+
+
+class Shape(NamedTuple):
+    """A mesh to measure, and the parts whose union is the truth: good meshes, each closed."""
+
+    mesh: TriangleMesh
+    truth: tuple[TriangleMesh, ...]
+    closed_form: SDF | None = None
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Measure wrong signs, and errors of tables.
+
+    Attributes:
+        shapes: which; by default all.
+        points: near the surface, and as many in the whole box.
+        out: file of results.
+    """
+
+    shapes: tuple[str, ...] = ()
+    points: int = 20_000
+    out: Path = RESULTS
+
+
+@dataclass(frozen=True)
+class Time:
+    """Measure times and memory.
+
+    Attributes:
+        what: "table" (the drill's, and from the cache), "peers" (48^3 nodes, and libigl's time), "large" (many faces).
+        threads: of torch and of compiled loops; libigl takes IGL_NUM_THREADS.
+        faces: of the largest mesh, roughly.
+        out: file of results.
+    """
+
+    what: tuple[Literal["table", "peers", "large"], ...] = ("table", "peers", "large")
+    threads: int = 2
+    faces: int = MILLION
+    out: Path = RESULTS
+
+
+@dataclass(frozen=True)
+class Show:
+    """Print the tables."""
+
+    results: Path = RESULTS
+
+
+@cache
+def drill() -> TriangleMesh:
+    """The drill."""
+    folder = os.environ.get("RUMI_DATA")
+    if not folder:
+        raise SystemExit("Expected RUMI_DATA to name the folder with ycb_power_drill")
+    return load_mesh(Path(folder) / "ycb_power_drill" / "power_drill.obj")
+
+
+def random(seed: int = 0) -> torch.Generator:
+    """A generator of its own for each use."""
+    return torch.Generator().manual_seed(seed)
+
+
+def _mug() -> Shape:
+    mug = Mug().double()
+    mesh = meshes.one_surface(mug)
+    return Shape(mesh, (mesh,), mug)
+
+
+def _drill() -> Shape:
+    return Shape(drill(), (drill(),))
+
+
+def _overlap() -> Shape:
+    _, handle = meshes.parts_of(mug_mesh(Mug()))
+    parts = (meshes.cup_part(Mug()), handle)
+    return Shape(meshes.together(*parts), parts)
+
+
+def _holed() -> Shape:
+    good = drill()
+    return Shape(damaged(good, share=LOST, hole_m=HOLE_M), (good,))
+
+
+def _flipped() -> Shape:
+    return Shape(meshes.turned(drill(), generator=random()), (drill(),))
+
+
+def _partly_flipped() -> Shape:
+    return Shape(meshes.turned(drill(), 0.3, generator=random()), (drill(),))
+
+
+def _tetrahedron() -> Shape:
+    mesh = meshes.tetrahedron(0.08)
+    return Shape(mesh, (mesh,))
+
+
+def _cube() -> Shape:
+    mesh = meshes.box((0.1, 0.1, 0.1))
+    return Shape(mesh, (mesh,))
+
+
+def _slice() -> Shape:
+    mesh = meshes.box((0.05, 0.05, 0.002))
+    return Shape(mesh, (mesh,))
+
+
+SHAPES: dict[str, Callable[[], Shape]] = {
+    "mug": _mug,
+    "drill": _drill,
+    "cup + overlapping handle": _overlap,
+    "drill, 1 % of faces and 12 mm hole": _holed,
+    "drill, every face turned": _flipped,
+    "drill, 30 % of faces turned": _partly_flipped,
+    "tetrahedron, 80 mm": _tetrahedron,
+    "cube, 200 mm, in its slice z = 0": _cube,
+    "slice of a cube, 4 mm thick": _slice,
+}
+
+
+class Exact(NamedTuple):
+    """libigl's answer at some points: signed distance, and where it is beyond doubt."""
+
+    distance: torch.Tensor
+    known: torch.Tensor
+
+
+def exact(parts: tuple[TriangleMesh, ...], points: torch.Tensor) -> Exact:
+    """Signed distance from the union of closed parts.
+
+    Outside it is the least of the distances. Inside it is the depth in the part where that is greatest, provided that
+    the nearest point of that part's surface is in no other part; where it is, the truth is not known.
+    """
+    import igl
+
+    places = np.ascontiguousarray(points.double().numpy())
+    signed, feet = [], []
+    for part in parts:
+        vertices, faces = part.vertices.numpy(), part.faces.numpy()
+        squared, _, foot = igl.point_mesh_squared_distance(places, vertices, faces)
+        side = np.where(igl.winding_number(vertices, faces, places) > 0.5, -1.0, 1.0)
+        signed.append(torch.from_numpy(side * np.sqrt(squared)))
+        feet.append(np.ascontiguousarray(foot))
+    every = torch.stack(signed)
+    least, which = every.min(0)
+    known = torch.ones(len(points), dtype=torch.bool)
+    for number, foot in enumerate(feet):
+        for other, part in enumerate(parts):
+            if other != number:
+                around = igl.winding_number(part.vertices.numpy(), part.faces.numpy(), foot)
+                known &= ~((which == number) & (least < 0) & torch.from_numpy(around > 0.5))
+    return Exact(least, known)
+
+
+def places(parts: tuple[TriangleMesh, ...], count: int, slice_only: bool) -> tuple[torch.Tensor, torch.Tensor]:
+    """Points near the surface and points of the whole box, where a table has its nodes."""
+    generator = random(1)
+    every = torch.cat([part.corners for part in parts])
+    on, _ = sample_triangles(Triangles(every), count, generator=generator)
+    step = torch.randn(count, 3, generator=generator, dtype=torch.float64)
+    reach = NEAR_M * torch.rand(count, 1, generator=generator, dtype=torch.float64)
+    near = on + reach * torch.nn.functional.normalize(step, dim=-1)
+    corners = every.reshape(-1, 3)
+    low, high = corners.amin(0) - PADDING_M, corners.amax(0) + PADDING_M
+    far = low + (high - low) * torch.rand(count, 3, generator=generator, dtype=torch.float64)
+    if slice_only:
+        near[:, 2] = far[:, 2] = 0.0
+    return near, far
+
+
+_ASKED: dict[tuple[int, ...], tuple[torch.Tensor, Exact]] = {}
+
+
+def asked(parts: tuple[TriangleMesh, ...], count: int, slice_only: bool) -> tuple[torch.Tensor, Exact]:
+    """Points about a shape and the truth there, the same for every mesh of it."""
+    key = (*map(id, parts), count, slice_only)
+    if key not in _ASKED:
+        points = torch.cat(places(parts, count, slice_only))
+        _ASKED[key] = points, exact(parts, points)
+    return _ASKED[key]
+
+
+def measure(name: str, shape: Shape, count: int) -> dict[str, Any]:
+    """Wrong signs and errors of one shape."""
+    points, truth = asked(shape.truth, count, "in its slice" in name)
+    ours = MeshSDF(shape.mesh)
+    found = ours.distance(points)
+    wrong = ((found < 0) != (truth.distance < 0)) & (truth.distance.abs() > 1e-9)
+    error = (found - truth.distance).abs()[truth.known]
+    row: dict[str, Any] = {
+        "shape": name,
+        "faces": len(shape.mesh.faces),
+        "points": len(points),
+        "wrong_signs": float(wrong.double().mean()),
+        "deepest_wrong_mm": 1e3 * float(truth.distance[wrong].abs().max()) if bool(wrong.any()) else 0.0,
+        "exact_p95_mm": 1e3 * float(error.quantile(0.95)),
+        "exact_max_mm": 1e3 * float(error.max()),
+        "unknown": float((~truth.known).double().mean()),
+        "tables": {},
+    }
+    close = (truth.distance.abs() <= NEAR_M) & truth.known
+    if shape.closed_form is not None:
+        beyond = (truth.distance - shape.closed_form.distance(points))[truth.distance > 0].abs()
+        row["closed_form_p95_mm"] = 1e3 * float(beyond.quantile(0.95))
+    for spacing in SPACINGS_MM:
+        table = from_mesh(ours, spacing=1e-3 * spacing)
+        looked_up = table.distance(points)
+        miss = (looked_up - truth.distance).abs()
+        flips = (looked_up < 0) != (truth.distance < 0)
+        row["tables"][f"{spacing:g}"] = {
+            "near_p95_mm": 1e3 * float(miss[close].quantile(0.95)),
+            "all_p95_mm": 1e3 * float(miss[truth.known].quantile(0.95)),
+            "near_flips": float(flips[close].double().mean()),
+            "deepest_flip_mm": 1e3 * float(truth.distance[flips].abs().max()) if bool(flips.any()) else 0.0,
+            "nodes": list(table.values.shape),
+        }
+        _say(f"{name}: {spacing:g} mm done")
+    return row
+
+
+def accuracy(options: Accuracy) -> None:
+    """Measure shapes and keep the lines."""
+    for name in options.shapes or SHAPES:
+        if name not in SHAPES:
+            raise SystemExit(f"Expected one of {', '.join(SHAPES)}, got {name}")
+        _keep(options.out, {"kind": "accuracy", **measure(name, SHAPES[name](), options.points)}, "shape")
+
+
+def _clock(work: Callable[[], Any]) -> tuple[float, float, Any]:
+    """Seconds, processor seconds and what the work gave."""
+    wall, processor = time.perf_counter(), time.process_time()
+    result = work()
+    return time.perf_counter() - wall, time.process_time() - processor, result
+
+
+def timings(options: Time) -> None:
+    """Time tables and keep the lines."""
+    torch.set_num_threads(options.threads)
+    path = Path(os.environ["RUMI_DATA"]) / "ycb_power_drill" / "power_drill.obj"
+    from_mesh(meshes.box((0.02, 0.02, 0.02)), spacing=0.004)  # compiles
+    works = {"table": _time_table, "peers": _time_peers, "large": lambda file: _time_large(file, options.faces)}
+    for what in options.what:
+        for row in works[what](path):
+            _say(f"{row['what']}: {row['seconds']:.3g} s ({row['processor_seconds']:.3g} s of the processors)")
+            _keep(options.out, {"kind": "time", "threads": options.threads, **row}, "what")
+
+
+def _timed(name: str, work: Callable[[], Any], repeats: int = 1) -> dict[str, Any]:
+    """The least of a few times, seconds."""
+    found = [_clock(work)[:2] for _ in range(repeats)]
+    wall, processor = min(found)
+    return {"what": name, "seconds": wall, "processor_seconds": processor}
+
+
+def _time_table(path: Path) -> Iterator[dict[str, Any]]:
+    """The drill's table of 128^3 nodes, from its file and from the cache."""
+    spacing = 0.00195
+    nodes = from_mesh(path, spacing=spacing).values.numel()
+    yield {**_timed("drill, 128^3 nodes", lambda: from_mesh(path, spacing=spacing), 3), "nodes": nodes / 128**3}
+    with tempfile.TemporaryDirectory() as cache:
+        from_mesh(path, spacing=spacing, cache_dir=cache)
+        yield _timed("the same from the cache", lambda: from_mesh(path, spacing=spacing, cache_dir=cache), 5)
+
+
+def _time_peers(path: Path) -> Iterator[dict[str, Any]]:
+    """Distance and sign at 48^3 nodes, ours and libigl's."""
+    import igl
+
+    for name, mesh in (("drill", load_mesh(path)), ("cup of long faces", meshes.cup_part(Mug()))):
+        low, high = mesh.bounds[0] - PADDING_M, mesh.bounds[1] + PADDING_M
+        axes = [torch.linspace(a, b, 48, dtype=torch.float64) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
+        nodes = torch.cartesian_prod(*axes)
+        parts, grid = (mesh.vertices.numpy(), mesh.faces.numpy()), nodes.numpy()
+        shape = MeshSDF(mesh)
+        shape.distance(nodes[:10])
+        yield _timed(f"{name}, 48^3 nodes: distance and sign", lambda s=shape, n=nodes: s.distance(n), 3)
+        yield _timed(
+            f"{name}, 48^3 nodes: libigl's distance",
+            lambda p=parts, g=grid: igl.point_mesh_squared_distance(g, *p),
+            3,
+        )
+        yield _timed(
+            f"{name}, 48^3 nodes: libigl's winding number", lambda p=parts, g=grid: igl.fast_winding_number(*p, g)
+        )
+
+
+def _time_large(path: Path, least: int) -> Iterator[dict[str, Any]]:
+    """The drill's table from very many faces; with the most memory that this process took."""
+    import trimesh
+
+    mesh = load_mesh(path)
+    vertices, faces = mesh.vertices, mesh.faces
+    while len(faces) < least:
+        vertices, faces = _quartered(vertices, faces)
+    told: list[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "large.ply"
+        trimesh.Trimesh(vertices.numpy(), faces.numpy(), process=False).export(file)
+        row = _timed(
+            f"drill of {len(faces)} faces, a node every 2 mm",
+            lambda: from_mesh(file, spacing=0.002, progress=lambda what, share: told.append(f"{what} {share:.0%}")),
+        )
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    yield {**row, "peak_gib": peak, "told": told}
+
+
+def _quartered(vertices: torch.Tensor, faces: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Each face as four."""
+    edges = torch.stack((faces, faces.roll(-1, 1)), -1).reshape(-1, 2).sort(-1).values
+    ends, number = edges.unique(dim=0, return_inverse=True)
+    middle = number.reshape(-1, 3) + len(vertices)
+    a, b, c = faces.unbind(-1)
+    ab, bc, ca = middle.unbind(-1)
+    parts = ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))
+    return torch.cat((vertices, vertices[ends].mean(1))), torch.cat([torch.stack(part, -1) for part in parts])
+
+
+def _keep(path: Path, row: dict[str, Any], key: str) -> None:
+    """Write a line in place of older ones of the same kind, name and threads."""
+    row = {**row, "machine": environment(torch.device("cpu"))}
+    lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    same = ("kind", key, "threads")
+    lines = [line for line in lines if any(line.get(name) != row.get(name) for name in same)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(json.dumps(line) + "\n" for line in [*lines, row]))
+
+
+def show(options: Show) -> None:
+    """Both tables as Markdown."""
+    lines = [json.loads(line) for line in options.results.read_text().splitlines()]
+    out = [
+        "| mesh | faces | wrong signs | deepest | exact: p95, max | table: p95 within 3 mm at 1, 2, 3, 5 mm | "
+        "sign flips of the table there |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    order = list(SHAPES)
+    measured = [line for line in lines if line["kind"] == "accuracy"]
+    for row in sorted(measured, key=lambda line: order.index(line["shape"])):
+        tables = [row["tables"][f"{spacing:g}"] for spacing in SPACINGS_MM]
+        out.append(
+            f"| {row['shape']} | {row['faces']} | {100 * row['wrong_signs']:.3g} % | "
+            f"{row['deepest_wrong_mm']:.2g} mm | "
+            f"{row['exact_p95_mm']:.1e}, {row['exact_max_mm']:.1e} mm | "
+            f"{_several(tables, 'near_p95_mm')} mm | {_several(tables, 'near_flips', 100.0)} % |"
+        )
+    out += ["", "| what | threads | seconds | of the processors | memory |", "|---|---|---|---|---|"]
+    for row in lines:
+        if row["kind"] == "time":
+            memory = f"{row['peak_gib']:.2f} GiB at most" if "peak_gib" in row else ""
+            out.append(
+                f"| {row['what']} | {row['threads']} | {row['seconds']:.3g} | {row['processor_seconds']:.3g} | "
+                f"{memory} |"
+            )
+    sys.stdout.write("\n".join(out) + "\n")
+
+
+def _several(tables: list[dict[str, Any]], name: str, unit: float = 1.0) -> str:
+    return ", ".join(f"{unit * table[name]:.2g}" for table in tables)
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
+if __name__ == "__main__":
+    chosen = tyro.extras.subcommand_cli_from_dict({"accuracy": Accuracy, "time": Time, "show": Show})
+    {Accuracy: accuracy, Time: timings, Show: show}[type(chosen)](chosen)

@@ -1,0 +1,104 @@
+"""`rumi run` with the user's own mesh: its folder, its figures, and what is wrong with the input."""
+
+import hashlib
+import json
+from pathlib import Path
+
+import pytest
+
+from rumi import cli
+from rumi.bench.mug_mesh import mug_mesh, write_obj
+from rumi.cli import main
+from rumi.config import from_dict, setting_names
+from rumi.recording import load_run
+from sdf.primitives import Mug
+
+for package in ("trimesh", "scipy", "networkx"):
+    pytest.importorskip(package)
+pytestmark = pytest.mark.sim
+
+SMALL = [
+    *("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12"),
+    *("--planner.mppi.samples", "8", "--planner.mppi.warmup-iterations", "1", "--planner.rollouts", "1"),
+    *("--spacing", "0.004", "--collision", "hull"),
+]
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def at_home(tmp_path, monkeypatch, cache):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RUMI_CACHE", str(cache))
+    monkeypatch.delenv("RUMI_DEBUG", raising=False)
+
+
+@pytest.fixture
+def mesh(tmp_path):
+    path = tmp_path / "my-mug.obj"
+    write_obj(mug_mesh(Mug(), 0.006), path)
+    return path
+
+
+def run_small(*more):
+    return main(["run", "mug-0", "--steps", "1", "--no-figures", *more])
+
+
+def test_a_run_with_a_mesh(mesh, capsys, cache):
+    options = (*SMALL, "--mesh", str(mesh), "--mass", "0.5", "--friction", "0.4", "--upright", "0", "0", "20")
+    assert run_small(*options) == cli.NOT_CONVERGED
+    folder = Path("runs/mug-0-my-mug-rumi-default-s0")
+    run = load_run(folder)
+    assert len(run.steps) == 2
+    said = json.loads((folder / "object.json").read_text())
+    assert said["mesh"]["file"] == "my-mug.obj"
+    assert said["mesh"]["sha256"] == hashlib.sha256(mesh.read_bytes()).hexdigest()
+    assert said["mesh"]["object_T_mesh"][0][0] == pytest.approx(0.9397, abs=1e-4)
+    assert said["symmetry"] == "none"
+    own = from_dict(run.settings).object
+    assert (own.mass_kg, own.friction, own.upright, own.mesh) == (0.5, 0.4, (0.0, 0.0, 20.0), str(mesh))
+    assert any(cache.glob("mesh-*.npz"))
+    # drawn from the folder alone
+    mesh.unlink()
+    pytest.importorskip("matplotlib")
+    assert main(["plot", str(folder)]) == cli.DONE
+    assert len(list((folder / "figures").glob("*.png"))) >= 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_the_tasks_own_object_is_described_too():
+    small = SMALL[:-4]
+    assert run_small(*small, "--out", "own") == cli.NOT_CONVERGED
+    said = json.loads(Path("own/object.json").read_text())
+    assert (said["name"], said["mesh"]) == ("mug", None)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--mesh", "none.obj"], "none.obj"),
+        (["--mesh", "text.obj"], "text.obj"),
+        (["--mesh", "my-mug.obj", "--scale", "1000"], "mm"),
+        (["--mesh", "my-mug.obj", "--scale", "-1"], "scale"),
+        (["--mesh", "my-mug.obj", "--symmetry", "round"], "Expected symmetries"),
+        (["--mesh", "my-mug.obj", "--mass", "0"], "mass"),
+        (["--mesh", "my-mug.obj", "--upright", "80", "0", "0"], "tipped"),
+        (["--scale", "0.001"], "--mesh"),
+    ],
+)
+def test_bad_input_is_refused(mesh, options, said, capsys):
+    Path("text.obj").write_text("nothing to see\n")
+    assert run_small(*(SMALL if "--mesh" in options else SMALL[:-4]), *options, "--out", "there") == cli.BAD_INPUT
+    error = capsys.readouterr().err
+    assert said in error and "Traceback" not in error
+    # nothing was begun: the folder can be used again
+    assert not Path("there/settings.json").exists()
+
+
+def test_flags_are_known_by_their_short_names(capsys):
+    assert {"mesh", "scale", "mass", "friction", "upright", "symmetry", "spacing", "collision"} <= set(setting_names())
+    assert run_small("--mas", "1") == cli.BAD_INPUT
+    assert "did you mean --mass" in capsys.readouterr().err
