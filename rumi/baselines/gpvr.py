@@ -35,6 +35,8 @@ class GPVRSettings:
     Attributes:
         refit_steps: of the optimiser, for each plan, from where the last plan's ended.
         learning_rate: of the optimiser; the paper gives none.
+        least_lengthscale: lower bound of the process's lengthscale, in lattice spacings of the thinned free points: one
+            that is shorter calls the space between them unknown. 0, the paper's as far as it says, has no bound.
         free_probability: workspace points that are free with more than this probability are data, which tells the
             process of the object's shape.
         free_spacing: lattice that free points are thinned on, in spacings of the workspace.
@@ -44,14 +46,15 @@ class GPVRSettings:
 
     refit_steps: int = 50
     learning_rate: float = 0.1
+    least_lengthscale: float = 0.0
     free_probability: float = 0.99
     free_spacing: float = 7.0
-    max_points: int = 300
+    max_points: int = 500
     discount: float = 0.99
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
-        for name in ("refit_steps", "max_points"):
+        for name in ("refit_steps", "max_points", "least_lengthscale"):
             if getattr(self, name) < 0:
                 raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
         for name in ("learning_rate", "free_spacing"):
@@ -132,7 +135,13 @@ class GPVRPolicy(RummagingPolicy):
         settings, kept = self.gp, None if previous is None else previous.info.get("gp_hyperparameters")
         data = self.data(belief, scene, fields)
         start = None if kept is None else Hyperparameters(*kept)
-        found = fit(data, start, steps=settings.refit_steps, learning_rate=settings.learning_rate)
+        found = fit(
+            data,
+            start,
+            steps=settings.refit_steps,
+            learning_rate=settings.learning_rate,
+            least_lengthscale_m=settings.least_lengthscale * settings.free_spacing * scene.workspace.spacing,
+        )
         variance = predictive_variance(data, found, scene.workspace.points)
         share = (variance / variance.amax()).to(fields.information)
         grid = scene.workspace.grid(share)

@@ -71,12 +71,12 @@ def labelled(
         surface: label 0.
         free: label 1; of each lattice cell the point next to its centre stays.
         spacing: of that lattice, metres.
-        most: points in all; None keeps every one. Surface points may take what free ones leave, at least half of it;
-            of each class those stay that are farthest from each other.
+        most: points in all; None keeps every one. Free points, which are thin already, come first, as long as surface
+            ones have a quarter; of each class those stay that are farthest from each other.
     """
     free = nearest_to_centres(free, spacing)
     if most is not None:
-        surface = spread_out(surface, max(most - len(free), most - most // 2))
+        surface = spread_out(surface, max(most - len(free), most // 4))
         free = spread_out(free, most - len(surface))
     points = torch.cat((surface, free)).double()
     return Labelled(points, (torch.arange(len(points), device=points.device) >= len(surface)).double())
@@ -109,7 +109,12 @@ def spread_out(points: Float[Tensor, "N 3"], count: int) -> Float[Tensor, "M 3"]
 
 
 def fit(
-    data: Labelled, start: Hyperparameters | None = None, *, steps: int = 50, learning_rate: float = 0.1
+    data: Labelled,
+    start: Hyperparameters | None = None,
+    *,
+    steps: int = 50,
+    learning_rate: float = 0.1,
+    least_lengthscale_m: float = 0.0,
 ) -> Hyperparameters:
     """Hyperparameters after some steps of Adam on the exact marginal likelihood.
 
@@ -121,13 +126,15 @@ def fit(
         start: where to start, the last fit's for a warm start.
         steps: of the optimiser.
         learning_rate: of the unconstrained parameters.
+        least_lengthscale_m: lower bound of the lengthscale.
     """
     start = start or Hyperparameters()
+    start = start._replace(lengthscale_m=max(start.lengthscale_m, 1.01 * least_lengthscale_m))
     if len(data.points) == 0 or steps == 0:
         return start
     gp = library()
     with torch.enable_grad(), _exactly(gp):
-        model = _model(gp, data, start).train()
+        model = _model(gp, data, start, least_lengthscale_m).train()
         likelihood = gp.mlls.ExactMarginalLogLikelihood(model.likelihood, model)
         optimiser = torch.optim.Adam(model.parameters(), lr=learning_rate)
         for _ in range(steps):
@@ -141,7 +148,8 @@ def fit(
     if not bool(torch.tensor(found).isfinite().all()):
         return start
     widest = float((data.points.amax(0) - data.points.amin(0)).norm())
-    length = min(max(found.lengthscale_m, 1e-3), max(widest, 1e-3))
+    least = max(least_lengthscale_m, 1e-3)
+    length = min(max(found.lengthscale_m, least), max(widest, least))
     return found._replace(lengthscale_m=length, outputscale=max(found.outputscale, _LEAST_SCALE))
 
 
@@ -181,14 +189,15 @@ def _exactly(gp: ModuleType) -> Any:  # noqa: ANN401  (a context of the library)
     return gp.settings.fast_computations(covar_root_decomposition=False, log_prob=False, solves=False)
 
 
-def _model(gp: ModuleType, data: Labelled, start: Hyperparameters) -> Any:  # noqa: ANN401  (of the library)
+def _model(gp: ModuleType, data: Labelled, start: Hyperparameters, least_lengthscale_m: float = 0.0) -> Any:  # noqa: ANN401  (of the library)
     """The library's exact process, float64, at given hyperparameters."""
+    longer = gp.constraints.GreaterThan(least_lengthscale_m)
 
     class Surface(gp.models.ExactGP):  # type: ignore[name-defined]
         def __init__(self) -> None:
             super().__init__(data.points, data.labels, gp.likelihoods.GaussianLikelihood())
             self.mean_module = gp.means.ConstantMean()
-            self.covar_module = gp.kernels.ScaleKernel(gp.kernels.MaternKernel(nu=1.5))
+            self.covar_module = gp.kernels.ScaleKernel(gp.kernels.MaternKernel(1.5, lengthscale_constraint=longer))
 
         def forward(self, points: Tensor) -> object:
             return gp.distributions.MultivariateNormal(self.mean_module(points), self.covar_module(points))

@@ -22,6 +22,7 @@ from rumi.planning.types import Plan, Policy, Scene
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
+from sdf.symmetry import Symmetries
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
@@ -54,7 +55,7 @@ def policy(method: str, scene: Scene) -> Policy:
 
 @pytest.fixture(scope="module")
 def mug() -> ObjectModel:
-    return object_model("mug", Mug(), torch.eye(3)[None], spacing=0.004, points=120)
+    return object_model("mug", Mug(), Symmetries.none(), spacing=0.004, points=120)
 
 
 @pytest.fixture

@@ -129,6 +129,14 @@ class TestFit:
         assert fit(data, good, steps=0) == good
         assert dense_loss(data, fit(data, good, steps=5)) < dense_loss(data, fit(data, steps=5))
 
+    def test_lengthscale_keeps_to_its_bound(self) -> None:
+        data = ball()
+        free = fit(data, steps=50)
+        assert fit(data, steps=50, least_lengthscale_m=0.01) != free
+        bound = 1.5 * free.lengthscale_m
+        held = fit(data, Hyperparameters(0.01), steps=50, least_lengthscale_m=bound)
+        assert bound <= held.lengthscale_m < 1.5 * bound
+
     def test_is_the_same_each_time(self) -> None:
         before = torch.get_rng_state()
         assert fit(ball(), steps=5) == fit(ball(), steps=5)
@@ -182,7 +190,7 @@ def test_spread_out_points_cover_the_others() -> None:
 
 
 @pytest.mark.parametrize(
-    ("surface", "free", "expected"), [(200, 40, (60, 40)), (200, 90, (50, 50)), (20, 300, (20, 80))]
+    ("surface", "free", "expected"), [(200, 40, (60, 40)), (200, 90, (25, 75)), (20, 300, (20, 80))]
 )
 def test_cap_leaves_each_class_its_share(surface: int, free: int, expected: tuple[int, int]) -> None:
     """Free points here are in cells of their own."""

@@ -15,6 +15,7 @@ from rumi.planning.types import Plan, Scene
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Cylinder
+from sdf.symmetry import Symmetries
 from sensors.observation import Observation
 from sensors.reading import Reading
 from sensors.semantics import Semantics
@@ -27,7 +28,7 @@ BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.5]])
 
 @pytest.fixture(scope="module")
 def cylinder() -> ObjectModel:
-    return object_model("cylinder", Cylinder(RADIUS, 0.1), torch.eye(3)[None], spacing=0.003, points=200)
+    return object_model("cylinder", Cylinder(RADIUS, 0.1), Symmetries.none(), spacing=0.003, points=200)
 
 
 @pytest.fixture

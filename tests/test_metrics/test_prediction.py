@@ -32,6 +32,7 @@ from rumi.records import StepRecord
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
+from sdf.symmetry import Symmetries
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
@@ -43,7 +44,7 @@ START = torch.tensor([0.4, 0.0, 0.0])
 
 @pytest.fixture(scope="module")
 def mug() -> ObjectModel:
-    return object_model("mug", Mug(), torch.eye(3)[None], spacing=0.004, points=60)
+    return object_model("mug", Mug(), Symmetries.none(), spacing=0.004, points=60)
 
 
 @pytest.fixture(scope="module")

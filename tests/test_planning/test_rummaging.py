@@ -18,6 +18,7 @@ from rumi.planning.types import Plan, Scene
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
+from sdf.symmetry import Symmetries
 
 HEIGHT = 0.045
 BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
@@ -30,7 +31,7 @@ SMALL = RummagingSettings(
 
 @pytest.fixture(scope="module")
 def mug() -> ObjectModel:
-    return object_model("mug", Mug(), torch.eye(3)[None], spacing=0.004, points=20)
+    return object_model("mug", Mug(), Symmetries.none(), spacing=0.004, points=20)
 
 
 @pytest.fixture
