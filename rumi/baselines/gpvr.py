@@ -13,6 +13,7 @@ from rumi.baselines.implicit_surface import (
     fit,
     labelled,
     library,
+    nearest_to_centres,
     predictive_variance,
 )
 from rumi.belief.particles import PoseBelief
@@ -35,11 +36,11 @@ class GPVRSettings:
     Attributes:
         refit_steps: of the optimiser, for each plan, from where the last plan's ended.
         learning_rate: of the optimiser; the paper gives none.
-        least_lengthscale: lower bound of the process's lengthscale, in lattice spacings of the thinned free points: one
-            that is shorter calls the space between them unknown. 0, the paper's as far as it says, has no bound.
+        least_lengthscale: lower bound of the process's lengthscale, in distances of the thinned free points: a shorter
+            one calls the space between them unknown. 0, the paper's as far as it says, has no bound.
         free_probability: workspace points that are free with more than this probability are data, which tells the
             process of the object's shape.
-        free_spacing: lattice that free points are thinned on, in spacings of the workspace.
+        free_spacing: distance that free points are thinned to, in spacings of the workspace.
         max_points: data in all; 0 keeps all surface points (RUMI does, and takes seconds on a large GPU).
         discount: beta of Eq 37.
     """
@@ -168,7 +169,9 @@ class GPVRPolicy(RummagingPolicy):
         observed = in_world(scene.observed, belief.world_T_attached)
         surface = observed.points[observed.of_class(Semantics.SURFACE)]
         known = workspace.points[fields.semantics[..., 0] > settings.free_probability]
-        free = torch.cat((observed.points[observed.of_class(Semantics.FREE)], known.to(surface)))
+        # as many as the workspace has are plenty to choose from
+        seen = nearest_to_centres(observed.points[observed.of_class(Semantics.FREE)], workspace.spacing)
+        free = torch.cat((seen, known.to(surface)))
         return labelled(surface, free, settings.free_spacing * workspace.spacing, settings.max_points or None)
 
     def _start(

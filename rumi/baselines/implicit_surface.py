@@ -69,12 +69,13 @@ def labelled(
 
     Args:
         surface: label 0.
-        free: label 1; of each lattice cell the point next to its centre stays.
-        spacing: of that lattice, metres.
+        free: label 1.
+        spacing: metres that free points are thinned to: no two of those that stay are nearer to each other, and all
+            others have one of them as near.
         most: points in all; None keeps every one. Free points, which are thin already, come first, as long as surface
             ones have a quarter; of each class those stay that are farthest from each other.
     """
-    free = nearest_to_centres(free, spacing)
+    free = spread_out(free, radius=spacing)
     if most is not None:
         surface = spread_out(surface, max(most - len(free), most // 4))
         free = spread_out(free, most - len(surface))
@@ -96,14 +97,25 @@ def nearest_to_centres(points: Float[Tensor, "N 3"], spacing: float) -> Float[Te
     return points[order[by_cell[first]]]
 
 
-def spread_out(points: Float[Tensor, "N 3"], count: int) -> Float[Tensor, "M 3"]:
-    """At most `count` of the points, each next one the farthest from those chosen; the first one starts."""
-    if len(points) <= count:
-        return points
-    chosen = [0] if count > 0 else []
-    away = (points - points[0]).norm(dim=-1)
-    for _ in range(count - 1):
-        chosen.append(int(away.argmax()))
+def spread_out(points: Float[Tensor, "N 3"], count: int | None = None, radius: float = 0.0) -> Float[Tensor, "M 3"]:
+    """Some of the points, each next one the farthest from those chosen; the first one starts.
+
+    Corners and borders are chosen early, so that nothing is left open there, as cells of a lattice would leave it.
+
+    Args:
+        points: in this order where distances are equal.
+        count: at most; None for all that the radius asks for.
+        radius: no more are chosen when all points have a chosen one this near, metres.
+    """
+    most = len(points) if count is None else min(count, len(points))
+    if most == 0 or (most == len(points) and radius == 0.0):
+        return points[:most]
+    chosen, away = [0], (points - points[0]).norm(dim=-1)
+    while len(chosen) < most:
+        farthest, index = away.max(0)
+        if radius > 0.0 and float(farthest) <= radius:
+            break
+        chosen.append(int(index))
         away = torch.minimum(away, (points - points[chosen[-1]]).norm(dim=-1))
     return points[chosen]
 
@@ -118,11 +130,11 @@ def fit(
 ) -> Hyperparameters:
     """Hyperparameters after some steps of Adam on the exact marginal likelihood.
 
-    They are held between bounds that only data without any contrast would leave, and what is not finite (no data has
-    led there) keeps its start.
+    Labels that are all alike say nothing of the scales on which they change, and leave the start as it is: fitted, the
+    process would flatten out, and be as sure between the points as at them.
 
     Args:
-        data: one point or more.
+        data: of any number of points.
         start: where to start, the last fit's for a warm start.
         steps: of the optimiser.
         learning_rate: of the unconstrained parameters.
@@ -130,7 +142,7 @@ def fit(
     """
     start = start or Hyperparameters()
     start = start._replace(lengthscale_m=max(start.lengthscale_m, 1.01 * least_lengthscale_m))
-    if len(data.points) == 0 or steps == 0:
+    if steps == 0 or not bool((data.labels != data.labels[:1]).any()):
         return start
     gp = library()
     with torch.enable_grad(), _exactly(gp):

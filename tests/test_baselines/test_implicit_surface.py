@@ -144,13 +144,18 @@ class TestFit:
 
     @pytest.mark.parametrize("count", [0, 1, 30])
     @pytest.mark.parametrize("label", [0.0, 1.0])
-    def test_stands_data_without_contrast(self, count: int, label: float) -> None:
+    def test_labels_that_are_all_alike_change_nothing(self, count: int, label: float) -> None:
+        data = Labelled(scattered(30)[:count], torch.full((count,), label, dtype=torch.float64))
+        assert fit(data, SOME) == SOME
+
+    @pytest.mark.parametrize("count", [2, 3, 30])
+    def test_stands_next_to_no_contrast(self, count: int) -> None:
         points = scattered(30)[:count]
-        found = fit(Labelled(points, torch.full((count,), label, dtype=torch.float64)), steps=300)
+        labels = (torch.arange(count) == 0).double()
+        found = fit(Labelled(points, labels), steps=300)
         assert all(math.isfinite(value) for value in found)
         assert found.lengthscale_m <= 0.55
-        variance = predictive_variance(Labelled(points, torch.zeros(count, dtype=torch.float64)), found, scattered(9))
-        assert float(variance.amax()) > 0.0
+        assert float(predictive_variance(Labelled(points, labels), found, scattered(9)).amax()) > 0.0
 
     def test_works_while_gradients_are_off(self) -> None:
         with torch.no_grad():
@@ -189,14 +194,32 @@ def test_spread_out_points_cover_the_others() -> None:
     assert len(spread_out(points[:1].repeat(5, 1), 3)) == 3
 
 
+@pytest.mark.parametrize("radius", [0.03, 0.1, 1.0])
+def test_thinned_points_are_apart_and_leave_none_far(radius: float) -> None:
+    points = scattered(300)
+    chosen = spread_out(points, radius=radius)
+    assert float(torch.cdist(points, chosen).amin(-1).max()) <= radius
+    assert len(chosen) == 1 or float((torch.cdist(chosen, chosen) + torch.eye(len(chosen))).min()) > radius
+    assert spread_out(points[:0], radius=radius).shape == (0, 3)
+
+
+def test_thinning_keeps_the_corners() -> None:
+    """Cells of a lattice would leave them half a cell away, where a process is then least sure."""
+    axis = torch.arange(0.0, 0.81, 0.02)
+    square = torch.cartesian_prod(axis, axis, torch.zeros(1))
+    chosen = spread_out(square, radius=0.14)
+    for corner in ([0.0, 0.0, 0.0], [0.0, 0.8, 0.0], [0.8, 0.0, 0.0], [0.8, 0.8, 0.0]):
+        assert float((chosen - torch.tensor(corner)).norm(dim=-1).min()) < 1e-6
+
+
 @pytest.mark.parametrize(
     ("surface", "free", "expected"), [(200, 40, (60, 40)), (200, 90, (25, 75)), (20, 300, (20, 80))]
 )
 def test_cap_leaves_each_class_its_share(surface: int, free: int, expected: tuple[int, int]) -> None:
-    """Free points here are in cells of their own."""
+    """Free points here are far apart."""
     apart = torch.stack((torch.arange(float(free)), torch.zeros(free), torch.zeros(free)), -1) + 0.5
-    data = labelled(scattered(surface).float(), apart, 1.0, 100)
+    data = labelled(scattered(surface).float(), apart, 0.5, 100)
     assert (int((data.labels == 0).sum()), int((data.labels == 1).sum())) == expected
     assert data.points.dtype == data.labels.dtype == torch.float64
-    whole = labelled(scattered(surface).float(), apart, 1.0, None)
+    whole = labelled(scattered(surface).float(), apart, 0.5, None)
     assert len(whole.points) == surface + free
