@@ -63,19 +63,24 @@ def library() -> ModuleType:
 
 
 def labelled(
-    surface: Float[Tensor, "S 3"], free: Float[Tensor, "F 3"], spacing: float, most: int | None = None
+    surface: Float[Tensor, "S 3"],
+    free: Float[Tensor, "F 3"],
+    spacing: float,
+    most: int | None = None,
+    *,
+    bounds: Float[Tensor, "2 3"] | None = None,
 ) -> Labelled:
     """Data of surface and free points, free ones thinned and both capped.
 
     Args:
         surface: label 0.
-        free: label 1.
-        spacing: metres that free points are thinned to: no two of those that stay are nearer to each other, and all
-            others have one of them as near.
+        free: label 1; next to each lattice node, one stays.
+        spacing: of that lattice, metres.
         most: points in all; None keeps every one. Free points, which are thin already, come first, as long as surface
             ones have a quarter; of each class those stay that are farthest from each other.
+        bounds: box whose borders the lattice is to cover, see `next_to_nodes`.
     """
-    free = spread_out(free, radius=spacing)
+    free = next_to_nodes(free, spacing, bounds)
     if most is not None:
         surface = spread_out(surface, max(most - len(free), most // 4))
         free = spread_out(free, most - len(surface))
@@ -83,39 +88,43 @@ def labelled(
     return Labelled(points, (torch.arange(len(points), device=points.device) >= len(surface)).double())
 
 
-def nearest_to_centres(points: Float[Tensor, "N 3"], spacing: float) -> Float[Tensor, "M 3"]:
-    """One point for each cell of the world's lattice that holds any: the one nearest to the cell's centre."""
+def next_to_nodes(
+    points: Float[Tensor, "N 3"], spacing: float, bounds: Float[Tensor, "2 3"] | None = None
+) -> Float[Tensor, "M 3"]:
+    """One point for each lattice node that has any within half a spacing along every axis: the nearest.
+
+    Args:
+        points: metres.
+        spacing: of the lattice, metres.
+        bounds: box from corner to corner of which the lattice goes, with a spacing that is a bit less where it does
+            not divide the box. None for a lattice through the world's origin.
+    """
     check_shape("points", points, "(N, 3)", last=(3,))
     if len(points) == 0:
         return points
-    away = (points - (torch.floor(points / spacing) + 0.5) * spacing).norm(dim=-1)
+    low, pitch = points.new_zeros(3), points.new_full((3,), spacing)
+    if bounds is not None:
+        low, extent = bounds[0].to(points), (bounds[1] - bounds[0]).to(points)
+        pitch = torch.where(extent > 0, extent / torch.ceil(extent / spacing - 1e-4).clamp_min(1.0), pitch)
+    # cells about the nodes, as a lattice of spacing 1 has them
+    shifted = (points - low) / pitch + 0.5
+    away = ((shifted - torch.floor(shifted) - 0.5) * pitch).norm(dim=-1)
     order = torch.argsort(away, stable=True)
-    keys = lattice_keys(points, spacing)[order]
+    keys = lattice_keys(shifted, 1.0)[order]
     by_cell = torch.argsort(keys, stable=True)
     first = torch.ones_like(keys, dtype=torch.bool)
     first[1:] = keys[by_cell][1:] != keys[by_cell][:-1]
     return points[order[by_cell[first]]]
 
 
-def spread_out(points: Float[Tensor, "N 3"], count: int | None = None, radius: float = 0.0) -> Float[Tensor, "M 3"]:
-    """Some of the points, each next one the farthest from those chosen; the first one starts.
-
-    Corners and borders are chosen early, so that nothing is left open there, as cells of a lattice would leave it.
-
-    Args:
-        points: in this order where distances are equal.
-        count: at most; None for all that the radius asks for.
-        radius: no more are chosen when all points have a chosen one this near, metres.
-    """
-    most = len(points) if count is None else min(count, len(points))
-    if most == 0 or (most == len(points) and radius == 0.0):
-        return points[:most]
-    chosen, away = [0], (points - points[0]).norm(dim=-1)
-    while len(chosen) < most:
-        farthest, index = away.max(0)
-        if radius > 0.0 and float(farthest) <= radius:
-            break
-        chosen.append(int(index))
+def spread_out(points: Float[Tensor, "N 3"], count: int) -> Float[Tensor, "M 3"]:
+    """At most `count` of the points, each next one the farthest from those chosen; the first one starts."""
+    if len(points) <= count:
+        return points
+    chosen = [0] if count > 0 else []
+    away = (points - points[0]).norm(dim=-1)
+    for _ in range(count - 1):
+        chosen.append(int(away.argmax()))
         away = torch.minimum(away, (points - points[chosen[-1]]).norm(dim=-1))
     return points[chosen]
 
@@ -127,6 +136,7 @@ def fit(
     steps: int = 50,
     learning_rate: float = 0.1,
     least_lengthscale_m: float = 0.0,
+    tolerance: float = 0.0,
 ) -> Hyperparameters:
     """Hyperparameters after some steps of Adam on the exact marginal likelihood.
 
@@ -139,6 +149,8 @@ def fit(
         steps: of the optimiser.
         learning_rate: of the unconstrained parameters.
         least_lengthscale_m: lower bound of the lengthscale.
+        tolerance: gradient of the likelihood a point, nats, in every unconstrained parameter, below which no further
+            step is taken; 0 takes all.
     """
     start = start or Hyperparameters()
     start = start._replace(lengthscale_m=max(start.lengthscale_m, 1.01 * least_lengthscale_m))
@@ -153,6 +165,8 @@ def fit(
             optimiser.zero_grad()
             loss = -likelihood(model(data.points), data.labels)
             loss.backward()
+            if max(float(part.grad.abs().max()) for part in model.parameters()) < tolerance:
+                break
             optimiser.step()
     kernel = model.covar_module
     values = (kernel.base_kernel.lengthscale, kernel.outputscale, model.likelihood.noise, model.mean_module.constant)

@@ -112,9 +112,9 @@ def test_data_are_what_was_observed_and_what_is_free_for_sure(scene: Scene) -> N
     assert scene.observed is not None
     seen = scene.observed.points[scene.observed.semantics == int(Semantics.SURFACE)]
     torch.testing.assert_close(surface.float(), seen + torch.tensor([0.4, 0.0, 0.0]))
-    # free ones: 7 spacings apart, none where the object may be
-    assert len(free) > 20
-    assert float((torch.cdist(free, free) + torch.eye(len(free))).min()) > 0.14
+    # free ones: about one for each node of a lattice of 7 spacings, none where the object may be
+    assert 40 < len(free) <= (6 + 1) ** 2 + 30
+    assert float((torch.cdist(free, free) + torch.eye(len(free))).min()) > 0.02
     lattice = scene.workspace.points
     doubtful = lattice[fields.semantics[:, 0] <= 0.99].double()
     assert len(doubtful) > 10
@@ -136,7 +136,7 @@ def test_hyperparameters_go_on_from_the_last_plan(scene: Scene) -> None:
     first = act(scene, GPVRSettings(refit_steps=20, max_points=60))
     kept = act(scene, GPVRSettings(refit_steps=0, max_points=60), first)
     assert kept.info["gp_hyperparameters"] == first.info["gp_hyperparameters"]
-    later = act(scene, GPVRSettings(refit_steps=20, max_points=60), first)
+    later = act(scene, GPVRSettings(refit_steps=20, max_points=60, tolerance=0.0), first)
     assert later.info["gp_hyperparameters"] != first.info["gp_hyperparameters"]
     assert first.info["gp_points"] == 60
 
@@ -179,6 +179,7 @@ def test_refuses_what_has_no_meaning(scene: Scene) -> None:
         {"refit_steps": -1},
         {"max_points": -1},
         {"least_lengthscale": -0.5},
+        {"tolerance": -0.1},
         {"learning_rate": 0.0},
         {"free_spacing": 0.0},
         {"free_probability": 1.1},
