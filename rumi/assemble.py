@@ -105,6 +105,8 @@ def reachability(tool: Tool, workspace: Workspace) -> Float[Tensor, "V"]:
 
 def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
     """The policy of the settings' method."""
+    if settings.planner.push_model == "mujoco":
+        import rumi.sim.batch_push  # noqa: F401  (enters the push model)
     if settings.method == "info-only":
         return info_only(settings.planner)
     if settings.method == "reach-only":
