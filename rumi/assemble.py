@@ -11,6 +11,7 @@ from torch import Tensor
 
 from rumi.baselines.ablations import info_only, reach_only
 from rumi.belief.filter import PoseFilter
+from rumi.belief.pushed_motion import PushedMotion
 from rumi.config import Settings
 from rumi.fields.workspace import Workspace
 from rumi.planning.rummaging import RummagingPolicy
@@ -75,9 +76,12 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     discrepancy = Discrepancy(
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
+    pushed = None
+    if settings.filter.motion == "pushed":
+        pushed = PushedMotion.of(model.sdf, spec.height_m, tool.shape, settings.planner.quasi_static)
     return Rummager(
         model,
-        PoseFilter(discrepancy, cast(Search, spec.search), settings.filter).to(*to),
+        PoseFilter(discrepancy, cast(Search, spec.search), settings.filter, pushed).to(*to),
         make_policy(settings, reachability(tool, workspace)),
         workspace,
         tool,
