@@ -39,8 +39,8 @@ class RunOptions:
 
     Attributes:
         settings: of the run.
-        motion: how the object's motion is known: measured by a slip sensor, sticking to the tool, or estimated
-            from the touches; short for --filter.motion.
+        motion: how the object's motion is known: measured by a slip sensor, sticking to the tool, pushed as a
+            quasi-static model has it, or estimated from the touches; short for --filter.motion.
         push_model: how the planner expects the object to move; short for --planner.push-model.
         out: folder of the run; by default runs/TASK-METHOD-PRESET-sSEED, with a number where that is taken.
         figures: draw figures at the end.
