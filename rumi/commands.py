@@ -1,5 +1,6 @@
 """What the commands of `rumi` do."""
 
+import contextlib
 import difflib
 import os
 import sys
@@ -106,7 +107,12 @@ def run(arguments: Sequence[str]) -> int:
     from rumi.loop import rummage
     from rumi.sim.objects import record
 
-    task, rummager = build(settings, cache_dir=cache_folder())
+    try:
+        task, rummager = build(settings, cache_dir=cache_folder())
+    except Exception:
+        with contextlib.suppress(OSError):  # other files in it are the user's
+            folder.rmdir()
+        raise
     with RunRecorder(folder, to_dict(settings)) as recorder, savings.account() as account:
         write_json(folder / "object.json", record(rummager.model))
         recorder.scene(scene_sketch(rummager))
