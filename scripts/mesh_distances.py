@@ -369,8 +369,8 @@ def show(options: Show) -> None:
     """Both tables as Markdown."""
     lines = [json.loads(line) for line in options.results.read_text().splitlines()]
     out = [
-        "| mesh | faces | wrong signs | deepest | exact: p95, max | table: p95 within 3 mm at 1, 2, 3, 5 mm | "
-        "sign flips of the table there |",
+        "| mesh | faces | wrong signs, deepest | distance: p95, max error | table of 1, 2, 3, 5 mm: p95 error | "
+        "its sign flips | deepest |",
         "|---|---|---|---|---|---|---|",
     ]
     order = list(SHAPES)
@@ -378,10 +378,9 @@ def show(options: Show) -> None:
     for row in sorted(measured, key=lambda line: order.index(line["shape"])):
         tables = [row["tables"][f"{spacing:g}"] for spacing in SPACINGS_MM]
         out.append(
-            f"| {row['shape']} | {row['faces']} | {100 * row['wrong_signs']:.3g} % | "
-            f"{row['deepest_wrong_mm']:.2g} mm | "
-            f"{row['exact_p95_mm']:.1e}, {row['exact_max_mm']:.1e} mm | "
-            f"{_several(tables, 'near_p95_mm')} mm | {_several(tables, 'near_flips', 100.0)} % |"
+            f"| {row['shape']} | {row['faces']} | {100 * row['wrong_signs']:.2g} %, {row['deepest_wrong_mm']:.2g} mm | "
+            f"{row['exact_p95_mm']:.0e}, {row['exact_max_mm']:.1g} mm | {_several(tables, 'near_p95_mm')} mm | "
+            f"{_several(tables, 'near_flips', 100.0)} % | {_several(tables, 'deepest_flip_mm')} mm |"
         )
     out += ["", "| what | threads | seconds | of the processors | memory |", "|---|---|---|---|---|"]
     for row in lines:
@@ -395,7 +394,8 @@ def show(options: Show) -> None:
 
 
 def _several(tables: list[dict[str, Any]], name: str, unit: float = 1.0) -> str:
-    return ", ".join(f"{unit * table[name]:.2g}" for table in tables)
+    numbers = [unit * table[name] for table in tables]
+    return ", ".join("0" if number < 1e-3 else f"{number:.2g}" for number in numbers)
 
 
 def _say(text: str) -> None:
