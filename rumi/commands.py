@@ -106,6 +106,8 @@ def run(arguments: Sequence[str]) -> int:
     from rumi.loop import rummage
     from rumi.sim.objects import record
 
+    if settings.object.mesh is not None:
+        _say(f"reading {settings.object.mesh} (at first this takes up to a minute or two; what does is kept)")
     task, rummager = build(settings, cache_dir=cache_folder())
     with RunRecorder(folder, to_dict(settings)) as recorder, savings.account() as account:
         write_json(folder / "object.json", record(rummager.model))
