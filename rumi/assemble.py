@@ -84,15 +84,20 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
     prior = prior_of(spec, model)
+    following, stop = settings.filter, settings.stop
+    if following.motion == "measured" and not spec.measures_motion:
+        following = replace(following, motion="estimated")
+    if spec.apc_ratio is not None:
+        stop = replace(stop, apc_ratio=spec.apc_ratio)
     return Rummager(
         model,
-        PoseFilter(discrepancy, cast(Search, spec.search), settings.filter, prior).to(*to),
+        PoseFilter(discrepancy, cast(Search, spec.search), following, prior).to(*to),
         make_policy(settings, reachability(tool, workspace)),
         workspace,
         tool,
         initialise=settings.initialise,
         renewal=settings.renewal,
-        stop=settings.stop,
+        stop=stop,
         height_m=0.0 - float(model.exact.bounds[0, 2]),
         replan_every=settings.replan_every,
         nll_threshold=spec.nll_threshold,

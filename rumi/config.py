@@ -200,6 +200,7 @@ def _paper() -> Settings:
         ),
         renewal=RenewalSettings.never(),
         planner=RummagingSettings.paper(),
+        gpvr=GPVRSettings(tolerance=0.0),
         stop=StopSettings(rule="never", apc_ratio=0.03),
         simulator=SimSettings(free_fraction=0.95, free_spacing_m=0.010),
     )

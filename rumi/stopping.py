@@ -14,6 +14,8 @@ class StopSettings:
             a mug of unknown yaw meets at once, since its handle is 6 % of its surface; "never" does not stop.
         expected_nll: nats over 500 points.
         fit: least discrepancy allowed, of the best particle.
+        fit_a_contact: by which more is allowed for each action that touched the object: errors of its measured motion
+            add up, so that what was felt before them no longer fits what is felt after them.
         contacts: actions that must have touched the object.
         apc_ratio: beta_t.
     """
@@ -21,6 +23,7 @@ class StopSettings:
     rule: Literal["self", "apc", "never"] = "self"
     expected_nll: float = 5.0
     fit: float = 5.0
+    fit_a_contact: float = 0.5
     contacts: int = 1
     apc_ratio: float = 0.03
 
@@ -46,5 +49,6 @@ def converged(
     if settings.rule == "apc":
         return apc < settings.apc_ratio * diagonal
     if settings.rule == "self":
-        return expected_nll < settings.expected_nll and fit < settings.fit and contacts >= settings.contacts
+        fits = fit < settings.fit + settings.fit_a_contact * contacts
+        return expected_nll < settings.expected_nll and fits and contacts >= settings.contacts
     return False

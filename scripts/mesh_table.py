@@ -11,21 +11,25 @@ FILE` adds others. Tune on seeds of 1000 and more; seeds 0-9 are for the record.
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import tyro
-from mug_table import RESULTS, TASKS, carry_out, lines, median, seeds_of, settings_of
 
 from rumi.bench import drill
 from rumi.bench.mug_mesh import damaged, mug_mesh, write_obj
-from rumi.metrics.intervals import wilson
+from rumi.reproduce.cells import flags, middle, numbers, rate, table
+from rumi.reproduce.command import seeds_of
+from rumi.reproduce.executors import on_this_machine
+from rumi.reproduce.jobs import Job
+from rumi.reproduce.records import Record, Records
+from rumi.reproduce.worker import Errand, failures
 from rumi.sim.tasks import large_handled_mug
 from sdf.mesh import TriangleMesh, load_mesh
 from sdf.primitives import Mug
 
-OUT = RESULTS.with_name("meshes.jsonl")
+OUT = Path(__file__).resolve().parent / "results" / "meshes.jsonl"
+TASKS = ("mug-0", "mug-1", "mug-2")
 
 
 @dataclass(frozen=True)
@@ -91,54 +95,65 @@ def _mug() -> Mug:
 
 
 def run(options: Run) -> int:
-    """Do what is missing, and append each run as it ends."""
-    os.environ["RUMI_CACHE"] = str(options.cache)
+    """Do what is missing, and append each run as it ends; how many are still missing."""
     objects: dict[str, Path | None] = meshes(options.cache / "meshes") | {path.stem: path for path in options.mesh}
     unknown = set(options.objects) - set(objects)
     if unknown:
         raise SystemExit(f"There is no object {sorted(unknown)[0]!r}; there are {', '.join(objects)}")
-    wanted: list[tuple[str, Any, dict[str, Any]]] = []
+    method, _, preset = options.column.partition("/")
+    jobs = []
     for seed in seeds_of(options.seeds):
         for name in options.objects or objects:
-            for task in options.tasks:
-                settings = settings_of(options.column, task, seed, options.set)
-                path = objects[name]
-                own = settings.object if path is None else replace(settings.object, mesh=str(path))
-                about = {"experiment": "meshes", "object": name, "changes": list(options.set)}
-                wanted.append((options.column, replace(settings, object=own), about))
-    return carry_out(wanted, options.out, options.jobs, options.most)
+            own = objects[name]
+            mesh = () if own is None else (f"object.mesh={own.resolve()}",)
+            jobs += [Job("run", task, method, preset, seed, (*mesh, *options.set)) for task in options.tasks]
+    records = Records(options.out)
+    missing = [job for job in jobs if job.id not in records.by_id]
+    now = missing[: options.most]
+    if not now:
+        return len(missing)
+    errand = Errand.of(now, options.out, options.cache)
+    on_this_machine(errand, min(options.jobs, len(now)))
+    for message in failures(errand).values():
+        print(message, file=sys.stderr)
+    records.refresh()
+    return len(missing) - len(records.done(now))
 
 
 def show(options: Show) -> None:
     """One row an object."""
-    runs = [r for r in lines(options.results)]
-    if not runs:
+    if not options.results.is_file():
         raise SystemExit(f"There are no runs in {options.results}: do some with `run` first")
-    newest = {
-        (r["object"] + "".join(f" {change}" for change in r["changes"]), r["task"], r["seed"]): r
-        for r in runs
-        if r["code"] == runs[-1]["code"]
-    }
+    objects: dict[str, list[Record]] = {}
+    for record in Records(options.results).newest():
+        objects.setdefault(_object(record), []).append(record)
     heads = ("object", "right", "stopped: right", "steps", "nll at the first view", "nll at the end")
     heads += ("position error, mm", "rotation error, deg", "s a step")
-    print("| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
-    for name in dict.fromkeys(key[0] for key in newest):
-        rows = [r for key, r in newest.items() if key[0] == name]
-        stopped = [r for r in rows if r["stopped_by"] == "converged"]
-        right = sum(r["right"] for r in rows)
-        low, high = wilson(right, len(rows))
-        cells = [
-            name,
-            f"{right}/{len(rows)} [{low:.2f}, {high:.2f}]",
-            f"{len(stopped)}: {sum(r['right'] for r in stopped)}",
-            median([r["steps"] for r in rows], 0),
-            median([r["nll"][0] for r in rows]),
-            median([r["final_nll"] for r in rows]),
-            median([r["position_error_mm"] for r in rows], 2),
-            median([r["rotation_error_deg"] for r in rows], 2),
-            f"{sum(r['wall_s'] for r in rows) / max(1, sum(r['steps'] for r in rows)):.2f}",
-        ]
-        print("| " + " | ".join(cells) + " |")
+    rows = []
+    for name, runs in objects.items():
+        stopped = [record for record in runs if record.figures["stopped_by"] == "converged"]
+        seconds = sum(record.timings["wall_s"] for record in runs)
+        rows.append(
+            [
+                name,
+                rate(flags(runs, "right")),
+                f"{len(stopped)}: {sum(flags(stopped, 'right'))}",
+                middle(numbers(runs, "steps"), 0),
+                middle([float(record.curves["nll"][0] or 0.0) for record in runs]),
+                middle(numbers(runs, "final_nll")),
+                middle(numbers(runs, "position_error_mm"), 2),
+                middle(numbers(runs, "rotation_error_deg"), 2),
+                f"{seconds / max(1, sum(record.figures['steps'] for record in runs)):.2f}",
+            ]
+        )
+    print(table(heads, rows), end="")
+
+
+def _object(record: Record) -> str:
+    """What was to be found, by the name of its file, and the settings on top."""
+    mesh = [value.partition("=")[2] for value in record.overrides if value.startswith("object.mesh=")]
+    name = Path(mesh[0]).stem if mesh else "mug"
+    return " ".join([name, *(value for value in record.overrides if not value.startswith("object.mesh="))])
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ Every mode and push model is asked about the same actions, the executed ones, fr
 seeds of 1000 and more; seeds 0-9 are for the record.
 """
 
-import json
 import math
 import os
 import sys
@@ -20,13 +19,14 @@ from typing import Any, get_args
 
 import torch
 import tyro
-from mug_table import ROOT, TASKS, code_hash, commit, lines, seeds_of, settings_hash, settings_of
 from tqdm import tqdm
 
 from rumi.assemble import build, build_rummager
+from rumi.bench.ledger import commit
 from rumi.config import Settings, from_dict
 from rumi.dynamics.displacement import Hazard
 from rumi.fields.information import InformationMode
+from rumi.jsonlines import append_line, read_lines
 from rumi.loop import rummage
 from rumi.metrics.prediction import (
     Predicted,
@@ -42,11 +42,15 @@ from rumi.metrics.prediction import (
 )
 from rumi.recording import load_run
 from rumi.records import StepRecord
+from rumi.reproduce.code import code_hash
+from rumi.reproduce.command import seeds_of
+from rumi.reproduce.jobs import Job
 from rumi.rummager import Rummager
 from rumi.seeding import split
 from rumi.sim.tasks import find_task, make_tool
 
-RESULTS = ROOT / "scripts" / "results" / "prediction.jsonl"
+RESULTS = Path(__file__).resolve().parent / "results" / "prediction.jsonl"
+TASKS = ("mug-0", "mug-1", "mug-2")
 COLUMNS = ("rumi/default", "rumi/paper", "info-only/default", "reach-only/default")
 MODES: tuple[str, ...] = get_args(InformationMode)
 HAZARDS: tuple[str, ...] = get_args(Hazard)
@@ -140,35 +144,36 @@ def one_run(settings: Settings) -> list[dict[str, Any]]:
 def run(options: Run) -> None:
     """Do what is missing, and append each run as it ends."""
     torch.set_num_threads(1)
-    code, here = code_hash(), commit()
-    done = {(r["task"], r["column"], r["seed"], r["settings"], r["code"]) for r in lines(options.out)}
-    wanted = []
-    for seed in seeds_of(options.seeds):
-        for task in options.tasks:
-            for column in options.columns:
-                settings = settings_of(column, task, seed, options.set)
-                if (task, column, seed, settings_hash(settings), code) not in done:
-                    wanted.append((column, settings))
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    for column, settings in tqdm(wanted, file=sys.stderr):
+    code, here = code_hash(("rumi.assemble", "rumi.loop", "rumi.metrics.prediction")), commit()
+    done = {(r["task"], r["column"], r["seed"], r["settings"], r["code"]) for r, _ in read_lines(options.out)}
+    jobs = [
+        Job("run", task, *column.split("/"), seed, options.set)
+        for seed in seeds_of(options.seeds)
+        for task in options.tasks
+        for column in options.columns
+    ]
+    wanted = [job for job in jobs if (job.task, _column(job), job.seed, job.settings_hash, code) not in done]
+    for job in tqdm(wanted, file=sys.stderr):
         line = {
             "experiment": "prediction",
-            "column": column,
-            "task": settings.task,
-            "seed": settings.seed,
-            "settings": settings_hash(settings),
-            "changes": list(options.set),
+            "column": _column(job),
+            "task": job.task,
+            "seed": job.seed,
+            "settings": job.settings_hash,
+            "changes": list(job.overrides),
             "code": code,
             "commit": here,
         }
-        line["actions"] = one_run(settings)
-        with options.out.open("a") as file:
-            file.write(json.dumps(line, allow_nan=False) + "\n")
+        append_line(options.out, line | {"actions": one_run(job.settings)})
+
+
+def _column(job: Job) -> str:
+    return f"{job.method}/{job.preset}"
 
 
 def show(options: Show) -> None:
     """Print the tables of a file."""
-    runs = list(lines(options.results))
+    runs = [line for line, _ in read_lines(options.results)]
     if not runs:
         raise SystemExit(f"There are no runs in {options.results}: do some with `run` first")
     newest = {}

@@ -15,6 +15,10 @@ tensor([0.0300])
 >>> query.gradient.round(decimals=3)
 tensor([[1., 0., 0.]])
 
+A mesh of triangles becomes such a table in one line, whatever is wrong with it (`sdf.build` says more):
+
+    table = sdf.from_mesh("mug.obj", scale=0.001, cache_dir="cache")
+
 Many poses of it against many points of the world are one call:
 
 >>> from sdf import se3

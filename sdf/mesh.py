@@ -164,8 +164,10 @@ def read_off(text: str) -> tuple[list[list[float]], list[list[int]]]:
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles of all that is in a file."""
-    import trimesh
-
+    try:
+        import trimesh
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError("Reading a mesh needs trimesh, which is not installed", name="trimesh") from error
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs what is raised here
     try:
         loaded: Any = trimesh.load(path, process=False, skip_materials=True)

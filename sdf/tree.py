@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-_LEAF = 4
+_LEAF = 2
 # of the diagonal: longer triangles are split, unless they are so few that groups gain nothing
 _LONGEST, _FEW = 1.0 / 24.0, 256
 _MOST_PIECES = 1 << 17

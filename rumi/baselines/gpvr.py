@@ -35,23 +35,29 @@ class GPVRSettings:
     Attributes:
         refit_steps: of the optimiser, for each plan, from where the last plan's ended.
         learning_rate: of the optimiser; the paper gives none.
+        tolerance: gradient of the likelihood a point below which a refit ends early, most often at once where little is
+            new; 0, the paper's, takes all steps.
+        least_lengthscale: lower bound of the process's lengthscale, in spacings of that lattice: a shorter one calls
+             the space between them unknown. 0, the paper's as far as it says, has no bound.
         free_probability: workspace points that are free with more than this probability are data, which tells the
             process of the object's shape.
-        free_spacing: lattice that free points are thinned on, in spacings of the workspace.
+        free_spacing: lattice over the workspace that free points are thinned on, in spacings of the workspace's own.
         max_points: data in all; 0 keeps all surface points (RUMI does, and takes seconds on a large GPU).
         discount: beta of Eq 37.
     """
 
     refit_steps: int = 50
     learning_rate: float = 0.1
+    tolerance: float = 0.02
+    least_lengthscale: float = 0.0
     free_probability: float = 0.99
     free_spacing: float = 7.0
-    max_points: int = 300
+    max_points: int = 500
     discount: float = 0.99
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
-        for name in ("refit_steps", "max_points"):
+        for name in ("refit_steps", "max_points", "tolerance", "least_lengthscale"):
             if getattr(self, name) < 0:
                 raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
         for name in ("learning_rate", "free_spacing"):
@@ -105,6 +111,8 @@ class GPVRPolicy(RummagingPolicy):
         UsageError: the library of Gaussian processes is not installed.
     """
 
+    worth_stage = "gp_fit"
+
     def __init__(
         self, settings: RummagingSettings | None = None, gp: GPVRSettings | None = None, *, greedy: bool = False
     ) -> None:
@@ -132,7 +140,14 @@ class GPVRPolicy(RummagingPolicy):
         settings, kept = self.gp, None if previous is None else previous.info.get("gp_hyperparameters")
         data = self.data(belief, scene, fields)
         start = None if kept is None else Hyperparameters(*kept)
-        found = fit(data, start, steps=settings.refit_steps, learning_rate=settings.learning_rate)
+        found = fit(
+            data,
+            start,
+            steps=settings.refit_steps,
+            learning_rate=settings.learning_rate,
+            tolerance=settings.tolerance,
+            least_lengthscale_m=settings.least_lengthscale * settings.free_spacing * scene.workspace.spacing,
+        )
         variance = predictive_variance(data, found, scene.workspace.points)
         share = (variance / variance.amax()).to(fields.information)
         grid = scene.workspace.grid(share)
@@ -160,7 +175,8 @@ class GPVRPolicy(RummagingPolicy):
         surface = observed.points[observed.of_class(Semantics.SURFACE)]
         known = workspace.points[fields.semantics[..., 0] > settings.free_probability]
         free = torch.cat((observed.points[observed.of_class(Semantics.FREE)], known.to(surface)))
-        return labelled(surface, free, settings.free_spacing * workspace.spacing, settings.max_points or None)
+        spacing = settings.free_spacing * workspace.spacing
+        return labelled(surface, free, spacing, settings.max_points or None, bounds=workspace.bounds)
 
     def _start(
         self, mppi: MPPI, previous: Plan | None, executed: int, generator: torch.Generator

@@ -63,33 +63,54 @@ def library() -> ModuleType:
 
 
 def labelled(
-    surface: Float[Tensor, "S 3"], free: Float[Tensor, "F 3"], spacing: float, most: int | None = None
+    surface: Float[Tensor, "S 3"],
+    free: Float[Tensor, "F 3"],
+    spacing: float,
+    most: int | None = None,
+    *,
+    bounds: Float[Tensor, "2 3"] | None = None,
 ) -> Labelled:
     """Data of surface and free points, free ones thinned and both capped.
 
     Args:
         surface: label 0.
-        free: label 1; of each lattice cell the point next to its centre stays.
+        free: label 1; next to each lattice node, one stays.
         spacing: of that lattice, metres.
-        most: points in all; None keeps every one. Surface points may take what free ones leave, at least half of it;
-            of each class those stay that are farthest from each other.
+        most: points in all; None keeps every one. Free points, which are thin already, come first, as long as surface
+            ones have a quarter; of each class those stay that are farthest from each other.
+        bounds: box whose borders the lattice is to cover, see `next_to_nodes`.
     """
-    free = nearest_to_centres(free, spacing)
+    free = next_to_nodes(free, spacing, bounds)
     if most is not None:
-        surface = spread_out(surface, max(most - len(free), most - most // 2))
+        surface = spread_out(surface, max(most - len(free), most // 4))
         free = spread_out(free, most - len(surface))
     points = torch.cat((surface, free)).double()
     return Labelled(points, (torch.arange(len(points), device=points.device) >= len(surface)).double())
 
 
-def nearest_to_centres(points: Float[Tensor, "N 3"], spacing: float) -> Float[Tensor, "M 3"]:
-    """One point for each cell of the world's lattice that holds any: the one nearest to the cell's centre."""
+def next_to_nodes(
+    points: Float[Tensor, "N 3"], spacing: float, bounds: Float[Tensor, "2 3"] | None = None
+) -> Float[Tensor, "M 3"]:
+    """One point for each lattice node that has any within half a spacing along every axis: the nearest.
+
+    Args:
+        points: metres.
+        spacing: of the lattice, metres.
+        bounds: box from corner to corner of which the lattice goes, with a spacing that is a bit less where it does
+            not divide the box. None for a lattice through the world's origin.
+    """
     check_shape("points", points, "(N, 3)", last=(3,))
     if len(points) == 0:
         return points
-    away = (points - (torch.floor(points / spacing) + 0.5) * spacing).norm(dim=-1)
+    low, pitch = points.new_zeros(3), points.new_full((3,), spacing)
+    if bounds is not None:
+        low, extent = bounds[0].to(points), (bounds[1] - bounds[0]).to(points)
+        pitch = torch.where(extent > 0, extent / torch.ceil(extent / spacing - 1e-4).clamp_min(1.0), pitch)
+    # cells about the nodes, as a lattice of spacing 1 has them
+    shifted = (points - low) / pitch + 0.5
+    away = ((shifted - torch.floor(shifted) - 0.5) * pitch).norm(dim=-1)
     order = torch.argsort(away, stable=True)
-    keys = lattice_keys(points, spacing)[order]
+    keys = lattice_keys(shifted, 1.0)[order]
     by_cell = torch.argsort(keys, stable=True)
     first = torch.ones_like(keys, dtype=torch.bool)
     first[1:] = keys[by_cell][1:] != keys[by_cell][:-1]
@@ -109,31 +130,43 @@ def spread_out(points: Float[Tensor, "N 3"], count: int) -> Float[Tensor, "M 3"]
 
 
 def fit(
-    data: Labelled, start: Hyperparameters | None = None, *, steps: int = 50, learning_rate: float = 0.1
+    data: Labelled,
+    start: Hyperparameters | None = None,
+    *,
+    steps: int = 50,
+    learning_rate: float = 0.1,
+    least_lengthscale_m: float = 0.0,
+    tolerance: float = 0.0,
 ) -> Hyperparameters:
     """Hyperparameters after some steps of Adam on the exact marginal likelihood.
 
-    They are held between bounds that only data without any contrast would leave, and what is not finite (no data has
-    led there) keeps its start.
+    Labels that are all alike say nothing of the scales on which they change, and leave the start as it is: fitted, the
+    process would flatten out, and be as sure between the points as at them.
 
     Args:
-        data: one point or more.
+        data: of any number of points.
         start: where to start, the last fit's for a warm start.
         steps: of the optimiser.
         learning_rate: of the unconstrained parameters.
+        least_lengthscale_m: lower bound of the lengthscale.
+        tolerance: gradient of the likelihood a point, nats, in every unconstrained parameter, below which no further
+            step is taken; 0 takes all.
     """
     start = start or Hyperparameters()
-    if len(data.points) == 0 or steps == 0:
+    start = start._replace(lengthscale_m=max(start.lengthscale_m, 1.01 * least_lengthscale_m))
+    if steps == 0 or not bool((data.labels != data.labels[:1]).any()):
         return start
     gp = library()
     with torch.enable_grad(), _exactly(gp):
-        model = _model(gp, data, start).train()
+        model = _model(gp, data, start, least_lengthscale_m).train()
         likelihood = gp.mlls.ExactMarginalLogLikelihood(model.likelihood, model)
         optimiser = torch.optim.Adam(model.parameters(), lr=learning_rate)
         for _ in range(steps):
             optimiser.zero_grad()
             loss = -likelihood(model(data.points), data.labels)
             loss.backward()
+            if max(float(part.grad.abs().max()) for part in model.parameters()) < tolerance:
+                break
             optimiser.step()
     kernel = model.covar_module
     values = (kernel.base_kernel.lengthscale, kernel.outputscale, model.likelihood.noise, model.mean_module.constant)
@@ -141,7 +174,8 @@ def fit(
     if not bool(torch.tensor(found).isfinite().all()):
         return start
     widest = float((data.points.amax(0) - data.points.amin(0)).norm())
-    length = min(max(found.lengthscale_m, 1e-3), max(widest, 1e-3))
+    least = max(least_lengthscale_m, 1e-3)
+    length = min(max(found.lengthscale_m, least), max(widest, least))
     return found._replace(lengthscale_m=length, outputscale=max(found.outputscale, _LEAST_SCALE))
 
 
@@ -181,14 +215,15 @@ def _exactly(gp: ModuleType) -> Any:  # noqa: ANN401  (a context of the library)
     return gp.settings.fast_computations(covar_root_decomposition=False, log_prob=False, solves=False)
 
 
-def _model(gp: ModuleType, data: Labelled, start: Hyperparameters) -> Any:  # noqa: ANN401  (of the library)
+def _model(gp: ModuleType, data: Labelled, start: Hyperparameters, least_lengthscale_m: float = 0.0) -> Any:  # noqa: ANN401  (of the library)
     """The library's exact process, float64, at given hyperparameters."""
+    longer = gp.constraints.GreaterThan(least_lengthscale_m)
 
     class Surface(gp.models.ExactGP):  # type: ignore[name-defined]
         def __init__(self) -> None:
             super().__init__(data.points, data.labels, gp.likelihoods.GaussianLikelihood())
             self.mean_module = gp.means.ConstantMean()
-            self.covar_module = gp.kernels.ScaleKernel(gp.kernels.MaternKernel(nu=1.5))
+            self.covar_module = gp.kernels.ScaleKernel(gp.kernels.MaternKernel(1.5, lengthscale_constraint=longer))
 
         def forward(self, points: Tensor) -> object:
             return gp.distributions.MultivariateNormal(self.mean_module(points), self.covar_module(points))

@@ -1,5 +1,6 @@
 """The pose filter: predict, weigh, resample, optimise (RUMI, Algs 1-4 and 6)."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
@@ -46,6 +47,8 @@ class FilterSettings:
         descent: the optimiser after resampling (Alg 4).
         lies_flat: the object is known to lie flat on the floor at the start, so that in the frame that rides with it
             poses keep their height and tilt even where all may be searched; only with a prior, which has these.
+        tipped_rad: tilt of that frame beyond which poses are optimised along the world's floor as well: errors of the
+            measured motion, which are level in the world, are then not level in the frame; only with a prior.
         still_m, still_rad: motions below these are no move: no noise, discrepancies carry over.
     """
 
@@ -63,6 +66,7 @@ class FilterSettings:
     weigh_before_resampling: bool = True
     descent: DescentSettings = field(default_factory=DescentSettings)
     lies_flat: bool = True
+    tipped_rad: float = 0.1
     still_m: float = 1e-4
     still_rad: float = 1e-3
 
@@ -170,13 +174,18 @@ class PoseFilter(nn.Module):
         at_object = belief.mean()
         shift = torch.minimum(shift, (motion @ at_object - at_object)[..., :3, 3].norm(dim=-1))
         moved = (shift > self.settings.still_m) | (turn > self.settings.still_rad)
-        poses = self.perturb(belief.attached_T_object, generator=generator, rows=moved)
-        return replace(belief.moved(motion), attached_T_object=poses), moved
+        belief = belief.moved(motion)
+        poses = self.perturb(belief, generator=generator, rows=moved)
+        return replace(belief, attached_T_object=poses), moved
 
     def perturb(
-        self, poses: Float[Tensor, "*b N 4 4"], *, generator: Generators, rows: Bool[Tensor, "*b"]
+        self, belief: PoseBelief, *, generator: Generators, rows: Bool[Tensor, "*b"]
     ) -> Float[Tensor, "*b N 4 4"]:
-        """Process noise about each object's origin in the scenes `rows` (Alg 3; sigmas are standard deviations)."""
+        """Poses with process noise about each object's origin in the scenes `rows` (Alg 3; sigmas are deviations).
+
+        Level noise is that of the world where a prior lets objects tip, and otherwise of the frame that rides along.
+        """
+        poses = belief.attached_T_object
         shift, turn = self.settings.translation_noise_m, self.settings.rotation_noise_rad
         if (shift == 0 and turn == 0) or not bool(rows.any()):
             return poses
@@ -184,7 +193,28 @@ class PoseFilter(nn.Module):
         shape = (*poses.shape[:-2], len(sigma))
         noise = normal(shape, generator=generator, dtype=poses.dtype, device=poses.device)
         noise = noise * torch.tensor(sigma, dtype=poses.dtype, device=poses.device)
-        return torch.where(rows[..., None, None, None], retract(poses, noise, self.search), poses)
+        if self.prior is None:
+            return torch.where(rows[..., None, None, None], retract(poses, noise, self.search), poses)
+        back = se3.inverse(belief.world_T_attached)[..., None, :, :]
+        moved = back @ retract(belief.world_T_object, noise, self.search)
+        return torch.where(rows[..., None, None, None], moved, poses)
+
+    def descend(self, belief: PoseBelief, here: Observation, settings: DescentSettings) -> Float[Tensor, "*b N 4 4"]:
+        """Poses optimised on points that are in the attached frame as well (Alg 4)."""
+        poses = descend(self.discrepancy, belief.attached_T_object, here, self.search, settings)
+        tipped = self.tipped(belief)
+        if self.search == "SE(3)" or not bool(tipped.any()):
+            return poses
+        world_T_attached = belief.world_T_attached
+        there = replace(here, points=se3.apply(world_T_attached, here.points))
+        level = descend(self.discrepancy, world_T_attached[..., None, :, :] @ poses, there, "SE(2)", settings)
+        level = se3.inverse(world_T_attached)[..., None, :, :] @ level
+        return torch.where(tipped[..., None, None, None], level, poses)
+
+    def tipped(self, belief: PoseBelief) -> Bool[Tensor, "*b"]:
+        """Whether the frame that rides with the object has tilted since the start; never without a prior."""
+        upright = belief.world_T_attached[..., 2, 2]
+        return (upright < math.cos(self.settings.tipped_rad)) & (self.prior is not None)
 
     def weigh(
         self, belief: PoseBelief, before: PoseBelief, memory: Observation, added: Observation, moved: Bool[Tensor, "*b"]
@@ -240,9 +270,9 @@ class PoseFilter(nn.Module):
             return belief, rows
         index = resample_systematic(weights.log_weights, generator=generator)
         fresh = belief.resampled(index)
-        poses = self.perturb(fresh.attached_T_object, generator=generator, rows=rows)
+        fresh = replace(fresh, attached_T_object=self.perturb(fresh, generator=generator, rows=rows))
         here = in_attached_frame(memory, belief.world_T_attached)
-        poses = descend(self.discrepancy, poses, here, self.search, settings.descent)
+        poses = self.descend(fresh, here, settings.descent)
         total = self.cost(poses, here)
         fresh = replace(fresh, attached_T_object=poses, discrepancy=total)
         if settings.weighing == "scratch" and settings.weigh_before_resampling:

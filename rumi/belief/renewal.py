@@ -67,9 +67,10 @@ def redraw(
 ) -> PoseBelief:
     """As many particles as the belief has, drawn from the prior and registered to all points of one scene."""
     prior = _prior(pose_filter)
+    here = in_attached_frame(memory, belief.world_T_attached)
     found = register(
         pose_filter.discrepancy,
-        in_attached_frame(memory, belief.world_T_attached),
+        here,
         pose_filter.settings.peakiness,
         RegisterSettings(
             kept=belief.log_weights.shape[-1],
@@ -89,7 +90,11 @@ def redraw(
         further=pose_filter.prior_part,
         generator=generator,
     )
-    return _weighed(pose_filter, belief, found.frame_T_object, found.discrepancy)
+    renewed = _weighed(pose_filter, belief, found.frame_T_object, found.discrepancy)
+    if not bool(pose_filter.tipped(belief)):
+        return renewed
+    poses = pose_filter.descend(renewed, here, settings.fine)
+    return _weighed(pose_filter, belief, poses, pose_filter.cost(poses, here))
 
 
 def challenge(

@@ -55,10 +55,15 @@ class SpatialReach(Reach):
         *,
         cache_dir: Path | None = None,
         heights_m: Sequence[float] = HEIGHTS_M,
+        base_below_m: float = 0.0,
     ) -> Self:
-        """Solve the inverse kinematics (seconds a height) or take its tables from `cache_dir`; see `Reach.of_arm`."""
+        """Solve the inverse kinematics (seconds a height) or take its tables from `cache_dir`; see `Reach.of_arm`.
+
+        Heights are above the world's floor, `base_below_m` below which the arm's base is.
+        """
         settings = settings or ReachSettings()
-        tables = [reach_table(replace(settings, height_m=height), cache_dir=cache_dir) for height in heights_m]
+        above = [replace(settings, height_m=height + base_below_m) for height in heights_m]
+        tables = [reach_table(one, cache_dir=cache_dir) for one in above]
         return cls(tables, heights_m, settings, base)
 
     def _oriented(self, points_w: Tensor, yaws: Sequence[float]) -> Float[Tensor, "*b R Q"]:

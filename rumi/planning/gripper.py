@@ -136,6 +136,13 @@ class GripperShape:
         both = torch.cat([pad + pad.new_tensor(center) for center in self.pad_centers])
         return both[~self.in_palm(both)]
 
+    def pad_normals(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Outward unit normals of the pads at points of their surface, each of the nearer pad."""
+        offsets = torch.stack([points - points.new_tensor(center) for center in self.pad_centers])
+        nearer = offsets.norm(dim=-1).argmin(0)
+        offset = offsets[nearer, torch.arange(len(points), device=points.device)]
+        return torch.nn.functional.normalize(offset / points.new_tensor(self.pad_m).square(), dim=-1)
+
     def volume(self, spacing: float) -> Float[Tensor, "n 3"]:
         """Points inside the palm and the pads: centres of a lattice of cubes of `spacing` metres."""
         a, b, c = self.pad_m

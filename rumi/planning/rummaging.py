@@ -104,6 +104,9 @@ class RummagingPolicy:
         settings: see there.
     """
 
+    worth_stage = "costs"
+    """What making `worth` counts as, in the seconds of a plan."""
+
     def __init__(
         self, reachability: Float[Tensor, "V"] | None = None, settings: RummagingSettings | None = None
     ) -> None:
@@ -138,7 +141,7 @@ class RummagingPolicy:
             model = self.push_models.of_belief(sdf, poses, log_weights, tool, workspace, fields)
             watch.lap("push_model")
             worth = self.worth(belief, scene, fields, previous)
-            watch.lap("costs")
+            watch.lap(self.worth_stage)
 
             configuration = scene.configuration.to(fields.information)
 

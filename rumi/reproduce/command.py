@@ -3,7 +3,6 @@
 import os
 import re
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -18,7 +17,7 @@ from rumi.config import METHODS
 from rumi.errors import UsageError
 from rumi.reproduce.executors import on_a_cluster, on_this_machine
 from rumi.reproduce.experiments import EXPERIMENTS, Selection, missing, valid_presets, valid_tasks, work_of
-from rumi.reproduce.jobs import KINDS, Job
+from rumi.reproduce.jobs import Job
 from rumi.reproduce.live import LiveTable
 from rumi.reproduce.records import Record, Records
 from rumi.reproduce.reports import Report, reports, write_page
@@ -49,7 +48,7 @@ class ReproduceOptions:
     Attributes:
         experiments: tables and figures of the paper, or all.
         tasks: which; by default what each experiment takes.
-        methods: which; by default all for the tables, rumi for the ablations.
+        methods: which; by default the paper's five for the tables, rumi for the ablations.
         presets: which; by default "default" and "paper" for the tables, "default" for the ablations.
         seeds: of the runs, such as 0-9 or 0,3,5-7; the record has 0-9, tuning starts from 1000.
         set: settings on top of the presets, such as planner.rollouts=3.
@@ -205,10 +204,7 @@ def _done(
     records = Records(options.path)
     wrong: dict[str, str] = {}
     if len(records.done(own)) < len(own):
-        codes = {kind: next(job.code for job in own if job.kind == kind) for kind in KINDS if _any(own, kind)}
-        errand = Errand(
-            tuple(own), options.path.absolute(), codes, cache_dir.absolute(), f"{os.getpid():x}-{time.time_ns():x}"
-        )
+        errand = Errand.of(own, options.path, cache_dir)
         with LiveTable(own, options.path, workers=options.jobs):
             if options.executor == "submitit":
                 on_a_cluster(errand, options.jobs, options.out / "submitit", parameters)
@@ -228,10 +224,6 @@ def _shown(options: ReproduceOptions, jobs: Sequence[Job]) -> list[Record]:
     if jobs and not records:
         raise UsageError(f"{options.path} holds no results: leave out --show to run")
     return records
-
-
-def _any(jobs: Sequence[Job], kind: str) -> bool:
-    return any(job.kind == kind for job in jobs)
 
 
 def _among(what: str, names: Sequence[str], known: Sequence[str]) -> None:

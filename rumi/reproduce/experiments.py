@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from rumi.config import METHODS, PRESETS, setting_names
+from rumi.reproduce import paper
 from rumi.reproduce.jobs import TOY_METHODS, Job
 from rumi.sim.tasks import TASKS
 
@@ -55,7 +56,7 @@ class Selection:
 
 
 def _all_runs(selection: Selection) -> list[Job]:
-    return selection.runs(TASKS, METHODS)
+    return selection.runs(TASKS, [method for method in METHODS if method in paper.METHODS])
 
 
 def _timed_runs(selection: Selection) -> list[Job]:

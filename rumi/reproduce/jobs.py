@@ -57,16 +57,22 @@ class Job:
 
     @cached_property
     def settings_hash(self) -> str:
-        """Of all settings but the seed and the task; empty for the toy."""
+        """Of all settings but the seed and the task, of a mesh by what is in it; empty for the toy."""
         if self.kind != "run":
             return ""
         values = {k: v for k, v in to_dict(self.settings).items() if k not in ("seed", "task")}
+        mesh = self.settings.object.mesh
+        if mesh is not None:
+            values["object"]["mesh"] = hashlib.sha256(Path(mesh).read_bytes()).hexdigest()
         return _digest(values)[:12]
 
     @cached_property
     def id(self) -> str:
         """Under which its result is kept: the same for the same work by the same code."""
-        return _digest(self.describe())[:16]
+        whole = self.describe()
+        # where a mesh lies decides nothing
+        whole["overrides"] = [o for o in whole["overrides"] if not o.startswith("object.mesh=")]
+        return _digest(whole)[:16]
 
     def describe(self) -> dict[str, Any]:
         """All that decides the result."""

@@ -83,7 +83,7 @@ def lines(jobs: Sequence[Job], records: Records, elapsed_s: float, before: int =
         said = f"{len(done):>4} of {len(own):<4}"
         said += f" right {sum(map(bool, right)):>3}" if right else " " * 10
         said += f"  {sum(record.timings['wall_s'] for record in done) / len(done):6.1f} s each" if done else ""
-        text.append(f"{name:<{width}}  {said}")
+        text.append(f"{name:<{width}}  {said}".rstrip())
     total = len(records.done(jobs))
     left = ""
     if total > before:

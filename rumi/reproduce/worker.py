@@ -1,13 +1,15 @@
 """Does the work that is missing, beside others that do the same."""
 
 import os
+import platform
 import threading
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing import parent_process
 from pathlib import Path
+from typing import Self
 
 from rumi.bench.case import threads
 from rumi.errors import UsageError
@@ -36,6 +38,13 @@ class Errand:
     codes: Mapping[str, str]
     cache_dir: Path
     session: str
+
+    @classmethod
+    def of(cls, jobs: Sequence[Job], path: Path, cache_dir: Path) -> Self:
+        """Some work by the present code, in a session of its own."""
+        codes = {job.kind: job.code for job in jobs}
+        session = f"{platform.node()} {os.getpid()} {time.time_ns()}"
+        return cls(tuple(jobs), path.absolute(), codes, cache_dir.absolute(), session)
 
     @property
     def errors(self) -> Path:

@@ -1,6 +1,7 @@
 """A task carried out in MuJoCo: what the robot does and what it senses."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -19,7 +20,7 @@ from rumi.task import StepResult
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.camera import depth_observation, look_at, pinhole, pixel_rays
-from sensors.observation import Observation
+from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 from sensors.tactile import swept_points, tactile_observation, touched_points
@@ -64,6 +65,7 @@ class SimTask:
         # what cannot stand is refused before anything begins
         self.world.reset(torch.tensor(spec.tool_start), self._start())
         self._pads = tool.shape.pad_shell(settings.pad_spacing_m).float()
+        self._felt_at = self._pads + spec.felt_ahead_m * tool.shape.pad_normals(self._pads)
         self._body = tool.shape.volume(settings.body_spacing_m).float()
         self._generator = torch.Generator()
         self._region = torch.zeros(2, 3)
@@ -81,7 +83,7 @@ class SimTask:
         self._attached, self._steps = se3.identity(), 0
         observation = self._view()
         configuration = self.world.configuration().float()
-        still = se3.identity((1,)) if self.settings.measures_motion else None
+        still = se3.identity((1,)) if self._measures else None
         reading = Reading(
             observation,
             torch.zeros(len(observation), dtype=torch.long),
@@ -117,7 +119,21 @@ class SimTask:
         track = self.world.move(path, self.settings.action_s, self.settings.hold_s)
         assert self._steps is not None
         self._steps += 1
-        return StepResult(self._sense(before, track, refused), track.world_T_object[-1].float())
+        reading = self._sense(before, track, refused)
+        if self.spec.looks_again and self.spec.camera is not None:
+            reading = self._seen_again(reading)
+        return StepResult(reading, track.world_T_object[-1].float())
+
+    @property
+    def _measures(self) -> bool:
+        return self.settings.measures_motion and self.spec.measures_motion
+
+    def _seen_again(self, reading: Reading) -> Reading:
+        """The reading with what the camera sees at its last instant; nothing where the tool hides the object."""
+        seen = self._view()
+        last = torch.full((len(seen),), len(reading.tool_pose) - 1, dtype=torch.long)
+        observation = concatenate([reading.observation, seen])
+        return replace(reading, observation=observation, instant=torch.cat((reading.instant, last)))
 
     def _view(self) -> Observation:
         """What the camera sees now: surface points of the object and free points about it."""
@@ -185,7 +201,7 @@ class SimTask:
         noise = torch.randn(3, generator=self._generator, dtype=torch.float64) * torch.tensor(
             (self.spec.motion_noise_m, self.spec.motion_noise_m, self.spec.motion_noise_rad), dtype=torch.float64
         )
-        measured = measured_motion(before, motion, noise).float() if settings.measures_motion else None
+        measured = measured_motion(before, motion, noise).float() if self._measures else None
         configuration = track.configuration.float()
         tool_pose = self.tool.pose(configuration)
         object_T_tool = (se3.inverse(track.world_T_object) @ tool_pose.double()).float()
@@ -212,7 +228,7 @@ class SimTask:
         )
         clear = self._distance(object_T_tool, self._body, swept.instant, index) > settings.contact_m
         free = type(swept)(swept.points[clear], swept.instant[clear])
-        observation, instant = tactile_observation(touched_points(tool_pose, self._pads, touched), free)
+        observation, instant = tactile_observation(touched_points(tool_pose, self._felt_at, touched), free)
         return Reading(
             observation,
             instant,

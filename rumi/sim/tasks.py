@@ -77,13 +77,21 @@ class TaskSpec:
         position_tolerance_m: error of the pose that still counts as right.
         rotation_tolerance_rad: the same for its rotation.
         camera: the fixed camera; None where it sees nothing of the object.
+        looks_again: whether the camera is looked at after every action too, not at the start alone.
+        measures_motion: whether a slip sensor reports the object's motion; where none does, it is estimated.
+        action_m: metres that a control of 1 asks for; None for the simulator's.
+        action_rad: radians that a control of 1 asks for; None for the simulator's.
         tool_start: (x, y, yaw) of the tool, in space (x, y, z, yaw).
         base: (x, y, yaw) of the arm's base.
+        base_below_m: how far that is below the floor that the object stands on.
         motion_noise_m: standard deviation of the measured motion's error along x and y, for an action that moved
             the object.
         motion_noise_rad: the same for its yaw.
+        felt_ahead_m: distance in front of the pads at which felt points are reported; half of the simulator's
+            `contact_m` is the middle of the layer in which the surface then is, none the pads' own surface.
         depth_noise_m: standard deviation of the camera's depth.
         steps: actions at most.
+        apc_ratio: of the object's diagonal, below which the paper's rule stops; None for the setting's.
         physics: the object's mass and friction, and the gripper's drive.
     """
 
@@ -104,12 +112,19 @@ class TaskSpec:
     position_tolerance_m: float = 0.005
     rotation_tolerance_rad: float = math.radians(10.0)
     camera: CameraSpec | None = CameraSpec()
+    looks_again: bool = False
+    measures_motion: bool = True
+    action_m: float | None = None
+    action_rad: float | None = None
     tool_start: tuple[float, ...] = (0.20, 0.0, 0.0)
     base: tuple[float, float, float] = (-0.45, 0.0, 0.0)
+    base_below_m: float = 0.0
     motion_noise_m: float = 0.0
     motion_noise_rad: float = 0.0
+    felt_ahead_m: float = 0.0
     depth_noise_m: float = 0.0
     steps: int = 40
+    apc_ratio: float | None = None
     physics: PhysicsSettings = field(default_factory=PhysicsSettings)
 
     @property
@@ -148,8 +163,9 @@ def _in_space(name: str, description: str, **changes: Any) -> TaskSpec:  # noqa:
         field_spacing_m=0.02,
         camera=None,
         tool_start=(0.20, 0.0, 0.10, 0.0),
-        motion_noise_m=0.001,
-        motion_noise_rad=math.radians(1.0),
+        motion_noise_m=0.0005,
+        motion_noise_rad=math.radians(0.5),
+        felt_ahead_m=0.0015,
         **changes,
     )
     return common
@@ -161,7 +177,7 @@ def _drill(name: str, description: str, start: tuple[float, float, float]) -> Ta
         description,
         object_factory=drill_model,
         start=start,
-        prior=PriorSpec(_PRIOR_MEAN),
+        prior=PriorSpec(_DRILL_MEAN),
         nll_threshold=100.0,
         physics=_drive(mass_kg=0.9),
     )
@@ -175,7 +191,7 @@ def _box(name: str, description: str, up: str, start: tuple[float, float, float]
         start=start,
         up=("x", "y", "z"),
         start_up=up,
-        prior=PriorSpec(_PRIOR_MEAN),
+        prior=PriorSpec(_BOX_MEAN),
         search="SE(3)",
         nll_threshold=150.0,
         position_tolerance_m=0.008,
@@ -188,18 +204,60 @@ def _drive(mass_kg: float) -> PhysicsSettings:
     return PhysicsSettings(mass_kg=mass_kg, max_force_n=25.0, max_lift_n=15.0, max_torque_nm=4.0, lead_m=0.006)
 
 
-_PRIOR_MEAN = (0.45, 0.0)
+# The tool reaches 1.04 m from the base, less turned aside. The drills stand 1.00 to 1.04 m from it: what is pushed on
+# is soon out of its reach. The boxes stand 7 cm nearer, since a tall one that topples away lies 13 cm farther out.
+_DRILL_MEAN, _BOX_MEAN = (0.55, 0.0), (0.48, 0.0)
+
+# the real robot's workspace: its tool works 0.305 m above its base, taken to be the tasks' height above a shelf
+_SHELF = functools.partial(
+    TaskSpec,
+    bounds=((0.55, -0.33), (1.10, 0.33)),
+    base=(0.0, 0.0, 0.0),
+    base_below_m=0.26,
+    action_m=0.05,
+    action_rad=0.4,
+    steps=15,
+    apc_ratio=0.05,
+)
 
 TASKS: dict[str, TaskSpec] = {
     spec.name: spec
     for spec in (
         *(TaskSpec(name, description, large_handled_mug, start) for name, description, start in _STARTS),
-        _drill("drill-0", "a drill ahead that no camera sees", (0.48, 0.03, math.radians(25.0))),
-        _drill("drill-1", "a drill ahead that no camera sees", (0.42, -0.05, math.radians(150.0))),
-        _drill("drill-2", "a drill ahead that no camera sees", (0.50, -0.02, math.radians(-100.0))),
-        _box("box-0", "a box lying flat that no camera sees", "x", (0.48, 0.03, math.radians(25.0))),
-        _box("box-1", "a box standing upright that no camera sees", "z", (0.42, -0.04, math.radians(70.0))),
-        _box("box-2", "a box on its long side that no camera sees", "y", (0.49, -0.05, math.radians(120.0))),
+        _drill("drill-0", "a drill ahead that no camera sees, pointing ahead", (0.57, 0.03, math.radians(25.0))),
+        _drill("drill-1", "a drill ahead that no camera sees, pointing back", (0.55, -0.05, math.radians(150.0))),
+        _drill("drill-2", "a drill ahead that no camera sees, pointing right", (0.59, -0.02, math.radians(-100.0))),
+        _box("box-0", "a box lying flat that no camera sees", "x", (0.50, 0.03, math.radians(25.0))),
+        _box("box-1", "a box standing upright that no camera sees", "z", (0.48, -0.05, math.radians(70.0))),
+        _box("box-2", "a box on its long side that no camera sees", "y", (0.52, -0.02, math.radians(120.0))),
+        _SHELF(
+            "shelf-mug",
+            "a mug on a shelf that a camera sees after every action, its motion not measured",
+            object_factory=large_handled_mug,
+            start=(0.86, 0.03, math.radians(12.0)),
+            tool_start=(0.66, 0.0, 0.0),
+            nll_threshold=35.0,
+            camera=CameraSpec((0.2, 0.0, 0.3), (0.86, 0.0, 0.04)),
+            looks_again=True,
+            measures_motion=False,
+            depth_noise_m=0.0005,
+        ),
+        _SHELF(
+            "shelf-box",
+            "a box that stands on a shelf where no camera sees it",
+            object_factory=box_model,
+            start=(0.88, 0.06, math.radians(35.0)),
+            prior=PriorSpec((0.84, 0.0), 0.08),
+            heights_m=(0.03, 0.20),
+            workspace_top_m=0.24,
+            field_spacing_m=0.02,
+            camera=None,
+            felt_ahead_m=0.0015,
+            tool_start=(0.66, 0.0, 0.10, 0.0),
+            nll_threshold=250.0,
+            position_tolerance_m=0.008,
+            physics=_drive(mass_kg=0.41),
+        ),
     )
 }
 """All tasks by name."""
@@ -228,16 +286,21 @@ def make_tool(
         free_flying: leave the arm out.
     """
     settings = settings or SimSettings()
-    make = functools.partial(Tool, action_scale_m=settings.action_scale_m, action_scale_rad=settings.action_scale_rad)
+    make = functools.partial(
+        Tool,
+        action_scale_m=settings.action_scale_m if spec.action_m is None else spec.action_m,
+        action_scale_rad=settings.action_scale_rad if spec.action_rad is None else spec.action_rad,
+    )
     reach: Reach | None = None
     if spec.heights_m is not None:
         if not free_flying:
-            reach = SpatialReach.of_arm(spec.base, cache_dir=cache_dir)
+            reach = SpatialReach.of_arm(spec.base, cache_dir=cache_dir, base_below_m=spec.base_below_m)
         bounds = torch.tensor([(*corner, z) for corner, z in zip(spec.bounds, spec.heights_m, strict=True)])
         step = spec.field_spacing_m
         return make(bounds, reach, body_spacing_m=0.6 * step, info_spacing_m=0.5 * step)
     if not free_flying:
-        reach = Reach.of_arm(spec.base, ReachSettings(height_m=spec.height_m), cache_dir=cache_dir)
+        above = ReachSettings(height_m=spec.height_m + spec.base_below_m)
+        reach = Reach.of_arm(spec.base, above, cache_dir=cache_dir)
     return make(torch.tensor(spec.bounds), reach, height_m=spec.height_m)
 
 

@@ -1,8 +1,10 @@
 """What holds for every method: RUMI, its ablations and the baselines."""
 
+import copy
 import importlib.util
 import json
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -28,7 +30,7 @@ from sensors.reading import Reading
 from sensors.semantics import Semantics
 
 HEIGHT = 0.045
-BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]])
+BOUNDS = torch.tensor([[0.0, -0.4, 0.03], [0.8, 0.4, 0.2]])
 PLANNER = RummagingSettings(
     mppi=MPPISettings(horizon=5, knots=3, samples=40, warmup_iterations=2, temperature=0.1, cost_scale="std"),
     push=DisplacementSettings(mini_steps=2),
@@ -58,13 +60,24 @@ def mug() -> ObjectModel:
     return object_model("mug", Mug(), Symmetries.none(), spacing=0.004, points=120)
 
 
-@pytest.fixture
-def scene(mug: ObjectModel) -> Scene:
-    workspace = Workspace.from_bounds(
-        torch.tensor([[0.0, -0.4, HEIGHT], [0.8, 0.4, HEIGHT]]), 0.02, planar_height=HEIGHT
-    )
-    tool = Tool(BOUNDS, height_m=HEIGHT, body_spacing_m=0.02, info_spacing_m=0.01)
-    return at(Scene(mug, workspace, tool, torch.tensor([0.2, 0.0, 0.0])), seen(mug))
+@pytest.fixture(params=["plane", "space"])
+def scene(request: pytest.FixtureRequest, mug: ObjectModel) -> Scene:
+    """A tool that moves in a plane, with three controls, and one that moves in space, with four."""
+    if request.param == "plane":
+        box = torch.tensor([[0.0, -0.4, HEIGHT], [0.8, 0.4, HEIGHT]])
+        workspace = Workspace.from_bounds(box, 0.02, planar_height=HEIGHT)
+        bounds = BOUNDS[:, :2]
+    else:
+        workspace, bounds = Workspace.from_bounds(torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]]), 0.04), BOUNDS
+    tool = Tool(bounds, height_m=HEIGHT, body_spacing_m=0.02, info_spacing_m=0.01)
+    bare = Scene(mug, workspace, tool, torch.zeros(0))
+    return put(bare, (0.2, 0.0), 0.0, seen(mug))
+
+
+def put(scene: Scene, place: tuple[float, float], yaw: float, observed: Observation, **felt: Any) -> Scene:
+    """The tool somewhere at its height."""
+    height = [0.06] if scene.tool.spatial else []
+    return at(replace(scene, configuration=torch.tensor([*place, *height, yaw])), observed, **felt)
 
 
 def seen(model: ObjectModel) -> Observation:
@@ -82,7 +95,7 @@ def at(scene: Scene, observed: Observation, *, contact: bool = False, touched: T
     reading = Reading(
         Observation.of(points, Semantics.SURFACE),
         torch.ones(len(points), dtype=torch.long),
-        scene.tool.pose(now.expand(2, 3)),
+        scene.tool.pose(now.expand(2, -1)),
         torch.tensor([False, contact]),
         None,
         now,
@@ -104,16 +117,16 @@ def act(policy: Policy, scene: Scene, belief: PoseBelief, previous: Plan | None 
 
 def check(plan: Plan, scene: Scene) -> None:
     """A plan that can be carried out, recorded and drawn."""
-    count = len(plan.controls)
+    count, size = len(plan.controls), len(scene.configuration)
     assert count >= 1
-    assert plan.controls.shape == (count, 3)
+    assert plan.controls.shape == (count, size)
     assert bool(plan.controls.isfinite().all())
     assert float(plan.controls.abs().max()) <= 1.0
-    assert plan.path.shape == (count + 1, 3)
+    assert plan.path.shape == (count + 1, size)
     assert bool(plan.path.isfinite().all())
     assert torch.equal(plan.path[0], scene.configuration)
-    inside = (plan.path[:, :2] >= BOUNDS[0] - 1e-5) & (plan.path[:, :2] <= BOUNDS[1] + 1e-5)
-    assert bool(inside.all())
+    place, bounds = plan.path[:, :-1], scene.tool.bounds
+    assert bool(((place >= bounds[0] - 1e-5) & (place <= bounds[1] + 1e-5)).all())
     for values in plan.fields.values():
         assert values.shape == (len(scene.workspace),)
         assert bool(values.isfinite().all())
@@ -144,9 +157,7 @@ def test_same_seed_same_plan(policy: Policy, scene: Scene) -> None:
 def test_plans_go_on_through_a_contact(policy: Policy, scene: Scene) -> None:
     plan = act(policy, scene, believed())
     touched = torch.tensor([[0.36, 0.0, HEIGHT], [0.361, 0.002, HEIGHT]])
-    close = at(
-        replace(scene, configuration=torch.tensor([0.32, 0.0, 0.2])), scene.observed, contact=True, touched=touched
-    )
+    close = put(scene, (0.32, 0.0), 0.2, scene.observed, contact=True, touched=touched)
     for _ in range(3):
         plan = act(policy, close, believed(), plan)
         check(plan, close)
@@ -177,14 +188,14 @@ def test_contact_without_points(policy: Policy, scene: Scene) -> None:
 
 @pytest.mark.parametrize("corner", [(0.0, -0.4), (0.8, 0.4)])
 def test_at_the_border(policy: Policy, scene: Scene, corner: tuple[float, float]) -> None:
-    there = at(replace(scene, configuration=torch.tensor([*corner, 3.0])), scene.observed)
+    there = put(scene, corner, 3.0, scene.observed)
     check(act(policy, there, believed()), there)
 
 
 def test_on_top_of_the_object(policy: Policy, scene: Scene) -> None:
     """The tool is where the belief has the object's middle: no direction leads there."""
     middle = believed().world_T_object[:, :3, 3].mean(0)
-    there = at(replace(scene, configuration=torch.tensor([*middle[:2].tolist(), 0.0])), scene.observed)
+    there = put(scene, (float(middle[0]), float(middle[1])), 0.0, scene.observed)
     check(act(policy, there, believed(spread=0.0)), there)
 
 
@@ -200,7 +211,7 @@ def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> Non
     there = Scene(
         mug.to(wide),
         scene.workspace.to(wide),
-        Tool(BOUNDS.double(), height_m=HEIGHT, body_spacing_m=0.02, info_spacing_m=0.01).to(wide),
+        copy.deepcopy(scene.tool).to(wide),
         scene.configuration.double(),
         scene.observed.to(dtype=wide),
         replace(

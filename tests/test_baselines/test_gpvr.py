@@ -112,9 +112,9 @@ def test_data_are_what_was_observed_and_what_is_free_for_sure(scene: Scene) -> N
     assert scene.observed is not None
     seen = scene.observed.points[scene.observed.semantics == int(Semantics.SURFACE)]
     torch.testing.assert_close(surface.float(), seen + torch.tensor([0.4, 0.0, 0.0]))
-    # free ones: one a cell of 7 spacings, none where the object may be
-    cells = {tuple(cell) for cell in torch.floor(free / 0.14).long().tolist()}
-    assert len(cells) == len(free) > 20
+    # free ones: about one for each node of a lattice of 7 spacings, none where the object may be
+    assert 40 < len(free) <= (6 + 1) ** 2 + 30
+    assert float((torch.cdist(free, free) + torch.eye(len(free))).min()) > 0.02
     lattice = scene.workspace.points
     doubtful = lattice[fields.semantics[:, 0] <= 0.99].double()
     assert len(doubtful) > 10
@@ -136,7 +136,7 @@ def test_hyperparameters_go_on_from_the_last_plan(scene: Scene) -> None:
     first = act(scene, GPVRSettings(refit_steps=20, max_points=60))
     kept = act(scene, GPVRSettings(refit_steps=0, max_points=60), first)
     assert kept.info["gp_hyperparameters"] == first.info["gp_hyperparameters"]
-    later = act(scene, GPVRSettings(refit_steps=20, max_points=60), first)
+    later = act(scene, GPVRSettings(refit_steps=20, max_points=60, tolerance=0.0), first)
     assert later.info["gp_hyperparameters"] != first.info["gp_hyperparameters"]
     assert first.info["gp_points"] == 60
 
@@ -147,10 +147,15 @@ def met(plan: Plan, scene: Scene) -> Tensor:
     return -cost.of_paths(plan.path[:, None], torch.zeros(len(plan.path), 1, 3))
 
 
-def test_plans_meet_more_variance_than_staying(scene: Scene) -> None:
+def test_plans_meet_more_variance_than_others(scene: Scene) -> None:
+    """More than standing still, and than most of some hundred random plans, in free motion."""
     plan = act(scene)
     values = met(plan, scene)
-    assert float(values[1:].mean()) > 1.2 * float(values[0])
+    assert float(values[1:].mean()) > float(values[0])
+    others = 2.0 * torch.rand(300, 6, 3, generator=torch.Generator().manual_seed(5)) - 1.0
+    paths = scene.tool.free_path(scene.configuration.expand(300, 3), others, 1)
+    cost = VarianceCost(scene.workspace.grid(plan.fields["variance"]), scene.tool, 1.0)
+    assert float(values[1:].sum()) > float((-cost.of_paths(paths, torch.zeros(300, 6, 3))).quantile(0.75))
 
 
 def test_greedy_takes_the_best_next_position(scene: Scene) -> None:
@@ -173,6 +178,8 @@ def test_refuses_what_has_no_meaning(scene: Scene) -> None:
     for wrong in (
         {"refit_steps": -1},
         {"max_points": -1},
+        {"least_lengthscale": -0.5},
+        {"tolerance": -0.1},
         {"learning_rate": 0.0},
         {"free_spacing": 0.0},
         {"free_probability": 1.1},

@@ -16,7 +16,7 @@ from rumi.baselines.implicit_surface import (
     Labelled,
     fit,
     labelled,
-    nearest_to_centres,
+    next_to_nodes,
     predictive_variance,
     spread_out,
 )
@@ -104,6 +104,14 @@ def test_variance_stands_points_that_coincide() -> None:
     assert bool(variance.isfinite().all())
 
 
+def drawn() -> Labelled:
+    """Labels that a process has drawn."""
+    truth, points = Hyperparameters(0.05, 0.3, 0.01, 0.5), scattered(120)
+    gram = torch.from_numpy(kernel(points.numpy(), points.numpy(), truth)) + truth.noise * torch.eye(120).double()
+    noise = torch.randn(120, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    return Labelled(points, truth.mean + torch.linalg.cholesky(gram) @ noise)
+
+
 @needs_library
 class TestFit:
     def test_makes_the_data_likelier(self) -> None:
@@ -112,11 +120,7 @@ class TestFit:
         assert dense_loss(data, found) < dense_loss(data, start) - 1.0
 
     def test_converges_to_where_no_neighbour_is_likelier(self) -> None:
-        """Labels that a process has drawn."""
-        truth, points = Hyperparameters(0.05, 0.3, 0.01, 0.5), scattered(120)
-        gram = torch.from_numpy(kernel(points.numpy(), points.numpy(), truth)) + truth.noise * torch.eye(120).double()
-        drawn = torch.randn(120, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-        data = Labelled(points, truth.mean + torch.linalg.cholesky(gram) @ drawn)
+        data = drawn()
         found = fit(data, steps=600)
         best = dense_loss(data, found)
         assert 0.02 < found.lengthscale_m < 0.12
@@ -129,6 +133,21 @@ class TestFit:
         assert fit(data, good, steps=0) == good
         assert dense_loss(data, fit(data, good, steps=5)) < dense_loss(data, fit(data, steps=5))
 
+    def test_lengthscale_keeps_to_its_bound(self) -> None:
+        data = ball()
+        free = fit(data, steps=50)
+        assert fit(data, steps=50, least_lengthscale_m=0.01) != free
+        bound = 1.5 * free.lengthscale_m
+        held = fit(data, Hyperparameters(0.01), steps=50, least_lengthscale_m=bound)
+        assert bound <= held.lengthscale_m < 1.5 * bound
+
+    def test_ends_where_the_likelihood_is_flat(self) -> None:
+        data = drawn()
+        good = fit(data, steps=300)
+        assert fit(data, good, tolerance=0.05) == pytest.approx(good)
+        assert fit(data, good) != pytest.approx(good)
+        assert fit(data, tolerance=0.05) != pytest.approx(Hyperparameters())
+
     def test_is_the_same_each_time(self) -> None:
         before = torch.get_rng_state()
         assert fit(ball(), steps=5) == fit(ball(), steps=5)
@@ -136,13 +155,18 @@ class TestFit:
 
     @pytest.mark.parametrize("count", [0, 1, 30])
     @pytest.mark.parametrize("label", [0.0, 1.0])
-    def test_stands_data_without_contrast(self, count: int, label: float) -> None:
+    def test_labels_that_are_all_alike_change_nothing(self, count: int, label: float) -> None:
+        data = Labelled(scattered(30)[:count], torch.full((count,), label, dtype=torch.float64))
+        assert fit(data, SOME) == SOME
+
+    @pytest.mark.parametrize("count", [2, 3, 30])
+    def test_stands_next_to_no_contrast(self, count: int) -> None:
         points = scattered(30)[:count]
-        found = fit(Labelled(points, torch.full((count,), label, dtype=torch.float64)), steps=300)
+        labels = (torch.arange(count) == 0).double()
+        found = fit(Labelled(points, labels), steps=300)
         assert all(math.isfinite(value) for value in found)
         assert found.lengthscale_m <= 0.55
-        variance = predictive_variance(Labelled(points, torch.zeros(count, dtype=torch.float64)), found, scattered(9))
-        assert float(variance.amax()) > 0.0
+        assert float(predictive_variance(Labelled(points, labels), found, scattered(9)).amax()) > 0.0
 
     def test_works_while_gradients_are_off(self) -> None:
         with torch.no_grad():
@@ -155,17 +179,31 @@ def test_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
         fit(ball())
 
 
-def test_thinning_keeps_the_point_next_to_each_cells_centre() -> None:
+def test_thinning_keeps_the_point_next_to_each_node() -> None:
     points, spacing = scattered(400) - 0.1, 0.07
     best: dict[tuple[int, ...], tuple[float, int]] = {}
     for index, point in enumerate(points.tolist()):
-        cell = tuple(math.floor(value / spacing) for value in point)
-        away = math.dist(point, [(value + 0.5) * spacing for value in cell])
-        best[cell] = min(best.get(cell, (math.inf, -1)), (away, index))
-    kept = nearest_to_centres(points, spacing)
+        node = tuple(math.floor(value / spacing + 0.5) for value in point)
+        away = math.dist(point, [number * spacing for number in node])
+        best[node] = min(best.get(node, (math.inf, -1)), (away, index))
+    kept = next_to_nodes(points, spacing)
     assert {tuple(p) for p in kept.tolist()} == {tuple(points[index].tolist()) for _, index in best.values()}
-    assert torch.equal(nearest_to_centres(kept, spacing), kept)
-    assert nearest_to_centres(points[:0], spacing).shape == (0, 3)
+    assert torch.equal(next_to_nodes(kept, spacing), kept)
+    assert next_to_nodes(points[:0], spacing).shape == (0, 3)
+
+
+@pytest.mark.parametrize("side", [0.8, 0.6, 0.02])
+def test_thinning_covers_a_box_from_corner_to_corner(side: float) -> None:
+    """No point is farther than about half a spacing along each axis, and the corners stay."""
+    axis = 0.02 * torch.arange(round(side / 0.02) + 1)
+    square = torch.cartesian_prod(axis, axis - 0.4, torch.full((1,), 0.045))
+    bounds = torch.stack((square.amin(0), square.amax(0)))
+    chosen = next_to_nodes(square, 0.14, bounds)
+    assert len(chosen) == (math.ceil(side / 0.14) + 1) ** 2
+    nearest = (square[:, None] - chosen).abs().amax(-1).amin(-1)
+    assert float(nearest.max()) <= 0.07 + 0.01
+    for corner in (bounds[0], bounds[1]):
+        assert float((chosen - corner).norm(dim=-1).min()) < 1e-6
 
 
 def test_spread_out_points_cover_the_others() -> None:
@@ -182,13 +220,13 @@ def test_spread_out_points_cover_the_others() -> None:
 
 
 @pytest.mark.parametrize(
-    ("surface", "free", "expected"), [(200, 40, (60, 40)), (200, 90, (50, 50)), (20, 300, (20, 80))]
+    ("surface", "free", "expected"), [(200, 40, (60, 40)), (200, 90, (25, 75)), (20, 300, (20, 80))]
 )
 def test_cap_leaves_each_class_its_share(surface: int, free: int, expected: tuple[int, int]) -> None:
-    """Free points here are in cells of their own."""
+    """Free points here are far apart."""
     apart = torch.stack((torch.arange(float(free)), torch.zeros(free), torch.zeros(free)), -1) + 0.5
-    data = labelled(scattered(surface).float(), apart, 1.0, 100)
+    data = labelled(scattered(surface).float(), apart, 0.5, 100)
     assert (int((data.labels == 0).sum()), int((data.labels == 1).sum())) == expected
     assert data.points.dtype == data.labels.dtype == torch.float64
-    whole = labelled(scattered(surface).float(), apart, 1.0, None)
+    whole = labelled(scattered(surface).float(), apart, 0.5, None)
     assert len(whole.points) == surface + free

@@ -179,26 +179,9 @@ def test_press_goes_into_the_surface(scene: Scene) -> None:
     assert abs(float(way[1])) == pytest.approx(0.08 / math.sqrt(2), abs=1e-3)
 
 
-class Flying(Tool):
-    """A tool that moves in space and turns: (x, y, z, yaw), without limits."""
-
-    def __init__(self) -> None:
-        super().__init__(BOUNDS, height_m=0.0)
-        self.scale = torch.tensor([0.08, 0.08, 0.08, 0.5])
-
-    def pose(self, q):
-        return se3.from_planar(q[..., [0, 1, 3]], q[..., 2])
-
-    def info_points(self, q):
-        return super().info_points(q[..., [0, 1, 3]]) + q[..., None, 2, None] * torch.tensor([0.0, 0.0, 1.0])
-
-    def free_step(self, q, control, fraction=1.0):
-        reached = q + control * self.scale
-        return reached, torch.zeros(())
-
-
 def test_works_in_space_too(scene: Scene) -> None:
-    flying = replace(scene, tool=Flying(), configuration=torch.tensor([0.2, 0.05, 0.25, 0.1]))
+    tool = Tool(torch.tensor([[0.0, -0.4, 0.03], [0.8, 0.5, 0.3]]))
+    flying = replace(scene, tool=tool, configuration=torch.tensor([0.2, 0.05, 0.25, 0.1]))
     plan = act(felt(flying))
     assert plan.controls.shape == (1, 4)
     way = plan.path[1, :3] - plan.path[0, :3]

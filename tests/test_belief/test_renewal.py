@@ -1,6 +1,7 @@
 """Particles drawn anew: a mode that the particles have lost comes back where no observation refutes it."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -10,7 +11,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.prior import PosePrior
 from rumi.belief.renewal import RenewalSettings, challenge, prior_belief, redraw
 from rumi.metrics.pose_error import pose_error
-from sdf import se3
+from sdf import se3, so3
 from sdf.object_model import box_model
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
@@ -128,3 +129,42 @@ def test_without_a_prior_there_is_nothing_to_draw_from(pose_filter, generator):
     belief = PoseBelief.uniform(se3.identity((3,), dtype=torch.float32))
     with pytest.raises(ValueError, match="prior to draw from"):
         redraw(bare, belief, Observation.empty(), RenewalSettings(), generator=generator)
+
+
+def tipped_belief(prior, angle, poses):
+    belief = PoseBelief.uniform(poses)
+    turn = so3.exp(torch.tensor([0.0, angle, 0.0]))
+    return belief.moved(se3.make(turn, torch.tensor([0.1, 0.0, 0.05])))
+
+
+@pytest.mark.parametrize(("angle", "follows"), [(0.05, False), (1.5, True)])
+def test_poses_follow_level_errors_once_the_object_has_tipped(box, pose_filter, prior, angle, follows, generator):
+    """What is felt after a tip is off by the errors of the measured motion, which are level in the world alone."""
+    truth = lying_at(prior, 2, [0.40, 0.02, 0.3])
+    belief = tipped_belief(prior, angle, truth.expand(5, 4, 4).clone())
+    error = se3.from_planar(torch.tensor([0.004, -0.003, 0.05]))
+    there = belief.world_T_object[0]
+    about = se3.make(torch.eye(3), there[:3, 3])
+    off = se3.inverse(belief.world_T_attached) @ about @ error @ se3.inverse(about) @ there
+    seen = Observation.of(se3.apply(off, box.surface_points), Semantics.SURFACE)
+    assert bool(pose_filter.tipped(belief)) == follows
+    found = pose_filter.descend(belief, seen, replace(pose_filter.settings.descent, iterations=12))
+    metres, radians = se3.distance(found, off.expand(5, 4, 4))
+    if follows:
+        assert float(metres.max()) < 5e-4 and float(radians.max()) < 5e-3
+    else:
+        # level in the frame: what is left is by how much the two are tilted
+        assert float((found[:, 2] - truth[2]).abs().max()) < 1e-6
+    assert not bool(PoseFilter(pose_filter.discrepancy, "SE(2)", FilterSettings()).tipped(belief))
+
+
+def test_noise_is_level_in_the_world(pose_filter, prior, generator):
+    poses = lying_at(prior, 0, [0.40, 0.0, 0.0]).expand(2000, 4, 4).clone()
+    belief = tipped_belief(prior, 1.5, poses)
+    noisy = belief.world_T_attached @ pose_filter.perturb(belief, generator=generator, rows=torch.tensor(True))
+    change = noisy @ se3.inverse(belief.world_T_object)
+    assert float((change[:, 2] - torch.tensor([0.0, 0.0, 1.0, 0.0])).abs().max()) < 1e-5
+    shift = (noisy - belief.world_T_object)[:, :2, 3]
+    assert shift.std(0).tolist() == pytest.approx([pose_filter.settings.translation_noise_m] * 2, rel=0.1)
+    yaw = torch.atan2(change[:, 1, 0], change[:, 0, 0])
+    assert float(yaw.std()) == pytest.approx(pose_filter.settings.rotation_noise_rad, rel=0.1)

@@ -281,15 +281,24 @@ def wait_for(path, lines):
     raise AssertionError(f"{path} never had {lines} lines")
 
 
+SMALL = (
+    *("steps=2", "initialise.particles=12", "initialise.starts=40", "initialise.polished=12"),
+    *("planner.mppi.samples=8", "planner.mppi.warmup_iterations=1", "planner.rollouts=1"),
+)
+SHORT_RUNS = ("table6", "--tasks", "mug-0", "--methods", "rumi", "info-only", "--presets", "default", "--set", *SMALL)
+
+
 @pytest.mark.slow
-def test_killed_five_times_the_end_is_the_same():
-    asked = ("fig8", "--seeds", "1000-1013", "--no-figures", "--jobs", "2")
+@pytest.mark.parametrize("what", [("fig8",), pytest.param(SHORT_RUNS, marks=pytest.mark.sim)], ids=["toy", "runs"])
+def test_killed_five_times_the_end_is_the_same(what):
+    seeds, pieces = ("1000-1013", 42) if what == ("fig8",) else ("1000-1011", 24)
+    asked = (*what, "--seeds", seeds, "--no-figures", "--jobs", "2")
     whole = finish(start(*asked, "--out", "undisturbed"))
     chance = random.Random(5)
     path = Path("disturbed/runs.jsonl")
     for kill in range(5):
         process = start(*asked, "--out", "disturbed")
-        wait_for(path, 1 + 4 * kill)
+        wait_for(path, 1 + pieces // 10 * kill)
         time.sleep(chance.uniform(0.0, 0.8))
         process.kill()  # and with it the processes that it started
         process.communicate()
@@ -299,10 +308,30 @@ def test_killed_five_times_the_end_is_the_same():
         assert path.read_bytes() == before, "a worker outlived its command"
         if kill % 2:  # as if the kill had come while a line was being written
             path.write_bytes(before[: -chance.randrange(2, 400)])
-    assert 0 < len(list(read_lines(path))) < 42
-    assert finish(start(*asked, "--out", "disturbed")).replace("disturbed", "undisturbed") == whole
+    assert 0 < len(list(read_lines(path))) < pieces
+    assert finish(start(*asked, "--out", "disturbed")) == whole
     assert results("disturbed") == results("undisturbed")
-    assert len(results("disturbed")) == 42
+    assert len(results("disturbed")) == pieces
+
+
+@pytest.mark.slow
+def test_what_a_killed_worker_was_doing_another_does():
+    asked = ("fig8", "--seeds", "1000-1009", "--no-figures", "--out", "shared", "--jobs", "2")
+    process = start(*asked)
+    listing = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    if not listing.exists():
+        process.kill()
+        pytest.skip("this system does not list the children of a process")
+    wait_for(Path("shared/runs.jsonl"), 2)
+    workers = [
+        int(child)
+        for child in listing.read_text().split()
+        if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+    ]
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    finish(process)
+    assert len(results("shared")) == 30
 
 
 @pytest.mark.slow
@@ -346,12 +375,6 @@ def test_a_cluster_needs_its_extra(monkeypatch, capsys, quick):
     monkeypatch.setitem(sys.modules, "submitit", None)
     assert main([*FEW, "--executor", "submitit"]) == cli.BAD_INPUT
     assert "pip install 'rumi[cluster]'" in capsys.readouterr().err
-
-
-SMALL = (
-    *("steps=2", "initialise.particles=12", "initialise.starts=40", "initialise.polished=12"),
-    *("planner.mppi.samples=8", "planner.mppi.warmup_iterations=1", "planner.rollouts=1"),
-)
 
 
 @pytest.mark.sim

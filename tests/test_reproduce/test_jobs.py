@@ -50,6 +50,16 @@ def test_the_name_is_of_all_that_decides_the_result():
     assert job(overrides=two).id == job(overrides=two[::-1]).id
 
 
+def test_a_mesh_counts_by_what_is_in_it(tmp_path):
+    here, there = tmp_path / "a.obj", tmp_path / "b.obj"
+    for path in (here, there):
+        path.write_text("v 0 0 0\n")
+    first, second = (job(overrides=(f"object.mesh={path}",)).id for path in (here, there))
+    assert first == second != job().id
+    there.write_text("v 0 0 1\n")
+    assert job(overrides=(f"object.mesh={there}",)).id != first
+
+
 def test_the_name_is_of_the_code(monkeypatch):
     before = job().id
     monkeypatch.setattr("rumi.reproduce.jobs.code_hash", lambda roots: "another")

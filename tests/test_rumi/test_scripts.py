@@ -106,3 +106,16 @@ def test_predicted_against_realised(capsys, tmp_path, monkeypatch):
     assert len(rows) == 1 + 4 + 4
     # sliding predicts nothing by itself, but can be asked about
     assert len([line for line in shown.splitlines() if line.startswith("| slide")]) == 4 + 4
+
+
+@pytest.mark.slow
+def test_the_cap_on_gpvrs_points(capsys, tmp_path, monkeypatch):
+    """The row of all points has no error, and a cap that allows them all is the same."""
+    pytest.importorskip("gpytorch")
+    monkeypatch.setenv("RUMI_CACHE", str(tmp_path))
+    module = load(ROOT / "scripts" / "gpvr_cap.py")
+    module.main(module.Options(tasks=("mug-0",), actions=(0,), caps=(60, 5000)))
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert [row[0] for row in rows] == ["60", "5000", "none"]
+    assert rows[1][1:7] == rows[2][1:7]
+    assert float(rows[0][3]) > float(rows[2][3]) == 0.0

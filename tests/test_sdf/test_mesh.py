@@ -1,5 +1,7 @@
 """Reading meshes, and what is no mesh."""
 
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -131,3 +133,11 @@ def test_wrong_units_are_suspected(shapes, scale, words):
 
 def test_right_units_are_not(shapes):
     check_size(shapes.box())
+
+
+def test_without_trimesh_it_is_said(shapes, tmp_path, monkeypatch):
+    path = write(shapes.box(), tmp_path / "box.obj")
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(ModuleNotFoundError, match="needs trimesh") as caught:
+        load_mesh(path)
+    assert caught.value.name == "trimesh"

@@ -1,0 +1,142 @@
+"""What a cap on the points of GPVR's Gaussian process costs and saves, against the fit to all of them.
+
+    OMP_NUM_THREADS=1 python scripts/gpvr_cap.py --seeds 1000 --actions 0 8
+
+Situations are first views of the mugs, and the state after some actions of GPVR. Of each, the process is fitted to
+all points (50 steps from its usual start) and to at most as many as each cap allows, and its variance worked out on the
+workspace's lattice; errors are of variances that are normalised to a largest value of 1, as Eq 37 uses them.
+"""
+
+import os
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+
+from rumi.assemble import build
+from rumi.baselines.gpvr import GPVRPolicy, GPVRSettings
+from rumi.baselines.implicit_surface import Hyperparameters, Labelled, fit, predictive_variance
+from rumi.belief.particles import PoseBelief
+from rumi.config import preset
+from rumi.fields.information import information_field
+from rumi.loop import rummage
+from rumi.metrics.correlation import spearman
+from rumi.planning.types import Plan, Scene
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to measure.
+
+    Attributes:
+        tasks: which tasks.
+        seeds: of the runs.
+        actions: after how many actions of a run.
+        caps: numbers of points.
+    """
+
+    tasks: tuple[str, ...] = ("mug-0", "mug-1", "mug-2")
+    seeds: tuple[int, ...] = (1000,)
+    actions: tuple[int, ...] = (0, 8)
+    caps: tuple[int, ...] = (100, 150, 200, 300, 500)
+
+
+class Watched:
+    """GPVR, and what it was given each time."""
+
+    def __init__(self, policy: GPVRPolicy) -> None:
+        self.policy = policy
+        self.given: list[tuple[PoseBelief, Scene]] = []
+
+    def act(
+        self,
+        belief: PoseBelief,
+        scene: Scene,
+        previous: Plan | None,
+        *,
+        executed: int,
+        budget_s: float | None,
+        generator: torch.Generator,
+    ) -> Plan:
+        """Keep what was given, and plan."""
+        self.given.append((belief, scene))
+        return self.policy.act(belief, scene, previous, executed=executed, budget_s=budget_s, generator=generator)
+
+
+def situations(options: Options) -> list[tuple[PoseBelief, Scene]]:
+    """Beliefs with their scenes."""
+    found = []
+    cache = Path(os.environ.get("RUMI_CACHE", Path.home() / ".cache" / "rumi"))
+    for task in options.tasks:
+        for seed in options.seeds:
+            steps = max(options.actions) + 1
+            parts = build(preset(task=task, method="gpvr", seed=seed, steps=steps), cache_dir=cache)
+            assert isinstance(parts.rummager.policy, GPVRPolicy)
+            watched = Watched(parts.rummager.policy)
+            rummage(parts.task, replace(parts.rummager, policy=watched), seed=seed, steps=steps)
+            parts.task.close()
+            found += [watched.given[index] for index in options.actions if index < len(watched.given)]
+    return found
+
+
+def data(belief: PoseBelief, scene: Scene, cap: int) -> Labelled:
+    """What GPVR fits its process to; all of it for a cap of 0."""
+    policy = GPVRPolicy(gp=GPVRSettings(max_points=cap))
+    fields = information_field(
+        scene.model.sdf,
+        belief.world_T_object,
+        belief.log_weights,
+        scene.workspace.points,
+        policy.settings.information,
+    )
+    return policy.data(belief, scene, fields)
+
+
+def timed(points: Labelled, lattice: torch.Tensor) -> tuple[Hyperparameters, np.ndarray, float, float]:
+    """A fit, the normalised variance on the lattice, and the seconds of both."""
+    start = time.perf_counter()
+    found = fit(points)
+    middle = time.perf_counter()
+    variance = share(points, found, lattice)
+    return found, variance, middle - start, time.perf_counter() - middle
+
+
+def share(points: Labelled, hyperparameters: Hyperparameters, lattice: torch.Tensor) -> np.ndarray:
+    """Normalised variance on the lattice."""
+    variance = predictive_variance(points, hyperparameters, lattice)
+    return np.asarray((variance / variance.max()).numpy())
+
+
+def main(options: Options) -> None:
+    """Measure and print a Markdown table; medians over the situations, the largest error over all."""
+    torch.set_num_threads(1)
+    rows: dict[int, list[tuple[float, ...]]] = {}
+    for belief, scene in situations(options):
+        lattice = scene.workspace.points
+        whole = data(belief, scene, 0)
+        best, full, fit_s, variance_s = timed(whole, lattice)
+        rows.setdefault(0, []).append((len(whole.points), 0.0, 0.0, 0.0, 0.0, 1.0, fit_s, variance_s))
+        for cap in options.caps:
+            some = data(belief, scene, cap)
+            _, own, fit_s, variance_s = timed(some, lattice)
+            alike = np.abs(share(some, best, lattice) - full)
+            apart = np.abs(own - full)
+            errors = (alike.mean(), alike.max(), apart.mean(), apart.max(), spearman(own, full))
+            rows.setdefault(cap, []).append((len(some.points), *errors, fit_s, variance_s))
+    print(
+        "| cap | points | error at the full fit's hyperparameters: mean | largest | error after its own fit: mean ",
+        end="",
+    )
+    print("| largest | rank correlation | fit, s | variance, s |\n" + "|---" * 9 + "|")
+    for cap, found in sorted(rows.items(), key=lambda row: row[0] or 10**9):
+        values = np.array(found)
+        middle, most = np.median(values, axis=0), values.max(0)
+        errors = f"{middle[1]:.4f} | {most[2]:.3f} | {middle[3]:.3f} | {most[4]:.3f} | {values[:, 5].min():.3f}"
+        print(f"| {cap or 'none'} | {middle[0]:.0f} | {errors} | {middle[6]:.2f} | {middle[7]:.2f} |")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
