@@ -15,6 +15,7 @@ from rumi.baselines.gpvr import GPVRPolicy
 from rumi.baselines.slide import SlidePolicy
 from rumi.belief.filter import PoseFilter
 from rumi.belief.prior import PosePrior
+from rumi.belief.pushed_motion import PushedMotion
 from rumi.config import Settings
 from rumi.fields.workspace import Workspace
 from rumi.planning.rummaging import RummagingPolicy
@@ -89,9 +90,12 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         following = replace(following, motion="estimated")
     if spec.apc_ratio is not None:
         stop = replace(stop, apc_ratio=spec.apc_ratio)
+    pushed = None
+    if following.motion == "pushed":
+        pushed = PushedMotion.of(model.sdf, spec.height_m, tool.shape, settings.planner.quasi_static)
     return Rummager(
         model,
-        PoseFilter(discrepancy, cast(Search, spec.search), following, prior).to(*to),
+        PoseFilter(discrepancy, cast(Search, spec.search), following, prior, pushed).to(*to),
         make_policy(settings, reachability(tool, workspace)),
         workspace,
         tool,
@@ -135,6 +139,8 @@ def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
     Raises:
         UsageError: the method needs a package that is not installed.
     """
+    if settings.planner.push_model == "mujoco":
+        import rumi.sim.batch_push  # noqa: F401  (enters the push model)
     if settings.method == "info-only":
         return info_only(settings.planner)
     if settings.method == "reach-only":

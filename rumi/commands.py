@@ -1,5 +1,6 @@
 """What the commands of `rumi` do."""
 
+import contextlib
 import difflib
 import os
 import sys
@@ -39,8 +40,8 @@ class RunOptions:
 
     Attributes:
         settings: of the run.
-        motion: how the object's motion is known: measured by a slip sensor, sticking to the tool, or estimated
-            from the touches; short for --filter.motion.
+        motion: how the object's motion is known: measured by a slip sensor, sticking to the tool, pushed as a
+            quasi-static model has it, or estimated from the touches; short for --filter.motion.
         push_model: how the planner expects the object to move; short for --planner.push-model.
         out: folder of the run; by default runs/TASK-METHOD-PRESET-sSEED, with a number where that is taken.
         figures: draw figures at the end.
@@ -107,8 +108,13 @@ def run(arguments: Sequence[str]) -> int:
     from rumi.sim.objects import record
 
     if settings.object.mesh is not None:
-        _say(f"reading {settings.object.mesh} (at first this takes up to a minute or two; what does is kept)")
-    task, rummager = build(settings, cache_dir=cache_folder())
+        _say(f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)")
+    try:
+        task, rummager = build(settings, cache_dir=cache_folder())
+    except Exception:
+        with contextlib.suppress(OSError):  # other files in it are the user's
+            folder.rmdir()
+        raise
     with RunRecorder(folder, to_dict(settings)) as recorder, savings.account() as account:
         write_json(folder / "object.json", record(rummager.model))
         recorder.scene(scene_sketch(rummager))

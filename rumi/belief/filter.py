@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from rumi.belief.motion import MOTIONS, Motion, object_motion
+from rumi.belief.motion import MOTIONS, Motion, Predictor, object_motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.prior import PosePrior
 from rumi.belief.resampling import resample_systematic
@@ -32,7 +32,8 @@ class FilterSettings:
         free_scale: C of free and occupied points (Eqs 4, 5), for the lattice `free_spacing_m`.
         tolerance_m: violation that a free or occupied point is allowed.
         free_spacing_m, surface_spacing_m: lattice that keeps one point a cell (Alg 6).
-        motion: "measured" by a slip sensor, "sticking" to the tool, or "estimated" (Alg 5).
+        motion: "measured" by a slip sensor, "sticking" to the tool, "pushed" as a quasi-static model has it, or
+            "estimated" (Alg 5).
         translation_noise_m, rotation_noise_rad: standard deviations of the process noise, drawn on every move
             and after every resampling (Alg 3); in SE(2) along x, y and yaw. By default the 1 mm and 1 degree of a
             usual slip sensor: 3 mm throws particles across a 4 mm wall, to where the seen side fits the inner one.
@@ -108,12 +109,18 @@ class PoseFilter(nn.Module):
         search: "SE(2)" or "SE(3)".
         settings: how.
         prior: of the pose at the start; its part is added to the discrepancy, as if it were an observation.
+        pushed: says how far the object was pushed; needed for the motion "pushed".
     """
 
     lattice: Tensor
 
     def __init__(
-        self, discrepancy: Discrepancy, search: Search, settings: FilterSettings, prior: PosePrior | None = None
+        self,
+        discrepancy: Discrepancy,
+        search: Search,
+        settings: FilterSettings,
+        prior: PosePrior | None = None,
+        pushed: Predictor | None = None,
     ) -> None:
         super().__init__()
         if search not in SEARCHES:
@@ -122,6 +129,7 @@ class PoseFilter(nn.Module):
         self.search: Search = "SE(2)" if prior is not None and settings.lies_flat else search
         self.settings = settings
         self.prior = prior
+        self.pushed = pushed
         lattice = (settings.free_spacing_m, settings.free_spacing_m, settings.surface_spacing_m)
         self.register_buffer("lattice", torch.tensor(lattice))
 
@@ -147,7 +155,9 @@ class PoseFilter(nn.Module):
             the belief after, the memory after, and what was done.
         """
         settings = self.settings
-        motion = object_motion(settings.motion, belief, reading, self.discrepancy, self.search, settings.descent)
+        motion = object_motion(
+            settings.motion, belief, reading, self.discrepancy, self.search, settings.descent, self.pushed
+        )
         frames = motion @ belief.world_T_attached[..., None, :, :]
         new = attach(reading.observation, reading.instant, frames)
         memory, added = merge(memory, new, self.lattice)

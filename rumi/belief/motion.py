@@ -1,5 +1,6 @@
-"""How far the object moved during an action: measured, assumed sticking, or estimated."""
+"""How far the object moved during an action: measured, assumed sticking, pushed by a model, or estimated."""
 
+from collections.abc import Callable
 from typing import Literal
 
 import torch
@@ -13,8 +14,11 @@ from sensors.discrepancy import Discrepancy
 from sensors.observation import attach
 from sensors.reading import Reading
 
-Motion = Literal["measured", "sticking", "estimated"]
-MOTIONS: tuple[str, ...] = ("measured", "sticking", "estimated")
+Motion = Literal["measured", "sticking", "pushed", "estimated"]
+MOTIONS: tuple[str, ...] = ("measured", "sticking", "pushed", "estimated")
+
+Predictor = Callable[[PoseBelief, Reading], Tensor]
+"""World motion (*b, K, 4, 4) that a push model makes of a belief and the tool's path."""
 
 
 def sticking_motion(
@@ -69,16 +73,22 @@ def object_motion(
     discrepancy: Discrepancy,
     search: Search,
     descent: DescentSettings,
+    pushed: Predictor | None = None,
 ) -> Float[Tensor, "*b K 4 4"]:
-    """Motion of the object up to each instant of a reading, by the chosen means."""
+    """Motion of the object up to each instant of a reading, by the chosen means; `pushed` is needed for its own."""
     if kind == "measured":
         if reading.object_motion is None:
             raise ValueError(
-                "Expected a reading with a measured object motion, got None: choose motion 'sticking' or 'estimated'"
+                "Expected a reading with a measured object motion, got None: choose motion 'sticking', 'pushed' "
+                "or 'estimated'"
             )
         return reading.object_motion
     if kind == "sticking":
         return sticking_motion(reading.tool_pose, reading.in_contact)
+    if kind == "pushed":
+        if pushed is None:
+            raise ValueError("Expected a push model for the motion 'pushed', got None: give the filter one")
+        return pushed(belief, reading)
     if kind == "estimated":
         return estimated_motion(belief, reading, discrepancy, search, descent)
     raise ValueError(f"Expected motion to be one of {', '.join(MOTIONS)}, got {kind!r}")

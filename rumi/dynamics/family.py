@@ -1,5 +1,7 @@
 """The family of push models by name, each made for one belief."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 from jaxtyping import Float
@@ -14,12 +16,49 @@ from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.planning.tool import Tool
 from sdf.base import SDF
+from sdf.object_model import ObjectModel
 
-PushChoice = Literal["displacement", "quasi-static"]
+PushChoice = Literal["displacement", "quasi-static", "mujoco"]
 PUSH_MODELS: tuple[str, ...] = get_args(PushChoice)
 
 # metres off upright or off a height at which a particle's outline is another
 _LEVEL = 1e-3
+
+
+@dataclass(frozen=True)
+class EngineSettings:
+    """Settings of the push model that is a physics engine.
+
+    Attributes:
+        time_step_s: of the physics.
+        action_s: duration of an action.
+        hold_s: standing still after it.
+        friction: of everything.
+        mass_kg: of the object.
+        threads: that step at once; 0 for as many as torch has. The rollouts are the same to the bit.
+    """
+
+    time_step_s: float = 0.005
+    action_s: float = 1.0
+    hold_s: float = 0.1
+    friction: float = 0.5
+    mass_kg: float = 0.35
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        for name in ("time_step_s", "action_s", "friction", "mass_kg"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if self.hold_s < 0 or self.threads < 0:
+            raise ValueError(f"Expected hold_s and threads to be 0 or more, got {self.hold_s} and {self.threads}")
+
+
+Engine = Callable[[ObjectModel, Tensor, Tensor, Tool, EngineSettings], PushModel]
+"""Makes the push model of a physics engine from object, poses, log-weights and tool."""
+
+ENGINES: dict[str, Engine] = {}
+"""Push models that know the simulator enter themselves here, since the algorithm does not know it."""
 
 
 class PushModels:
@@ -29,6 +68,7 @@ class PushModels:
         choice: which member.
         displacement: settings of the displacement model.
         quasi_static: settings of the quasi-static model.
+        engine: settings of a physics engine.
     """
 
     def __init__(
@@ -36,17 +76,19 @@ class PushModels:
         choice: PushChoice = "displacement",
         displacement: DisplacementSettings | None = None,
         quasi_static: QuasiStaticSettings | None = None,
+        engine: EngineSettings | None = None,
     ) -> None:
         if choice not in PUSH_MODELS:
             raise ValueError(f"Expected a push model out of {', '.join(PUSH_MODELS)}, got {choice!r}")
         self.choice = choice
         self.displacement = displacement or DisplacementSettings()
         self.quasi_static = quasi_static or QuasiStaticSettings()
+        self.engine = engine or EngineSettings()
         self._shape: tuple[SDF, float, GridOutline, Support] | None = None
 
     def of_belief(
         self,
-        sdf: SDF,
+        model: ObjectModel,
         world_T_object: Float[Tensor, "N 4 4"],
         log_weights: Float[Tensor, "N"],
         tool: Tool,
@@ -56,13 +98,21 @@ class PushModels:
         """The push model of one scene.
 
         Raises:
-            ValueError: if the quasi-static model is asked for particles that do not stand upright at one height.
+            ValueError: if single poses are to be pushed, and they do not stand upright at one height.
+            RuntimeError: if a physics engine is asked for that nothing has brought.
         """
         if self.choice == "displacement":
-            contact = ContactField.from_belief(sdf, world_T_object, log_weights, workspace, fields)
+            contact = ContactField.from_belief(model.sdf, world_T_object, log_weights, workspace, fields)
             return DisplacementModel(contact, tool, self.displacement)
-        outline, support = self._shape_at(sdf, tool.height_m - _standing_height(world_T_object))
-        return QuasiStaticModel(outline, support, tool, world_T_object, log_weights, self.quasi_static)
+        height = standing_height(world_T_object)
+        if self.choice == "quasi-static":
+            outline, support = self._shape_at(model.sdf, tool.height_m - height)
+            return QuasiStaticModel(outline, support, tool, world_T_object, log_weights, self.quasi_static)
+        if self.choice not in ENGINES:
+            raise RuntimeError(
+                f"Expected the push model {self.choice!r} to have been entered: import rumi.sim.batch_push first"
+            )
+        return ENGINES[self.choice](model, world_T_object, log_weights, tool, self.engine)
 
     def _shape_at(self, sdf: SDF, height: float) -> tuple[GridOutline, Support]:
         known = self._shape
@@ -72,13 +122,17 @@ class PushModels:
         return known[2], known[3]
 
 
-def _standing_height(world_T_object: Float[Tensor, "N 4 4"]) -> float:
-    """Z of the origin of particles that stand upright."""
+def standing_height(world_T_object: Float[Tensor, "N 4 4"]) -> float:
+    """Z of the origin of particles that stand upright.
+
+    Raises:
+        ValueError: if they do not, or at different heights.
+    """
     heights = world_T_object[:, 2, 3]
     tilted = bool((world_T_object[:, 2, 2] < 1.0 - _LEVEL).any())
     if tilted or float(heights.max() - heights.min()) > _LEVEL:
         raise ValueError(
-            "Expected upright particles at one height for the quasi-static push model, got others: choose "
-            "the push model 'displacement'"
+            "Expected upright particles at one height to push one by one, got others: choose the push model "
+            "'displacement'"
         )
     return float(heights.mean())

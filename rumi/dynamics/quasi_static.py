@@ -182,11 +182,18 @@ class QuasiStaticModel:
         self, start: Float[Tensor, "E 3"], track: Float[Tensor, "E T 3"]
     ) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
         """Displacement of the pivot, were it part of the object, and turn, since the start."""
-        turn = track[..., 2] - start[:, None, 2]
-        arm = (self.pivot - start[:, :2])[:, None].expand(-1, track.shape[1], 2)
-        shift = track[..., :2] - start[:, None, :2] + rotated(arm, turn) - arm
-        still = (track == start[:, None]).all(-1, keepdim=True)
-        return torch.cat((torch.where(still, 0.0, shift), torch.zeros_like(shift[..., :1])), -1), turn
+        return rigid_motions(start, track, self.pivot)
+
+
+def rigid_motions(
+    start: Float[Tensor, "E 3"], track: Float[Tensor, "E T 3"], pivot: Float[Tensor, "2"]
+) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
+    """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones."""
+    turn = track[..., 2] - start[:, None, 2]
+    arm = (pivot - start[:, :2])[:, None].expand(-1, track.shape[1], 2)
+    shift = track[..., :2] - start[:, None, :2] + rotated(arm, turn) - arm
+    still = (track == start[:, None]).all(-1, keepdim=True)
+    return torch.cat((torch.where(still, 0.0, shift), torch.zeros_like(shift[..., :1])), -1), turn
 
 
 def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:

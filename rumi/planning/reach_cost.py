@@ -13,11 +13,11 @@ from sdf.voxel_grid import VoxelGrid
 
 
 def cross_correlation(
-    reachability: Float[Tensor, "X Y Z"], information: Float[Tensor, "X Y Z"]
-) -> Float[Tensor, "X2 Y2 Z2"]:
+    reachability: Float[Tensor, "X Y Z"], information: Float[Tensor, "*n X Y Z"]
+) -> Float[Tensor, "*n X2 Y2 Z2"]:
     """`sum_x r(x) I(x - k)` for every whole shift k, -(n - 1) .. n - 1 along an axis of n nodes; zero outside."""
-    shape = information.shape
-    axes = [axis for axis, n in enumerate(shape) if n > 1]
+    shape = reachability.shape
+    axes = [axis - 3 for axis, n in enumerate(shape) if n > 1]
     if not axes:
         return reachability * information
     padded = [_quick_length(2 * shape[axis] - 1) for axis in axes]
@@ -52,17 +52,19 @@ class ReachabilityCost:
     Args:
         information: (X, Y, Z), 0 or more.
         reachability: (X, Y, Z) on the same lattice, in [0, 1].
-        turn_step: between the turns that have a table, radians.
+        turn_step: between the turns that have a table, radians; rounded to a whole share of the turn.
     """
 
-    def __init__(self, information: VoxelGrid, reachability: VoxelGrid, *, turn_step: float = math.radians(10)) -> None:
+    def __init__(self, information: VoxelGrid, reachability: VoxelGrid, *, turn_step: float = math.radians(15)) -> None:
         if information.values.shape != reachability.values.shape:
             raise ValueError(
                 f"Expected reachability to have the shape of information, {tuple(information.values.shape)}, "
                 f"got {tuple(reachability.values.shape)}: sample both on one workspace"
             )
         self.points = information.values.numel()
-        self.turn_step = turn_step
+        # a whole number of steps to the turn
+        self._steps = max(1, round(2.0 * math.pi / turn_step))
+        self.turn_step = 2.0 * math.pi / self._steps
         self._information, self._reachability = information, reachability
         self._total = information.values.sum()
         self._origin = self._total.new_tensor([-(n - 1.0) * information.spacing for n in information.shape])
@@ -99,10 +101,13 @@ class ReachabilityCost:
             )
         place = turns / self.turn_step
         first, last = int(place.min().floor()), int(place.max().floor()) + 1
-        for index in range(first, last + 1):
-            if index not in self._turned:
-                self._turned[index] = self._table(self._turn(index * self.turn_step, pivot))[:, :, 0]
-        stack = torch.stack([self._turned[index] for index in range(first, last + 1)])
+        # whole turns leave the information where it was
+        needed = [index % self._steps for index in range(first, last + 1)]
+        missing = sorted(set(needed) - self._turned.keys())
+        if missing:
+            turned = torch.stack([self._turn(index * self.turn_step, pivot) for index in missing])
+            self._turned |= dict(zip(missing, self._table(turned)[..., 0], strict=True))
+        stack = torch.stack([self._turned[index] for index in needed])
         angles, wide, deep = stack.shape
         x, y = ((displacements - self._origin[:2]) / self._information.spacing).unbind(-1)
         # the sampler wants -1 at the first node and 1 at the last, and the last axis first

@@ -12,7 +12,7 @@ from torch import Tensor
 from kmppi import MPPI, ControlPlan, MPPISettings
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement import DisplacementSettings
-from rumi.dynamics.family import PUSH_MODELS, PushChoice, PushModels
+from rumi.dynamics.family import PUSH_MODELS, EngineSettings, PushChoice, PushModels
 from rumi.dynamics.planar import world_height
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import (
@@ -41,9 +41,11 @@ class RummagingSettings:
     Attributes:
         information: the field that is to be gathered.
         push_model: how the object is expected to move: "displacement" carries it with the point that touches it, as
-            in the paper; "quasi-static" pushes single poses of the belief, which slide and turn.
+            in the paper; "quasi-static" pushes single poses of the belief, which slide and turn; "mujoco" does so with
+            the simulator's physics (slow: ask for few samples).
         push: settings of the displacement model.
         quasi_static: settings of the quasi-static model.
+        engine: settings of the physics.
         mppi: the planner; its iterations are `warmup_iterations` for the first plan.
         information_scale: weight of the information cost (beta_I); 0 leaves it out.
         reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out.
@@ -59,6 +61,7 @@ class RummagingSettings:
     push_model: PushChoice = "displacement"
     push: DisplacementSettings = field(default_factory=DisplacementSettings)
     quasi_static: QuasiStaticSettings = field(default_factory=QuasiStaticSettings)
+    engine: EngineSettings = field(default_factory=EngineSettings)
     mppi: MPPISettings = field(default_factory=_scale_free)
     information_scale: float = 1.0
     reachability_scale: float = 2.0
@@ -113,7 +116,7 @@ class RummagingPolicy:
         self.settings = settings or RummagingSettings()
         self.reachability = reachability
         own = self.settings
-        self.push_models = PushModels(own.push_model, own.push, own.quasi_static)
+        self.push_models = PushModels(own.push_model, own.push, own.quasi_static, own.engine)
 
     @torch.no_grad()
     def act(
@@ -138,7 +141,7 @@ class RummagingPolicy:
             sdf, poses, log_weights = scene.model.sdf, belief.world_T_object, belief.log_weights
             fields = information_field(sdf, poses, log_weights, workspace.points, settings.information)
             watch.lap("fields")
-            model = self.push_models.of_belief(sdf, poses, log_weights, tool, workspace, fields)
+            model = self.push_models.of_belief(scene.model, poses, log_weights, tool, workspace, fields)
             watch.lap("push_model")
             worth = self.worth(belief, scene, fields, previous)
             watch.lap(self.worth_stage)

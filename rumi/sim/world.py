@@ -60,6 +60,7 @@ class World:
         self._object = int(self.model.joint("object").qposadr[0])
         self._gripper = [int(self.model.joint(name).qposadr[0]) for name in self._axes(height_m)]
         self._object_body = int(self.model.body("object").id)
+        self._rest: np.ndarray | None = None
 
     @staticmethod
     def _axes(height_m: float | None) -> tuple[str, ...]:
@@ -128,6 +129,51 @@ class World:
             states[-1] = position
         return Track(torch.from_numpy(states[:, self._gripper]), self._object_poses(states))
 
+    def states(self, configuration: Float[Tensor, "R 3"], object_pose: Float[Tensor, "R 3"]) -> np.ndarray:
+        """Physics states (R, S) with gripper and object at rest at (x, y, yaw), the object settled into the floor."""
+        if self._rest is None:
+            self.reset(torch.tensor([-3.0, 0.0, 0.0]), torch.zeros(3))
+            size = int(self._mujoco.mj_stateSize(self.model, self._mujoco.mjtState.mjSTATE_FULLPHYSICS))
+            rest = np.empty(size)
+            self._mujoco.mj_getState(self.model, self.data, rest, self._mujoco.mjtState.mjSTATE_FULLPHYSICS)
+            self._rest = rest
+        states = np.repeat(self._rest[None], len(object_pose), 0)
+        pose, place = object_pose.double().numpy(), 1 + self._object  # time comes first
+        states[:, place : place + 2] = pose[:, :2]
+        # upright but for what settling tilted it
+        states[:, place + 3], states[:, place + 6] = np.cos(0.5 * pose[:, 2]), np.sin(0.5 * pose[:, 2])
+        states[:, place + 4 : place + 6] = 0.0
+        states[:, [1 + index for index in self._gripper]] = configuration.double().numpy()
+        return states
+
+    def act(
+        self, states: np.ndarray, ways: np.ndarray, action_s: float, hold_s: float, threads: int
+    ) -> tuple[np.ndarray, Float[Tensor, "R 3"]]:
+        """Drive the gripper of every state along its own straight way, then hold.
+
+        Args:
+            states: (R, S), as `states` gives them.
+            ways: (R, 2, 3), x, y, yaw from where to where.
+            action_s: duration of the motion.
+            hold_s: of standing still after it.
+            threads: that step at once; the states are the same to the bit.
+
+        Returns:
+            states after, and the object's (x, y, yaw).
+        """
+        from mujoco import rollout
+
+        step_s = float(self.model.opt.timestep)
+        moving = round(action_s / step_s)
+        share = np.minimum(np.arange(1, moving + round(hold_s / step_s) + 1) / moving, 1.0)[None, :, None]
+        commands = ways[:, :1] + share * (ways[:, 1:] - ways[:, :1])
+        with rollout.Rollout(nthread=threads if threads > 1 else 0) as engine:
+            data = [self._mujoco.MjData(self.model) for _ in range(max(1, threads))]
+            found, _ = engine.rollout(self.model, data, states, commands)
+        last = found[:, -1].copy()
+        poses = self._object_poses(last[:, 1 : 1 + self.model.nq])
+        return last, se3.to_planar(poses)
+
     def configuration(self) -> Float[Tensor, "Q"]:
         """Measured x, y, in space z, and yaw of the gripper."""
         return torch.from_numpy(np.array(self.data.qpos[self._gripper]))
@@ -154,6 +200,7 @@ class World:
         count = len(directions)
         geom, distance = np.empty(count, np.int32), np.empty(count)
         # positions follow the state only after the kinematics of the next step
+        self._mujoco.mj_kinematics(self.model, self.data)
         self._mujoco.mj_multiRay(
             self.model,
             self.data,

@@ -315,7 +315,7 @@ def test_estimated_motion_recovers_a_slip():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"motion": "guessed"}, "measured, sticking, estimated"),
+        ({"motion": "guessed"}, "measured, sticking, pushed, estimated"),
         ({"peakiness": 0.0}, "peakiness"),
         ({"trigger_percentile": 2.0}, "percentile"),
     ],

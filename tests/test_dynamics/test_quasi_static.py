@@ -17,6 +17,7 @@ from rumi.fields.reachability import Reach
 from rumi.fields.workspace import Workspace
 from rumi.planning.tool import Tool
 from sdf import backend, se3
+from sdf.object_model import object_model
 from sdf.primitives import Mug
 
 HEIGHT = 0.045
@@ -208,9 +209,10 @@ def test_the_family_refuses_what_it_does_not_have(no_shape_check: None) -> None:
 def test_the_family_makes_it_and_refuses_tilted_particles() -> None:
     workspace = Workspace.from_bounds(torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]]), 0.02, planar_height=HEIGHT)
     tool = Tool(FREE, height_m=HEIGHT)
-    mug, poses = Mug(), se3.from_planar(torch.tensor([[0.4, 0.0, 0.3], [0.4, 0.0, 0.5]]))
+    mug = object_model("mug", Mug(), torch.eye(3)[None], spacing=0.004, points=20)
+    poses = se3.from_planar(torch.tensor([[0.4, 0.0, 0.3], [0.4, 0.0, 0.5]]))
     weights = torch.zeros(2).log_softmax(-1)
-    fields = information_field(mug, poses, weights, workspace.points)
+    fields = information_field(mug.sdf, poses, weights, workspace.points)
     family = PushModels("quasi-static")
     model = family.of_belief(mug, poses, weights, tool, workspace, fields)
     assert isinstance(model, QuasiStaticModel)

@@ -314,7 +314,7 @@ def test_reachability_of_turned_information_is_the_direct_sum(generator: torch.G
     )
     reachability = VoxelGrid((0.5 + nodes[..., 0] - 0.7 * nodes[..., 1] ** 2).clamp(0, 1), lattice.origin, 0.02)
     displacements = 0.08 * torch.randn(5, 3, 3, generator=generator, **DOUBLE)
-    turns = 1.5 * torch.randn(5, 3, generator=generator, **DOUBLE)
+    turns = 3.0 * torch.randn(5, 3, generator=generator, **DOUBLE)
     cost = ReachabilityCost(information, reachability)(displacements, turns, pivot)
     total = torch.zeros(5, 3, **DOUBLE)
     for i in range(5):

@@ -109,7 +109,7 @@ def test_figures_are_drawn_and_drawn_again(capsys):
         (["run", "mug-9"], f"There is no task 'mug-9'; the tasks are {', '.join(sorted(TASKS))}"),
         (["run", "mug-0", "--preset", "quick"], "There is no preset 'quick'; the presets are default, fast, paper"),
         (["run", "mug-0", "--preset=quick"], "There is no preset 'quick'"),
-        (["run", "mug-0", "--filter.triger", "3"], "did you mean --filter.trigger?"),
+        (["run", "mug-0", "--filter.triger", "3"], "did you mean --filter.trigger"),
         (["run", "mug-0", "--whatever"], "--planner.mppi.samples"),
         (["run", "mug-0", "--steps", "41"], "Expected steps to be at most the 40 of mug-0, got 41"),
         (["run", "mug-0", "--method", "poke"], "'rumi'"),
@@ -229,3 +229,12 @@ def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere(made_up):
         for mark in marks:
             assert mark in stream.getvalue()
     assert line(steps[0]).startswith("first view: nll 22.0")
+
+
+@pytest.mark.sim
+def test_an_object_that_cannot_be_made_leaves_no_folder(tmp_path, capsys):
+    (tmp_path / "large.obj").write_text("v 0 0 0\nv 99 0 0\nv 0 99 0\nv 0 0 99\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    arguments = ["run", "mug-0", "--mesh", str(tmp_path / "large.obj"), "--out", str(tmp_path / "run")]
+    assert main(arguments) == 2
+    assert "--scale" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

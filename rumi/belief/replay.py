@@ -1,0 +1,409 @@
+"""A particle filter for touch alone, which resamples by replaying the whole history (resample-move).
+
+A particle is where the object started, how it slides, and what noise its motion had; a push model makes everything else
+of the robot's path. New particles are jittered old ones, rolled through all actions and accepted by Metropolis's rule:
+they follow the exact posterior under the model, with no weights invented. The touch-only paper's own rule (App B) puts
+newcomers near the robot; it stands beside.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, get_args
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from rumi.belief.planar_prior import PlanarPrior
+from rumi.belief.resampling import resample_systematic
+from rumi.dynamics.carry import Pusher, carry, distance_to
+from rumi.dynamics.sliding import Outline, Sliding
+from sensors.contact_model import ContactModel
+
+Resampling = Literal["replay", "importance", "newcomers", "none"]
+
+
+class TouchAction(NamedTuple):
+    """What the robot did and felt.
+
+    Attributes:
+        path: (*b, K + 1, 3), (x, y, yaw) of the tool, where it began first.
+        contact: (*b, K), the contact signal at the end of each part.
+    """
+
+    path: Float[Tensor, "*b K1 3"]
+    contact: Bool[Tensor, "*b K"]
+
+
+@dataclass(frozen=True, eq=False)
+class TouchBelief:
+    """Particles of R runs; each run has N.
+
+    Attributes:
+        start: (R, N, 3), (x, y, yaw) of the object before the first action.
+        friction: (R, N), between tool and object.
+        lever: (R, N), c of the limit surface, metres.
+        noise: of each action so far, (R, N, 3) standard normal: what its motion differed by; empty without noise.
+        pose: (R, N, 3), now.
+        log_weights: (R, N), normalised.
+        log_likelihood: (R, N), of all readings so far.
+    """
+
+    start: Float[Tensor, "R N 3"]
+    friction: Float[Tensor, "R N"]
+    lever: Float[Tensor, "R N"]
+    noise: tuple[Tensor, ...]
+    pose: Float[Tensor, "R N 3"]
+    log_weights: Float[Tensor, "R N"]
+    log_likelihood: Float[Tensor, "R N"]
+
+    def ess(self) -> Float[Tensor, "R"]:
+        """Effective sample size of each run."""
+        return torch.exp(-torch.logsumexp(2.0 * self.log_weights, -1))
+
+    def at(self, rows: Tensor) -> "TouchBelief":
+        """Some runs."""
+        parts = (getattr(self, name) for name in _PARTS)
+        start, friction, lever, pose, log_weights, log_likelihood = (part[rows] for part in parts)
+        noise = tuple(part[rows] for part in self.noise)
+        return TouchBelief(start, friction, lever, noise, pose, log_weights, log_likelihood)
+
+    def put(self, rows: Tensor, other: "TouchBelief") -> "TouchBelief":
+        """The same with some runs of another."""
+        changes = {name: getattr(self, name).index_copy(0, rows, getattr(other, name)) for name in _PARTS}
+        noise = tuple(a.index_copy(0, rows, b) for a, b in zip(self.noise, other.noise, strict=True))
+        return replace(self, noise=noise, **changes)
+
+    def chosen(self, index: Tensor) -> "TouchBelief":
+        """Particles (R, N) of each run, with equal weights."""
+        wide = index[..., None].expand(*index.shape, 3)
+        return TouchBelief(
+            self.start.gather(1, wide),
+            self.friction.gather(1, index),
+            self.lever.gather(1, index),
+            tuple(part.gather(1, wide) for part in self.noise),
+            self.pose.gather(1, wide),
+            torch.zeros_like(self.log_weights).log_softmax(-1),
+            self.log_likelihood.gather(1, index),
+        )
+
+
+_PARTS = ("start", "friction", "lever", "pose", "log_weights", "log_likelihood")
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """Settings of the filter.
+
+    Attributes:
+        resampling: "replay" moves particles along the exact posterior; "importance" copies the likely ones;
+            "newcomers" is the paper's rule, near the robot where contact was felt and importance else; "none" never.
+        trigger: share of N that the effective sample size falls below before it is resampled.
+        sweeps: Metropolis moves of every particle at a resampling.
+        from_prior: share of moves that are draws from the prior, not jitter.
+        jitter_m: least and greatest standard deviation of the jitter, log-uniform.
+        jitter_rad_per_m: of yaw with it.
+        friction: range of the coefficient, uniform.
+        lever_m: range of c, uniform.
+        noise: standard deviation of each action's motion, as a share of it; 0 for none.
+        noise_m_per_rad: metres of motion that a radian counts as.
+        noise_rad_per_m: of yaw with it.
+        newcomers: share of the particles that newcomers replace.
+        newcomer_mass: weight that they get in all, split by their likelihood.
+        substeps: parts of the way between two readings.
+        passes: contacts that are settled in a part, at most.
+    """
+
+    resampling: Resampling = "replay"
+    trigger: float = 0.5
+    sweeps: int = 2
+    from_prior: float = 0.1
+    jitter_m: tuple[float, float] = (1e-3, 0.05)
+    jitter_rad_per_m: float = 8.0
+    friction: tuple[float, float] = (0.1, 0.6)
+    lever_m: tuple[float, float] = (0.03, 0.06)
+    noise: float = 0.0
+    noise_m_per_rad: float = 0.04
+    noise_rad_per_m: float = 10.0
+    newcomers: float = 0.2
+    newcomer_mass: float = 0.1
+    substeps: int = 2
+    passes: int = 2
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        if self.resampling not in get_args(Resampling):
+            raise ValueError(
+                f"Expected resampling to be one of {', '.join(get_args(Resampling))}, got {self.resampling!r}"
+            )
+        for name in ("trigger", "from_prior", "newcomers", "newcomer_mass"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"Expected {name} in [0, 1], got {getattr(self, name)}")
+        for name in ("friction", "lever_m", "jitter_m"):
+            low, high = getattr(self, name)
+            if not 0 <= low <= high or (name != "friction" and low <= 0):
+                raise ValueError(f"Expected {name} as (low, high) above 0, got {(low, high)}")
+        if self.noise < 0 or self.sweeps < 0:
+            raise ValueError(f"Expected noise and sweeps to be 0 or more, got {self.noise} and {self.sweeps}")
+
+
+class StepInfo(NamedTuple):
+    """What a filter step did, for each run.
+
+    Attributes:
+        ess: (R), before resampling.
+        resampled: (R).
+        accepted: share of the Metropolis moves that were accepted; NaN if there were none.
+    """
+
+    ess: Float[Tensor, "R"]
+    resampled: Bool[Tensor, "R"]
+    accepted: float
+
+
+class TouchFilter:
+    """Follows contact signals; holds settings, never the belief.
+
+    Args:
+        outline: of the object.
+        centre: (2,), its centre of friction, object frame, metres.
+        pusher: the tool.
+        model: of the contact signal.
+        prior: over start poses.
+        settings: see there.
+    """
+
+    def __init__(
+        self,
+        outline: Outline,
+        centre: Float[Tensor, "2"],
+        pusher: Pusher,
+        model: ContactModel,
+        prior: PlanarPrior,
+        settings: ReplaySettings | None = None,
+    ) -> None:
+        self.outline, self.centre, self.pusher = outline, centre, pusher
+        self.model, self.prior = model, prior
+        self.settings = settings or ReplaySettings()
+
+    def initial(self, runs: int, count: int, *, generator: torch.Generator) -> TouchBelief:
+        """Draws from the prior, equally weighted."""
+        start = self.prior.sample(runs, count, generator=generator)
+        flat = torch.zeros_like(start[..., 0])
+        friction, lever = (
+            self._within(bounds, torch.rand(flat.shape, generator=generator, dtype=flat.dtype))
+            for bounds in (self.settings.friction, self.settings.lever_m)
+        )
+        return TouchBelief(start, friction, lever, (), start, flat.log_softmax(-1), flat)
+
+    def step(
+        self,
+        belief: TouchBelief,
+        history: Sequence[TouchAction],
+        *,
+        generator: torch.Generator,
+        resample: bool = True,
+    ) -> tuple[TouchBelief, StepInfo]:
+        """Take in the last action of a history, and resample the runs whose effective sample size is low.
+
+        Args:
+            belief: before that action.
+            history: all actions, the new one last.
+            generator: all randomness.
+            resample: False leaves the weights as the readings have them.
+        """
+        action = history[-1]
+        noise: Tensor | None = None
+        if self.settings.noise > 0:
+            noise = torch.randn(belief.start.shape, generator=generator, dtype=belief.start.dtype)
+        pose, gained = self.roll(belief.pose, belief.friction, belief.lever, noise, action)
+        log_weights = (belief.log_weights + gained).log_softmax(-1)
+        belief = replace(
+            belief,
+            noise=belief.noise if noise is None else (*belief.noise, noise),
+            pose=pose,
+            log_weights=log_weights,
+            log_likelihood=belief.log_likelihood + gained,
+        )
+        ess, low = belief.ess(), torch.zeros(len(pose), dtype=torch.bool)
+        if resample and self.settings.resampling != "none":
+            low = ess < self.settings.trigger * pose.shape[1]
+        rows, accepted = low.nonzero()[:, 0], float("nan")
+        if len(rows):
+            some = [TouchAction(_rows(a.path, rows, 3), _rows(a.contact, rows, 2)) for a in history]
+            fresh, accepted = self.resampled(belief.at(rows), some, generator=generator)
+            belief = belief.put(rows, fresh)
+        return belief, StepInfo(ess, low, accepted)
+
+    def resampled(
+        self, belief: TouchBelief, history: Sequence[TouchAction], *, generator: torch.Generator
+    ) -> tuple[TouchBelief, float]:
+        """Resample all runs, by the rule of the settings; and the share of accepted moves."""
+        if self.settings.resampling == "newcomers":
+            touched = history[-1].contact[..., -1].expand(len(belief.start))
+            with_newcomers = self._newcomers(belief, history[-1], generator)
+            belief = belief.chosen(resample_systematic(belief.log_weights, generator=generator))
+            return belief.put(touched.nonzero()[:, 0], with_newcomers.at(touched.nonzero()[:, 0])), float("nan")
+        belief = belief.chosen(resample_systematic(belief.log_weights, generator=generator))
+        if self.settings.resampling == "importance" or self.settings.sweeps == 0:
+            return belief, float("nan")
+        moved = 0.0
+        for _ in range(self.settings.sweeps):
+            belief, accepted = self._sweep(belief, history, generator)
+            moved += accepted / self.settings.sweeps
+        return belief, moved
+
+    def roll(
+        self,
+        pose: Float[Tensor, "R N 3"],
+        friction: Float[Tensor, "R N"],
+        lever: Float[Tensor, "R N"],
+        noise: Float[Tensor, "R N 3"] | None,
+        action: TouchAction,
+    ) -> tuple[Float[Tensor, "R N 3"], Float[Tensor, "R N"]]:
+        """Poses after an action, and the log-likelihood of its readings."""
+        runs, count = pose.shape[:2]
+        each = runs * count
+        path = action.path if action.path.ndim == 3 else action.path[None]
+        if len(path) > 1:
+            path = path[:, None].expand(runs, count, *path.shape[1:]).reshape(each, *path.shape[1:])
+        centre = self.centre.to(pose).expand(each, 2)
+        carried = carry(
+            pose.reshape(each, 3),
+            path,
+            self.pusher,
+            self.outline,
+            Sliding(centre, lever.reshape(each), friction.reshape(each)),
+            substeps=self.settings.substeps,
+            passes=self.settings.passes,
+        )
+        distance = carried.distance.view(runs, count, -1)
+        contact = (action.contact if action.contact.ndim == 2 else action.contact[None])[:, None]
+        gained = self.model.log_likelihood(distance, contact).sum(-1)
+        after = carried.track[:, -1].view(runs, count, 3) if distance.shape[-1] else pose
+        return self._disturbed(pose, after, noise), gained
+
+    def _disturbed(self, before: Tensor, after: Tensor, noise: Tensor | None) -> Tensor:
+        """Poses off by noise that grows with the motion."""
+        own = self.settings
+        if noise is None:
+            return after
+        motion = after - before
+        sigma = own.noise * (motion[..., :2].norm(dim=-1) + own.noise_m_per_rad * motion[..., 2].abs())
+        scale = torch.stack((sigma, sigma, own.noise_rad_per_m * sigma), -1)
+        return after + scale * noise
+
+    def replayed(
+        self,
+        start: Float[Tensor, "R N 3"],
+        friction: Float[Tensor, "R N"],
+        lever: Float[Tensor, "R N"],
+        noise: Sequence[Tensor],
+        history: Sequence[TouchAction],
+    ) -> tuple[Float[Tensor, "R N 3"], Float[Tensor, "R N"]]:
+        """Poses now and the log-likelihood of all readings, from the start."""
+        if self.settings.noise == 0:
+            # nothing happens between actions: all of them are one
+            return self.roll(start, friction, lever, None, joined(history))
+        pose, total = start, torch.zeros_like(friction)
+        for own, action in zip(noise, history, strict=True):
+            pose, gained = self.roll(pose, friction, lever, own, action)
+            total = total + gained
+        return pose, total
+
+    def _sweep(
+        self, belief: TouchBelief, history: Sequence[TouchAction], generator: torch.Generator
+    ) -> tuple[TouchBelief, float]:
+        """One Metropolis move of every particle on start pose, parameters and noise."""
+        own, shape, dtype = self.settings, belief.friction.shape, belief.start.dtype
+
+        def uniform() -> Tensor:
+            return torch.rand(shape, generator=generator, dtype=dtype)
+
+        def normal() -> Tensor:
+            return torch.randn(belief.start.shape, generator=generator, dtype=dtype)
+
+        least, most = own.jitter_m
+        size = least * (most / least) ** uniform()
+        step = normal() * torch.stack((size, size, own.jitter_rad_per_m * size), -1)
+        afresh = uniform() < own.from_prior
+        drawn = self.prior.sample(*shape, generator=generator).to(dtype)
+        start = torch.where(afresh[..., None], drawn, belief.start + step)
+        reach, changes = size / most, normal()
+        friction = self._moved(belief.friction, own.friction, afresh, reach * changes[..., 0], uniform())
+        lever = self._moved(belief.lever, own.lever_m, afresh, reach * changes[..., 1], uniform())
+        noise = belief.noise
+        if own.noise > 0:
+            keep = (uniform() < 0.5)[..., None]
+            noise = tuple(torch.where(keep, part, normal()) for part in noise)
+        pose, log_likelihood = self.replayed(start, friction, lever, noise, history)
+        # a draw from the prior is proposed as often as the prior has it
+        change = self.prior.log_density(start) - self.prior.log_density(belief.start)
+        odds = log_likelihood - belief.log_likelihood + torch.where(afresh, 0.0, change)
+        accept = uniform().log() < odds
+        wide = accept[..., None]
+        return replace(
+            belief,
+            start=torch.where(wide, start, belief.start),
+            friction=torch.where(accept, friction, belief.friction),
+            lever=torch.where(accept, lever, belief.lever),
+            noise=tuple(torch.where(wide, new, old) for new, old in zip(noise, belief.noise, strict=True)),
+            pose=torch.where(wide, pose, belief.pose),
+            log_likelihood=torch.where(accept, log_likelihood, belief.log_likelihood),
+        ), float(accept.to(dtype).mean())
+
+    def _moved(self, value: Tensor, bounds: tuple[float, float], afresh: Tensor, step: Tensor, drawn: Tensor) -> Tensor:
+        """A parameter moved by a share of its range, reflected at the ends, or drawn afresh."""
+        low, high = bounds
+        if high <= low:
+            return value
+        place = (value - low) / (high - low) + 0.5 * step
+        folded = 1.0 - (torch.remainder(place, 2.0) - 1.0).abs()
+        return self._within(bounds, torch.where(afresh, drawn, folded))
+
+    @staticmethod
+    def _within(bounds: tuple[float, float], share: Tensor) -> Tensor:
+        return bounds[0] + (bounds[1] - bounds[0]) * share
+
+    def _newcomers(self, belief: TouchBelief, action: TouchAction, generator: torch.Generator) -> TouchBelief:
+        """The paper's rule (App B): poses near the robot take the place of the least likely particles.
+
+        Their weights are not specified there: they share `newcomer_mass` by how well they explain the last reading.
+        """
+        runs, count = belief.friction.shape
+        many = max(1, round(self.settings.newcomers * count))
+        tool = action.path[..., -1, :].expand(runs, 3)
+        reach = self.outline.radius + self.pusher.radius
+        draw = torch.rand(runs, many, 3, generator=generator, dtype=belief.pose.dtype)
+        near = tool[:, None, :2] + reach * (2.0 * draw[..., :2] - 1.0)
+        fresh = torch.cat((near, torch.pi * (2.0 * draw[..., 2:] - 1.0)), -1)
+        flat = tool[:, None].expand(runs, many, 3).reshape(-1, 3)
+        distance = distance_to(fresh.reshape(-1, 3), flat, self.pusher, self.outline).view(runs, many)
+        contact = action.contact[..., -1].expand(runs)[:, None]
+        fit = self.model.log_likelihood(distance, contact).log_softmax(-1)
+        least = belief.log_weights.topk(many, dim=-1, largest=False).indices
+        mass = fresh.new_tensor(self.settings.newcomer_mass)
+        kept = belief.log_weights.scatter(1, least, -torch.inf).log_softmax(-1) + (1.0 - mass).log()
+        wide = least[..., None].expand(runs, many, 3)
+        return replace(
+            belief,
+            start=belief.start.scatter(1, wide, fresh),
+            pose=belief.pose.scatter(1, wide, fresh),
+            log_weights=kept.scatter(1, least, fit + mass.log()).log_softmax(-1),
+        )
+
+
+def joined(history: Sequence[TouchAction]) -> TouchAction:
+    """Actions one after the other, as one; each begins where the one before ended."""
+    first = history[0]
+    paths = [first.path, *(action.path[..., 1:, :] for action in history[1:])]
+    batch = torch.broadcast_shapes(*(path.shape[:-2] for path in paths))
+    path = torch.cat([part.expand(*batch, *part.shape[-2:]) for part in paths], -2)
+    signals = [action.contact for action in history]
+    batch = torch.broadcast_shapes(*(signal.shape[:-1] for signal in signals))
+    return TouchAction(path, torch.cat([part.expand(*batch, part.shape[-1]) for part in signals], -1))
+
+
+def _rows(part: Tensor, rows: Tensor, dims: int) -> Tensor:
+    """Those of some runs, or what all runs share."""
+    return part[rows] if part.ndim == dims and len(part) > 1 else part

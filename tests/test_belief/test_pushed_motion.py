@@ -1,0 +1,119 @@
+"""Motion that a push model makes of the tool's path."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from rumi.belief.filter import FilterSettings, PoseFilter
+from rumi.belief.motion import object_motion, sticking_motion
+from rumi.belief.particles import PoseBelief
+from rumi.belief.pushed_motion import PushedMotion
+from rumi.planning.gripper import GripperShape
+from rumi.registration.descent import DescentSettings
+from rumi.sim.world import World
+from sdf import se3
+from sdf.grid_sdf import GridSDF
+from sdf.primitives import Mug
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation
+from sensors.reading import Reading
+
+HEIGHT = 0.045
+MUG = Mug()
+SDF = GridSDF.from_sdf(MUG, 0.002)
+MODULE = Discrepancy(SDF, 0.09, free_scale=80.0)
+
+
+@pytest.fixture(scope="module")
+def pushed() -> PushedMotion:
+    return PushedMotion.of(SDF, HEIGHT, GripperShape())
+
+
+def reading(path: Tensor, felt: bool = True) -> Reading:
+    empty = Observation.empty()
+    instants, batch = path.shape[-2], path.shape[:-2]
+    if batch:
+        empty = Observation(
+            *(getattr(empty, n).expand(*batch, *getattr(empty, n).shape) for n in Observation.__dataclass_fields__)
+        )
+    return Reading(
+        empty,
+        torch.zeros(*batch, 0, dtype=torch.long),
+        se3.from_planar(path, HEIGHT),
+        torch.full((*batch, instants), felt),
+        None,
+        path[..., -1, :],
+        torch.zeros(batch),
+    )
+
+
+def straight(yaw: float = 0.0, count: int = 20) -> Tensor:
+    share = torch.arange(1, count + 1)[:, None] / count
+    return torch.tensor([0.29, 0.02, yaw]) + share * torch.tensor([0.08, 0.01, 0.2])
+
+
+def belief(yaw: float, others: int = 3) -> PoseBelief:
+    """The first particle fits best; the others are elsewhere."""
+    poses = torch.tensor([[0.4, 0.0, yaw]] + [[0.7, 0.3, 0.0]] * others)
+    made = PoseBelief.uniform(se3.from_planar(poses))
+    misfit = torch.ones(len(poses))
+    misfit[0] = 0.0
+    return PoseBelief(made.world_T_attached, made.attached_T_object, made.log_weights, misfit)
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize("yaw", [0.5, 2.0, -1.2])
+def test_it_is_nearer_to_the_simulator_than_sticking(pushed: PushedMotion, yaw: float) -> None:
+    pytest.importorskip("mujoco")
+    world = World(MUG, GripperShape(), HEIGHT, 0.004)
+    world.reset(torch.tensor([0.29, 0.02, 0.0]), torch.tensor([0.4, 0.0, yaw]))
+    before = world.world_T_object()
+    track = world.move(straight().double(), 1.0, 0.1)
+    after = track.world_T_object[-1]
+    felt = reading(track.configuration.float())
+    found = pushed(belief(yaw), felt)[-1].double() @ before
+    stuck = sticking_motion(felt.tool_pose, felt.in_contact)[-1].double() @ before
+    metres, radians = se3.distance(found, after)
+    assert float(se3.distance(before, after)[0]) > 0.02
+    assert float(metres) < 0.006
+    assert float(radians) < math.radians(8)
+    assert float(metres) < 0.5 * float(se3.distance(stuck, after)[0])
+
+
+def test_what_was_not_felt_did_not_move(pushed: PushedMotion) -> None:
+    motion = pushed(belief(0.5), reading(straight(), felt=False))
+    assert torch.equal(motion, torch.eye(4).expand(20, 4, 4))
+    away = pushed(belief(0.5), reading(straight() - torch.tensor([0.3, 0.0, 0.0])))
+    torch.testing.assert_close(away, torch.eye(4).expand(20, 4, 4), atol=1e-6, rtol=0)
+
+
+def test_a_batch_row_is_as_alone(pushed: PushedMotion) -> None:
+    rows = [belief(0.5), belief(2.0)]
+    both = PoseBelief(*(torch.stack([getattr(r, n) for r in rows]) for n in PoseBelief.__dataclass_fields__))
+    paths = torch.stack((straight(), straight(count=20) + torch.tensor([0.01, 0.0, 0.0])))
+    together = pushed(both, reading(paths))
+    for index, row in enumerate(rows):
+        torch.testing.assert_close(together[index], pushed(row, reading(paths[index])), atol=1e-6, rtol=0)
+
+
+def test_the_seam_of_the_yaw_is_nowhere(pushed: PushedMotion) -> None:
+    """A tool that turns through pi does not spin back."""
+    path = straight(math.pi - 0.1)
+    path[:, 0] -= 0.02
+    wrapped = path.clone()
+    wrapped[:, 2] = torch.remainder(path[:, 2] + math.pi, 2 * math.pi) - math.pi
+    torch.testing.assert_close(pushed(belief(0.5), reading(wrapped)), pushed(belief(0.5), reading(path)))
+
+
+def test_the_filter_asks_it(pushed: PushedMotion) -> None:
+    settings = FilterSettings(motion="pushed", translation_noise_m=0.0, rotation_noise_rad=0.0)
+    random = torch.Generator().manual_seed(0)
+    start, felt = belief(0.5), reading(straight())
+    follow = PoseFilter(MODULE, "SE(2)", settings, pushed=pushed)
+    after, _, info = follow(start, Observation.empty(), felt, generator=random)
+    assert bool(info.moved)
+    torch.testing.assert_close(after.world_T_attached, pushed(start, felt)[-1] @ start.world_T_attached)
+    with pytest.raises(ValueError, match="push model for the motion"):
+        object_motion("pushed", start, felt, MODULE, "SE(2)", DescentSettings())

@@ -1,0 +1,54 @@
+"""Table II in small: scores spelt out, and what the comparison must show."""
+
+import math
+
+import pytest
+import torch
+
+from rumi.belief.replay import TouchBelief
+from rumi.bench.touch_filters import PushSetup, compare, score, truth_of, wide
+from rumi.seeding import split
+
+SMALL = PushSetup(readings=20)
+
+
+def test_scores_are_what_they_say() -> None:
+    pose = torch.tensor([[[0.01, 0.0, 0.1], [0.0, 0.03, -0.2], [0.3, 0.4, 3.0]]], dtype=torch.float64)
+    weights = torch.tensor([[0.6, 0.4 - 5e-5, 5e-5]], dtype=torch.float64)
+    flat = torch.zeros(1, 3, dtype=torch.float64)
+    belief = TouchBelief(pose, flat, flat, (), pose, weights.log(), flat)
+    found = score(belief, torch.zeros(1, 3, dtype=torch.float64), top=2)
+    assert float(found.top_m) == pytest.approx(0.02)
+    assert float(found.top_rad) == pytest.approx(0.15)
+    assert float(found.top_square_m) == pytest.approx(0.0005)
+    assert float(found.mean_m) == pytest.approx(math.hypot(0.006, 0.012), abs=1e-4)
+    assert float(found.mean_rad) == pytest.approx(0.02, abs=1e-3)
+    assert float(found.active) == pytest.approx(2 / 3)
+
+
+def test_signals_are_the_truth_or_drawn_at_the_rates() -> None:
+    pose, exact = truth_of(SMALL, 300, generator=split(0, "truth"))
+    signals = torch.cat([action.contact for action in exact], -1)
+    assert pose.shape == (300, 3)
+    # once touched, a push keeps touching, but for those that slip off
+    assert float(signals[:, 0].double().mean()) < 0.02
+    assert 0.8 < float(signals[:, -1].double().mean()) <= 1.0
+    _, drawn = truth_of(PushSetup(readings=20, exact=False, rates=(0.7, 0.2)), 300, generator=split(0, "truth"))
+    noisy = torch.cat([action.contact for action in drawn], -1)
+    assert float(noisy[signals].double().mean()) == pytest.approx(0.7, abs=0.03)
+    assert float(noisy[~signals].double().mean()) == pytest.approx(0.2, abs=0.03)
+
+
+def test_more_particles_stay_active_from_variant_to_variant() -> None:
+    found = compare(wide(SMALL, 0.015, 0.15), runs=40, exact_count=300)
+    columns = found["variants"]
+    assert list(columns) == ["binary", "smooth", "smooth+replay", "smooth, 300 particles"]
+    active = [columns[name]["active"][0] for name in ("binary", "smooth", "smooth+replay")]
+    assert active == sorted(active)
+    difference = found["differences"]["smooth+replay - smooth"]["active"]
+    assert difference[0] - difference[1] > 0
+    assert difference[0] == pytest.approx(active[2] - active[1], abs=1e-6)
+    assert columns["binary"]["resampled"] == 0
+    assert columns["smooth+replay"]["resampled"] > 0.5
+    # all of them know better than the prior, sqrt(2) times 15 mm times the mean of a Rayleigh variable
+    assert columns["smooth"]["mean_m"][0] < 0.03

@@ -1,0 +1,134 @@
+"""The push model that is MuJoCo: like the simulator, the same with any number of threads, and skipping what it may."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from rumi.assemble import build
+from rumi.config import preset
+from rumi.dynamics.base import PushModel
+from rumi.dynamics.family import ENGINES, EngineSettings, PushModels
+from rumi.dynamics.outline import GridOutline, support_of
+from rumi.dynamics.quasi_static import QuasiStaticModel
+from rumi.planning.tool import Tool
+from rumi.sim.batch_push import MujocoPush
+from rumi.sim.world import World
+from sdf import se3
+from sdf.object_model import ObjectModel, object_model
+from sdf.primitives import Mug
+
+pytestmark = pytest.mark.sim
+
+HEIGHT = 0.045
+FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
+START = torch.tensor([0.22, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def mug() -> ObjectModel:
+    return object_model("mug", Mug(), torch.eye(3)[None], spacing=0.002, points=20)
+
+
+def make(mug: ObjectModel, yaws: list[float], settings: EngineSettings | None = None) -> MujocoPush:
+    poses = se3.from_planar(torch.tensor([[0.4, 0.0, yaw] for yaw in yaws]))
+    return MujocoPush(mug, poses, torch.zeros(len(yaws)).log_softmax(-1), Tool(FREE, height_m=HEIGHT), settings)
+
+
+def ways() -> Tensor:
+    """One that misses, one that pushes head-on, one that pushes aside."""
+    controls = torch.zeros(3, 2, 3)
+    controls[0, :, 0], controls[1, :, 0], controls[2, :, 0] = -0.5, 0.9, 0.9
+    controls[2, :, 1] = 0.25
+    return controls
+
+
+def test_it_is_what_the_simulator_does(mug: ObjectModel) -> None:
+    settings = EngineSettings(time_step_s=0.004)
+    model = make(mug, [1.0], settings)
+    found = model.rollout(START, ways(), rollouts=1)
+    world = World(mug.exact, model.tool.shape, HEIGHT, 0.004)
+    for k in (1, 2):
+        world.reset(START, torch.tensor([0.4, 0.0, 1.0]))
+        before = se3.to_planar(world.world_T_object())
+        now = START
+        for h in range(2):
+            path = model.tool.free_path(now, ways()[k, h][None], 20)
+            world.move(path, settings.action_s, settings.hold_s)
+            now = path[-1]
+        after = se3.to_planar(world.world_T_object())
+        assert found.turns is not None
+        assert float((after - before)[:2].norm()) > 0.02
+        shift = found.displacements[k, 0, -1, :2].double()
+        assert float((shift - (after - before)[:2]).norm()) < 1e-3
+        assert abs(float(found.turns[k, 0, -1]) - float(after[2] - before[2])) < 0.02
+
+
+def test_threads_change_nothing(mug: ObjectModel) -> None:
+    one, two = (make(mug, [0.2, 1.0, -1.0], EngineSettings(threads=count)) for count in (1, 2))
+    first, second = (model.rollout(START, ways(), rollouts=3) for model in (one, two))
+    assert torch.equal(first.displacements, second.displacements)
+    assert first.turns is not None
+    assert second.turns is not None
+    assert torch.equal(first.turns, second.turns)
+    again = one.rollout(START, ways(), rollouts=3)
+    assert torch.equal(first.displacements, again.displacements)
+
+
+def test_who_is_not_touched_stays_to_the_bit(mug: ObjectModel) -> None:
+    model = make(mug, [0.2, 1.0])
+    found = model.rollout(START, ways(), rollouts=2)
+    assert isinstance(model, PushModel)
+    assert found.touched.tolist() == [[False, False], [True, True], [True, True]]
+    assert float(found.displacements[0].abs().max()) == 0
+    assert found.twin.tolist() == [[0, 0], [0, 1], [0, 1]]
+
+
+def test_what_is_skipped_would_have_changed_nothing(mug: ObjectModel) -> None:
+    """A way of five actions of which the first come not near."""
+    far = torch.tensor([0.0, 0.0, 0.0])
+    ahead = torch.zeros(1, 5, 3)
+    ahead[0, :, 0] = 1.0
+    model, all_of_it = make(mug, [0.7]), make(mug, [0.7])
+    all_of_it.reach = 10.0
+    found, whole = model.rollout(far, ahead, rollouts=1), all_of_it.rollout(far, ahead, rollouts=1)
+    assert found.checked < whole.checked == 1
+    assert float(whole.displacements[0, 0, -1].norm()) > 0.01
+    torch.testing.assert_close(found.displacements, whole.displacements, atol=5e-4, rtol=0)
+
+
+def test_agrees_with_the_quasi_static_model(mug: ObjectModel) -> None:
+    engine = make(mug, [0.2, 1.0, 2.5, -1.5])
+    outline, support = GridOutline.of_slice(mug.sdf, HEIGHT), support_of(mug.sdf)
+    poses = se3.from_planar(engine.poses)
+    plain = QuasiStaticModel(outline, support, engine.tool, poses, engine.weights.log())
+    a, b = (model.rollout(START, ways(), rollouts=4) for model in (engine, plain))
+    assert torch.equal(a.touched, b.touched)
+    assert a.turns is not None
+    assert b.turns is not None
+    touched = a.touched
+    error = (a.displacements - b.displacements)[:, :, -1].norm(dim=-1)[touched]
+    assert float(a.displacements[:, :, -1].norm(dim=-1)[touched].median()) > 0.03
+    assert float(error.median()) < 0.01
+    assert float((a.turns - b.turns)[:, :, -1][touched].abs().median()) < math.radians(10)
+
+
+def test_a_run_may_plan_with_it(arm_tool: Tool, reach_cache: Path) -> None:
+    settings = preset(task="mug-0", steps=1)
+    few = replace(settings.planner.mppi, samples=4, horizon=2, knots=2, warmup_iterations=1, iterations=1)
+    planner = replace(settings.planner, push_model="mujoco", mppi=few, rollouts=1)
+    parts = build(replace(settings, planner=planner), cache_dir=reach_cache)
+    assert "mujoco" in ENGINES
+    policy = parts.rummager.policy
+    assert isinstance(policy.push_models, PushModels)  # type: ignore[attr-defined]
+    assert policy.push_models.choice == "mujoco"  # type: ignore[attr-defined]
+    parts.task.close()
+
+
+@pytest.mark.parametrize("changes", [{"time_step_s": 0.0}, {"friction": 0.0}, {"threads": -1}, {"hold_s": -1.0}])
+def test_settings_without_meaning_are_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(changes))):
+        EngineSettings(**changes)  # type: ignore[arg-type]
