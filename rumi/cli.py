@@ -18,6 +18,8 @@ EXTRAS = {
     "contourpy": "plot",
     "trimesh": "mesh",
     "scipy": "mesh",
+    "networkx": "mesh",
+    "coacd": "mesh",
     "submitit": "cluster",
 }
 """Which extra brings a package that may be missing."""

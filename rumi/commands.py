@@ -107,6 +107,8 @@ def run(arguments: Sequence[str]) -> int:
     from rumi.loop import rummage
     from rumi.sim.objects import record
 
+    if settings.object.mesh is not None:
+        _say(f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)")
     try:
         task, rummager = build(settings, cache_dir=cache_folder())
     except Exception:

@@ -11,10 +11,12 @@ import torch
 
 from sdf.cache import content_key, load_arrays, save_arrays
 from sdf.mesh import MeshError, TriangleMesh
+from sdf.repair import enclosed_volume
 
-VERSION = 1
+VERSION = 2
 """Of what is kept: raise it when the same mesh gives other pieces."""
 
+_MOST_PARTS = 32
 _ARRAYS = ("vertices", "faces", "vertex_counts", "face_counts")
 
 _logger = logging.getLogger(__name__)
@@ -53,7 +55,8 @@ def convex_pieces(
 ) -> tuple[TriangleMesh, ...]:
     """Convex meshes that together are about as large as a closed mesh, and nowhere smaller (CoACD, Wei et al. 2022).
 
-    The same mesh gives the same pieces.
+    The same mesh gives the same pieces. Parts that overlap are taken apart each by itself. A part whose faces do not
+    fit together (as where openings were closed) is remeshed first, which thickens thin walls by a millimetre or so.
 
     Args:
         mesh: closed, oriented outward (`MeshSDF.solid`).
@@ -81,7 +84,7 @@ def convex_pieces(
         kept = _load(path)
         if kept is not None:
             return kept
-    pieces = _decomposed(mesh, settings)
+    pieces = tuple(piece for part in _parts(mesh) for piece in _decomposed(part, settings))
     if path is not None:
         _save(path, pieces)
     return pieces
@@ -107,6 +110,25 @@ def hull(mesh: TriangleMesh) -> TriangleMesh:
     inward = (normals * found.equations[:, :3]).sum(-1) < 0
     faces[inward] = faces[inward][:, ::-1]
     return TriangleMesh(torch.from_numpy(vertices), torch.from_numpy(faces))
+
+
+def _parts(mesh: TriangleMesh) -> list[TriangleMesh]:
+    """The parts of a mesh, of faces with common vertices; all as one where some bound a hollow, or they are many."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    faces = mesh.faces.numpy()
+    ends = faces[:, :2].T.reshape(-1), faces[:, 1:].T.reshape(-1)
+    graph = coo_matrix((np.ones(len(ends[0]), dtype=bool), ends), shape=(len(mesh.vertices),) * 2)
+    label = torch.from_numpy(connected_components(graph, directed=False)[1])[mesh.faces[:, 0]]
+    which = label.unique().tolist()
+    if len(which) > _MOST_PARTS:
+        return [mesh]
+    parts = []
+    for one in which:
+        used, own = mesh.faces[label == one].unique(return_inverse=True)
+        parts.append(TriangleMesh(mesh.vertices[used], own))
+    return parts if all(enclosed_volume(part.corners) > 0 for part in parts) else [mesh]
 
 
 def _decomposed(mesh: TriangleMesh, settings: ConvexSettings) -> tuple[TriangleMesh, ...]:

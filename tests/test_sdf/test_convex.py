@@ -30,6 +30,10 @@ def ell(long=0.10, high=0.10, thick=0.03, deep=0.04):
     return TriangleMesh(vertices, torch.tensor(faces))
 
 
+BARS = ((0, 1, 2, 6, 7, 8, 3, 9), (0, 5, 4, 6, 11, 10, 3, 9))
+"""Corners of the L in whose hull the bar along x, and that along z, is."""
+
+
 def volume(mesh):
     return enclosed_volume(mesh.corners)
 
@@ -90,6 +94,30 @@ def test_pieces_of_an_ell(tmp_path, monkeypatch, caplog):
     np.savez(kept, vertices=np.zeros((2, 3)), faces=np.zeros((1, 3)), vertex_counts=[5], face_counts=[1])
     assert len(convex_pieces(mesh, cache_dir=tmp_path)) == 1
     assert len(convex_pieces(mesh, cache_dir=tmp_path)) == 1
+
+
+@needs_coacd
+def test_overlapping_parts_are_taken_apart_each_by_itself():
+    """Two boxes that cross: exact, where a remeshed union would be rounded."""
+    first, second = (hull(TriangleMesh(ell().vertices[list(half)], torch.tensor([[0, 1, 2]]))) for half in BARS)
+    both = TriangleMesh(
+        torch.cat((first.vertices, second.vertices)), torch.cat((first.faces, second.faces + len(first.vertices)))
+    )
+    pieces = convex_pieces(both)
+    assert len(pieces) == 2
+    assert sorted(map(volume, pieces)) == pytest.approx(sorted((volume(first), volume(second))), rel=1e-4)
+
+
+@needs_coacd
+def test_a_hollow_stays_with_what_is_about_it():
+    """A shell: its inner surface is no body of its own."""
+    outer = hull(ell(thick=0.0999))
+    inner = TriangleMesh(outer.vertices * 0.5 + 0.5 * center_of_mass(outer), outer.faces.flip(-1))
+    shell = TriangleMesh(
+        torch.cat((outer.vertices, inner.vertices)), torch.cat((outer.faces, inner.faces + len(outer.vertices)))
+    )
+    assert convex._parts(shell) == [shell]
+    assert [len(part.faces) for part in convex._parts(outer)] == [len(outer.faces)]
 
 
 def test_without_the_library_the_hull_with_a_warning(monkeypatch, caplog):
