@@ -25,12 +25,11 @@ from rumi.assemble import build, build_rummager
 from rumi.bench.ledger import commit
 from rumi.config import Settings, from_dict
 from rumi.dynamics.displacement import Hazard
+from rumi.dynamics.family import PushModels
 from rumi.fields.information import InformationMode
 from rumi.jsonlines import append_line, read_lines
 from rumi.loop import rummage
 from rumi.metrics.prediction import (
-    Predicted,
-    Realised,
     Situation,
     actions,
     agreement,
@@ -113,18 +112,36 @@ def judged(steps: Sequence[StepRecord], rummager: Rummager, settings: Settings) 
         row: dict[str, Any] = {"realised": asdict(realised(steps, index, rummager.filter))}
         row["planned"] = None if planned is None else asdict(planned)
         situation = Situation(steps[index - 1], rummager.model.sdf, rummager.workspace, rummager.tool)
-        row["modes"], row["swept"], row["hazards"] = {}, {}, {}
+        row["modes"], row["swept"] = {}, {}
+        own = PushModels(planner.push_model, planner.push, planner.quasi_static)
         for mode in MODES:
             information = replace(planner.information, mode=mode)
-            row["modes"][mode] = asdict(situation.predict(after.control, information, planner.push))
+            row["modes"][mode] = asdict(situation.predict(after.control, information, own))
             row["swept"][mode] = situation.swept(after, information)
-        for hazard in HAZARDS:
-            push = replace(planner.push, hazard=hazard)
-            expected = situation.predict(
-                after.control, planner.information, push, rollouts=planner.rollouts, generator=random
-            )
-            row["hazards"][hazard] = asdict(expected)
+        row["pushes"] = _asked(situation, after.control, settings, random)
         found.append(row)
+    return found
+
+
+def _asked(
+    situation: Situation, control: torch.Tensor, settings: Settings, random: torch.Generator
+) -> dict[str, dict[str, Any] | None]:
+    """What every push model expects of an action; None of those that cannot do with the belief."""
+    planner = settings.planner
+    makers = {"displacement": PushModels("displacement", planner.push)}
+    makers["quasi-static"] = PushModels("quasi-static", quasi_static=planner.quasi_static)
+    asked: dict[str, tuple[PushModels, int]] = {f"{name}, likeliest": (maker, 0) for name, maker in makers.items()}
+    for hazard in HAZARDS:
+        maker = PushModels("displacement", replace(planner.push, hazard=hazard))
+        asked[f"displacement, mean {hazard}"] = (maker, planner.rollouts)
+    asked["quasi-static, mean"] = (makers["quasi-static"], planner.rollouts)
+    found: dict[str, dict[str, Any] | None] = {}
+    for name, (maker, rollouts) in asked.items():
+        try:
+            expected = situation.predict(control, planner.information, maker, rollouts=rollouts, generator=random)
+            found[name] = asdict(expected)
+        except ValueError:
+            found[name] = None
     return found
 
 
@@ -216,9 +233,9 @@ def print_tables(columns: dict[str, list[list[dict[str, Any]]]], touching: bool)
     print("\nInformation by mode, asked about the same actions (likeliest push):\n")
     heads = ("method/preset", "mode", "predicted and gained", "swept and gained", "predicted and swept")
     table(heads, _modes(kept))
-    print("\nDisplacement by push model, asked about the same actions (mean over rollouts):\n")
-    heads = ("method/preset", "push model", "predicted and true", "error, mm (median)", "moves foreseen")
-    table((*heads, "false moves"), _pushes(kept))
+    print("\nDisplacement and information by push model, asked about the same actions:\n")
+    heads = ("method/preset", "push model", "displacement predicted and true", "error, mm (median)", "moves foreseen")
+    table((*heads, "false moves", "information predicted and gained"), _pushes(kept))
 
 
 def table(heads: Cells, rows: Iterator[Cells]) -> None:
@@ -255,16 +272,14 @@ def _modes(columns: dict[str, list[list[dict[str, Any]]]]) -> Iterator[Cells]:
 
 def _pushes(columns: dict[str, list[list[dict[str, Any]]]]) -> Iterator[Cells]:
     for column, runs in columns.items():
-        asked: list[tuple[str, list[list[tuple[Predicted, Realised]]]]] = [
-            ("likeliest", [[(predicted_of(a["modes"][MODES[0]]), realised_of(a["realised"])) for a in o] for o in runs])
-        ]
-        for hazard in HAZARDS:
-            pairs = [[(predicted_of(a["hazards"][hazard]), realised_of(a["realised"])) for a in one] for one in runs]
-            asked.append((f"mean, {hazard}", pairs))
-        for name, pairs in asked:
+        for name in dict.fromkeys(name for one in runs for action in one for name in action["pushes"]):
+            pairs = [
+                [(predicted_of(a["pushes"][name]), realised_of(a["realised"])) for a in one if a["pushes"][name]]
+                for one in runs
+            ]
             found = agreement(pairs)
             if found.actions:
-                yield (column, name, interval(found.distance), *_moves(found))
+                yield (column, name, interval(found.distance), *_moves(found), interval(found.information))
 
 
 def _moves(found: Any) -> tuple[str, str, str]:  # noqa: ANN401  (an Agreement)

@@ -17,8 +17,7 @@ from torch import Tensor
 
 from rumi.belief.filter import PoseFilter
 from rumi.belief.particles import PoseBelief
-from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings
+from rumi.dynamics.family import PushModels
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.workspace import Workspace
 from rumi.metrics.correlation import spearman
@@ -138,24 +137,26 @@ class Situation:
         self,
         control: Float[Tensor, "A"],
         information: InformationSettings,
-        push: DisplacementSettings,
+        push: PushModels,
         *,
         rollouts: int = 0,
         generator: torch.Generator | None = None,
     ) -> Predicted:
         """What a field and a push model expect of an action.
 
+        Raises:
+            ValueError: the push model cannot do with this belief.
+
         Args:
             control: of the action.
             information: the field.
-            push: the push model.
+            push: makes the push model.
             rollouts: to take the mean over, as a planner's cost does; 0 for the likeliest one.
             generator: of the rollouts.
         """
         fields, field = self._fields(information)
         belief = self.before.belief
-        contact = ContactField.from_belief(self.sdf, belief.world_T_object, belief.log_weights, self.workspace, fields)
-        model = DisplacementModel(contact, self.tool, push)
+        model = push.of_belief(self.sdf, belief.world_T_object, belief.log_weights, self.tool, self.workspace, fields)
         start, controls = self.before.reading.configuration.to(fields.information), control[None].to(fields.information)
         if rollouts == 0:
             done = model.likely(start, controls)
@@ -163,9 +164,9 @@ class Situation:
             if generator is None:
                 raise ValueError("Expected a generator for rollouts, got None: give one, or 0 rollouts")
             done = model.rollout(start, controls[None], rollouts=rollouts, generator=generator)
-        paths, moves = done.configurations[0, :, 1:], done.displacements[0, :, 1:]
-        x, y, z = moves[:, -1].mean(0).tolist()
-        return Predicted(-float(gathering(field, self.tool)(paths, moves).mean()), (x, y, z))
+        x, y, z = done.displacements[0, :, -1].mean(0).tolist()
+        seen = done.paths(torch.ones_like(done.touched)).riding()
+        return Predicted(-float(gathering(field, self.tool)(*seen).mean()), (x, y, z))
 
     @torch.no_grad()
     def swept(self, after: StepRecord, information: InformationSettings) -> float | None:

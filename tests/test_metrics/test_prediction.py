@@ -12,6 +12,7 @@ from kmppi import MPPISettings
 from rumi.belief.filter import FilterSettings, PoseFilter
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.family import PushModels
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.workspace import Workspace
 from rumi.metrics.prediction import (
@@ -180,15 +181,19 @@ def test_predicts_what_the_planner_predicted(mug: ObjectModel, workspace: Worksp
     told = from_plan([record(0, belief(), near), record(1, belief(), near, plan=plan)], 1)
     assert told is not None
     situation = Situation(record(0, belief(), near), mug.sdf, workspace, tool)
-    asked = situation.predict(plan.controls[0], settings.information, settings.push)
+    push = PushModels(displacement=settings.push)
+    asked = situation.predict(plan.controls[0], settings.information, push)
     assert asked.information == pytest.approx(told.information, rel=1e-5)
     assert asked.displacement_m == pytest.approx(told.displacement_m, abs=1e-6)
     assert asked.information > 0.1
     # the mean over some rollouts is near it
-    mean = situation.predict(plan.controls[0], settings.information, settings.push, rollouts=20, generator=random)
+    mean = situation.predict(plan.controls[0], settings.information, push, rollouts=20, generator=random)
     assert 0.2 * asked.information < mean.information < 5 * asked.information
+    # and another member of the family can be asked as well
+    other = situation.predict(plan.controls[0], settings.information, PushModels("quasi-static"))
+    assert math.isfinite(other.information)
     with pytest.raises(ValueError, match="Expected a generator"):
-        situation.predict(plan.controls[0], settings.information, settings.push, rollouts=2)
+        situation.predict(plan.controls[0], settings.information, push, rollouts=2)
 
 
 def test_swept_information(mug: ObjectModel, workspace: Workspace, tool: Tool) -> None:

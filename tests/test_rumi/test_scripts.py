@@ -103,9 +103,9 @@ def test_predicted_against_realised(capsys, tmp_path, monkeypatch):
     shown = capsys.readouterr().out
     rows = [line.split(" | ") for line in shown.splitlines() if line.startswith("| rumi")]
     assert rows[0][1:3] == ["1", "3"]
-    assert len(rows) == 1 + 4 + 4
+    assert len(rows) == 1 + 4 + 6
     # sliding predicts nothing by itself, but can be asked about
-    assert len([line for line in shown.splitlines() if line.startswith("| slide")]) == 4 + 4
+    assert len([line for line in shown.splitlines() if line.startswith("| slide")]) == 4 + 6
 
 
 @pytest.mark.slow
