@@ -118,6 +118,14 @@ def test_seconds_of_a_pass(runs):
     assert rows["dynamics"][1] == "-"
 
 
+def test_what_was_not_timed_has_no_column(made):
+    sliding = made("drill-0", "slide", 0, nll=(30.0, 5.0))
+    sliding.timings["planning_s"].clear()
+    text = studies.seconds([made("drill-0", "rumi", 0, nll=(30.0, 5.0)), sliding])
+    assert rows_of(text)["head"] == ["process", "drill-0 rumi/default"]
+    assert studies.seconds([sliding]) == ""
+
+
 def test_ablation_tells_settings_apart(runs, made):
     more = [*runs[:2], made("mug-0", "rumi", 0, nll=(30.0, 30.0, 30.0, 30.0, 30.0), overrides=("a.b=1",))]
     rows = rows_of(studies.ablation(more))
