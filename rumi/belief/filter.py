@@ -48,8 +48,8 @@ class FilterSettings:
         descent: the optimiser after resampling (Alg 4).
         lies_flat: the object is known to lie flat on the floor at the start, so that in the frame that rides with it
             poses keep their height and tilt even where all may be searched; only with a prior, which has these.
-        tipped_rad: tilt of that frame beyond which poses are optimised along the world's floor as well: errors of the
-            measured motion, which are level in the world, are then not level in the frame; only with a prior.
+        level_within_rad: tilt of that frame beyond which poses are optimised along the world's floor as well: errors of
+            the measured motion, which are level in the world, are then not level in the frame; only with a prior.
         still_m, still_rad: motions below these are no move: no noise, discrepancies carry over.
     """
 
@@ -67,7 +67,7 @@ class FilterSettings:
     weigh_before_resampling: bool = True
     descent: DescentSettings = field(default_factory=DescentSettings)
     lies_flat: bool = True
-    tipped_rad: float = 0.1
+    level_within_rad: float = 0.1
     still_m: float = 1e-4
     still_rad: float = 1e-3
 
@@ -224,7 +224,7 @@ class PoseFilter(nn.Module):
     def tipped(self, belief: PoseBelief) -> Bool[Tensor, "*b"]:
         """Whether the frame that rides with the object has tilted since the start; never without a prior."""
         upright = belief.world_T_attached[..., 2, 2]
-        return (upright < math.cos(self.settings.tipped_rad)) & (self.prior is not None)
+        return (upright < math.cos(self.settings.level_within_rad)) & (self.prior is not None)
 
     def weigh(
         self, belief: PoseBelief, before: PoseBelief, memory: Observation, added: Observation, moved: Bool[Tensor, "*b"]
