@@ -111,7 +111,8 @@ def test_the_filter_asks_it(pushed: PushedMotion) -> None:
     settings = FilterSettings(motion="pushed", translation_noise_m=0.0, rotation_noise_rad=0.0)
     random = torch.Generator().manual_seed(0)
     start, felt = belief(0.5), reading(straight())
-    after, _, info = PoseFilter(MODULE, "SE(2)", settings, pushed=pushed)(start, Observation.empty(), felt, generator=random)
+    follow = PoseFilter(MODULE, "SE(2)", settings, pushed=pushed)
+    after, _, info = follow(start, Observation.empty(), felt, generator=random)
     assert bool(info.moved)
     torch.testing.assert_close(after.world_T_attached, pushed(start, felt)[-1] @ start.world_T_attached)
     with pytest.raises(ValueError, match="push model for the motion"):

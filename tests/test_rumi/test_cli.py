@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from rumi import __version__, cli, commands
+from rumi.assemble import build
 from rumi.cli import main
 from rumi.config import preset
 from rumi.errors import DegenerateBeliefError, UsageError
@@ -229,3 +230,13 @@ def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere(made_up):
         for mark in marks:
             assert mark in stream.getvalue()
     assert line(steps[0]).startswith("first view: nll 22.0")
+
+
+@pytest.mark.parametrize(
+    "asked", [("--push-model", "quasi-static"), ("--motion", "pushed"), ("--push-model", "mujoco")]
+)
+def test_models_that_push_in_a_plane_refuse_other_tasks(asked, cache):
+    """Before any step is made, and in words."""
+    options = commands.parse_run(["drill-0", *asked])
+    with pytest.raises(UsageError, match=f"{asked[0]} {asked[1]} .*drill-0"):
+        build(options.settings, cache_dir=cache)
