@@ -17,6 +17,7 @@ from rumi.belief.filter import PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_motion import PushedMotion
 from rumi.config import Settings
+from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.planning.tool import Tool
@@ -60,6 +61,7 @@ def build(
         UsageError: there is no such task or device, or the object cannot be used or does not suit the task.
     """
     spec, device, dtype = find_task(settings.task), settings.torch_device, settings.torch_dtype
+    _check_pushing(spec, settings)
     if settings.steps is not None:
         spec = replace(spec, steps=settings.steps)
     spec, model = with_object(spec, settings.object, cache_dir=cache_dir, progress=progress)
@@ -90,9 +92,10 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         following = replace(following, motion="estimated")
     if spec.apc_ratio is not None:
         stop = replace(stop, apc_ratio=spec.apc_ratio)
+    standing = 0.0 - float(model.exact.bounds[0, 2])
     pushed = None
     if following.motion == "pushed":
-        pushed = PushedMotion.of(model.sdf, spec.height_m, tool.shape, settings.planner.quasi_static)
+        pushed = PushedMotion.of(model.sdf, spec.height_m - standing, tool.shape, settings.planner.quasi_static)
     return Rummager(
         model,
         PoseFilter(discrepancy, cast(Search, spec.search), following, prior, pushed).to(*to),
@@ -102,12 +105,27 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         initialise=settings.initialise,
         renewal=settings.renewal,
         stop=stop,
-        height_m=0.0 - float(model.exact.bounds[0, 2]),
+        height_m=standing,
         replan_every=settings.replan_every,
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
     )
+
+
+def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
+    """Refuse models that push upright objects in a plane where the task has others."""
+    if spec.search == "SE(2)" and not spec.spatial:
+        return
+    for name, value, other in (
+        ("push-model", settings.planner.push_model, "displacement"),
+        ("motion", settings.filter.motion, "measured, sticking or estimated"),
+    ):
+        if value in ("quasi-static", "mujoco", "pushed"):
+            raise UsageError(
+                f"--{name} {value} pushes upright objects with a level tool, and {spec.name} is another task: "
+                f"use {other} there"
+            )
 
 
 def prior_of(spec: TaskSpec, model: ObjectModel) -> PosePrior | None:

@@ -1,6 +1,10 @@
 """Table II in small: scores spelt out, and what the comparison must show."""
 
+import importlib.util
+import json
 import math
+import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -10,6 +14,7 @@ from rumi.bench.touch_filters import PushSetup, compare, score, truth_of, wide
 from rumi.seeding import split
 
 SMALL = PushSetup(readings=20)
+SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "touch_filters.py"
 
 
 def test_scores_are_what_they_say() -> None:
@@ -52,3 +57,26 @@ def test_more_particles_stay_active_from_variant_to_variant() -> None:
     assert columns["smooth+replay"]["resampled"] > 0.5
     # all of them know better than the prior, sqrt(2) times 15 mm times the mean of a Rayleigh variable
     assert columns["smooth"]["mean_m"][0] < 0.03
+
+
+def test_the_script_prints_the_table(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    spec = importlib.util.spec_from_file_location(SCRIPT.stem, SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[SCRIPT.stem] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    out = tmp_path / "table.json"
+    asked = ["touch_filters.py", "--runs", "10", "--count", "20", "--readings", "15", "--json", str(out)]
+    monkeypatch.setattr(sys, "argv", asked)
+    module.main()
+    printed = capsys.readouterr().out
+    rows = [line.split("|")[1].strip() for line in printed.splitlines() if line.startswith("|")]
+    names = ["binary", "smooth", "smooth+replay", "smooth - binary", "smooth+replay - smooth"]
+    assert rows[0] == "filter"
+    assert rows[2:] == names
+    kept = json.loads(out.read_text())
+    assert kept["runs"] == 10
+    assert f"{kept['variants']['smooth']['mean_m'][0]:.4f}" in printed

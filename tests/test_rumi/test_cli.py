@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from rumi import __version__, cli, commands
+from rumi.assemble import build
 from rumi.cli import main
 from rumi.config import preset
 from rumi.errors import DegenerateBeliefError, UsageError
@@ -238,3 +239,13 @@ def test_an_object_that_cannot_be_made_leaves_no_folder(tmp_path, capsys):
     assert main(arguments) == 2
     assert "--scale" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "asked", [("--push-model", "quasi-static"), ("--motion", "pushed"), ("--push-model", "mujoco")]
+)
+def test_models_that_push_in_a_plane_refuse_other_tasks(asked, cache):
+    """Before any step is made, and in words."""
+    options = commands.parse_run(["drill-0", *asked])
+    with pytest.raises(UsageError, match=f"{asked[0]} {asked[1]} .*drill-0"):
+        build(options.settings, cache_dir=cache)

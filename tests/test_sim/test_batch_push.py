@@ -1,6 +1,8 @@
 """The push model that is MuJoCo: like the simulator, the same with any number of threads, and skipping what it may."""
 
+import importlib.util
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -126,6 +128,24 @@ def test_a_run_may_plan_with_it(arm_tool: Tool, reach_cache: Path) -> None:
     assert isinstance(policy.push_models, PushModels)  # type: ignore[attr-defined]
     assert policy.push_models.choice == "mujoco"  # type: ignore[attr-defined]
     parts.task.close()
+
+
+def test_the_script_says_which_model_is_nearest(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = Path(__file__).resolve().parents[2] / "scripts" / "push_models.py"
+    spec = importlib.util.spec_from_file_location(script.stem, script)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[script.stem] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(sys, "argv", ["push_models.py", "--pushes", "8", "--lever-ratios", "1.5"])
+    module.main()
+    rows = [line.split("|")[1:-1] for line in capsys.readouterr().out.splitlines() if line.startswith("| ")][1:]
+    means = {row[0].split(" (")[0].split(",")[0].strip(): float(row[2]) for row in rows}
+    assert list(means) == ["the mug stays", "displacement", "quasi-static", "mujoco"]
+    assert means["mujoco"] < means["quasi-static"] < means["displacement"] < means["the mug stays"]
 
 
 @pytest.mark.parametrize("changes", [{"time_step_s": 0.0}, {"friction": 0.0}, {"threads": -1}, {"hold_s": -1.0}])
