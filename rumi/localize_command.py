@@ -44,7 +44,7 @@ class LocalizeOptions:
     scale: float = 1.0
     points_scale: float = 1.0
     noise: float | None = None
-    starts: int = 600
+    starts: int = 800
     seed: int = 0
     symmetries: bool = True
     json: bool = False

@@ -21,7 +21,7 @@ from sdf.mesh import TriangleMesh
 from sdf.mesh_sdf import MeshSDF
 from sdf.symmetry import Symmetries
 
-_TURNS = 99991  # that the starts' orientations may be turned by, all of them alike
+_TURNS = 997  # that the starts' orientations may be turned by, all of them alike
 
 
 class PositionPrior(NamedTuple):

@@ -26,7 +26,7 @@ class LocalizeSettings:
         kept: modes that are kept at most, the heaviest.
     """
 
-    starts: int = 600
+    starts: int = 800
     spread: float = 0.25
     from_prior: float = 1.0 / 3.0
     coarse_points: int = 100
