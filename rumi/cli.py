@@ -9,7 +9,7 @@ from rumi.errors import DegenerateBeliefError, UsageError
 
 DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-COMMANDS = ("tasks", "run", "plot", "bench", "mesh", "reproduce")
+COMMANDS = ("tasks", "run", "plot", "bench", "mesh", "localize", "reproduce")
 EXTRAS = {
     "mujoco": "sim",
     "pytorch_kinematics": "robot",
@@ -32,6 +32,7 @@ usage: rumi tasks                  what there is to find
        rumi plot RUN [options]     draw the figures of a run again
        rumi bench [options]        time the work, against others' and against the targets
        rumi mesh FILE [options]    what a triangle mesh is like, and what is wrong with it
+       rumi localize MESH CONTACTS [options]   where it is, from points that were touched on it
        rumi reproduce WHAT ...     the paper's tables and figures, beside the paper's own
        rumi --version
 

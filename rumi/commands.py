@@ -156,6 +156,13 @@ def mesh(arguments: Sequence[str]) -> int:
     return mesh_command.mesh(arguments)
 
 
+def localize(arguments: Sequence[str]) -> int:
+    """`rumi localize`: where an object is, from touched points."""
+    from rumi import localize_command
+
+    return localize_command.localize(arguments)
+
+
 def reproduce(arguments: Sequence[str]) -> int:
     """`rumi reproduce`: the paper's tables and figures."""
     from rumi.reproduce import command

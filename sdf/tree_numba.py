@@ -13,7 +13,7 @@ _STACK = 64
 
 
 @bare
-def _closest(px, py, pz, corners, at, best, found):
+def closest(px, py, pz, corners, at, best, found):
     """The least of `best` and the squared distance to one triangle; `found` gets the point on it if that is less.
 
     By the regions of the triangle's plane; Ericson, Real-Time Collision Detection (2005), section 5.1.5.
@@ -57,7 +57,7 @@ def _closest(px, py, pz, corners, at, best, found):
 
 
 @bare
-def _to_box(px, py, pz, boxes, node):
+def to_box(px, py, pz, boxes, node):
     """Squared distance to a node's box, 0 within."""
     x = max(boxes[node, 0] - px, px - boxes[node, 3], 0.0)
     y = max(boxes[node, 1] - py, py - boxes[node, 4], 0.0)
@@ -70,10 +70,10 @@ def _search(px, py, pz, corners, boxes, start, stack, gaps, found):
     """The nearest piece, given one to begin with."""
     first_leaf = len(boxes) // 2
     size = len(corners) // first_leaf
-    best = _closest(px, py, pz, corners, start, np.inf, found)
+    best = closest(px, py, pz, corners, start, np.inf, found)
     piece = start
     top = 1
-    stack[0], gaps[0] = 1, _to_box(px, py, pz, boxes, 1)
+    stack[0], gaps[0] = 1, to_box(px, py, pz, boxes, 1)
     while top > 0:
         top -= 1
         node = stack[top]
@@ -82,7 +82,7 @@ def _search(px, py, pz, corners, boxes, start, stack, gaps, found):
         # down to a leaf by the nearer child; the other waits
         while node < first_leaf:
             node *= 2
-            near, far = _to_box(px, py, pz, boxes, node), _to_box(px, py, pz, boxes, node + 1)
+            near, far = to_box(px, py, pz, boxes, node), to_box(px, py, pz, boxes, node + 1)
             if far < near:
                 near, far = far, near
                 other, node = node, node + 1
@@ -98,7 +98,7 @@ def _search(px, py, pz, corners, boxes, start, stack, gaps, found):
             continue
         leaf = node - first_leaf
         for at in range(leaf * size, (leaf + 1) * size):
-            gap = _closest(px, py, pz, corners, at, best, found)
+            gap = closest(px, py, pz, corners, at, best, found)
             if gap < best:
                 best, piece = gap, at
     return piece

@@ -123,7 +123,7 @@ def _descend(
     damping_floor = _damping_floor(valid, search, settings.lever_m, frame_T_object)
     if settings.method == "adam":
         return _adam(terms, frame_T_object, search, settings)
-    return _gauss_newton(terms, frame_T_object, search, settings, damping_floor)
+    return gauss_newton(terms, frame_T_object, search, settings, damping_floor)
 
 
 @backend.register("descend", "numba", fused.supports)
@@ -246,9 +246,18 @@ def _limit(step: Float[Tensor, "*b D"], search: Search, settings: DescentSetting
     return torch.cat((shift / size.clamp_min(1.0), turn / angle.clamp_min(1.0)), -1)
 
 
-def _gauss_newton(
+def gauss_newton(
     terms: Callable[[Tensor], Terms], start: Tensor, search: Search, settings: DescentSettings, floor: Tensor
 ) -> Tensor:
+    """Damped steps on any objective; a step that raises it is undone.
+
+    Args:
+        terms: objective, gradient and Hessian of poses, by the steps that `retract` takes.
+        start: (*b, N, 4, 4).
+        search: "SE(2)" or "SE(3)".
+        settings: iterations, limits and when it is enough.
+        floor: (*b, 1, D), what is added to the Hessian's diagonal at least.
+    """
     pose, best = start, terms(start)
     damping = torch.full_like(best.objective, 1e-3)
     for iteration in range(settings.iterations):

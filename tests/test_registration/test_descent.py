@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from rumi.registration.archive import fill, orientation_bins
-from rumi.registration.descent import DescentSettings, _gauss_newton, _surface_terms, descend, retract, violable_pairs
+from rumi.registration.descent import DescentSettings, _surface_terms, descend, gauss_newton, retract, violable_pairs
 from rumi.registration.initialise import InitialiseSettings, initialise, view_starts
 from sdf import backend, se3, so3
 from sdf.grid_sdf import GridSDF
@@ -95,7 +95,7 @@ def test_a_descent_never_raises_its_objective():
 
     settings = DescentSettings(iterations=6)
     floor = torch.full((1, 6), 1e-6, dtype=F64)
-    found = _gauss_newton(terms, poses, "SE(3)", settings, floor)
+    found = gauss_newton(terms, poses, "SE(3)", settings, floor)
     assert (terms(found).objective <= terms(poses).objective).all()
     assert (terms(found).objective < 0.9 * terms(poses).objective).float().mean() > 0.8
 

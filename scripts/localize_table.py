@@ -1,0 +1,163 @@
+"""Localise the recorded touches of RUMI_DATA from many seeds and print the table; seeds that are done are kept.
+
+    python scripts/localize_table.py run --seeds 0-99 --threads 1    # one line a seed in scripts/results/localize.jsonl
+    python scripts/localize_table.py show                            # Markdown
+
+Reached is what is within 0.3 mm of the least mean distance known. Tune on seeds of 1000 and more.
+"""
+
+import hashlib
+import os
+import statistics
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import tyro
+from tqdm import tqdm
+
+from rumi.jsonlines import append_line, read_lines
+from rumi.metrics.intervals import wilson
+from rumi.registration.localize import localize
+from rumi.registration.touch_surface import TouchSurface
+from rumi.seeding import generator
+from rumi.touch_files import read_contacts
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "scripts" / "results" / "localize.jsonl"
+SETS = {
+    "Cylinder_exp": ("cylinder.off", 5.44),
+    "Lego_exp": ("legoBox.off", 6.73),
+    "Box100_sim": ("box.off", 0.0001),
+    "Tetra30_sim": ("tetrahedron.off", 0.002),
+    "Cleaner_sim": ("cleaner.off", 0.88),
+}
+"""Mesh, and the least mean distance in millimetres that the data's README knows."""
+
+NEAR_MM = 0.3
+CODE = [*(ROOT / "rumi" / "registration").glob("*.py"), *(ROOT / "sdf").glob("t*.py"), ROOT / "sdf" / "symmetry.py"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Do the seeds that are missing.
+
+    Attributes:
+        seeds: "0-99", or "3,5".
+        sets: which sets.
+        threads: of torch and of the kernels.
+        seconds: stop before the next seed after so long.
+        out: where the lines go.
+    """
+
+    seeds: str = "0-99"
+    sets: tuple[str, ...] = tuple(SETS)
+    threads: int = 1
+    seconds: float = float("inf")
+    out: Path = RESULTS
+
+
+@dataclass(frozen=True)
+class Show:
+    """Print the table of the code as it is.
+
+    Attributes:
+        out: where the lines are.
+        seeds: only these.
+    """
+
+    out: Path = RESULTS
+    seeds: str | None = None
+
+
+def run(options: Run) -> None:
+    """Localise, and keep a line a seed."""
+    torch.set_num_threads(options.threads)
+    folder, code, end = data(), fingerprint(), time.monotonic() + options.seconds
+    done = {(x["set"], x["seed"], x["threads"]) for x, _ in read_lines(options.out) if x["code"] == code}
+    for name in options.sets:
+        missing = [seed for seed in seeds_of(options.seeds) if (name, seed, options.threads) not in done]
+        if not missing:
+            continue
+        began = time.perf_counter()
+        surface = TouchSurface.of(folder / SETS[name][0])
+        loading = time.perf_counter() - began
+        points = read_contacts(folder / f"meas{name}.off").points
+        localize(surface, points, generator=generator(1))  # compiles
+        for seed in tqdm(missing, desc=name, disable=None):
+            if time.monotonic() > end:
+                return
+            began = time.perf_counter()
+            found = localize(surface, points, generator=generator(seed))
+            seconds = time.perf_counter() - began
+            line = {
+                "set": name,
+                "seed": seed,
+                "code": code,
+                "threads": options.threads,
+                "best_mm": 1e3 * float(found.distance_m[found.best]),
+                "modes_mm": [1e3 * float(x) for x in found.distance_m],
+                "weights": found.weights.tolist(),
+                "spread_mm": 1e3 * float(found.spread_m[found.best]),
+                "symmetries": found.symmetries.words(),
+                "seconds": seconds,
+                "loading": loading,
+            }
+            append_line(options.out, line)
+
+
+def show(options: Show) -> None:
+    """Markdown."""
+    code = fingerprint()
+    wanted = None if options.seeds is None else set(seeds_of(options.seeds))
+    rows = [x for x, _ in read_lines(options.out) if x["code"] == code and (wanted is None or x["seed"] in wanted)]
+    print(
+        "| set | floor | least, median and largest (mm) | within 0.3 mm | modes | seconds, median and worst | threads |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for name, (_, floor) in SETS.items():
+        for threads in sorted({x["threads"] for x in rows}):
+            own = [x for x in rows if x["set"] == name and x["threads"] == threads]
+            if not own:
+                continue
+            best, seconds = [x["best_mm"] for x in own], [x["seconds"] for x in own]
+            near = sum(x <= floor + NEAR_MM for x in best)
+            low, high = wilson(near, len(own))
+            modes = statistics.median(len(x["modes_mm"]) for x in own)
+            print(
+                f"| {name} | {floor:g} | {min(best):.4g}, {statistics.median(best):.4g}, {max(best):.4g} | "
+                f"{near}/{len(own)} [{low:.2f}, {high:.2f}] | {modes:g} | "
+                f"{statistics.median(seconds):.2f}, {max(seconds):.2f} | {threads} |"
+            )
+
+
+def data() -> Path:
+    """The folder of the recorded touches."""
+    root = os.environ.get("RUMI_DATA")
+    if not root or not (Path(root) / "icub_touch").is_dir():
+        sys.exit("Expected RUMI_DATA to name the folder of recorded data, with icub_touch in it")
+    return Path(root) / "icub_touch"
+
+
+def seeds_of(text: str) -> list[int]:
+    """The seeds that "0-9" or "3,5" names."""
+    found = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        found += range(int(first), int(last or first) + 1)
+    return found
+
+
+def fingerprint() -> str:
+    """Of the code that the figures depend on."""
+    digest = hashlib.sha256()
+    for path in sorted(CODE):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+if __name__ == "__main__":
+    options = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show}, description=__doc__)
+    run(options) if isinstance(options, Run) else show(options)

@@ -1,0 +1,319 @@
+"""Poses from touched points: oracles, all modes, and input that cannot be."""
+
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from rumi.registration.localize import LocalizeSettings, PositionPrior, localize
+from rumi.registration.touch_modes import distinct
+from rumi.registration.touch_surface import TouchSurface
+from rumi.registration.touch_terms import TouchFit, touch_terms
+from rumi.seeding import generator as seeded
+from sdf import backend, fused, se3, so3
+from sdf.mesh import MeshError, TriangleMesh
+from sdf.surface import sample_triangles
+from sdf.symmetry import Symmetries
+
+pytest.importorskip("scipy")
+
+F64 = torch.float64
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+
+
+def box_mesh(size=(0.06, 0.09, 0.14), low=(0.01, -0.02, 0.03)):
+    """A box whose frame is not in its middle."""
+    corners = torch.cartesian_prod(*[torch.tensor([0.0, x], dtype=F64) for x in size]) + torch.tensor(low, dtype=F64)
+    faces = [(q[0], q[k], q[k + 1]) for q in QUADS for k in (1, 2)]
+    return TriangleMesh(corners, torch.tensor(faces))
+
+
+def wedge_mesh():
+    """A tetrahedron without symmetries."""
+    corners = [[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.02, 0.1, 0.0], [0.03, 0.02, 0.07]]
+    return TriangleMesh(torch.tensor(corners, dtype=F64), torch.tensor([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
+
+
+def cylinder_mesh(radius=0.03, height=0.2, sides=36):
+    angle = 2.0 * math.pi * torch.arange(sides, dtype=F64) / sides
+    ring = torch.stack((radius * angle.cos(), radius * angle.sin()), -1)
+    rings = [torch.cat((ring, torch.full((sides, 1), z, dtype=F64)), -1) for z in (0.0, height)]
+    ends = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, height]], dtype=F64)
+    faces = []
+    for i in range(sides):
+        j = (i + 1) % sides
+        faces += [
+            (i, j, sides + j),
+            (i, sides + j, sides + i),
+            (2 * sides, j, i),
+            (2 * sides + 1, sides + i, sides + j),
+        ]
+    return TriangleMesh(torch.cat((*rings, ends)), torch.tensor(faces))
+
+
+@pytest.fixture(scope="module")
+def box():
+    return TouchSurface.of(box_mesh())
+
+
+@pytest.fixture(scope="module")
+def wedge():
+    return TouchSurface.of(wedge_mesh())
+
+
+@pytest.fixture(scope="module")
+def cylinder():
+    return TouchSurface.of(cylinder_mesh())
+
+
+@pytest.fixture(params=["torch", "numba"])
+def version(request):
+    if request.param == "numba" and not fused.available():
+        pytest.skip("without numba")
+    with backend.force(request.param):
+        yield request.param
+
+
+def touches(surface, count, noise=0.0, seed=3):
+    """A pose, points on the object there, and their normals."""
+    generator = seeded(seed)
+    turn = so3.exp(2.0 * torch.randn(3, generator=generator, dtype=F64))
+    truth = se3.make(turn, 0.3 * torch.randn(3, generator=generator, dtype=F64))
+    points, normals = sample_triangles(surface.triangles, count, generator=generator)
+    world = se3.apply(truth, points + surface.middle_o)
+    return truth, world + noise * torch.randn(count, 3, generator=generator, dtype=F64), normals @ turn.mT
+
+
+def off(surface, found, truth, mode=0):
+    """Metres and radians from the nearest of the poses that are like the true one."""
+    pose = found.world_T_object[mode]
+    own = surface.symmetries.nearest(truth, pose)
+    place = (surface.centred(own) - surface.centred(pose))[:3, 3].norm()
+    return float(place), float(so3.angle(own[:3, :3].mT @ pose[:3, :3]))
+
+
+FEW = LocalizeSettings(starts=300, polished=40)
+
+
+@pytest.mark.parametrize("name", ["box", "wedge", "cylinder"])
+@pytest.mark.parametrize("with_normals", [False, True])
+def test_the_true_pose_comes_back(name, with_normals, request):
+    surface = request.getfixturevalue(name)
+    truth, points, normals = touches(surface, 50)
+    found = localize(surface, points, normals=normals if with_normals else None, settings=FEW, generator=seeded(1))
+    place, turn = off(surface, found, truth)
+    assert place < 1e-4 and turn < 2e-3
+    assert float(found.distance_m[found.best]) < 1e-5
+    assert float(found.weights.sum()) == pytest.approx(1.0) and int(found.open_directions[0]) == 0
+    assert found.family == (name == "cylinder")
+
+
+def test_what_it_looks_like_is_put_together(box, cylinder):
+    assert len(box.symmetries) == 4 and cylinder.symmetries.axis is not None
+    truth, points, _ = touches(cylinder, 60)
+    found = localize(cylinder, points, settings=FEW)
+    # the family about the axis and its other end up: of all these poses the points are as far
+    family = cylinder.centred(found.alike(0, turns=20))
+    assert len(family) == 40
+    fit = touch_terms(cylinder, family, points, None, TouchFit("absolute", True)).objective / len(points)
+    assert float(fit.max()) < 4e-4  # of a polygon with 36 sides, radius (1 - cos 5 degrees) is 0.11 mm
+    ends = family[:, :3, 2] @ truth[:3, 2]
+    assert bool((ends > 0.99).any()) and bool((ends < -0.99).any())
+    # without symmetries the same poses are modes of their own
+    plain = localize(replace(box, symmetries=Symmetries.none().to(F64)), touches(box, 60)[1], settings=FEW)
+    assert len(plain) == 4
+    assert torch.allclose(plain.weights, torch.full((4,), 0.25, dtype=F64), atol=1e-3)
+
+
+def test_rival_modes_are_all_kept(wedge):
+    """Touches of one face alone leave where on its plane it is, and which face it was."""
+    truth, points, normals = touches(wedge, 400)
+    face = normals @ truth[:3, 2] < -0.9  # the foot
+    found = localize(wedge, points[face][:12], settings=FEW)
+    assert len(found) > 3 and found.found >= len(found)
+    assert int(found.open_directions.max()) >= 1
+    # the true one is among what is found, up to what its covariance says
+    error = [
+        (wedge.centred(truth) - wedge.centred(pose))[:3, 3].norm() / spread
+        for pose, spread in zip(found.world_T_object, found.spread_m, strict=True)
+    ]
+    assert float(min(error)) < 3.0
+
+
+def test_three_points_leave_much_open(box):
+    _, points, _ = touches(box, 3)
+    found = localize(box, points, settings=FEW)
+    assert int(found.open_directions[0]) >= 2
+    assert float(found.spread_m[0]) > 0.01 or float(found.spread_rad[0]) > 0.3
+    assert "directions open" in found.text()
+
+
+def test_noise_is_in_the_spread(wedge):
+    truth, points, _ = touches(wedge, 80, noise=0.002)
+    found = localize(wedge, points, settings=FEW)
+    place, turn = off(wedge, found, truth)
+    assert place < 4.0 * float(found.spread_m[0]) and turn < 4.0 * float(found.spread_rad[0])
+    assert 1e-4 < float(found.spread_m[0]) < 2e-3
+    assert 0.0008 < float(found.distance_m[0]) < 0.002
+
+
+def test_a_change_of_world_changes_nothing(wedge):
+    _, points, _ = touches(wedge, 40, noise=0.001)
+    world = se3.make(so3.exp(torch.tensor([0.3, -1.0, 2.0], dtype=F64)), torch.tensor([1.0, 2.0, -3.0], dtype=F64))
+    one = localize(wedge, points, settings=FEW)
+    two = localize(wedge, se3.apply(world, points), settings=FEW)
+    assert float(two.distance_m[0]) == pytest.approx(float(one.distance_m[0]), abs=1e-6)
+    assert torch.allclose(world @ one.world_T_object[0], two.world_T_object[0], atol=6e-3)
+
+
+def test_a_seed_repeats(wedge):
+    _, points, _ = touches(wedge, 20, noise=0.001)
+    one, two = (localize(wedge, points, settings=FEW, generator=seeded(5)) for _ in range(2))
+    assert torch.equal(one.world_T_object, two.world_T_object)
+
+
+def test_a_prior_seeds_and_clips_only_when_asked(wedge):
+    truth, points, _ = touches(wedge, 40)
+    place = truth[:3, 3]
+    wrong = PositionPrior(place + 0.2, torch.full((3,), 0.05, dtype=F64))
+    assert off(wedge, localize(wedge, points, prior=wrong, settings=FEW), truth)[0] < 1e-4
+    with pytest.raises(ValueError, match="leave out clip"):
+        localize(wedge, points, prior=wrong, clip=True, settings=FEW)
+    right = PositionPrior(place, torch.full((3,), 0.01, dtype=F64))
+    found = localize(wedge, points, prior=right, clip=True, settings=FEW)
+    assert off(wedge, found, truth)[0] < 1e-4
+    assert bool(((found.world_T_object[:, :3, 3] - place).abs() <= 0.01).all())
+    with pytest.raises(ValueError, match="a prior to clip by"):
+        localize(wedge, points, clip=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda p, n: (p[:2], None), "3 contact points or more, got 2"),
+        (lambda p, n: (p[:1].expand(5, 3), None), "at different places"),
+        (lambda p, n: (p[:1] + torch.linspace(0, 0.1, 6, dtype=F64)[:, None] * n[:1], None), "not all on one line"),
+        (lambda p, n: (p * 1000, None), "millimetres"),
+        (lambda p, n: (p, n * 1.1), "unit normals"),
+        (lambda p, n: (p, n * 0.0), "unit normals"),
+        (lambda p, n: (p, n[:4]), "a normal for each"),
+        (lambda p, n: (p * math.nan, None), "finite points"),
+    ],
+)
+def test_points_that_cannot_be(wedge, no_shape_check, change, words):
+    _, points, normals = touches(wedge, 12)
+    points, normals = change(points, normals)
+    with pytest.raises(ValueError, match=words):
+        localize(wedge, points, normals=normals, settings=FEW)
+
+
+def test_priors_and_meshes_that_cannot_be(wedge):
+    _, points, _ = touches(wedge, 12)
+    with pytest.raises(ValueError, match="radius above 0"):
+        localize(wedge, points, prior=PositionPrior(torch.zeros(3), torch.zeros(3)))
+    with pytest.raises(MeshError, match="millimetres"):
+        TouchSurface.of(TriangleMesh(wedge_mesh().vertices * 1000, wedge_mesh().faces))
+    line = TriangleMesh(torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], dtype=F64), torch.tensor([[0, 1, 2]]))
+    with pytest.raises(MeshError):
+        TouchSurface.of(line)
+
+
+def test_a_sheet_can_be_touched_too():
+    corners = torch.tensor([[0.0, 0, 0], [0.2, 0, 0], [0.2, 0.1, 0], [0.05, 0.1, 0.05]], dtype=F64)
+    surface = TouchSurface.of(TriangleMesh(corners, torch.tensor([[0, 1, 2], [0, 2, 3]])))
+    assert surface.symmetries.trivial
+    _, points, _ = touches(surface, 40)
+    found = localize(surface, points, settings=FEW)
+    assert float(found.distance_m[found.best]) < 1e-5
+
+
+@pytest.mark.parametrize("exact", [False, True])
+@pytest.mark.parametrize("loss", ["square", "absolute"])
+@pytest.mark.parametrize("reach", [0.0, 0.05])
+def test_terms_are_the_derivatives(version, wedge, exact, loss, reach):
+    truth, points, normals = touches(wedge, 20, noise=0.004)
+    poses = wedge.centred(se3.exp(0.02 * torch.randn(4, 6, generator=seeded(2), dtype=F64)) @ truth)
+    fit = TouchFit(loss, exact, reach, smooth_m=1e-3)
+    given = normals if reach else None
+    terms = touch_terms(wedge, poses, points, given, fit)
+    for k in range(6):
+        step = torch.zeros(6, dtype=F64)
+        step[k] = 1e-7
+        ends = []
+        for sign in (1.0, -1.0):
+            shift, turn = sign * step[:3], so3.exp(sign * step[3:])
+            moved = se3.make(turn @ poses[:, :3, :3], poses[:, :3, 3] + shift)
+            ends.append(touch_terms(wedge, moved, points, given, fit).objective)
+        assert torch.allclose((ends[0] - ends[1]) / 2e-7, terms.gradient[:, k], rtol=1e-4, atol=1e-6)
+    assert bool((torch.linalg.eigvalsh(terms.hessian) > -1e-9).all())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+def test_versions_agree(dtype, box):
+    if not fused.available():
+        pytest.skip("without numba")
+    _, points, normals = touches(box, 30, noise=0.003)
+    poses = torch.eye(4, dtype=F64).repeat(9, 1, 1)
+    poses[:, :3] = se3.make(so3.exp(torch.randn(9, 3, generator=seeded(0), dtype=F64)), points.mean(0))[:, :3]
+    poses[8, :3, 3] += 1e6  # far outside of the table
+    for fit in (
+        TouchFit(),
+        TouchFit("absolute", True),
+        TouchFit("square", True, 0.04),
+        TouchFit("absolute", False, 0.04),
+    ):
+        for some in (poses, poses[:0]):
+            results = []
+            for name in ("torch", "numba"):
+                with backend.force(name):
+                    given = normals.to(dtype) if fit.reach_m else None
+                    results.append(touch_terms(box, some.to(dtype), points.to(dtype), given, fit))
+            near = slice(0, 8)
+            for one, two in zip(*results, strict=True):
+                scale = float(one[near].abs().max()) if len(one) else 1.0
+                rough = 2e-3 if dtype == torch.float32 else 1e-9
+                assert one.dtype == two.dtype == dtype
+                assert torch.allclose(one[near], two[near], rtol=rough, atol=rough * scale)
+                assert bool(torch.isfinite(two).all())
+
+
+def test_distinct_counts_what_looks_the_same_once(box):
+    pose = torch.eye(4, dtype=F64)[None]
+    own = box.symmetries
+    turned = se3.make(own.rotations, own.center - (own.rotations @ own.center[:, None])[..., 0])
+    moved = pose.clone()
+    moved[:, 0, 3] = 0.05
+    poses = box.centred(torch.cat((turned, moved, pose)))
+    assert distinct(box, poses, 0.01, 0.1, 10).tolist() == [0, 4]
+    assert distinct(box, poses, 0.01, 0.1, 1).tolist() == [0]
+    assert distinct(box, poses[:0], 0.01, 0.1, 1).tolist() == []
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "mesh", "floor"),
+    [
+        ("Cylinder_exp", "cylinder", 5.44),
+        ("Lego_exp", "legoBox", 6.73),
+        pytest.param("Box100_sim", "box", 0.0001, marks=pytest.mark.slow),
+        pytest.param("Tetra30_sim", "tetrahedron", 0.002, marks=pytest.mark.slow),
+        pytest.param("Cleaner_sim", "cleaner", 0.88, marks=pytest.mark.slow),
+    ],
+)
+def test_recorded_touches(name, mesh, floor):
+    from rumi.touch_files import read_contacts
+
+    pytest.importorskip("trimesh")
+    folder = Path(os.environ["RUMI_DATA"]) / "icub_touch"
+    surface = TouchSurface.of(folder / f"{mesh}.off")
+    points = read_contacts(folder / f"meas{name}.off").points
+    for seed in (1000, 1001):
+        found = localize(surface, points, generator=seeded(seed))
+        assert 1e3 * float(found.distance_m[found.best]) < floor + 0.3
+        if name == "Cylinder_exp":
+            assert found.family and len(found.symmetries) == 2
+        if name == "Lego_exp":
+            assert len(found) >= 2 and float(found.distance_m[1:].min()) < 0.009
