@@ -206,7 +206,7 @@ def _drive(mass_kg: float) -> PhysicsSettings:
 
 # The tool reaches 1.04 m from the base, less turned aside. The drills stand 1.00 to 1.04 m from it: what is pushed on
 # is soon out of its reach. The boxes stand 7 cm nearer, since a tall one that topples away lies 13 cm farther out.
-# Information alone loses none of them (right in 14 of 14 runs of seeds 1000-1002, as in the paper nearly); of drills
+# Information alone loses none of them (right in 14 of 14 runs of seeds 1000-1002, nearly as in the paper); of drills
 # 5 cm farther out it found 4 of 6, and information with reachability 5.
 _DRILL_MEAN, _BOX_MEAN = (0.55, 0.0), (0.48, 0.0)
 
