@@ -1,23 +1,19 @@
-"""Measure signed distances of meshes against libigl's exact ones, and how long tables take.
+"""Measure signed distances of meshes against libigl's exact ones.
 
     python scripts/mesh_distances.py accuracy          # one JSON line a shape in scripts/results/mesh_distances.jsonl
-    python scripts/mesh_distances.py time --threads 2  # of tables: 128^3 nodes, from the cache, 10^6 faces
-    python scripts/mesh_distances.py show              # Markdown
+    python scripts/mesh_distances.py show              # Markdown, with what mesh_times.py has timed
 
-Needs libigl, and the environment variable RUMI_DATA for the drill. Lines of a shape or a timing replace older ones.
+Needs libigl, and the environment variable RUMI_DATA for the drill. A line of a shape replaces an older one.
 """
 
 import json
 import os
-import resource
 import sys
-import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -37,7 +33,6 @@ from sdf.triangles import Triangles
 RESULTS = Path(__file__).resolve().parent / "results" / "mesh_distances.jsonl"
 SPACINGS_MM = (1.0, 2.0, 3.0, 5.0)
 NEAR_M, PADDING_M, HOLE_M, LOST = 0.003, 0.02, 0.012, 0.01
-MILLION = 1_000_000
 
 
 class Shape(NamedTuple):
@@ -60,23 +55,6 @@ class Accuracy:
 
     shapes: tuple[str, ...] = ()
     points: int = 20_000
-    out: Path = RESULTS
-
-
-@dataclass(frozen=True)
-class Time:
-    """Measure times and memory.
-
-    Attributes:
-        what: "table" (the drill's, and from the cache), "peers" (48^3 nodes, and libigl's time), "large" (many faces).
-        threads: of torch and of compiled loops; libigl takes IGL_NUM_THREADS.
-        faces: of the largest mesh, roughly.
-        out: file of results.
-    """
-
-    what: tuple[Literal["table", "peers", "large"], ...] = ("table", "peers", "large")
-    threads: int = 2
-    faces: int = MILLION
     out: Path = RESULTS
 
 
@@ -254,7 +232,7 @@ def measure(name: str, shape: Shape, count: int) -> dict[str, Any]:
             "deepest_flip_mm": 1e3 * float(truth.distance[flips].abs().max()) if bool(flips.any()) else 0.0,
             "nodes": list(table.values.shape),
         }
-        _say(f"{name}: {spacing:g} mm done")
+        say(f"{name}: {spacing:g} mm done")
     return row
 
 
@@ -263,99 +241,10 @@ def accuracy(options: Accuracy) -> None:
     for name in options.shapes or SHAPES:
         if name not in SHAPES:
             raise SystemExit(f"Expected one of {', '.join(SHAPES)}, got {name}")
-        _keep(options.out, {"kind": "accuracy", **measure(name, SHAPES[name](), options.points)}, "shape")
+        keep(options.out, {"kind": "accuracy", **measure(name, SHAPES[name](), options.points)}, "shape")
 
 
-def _clock(work: Callable[[], Any]) -> tuple[float, float, Any]:
-    """Seconds, processor seconds and what the work gave."""
-    wall, processor = time.perf_counter(), time.process_time()
-    result = work()
-    return time.perf_counter() - wall, time.process_time() - processor, result
-
-
-def timings(options: Time) -> None:
-    """Time tables and keep the lines."""
-    torch.set_num_threads(options.threads)
-    path = Path(os.environ["RUMI_DATA"]) / "ycb_power_drill" / "power_drill.obj"
-    from_mesh(meshes.box((0.02, 0.02, 0.02)), spacing=0.004)  # compiles
-    works = {"table": _time_table, "peers": _time_peers, "large": lambda file: _time_large(file, options.faces)}
-    for what in options.what:
-        for row in works[what](path):
-            _say(f"{row['what']}: {row['seconds']:.3g} s ({row['processor_seconds']:.3g} s of the processors)")
-            _keep(options.out, {"kind": "time", "threads": options.threads, **row}, "what")
-
-
-def _timed(name: str, work: Callable[[], Any], repeats: int = 1) -> dict[str, Any]:
-    """The least of a few times, seconds."""
-    found = [_clock(work)[:2] for _ in range(repeats)]
-    wall, processor = min(found)
-    return {"what": name, "seconds": wall, "processor_seconds": processor}
-
-
-def _time_table(path: Path) -> Iterator[dict[str, Any]]:
-    """The drill's table of 128^3 nodes, from its file and from the cache."""
-    spacing = 0.00195
-    nodes = from_mesh(path, spacing=spacing).values.numel()
-    yield {**_timed("drill, 128^3 nodes", lambda: from_mesh(path, spacing=spacing), 3), "nodes": nodes / 128**3}
-    with tempfile.TemporaryDirectory() as cache:
-        from_mesh(path, spacing=spacing, cache_dir=cache)
-        yield _timed("the same from the cache", lambda: from_mesh(path, spacing=spacing, cache_dir=cache), 5)
-
-
-def _time_peers(path: Path) -> Iterator[dict[str, Any]]:
-    """Distance and sign at 48^3 nodes, ours and libigl's."""
-    import igl
-
-    for name, mesh in (("drill", load_mesh(path)), ("cup of long faces", meshes.cup_part(Mug()))):
-        low, high = mesh.bounds[0] - PADDING_M, mesh.bounds[1] + PADDING_M
-        axes = [torch.linspace(a, b, 48, dtype=torch.float64) for a, b in zip(low.tolist(), high.tolist(), strict=True)]
-        nodes = torch.cartesian_prod(*axes)
-        parts, grid = (mesh.vertices.numpy(), mesh.faces.numpy()), nodes.numpy()
-        shape = MeshSDF(mesh)
-        shape.distance(nodes[:10])
-        yield _timed(f"{name}, 48^3 nodes: distance and sign", lambda s=shape, n=nodes: s.distance(n), 3)
-        yield _timed(
-            f"{name}, 48^3 nodes: libigl's distance",
-            lambda p=parts, g=grid: igl.point_mesh_squared_distance(g, *p),
-            3,
-        )
-        yield _timed(
-            f"{name}, 48^3 nodes: libigl's winding number", lambda p=parts, g=grid: igl.fast_winding_number(*p, g)
-        )
-
-
-def _time_large(path: Path, least: int) -> Iterator[dict[str, Any]]:
-    """The drill's table from very many faces; with the most memory that this process took."""
-    import trimesh
-
-    mesh = load_mesh(path)
-    vertices, faces = mesh.vertices, mesh.faces
-    while len(faces) < least:
-        vertices, faces = _quartered(vertices, faces)
-    told: list[str] = []
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "large.ply"
-        trimesh.Trimesh(vertices.numpy(), faces.numpy(), process=False).export(file)
-        row = _timed(
-            f"drill of {len(faces)} faces, a node every 2 mm",
-            lambda: from_mesh(file, spacing=0.002, progress=lambda what, share: told.append(f"{what} {share:.0%}")),
-        )
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    yield {**row, "peak_gib": peak, "told": told}
-
-
-def _quartered(vertices: torch.Tensor, faces: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Each face as four."""
-    edges = torch.stack((faces, faces.roll(-1, 1)), -1).reshape(-1, 2).sort(-1).values
-    ends, number = edges.unique(dim=0, return_inverse=True)
-    middle = number.reshape(-1, 3) + len(vertices)
-    a, b, c = faces.unbind(-1)
-    ab, bc, ca = middle.unbind(-1)
-    parts = ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))
-    return torch.cat((vertices, vertices[ends].mean(1))), torch.cat([torch.stack(part, -1) for part in parts])
-
-
-def _keep(path: Path, row: dict[str, Any], key: str) -> None:
+def keep(path: Path, row: dict[str, Any], key: str) -> None:
     """Write a line in place of older ones of the same kind, name and threads."""
     row = {**row, "machine": environment(torch.device("cpu"))}
     lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
@@ -398,11 +287,12 @@ def _several(tables: list[dict[str, Any]], name: str, unit: float = 1.0) -> str:
     return ", ".join("0" if number < 1e-3 else f"{number:.2g}" for number in numbers)
 
 
-def _say(text: str) -> None:
+def say(text: str) -> None:
+    """Tell how far it is."""
     sys.stderr.write(text + "\n")
     sys.stderr.flush()
 
 
 if __name__ == "__main__":
-    chosen = tyro.extras.subcommand_cli_from_dict({"accuracy": Accuracy, "time": Time, "show": Show})
-    {Accuracy: accuracy, Time: timings, Show: show}[type(chosen)](chosen)
+    chosen = tyro.extras.subcommand_cli_from_dict({"accuracy": Accuracy, "show": Show})
+    accuracy(chosen) if isinstance(chosen, Accuracy) else show(chosen)

@@ -8,7 +8,8 @@ import torch
 
 from sdf.cache import content_key, load_table, save_table
 from sdf.fill import Progress, inside_nodes, unsigned_distances
-from sdf.grid_sdf import GridSDF, Lattice, lattice_about
+from sdf.grid_sdf import GridSDF
+from sdf.lattice import Lattice, lattice_about
 from sdf.mesh import MeshError, TriangleMesh, check_size, load_mesh
 from sdf.mesh_sdf import MeshSDF
 from sdf.walls import thinnest_wall

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf.grid_sdf import Lattice
+from sdf.lattice import Lattice
 from sdf.repair import Repaired
 from sdf.triangles import Triangles, nearest, winding_number
 

@@ -1,7 +1,6 @@
 """A signed distance function tabulated on a lattice: what estimation looks up millions of times."""
 
-import math
-from typing import NamedTuple, Self
+from typing import Self
 
 import torch
 from jaxtyping import Float
@@ -9,6 +8,7 @@ from torch import Tensor
 
 from sdf.base import SDF, SDFQuery
 from sdf.check import check_shape, keep_within_reach, may_look
+from sdf.lattice import Lattice, lattice_about
 from sdf.lookup import interpolate, interpolate_with_slopes
 
 _CHUNK = 1 << 18
@@ -107,7 +107,7 @@ class GridSDF(SDF):
         return cls.on_lattice(values.reshape(nodes.shape[:-1]), lattice, sdf.bounds.clone())
 
     @classmethod
-    def on_lattice(cls, values: Float[Tensor, "X Y Z"], lattice: "Lattice", bounds: Float[Tensor, "2 3"]) -> Self:
+    def on_lattice(cls, values: Float[Tensor, "X Y Z"], lattice: Lattice, bounds: Float[Tensor, "2 3"]) -> Self:
         """From distances, metres, at the nodes of a lattice about an object's bounds."""
         return cls(
             values,
@@ -273,44 +273,3 @@ class GridSDF(SDF):
 def _vectors(planes: list[Tensor]) -> Tensor:
     """Vectors (*b, 3) of three planes (*b), kept plane by plane: copied in one go."""
     return torch.stack(planes).movedim(0, -1)
-
-
-class Lattice(NamedTuple):
-    """Where the nodes of a table are.
-
-    Attributes:
-        axes: along x, y and z, metres, float64.
-        origin: metres, the lower corner of the fine part.
-        spacing: of the fine part, metres.
-        outer: number of wide cells on every side.
-        outer_spacing: their width, metres.
-    """
-
-    axes: tuple[Float[Tensor, "X"], Float[Tensor, "Y"], Float[Tensor, "Z"]]
-    origin: tuple[float, float, float]
-    spacing: float
-    outer: int
-    outer_spacing: float
-
-
-def lattice_about(
-    bounds: Float[Tensor, "2 3"], spacing: float, padding: float, *, outer: float = 0.25, outer_spacing: float = 0.02
-) -> Lattice:
-    """The lattice of `GridSDF.from_sdf`, which says what the arguments mean."""
-    if not spacing > 0 or padding < 0 or outer < 0:
-        raise ValueError(f"Expected spacing > 0, padding >= 0, outer >= 0, got {spacing}, {padding}, {outer}")
-    corners = bounds.double().cpu()
-    low, high = (corners[0] - padding).tolist(), (corners[1] + padding).tolist()
-    wide = max(outer_spacing, spacing)
-    count = _whole(outer / wide)
-    beyond = wide * torch.arange(1, count + 1, dtype=torch.float64)
-    axes = []
-    for start, end in zip(low, high, strict=True):
-        fine = start + spacing * torch.arange(max(_whole((end - start) / spacing), 1) + 1, dtype=torch.float64)
-        axes.append(torch.cat((start - beyond.flip(0), fine, fine[-1] + beyond)))
-    return Lattice((axes[0], axes[1], axes[2]), (low[0], low[1], low[2]), spacing, count, wide)
-
-
-def _whole(ratio: float) -> int:
-    """Least whole number not below a ratio, up to a thousandth (rounding)."""
-    return math.ceil(ratio - 1e-3)

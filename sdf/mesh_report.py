@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from sdf.build import choose_spacing
-from sdf.grid_sdf import lattice_about
+from sdf.lattice import lattice_about
 from sdf.mesh import MeshError, TriangleMesh, check_size
 from sdf.mesh_sdf import MeshSDF
 from sdf.repair import Repaired

@@ -81,6 +81,6 @@ def test_the_script_measures_and_shows(tmp_path, monkeypatch, capsys):
         assert 0.5 < row["tables"]["5"]["near_p95_mm"] < 3
     script.show(script.Show(out))
     shown = capsys.readouterr().out
-    assert "| cup + overlapping handle |" in shown and "| tetrahedron, 80 mm | 4 | 0 % |" in shown
+    assert "| cup + overlapping handle |" in shown and "| tetrahedron, 80 mm | 4 | 0 %, 0 mm |" in shown
     with pytest.raises(SystemExit, match="Expected one of"):
         script.accuracy(script.Accuracy(("teapot",), 300, out))

@@ -13,7 +13,8 @@ import sdf
 import sdf.build
 from sdf.build import choose_spacing, from_mesh
 from sdf.fill import inside_nodes, unsigned_distances
-from sdf.grid_sdf import GridSDF, lattice_about
+from sdf.grid_sdf import GridSDF
+from sdf.lattice import lattice_about
 from sdf.mesh import MeshError, TriangleMesh
 from sdf.mesh_sdf import MeshSDF
 from sdf.object_model import mesh_model
