@@ -10,7 +10,10 @@ from torch import Tensor
 
 from sdf import so3
 from sdf.base import SDF
+from sdf.build import from_mesh
+from sdf.mesh_sdf import MeshSDF
 from sdf.solid import solid
+from sdf.surface import sample_triangles
 from sdf.symmetry import SAME_RAD, Symmetries, closure
 
 # a turn whose multiples fill the circle evenly and that is part of no finite group
@@ -95,6 +98,23 @@ def find_symmetries(
     if axis is not None:
         worst = max(worst, float(look.worst(_multiples(axis)).amax()))
     return FoundSymmetries(found, mirrors, worst, tolerance_m)
+
+
+def mesh_symmetries(
+    shape: MeshSDF, table: SDF | None = None, *, tolerance_m: float = 0.002, points: int = 3000
+) -> FoundSymmetries:
+    """Symmetries of a mesh, looked up in a table of its distances.
+
+    Args:
+        shape: the mesh.
+        table: of its distances; None makes one with a node every 80th of the diagonal.
+        tolerance_m: greatest distance of a turned point from the surface, metres.
+        points: of the surface, that are turned.
+    """
+    if table is None:
+        table = from_mesh(shape, spacing=shape.diagonal / 80.0)
+    surface, _ = sample_triangles(shape.repair.surface, points, generator=torch.Generator().manual_seed(0))
+    return find_symmetries(table, surface, tolerance_m=tolerance_m)
 
 
 class _Look:

@@ -13,15 +13,13 @@ from torch import Tensor
 from sdf.base import SDF
 from sdf.build import from_mesh
 from sdf.fill import Progress
-from sdf.find_symmetry import find_symmetries
+from sdf.find_symmetry import mesh_symmetries
 from sdf.grid_sdf import GridSDF
 from sdf.mesh import TriangleMesh, load_mesh
 from sdf.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Mug
 from sdf.surface import sample_surface, sample_triangles
 from sdf.symmetry import Symmetries
-
-_LOOKED_AT = 3000  # surface points by which symmetries are found
 
 
 @dataclass(frozen=True)
@@ -188,8 +186,7 @@ def mesh_model(
     generator = torch.Generator().manual_seed(seed)
     surface_points, surface_normals = sample_triangles(exact.repair.surface, points, generator=generator)
     if symmetries is None:
-        many, _ = sample_triangles(exact.repair.surface, _LOOKED_AT, generator=generator)
-        symmetries = find_symmetries(table, many).symmetries
+        symmetries = mesh_symmetries(exact, table).symmetries
     return ObjectModel(
         name or "mesh",
         exact,

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from rumi.metrics.pose_error import pose_error
 from sdf import se3, so3
-from sdf.find_symmetry import find_symmetries
+from sdf.find_symmetry import find_symmetries, mesh_symmetries
 from sdf.grid_sdf import GridSDF
+from sdf.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Capsule, Cup, Cylinder, Mug, Placed, Sphere, Union
 from sdf.surface import sample_surface
 from sdf.symmetry import Symmetries, about, closure
@@ -86,6 +87,13 @@ def test_found_in_a_table():
     box = Placed(Box((0.03, 0.079, 0.105)), TILT)
     found = find_symmetries(GridSDF.from_sdf(box, 0.002), points_of(box))
     assert len(found.symmetries) == 4 and 1e-4 < found.worst_m < 0.002
+
+
+def test_of_a_mesh(shapes):
+    """A box, and a ball of facets that are flatter than the tolerance."""
+    pytest.importorskip("scipy")
+    assert mesh_symmetries(MeshSDF(shapes.box()), points=500).symmetries.words().startswith("half a turn about")
+    assert mesh_symmetries(MeshSDF(shapes.sphere(rings=12)), points=500).symmetries.ball
 
 
 def test_the_tolerance_decides():
