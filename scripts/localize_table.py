@@ -89,21 +89,23 @@ def run(options: Run) -> None:
         for seed in tqdm(missing, desc=name, disable=None):
             if time.monotonic() > end:
                 return
-            began = time.perf_counter()
+            began, worked = time.perf_counter(), time.process_time()
             found = localize(surface, points, generator=generator(seed))
-            seconds = time.perf_counter() - began
+            seconds, cpu = time.perf_counter() - began, time.process_time() - worked
             line = {
                 "set": name,
                 "seed": seed,
                 "code": code,
                 "threads": options.threads,
                 "best_mm": 1e3 * float(found.distance_m[found.best]),
-                "modes_mm": [1e3 * float(x) for x in found.distance_m],
-                "weights": found.weights.tolist(),
-                "spread_mm": 1e3 * float(found.spread_m[found.best]),
-                "symmetries": found.symmetries.words(),
-                "seconds": seconds,
-                "loading": loading,
+                "modes_mm": [round(1e3 * float(x), 3) for x in found.distance_m],
+                "weights": [round(float(x), 6) for x in found.weights],
+                "spread_mm": round(1e3 * float(found.spread_m[found.best]), 3),
+                "family": found.family,
+                "alike": len(found.symmetries),
+                "seconds": round(seconds, 4),
+                "cpu": round(cpu, 4),
+                "loading": round(loading, 2),
             }
             append_line(options.out, line)
 
@@ -129,7 +131,8 @@ def show(options: Show) -> None:
             print(
                 f"| {name} | {floor:g} | {min(best):.4g}, {statistics.median(best):.4g}, {max(best):.4g} | "
                 f"{near}/{len(own)} [{low:.2f}, {high:.2f}] | {modes:g} | "
-                f"{statistics.median(seconds):.2f}, {max(seconds):.2f} | {threads} |"
+                f"{statistics.median(seconds):.2f}, {max(seconds):.2f} | "
+                f"{statistics.median(x['cpu'] for x in own):.2f} | {threads} |"
             )
 
 
