@@ -111,7 +111,7 @@ def judged(steps: Sequence[StepRecord], rummager: Rummager, settings: Settings) 
         planned = from_plan(steps, index)
         row: dict[str, Any] = {"realised": asdict(realised(steps, index, rummager.filter))}
         row["planned"] = None if planned is None else asdict(planned)
-        situation = Situation(steps[index - 1], rummager.model.sdf, rummager.workspace, rummager.tool)
+        situation = Situation(steps[index - 1], rummager.model, rummager.workspace, rummager.tool)
         row["modes"], row["swept"] = {}, {}
         own = PushModels(planner.push_model, planner.push, planner.quasi_static)
         for mode in MODES:

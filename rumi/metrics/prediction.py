@@ -25,7 +25,7 @@ from rumi.planning.tool import Tool
 from rumi.planning.worth import gathering
 from rumi.records import StepRecord
 from sdf import se3
-from sdf.base import SDF
+from sdf.object_model import ObjectModel
 from sensors.evidence import in_attached_frame
 
 
@@ -124,13 +124,13 @@ class Situation:
 
     Args:
         before: the step before the action.
-        sdf: the object's shape.
+        model: the object.
         workspace: the lattice of the fields.
         tool: the gripper.
     """
 
-    def __init__(self, before: StepRecord, sdf: SDF, workspace: Workspace, tool: Tool) -> None:
-        self.before, self.sdf, self.workspace, self.tool = before, sdf, workspace, tool
+    def __init__(self, before: StepRecord, model: ObjectModel, workspace: Workspace, tool: Tool) -> None:
+        self.before, self.model, self.workspace, self.tool = before, model, workspace, tool
 
     @torch.no_grad()
     def predict(
@@ -156,7 +156,7 @@ class Situation:
         """
         fields, field = self._fields(information)
         belief = self.before.belief
-        model = push.of_belief(self.sdf, belief.world_T_object, belief.log_weights, self.tool, self.workspace, fields)
+        model = push.of_belief(self.model, belief.world_T_object, belief.log_weights, self.tool, self.workspace, fields)
         start, controls = self.before.reading.configuration.to(fields.information), control[None].to(fields.information)
         if rollouts == 0:
             done = model.likely(start, controls)
@@ -189,7 +189,7 @@ class Situation:
     def _fields(self, information: InformationSettings) -> Any:  # noqa: ANN401  (fields and one of them as a grid)
         belief = self.before.belief
         fields = information_field(
-            self.sdf, belief.world_T_object, belief.log_weights, self.workspace.points, information
+            self.model.sdf, belief.world_T_object, belief.log_weights, self.workspace.points, information
         )
         return fields, self.workspace.grid(fields.information)
 

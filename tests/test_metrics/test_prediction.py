@@ -180,7 +180,7 @@ def test_predicts_what_the_planner_predicted(mug: ObjectModel, workspace: Worksp
     plan = RummagingPolicy(None, settings).act(belief(), scene, None, executed=0, budget_s=None, generator=random)
     told = from_plan([record(0, belief(), near), record(1, belief(), near, plan=plan)], 1)
     assert told is not None
-    situation = Situation(record(0, belief(), near), mug.sdf, workspace, tool)
+    situation = Situation(record(0, belief(), near), mug, workspace, tool)
     push = PushModels(displacement=settings.push)
     asked = situation.predict(plan.controls[0], settings.information, push)
     assert asked.information == pytest.approx(told.information, rel=1e-5)
@@ -209,7 +209,7 @@ def test_swept_information(mug: ObjectModel, workspace: Workspace, tool: Tool) -
         index, inside = grid.nearest_index(tool.info_points(way).reshape(-1, 3))
         return sum(float(grid.values[tuple(cell)]) for cell in {tuple(c) for c in index[inside].tolist()})
 
-    situation, still = Situation(before, mug.sdf, workspace, tool), se3.identity((6,))
+    situation, still = Situation(before, mug, workspace, tool), se3.identity((6,))
     swept = situation.swept(record(1, belief(), path[-1], path=path, motion=still), settings)
     assert swept == pytest.approx(cells(path), rel=1e-4)
     assert swept > 0.3
