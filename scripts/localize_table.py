@@ -118,7 +118,7 @@ def show(options: Show) -> None:
     print(
         "| set | floor | least, median and largest (mm) | within 0.3 mm | modes | seconds, median and worst | threads |"
     )
-    print("|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|")
     for name, (_, floor) in SETS.items():
         for threads in sorted({x["threads"] for x in rows}):
             own = [x for x in rows if x["set"] == name and x["threads"] == threads]
