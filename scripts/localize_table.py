@@ -115,10 +115,9 @@ def show(options: Show) -> None:
     code = fingerprint()
     wanted = None if options.seeds is None else set(seeds_of(options.seeds))
     rows = [x for x, _ in read_lines(options.out) if x["code"] == code and (wanted is None or x["seed"] in wanted)]
-    print(
-        "| set | floor | least, median and largest (mm) | within 0.3 mm | modes | seconds, median and worst | threads |"
-    )
-    print("|---|---|---|---|---|---|---|")
+    heads = ("set", "floor", "least, median and largest (mm)", "within 0.3 mm", "modes", "seconds, median and worst")
+    print("| " + " | ".join([*heads, "CPU seconds", "threads"]) + " |")
+    print("|---" * (len(heads) + 2) + "|")
     for name, (_, floor) in SETS.items():
         for threads in sorted({x["threads"] for x in rows}):
             own = [x for x in rows if x["set"] == name and x["threads"] == threads]
