@@ -85,7 +85,7 @@ def localize(arguments: Sequence[str]) -> int:
     from sdf.mesh import MeshError, load_mesh
     from sdf.symmetry import Symmetries
 
-    began = time.perf_counter()
+    began, threads = time.perf_counter(), torch.get_num_threads()
     prior = None
     if options.center is not None and options.radius is not None:
         prior = PositionPrior(torch.tensor(options.center).double(), torch.tensor(options.radius).double())
@@ -93,6 +93,8 @@ def localize(arguments: Sequence[str]) -> int:
         mesh = load_mesh(options.mesh, scale=options.scale)
         surface = TouchSurface.of(mesh, None if options.symmetries else Symmetries.none())
         loaded = time.perf_counter()
+        # tensors are small: a second thread gains little, and loses much where the cores are shared
+        torch.set_num_threads(1)
         found = find(
             surface,
             contacts.points,
@@ -106,6 +108,8 @@ def localize(arguments: Sequence[str]) -> int:
         raise UsageError(str(error)) from None
     except ValueError as error:
         raise UsageError(f"{options.contacts}: {error}") from None
+    finally:
+        torch.set_num_threads(threads)
     seconds = {"mesh": loaded - began, "localize": time.perf_counter() - loaded}
     if options.json:
         about = {"mesh": str(options.mesh), "contacts": str(options.contacts), "seconds": seconds}
