@@ -90,11 +90,11 @@ def localize(arguments: Sequence[str]) -> int:
     if options.center is not None and options.radius is not None:
         prior = PositionPrior(torch.tensor(options.center).double(), torch.tensor(options.radius).double())
     try:
+        # tensors are small, and threads that wait for each other lose much where the cores are shared
+        torch.set_num_threads(1)
         mesh = load_mesh(options.mesh, scale=options.scale)
         surface = TouchSurface.of(mesh, None if options.symmetries else Symmetries.none())
         loaded = time.perf_counter()
-        # tensors are small: a second thread gains little, and loses much where the cores are shared
-        torch.set_num_threads(1)
         found = find(
             surface,
             contacts.points,
