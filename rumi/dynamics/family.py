@@ -18,7 +18,7 @@ from rumi.planning.tool import Tool
 from sdf.base import SDF
 from sdf.object_model import ObjectModel
 
-PushChoice = Literal["displacement", "quasi-static", "mujoco"]
+PushChoice = Literal["auto", "displacement", "quasi-static", "mujoco"]
 PUSH_MODELS: tuple[str, ...] = get_args(PushChoice)
 
 # metres off upright or off a height at which a particle's outline is another
@@ -65,7 +65,7 @@ class PushModels:
     """Makes push models for the beliefs of a run; keeps what they need of the object's shape, which never changes.
 
     Args:
-        choice: which member.
+        choice: which member; "auto" is the quasi-static one for upright particles and a level tool, else displacement.
         displacement: settings of the displacement model.
         quasi_static: settings of the quasi-static model.
         engine: settings of a physics engine.
@@ -101,18 +101,21 @@ class PushModels:
             ValueError: if single poses are to be pushed, and they do not stand upright at one height.
             RuntimeError: if a physics engine is asked for that nothing has brought.
         """
-        if self.choice == "displacement":
+        choice = self.choice
+        if choice == "auto":
+            choice = "displacement" if tool.spatial or not stands(world_T_object) else "quasi-static"
+        if choice == "displacement":
             contact = ContactField.from_belief(model.sdf, world_T_object, log_weights, workspace, fields)
             return DisplacementModel(contact, tool, self.displacement)
         height = standing_height(world_T_object)
-        if self.choice == "quasi-static":
+        if choice == "quasi-static":
             outline, support = self._shape_at(model.sdf, tool.height_m - height)
             return QuasiStaticModel(outline, support, tool, world_T_object, log_weights, self.quasi_static)
-        if self.choice not in ENGINES:
+        if choice not in ENGINES:
             raise RuntimeError(
-                f"Expected the push model {self.choice!r} to have been entered: import rumi.sim.batch_push first"
+                f"Expected the push model {choice!r} to have been entered: import rumi.sim.batch_push first"
             )
-        return ENGINES[self.choice](model, world_T_object, log_weights, tool, self.engine)
+        return ENGINES[choice](model, world_T_object, log_weights, tool, self.engine)
 
     def _shape_at(self, sdf: SDF, height: float) -> tuple[GridOutline, Support]:
         known = self._shape
@@ -122,17 +125,22 @@ class PushModels:
         return known[2], known[3]
 
 
+def stands(world_T_object: Float[Tensor, "N 4 4"]) -> bool:
+    """Whether particles are upright and at one height, so that one outline is that of all."""
+    heights = world_T_object[:, 2, 3]
+    tilted = bool((world_T_object[:, 2, 2] < 1.0 - _LEVEL).any())
+    return not tilted and float(heights.max() - heights.min()) <= _LEVEL
+
+
 def standing_height(world_T_object: Float[Tensor, "N 4 4"]) -> float:
     """Z of the origin of particles that stand upright.
 
     Raises:
         ValueError: if they do not, or at different heights.
     """
-    heights = world_T_object[:, 2, 3]
-    tilted = bool((world_T_object[:, 2, 2] < 1.0 - _LEVEL).any())
-    if tilted or float(heights.max() - heights.min()) > _LEVEL:
+    if not stands(world_T_object):
         raise ValueError(
             "Expected upright particles at one height to push one by one, got others: choose the push model "
             "'displacement'"
         )
-    return float(heights.mean())
+    return float(world_T_object[:, 2, 3].mean())

@@ -42,7 +42,8 @@ class RummagingSettings:
         information: the field that is to be gathered.
         push_model: how the object is expected to move: "displacement" carries it with the point that touches it, as
             in the paper; "quasi-static" pushes single poses of the belief, which slide and turn; "mujoco" does so with
-            the simulator's physics (slow: ask for few samples).
+            the simulator's physics (slow: ask for few samples). "auto" is the quasi-static model where it can be, with
+            upright particles and a level tool, and the displacement model elsewhere.
         push: settings of the displacement model.
         quasi_static: settings of the quasi-static model.
         engine: settings of the physics.

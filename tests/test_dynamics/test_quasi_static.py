@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.dynamics.family import PushModels
+from rumi.dynamics.family import PushModels, stands
 from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.quasi_static import QuasiStaticModel, QuasiStaticSettings, representatives
 from rumi.dynamics.sliding import push, rotated
@@ -16,7 +16,7 @@ from rumi.fields.reach_table import ReachTable
 from rumi.fields.reachability import Reach
 from rumi.fields.workspace import Workspace
 from rumi.planning.tool import Tool
-from sdf import backend, se3
+from sdf import backend, se3, so3
 from sdf.object_model import object_model
 from sdf.primitives import Mug
 
@@ -230,3 +230,12 @@ def test_the_family_makes_it_and_refuses_tilted_particles() -> None:
 def test_settings_without_meaning_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         QuasiStaticSettings(**{name: value})
+
+
+def test_the_family_chooses_by_what_the_particles_do() -> None:
+    standing = se3.from_planar(torch.tensor([[0.3, 0.0, 0.1], [0.31, 0.01, 2.0]]))
+    tilted = standing.clone()
+    tilted[1] = tilted[1] @ se3.make(so3.exp(torch.tensor([0.1, 0.0, 0.0])), torch.zeros(3))
+    raised = standing.clone()
+    raised[0, 2, 3] += 0.01
+    assert [stands(poses) for poses in (standing, standing[:1], tilted, raised)] == [True, True, False, False]
