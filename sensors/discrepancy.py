@@ -41,25 +41,28 @@ def discrepancy_terms(
 
 
 def residuals(
-    distance: Float[Tensor, "*b"],
-    semantics: Int[Tensor, "*b"],
+    distance: Float[Tensor, "*#b"],
+    semantics: Int[Tensor, "*#b"],
     free_scale: float | Tensor = 10.0,
     alpha: float | Tensor = 0.0,
-) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:
+) -> tuple[Float[Tensor, "*#b"], Float[Tensor, "*#b"]]:
     """Residual and weight whose half weighted square has the gradients of RUMI's Eqs 7-9.
 
     Eqs 7-9 are not the derivatives of Eqs 4-6 but of `C/2 max(0, .)^2` and `v^2 / 2`: a belief is weighed by
     Eqs 4-6 and optimised by this objective, as the paper does.
 
     Returns:
-        r (*b), signed so that dr/dv = 1 where r is not 0, and w (*b): the objective is sum(w r^2 / 2).
+        r, signed so that dr/dv = 1 where r is not 0, and w, of the shape of `semantics`: the objective is
+        sum(w r^2 / 2).
     """
-    free = torch.minimum(distance - alpha, torch.zeros_like(distance))
-    occupied = (distance + alpha).clamp_min(0.0)
-    surface = semantics == Semantics.SURFACE
-    residual = torch.where(surface, distance, torch.where(semantics == Semantics.FREE, free, occupied))
-    weight = torch.where(surface, torch.ones_like(distance), torch.ones_like(distance) * free_scale)
-    return residual, weight
+    surface, free = semantics == Semantics.SURFACE, semantics == Semantics.FREE
+    zero, far = distance.new_zeros(()), distance.new_full((), math.inf)
+    # free points count below their bound, occupied ones above, surface ones anywhere: one pass over all pairs
+    low = torch.where(surface | free, -far, zero)
+    high = torch.where(free, zero, far)
+    shift = torch.where(surface, zero, torch.where(free, zero - alpha, zero + alpha))
+    weight = torch.where(surface, zero + 1.0, zero + free_scale)
+    return (distance + shift).clamp(low, high), weight
 
 
 class NormalEquations(NamedTuple):
@@ -131,8 +134,7 @@ def _normal_equations(
     alpha: float | Tensor,
 ) -> NormalEquations:
     query = posed_query(sdf, frame_T_object, points)
-    shape = query.distance.shape
-    semantics = semantics[..., None, :].expand(shape)
+    shape, semantics = query.distance.shape, semantics[..., None, :]
     residual, weight = residuals(query.distance, semantics, free_scale, alpha)
     weight = weight * valid[..., None, :]
     rows = tangent_rows(frame_T_object, points[..., None, :, :].expand(*shape, 3), query.gradient)
@@ -156,15 +158,16 @@ def _tangent_gradient(
     alpha: float | Tensor,
 ) -> tuple[Tensor, Tensor]:
     query = posed_query(sdf, frame_T_object, points)
-    semantics = semantics[..., None, :].expand(query.distance.shape)
-    residual, weight = residuals(query.distance, semantics, free_scale, alpha)
-    pull = weight * residual * valid[..., None, :]
-    pulled = pull[..., None] * query.gradient
-    # moments of the force on each point, about the poses' middle and then the object's origin, without a row a point
+    residual, weight = residuals(query.distance, semantics[..., None, :], free_scale, alpha)
+    pull = residual * (weight * valid[..., None, :])
+    # moments of the force on each point, about the poses' middle and then the object's origin, without a row a point:
+    # plane by plane, as the gradient is kept, it is one product with the points and a one for the force itself
     rotation, origin = frame_T_object[..., :3, :3], frame_T_object[..., :3, 3]
     middle = origin.detach().mean(-2, keepdim=True)
-    force = (rotation @ pulled.sum(-2)[..., None])[..., 0]
-    moments = ((points - middle).mT[..., None, :, :] @ pulled) @ rotation.mT
+    arms = torch.cat((points - middle, torch.ones_like(points[..., :1])), dim=-1)
+    pulled = pull * query.gradient.movedim(-1, 0)
+    wrench = rotation @ (pulled @ arms).movedim(0, -2)
+    force, moments = wrench[..., 3], wrench[..., :3].mT
     moments = moments - (origin - middle)[..., :, None] * force[..., None, :]
     return 0.5 * (pull * residual).sum(-1), -torch.cat((force, vee(moments.mT - moments)), dim=-1)
 

@@ -19,6 +19,7 @@ from rumi.planning.tool import Tool
 from sdf import backend, se3, so3
 from sdf.object_model import object_model
 from sdf.primitives import Mug
+from sdf.symmetry import Symmetries
 
 HEIGHT = 0.045
 FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
@@ -209,7 +210,7 @@ def test_the_family_refuses_what_it_does_not_have(no_shape_check: None) -> None:
 def test_the_family_makes_it_and_refuses_tilted_particles() -> None:
     workspace = Workspace.from_bounds(torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]]), 0.02, planar_height=HEIGHT)
     tool = Tool(FREE, height_m=HEIGHT)
-    mug = object_model("mug", Mug(), torch.eye(3)[None], spacing=0.004, points=20)
+    mug = object_model("mug", Mug(), Symmetries.none(), spacing=0.004, points=20)
     poses = se3.from_planar(torch.tensor([[0.4, 0.0, 0.3], [0.4, 0.0, 0.5]]))
     weights = torch.zeros(2).log_softmax(-1)
     fields = information_field(mug.sdf, poses, weights, workspace.points)

@@ -22,6 +22,7 @@ from rumi.sim.world import World
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
+from sdf.symmetry import Symmetries
 
 pytestmark = pytest.mark.sim
 
@@ -32,7 +33,7 @@ START = torch.tensor([0.22, 0.0, 0.0])
 
 @pytest.fixture(scope="module")
 def mug() -> ObjectModel:
-    return object_model("mug", Mug(), torch.eye(3)[None], spacing=0.002, points=20)
+    return object_model("mug", Mug(), Symmetries.none(), spacing=0.002, points=20)
 
 
 def make(mug: ObjectModel, yaws: list[float], settings: EngineSettings | None = None) -> MujocoPush:
