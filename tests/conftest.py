@@ -26,6 +26,26 @@ _HERE = Path(__file__).parent
 if str(_HERE.parent) not in sys.path:
     sys.path.insert(0, str(_HERE.parent))
 
+
+def _enforce_hints() -> None:
+    # `Self` needs a decorated class, and the import hook decorates methods one by one; an int is a fine float
+    conf = BeartypeConf(is_pep484_tower=True, hint_overrides=FrozenDict({Self: Any}))
+    # the hook finds its checker by name only
+    checker = ModuleType("rumi_typecheck")
+    checker.check = beartype(conf=conf)
+    sys.modules[checker.__name__] = checker
+    finder = jaxtyping.install_import_hook(PACKAGES, f"{checker.__name__}.check").hook
+    wanted = finder.should_instrument
+    finder.should_instrument = lambda module_name: wanted(module_name) and not module_name.endswith("_numba")
+
+
+# at once, not when pytest is configured: conftest files of folders below import the packages before that
+if "--no-shape-check" not in sys.argv:
+    early = sorted(name for name in sys.modules if name.split(".")[0] in PACKAGES)
+    if early:
+        raise RuntimeError(f"Expected no module of the packages before their hints are enforced, got {early}")
+    _enforce_hints()
+
 hypothesis.settings.register_profile("rumi", deadline=None, derandomize=True, database=None, max_examples=50)
 hypothesis.settings.load_profile("rumi")
 
@@ -35,12 +55,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", default="cpu", help="device of the fixture `device`, such as cpu or cuda")
     parser.addoption("--dtype", default="float64", choices=["float32", "float64"], help="dtype of the fixture `dtype`")
     parser.addoption("--no-shape-check", action="store_true", help="do not enforce the packages' shape hints")
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Enforce the packages' hints, before any of them is imported."""
-    if not config.getoption("--no-shape-check"):
-        _enforce_hints()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -53,18 +67,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for name, reason in lacking.items():
             if reason and item.get_closest_marker(name):
                 item.add_marker(pytest.mark.skip(reason=reason))
-
-
-def _enforce_hints() -> None:
-    # `Self` needs a decorated class, and the import hook decorates methods one by one; an int is a fine float
-    conf = BeartypeConf(is_pep484_tower=True, hint_overrides=FrozenDict({Self: Any}))
-    # the hook finds its checker by name only
-    checker = ModuleType("rumi_typecheck")
-    checker.check = beartype(conf=conf)
-    sys.modules[checker.__name__] = checker
-    finder = jaxtyping.install_import_hook(PACKAGES, f"{checker.__name__}.check").hook
-    wanted = finder.should_instrument
-    finder.should_instrument = lambda module_name: wanted(module_name) and not module_name.endswith("_numba")
 
 
 @pytest.fixture(scope="session")
