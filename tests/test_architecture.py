@@ -245,8 +245,6 @@ def test_shape_hints_are_enforced(request):
     """Also where all tests run, and folders' own conftest files have imported the packages first."""
     if request.config.getoption("--no-shape-check"):
         pytest.skip("asked for")
-    modules = [m for n, m in sys.modules.items() if n.split(".")[0] in PACKAGES and not n.endswith("_numba")]
-    assert "sdf.se3" in {module.__name__ for module in modules}
-    with pytest.raises(Exception, match="shape|type"):
-        sys.modules["sdf.se3"].from_planar("no tensor")
-    assert hasattr(sys.modules["sdf.se3"].from_planar, "__wrapped__")
+    se3 = importlib.import_module("sdf.se3")
+    with pytest.raises(Exception, match="Type-check"):
+        se3.from_planar("no tensor")
