@@ -128,11 +128,12 @@ class PlanBench:
         cumulated = belief.weights.double().cumsum(0)
         comb = (torch.arange(count, dtype=torch.float64) + 0.5) / count * cumulated[-1]
         index = torch.searchsorted(cumulated, comb).clamp_max(len(cumulated) - 1)
-        log_weights = belief.log_weights.new_zeros(count)
-        chosen = replace(
-            belief, attached_T_object=belief.attached_T_object[index], discrepancy=belief.discrepancy[index]
+        return replace(
+            belief,
+            attached_T_object=belief.attached_T_object[index],
+            log_weights=torch.log_softmax(belief.log_weights.new_zeros(count), -1),
+            discrepancy=belief.discrepancy[index],
         )
-        return replace(chosen, log_weights=torch.log_softmax(log_weights, -1))
 
     def planner(self, settings: PlanSettings, seed: int) -> Callable[[Plan | None], Plan]:
         """What makes a plan from an earlier one, or a first one from none."""
