@@ -74,7 +74,7 @@ def test_the_readme_says_how_to_bring_own_observations(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", [name for name in TASKS if "mug" in name])  # the others show next to nothing, or all
 def test_the_first_belief_covers_what_the_view_leaves_open(task, tmp_path):
     script = load(ROOT / "scripts" / "first_view.py")
     figure = tmp_path / "view.png"
