@@ -18,7 +18,7 @@ _MANY = 200_000
 
 @dataclass(frozen=True)
 class MeshOptions:
-    """Look a mesh over before it is used: size, openings, overlaps, walls, and the table that it would get.
+    """Look a mesh over before it is used: size, openings, overlaps, walls, symmetries, and the table that it would get.
 
     Attributes:
         file: .obj, .stl, .ply, .off or .glb.
@@ -38,8 +38,10 @@ def mesh(arguments: Sequence[str]) -> int:
     options = tyro.cli(MeshOptions, prog="rumi mesh", args=arguments)
     if not options.scale > 0 or (options.spacing is not None and not options.spacing > 0):
         raise UsageError(f"Expected --scale and --spacing above 0, got {options.scale} and {options.spacing}")
+    from sdf.find_symmetry import mesh_symmetries
     from sdf.mesh import MeshError, load_mesh
     from sdf.mesh_report import report
+    from sdf.mesh_sdf import MeshSDF
 
     try:
         loaded = load_mesh(options.file, scale=options.scale)
@@ -47,10 +49,12 @@ def mesh(arguments: Sequence[str]) -> int:
             sys.stderr.write(f"rumi: looking at {len(loaded.faces)} faces: some {len(loaded.faces) // _MANY * 4} s\n")
             sys.stderr.flush()
         found = report(loaded, spacing=options.spacing)
+        symmetry = mesh_symmetries(MeshSDF(loaded)).words() if found.usable else None
     except MeshError as error:
         raise UsageError(str(error)) from None
     if options.json:
-        sys.stdout.write(json.dumps({"file": str(options.file), **found.to_dict()}) + "\n")
+        sys.stdout.write(json.dumps({"file": str(options.file), **found.to_dict(), "symmetry": symmetry}) + "\n")
     else:
-        sys.stdout.write(f"{options.file}\n" + "".join(f"  {line}\n" for line in found.text().splitlines()))
+        lines = found.text().splitlines() + ([] if symmetry is None else [f"symmetry   {symmetry}"])
+        sys.stdout.write(f"{options.file}\n" + "".join(f"  {line}\n" for line in lines))
     return DONE if found.usable else BAD_INPUT

@@ -36,6 +36,14 @@ def test_a_good_mesh(box, capsys):
     assert said.err == ""
 
 
+def test_symmetries_are_said(box, capsys):
+    """A box of three lengths: half a turn about each of its axes."""
+    assert main(["mesh", box()]) == cli.DONE
+    line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("  symmetry"))
+    assert "half a turn about" in line and "3 mirror planes" in line
+    assert all(axis in line for axis in ("(1.00, 0.00, 0.00)", "(0.00, 1.00, 0.00)", "(0.00, 0.00, 1.00)"))
+
+
 def test_json(box, capsys):
     assert main(["mesh", box(sides=SIDES[1:]), "--json", "--spacing", "0.004"]) == cli.DONE
     found = json.loads(capsys.readouterr().out)
