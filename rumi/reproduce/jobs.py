@@ -13,6 +13,7 @@ from rumi.errors import UsageError
 from rumi.reproduce.code import code_hash
 
 TOY_METHODS = ("MPPI", "SMPPI", "KMPPI")
+_MESH = "object.mesh="
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,8 @@ class Job:
     def id(self) -> str:
         """Under which its result is kept: the same for the same work by the same code."""
         whole = self.describe()
-        # where a mesh lies decides nothing
-        whole["overrides"] = [o for o in whole["overrides"] if not o.startswith("object.mesh=")]
+        # of a mesh its contents decide, which are in the settings' hash
+        whole["overrides"] = [o for o in whole["overrides"] if not o.startswith(_MESH)]
         return _digest(whole)[:16]
 
     def describe(self) -> dict[str, Any]:
@@ -81,7 +82,7 @@ class Job:
             "task": self.task,
             "method": self.method,
             "preset": self.preset,
-            "overrides": sorted(self.overrides),
+            "overrides": list(named(self.overrides)),
             "seed": self.seed,
             "settings": self.settings_hash,
             "code": self.code,
@@ -127,7 +128,16 @@ KINDS = {
 def column_name(method: str, preset_name: str, overrides: Sequence[str] = ()) -> str:
     """Method, preset and overrides in one, such as `rumi/default planner.rollouts=3`."""
     base = f"{method}/{preset_name}" if preset_name else method
-    return " ".join([base, *sorted(overrides)])
+    return " ".join([base, *named(overrides)])
+
+
+def named(overrides: Sequence[str]) -> tuple[str, ...]:
+    """Overrides in order as they are kept and shown: of a mesh its file's name, since where it lies decides nothing."""
+    return tuple(
+        sorted(
+            _MESH + Path(value.removeprefix(_MESH)).name if value.startswith(_MESH) else value for value in overrides
+        )
+    )
 
 
 def overridden(values: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:

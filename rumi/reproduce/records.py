@@ -8,7 +8,7 @@ from typing import Any
 from rumi.bench.ledger import commit, machine
 from rumi.errors import UsageError
 from rumi.jsonlines import append_line, read_lines
-from rumi.reproduce.jobs import Job, column_name
+from rumi.reproduce.jobs import Job, column_name, named
 
 SCHEMA = 1
 Key = tuple[str, str, str, str, tuple[str, ...], int]
@@ -46,7 +46,7 @@ class Record:
     @property
     def key(self) -> Key:
         """What was done, whatever the code was."""
-        return (self.kind, self.task, self.method, self.preset, tuple(sorted(self.overrides)), self.seed)
+        return (self.kind, self.task, self.method, self.preset, named(self.overrides), self.seed)
 
     @property
     def column(self) -> str:
@@ -56,7 +56,7 @@ class Record:
 
 def key_of(job: Job) -> Key:
     """The key that the record of some work will have."""
-    return (job.kind, job.task, job.method, job.preset, tuple(sorted(job.overrides)), job.seed)
+    return (job.kind, job.task, job.method, job.preset, named(job.overrides), job.seed)
 
 
 def line_of(job: Job, result: dict[str, Any]) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from rumi.config import METHODS
 from rumi.reproduce import paper, studies, tables
 from rumi.reproduce.cells import NOTHING, flags, rate, table
 from rumi.reproduce.experiments import EXPERIMENTS, Selection
+from rumi.reproduce.jobs import named
 from rumi.reproduce.records import Record, by_column, key_of
 
 
@@ -86,7 +87,7 @@ def of_experiment(name: str, selection: Selection, records: Sequence[Record]) ->
         and record.method in (selection.methods or [record.method])
         and record.preset in (selection.presets or [record.preset])
         and record.seed in selection.seeds
-        and sorted(record.overrides) == sorted(selection.overrides)
+        and named(record.overrides) == named(selection.overrides)
     ]
     order = {method: k for k, method in enumerate(METHODS)}
     tasks = {task: k for k, task in enumerate(task for family in paper.FAMILIES.values() for task in family)}

@@ -75,3 +75,11 @@ def test_the_first_tables_lines_give_its_figures():
 
 def test_a_line_without_schema_is_none():
     assert record_of({}) is None
+
+
+def test_where_a_mesh_lies_is_not_kept(tmp_path):
+    (tmp_path / "cup.obj").write_text("v 0 0 0\n")
+    job = Job("run", "mug-0", "rumi", "default", 0, (f"object.mesh={tmp_path / 'cup.obj'}", "planner.rollouts=3"))
+    assert job.describe()["overrides"] == ["object.mesh=cup.obj", "planner.rollouts=3"]
+    assert str(tmp_path) not in job.column
+    assert str(tmp_path) not in str(key_of(job))
