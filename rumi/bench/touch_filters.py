@@ -11,7 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay import ReplaySettings, TouchAction, TouchBelief, TouchFilter
+from rumi.belief.replay import ReplaySettings, TouchFilter
+from rumi.belief.touch_belief import TouchAction, TouchBelief
 from rumi.dynamics.carry import Pusher, carry
 from rumi.dynamics.outline import RectangleOutline
 from rumi.dynamics.sliding import Sliding

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay import ReplaySettings, TouchAction, TouchBelief, TouchFilter, joined
+from rumi.belief.replay import ReplaySettings, TouchFilter
+from rumi.belief.touch_belief import TouchAction, TouchBelief, joined
 from rumi.dynamics.carry import Pusher
 from rumi.dynamics.outline import RectangleOutline
 from sdf import backend

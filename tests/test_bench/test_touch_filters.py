@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi.belief.replay import TouchBelief
+from rumi.belief.touch_belief import TouchBelief
 from rumi.bench.touch_filters import PushSetup, compare, score, truth_of, wide
 from rumi.seeding import split
 
