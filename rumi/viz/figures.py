@@ -160,7 +160,7 @@ def _bars(figure: "Figure | Any", axes: Any) -> None:  # noqa: ANN401  (one axis
         ax=every,
         shrink=0.75,
         aspect=28,
-        pad=0.02,
+        pad=0.02 if len(every) > 1 else 0.06,  # a share of the axes; room for the other bar's label
         ticks=[0, 0.5, 1],
     )
     weight.set_label("particle's weight / heaviest")
