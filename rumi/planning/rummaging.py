@@ -1,9 +1,10 @@
 """RUMI's policy: plan motions that gather information and keep the object within reach."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import NamedTuple, Self
 
 import torch
 from jaxtyping import Float
@@ -29,6 +30,22 @@ from sdf import savings
 _SAMPLES = 4096
 
 
+class Suited(NamedTuple):
+    """What depends on the push model.
+
+    Attributes:
+        reachability_scale: weight of the reachability cost (beta_R).
+        rollouts: of each control sequence.
+    """
+
+    reachability_scale: float
+    rollouts: int
+
+
+SUITED = {"displacement": Suited(2.0, 5), "quasi-static": Suited(4.0, 8), "mujoco": Suited(4.0, 8)}
+"""What was found best for each push model; the physics was not tuned by itself."""
+
+
 def _scale_free() -> MPPISettings:
     # near the arg-min of the samples: a warmer mean of plans that go round either side of the object stands still
     return MPPISettings(temperature=0.03, cost_scale="std", iterations=2)
@@ -49,35 +66,38 @@ class RummagingSettings:
         engine: settings of the physics.
         mppi: the planner; its iterations are `warmup_iterations` for the first plan.
         information_scale: weight of the information cost (beta_I); 0 leaves it out.
-        reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out.
+        reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out. None for what suits the push
+            model, `SUITED`.
         information_discount: factor by which information is worth less with each action until it is gathered. At 1,
             the paper's, a plan may put its touches off to the end of the horizon, and so may the next plan.
         normalise_information: count information as a share of all there is, so that both costs are in [-1, 0].
         displaced_information: count information where the object will have been moved to (Eq 29); False is the ablation
             that counts it where it is now (Eq 28).
-        rollouts: how often each control sequence is rolled out; its cost is the mean.
+        rollouts: how often each control sequence is rolled out; its cost is the mean. None for as many as suit the
+            push model, `SUITED`.
     """
 
     information: InformationSettings = field(default_factory=InformationSettings)
-    push_model: PushChoice = "displacement"
+    push_model: PushChoice = "auto"
     push: DisplacementSettings = field(default_factory=DisplacementSettings)
     quasi_static: QuasiStaticSettings = field(default_factory=QuasiStaticSettings)
     engine: EngineSettings = field(default_factory=EngineSettings)
     mppi: MPPISettings = field(default_factory=_scale_free)
     information_scale: float = 1.0
-    reachability_scale: float = 2.0
+    reachability_scale: float | None = None
     information_discount: float = 0.9
     normalise_information: bool = True
     displaced_information: bool = True
-    rollouts: int = 5
+    rollouts: int | None = None
 
     def __post_init__(self) -> None:
         """Refuse what gives nothing to plan for."""
-        if self.rollouts < 1:
+        if self.rollouts is not None and self.rollouts < 1:
             raise ValueError(f"Expected rollouts to be 1 or more, got {self.rollouts}")
         if self.push_model not in PUSH_MODELS:
             raise ValueError(f"Expected push_model to be one of {', '.join(PUSH_MODELS)}, got {self.push_model!r}")
-        scales = (self.information_scale, self.reachability_scale)
+        reach = self.reachability_scale
+        scales = (self.information_scale, math.inf if reach is None else reach)
         if not 0 < self.information_discount <= 1:
             raise ValueError(f"Expected information_discount in (0, 1], got {self.information_discount}")
         if min(scales) < 0 or max(scales) == 0:
@@ -85,6 +105,13 @@ class RummagingSettings:
                 "Expected information_scale and reachability_scale to be 0 or more and not both 0, "
                 f"got {scales[0]} and {scales[1]}"
             )
+
+    def suited(self, push_model: str) -> Suited:
+        """What is set, or else suits a push model other than "auto"."""
+        best, reach, rollouts = SUITED[push_model], self.reachability_scale, self.rollouts
+        return Suited(
+            best.reachability_scale if reach is None else reach, best.rollouts if rollouts is None else rollouts
+        )
 
     @classmethod
     def paper(cls) -> Self:
@@ -95,6 +122,7 @@ class RummagingSettings:
             push=DisplacementSettings(hazard="per_mini_step"),
             mppi=MPPISettings(temperature=0.01, cost_scale="raw"),
             reachability_scale=200.0,
+            rollouts=5,
             information_discount=1.0,
             normalise_information=False,
         )
@@ -139,6 +167,7 @@ class RummagingPolicy:
         with savings.account() as work:
             watch = _Stopwatch()
             settings, workspace, tool = self.settings, scene.workspace, scene.tool
+            count = self.suited(belief, scene).rollouts
             sdf, poses, log_weights = scene.model.sdf, belief.world_T_object, belief.log_weights
             fields = information_field(sdf, poses, log_weights, workspace.points, settings.information)
             watch.lap("fields")
@@ -153,7 +182,7 @@ class RummagingPolicy:
                 return torch.cat([cost_of(part) for part in controls.split(_SAMPLES)])
 
             def cost_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
-                rollouts = model.rollout(configuration, controls, rollouts=settings.rollouts, generator=generator)
+                rollouts = model.rollout(configuration, controls, rollouts=count, generator=generator)
                 watch.lap("dynamics")
                 costs = worth.cost(rollouts)
                 watch.lap("costs")
@@ -189,6 +218,10 @@ class RummagingPolicy:
             )
         return replace(plan, skipped=work.skipped() | worth.skipped)
 
+    def suited(self, belief: PoseBelief, scene: Scene) -> Suited:
+        """What is set, or else suits the push model of a scene."""
+        return self.settings.suited(self.push_models.chosen(belief.world_T_object, scene.tool))
+
     def worth(self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields, previous: Plan | None) -> Worth:
         """What motions are worth: information gathered and kept within reach (Eq 31).
 
@@ -199,8 +232,9 @@ class RummagingPolicy:
             previous: the last plan, None at the start.
         """
         settings, workspace = self.settings, scene.workspace
+        scale = self.suited(belief, scene).reachability_scale
         reachability = None
-        if settings.reachability_scale > 0 and self.reachability is not None:
+        if scale > 0 and self.reachability is not None:
             reachability = workspace.grid(self.reachability.to(fields.information))
         sensing = world_height(scene.tool.info, scene.tool.height_m).to(fields.information)
         information = workspace.grid(fields.information)
@@ -209,7 +243,7 @@ class RummagingPolicy:
             reachability,
             sensing,
             information_scale=settings.information_scale,
-            reachability_scale=settings.reachability_scale,
+            reachability_scale=scale,
             information_discount=settings.information_discount,
             normalise=settings.normalise_information,
             displaced_information=settings.displaced_information,
@@ -222,7 +256,7 @@ class RummagingPolicy:
             {} if reachability is None else {"reachability": reachability.values.flatten()},
             skipped={
                 "information_cost": float(settings.information_scale == 0),
-                "reachability_cost": float(settings.reachability_scale == 0),
+                "reachability_cost": float(scale == 0),
             },
         )
 
