@@ -190,7 +190,7 @@ class RummagingPolicy:
         if not deadline.knows("view"):
             rough = self._view(thinned(belief, _FEW), scene, previous, deadline, watch)
         count = deadline.affordable("view", whole + _VIEW_FIXED, _VIEW_SHARE) - _VIEW_FIXED
-        if rough is not None and (count <= 2 * _FEW or rough.particles == whole):
+        if rough is not None and (count <= 2 * _FEW < whole or rough.particles == whole):
             return rough
         return self._view(thinned(belief, max(count, _FEW)), scene, previous, deadline, watch)
 
