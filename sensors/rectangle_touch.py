@@ -120,6 +120,10 @@ class RectangleTouches:
         """A way more on which nothing was met."""
         return replace(self, ways_w=torch.cat((self.ways_w, torch.stack((start_w, end_w))[None])))
 
+    def only_touches(self) -> Self:
+        """What was touched on the sides alone."""
+        return replace(self, over_w=self.over_w[:0], ways_w=self.ways_w[:0])
+
     def joined(self, other: Self) -> Self:
         """Both together."""
         names = ("points_w", "normals_w", "over_w", "ways_w")
