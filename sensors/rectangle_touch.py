@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sdf import backend, fused
 from sdf.sweep import nearest_on_rectangle, turned
 from sensors.touch_likelihood import TouchNoise, box_face_log_likelihoods
 
@@ -33,6 +34,25 @@ def rectangle_log_likelihoods(
         noise: of the touches.
         corners: whether corners explain touches.
     """
+    if poses.dim() == 2:
+        flat = points_w.reshape(-1, 2), normals_w.expand_as(points_w).reshape(-1, 2)
+        version = backend.dispatch("rectangle_touches", poses, *flat, half)
+        best = version(poses, *flat, half, noise, corners).view(*points_w.shape[:-1], len(poses))
+    else:
+        best = _touches_plain(poses, points_w, normals_w, half, noise, corners)
+    return noise.with_outliers(best, True)
+
+
+@backend.register("rectangle_touches")
+def _touches_plain(
+    poses: Float[Tensor, "*#b N 3"],
+    points_w: Float[Tensor, "*#b K 2"],
+    normals_w: Float[Tensor, "*#b K 2"],
+    half: Float[Tensor, "2"],
+    noise: TouchNoise,
+    corners: bool,
+) -> Float[Tensor, "*b K N"]:
+    """The same without outliers."""
     back = turned(-poses[..., None, :, 2])
     own = (back @ (points_w[..., :, None, :] - poses[..., None, :, :2])[..., None])[..., 0]
     facing = (back @ normals_w[..., :, None, :, None])[..., 0]
@@ -40,7 +60,46 @@ def rectangle_log_likelihoods(
     if corners:
         corner = torch.where(facing < 0, -half, half)
         best = torch.maximum(best, noise.log_likelihood((own - corner).square().sum(-1), None))
-    return noise.with_outliers(best, True)
+    return best
+
+
+@backend.register("rectangle_touches", "numba", fused.supports)
+def _touches_fused(
+    poses: Tensor, points_w: Tensor, normals_w: Tensor, half: Tensor, noise: TouchNoise, corners: bool
+) -> Tensor:
+    from sensors.rectangle_touch_numba import touches_kernel
+
+    arrays = (part.detach().double().contiguous().numpy() for part in (poses, points_w, normals_w))
+    found = torch.empty(len(points_w), len(poses), dtype=torch.float64)
+    scales = (0.5 / noise.point_m**2, 0.5 / noise.normal_rad**2)
+    touches_kernel(*arrays, float(half[0]), float(half[1]), *scales, corners, found.numpy())
+    return found.to(points_w)
+
+
+def way_clearances(
+    poses: Float[Tensor, "N 3"], half: Float[Tensor, "2"], ways_w: Float[Tensor, "W 2 2"]
+) -> Float[Tensor, "W N"]:
+    """`way_clearance` of each way (start, end) from the rectangle at each pose."""
+    version = backend.dispatch("way_clearances", poses, half, ways_w)
+    found: Tensor = version(poses, half, ways_w)
+    return found
+
+
+@backend.register("way_clearances")
+def _clearances_plain(
+    poses: Float[Tensor, "N 3"], half: Float[Tensor, "2"], ways_w: Float[Tensor, "W 2 2"]
+) -> Float[Tensor, "W N"]:
+    return way_clearance(poses, half, ways_w[:, :1], ways_w[:, 1:])
+
+
+@backend.register("way_clearances", "numba", fused.supports)
+def _clearances_fused(poses: Tensor, half: Tensor, ways_w: Tensor) -> Tensor:
+    from sensors.rectangle_touch_numba import clearances_kernel
+
+    arrays = (part.detach().double().contiguous().numpy() for part in (poses, ways_w))
+    found = torch.empty(len(ways_w), len(poses), dtype=torch.float64)
+    clearances_kernel(*arrays, float(half[0]), float(half[1]), found.numpy())
+    return found.to(poses)
 
 
 def way_clearance(
@@ -142,10 +201,10 @@ class RectangleTouches:
             )
             total = total + sides.sum(-2)
         if len(self.over_w):
-            spots = self.over_w[:, None]
-            off = way_clearance(poses, self.half, spots, spots).clamp_min(0.0)
+            spots = self.over_w[:, None].expand(-1, 2, 2)
+            off = way_clearances(poses, self.half, spots).clamp_min(0.0)
             total = total + self.noise.log_likelihood(off.square(), None).sum(-2)
         if len(self.ways_w):
-            gap = way_clearance(poses, self.half, self.ways_w[:, :1], self.ways_w[:, 1:]) - self.radius
+            gap = way_clearances(poses, self.half, self.ways_w) - self.radius
             total = total + torch.special.log_ndtr(gap / self.noise.point_m).sum(-2)
         return total

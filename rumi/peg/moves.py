@@ -11,7 +11,7 @@ from rumi.belief.touch_gain import TOUCH, Outcomes
 from rumi.peg.settings import PegSettings
 from rumi.sim.touch_cell import TOP
 from sdf.sweep import Sweep, sweep_rectangle, turned
-from sensors.rectangle_touch import way_clearance
+from sensors.rectangle_touch import way_clearances
 
 _ALONG = (-0.7, 0.0, 0.7)
 """Places on each side, from its middle to its ends: twelve in all (time allocation, Fig. 3)."""
@@ -106,7 +106,8 @@ def direct_ways(
     settings: PegSettings,
 ) -> Bool[Tensor, "A"]:
     """Whether the straight way to each standoff is clear of the block with the probability that is asked for."""
-    gap = way_clearance(poses, settings.block.half(), begin.expand(12, 1, 2), press.standoff[:, None])
+    ways = torch.stack((begin.expand_as(press.standoff), press.standoff), 1)
+    gap = way_clearances(poses, settings.block.half(), ways)
     chance = ((gap > settings.radius_m).to(poses) * log_weights.softmax(-1)).sum(-1)
     return chance >= settings.clear
 
@@ -121,7 +122,7 @@ def outcomes(motion: Motion, poses: Float[Tensor, "N 3"], settings: PegSettings)
         first = sweep_rectangle(poses, half, points[-3], points[-2], radius)
         parts = (torch.where(first.hit.view(-1, *[1] * (a.dim() - 1)), a, b) for a, b in zip(first, felt, strict=True))
         return Outcomes.of(Sweep(first.hit | felt.hit, *list(parts)[1:]))
-    on_top = way_clearance(poses, half, points[-2], points[-2]) < radius
+    on_top = way_clearances(poses, half, points[-2].expand(1, 2, 2))[0] < radius
     plain = Outcomes.of(felt)
     place = points[-2].expand_as(plain.point)
     kind = torch.where(on_top, TOP, plain.kind * TOUCH)

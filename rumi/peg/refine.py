@@ -86,9 +86,7 @@ class Chooser:
     generator: torch.Generator
     measured: list[tuple[float, float]]
 
-    def choose(
-        self, belief: StaticBelief, tip: Float[Tensor, "3"], away: Float[Tensor, "2"] | None
-    ) -> Thought:
+    def choose(self, belief: StaticBelief, tip: Float[Tensor, "3"], away: Float[Tensor, "2"] | None) -> Thought:
         """The motion to carry out next.
 
         Args:

@@ -5,14 +5,23 @@ import math
 import pytest
 import torch
 
+from sdf import backend, fused
 from sdf.sweep import nearest_on_rectangle, sweep_rectangle, turned
-from sensors.rectangle_touch import RectangleTouches, rectangle_log_likelihoods, way_clearance
+from sensors.rectangle_touch import RectangleTouches, rectangle_log_likelihoods, way_clearance, way_clearances
 from sensors.touch_likelihood import TouchNoise
 
 F64 = torch.float64
 HALF = torch.tensor([0.1, 0.05], dtype=F64)
 NOISE = TouchNoise()
 RADIUS = 0.0125
+
+
+@pytest.fixture(params=["torch", "numba"], autouse=True)
+def version(request):
+    if request.param == "numba" and not fused.available():
+        pytest.skip("without numba")
+    with backend.force(request.param):
+        yield request.param
 
 
 def poses_and_touches(count=40, touches=6):
@@ -125,3 +134,34 @@ def test_the_truth_explains_what_a_ball_feels():
         ]
     )
     assert len(each) > 40 and float(each.abs().max()) < 1e-12
+
+
+@pytest.mark.skipif(not fused.available(), reason="without numba")
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+def test_versions_agree(dtype):
+    generator = torch.Generator().manual_seed(7)
+    poses = torch.randn(60, 3, generator=generator, dtype=F64) * torch.tensor([0.1, 0.1, 3.0])
+    points = 0.15 * torch.randn(30, 2, generator=generator, dtype=F64)
+    normals = torch.nn.functional.normalize(torch.randn(30, 2, generator=generator, dtype=F64), dim=-1)
+    normals[:4] = torch.tensor([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])  # and one that is none
+    ways = 0.3 * torch.randn(30, 2, 2, generator=generator, dtype=F64)
+    ways[:3, 1] = ways[:3, 0]  # that go nowhere
+    ways[3, :, 1] = 0.02  # along an edge
+    poses[0] = 0.0
+    poses, points, normals, ways, half = (part.to(dtype) for part in (poses, points, normals, ways, HALF))
+    for rows in (slice(None), slice(0, 0)):
+        for corners in (True, False):
+            found = []
+            for name in ("torch", "numba"):
+                with backend.force(name):
+                    touches = rectangle_log_likelihoods(
+                        poses, points[rows], normals[rows], half, TouchNoise(0.005, 0.1, 0.01), corners=corners
+                    )
+                    found.append((touches, way_clearances(poses, half, ways[rows])))
+            (plain, clear), (quick, quick_clear) = found
+            assert plain.dtype == quick.dtype == dtype and plain.shape == quick.shape
+            loose = dtype == torch.float32
+            assert torch.allclose(plain, quick, atol=2e-2 if loose else 1e-9, rtol=1e-3 if loose else 1e-9)
+            assert torch.allclose(clear, quick_clear, atol=1e-6 if loose else 1e-12)
+    batched = rectangle_log_likelihoods(poses.expand(2, 60, 3), points, normals, half, NOISE)
+    assert torch.allclose(batched[1], rectangle_log_likelihoods(poses, points, normals, half, NOISE), atol=2e-2)
