@@ -1,7 +1,7 @@
 """What a reading of any kind is expected to tell: the mean divergence of the posterior from the prior."""
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 
@@ -63,7 +63,19 @@ def with_misses(
         reading_hits: whether each reading is one of a touch.
         state_hits: whether the motion touches the object at each state.
     """
-    touch = reading_hits[..., :, None]
-    same = touch == state_hits[..., None, :]
-    told = torch.where(touch, log_likelihood, torch.zeros_like(log_likelihood))
-    return torch.where(same, told, torch.full_like(told, -torch.inf))
+    told = torch.where(reading_hits[..., :, None], log_likelihood, torch.zeros_like(log_likelihood))
+    return with_kinds(told, reading_hits.long(), state_hits.long())
+
+
+def with_kinds(
+    log_likelihood: Float[Tensor, "*b M N"], reading_kinds: Int[Tensor, "*b M"], state_kinds: Int[Tensor, "*b N"]
+) -> Float[Tensor, "*b M N"]:
+    """The likelihoods where readings are of kinds, of which each state leads to one surely, and to no other.
+
+    Args:
+        log_likelihood: of the readings, their kind given.
+        reading_kinds: any numbers, such as 0 for no contact.
+        state_kinds: the kind that each state leads to.
+    """
+    same = reading_kinds[..., :, None] == state_kinds[..., None, :]
+    return torch.where(same, log_likelihood, torch.full_like(log_likelihood, -torch.inf))

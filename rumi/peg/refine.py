@@ -1,0 +1,189 @@
+"""The second stage: where to touch next in the time there is, until the holes are known well enough."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from rumi.belief.certainty import Aim, MassRule
+from rumi.belief.resampling import resample_systematic
+from rumi.belief.static import StaticBelief, StaticFilter
+from rumi.belief.static_spaces import PlaneSpace
+from rumi.belief.touch_gain import NOTHING, TOUCH, rectangle_likelihood, touch_gain
+from rumi.clock import SimulatedClock
+from rumi.peg.moves import Motion, motions, outcomes
+from rumi.peg.search import shortened
+from rumi.peg.settings import PegSettings
+from rumi.planning.anytime import Candidate, Selection, in_descending_posterior, select
+from rumi.planning.evaluation_time import EvaluationTime
+from rumi.planning.motion_time import path_time
+from rumi.sim.touch_cell import Felt
+from sdf.sweep import turned
+from sensors.rectangle_touch import RectangleTouches
+from sensors.touch_likelihood import box_face_log_likelihoods
+
+_FIRST_S = 0.05
+"""Seconds that an evaluation is taken to last before any was measured."""
+_REMEMBERED = 500
+
+
+def block_filter(settings: PegSettings) -> StaticFilter:
+    """The filter of the second stage: the block's middle on the table's part, and any yaw."""
+    size = torch.tensor(settings.table_m, dtype=torch.float64)
+
+    def log_prior(poses: Tensor) -> Tensor:
+        on = (poses[..., :2].abs() <= 0.5 * size).all(-1)
+        return torch.where(on, 0.0, -torch.inf).to(poses)
+
+    return StaticFilter(PlaneSpace(0.5 * settings.length_m), log_prior)
+
+
+def evidence_of(felt: Felt, settings: PegSettings) -> RectangleTouches:
+    """What a motion says of the block: its touch, and the ways that were free."""
+    new = RectangleTouches.none(settings.block.half(), settings.noise, settings.radius_m)
+    for start, end in felt.free[:-1]:
+        new = new.with_way(start, end)
+    last = shortened(felt, settings)
+    if last is not None:
+        new = new.with_way(*last)
+    if felt.kind == TOUCH:
+        new = new.with_touch(felt.point, felt.normal)
+    elif felt.kind != NOTHING:
+        new = new.with_top(felt.point)
+    return new
+
+
+class Thought(NamedTuple):
+    """A decision.
+
+    Attributes:
+        selection: of a motion.
+        begun_s, ended_s: on the clock.
+    """
+
+    selection: Selection[Motion]
+    begun_s: float
+    ended_s: float
+
+
+@dataclass
+class Chooser:
+    """Chooses motions under a deadline, on a simulated clock that thinking takes time of.
+
+    Attributes:
+        settings: of the task.
+        clock: that thinking advances.
+        generator: of all draws.
+        measured: work and seconds of the last evaluations, where they are measured.
+    """
+
+    settings: PegSettings
+    clock: SimulatedClock
+    generator: torch.Generator
+    measured: list[tuple[float, float]]
+
+    def choose(self, belief: StaticBelief, tip: Float[Tensor, "3"], away: Float[Tensor, "2"] | None) -> Thought:
+        """The motion to carry out next.
+
+        Args:
+            belief: over (x, y, yaw).
+            tip: where the ball's centre is.
+            away: normal of the side that it rests against, None where it rests against none.
+        """
+        own = self.settings
+        work = float(own.readings * own.particles)
+        index = self._configurations(belief)
+
+        def of_particle(place: int) -> Iterator[Candidate[Motion]]:
+            found = motions(belief.states[index[place]], tip, away, belief.states, belief.log_weights, own)
+            for number in torch.randperm(len(found), generator=self.generator).tolist():
+                took = float(path_time(found[number].path, own.limits))
+                yield Candidate(found[number], took, work)
+
+        begun = self.clock()
+        selection = select(
+            in_descending_posterior(belief.log_target[index], of_particle),
+            self._timed(self._gain(belief)),
+            own.t_max_s,
+            evaluation=self._evaluation(),
+            doublings=own.doublings,
+            now=self.clock,
+        )
+        if own.evaluation_s is None:
+            self.measured = [*self.measured, *selection.measured][-_REMEMBERED:]
+        return Thought(selection, begun, self.clock())
+
+    def _configurations(self, belief: StaticBelief) -> Int[Tensor, "C"]:
+        """The likeliest particle, and others drawn by weight: the next likeliest would be nearly the same."""
+        size = len(belief.log_weights)
+        drawn = resample_systematic(belief.log_weights, generator=self.generator)
+        count = self.settings.configurations - 1
+        others = drawn[torch.randperm(size, generator=self.generator)[:count]]
+        held = torch.where(belief.log_weights > -torch.inf, belief.log_target, -torch.inf)
+        return torch.cat((held.argmax()[None], others))
+
+    def _gain(self, belief: StaticBelief) -> Callable[[Motion], float]:
+        own = self.settings
+        likelihood = rectangle_likelihood(belief.states, own.block.half(), own.noise)
+
+        def gain(motion: Motion) -> float:
+            found = touch_gain(
+                belief.log_weights,
+                outcomes(motion, belief.states, own),
+                likelihood,
+                readings=own.readings,
+                noise=own.noise if own.sampled else None,
+                generator=self.generator,
+            )
+            return float(found)
+
+        return gain
+
+    def _timed(self, gain: Callable[[Motion], float]) -> Callable[[Motion], float]:
+        """The same, whose time passes on the simulated clock: the stated one, or the machine's own."""
+        stated = self.settings.evaluation_s
+
+        def timed(motion: Motion) -> float:
+            begun = time.perf_counter()
+            value = gain(motion)
+            self.clock.advance(time.perf_counter() - begun if stated is None else stated)
+            return value
+
+        return timed
+
+    def _evaluation(self) -> EvaluationTime:
+        if self.settings.evaluation_s is not None:
+            return EvaluationTime.known(self.settings.evaluation_s)
+        if not self.measured:
+            return EvaluationTime.known(_FIRST_S)
+        work, seconds = zip(*self.measured, strict=True)
+        return EvaluationTime.fit(work, seconds)
+
+
+def sides_touched(pose: Float[Tensor, "3"], every: RectangleTouches) -> int:
+    """How many different sides the touches are on, if the block is at this pose."""
+    if not len(every.points_w):
+        return 0
+    back = turned(-pose[2])
+    points = (every.points_w - pose[:2]) @ back.mT
+    side = box_face_log_likelihoods(points, every.normals_w @ back.mT, every.half, every.noise).argmax(-1)
+    return len(side.unique())
+
+
+def sure(belief: StaticBelief, every: RectangleTouches, aim: Aim, settings: PegSettings) -> bool:
+    """Whether the rule to stop holds."""
+    if len(every.points_w) < settings.contacts:
+        return False
+    if settings.stop == "contacts":
+        return sides_touched(belief.best, every) >= settings.sides
+    return aim.probability >= settings.probability
+
+
+def aim_of(belief: StaticBelief, settings: PegSettings) -> Aim:
+    """Where the holes most probably are, both within the tolerance."""
+    rule = MassRule(settings.tolerance_m, settings.probability)
+    return rule.aim(settings.block.holes(belief.states), belief.log_weights)

@@ -1,0 +1,131 @@
+"""Settings of the peg task."""
+
+import math
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Literal, Self, get_args
+
+from rumi.errors import UsageError
+from rumi.planning.motion_time import SpeedLimits
+from rumi.sim.touch_cell import Block
+from sensors.touch_likelihood import TouchNoise
+
+Stop = Literal["mass", "contacts"]
+
+
+@dataclass(frozen=True)
+class PegSettings:
+    """What the task and the robot are like, and how much it thinks.
+
+    Attributes:
+        t_max_s: seconds for a decision and its motion together.
+        evaluation_s: seconds that weighing one candidate is taken to last: 1 is a slow machine, 0.004 the one that the
+            figures are from. It is added to a simulated clock, so that runs are the same on any machine.
+        update_s: seconds that the belief takes to follow a reading.
+        stop: "mass" stops where both holes are within the tolerance of where they are thought to be with a
+            probability, "contacts" after four contacts on two sides, as the paper does.
+        probability: to stop at.
+        tolerance_m: of a hole.
+        contacts: on sides, before it may stop.
+        sides: different ones of them, for the paper's stop.
+        most_actions: after which the run ends as it is.
+        point_m, normal_deg: noise of the sensor, and as the belief has it.
+        particles: of the second stage.
+        search_particles: of the first.
+        readings: drawn for each candidate's gain.
+        sampled: whether they have noise.
+        configurations: poses that candidates are made of, the likeliest first; twelve candidates each.
+        doublings: of the time where there is nothing to do in it.
+        speed_m_s, acceleration_m_s2: limits of all motion.
+        standoff_m: distance in front of a side, from where the ball presses.
+        beyond_m: how far it presses on behind where the side is thought to be.
+        retreat_m: from a side after a touch.
+        lift_m: height of the ball's centre over the table, in passing over the block.
+        low_m: height of the centre in touching sides.
+        clear: probability that a direct way must be clear with, else the ball goes over the top.
+        lane_m: distance of the lanes of the search.
+        table_m: size of the part of the table that the block's middle may be on.
+        radius_m: of the ball.
+        length_m, width_m, height_m, hole_m: of the block.
+    """
+
+    t_max_s: float = 10.0
+    evaluation_s: float = 1.0
+    update_s: float = 0.05
+    stop: Stop = "mass"
+    probability: float = 0.95
+    tolerance_m: float = 0.005
+    contacts: int = 4
+    sides: int = 2
+    most_actions: int = 80
+    point_m: float = 0.005
+    normal_deg: float = 6.0
+    particles: int = 500
+    search_particles: int = 2000
+    readings: int = 50
+    sampled: bool = True
+    configurations: int = 5
+    doublings: int = 6
+    speed_m_s: float = 0.05
+    acceleration_m_s2: float = 0.1
+    standoff_m: float = 0.04
+    beyond_m: float = 0.04
+    retreat_m: float = 0.01
+    lift_m: float = 0.1
+    low_m: float = 0.03
+    clear: float = 0.99
+    lane_m: float = 0.125
+    table_m: tuple[float, float] = (0.8, 0.5)
+    radius_m: float = 0.0125
+    length_m: float = 0.2
+    width_m: float = 0.1
+    height_m: float = 0.06
+    hole_m: float = 0.06
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        if self.stop not in get_args(Stop):
+            raise ValueError(f"Expected stop to be one of {', '.join(get_args(Stop))}, got {self.stop!r}")
+        for name in ("t_max_s", "point_m", "normal_deg", "particles", "readings", "configurations", "most_actions"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        for name in ("evaluation_s", "update_s", "contacts", "sides", "retreat_m", "standoff_m", "beyond_m"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
+        if self.lane_m > min(self.length_m, self.width_m) + 2.0 * self.radius_m:
+            raise ValueError(
+                f"Expected lanes at most the block's width and the ball's apart, or some blocks are never met: "
+                f"{min(self.length_m, self.width_m) + 2.0 * self.radius_m:g} m, got {self.lane_m:g}"
+            )
+        if self.lift_m <= self.height_m + self.radius_m:
+            raise ValueError(f"Expected lift_m above the block and the ball's radius, got {self.lift_m:g}")
+
+    @property
+    def block(self) -> Block:
+        """The block."""
+        return Block((0.5 * self.length_m, 0.5 * self.width_m), self.height_m, self.hole_m)
+
+    @property
+    def noise(self) -> TouchNoise:
+        """Of the sensor."""
+        return TouchNoise(self.point_m, math.radians(self.normal_deg))
+
+    @property
+    def limits(self) -> SpeedLimits:
+        """Of all motion."""
+        return SpeedLimits(self.speed_m_s, self.acceleration_m_s2)
+
+    def with_values(self, overrides: dict[str, Any]) -> Self:
+        """The same with some settings changed.
+
+        Raises:
+            UsageError: there is no such setting.
+        """
+        known = {field.name for field in fields(self)}
+        for name in overrides:
+            if name not in known:
+                raise UsageError(f"There is no setting {name!r} of peg; there are {', '.join(sorted(known))}")
+        return replace(self, **overrides)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)

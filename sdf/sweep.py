@@ -1,0 +1,190 @@
+"""Where a ball that moves along a straight line first touches an object: a rectangle in closed form, and any mesh."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from sdf import se3
+from sdf.check import check_shape
+from sdf.triangles import Triangles, nearest, winding_number
+
+TOLERANCE = 1e-4
+"""Metres within which a ball touches a mesh."""
+_MOST_STEPS = 400
+
+
+class Sweep(NamedTuple):
+    """What a ball meets first; where it meets nothing all but `hit` is of the way's end.
+
+    Attributes:
+        hit: (*b), whether it touches at all.
+        distance: (*b), metres that its centre goes until then; the whole way where it touches nothing.
+        point: (*b, D), on the object.
+        normal: (*b, D), from there to the ball's centre, unit: the object's outward normal on a face.
+    """
+
+    hit: Bool[Tensor, "*b"]
+    distance: Float[Tensor, "*b"]
+    point: Float[Tensor, "*b D"]
+    normal: Float[Tensor, "*b D"]
+
+
+def sweep_rectangle(
+    poses: Float[Tensor, "*#b 3"],
+    half: Float[Tensor, "2"],
+    start: Float[Tensor, "*#b 2"],
+    end: Float[Tensor, "*#b 2"],
+    radius: float,
+) -> Sweep:
+    """First contact of a disc with rectangles, exact: a ray against a rectangle with rounded corners.
+
+    A disc that overlaps from the start touches at once, with the normal by which it gets out soonest.
+
+    Args:
+        poses: (x, y, yaw) of the rectangles' middles.
+        half: half of the edges, metres.
+        start: of the disc's centre.
+        end: of its way.
+        radius: of the disc, metres.
+    """
+    for name, value, size in (("poses", poses, 3), ("start", start, 2), ("end", end, 2)):
+        check_shape(name, value, f"(*b, {size})", last=(size,))
+    turn = turned(-poses[..., 2])
+    begin = (turn @ (start - poses[..., :2])[..., None])[..., 0]
+    way = (end - start).norm(dim=-1)
+    along = (end - start) / way.clamp_min(torch.finfo(way.dtype).tiny)[..., None]
+    ray = (turn @ along[..., None])[..., 0]
+    shape = torch.broadcast_shapes(begin.shape[:-1], ray.shape[:-1])
+    begin, ray, way = begin.expand(*shape, 2), ray.expand(*shape, 2), way.expand(shape)
+    time, normal = _ray(begin, ray, half, radius)
+    foot, out, gap = nearest_on_rectangle(begin, half)
+    within = gap <= radius
+    hit = within | (time <= way)
+    distance = torch.where(within, 0.0, torch.where(hit, time, way))
+    normal = torch.where(within[..., None], out, torch.where(hit[..., None], normal, -ray))
+    point = begin + distance[..., None] * ray - radius * normal
+    point = torch.where(within[..., None], foot, point)
+    back = turn.mT
+    point_w = (back @ point[..., None])[..., 0] + poses[..., :2]
+    return Sweep(hit, distance, point_w, (back @ normal[..., None])[..., 0])
+
+
+def nearest_on_rectangle(
+    points_o: Float[Tensor, "*b 2"], half: Float[Tensor, "2"]
+) -> tuple[Float[Tensor, "*b 2"], Float[Tensor, "*b 2"], Float[Tensor, "*b"]]:
+    """Nearest point of a rectangle's border (*b, 2), the outward normal there (*b, 2), signed distance (*b).
+
+    Args:
+        points_o: from the middle, along the edges, metres.
+        half: half of the edges.
+    """
+    clamped = torch.minimum(torch.maximum(points_o, -half), half)
+    apart = points_o - clamped
+    size = apart.norm(dim=-1)
+    depth = half - points_o.abs()
+    side = torch.nn.functional.one_hot(depth.argmin(-1), 2).to(points_o) * torch.where(points_o < 0, -1.0, 1.0)
+    inside = size == 0
+    foot = torch.where(inside[..., None], torch.where(side != 0, side * half, points_o), clamped)
+    normal = torch.where(inside[..., None], side, apart / size.clamp_min(torch.finfo(size.dtype).tiny)[..., None])
+    return foot, normal, torch.where(inside, -depth.amin(-1), size)
+
+
+def sweep_mesh(
+    world_T_object: Float[Tensor, "*#b 4 4"],
+    triangles: Triangles,
+    start: Float[Tensor, "*#b 3"],
+    end: Float[Tensor, "*#b 3"],
+    radius: float,
+    *,
+    tolerance: float = TOLERANCE,
+) -> Sweep:
+    """First contact of a ball with a mesh at many poses, by steps as long as the way to the nearest triangle is free.
+
+    The ball touches where it is nearer than `tolerance`; one that passes so close by touches too. A ball whose centre
+    is inside of a closed mesh at the start touches at once.
+
+    Args:
+        world_T_object: poses of the mesh.
+        triangles: of it, in its own frame; open meshes will do.
+        start: of the ball's centre.
+        end: of its way.
+        radius: of the ball, metres; 0 for a point.
+        tolerance: metres.
+    """
+    check_shape("world_T_object", world_T_object, "(*b, 4, 4)", last=(4, 4))
+    if not radius >= 0 or not tolerance > 0:
+        raise ValueError(f"Expected a radius of 0 or more and a tolerance above 0, got {radius} and {tolerance}")
+    shape = torch.broadcast_shapes(world_T_object.shape[:-2], start.shape[:-1], end.shape[:-1])
+    poses = world_T_object.expand(*shape, 4, 4).reshape(-1, 4, 4)
+    own = se3.inverse(poses)
+    ends = torch.stack((start.expand(*shape, 3).reshape(-1, 3), end.expand(*shape, 3).reshape(-1, 3)), 1)
+    begin, last = se3.apply(own, ends).unbind(1)
+    way = (last - begin).norm(dim=-1)
+    ray = (last - begin) / way.clamp_min(torch.finfo(way.dtype).tiny)[:, None]
+    gone = torch.zeros_like(way)
+    touched = winding_number(begin, triangles) > 0.5
+    moving = (~touched).nonzero()[:, 0]
+    for _ in range(_MOST_STEPS):
+        if not len(moving):
+            break
+        at = begin[moving] + gone[moving, None] * ray[moving]
+        gap = (at - nearest(at, triangles).point).norm(dim=-1) - radius
+        touched[moving] = gap <= tolerance
+        over = gone[moving] >= way[moving]
+        # a step ends where the surface can be at the earliest
+        step = torch.minimum(gone[moving] + gap.clamp_min(0.5 * tolerance), way[moving])
+        going = ~(over | (gap <= tolerance))
+        gone[moving] = torch.where(going, step, gone[moving])
+        moving = moving[going]
+    gone = torch.where(touched, gone, way)
+    centre = begin + gone[:, None] * ray
+    found = nearest(centre, triangles)
+    apart = centre - found.point
+    size = apart.norm(dim=-1, keepdim=True)
+    facing = triangles.normals.to(ray)[found.face]
+    # a ball whose centre is on the surface says nothing of where that faces
+    normal = torch.where(size > 2.0 * tolerance, apart / size.clamp_min(tolerance), facing)
+    normal = torch.where(touched[:, None], normal, -ray)
+    point = torch.where(touched[:, None], found.point, centre + radius * ray)
+    point_w = se3.apply(poses, point[:, None])[:, 0]
+    normal_w = se3.rotate(poses, normal[:, None])[:, 0]
+    return Sweep(touched.view(shape), gone.view(shape), point_w.view(*shape, 3), normal_w.view(*shape, 3))
+
+
+def turned(yaw: Float[Tensor, "*b"]) -> Float[Tensor, "*b 2 2"]:
+    """Rotations by yaw, radians."""
+    cos, sin = yaw.cos(), yaw.sin()
+    return torch.stack((torch.stack((cos, -sin), -1), torch.stack((sin, cos), -1)), -2)
+
+
+def _ray(
+    begin: Float[Tensor, "*b 2"], ray: Float[Tensor, "*b 2"], half: Float[Tensor, "2"], radius: float
+) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b 2"]]:
+    """Way until a ray enters the rounded rectangle (inf where it does not), and the normal there; from outside."""
+    grown = half + radius
+    still = ray.abs() < torch.finfo(ray.dtype).eps
+    safe = torch.where(still, 1.0, ray)
+    one, two = (-grown - begin) / safe, (grown - begin) / safe
+    beside = still & (begin.abs() > grown)
+    into = torch.where(still, -torch.inf, torch.minimum(one, two)).masked_fill(beside, torch.inf)
+    out_of = torch.where(still, torch.inf, torch.maximum(one, two))
+    enter, axis = into.max(-1)
+    met = (enter <= out_of.amin(-1)) & (out_of.amin(-1) >= 0)
+    # where the ray begins within the grown rectangle, it begins beside a rounded corner
+    enter = torch.where(met, enter.clamp_min(0.0), 0.0)
+    at = begin + enter[..., None] * ray
+    corner = half * torch.where(at < 0, -1.0, 1.0)
+    beyond = (at.abs() > half).all(-1)
+    face = torch.nn.functional.one_hot(axis, 2).to(ray) * -torch.sign(ray)
+    # |begin + t ray - corner| = radius, the first root
+    apart = begin - corner
+    middle = -(apart * ray).sum(-1)
+    rest = radius**2 - (apart + middle[..., None] * ray).square().sum(-1)
+    on_arc = middle - rest.clamp_min(0.0).sqrt()
+    round_hit = (rest >= 0) & (on_arc >= 0)
+    time = torch.where(beyond, on_arc.masked_fill(~round_hit, torch.inf), enter).masked_fill(~met, torch.inf)
+    centre = begin + torch.where(time.isfinite(), time, 0.0)[..., None] * ray
+    arc = (centre - corner) / max(radius, 1e-12)
+    return time, torch.where(beyond[..., None], arc, face)

@@ -1,0 +1,81 @@
+"""What touching a rectangle says of its middle alone: it lies within a circle, and fills it by its unknown yaw."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def width_share(distance: Float[Tensor, "*b"], half: Float[Tensor, "2"]) -> Float[Tensor, "*b"]:
+    """Share of yaws (*b) at which a rectangle reaches less far than a distance from its middle, to one given side.
+
+    It reaches |half_x cos| + |half_y sin| of the angle: half the shorter edge at least, the bounding circle at most.
+
+    Args:
+        distance: metres.
+        half: half of the edges.
+    """
+    circle = float(half.norm())
+    lean = math.atan2(float(half[1]), float(half[0]))
+    past = torch.acos((distance / circle).clamp(-1.0, 1.0))
+    within = past.clamp_max(lean) + past.clamp_max(0.5 * math.pi - lean)
+    return 1.0 - within / (0.5 * math.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class CircleTouches:
+    """All that was felt of a rectangle of any yaw, as evidence on (x, y) of its middle.
+
+    Attributes:
+        half: half of the edges, metres.
+        radius: of the ball that touches, metres.
+        sigma_m: of a touched point.
+        points_w: (K, 2), touched.
+        normals_w: (K, 2), outward there.
+        ways_w: (W, 2, 2), straight ways of the ball's centre on which it met nothing.
+    """
+
+    half: Float[Tensor, "2"]
+    radius: float
+    sigma_m: float
+    points_w: Float[Tensor, "K 2"]
+    normals_w: Float[Tensor, "K 2"]
+    ways_w: Float[Tensor, "W 2 2"]
+
+    @classmethod
+    def none(cls, half: Float[Tensor, "2"], radius: float, sigma_m: float) -> Self:
+        """Nothing felt yet."""
+        return cls(half, radius, sigma_m, half.new_zeros(0, 2), half.new_zeros(0, 2), half.new_zeros(0, 2, 2))
+
+    def with_way(self, start_w: Float[Tensor, "2"], end_w: Float[Tensor, "2"]) -> Self:
+        """A way more on which nothing was met."""
+        return replace(self, ways_w=torch.cat((self.ways_w, torch.stack((start_w, end_w))[None])))
+
+    def with_touch(self, point_w: Float[Tensor, "2"], normal_w: Float[Tensor, "2"]) -> Self:
+        """A touch more."""
+        points, normals = torch.cat((self.points_w, point_w[None])), torch.cat((self.normals_w, normal_w[None]))
+        return replace(self, points_w=points, normals_w=normals)
+
+    def log_likelihood(self, places: Float[Tensor, "N 2"]) -> Float[Tensor, "N"]:
+        """Of all readings together (N), nats, up to a constant.
+
+        A way meets nothing with the share of yaws that leave it clear. A touched point is no nearer to the middle than
+        half the shorter edge and no farther than the circle, measured along its normal and in all.
+        """
+        total = places.new_zeros(len(places))
+        if len(self.ways_w):
+            start, way = self.ways_w[:, None, 0], (self.ways_w[:, 1] - self.ways_w[:, 0])[:, None]
+            apart = places - start
+            share = (apart * way).sum(-1) / way.square().sum(-1).clamp_min(torch.finfo(way.dtype).tiny)
+            gap = (apart - share.clamp(0.0, 1.0)[..., None] * way).norm(dim=-1) - self.radius
+            total = total + width_share(gap, self.half).clamp_min(torch.finfo(way.dtype).tiny).log().sum(0)
+        if len(self.points_w):
+            apart = self.points_w[:, None] - places
+            near, far = float(self.half.min()), float(self.half.norm())
+            for reach in (apart.norm(dim=-1), (apart * self.normals_w[:, None]).sum(-1)):
+                beyond = (near - reach).clamp_min(0.0) + (reach - far).clamp_min(0.0)
+                total = total - 0.5 * (beyond / self.sigma_m).square().sum(0)
+        return total

@@ -1,0 +1,174 @@
+"""A belief over what does not move."""
+
+import math
+from dataclasses import dataclass
+
+import pytest
+import torch
+from torch import Tensor
+
+from rumi.belief.static import StaticFilter, StaticSettings
+from rumi.belief.static_spaces import PlaneSpace, PoseSpace
+from rumi.errors import DegenerateBeliefError
+from sdf import savings, se3
+from sdf.triangles import Triangles
+from sensors.rectangle_touch import RectangleTouches
+from sensors.touch_likelihood import Touches, TouchNoise
+
+F64 = torch.float64
+SPACES = {"place": PlaneSpace(None), "plane": PlaneSpace(0.1), "pose": PoseSpace(0.1)}
+
+
+def drawn(space, count, generator, spread=0.3):
+    if isinstance(space, PoseSpace):
+        return se3.exp(spread * torch.randn(count, 6, generator=generator, dtype=F64))
+    return spread * torch.randn(count, space.dims, generator=generator, dtype=F64)
+
+
+def flat(states):
+    return torch.zeros(len(states), dtype=states.dtype)
+
+
+@dataclass
+class Gauss:
+    """Readings of x and y with Gaussian noise."""
+
+    readings: Tensor
+    noise: float
+
+    def log_likelihood(self, states):
+        return -0.5 * ((self.readings[:, None] - states[:, :2]) / self.noise).square().sum((0, 2))
+
+
+@pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
+def test_a_step_and_a_difference_undo_each_other(space):
+    generator = torch.Generator().manual_seed(0)
+    states = drawn(space, 50, generator)
+    step = 0.5 * torch.randn(50, space.dims, generator=generator, dtype=F64)
+    there = space.stepped(states, step)
+    assert torch.allclose(space.difference(there, states), step, atol=1e-9)
+    assert torch.allclose(space.difference(states, there), -step, atol=1e-9)
+    assert torch.allclose(space.stepped(there, -step), states, atol=1e-9)
+    assert len(space.units) == space.dims
+
+
+def test_yaw_goes_the_shorter_way():
+    a, b = torch.tensor([[0.0, 0.0, 3.1], [0.0, 0.0, -3.1]], dtype=F64)
+    assert float(PlaneSpace().difference(a[None], b[None])[0, 2]) == pytest.approx(6.2 - 2 * math.pi)
+
+
+def test_it_is_the_posterior_of_a_gaussian():
+    """Readings one by one, with particles resampled and moved on the way: mean and spread in closed form."""
+    generator = torch.Generator().manual_seed(1)
+    truth, noise, prior = torch.tensor([0.12, -0.07], dtype=F64), 0.01, 0.1
+    readings = truth + noise * torch.randn(12, 2, generator=generator, dtype=F64)
+    follow = StaticFilter(PlaneSpace(None), lambda s: -0.5 * (s / prior).square().sum(-1))
+    belief = follow.start(prior * torch.randn(2000, 2, generator=generator, dtype=F64))
+    resampled = 0
+    for k in range(len(readings)):
+        every = Gauss(readings[: k + 1], noise)
+        belief, info = follow.update(belief, Gauss(readings[k : k + 1], noise), every, generator=generator)
+        resampled += info.resampled
+        assert not info.resampled or 0.05 < info.accepted < 0.95
+    assert resampled >= 3
+    precision = prior**-2 + len(readings) * noise**-2
+    mean = readings.sum(0) * noise**-2 / precision
+    weights = belief.log_weights.exp()
+    found = (weights[:, None] * belief.states).sum(0)
+    spread = (weights[:, None] * (belief.states - found).square()).sum(0).sqrt()
+    assert float((found - mean).abs().max()) < 4 * precision**-0.5 / math.sqrt(500)
+    assert torch.allclose(spread, torch.full((2,), precision**-0.5, dtype=F64), rtol=0.1)
+    best = belief.best
+    assert float((best - mean).norm()) < precision**-0.5
+    assert torch.allclose(belief.log_target, follow.log_target(belief.states, Gauss(readings, noise)), atol=1e-6)
+
+
+@pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
+def test_moves_leave_a_distribution_as_it_is(space):
+    """Particles of a Gaussian in the space stay so, in place and in every turn."""
+    generator = torch.Generator().manual_seed(2)
+    centre = drawn(space, 1, generator)
+    widths = torch.tensor([0.02, 0.05, 0.2, 0.3, 0.1, 0.05][: space.dims], dtype=F64)
+
+    def log_prior(states):
+        apart = space.difference(states, centre.expand_as(states))
+        density = -0.5 * (apart / widths).square().sum(-1)
+        if isinstance(space, PoseSpace):
+            # the volume that a step of the rotation fills, smaller the farther it turns
+            angle = apart[:, 3:].norm(dim=-1)
+            density = density + 2.0 * torch.where(angle > 1e-6, (2.0 * (0.5 * angle).sin() / angle).log(), 0.0)
+        return density
+
+    def spread(states):
+        return space.difference(states, centre.expand_as(states)).square().mean(0).sqrt()
+
+    follow = StaticFilter(space, log_prior, StaticSettings(moves=30))
+    # too wide at first: moves must bring it in
+    steps = 2.0 * widths * torch.randn(1000, space.dims, generator=generator, dtype=F64)
+    belief = follow.start(space.stepped(centre.expand(1000, *centre.shape[1:]), steps))
+    for _ in range(3):
+        belief, _ = follow.moved(belief, None, ess=0.0, generator=generator)
+    assert torch.allclose(spread(belief.states), widths, rtol=0.15)
+
+
+def test_nothing_is_predicted_unless_asked_for():
+    generator = torch.Generator().manual_seed(3)
+    states = drawn(PlaneSpace(), 30, generator)
+    reading = Gauss(torch.zeros(1, 2, dtype=F64), 10.0)
+    with savings.account() as account:
+        still = StaticFilter(PlaneSpace(), flat)
+        belief, info = still.update(still.start(states), reading, reading, generator=generator)
+        assert torch.equal(belief.states, states) and not info.resampled
+    assert account.skipped() == {"predictions": 1.0}
+    noisy = StaticFilter(PlaneSpace(), flat, StaticSettings(noise=(0.1, 0.1, 0.2)))
+    with savings.account() as account:
+        belief, _ = noisy.update(noisy.start(states), reading, reading, generator=generator)
+    apart = PlaneSpace().difference(belief.states, states)
+    assert 0.05 < float(apart[:, 0].std()) < 0.2 and 0.1 < float(apart[:, 2].std()) < 0.4
+    assert account.skipped() == {"predictions": 0.0}
+
+
+def test_a_mesh_in_six_dimensions_is_found():
+    generator = torch.Generator().manual_seed(4)
+    half = torch.tensor([0.03, 0.05, 0.08], dtype=F64)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    corners = torch.cartesian_prod(*[torch.tensor([-x, x], dtype=F64) for x in half.tolist()])
+    box = Triangles(corners[torch.tensor([(q[0], q[k], q[k + 1]) for q in quads for k in (1, 2)])])
+    truth = se3.exp(torch.tensor([[0.1, -0.05, 0.02, 0.3, -0.2, 0.4]], dtype=F64))
+    normals_o = torch.eye(3, dtype=F64).repeat(3, 1) * torch.tensor([1.0] * 3 + [-1.0] * 3 + [1.0] * 3)[:, None]
+    points_o = half * (0.6 * torch.rand(9, 3, generator=generator, dtype=F64) - 0.3)
+    points_o = torch.where(normals_o != 0, normals_o * half, points_o)
+    points, normals = se3.apply(truth, points_o[None])[0], se3.rotate(truth, normals_o[None])[0]
+    points = points + 0.001 * torch.randn(9, 3, generator=generator, dtype=F64)
+    space = PoseSpace(0.08)
+    start = truth @ se3.exp(
+        0.2 * torch.randn(600, 6, generator=generator, dtype=F64) * torch.tensor([0.1] * 3 + [1.0] * 3)
+    )
+    follow = StaticFilter(space, flat)
+    belief = follow.start(start)
+    noise = TouchNoise(0.001, math.radians(2.0))
+    for k in range(9):
+        one = Touches(points[k : k + 1], normals[k : k + 1], box, noise)
+        every = Touches(points[: k + 1], normals[: k + 1], box, noise)
+        belief, _ = follow.update(belief, one, every, generator=generator)
+    off, turn = se3.distance(belief.best, truth[0])
+    assert float(off) < 0.003 and math.degrees(float(turn)) < 3.0
+
+
+def test_a_reading_that_nothing_explains():
+    class Impossible:
+        def log_likelihood(self, states):
+            return torch.full((len(states),), -math.inf, dtype=F64)
+
+    follow = StaticFilter(PlaneSpace(), flat)
+    belief = follow.start(torch.zeros(5, 3, dtype=F64))
+    with pytest.raises(DegenerateBeliefError, match="No particle"):
+        follow.update(belief, Impossible(), Impossible(), generator=torch.Generator().manual_seed(0))
+    empty = RectangleTouches.none(torch.tensor([0.1, 0.05], dtype=F64), TouchNoise(), 0.01)
+    assert torch.equal(follow.log_target(belief.states, empty), torch.zeros(5, dtype=F64))
+
+
+@pytest.mark.parametrize("change", [{"trigger": 2.0}, {"crossed": -1.0}, {"moves": -1}, {"jitter_m": (0.0, 1.0)}])
+def test_settings_that_cannot_be(change):
+    with pytest.raises(ValueError, match="Expected"):
+        StaticSettings(**change)
