@@ -74,11 +74,13 @@ class PlotOptions:
 def tasks(arguments: Sequence[str]) -> int:
     """`rumi tasks`: the tasks by name."""
     from rumi.sim.tasks import TASKS
+    from rumi.touch import command as touch
 
     tyro.cli(_Nothing, prog="rumi tasks", args=arguments, description="List what there is to find.")
-    width = max(map(len, TASKS))
-    for name, spec in TASKS.items():
-        sys.stdout.write(f"{name:<{width}}  {spec.description}\n")
+    listed = {name: spec.description for name, spec in TASKS.items()} | {touch.NAME: touch.DESCRIPTION}
+    width = max(map(len, listed))
+    for name, description in listed.items():
+        sys.stdout.write(f"{name:<{width}}  {description}\n")
     return DONE
 
 
@@ -89,6 +91,10 @@ class _Nothing:
 
 def run(arguments: Sequence[str]) -> int:
     """`rumi run`: one run, its folder and its figures."""
+    from rumi.touch import command as touch
+
+    if touch.NAME in arguments:
+        return touch.run_touch([a for a in arguments if a != touch.NAME], cache_dir=cache_folder())
     options = parse_run(arguments)
     settings = options.settings
     # what can be wrong is looked at before anything that takes time
@@ -167,6 +173,10 @@ def reproduce(arguments: Sequence[str]) -> int:
     """`rumi reproduce`: the paper's tables and figures."""
     from rumi.reproduce import command
 
+    if any(argument.startswith("touch-") for argument in arguments):
+        from rumi.reproduce import touch
+
+        return touch.reproduce_touch(arguments, cache_dir=cache_folder())
     return command.reproduce(arguments, cache_dir=cache_folder())
 
 

@@ -10,11 +10,10 @@ import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import tyro
 
-from rumi.bench.touch_filters import PushSetup, Scores, Variant, compare, wide
+from rumi.bench.touch_filters import PAPER, PushSetup, Variant, compare, markdown, wide
 
 
 @dataclass(frozen=True)
@@ -48,31 +47,6 @@ class Options:
     json: Path | None = None
 
 
-NAMES = {
-    "top_m": "top 10, m",
-    "top_rad": "top 10, rad",
-    "mean_m": "mean, m",
-    "mean_rad": "mean, rad",
-    "active": "active",
-}
-PAPER = (
-    "The paper has, for binary, smooth, smooth and resampled: 0.023, 0.019, 0.018 (position); 0.208, 0.185, 0.164 "
-    "(yaw); 0.038, 0.077, 0.511 (active)."
-)
-
-
-def table(found: dict[str, Any]) -> str:
-    """Markdown: a filter a line, then the differences, each with half of its 95 % interval."""
-    lines = ["| filter | " + " | ".join(NAMES.values()) + " | resampled | s |", "|" + "---|" * (len(NAMES) + 3)]
-    for name, column in found["variants"].items():
-        cells = [f"{column[key][0]:.4f} ± {column[key][1]:.4f}" for key in NAMES]
-        lines.append(f"| {name} | {' | '.join(cells)} | {column['resampled']:.1f} | {column['seconds']:.1f} |")
-    for name, column in found["differences"].items():
-        cells = [f"{column[key][0]:+.4f} ± {column[key][1]:.4f}" for key in NAMES]
-        lines.append(f"| {name} | {' | '.join(cells)} | | |")
-    return "\n".join(lines)
-
-
 def main() -> None:
     """Print the table."""
     options = tyro.cli(Options, description=__doc__)
@@ -89,9 +63,8 @@ def main() -> None:
     )
     seconds = time.perf_counter() - begun
     sys.stdout.write(f"{options.runs} runs of {options.count} particles, seed {options.seed}: {seconds:.1f} s\n\n")
-    sys.stdout.write(f"{table(found)}\n\n{PAPER}\n")
+    sys.stdout.write(f"{markdown(found)}\n\n{PAPER}\n")
     if options.json is not None:
-        assert set(NAMES) < set(Scores._fields)
         options.json.write_text(json.dumps(found | {"seconds": seconds}, indent=1))
 
 

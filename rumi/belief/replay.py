@@ -17,7 +17,7 @@ from torch import Tensor
 from rumi.belief.planar_prior import PlanarPrior
 from rumi.belief.resampling import resample_systematic
 from rumi.belief.touch_belief import TouchAction, TouchBelief, joined
-from rumi.dynamics.carry import Pusher, carry, distance_to
+from rumi.dynamics.carry import Carrier, Pusher, carry, distance_to
 from rumi.dynamics.sliding import Outline, Sliding
 from sensors.contact_model import ContactModel
 
@@ -39,10 +39,15 @@ class ReplaySettings:
         friction: range of the coefficient, uniform.
         lever_m: range of c, uniform.
         noise: standard deviation of each action's motion, as a share of it; 0 for none.
+        noise_tails: h of Tukey's g-and-h distribution, z exp(h z^2 / 2) of a normal z: 0 is normal, more has heavier
+            tails, for motions that now and then go quite another way.
         noise_m_per_rad: metres of motion that a radian counts as.
         noise_rad_per_m: of yaw with it.
         newcomers: share of the particles that newcomers replace.
         newcomer_mass: weight that they get in all, split by their likelihood.
+        temper: power of the likelihood: 1 for readings that err independently, below it for those that err together.
+        overlap_m: distance over which it is uncertain whether the tool, coming down, meets the object.
+        overlap_error: chance that it is wrongly taken to have met it, or not to.
         substeps: parts of the way between two readings.
         passes: contacts that are settled in a part, at most.
     """
@@ -56,10 +61,14 @@ class ReplaySettings:
     friction: tuple[float, float] = (0.1, 0.6)
     lever_m: tuple[float, float] = (0.03, 0.06)
     noise: float = 0.0
+    noise_tails: float = 0.0
     noise_m_per_rad: float = 0.04
     noise_rad_per_m: float = 10.0
     newcomers: float = 0.2
     newcomer_mass: float = 0.1
+    temper: float = 1.0
+    overlap_m: float = 0.002
+    overlap_error: float = 0.02
     substeps: int = 2
     passes: int = 2
 
@@ -76,8 +85,12 @@ class ReplaySettings:
             low, high = getattr(self, name)
             if not 0 <= low <= high or (name != "friction" and low <= 0):
                 raise ValueError(f"Expected {name} as (low, high) above 0, got {(low, high)}")
-        if self.noise < 0 or self.sweeps < 0:
-            raise ValueError(f"Expected noise and sweeps to be 0 or more, got {self.noise} and {self.sweeps}")
+        for name in ("noise", "noise_tails", "sweeps"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
+        for name in ("temper", "overlap_m", "overlap_error"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
 
 
 class StepInfo(NamedTuple):
@@ -104,6 +117,7 @@ class TouchFilter:
         model: of the contact signal.
         prior: over start poses.
         settings: see there.
+        carrier: how the tool moves the objects; quasi-statically by default.
     """
 
     def __init__(
@@ -114,10 +128,11 @@ class TouchFilter:
         model: ContactModel,
         prior: PlanarPrior,
         settings: ReplaySettings | None = None,
+        carrier: Carrier = carry,
     ) -> None:
         self.outline, self.centre, self.pusher = outline, centre, pusher
         self.model, self.prior = model, prior
-        self.settings = settings or ReplaySettings()
+        self.settings, self.carrier = settings or ReplaySettings(), carrier
 
     def initial(self, runs: int, count: int, *, generator: torch.Generator) -> TouchBelief:
         """Draws from the prior, equally weighted."""
@@ -163,7 +178,7 @@ class TouchFilter:
             low = ess < self.settings.trigger * pose.shape[1]
         rows, accepted = low.nonzero()[:, 0], float("nan")
         if len(rows):
-            some = [TouchAction(_rows(a.path, rows, 3), _rows(a.contact, rows, 2)) for a in history]
+            some = [a._replace(path=_rows(a.path, rows, 3), contact=_rows(a.contact, rows, 2)) for a in history]
             fresh, accepted = self.resampled(belief.at(rows), some, generator=generator)
             belief = belief.put(rows, fresh)
         return belief, StepInfo(ess, low, accepted)
@@ -201,7 +216,7 @@ class TouchFilter:
         if len(path) > 1:
             path = path[:, None].expand(runs, count, *path.shape[1:]).reshape(each, *path.shape[1:])
         centre = self.centre.to(pose).expand(each, 2)
-        carried = carry(
+        carried = self.carrier(
             pose.reshape(each, 3),
             path,
             self.pusher,
@@ -212,9 +227,18 @@ class TouchFilter:
         )
         distance = carried.distance.view(runs, count, -1)
         contact = (action.contact if action.contact.ndim == 2 else action.contact[None])[:, None]
-        gained = self.model.log_likelihood(distance, contact).sum(-1)
+        gained = self.settings.temper * self.model.log_likelihood(distance, contact).sum(-1)
+        if action.blocked is not None:
+            gained = gained + self._descent(pose, path, action.blocked)
         after = carried.track[:, -1].view(runs, count, 3) if distance.shape[-1] else pose
         return self._disturbed(pose, after, noise), gained
+
+    def _descent(self, pose: Tensor, path: Tensor, blocked: bool) -> Float[Tensor, "R N"]:
+        """Log-likelihood of having come down at the start of a path, or not."""
+        own, flat = self.settings, pose.reshape(-1, 3)
+        apart = distance_to(flat, path[:, 0], self.pusher, self.outline).view(pose.shape[:2])
+        meets = own.overlap_error + (1.0 - 2.0 * own.overlap_error) * torch.sigmoid(-apart / own.overlap_m)
+        return (meets if blocked else 1.0 - meets).log()
 
     def _disturbed(self, before: Tensor, after: Tensor, noise: Tensor | None) -> Tensor:
         """Poses off by noise that grows with the motion."""
@@ -224,6 +248,8 @@ class TouchFilter:
         motion = after - before
         sigma = own.noise * (motion[..., :2].norm(dim=-1) + own.noise_m_per_rad * motion[..., 2].abs())
         scale = torch.stack((sigma, sigma, own.noise_rad_per_m * sigma), -1)
+        if own.noise_tails > 0:
+            noise = noise * (0.5 * own.noise_tails * noise.square()).exp()
         return after + scale * noise
 
     def replayed(
@@ -235,11 +261,12 @@ class TouchFilter:
         history: Sequence[TouchAction],
     ) -> tuple[Float[Tensor, "R N 3"], Float[Tensor, "R N"]]:
         """Poses now and the log-likelihood of all readings, from the start."""
-        if self.settings.noise == 0:
+        if self.settings.noise == 0 and all(action.blocked is None for action in history):
             # nothing happens between actions: all of them are one
             return self.roll(start, friction, lever, None, joined(history))
         pose, total = start, torch.zeros_like(friction)
-        for own, action in zip(noise, history, strict=True):
+        each: Sequence[Tensor | None] = noise if self.settings.noise > 0 else [None] * len(history)
+        for own, action in zip(each, history, strict=True):
             pose, gained = self.roll(pose, friction, lever, own, action)
             total = total + gained
         return pose, total
@@ -267,8 +294,10 @@ class TouchFilter:
         lever = self._moved(belief.lever, own.lever_m, afresh, reach * changes[..., 1], uniform())
         noise = belief.noise
         if own.noise > 0:
-            keep = (uniform() < 0.5)[..., None]
-            noise = tuple(torch.where(keep, part, normal()) for part in noise)
+            # a turn within the plane of old and new draws leaves normal ones normal
+            angle = 0.5 * torch.pi * torch.where(afresh, 1.0, (uniform() < 0.5) * torch.maximum(reach, uniform() ** 4))
+            cos, sin = angle.cos()[..., None], angle.sin()[..., None]
+            noise = tuple(cos * part + sin * normal() for part in noise)
         pose, log_likelihood = self.replayed(start, friction, lever, noise, history)
         # a draw from the prior is proposed as often as the prior has it
         change = self.prior.log_density(start) - self.prior.log_density(belief.start)

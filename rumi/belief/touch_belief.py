@@ -15,10 +15,13 @@ class TouchAction(NamedTuple):
     Attributes:
         path: (*b, K + 1, 3), (x, y, yaw) of the tool, where it began first.
         contact: (*b, K), the contact signal at the end of each part.
+        blocked: whether the tool could not come down where the path begins, since the object stands there; None where
+            that tells nothing, since it came from the side.
     """
 
     path: Float[Tensor, "*b K1 3"]
     contact: Bool[Tensor, "*b K"]
+    blocked: bool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,7 @@ _PARTS = ("start", "friction", "lever", "pose", "log_weights", "log_likelihood")
 
 
 def joined(history: Sequence[TouchAction]) -> TouchAction:
-    """Actions one after the other, as one; each begins where the one before ended."""
+    """Actions one after the other, as one; each begins where the one before ended, and none came from above."""
     first = history[0]
     paths = [first.path, *(action.path[..., 1:, :] for action in history[1:])]
     batch = torch.broadcast_shapes(*(path.shape[:-2] for path in paths))

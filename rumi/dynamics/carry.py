@@ -1,6 +1,6 @@
 """Particles carried along one tool path: where each is after every instant, and how far the tool then is from it."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -46,6 +46,25 @@ class Carried(NamedTuple):
 
     track: Float[Tensor, "E K 3"]
     distance: Float[Tensor, "E K"]
+
+
+@runtime_checkable
+class Carrier(Protocol):
+    """Says what a tool path does to objects: `carry`, or another physics with its arguments."""
+
+    def __call__(
+        self,
+        poses: Float[Tensor, "E 3"],
+        path: Float[Tensor, "#E K1 3"],
+        pusher: Pusher,
+        outline: Outline,
+        sliding: Sliding,
+        *,
+        substeps: int = 2,
+        passes: int = 2,
+    ) -> Carried:
+        """Where objects are after each instant of a path; see `carry`."""
+        ...
 
 
 def carry(

@@ -21,6 +21,7 @@ from rumi.reproduce.jobs import Job
 from rumi.reproduce.live import LiveTable
 from rumi.reproduce.records import Record, Records
 from rumi.reproduce.reports import Report, reports, write_page
+from rumi.reproduce.seeds import seeds_of
 from rumi.reproduce.worker import Errand, failures
 
 FAILED = 1
@@ -149,21 +150,6 @@ def chosen(options: ReproduceOptions) -> tuple[list[str], Selection]:
             sys.stderr.write(f"rumi: leaving {name} out: {reason}\n")
             names.remove(name)
     return names, Selection(options.tasks, options.methods, options.presets, seeds_of(options.seeds), options.set)
-
-
-def seeds_of(text: str) -> tuple[int, ...]:
-    """Seeds of "0-9" or "3,5,8-9", each once.
-
-    Raises:
-        UsageError: it is neither.
-    """
-    seeds: list[int] = []
-    for piece in text.split(","):
-        match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", piece)
-        if match is None or (match[2] and int(match[2]) < int(match[1])):
-            raise UsageError(f"Expected seeds such as 0-9 or 0,3,5-7, got {text!r}")
-        seeds += range(int(match[1]), int(match[2] or match[1]) + 1)
-    return tuple(dict.fromkeys(seeds))
 
 
 def part(jobs: Sequence[Job], shard: str | None) -> list[Job]:

@@ -1,0 +1,109 @@
+"""`rumi run touch-box`: one run of touch alone, its folder and its figures."""
+
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from rumi.cli import DONE, NOT_CONVERGED
+from rumi.errors import UsageError
+from rumi.touch.make import Robot
+from rumi.touch.settings import TouchSettings
+from rumi.touch.task import TouchTask
+
+NAME = "touch-box"
+DESCRIPTION = "a box in one of two places that only touch can tell, to be found, grasped and lifted"
+
+_HELP = """Find a box by touch alone and lift it, in simulation.
+
+    rumi run touch-box
+    rumi run touch-box --method entropy --seed 3
+    rumi run touch-box --push-model displacement --robot planar
+    rumi run touch-box --task.rates 0.9 0.05 --task.correlation 0.5
+
+Ends with exit code 0 if the box was lifted, 1 if not."""
+
+
+@dataclass(frozen=True)
+class TouchRunOptions:
+    """Options of `rumi run touch-box`.
+
+    Attributes:
+        settings: of the run.
+        task: the scene and its readings.
+        robot: that pokes and grasps.
+        seed: of where the box stands and of all randomness.
+        out: folder of the run; by default runs/touch-box-METHOD-ROBOT-sSEED, with a number where that is taken.
+        figures: draw figures at the end.
+    """
+
+    settings: Annotated[TouchSettings, tyro.conf.arg(name="")] = field(default_factory=TouchSettings)
+    task: TouchTask = field(default_factory=TouchTask)
+    robot: Robot = "gripper"
+    seed: int = 0
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    figures: bool = True
+
+
+def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
+    """Carry out `rumi run touch-box`; `arguments` are those after the name."""
+    options = tyro.cli(TouchRunOptions, prog=f"rumi run {NAME}", description=_HELP, args=arguments)
+    from rumi.touch.localise import TouchStep, localise, signals
+    from rumi.touch.make import make_toucher
+    from rumi.touch.records import figures_of
+
+    folder = options.out or _free(Path("runs") / f"{NAME}-{options.settings.method}-{options.robot}-s{options.seed}")
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(folder.iterdir()):
+        raise UsageError(f"Expected a folder without files in it, got {folder}: name another by --out")
+    _say(f"{NAME} with {options.settings.method}, {options.robot}, seed {options.seed}; writing to {folder}")
+    toucher = make_toucher(options.task, options.settings, options.robot, cache_dir=cache_dir)
+    count = 0
+
+    def told(step: TouchStep) -> None:
+        nonlocal count
+        count += 1
+        readings = signals(step.touched.contact) or "blocked"
+        _say(f"poke {count:2}: {readings:<{options.task.readings}}  lifted with {step.grasp.probability:.2f}")
+
+    try:
+        run = localise(toucher, seed=options.seed, on_step=told)
+    finally:
+        toucher.robot.close()
+    found = figures_of(run)
+    asked = {"settings": asdict(options.settings), "task": asdict(options.task), "robot": options.robot}
+    (folder / "settings.json").write_text(json.dumps(asked | {"seed": options.seed}, indent=1))
+    (folder / "result.json").write_text(json.dumps(found, indent=1))
+    if options.figures:
+        from rumi.viz.touch import draw_run
+
+        for path in draw_run(run, toucher, folder):
+            _say(f"figure {path}")
+    ended = "sure" if run.sure else "not sure"
+    sys.stdout.write(
+        f"{NAME}: {ended} after {found['actions']} pokes, {'lifted' if run.lifted else 'not lifted'}\n"
+        f"  grasp    believed {found['believed']:.2f}; off by {found['error_mm']:.1f} mm and "
+        f"{found['error_deg']:.1f} degrees\n"
+        f"  seconds  {math.fsum(run.seconds.values()):.1f}: "
+        f"{', '.join(f'{name} {value:.1f}' for name, value in run.seconds.items())}\n"
+        f"  folder   {folder}\n"
+    )
+    return DONE if run.lifted else NOT_CONVERGED
+
+
+def _free(folder: Path) -> Path:
+    found, number = folder, 1
+    while found.exists():
+        number += 1
+        found = folder.with_name(f"{folder.name}-{number}")
+    return found
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"rumi: {text}\n")
+    sys.stderr.flush()

@@ -1,0 +1,250 @@
+"""The loop of touch alone: belief, choice of a poke, robot, filter, until a grasp is likely to succeed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from rumi.belief.entropy import SharedSupport
+from rumi.belief.replay import TouchFilter
+from rumi.belief.resampling import resample_systematic
+from rumi.belief.states import StateMetric
+from rumi.belief.touch_belief import TouchAction, TouchBelief
+from rumi.clock import Clock
+from rumi.dynamics.carry import Carrier, carry
+from rumi.dynamics.sliding import Sliding
+from rumi.seeding import split
+from rumi.touch.grasping import Grasp, GraspTable, best_grasp
+from rumi.touch.pokes import pokes
+from rumi.touch.robot import Touched, TouchRobot
+from rumi.touch.selection import Choice, Rollouts, choose, expects_contact
+from rumi.touch.settings import TouchSettings
+from rumi.touch.task import TouchTask, draw_truth
+from sensors.contact_model import ContactModel
+
+_DRAWS = 4  # rounds of candidates, until enough can be followed
+_TOUCH_M = 5e-4  # distance at which a particle counts as touched
+
+
+@dataclass(frozen=True, eq=False)
+class TouchStep:
+    """One poke and what came of it.
+
+    Attributes:
+        candidates: (C, K + 1, 3), that were weighed.
+        choice: their worth, and the best.
+        touched: what was done and felt.
+        belief: poses (N, 3) and log-weights (N) after it.
+        grasp: the best one then.
+        truth: (3,), of the box then; for judging alone.
+        seconds: by stage.
+    """
+
+    candidates: Float[Tensor, "C K1 3"]
+    choice: Choice
+    touched: Touched
+    belief: tuple[Float[Tensor, "N 3"], Float[Tensor, "N"]]
+    grasp: Grasp
+    truth: Float[Tensor, "3"]
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class TouchRun:
+    """A whole run.
+
+    Attributes:
+        first: poses and log-weights before the first poke.
+        start: (3,), of the box before it.
+        steps: pokes.
+        grasp: that was carried out.
+        lifted: whether the box was.
+        sure: whether the threshold was reached.
+        truth: (3,), of the box before the grasp.
+        seconds: by stage, in all.
+    """
+
+    first: tuple[Float[Tensor, "N 3"], Float[Tensor, "N"]]
+    start: Float[Tensor, "3"]
+    steps: list[TouchStep]
+    grasp: Grasp
+    lifted: bool
+    sure: bool
+    truth: Float[Tensor, "3"]
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+class Toucher:
+    """What finds the box: filter, pokes, their choice.
+
+    Args:
+        task: what is known of the scene.
+        settings: of all of it.
+        robot: that pokes; of it the tool's footprint and which paths it can follow are asked.
+        table: of grasps' success.
+        carrier: how a tool moves boxes; by the settings' push model if None.
+    """
+
+    def __init__(
+        self,
+        task: TouchTask,
+        settings: TouchSettings,
+        robot: TouchRobot,
+        table: GraspTable,
+        carrier: Carrier | None = None,
+    ) -> None:
+        self.task, self.settings, self.robot, self.table = task, settings, robot, table
+        self.carrier = carrier or carry
+        rates = getattr(robot, "rates", task.rates)
+        model = ContactModel(rates[0], rates[1], settings.decay)
+        centre = torch.zeros(2, dtype=torch.float64)
+        self.filter = TouchFilter(
+            task.outline, centre, robot.pusher, model, task.prior, settings.filter, carrier=self.carrier
+        )
+        self.support = SharedSupport(StateMetric.planar(0.06), settings.poke.neighbours, floor=1e-4)
+
+    def candidates(self, belief: TouchBelief, *, generator: torch.Generator) -> Float[Tensor, "C K1 3"]:
+        """Pokes that the robot can follow; some that it cannot where there are too few others."""
+        task, own = self.task, self.settings.poke
+        found: list[Tensor] = []
+        able = 0
+        for _ in range(_DRAWS):
+            drawn = pokes(
+                belief.pose[0],
+                belief.log_weights[0],
+                task.outline,
+                task.half,
+                self.robot.pusher,
+                own.candidates,
+                length_m=task.spacing_m * task.readings,
+                readings=task.readings,
+                bend=own.bend,
+                generator=generator,
+            )
+            can = self.robot.feasible(drawn)
+            found = [drawn[can], *found, drawn[~can]]  # those that it can follow come first
+            able += int(can.sum())
+            if able >= own.candidates:
+                break
+        return torch.cat(found)[: own.candidates]
+
+    def rollouts(
+        self, belief: TouchBelief, paths: Float[Tensor, "C K1 3"], rows: Tensor
+    ) -> tuple[Rollouts, Float[Tensor, "C T N"]]:
+        """What candidates do to some particles, and how far the tool then is from each."""
+        poses = belief.pose[0, rows]
+        count, number = len(paths), len(rows)
+        sliding = Sliding(torch.zeros(number, 2, dtype=poses.dtype), belief.lever[0, rows], belief.friction[0, rows])
+        own = self.settings.filter
+        carried = self.carrier(
+            poses.repeat(count, 1),
+            paths.repeat_interleave(number, 0),
+            self.robot.pusher,
+            self.task.outline,
+            Sliding(*(part.repeat(count, *[1] * (part.ndim - 1)) for part in sliding)),
+            substeps=own.substeps,
+            passes=own.passes,
+        )
+        distance = carried.distance.view(count, number, -1).transpose(1, 2)
+        track = carried.track.view(count, number, -1, 3).transpose(1, 2)
+        states = torch.cat((poses.expand(count, 1, number, 3), track), 1)
+        even = poses.new_zeros(number).log_softmax(-1)
+        return Rollouts(states, self.filter.model(distance), distance <= _TOUCH_M, even), distance
+
+    def decide(self, belief: TouchBelief, *, generator: torch.Generator) -> tuple[Float[Tensor, "C K1 3"], Choice]:
+        """Weigh candidates over some particles, drawn by weight."""
+        own = self.settings.poke
+        paths = self.candidates(belief, generator=generator)
+        drawn = resample_systematic(belief.log_weights[0], generator=generator)
+        rows = drawn[torch.linspace(0, len(drawn) - 1, own.particles).round().long()]
+        rollouts, _ = self.rollouts(belief, paths, rows)
+        return paths, choose(
+            self.settings.method,
+            rollouts,
+            self.support,
+            hold=own.hold,
+            samples=own.samples,
+            every=own.every,
+            funnel=own.funnel,
+            generator=generator,
+        )
+
+    def watch(self, belief: TouchBelief, path: Float[Tensor, "K1 3"]) -> Callable[[Touched], bool]:
+        """Whether to go on with a poke, asked after each reading: until the belief expects contact to have lasted.
+
+        The particles are rolled along the path once; readings change their weights alone.
+        """
+        own = self.settings.poke
+        rows = torch.arange(belief.pose.shape[1])
+        rollouts, distance = self.rollouts(belief, path[None], rows)
+        touching = rollouts.touching[0]
+        log = [belief.log_weights[0]]
+
+        def go_on(touched: Touched) -> bool:
+            done = len(touched.contact)
+            if len(log) <= done:  # once for every reading
+                signal = touched.contact[-1]
+                gained = self.filter.model.log_likelihood(distance[0, done - 1], signal)
+                log.append(log[-1] + self.settings.filter.temper * gained)
+            return float(expects_contact(touching[:done], log[-1], own.hold)[-1]) <= own.sure
+
+        return go_on
+
+    def grasp(self, belief: TouchBelief) -> Grasp:
+        """The best grasp of a belief."""
+        return best_grasp(belief.pose[0], belief.log_weights[0], self.table)
+
+
+def localise(toucher: Toucher, *, seed: int, on_step: Callable[[TouchStep], None] | None = None) -> TouchRun:
+    """Poke until a grasp is likely enough to succeed, or there have been enough pokes; then grasp.
+
+    Args:
+        toucher: how.
+        seed: of the truth and of all randomness.
+        on_step: called after every poke.
+    """
+    settings, robot = toucher.settings, toucher.robot
+    clock = Clock()
+    random = {name: split(seed, name) for name in ("initial", "filter", "plan")}
+    robot.reset(draw_truth(toucher.task, seed), seed)
+    start = robot.box_pose()
+    belief = toucher.filter.initial(1, settings.count, generator=random["initial"])
+    first = (belief.pose[0], belief.log_weights[0])
+    history: list[TouchAction] = []
+    steps: list[TouchStep] = []
+    totals: dict[str, float] = {}
+    grasp = toucher.grasp(belief)
+    while grasp.probability < settings.threshold and len(steps) < settings.actions:
+        with clock("plan"):
+            paths, choice = toucher.decide(belief, generator=random["plan"])
+            path = paths[choice.best, : int(choice.steps[choice.best]) + 1]
+        with clock("watch"):
+            go_on = toucher.watch(belief, path) if settings.stop_early else _always
+        with clock("robot"):
+            touched = robot.execute(path, go_on)
+        with clock("filter"):
+            history.append(TouchAction(touched.path, touched.contact, touched.blocked))
+            belief, _ = toucher.filter.step(belief, history, generator=random["filter"])
+        with clock("grasp"):
+            grasp = toucher.grasp(belief)
+        seconds = clock.take()
+        for name, value in seconds.items():
+            totals[name] = totals.get(name, 0.0) + value
+        kept = (belief.pose[0], belief.log_weights[0])
+        steps.append(TouchStep(paths, choice, touched, kept, grasp, robot.box_pose(), seconds))
+        if on_step is not None:
+            on_step(steps[-1])
+    truth = robot.box_pose()
+    lifted = robot.grasp(grasp.pose)
+    return TouchRun(first, start, steps, grasp, lifted, grasp.probability >= settings.threshold, truth, totals)
+
+
+def _always(touched: Touched) -> bool:
+    return True
+
+
+def signals(contact: Bool[Tensor, "K"]) -> str:
+    """Readings as a word of 0 and 1."""
+    return "".join("1" if one else "0" for one in contact.tolist())

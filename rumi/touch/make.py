@@ -1,0 +1,95 @@
+"""Puts a run of touch alone together: robot, table of grasps, push model, by name."""
+
+import importlib
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal, get_args
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.dynamics.carry import Carried, Carrier, Pusher, carry
+from rumi.dynamics.sliding import Outline, Sliding
+from rumi.errors import UsageError
+from rumi.touch.grasping import GraspTable
+from rumi.touch.localise import Toucher
+from rumi.touch.robot import TouchRobot
+from rumi.touch.settings import TouchPush, TouchSettings
+from rumi.touch.task import TouchTask
+
+Robot = Literal["gripper", "arm", "planar"]
+ROBOTS: tuple[str, ...] = get_args(Robot)
+
+_ARM = "rumi.sim.touch_arm"
+
+
+def make_toucher(
+    task: TouchTask, settings: TouchSettings, robot: Robot = "gripper", *, cache_dir: Path | None = None
+) -> Toucher:
+    """All that a run needs; needs MuJoCo.
+
+    Args:
+        task: the scene.
+        settings: of the run.
+        robot: "gripper" flies freely and feels at stated rates; "arm" feels by its joints' torques; "planar" is no
+            simulation but the quasi-static model itself.
+        cache_dir: folder that keeps the grasps' success; None simulates it each time (a minute).
+
+    Raises:
+        UsageError: an unknown robot, or one that is not there.
+    """
+    from rumi.sim.touch_grasps import grasp_table
+
+    table = grasp_table(task, cache_dir=cache_dir)
+    made = make_robot(task, robot, table, cache_dir=cache_dir)
+    return Toucher(task, settings, made, table, make_carrier(settings.push_model, task))
+
+
+def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: Path | None = None) -> TouchRobot:
+    """The robot of a name; see `make_toucher`."""
+    if robot == "planar":
+        from rumi.touch.planar_robot import PlanarRobot
+
+        return PlanarRobot(task, table)
+    if robot == "gripper":
+        from rumi.sim.touch_gripper import GripperRobot
+
+        return GripperRobot(task)
+    if robot == "arm":
+        if find_spec(_ARM) is None:
+            raise UsageError("There is no arm under torque control here: choose --robot gripper or planar")
+        made: TouchRobot = importlib.import_module(_ARM).make_arm(task, cache_dir)
+        return made
+    raise UsageError(f"Expected a robot out of {', '.join(ROBOTS)}, got {robot!r}")
+
+
+def make_carrier(choice: TouchPush, task: TouchTask) -> Carrier:
+    """How a tool moves boxes, by name."""
+    if choice == "quasi-static":
+        return carry
+    if choice == "displacement":
+        return carry_along
+    if choice == "mujoco":
+        from rumi.sim.touch_carry import MujocoCarry
+
+        return MujocoCarry(task)
+    raise UsageError(f"Expected a push model quasi-static, displacement or mujoco, got {choice!r}")
+
+
+def carry_along(
+    poses: Float[Tensor, "E 3"],
+    path: Float[Tensor, "#E K1 3"],
+    pusher: Pusher,
+    outline: Outline,
+    sliding: Sliding,
+    *,
+    substeps: int = 2,
+    passes: int = 2,
+) -> Carried:
+    """The displacement model: what is touched goes with the point that touches it, and never turns.
+
+    It is the limit of `carry` in which turning is resisted without end and the contact never slips.
+    """
+    stiff = Sliding(sliding.centre, torch.full_like(sliding.lever, 1e3), torch.full_like(sliding.friction, 1e3))
+    return carry(poses, path, pusher, outline, stiff, substeps=substeps, passes=passes)

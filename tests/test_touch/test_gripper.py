@@ -1,0 +1,127 @@
+"""The gripper in MuJoCo, the table of its grasps, and particles that MuJoCo pushes."""
+
+import math
+
+import pytest
+import torch
+
+pytest.importorskip("mujoco")
+
+from rumi.dynamics.carry import carry
+from rumi.dynamics.sliding import Sliding
+from rumi.sim import touch_grasps
+from rumi.sim.touch_carry import MujocoCarry
+from rumi.sim.touch_gripper import GripperRobot
+from rumi.touch.robot import TouchRobot
+from rumi.touch.task import BoxTruth, TouchTask
+
+TASK = TouchTask(rates=(1.0, 0.0))
+BOX = torch.tensor([0.45, 0.1, 0.3], dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return GripperRobot(TASK)
+
+
+def truth(pose=BOX, friction=0.4):
+    return BoxTruth(pose, friction, 0.4, 0.5)
+
+
+def poke(pose, angle, aside=0.0, depth=0.02):
+    """Straight at a box from one side, on until the fingers' middle is `depth` beyond its own."""
+    way = torch.tensor([math.cos(angle), math.sin(angle)], dtype=torch.float64)
+    across = torch.stack((-way[1], way[0]))
+    end = pose[:2] + aside * across + depth * way
+    share = torch.linspace(0.0, 1.0, 41, dtype=torch.float64)[:, None]
+    line = end - 0.2 * way + share * 0.2 * way
+    return torch.cat((line, torch.full((41, 1), angle, dtype=torch.float64)), 1)
+
+
+def slides(count=1, friction=0.4):
+    return Sliding(
+        torch.zeros(2, dtype=torch.float64),
+        torch.tensor(1.8 * TASK.even_lever_m, dtype=torch.float64),
+        torch.tensor(friction, dtype=torch.float64),
+    ).expand(count)
+
+
+def test_a_poke_pushes_as_the_quasi_static_model_has_it(robot):
+    assert isinstance(robot, TouchRobot)
+    for angle, aside in ((0.3, 0.0), (0.3, 0.03), (0.3 + 0.5 * math.pi, 0.01)):
+        robot.reset(truth(), 0)
+        start = robot.box_pose()
+        path = poke(BOX, angle, aside, depth=0.0)
+        touched = robot.execute(path, lambda so_far: True)
+        assert float((touched.path - path)[:, :2].norm(dim=-1).max()) < 1e-3
+        expected = carry(start[None], touched.path[None], TASK.fingers, TASK.outline, slides())
+        moved = float((robot.box_pose() - start)[:2].norm())
+        assert moved > 0.02
+        assert float((robot.box_pose() - expected.track[0, -1])[:2].norm()) < 0.15 * moved
+        felt = expected.distance[0] <= 2e-4
+        assert int((felt != touched.contact).sum()) <= 3
+
+
+def test_a_poke_is_cut_short_or_blocked(robot):
+    robot.reset(truth(), 0)
+    touched = robot.execute(poke(BOX, 0.3), lambda so_far: not bool(so_far.contact.any()))
+    assert touched.stopped == "belief"
+    assert touched.contact.tolist() == [False] * (len(touched.contact) - 1) + [True]
+    onto = poke(BOX, 0.3, depth=0.2)  # begins at the box's middle
+    before = robot.box_pose()
+    blocked = robot.execute(onto, lambda so_far: True)
+    assert blocked.blocked and blocked.stopped == "blocked" and len(blocked.contact) == 0
+    assert float((robot.box_pose() - before)[:2].norm()) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("aside", "turned", "holds"), [(0.0, 0.0, True), (0.008, 0.2, True), (0.03, 0.0, False), (0.0, 1.2, False)]
+)
+def test_a_grasp_lifts_what_is_between_the_fingers(robot, aside, turned, holds):
+    robot.reset(truth(), 0)
+    across = torch.tensor([math.cos(0.3), math.sin(0.3)], dtype=torch.float64)
+    pose = robot.box_pose() + torch.cat((aside * across, torch.tensor([turned])))
+    assert robot.grasp(pose) is holds
+
+
+def test_the_table_of_grasps_is_what_the_gripper_does(robot, tmp_path, monkeypatch):
+    monkeypatch.setattr(touch_grasps, "_ENDS", (0.03, 0.06, 0.6))
+    monkeypatch.setattr(touch_grasps, "_COUNTS", (2, 2, 3))
+    table = touch_grasps.grasp_table(TASK, cache_dir=tmp_path)
+    # in the middle and straight it is lifted, 30 mm aside not, wherever along and however turned
+    assert table.odds[0, 0, 1] == 1.0
+    assert float(table.odds[1].max()) == 0.0
+    assert len(list(tmp_path.iterdir())) == 1
+    again = touch_grasps.grasp_table(TASK, cache_dir=tmp_path)
+    torch.testing.assert_close(again.odds, table.odds, rtol=0, atol=0)
+
+
+def test_particles_in_the_engine_are_the_same_with_any_number_of_threads(generator):
+    poses = BOX + torch.tensor([0.03, 0.03, 0.3]) * torch.randn(12, 3, generator=generator, dtype=torch.float64)
+    path = poke(BOX, 0.3)[None]
+    friction = 0.2 + 0.4 * torch.rand(12, generator=generator, dtype=torch.float64)
+    own = slides(12)._replace(friction=friction)
+    one, two = (MujocoCarry(TASK, threads=n)(poses, path, TASK.fingers, TASK.outline, own) for n in (1, 2))
+    assert torch.equal(one.track, two.track)
+    assert torch.equal(one.distance, two.distance)
+
+
+def test_particles_in_the_engine_go_as_quasi_static_ones_do():
+    far = torch.tensor([0.45, 0.5, 0.0], dtype=torch.float64)
+    poses = torch.stack((BOX, BOX + torch.tensor([0.01, 0.02, 0.1]), far))
+    path = poke(BOX, 0.3, depth=0.0)[None]
+    engine = MujocoCarry(TASK)(poses, path, TASK.fingers, TASK.outline, slides(3))
+    model = carry(poses, path, TASK.fingers, TASK.outline, slides(3))
+    moved = (model.track[:, -1] - poses)[:2, :2].norm(dim=-1)
+    apart = (engine.track[:, -1] - model.track[:, -1])[:2, :2].norm(dim=-1)
+    assert bool((apart < 0.2 * moved).all())
+    assert torch.equal(engine.track[2, -1], far)
+    assert float((engine.distance - model.distance).abs().max()) < 0.006
+
+
+def test_no_boxes_and_no_way_are_no_work():
+    own = MujocoCarry(TASK)
+    empty = own(torch.zeros(0, 3).double(), poke(BOX, 0.3)[None], TASK.fingers, TASK.outline, slides(0))
+    assert empty.track.shape == (0, 40, 3)
+    still = own(BOX[None], poke(BOX, 0.3)[None, :1], TASK.fingers, TASK.outline, slides())
+    assert still.track.shape == (1, 0, 3)

@@ -1,0 +1,116 @@
+"""The loop, closed on the quasi-static robot."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.touch.grasping import clearance_table
+from rumi.touch.localise import Toucher, localise, signals
+from rumi.touch.planar_robot import PlanarRobot
+from rumi.touch.records import calibration, figures_of, summarise, table
+from rumi.touch.settings import TouchSettings
+from rumi.touch.task import TouchTask
+
+TASK = TouchTask(rates=(0.9, 0.05))
+TABLE = clearance_table(0.03, 0.08, 0.08)
+SETTINGS = TouchSettings(count=200)
+
+
+def toucher(settings=SETTINGS, task=TASK):
+    return Toucher(task, settings, PlanarRobot(task, TABLE), TABLE)
+
+
+def test_it_finds_the_box_and_lifts_it():
+    runs = [localise(toucher(), seed=seed) for seed in (2000, 2001, 2002)]
+    assert sum(run.lifted for run in runs) >= 2  # at a threshold of 0.9 one may fail
+    assert all(1 <= len(run.steps) <= 15 for run in runs)
+    for run in runs:
+        assert run.sure == (run.grasp.probability >= SETTINGS.threshold)
+        if run.lifted:
+            assert float((run.grasp.pose - run.truth)[:2].norm()) < 0.085
+
+
+def test_a_run_is_its_seed_s():
+    first, again = (figures_of(localise(toucher(), seed=2003)) for _ in range(2))
+    for line in (first, again):
+        for step in line["steps"]:
+            step.pop("seconds")
+    assert first == again
+
+
+def test_it_gives_up_after_so_many_pokes_and_grasps_all_the_same():
+    run = localise(toucher(replace(SETTINGS, actions=1, threshold=1.0)), seed=2000)
+    assert len(run.steps) == 1 and not run.sure
+
+
+@pytest.mark.parametrize("method", ["entropy", "max-contact", "ml-observation"])
+def test_other_methods_choose_too(method):
+    run = localise(toucher(replace(SETTINGS, method=method, actions=2)), seed=2001)
+    assert len(run.steps) <= 2
+    assert all(len(step.choice.value) == 20 for step in run.steps)
+
+
+def test_a_poke_ends_where_the_belief_expects_contact():
+    """All particles in one place: the poke ends three readings after the tool got there, whatever it feels."""
+    own = toucher()
+    generator = torch.Generator().manual_seed(0)
+    belief = own.filter.initial(1, 50, generator=generator)
+    belief = replace(belief, pose=torch.tensor([0.4, 0.0, 0.0], dtype=torch.float64).expand(1, 50, 3).clone())
+    share = torch.linspace(0.0, 1.0, 41, dtype=torch.float64)[:, None]
+    path = torch.tensor([[0.25, 0.0, 0.0]], dtype=torch.float64) + share * torch.tensor([[0.2, 0.0, 0.0]]).double()
+    own.robot.reset(own_truth(), 0)
+    touched = own.robot.execute(path, own.watch(belief, path))
+    assert touched.stopped == "belief"
+    # at 0.36 the finger touches the box
+    assert float(touched.path[-1, 0]) == pytest.approx(0.36 + 0.01, abs=0.006)
+
+
+def own_truth():
+    from rumi.touch.task import BoxTruth
+
+    return BoxTruth(torch.tensor([0.4, 0.0, 0.0], dtype=torch.float64), 0.4, 0.4, 0.5)
+
+
+def test_a_decision_has_a_candidate_for_each_that_was_asked_for():
+    own = toucher()
+    generator = torch.Generator().manual_seed(0)
+    belief = own.filter.initial(1, 200, generator=generator)
+    paths, choice = own.decide(belief, generator=generator)
+    assert paths.shape == (20, 41, 3)
+    assert choice.value.shape == (20,)
+
+
+def test_a_robot_that_cannot_follow_all_paths_is_asked_for_those_it_can():
+    class Picky(PlanarRobot):
+        def feasible(self, paths):
+            return paths[:, 0, 0] < paths[:, -1, 0]  # from the base's side alone
+
+    own = Toucher(TASK, SETTINGS, Picky(TASK, TABLE), TABLE)
+    generator = torch.Generator().manual_seed(0)
+    found = own.candidates(own.filter.initial(1, 200, generator=generator), generator=generator)
+    assert bool(own.robot.feasible(found).all())
+
+
+def test_the_tables_say_what_the_runs_did():
+    def line(seed, lifted, actions, believed):
+        steps = [{"readings": "01", "seconds": {"plan": 0.1, "robot": 5.0}}] * actions
+        return {
+            **{"seed": seed, "lifted": lifted, "sure": believed > 0.9, "actions": actions},
+            **{"believed": believed, "steps": steps},
+        }
+
+    first = [line(0, True, 4, 0.95), line(1, True, 6, 0.93)]
+    other = [line(0, False, 9, 0.5), line(1, True, 8, 0.99), line(2, True, 5, 0.99)]
+    summary = summarise(first)
+    assert (summary.runs, summary.lifted, summary.actions, summary.readings) == (2, 2, 5.0, 2.0)
+    assert summary.seconds == pytest.approx(0.1)
+    text = table({"one": first, "two": other})
+    assert "| one | 2/2 = 1.00" in text
+    assert "| two | -3.5 ± 2.9 (n = 2) | 1 | 0 |" in text
+    assert "| 0.90 to 0.95 | 1 | 0.93 | 1/1" in calibration(first)
+    assert "| sure (threshold reached) | 2 | 0.94 | 2/2 = 1.00" in calibration(first)
+
+
+def test_signals_are_a_word():
+    assert signals(torch.tensor([True, False, True])) == "101"
