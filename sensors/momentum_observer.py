@@ -95,15 +95,19 @@ class MomentumObserver:
         external = external_torque(state.terms, state.velocity, terms, velocity, torque, step_s)
         return ObserverState(state.residual + self._share(step_s) * (external - state.residual), terms, velocity)
 
-    def run(self, external: Float[Tensor, "K J"], steps_s: Float[Tensor, "K"]) -> Float[Tensor, "K J"]:
-        """The filter over raw external torques (K, J), each over its own step; it begins at 0."""
+    def run(
+        self, external: Float[Tensor, "K J"], steps_s: Float[Tensor, "K"], begin: Float[Tensor, "J"] | None = None
+    ) -> Float[Tensor, "K J"]:
+        """The filter over raw external torques (K, J), each over its own step; it begins at 0, or where it was."""
         share = -torch.expm1(-self.gain * steps_s.to(external))[:, None]
-        residual = torch.zeros_like(external[0]) if len(external) else external
+        if len(external) == 0:
+            return external
+        residual = torch.zeros_like(external[0]) if begin is None else begin
         found = []
         for raw, part in zip(external, share, strict=True):
             residual = torch.lerp(residual, raw, part)
             found.append(residual)
-        return torch.stack(found) if found else external
+        return torch.stack(found)
 
     def covariance(
         self, mass: Float[Tensor, "J J"], torque_sd: float, velocity_sd: float, step_s: float

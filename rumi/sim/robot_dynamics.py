@@ -50,6 +50,7 @@ class MujocoDynamics:
         flags = mujoco.mjtDisableBit
         model.opt.disableflags |= int(flags.mjDSBL_CONSTRAINT) | int(flags.mjDSBL_CONTACT)
         self._mass = np.zeros((model.nv, model.nv))
+        self._block = np.ix_(self._dof, self._dof)
 
     @classmethod
     def load(cls, robot: str | Path, joints: Sequence[str] | None = None) -> Self:
@@ -90,7 +91,7 @@ class MujocoDynamics:
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fullM(model, data, self._mass)
-        return self._mass[np.ix_(self._dof, self._dof)], (data.qfrc_bias - data.qfrc_passive)[self._dof]
+        return self._mass[self._block], (data.qfrc_bias - data.qfrc_passive)[self._dof]
 
 
 def _bare(text: str) -> str:

@@ -104,7 +104,7 @@ def test_gradients_reach_torque_velocity_and_mass(generator: torch.Generator) ->
 
 
 def test_noise_comes_through_as_the_covariance_says(generator: torch.Generator) -> None:
-    observer, step, count = MomentumObserver(25.0), 0.001, 60000
+    observer, step, count = MomentumObserver(25.0), 0.001, 30000
     velocity = 0.002 * torch.randn(count + 1, 3, generator=generator, dtype=F64)
     torque = 0.15 * torch.randn(count, 3, generator=generator, dtype=F64)
     raw = external_torque(still(), velocity[:-1], still(), velocity[1:], torque, step)
@@ -117,7 +117,7 @@ def test_noise_comes_through_as_the_covariance_says(generator: torch.Generator) 
         found[:, :200].T, observer.run(raw[:800], torch.full((800,), step))[600:], rtol=1e-4, atol=1e-6
     )
     expected = observer.covariance(MASS, 0.15, 0.002, step)
-    torch.testing.assert_close(found @ found.T / found.shape[1], expected, rtol=0.15, atol=5e-5)
+    torch.testing.assert_close(found @ found.T / found.shape[1], expected, rtol=0.2, atol=1e-4)
 
 
 def test_signals_are_norms_above_the_threshold() -> None:
