@@ -21,6 +21,7 @@ EXTRAS = {
     "networkx": "mesh",
     "coacd": "mesh",
     "submitit": "cluster",
+    "cv2": "vision",
 }
 """Which extra brings a package that may be missing."""
 

@@ -49,6 +49,17 @@ def pixel_rays(height: int, width: int, intrinsics: Float[Tensor, "3 3"]) -> Flo
     return torch.stack((x, (v - intrinsics[1, 2]) / intrinsics[1, 1], torch.ones_like(x)), -1)
 
 
+def pixel_points(
+    depth: Float[Tensor, "H W"], mask: Bool[Tensor, "H W"], intrinsics: Float[Tensor, "3 3"]
+) -> Float[Tensor, "n 3"]:
+    """Points of the camera's frame that some pixels of a depth image show, in the order of `mask.nonzero()`."""
+    v, u = mask.nonzero().to(intrinsics.dtype).unbind(-1)
+    z = depth[mask]
+    y = (v - intrinsics[1, 2]) / intrinsics[1, 1]
+    x = (u - intrinsics[0, 2] - intrinsics[0, 1] * y) / intrinsics[0, 0]
+    return torch.stack((x * z, y * z, z), -1)
+
+
 def depth_observation(
     depth: Float[Tensor, "H W"],
     intrinsics: Float[Tensor, "3 3"],
@@ -89,19 +100,42 @@ def depth_observation(
         raise ValueError(
             f"Expected object_mask to have depth's shape {tuple(depth.shape)}, got {tuple(object_mask.shape)}"
         )
-    height, width = depth.shape
     seen = object_mask & torch.isfinite(depth) & (depth > 0)
-    rays = pixel_rays(height, width, intrinsics.to(depth))
-    surface = se3.apply(world_T_camera.to(depth), rays[seen] * depth[seen][:, None])
+    surface = se3.apply(world_T_camera.to(depth), pixel_points(depth, seen, intrinsics.to(depth)))
     observation = Observation.of(surface, Semantics.SURFACE)
     if bounds is None:
         return observation
-    lattice = lattice_points(bounds.to(depth), free_spacing)
+    free = free_points(
+        depth,
+        intrinsics,
+        world_T_camera,
+        bounds,
+        spacing=free_spacing,
+        margin_m=free_margin_m,
+        fraction=free_fraction,
+    )
+    return concatenate([observation, Observation.of(free, Semantics.FREE)])
+
+
+def free_points(
+    depth: Float[Tensor, "H W"],
+    intrinsics: Float[Tensor, "3 3"],
+    world_T_camera: Float[Tensor, "4 4"],
+    bounds: Float[Tensor, "2 3"],
+    *,
+    spacing: float = 0.005,
+    margin_m: float = 0.010,
+    fraction: float | None = None,
+) -> Float[Tensor, "M 3"]:
+    """World points of the lattice in a box that lie in front of everything that a depth image shows.
+
+    The arguments are those of `depth_observation`.
+    """
+    lattice = lattice_points(bounds.to(depth), spacing)
     points_c = se3.apply(se3.inverse(world_T_camera.to(depth)), lattice)
     shown = depth_shown(depth, intrinsics.to(depth), points_c)
-    limit = shown - free_margin_m if free_fraction is None else shown * free_fraction
-    free = lattice[(points_c[:, 2] > 0) & (points_c[:, 2] < limit)]
-    return concatenate([observation, Observation.of(free, Semantics.FREE)])
+    limit = shown - margin_m if fraction is None else shown * fraction
+    return lattice[(points_c[:, 2] > 0) & (points_c[:, 2] < limit)]
 
 
 def depth_shown(
@@ -116,10 +150,11 @@ def depth_shown(
     ahead &= (u >= 0) & (u < width - 1) & (v >= 0) & (v < height - 1)
     column = torch.where(ahead, u, torch.zeros_like(u)).long()
     row = torch.where(ahead, v, torch.zeros_like(v)).long()
-    known = torch.where((depth > 0) & ~torch.isnan(depth), depth, torch.full_like(depth, -1.0))
-    least = torch.minimum(known[:-1], known[1:])
-    least = torch.minimum(least[:, :-1], least[:, 1:])
-    limit = least.reshape(-1)[row * (width - 1) + column]
+    corner, flat_depth = row * width + column, depth.reshape(-1)
+    limit = flat_depth[corner]
+    for step in (1, width, width + 1):
+        limit = torch.minimum(limit, flat_depth[corner + step])  # NaN stays
+    limit = torch.where(limit > 0, limit, torch.full_like(limit, -1.0))
     return torch.where(ahead, limit, torch.full_like(limit, -1.0))
 
 

@@ -1,0 +1,299 @@
+"""How far off what cameras, clouds and bubbles report is, on scenes in closed form, and how long it takes.
+
+    python scripts/vision_table.py errors               # a line a cell in scripts/results/vision.jsonl, once
+    OMP_NUM_THREADS=2 python scripts/vision_table.py times --threads 2    # on an otherwise idle machine
+    python scripts/vision_table.py show                 # Markdown
+
+Every image has 1 % of its pixels lost, and half of those at edges mix the two depths, the noise apart.
+"""
+
+import hashlib
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+import tyro
+
+from rumi.bench.known_scenes import SCENES, SceneView, pressed_bubble, scene_view, with_noise
+from rumi.bench.machine import environment
+from rumi.jsonlines import append_line, read_lines
+from sdf import se3
+from sdf.primitives import Capsule
+from sensors.bubble import Bubble, bubble_patch
+from sensors.camera import pixel_points
+from sensors.cloud import cloud_observation
+from sensors.observation import Observation
+from sensors.robot_body import RobotBody
+from sensors.semantics import Semantics
+from sensors.view import ViewSettings, view_observation
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "scripts" / "results" / "vision.jsonl"
+FAR_M = 0.006
+NOISES_MM = (0.0, 0.5, 1.0, 2.0, 4.0)
+BOUNDS = torch.tensor([[0.2, -0.2, 0.0], [0.6, 0.2, 0.16]])
+FRAMES = 14  # at 30 Hz: the last of them is more than 0.4 s after the first
+CODE = [
+    *(
+        ROOT / "sensors" / f"{name}.py"
+        for name in ("bubble", "camera", "cloud", "depth_filters", "images", "persistence", "segmentation", "view")
+    ),
+    ROOT / "rumi" / "bench" / "known_scenes.py",
+]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Measure the cells that are missing.
+
+    Attributes:
+        seeds: of the noise, each from 1000 on.
+        out: where the lines go.
+    """
+
+    seeds: int = 10
+    out: Path = RESULTS
+
+
+@dataclass(frozen=True)
+class Times:
+    """Time the converters.
+
+    Attributes:
+        threads: of PyTorch and OpenCV.
+        frames: each is a sample.
+        out: where the line goes.
+    """
+
+    threads: int = 2
+    frames: int = 40
+    out: Path = RESULTS
+
+
+@dataclass(frozen=True)
+class Show:
+    """Print the tables.
+
+    Attributes:
+        out: where the lines are.
+    """
+
+    out: Path = RESULTS
+
+
+def errors(options: Errors) -> None:
+    """Measure, a line a cell."""
+    code = fingerprint()
+    done = {(x["way"], x["scene"], x["noise_mm"]) for x, _ in read_lines(options.out) if x.get("code") == code}
+    for way, call in WAYS.items():
+        for scene in SCENES:
+            for noise in NOISES_MM:
+                if (way, scene, noise) in done:
+                    continue
+                seeds = [1000] if noise == 0 and way == "bubble" else range(1000, 1000 + options.seeds)
+                found = [figures(*call(scene, 1e-3 * noise, torch.Generator().manual_seed(seed))) for seed in seeds]
+                line = {name: statistics.fmean(x[name] for x in found) for name in found[0]}
+                line["deepest_mm"] = min(x["deepest_mm"] for x in found)
+                line["inside"] = sum(x["inside"] for x in found)
+                cell = {"code": code, "way": way, "scene": scene, "noise_mm": noise, "seeds": len(found)}
+                append_line(options.out, cell | {name: round(value, 4) for name, value in line.items()})
+
+
+def figures(observation: Observation, distance: Callable[[torch.Tensor], torch.Tensor]) -> dict[str, float]:
+    """How far surface points are off, and free ones in."""
+    surface, free = (observation.points[observation.of_class(s)] for s in (Semantics.SURFACE, Semantics.FREE))
+    off, clear = distance(surface).abs(), distance(free)
+    return {
+        "points": float(len(surface)),
+        "mean_mm": 1e3 * float(off.mean()),
+        "p95_mm": 1e3 * float(off.quantile(0.95)),
+        "far": 100.0 * float((off > FAR_M).double().mean()),
+        "free": float(len(free)),
+        "inside": float((clear < 0).sum()),
+        "deepest_mm": 1e3 * float(clear.min()),
+    }
+
+
+_SCENES: dict[str, SceneView] = {}
+
+
+def _scene(name: str) -> SceneView:
+    if name not in _SCENES:
+        _SCENES[name] = scene_view(name)
+    return _SCENES[name]
+
+
+def _noisy(scene: SceneView, noise_m: float, generator: torch.Generator) -> torch.Tensor:
+    return with_noise(scene.depth, noise_m, lost=0.01, mixed=True, generator=generator).float()
+
+
+def _camera(settings: ViewSettings) -> Callable[..., tuple[Observation, Callable[[torch.Tensor], torch.Tensor]]]:
+    def way(name: str, noise_m: float, generator: torch.Generator) -> tuple[Observation, Any]:
+        scene, memory = _scene(name), None
+        for frame in range(FRAMES if settings.persist_s > 0 else 1):
+            view = view_observation(
+                _noisy(scene, noise_m, generator),
+                scene.intrinsics,
+                scene.world_T_camera,
+                settings,
+                color=scene.color,
+                mask=scene.mask,
+                bounds=BOUNDS,
+                stamp=frame / 30.0,
+                memory=memory,
+                generator=generator,
+            )
+            memory = view.memory
+        return view.observation, scene.distance
+
+    return way
+
+
+def _cloud(name: str, noise_m: float, generator: torch.Generator) -> tuple[Observation, Any]:
+    scene = _scene(name)
+    depth = _noisy(scene, noise_m, generator)
+    there = (depth > 0) & torch.isfinite(depth)
+    points = pixel_points(depth, there, scene.intrinsics)
+    order = torch.randperm(len(points), generator=generator)
+    settings = ViewSettings("plane")
+    view = cloud_observation(points[order], scene.world_T_camera, settings, bounds=BOUNDS, generator=generator)
+    return view.observation, scene.distance
+
+
+def _bubble(name: str, noise_m: float, generator: torch.Generator) -> tuple[Observation, Any]:
+    pressed = pressed_bubble(name)
+    bubble = Bubble.of(pressed.rest, pressed.intrinsics, se3.identity())
+    depth = with_noise(pressed.depth, noise_m, lost=0.01, generator=generator)
+    return bubble_patch(bubble, depth, se3.identity()).observation, pressed.distance
+
+
+WAYS: dict[str, Callable[..., tuple[Observation, Any]]] = {
+    "camera, mask, no filter": _camera(ViewSettings(edges=None)),
+    "camera, mask": _camera(ViewSettings()),
+    "camera, colour": _camera(ViewSettings("color", (200.0, 260.0))),
+    "camera, plane and cluster": _camera(ViewSettings("plane")),
+    "camera, colour, 0.4 s": _camera(ViewSettings("color", (200.0, 260.0), persist_s=0.4)),
+    "cloud without order, plane": _cloud,
+    "bubble": _bubble,
+}
+
+
+def times(options: Times) -> None:
+    """Time frames with all filters, and pairs of bubbles."""
+    import cv2
+
+    torch.set_num_threads(options.threads)
+    cv2.setNumThreads(options.threads)
+    scene, random = _scene("box"), torch.Generator().manual_seed(1000)
+    depth = _noisy(scene, 0.001, random).nan_to_num(posinf=0.0)
+    millimetres = (1e3 * depth).round().to(torch.int32).numpy().astype("uint16")
+    body = RobotBody([Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.3), 0.06) for _ in range(8)])
+    links = torch.eye(4).repeat(8, 1, 1)
+    links[:, 0, 3] = torch.linspace(0.0, 0.25, 8)
+    colour = ViewSettings("color", (200.0, 260.0), persist_s=0.4)
+    cells = {"colour": colour, "plane and cluster": replace(colour, segmentation="plane")}
+    found: dict[str, list[float]] = {}
+    for name, settings in cells.items():
+        memory, stamps = None, iter(range(10_000))
+
+        def frame(settings: ViewSettings = settings, stamps: Iterator[int] = stamps) -> None:
+            nonlocal memory
+            view = view_observation(
+                millimetres,
+                scene.intrinsics,
+                scene.world_T_camera,
+                settings,
+                color=scene.color,
+                body=body,
+                world_T_links=links,
+                bounds=BOUNDS,
+                stamp=next(stamps) / 30.0,
+                memory=memory,
+                generator=random,
+            )
+            memory = view.memory
+            assert view.memory is not None
+
+        found[f"640 x 480 depth, {name}, 8 links, 0.4 s, free points"] = _samples(frame, options.frames)
+    pressed = pressed_bubble("sphere")
+    bubble = Bubble.of(pressed.rest, pressed.intrinsics, se3.identity())
+    images = [with_noise(pressed.depth, 0.0005, generator=random).float() for _ in range(2)]
+
+    def pair() -> None:
+        for image in images:
+            bubble_patch(bubble, image, se3.identity())
+
+    found["pair of bubbles, 224 x 171 each"] = _samples(pair, options.frames)
+    line = {
+        "code": fingerprint(),
+        "threads": options.threads,
+        "made_on": environment(torch.device("cpu")),
+        "milliseconds": {
+            name: {"median": round(1e3 * statistics.median(x), 2), "least": round(1e3 * min(x), 2)}
+            for name, x in found.items()
+        },
+    }
+    append_line(options.out, line)
+    sys.stdout.write(f"{line['milliseconds']}\n")
+
+
+def _samples(call: Callable[[], None], count: int) -> list[float]:
+    for _ in range(15):
+        call()
+    seconds = []
+    for _ in range(count):
+        began = time.perf_counter()
+        call()
+        seconds.append(time.perf_counter() - began)
+    return seconds
+
+
+def show(options: Show) -> None:
+    """Markdown."""
+    code = fingerprint()
+    lines = [x for x, _ in read_lines(options.out) if x.get("code") == code]
+    heads = (
+        "way", "noise (mm)", "surface points", "mean off (mm)", "95 % within (mm)", "beyond 6 mm (%)", "free points",
+        "of them inside", "nearest (mm)",
+    )  # fmt: skip
+    print("| " + " | ".join(heads) + " |")
+    print("|---" * len(heads) + "|")
+    for way, noise in dict.fromkeys((x["way"], x["noise_mm"]) for x in lines if "scene" in x):
+        own = {x["scene"]: x for x in lines if "scene" in x and (x["way"], x["noise_mm"]) == (way, noise)}
+        cells = [own[name] for name in SCENES if name in own]
+
+        def each(name: str, digits: int, cells: list[dict[str, Any]] = cells) -> str:
+            return ", ".join(f"{x[name]:.{digits}f}" for x in cells)
+
+        print(
+            f"| {way} | {noise:g} | {each('points', 0)} | {each('mean_mm', 2)} | {each('p95_mm', 2)} | "
+            f"{each('far', 2)} | {each('free', 0)} | {each('inside', 0)} | {min(x['deepest_mm'] for x in cells):.1f} |"
+        )
+    timed = [x for x in lines if "milliseconds" in x]
+    if timed:
+        made = timed[-1]["made_on"]
+        print(f"\n{made['processor']}, {timed[-1]['threads']} threads, load {made['load']}\n")
+        print("| work | median (ms) | least (ms) |\n|---|---|---|")
+        for name, x in timed[-1]["milliseconds"].items():
+            print(f"| {name} | {x['median']:g} | {x['least']:g} |")
+
+
+def fingerprint() -> str:
+    """Of the code that the figures depend on."""
+    digest = hashlib.sha256()
+    for path in CODE:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    kinds = {"errors": Errors, "times": Times, "show": Show}
+    options = tyro.extras.subcommand_cli_from_dict(kinds, description=__doc__)
+    {Errors: errors, Times: times, Show: show}[type(options)](options)

@@ -1,0 +1,121 @@
+"""From point clouds of scenes in closed form to surface and free points."""
+
+import pytest
+import torch
+
+from rumi.bench.known_scenes import SCENES, scene_view, with_noise
+from sdf import se3
+from sensors.camera import pixel_points
+from sensors.cloud import cloud_observation, organised_intrinsics, pinhole_about
+from sensors.semantics import Semantics
+from sensors.view import ViewSettings, view_observation
+
+pytest.importorskip("cv2")
+
+HEIGHT, WIDTH = 240, 320
+BOUNDS = torch.tensor([[0.2, -0.2, 0.0], [0.6, 0.2, 0.16]])
+
+
+def seeded(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def scene(request):
+    return scene_view(request.param, HEIGHT, WIDTH)
+
+
+def scattered(scene, depth=None, seed=0):
+    """The image's points in no order, camera frame, and which are the object's."""
+    depth = scene.depth if depth is None else depth
+    there = torch.isfinite(depth)
+    points = pixel_points(depth.float(), there, scene.intrinsics)
+    order = torch.randperm(len(points), generator=seeded(seed))
+    return points[order], scene.mask[there][order], scene.color[there][order]
+
+
+def parts(view):
+    observation = view.observation
+    return (observation.points[observation.of_class(s)] for s in (Semantics.SURFACE, Semantics.FREE))
+
+
+def test_an_organised_cloud_is_its_image(scene):
+    depth = scene.depth.float()
+    points = torch.full((HEIGHT, WIDTH, 3), torch.nan)
+    there = torch.isfinite(depth)
+    points[there] = pixel_points(depth, there, scene.intrinsics)
+    assert torch.allclose(organised_intrinsics(points), scene.intrinsics, atol=0.01)
+    given = {"mask": scene.mask, "bounds": BOUNDS}
+    found = cloud_observation(points, scene.world_T_camera, **given)
+    expected = view_observation(depth.nan_to_num(posinf=0.0), scene.intrinsics, scene.world_T_camera, **given)
+    assert torch.equal(found.surface, expected.surface)
+    surface, free = parts(found)
+    assert torch.allclose(surface, next(parts(expected)), atol=1e-4)
+    assert len(free) == pytest.approx(int(expected.observation.of_class(Semantics.FREE).sum()), rel=0.01)
+
+
+WAYS = {"mask": ViewSettings(), "color": ViewSettings("color", (200.0, 260.0)), "plane": ViewSettings("plane")}
+
+
+@pytest.mark.parametrize("frame", ["camera", "world"])
+@pytest.mark.parametrize("way", WAYS)
+def test_points_without_order(scene, way, frame):
+    points, mask, colors = scattered(scene)
+    if frame == "world":
+        points = se3.apply(scene.world_T_camera, points)
+    given = {"mask": {"mask": mask}, "color": {"colors": colors}, "plane": {"generator": seeded()}}[way]
+    view = cloud_observation(points, scene.world_T_camera, WAYS[way], frame=frame, bounds=BOUNDS, **given)
+    surface, free = parts(view)
+    assert len(surface) > 0.5 * int(scene.mask.sum()) and len(free) > 3000
+    assert float(scene.distance(surface).abs().max()) < 2e-5
+    assert float(scene.distance(free).min()) > 0
+
+
+def test_noise_of_two_millimetres(scene):
+    points, mask, _ = scattered(scene, with_noise(scene.depth, 0.002, mixed=True, generator=seeded()))
+    surface, free = parts(cloud_observation(points, scene.world_T_camera, mask=mask, bounds=BOUNDS))
+    assert len(surface) > 0.3 * int(scene.mask.sum())
+    assert float((scene.distance(surface).abs() > 0.006).double().mean()) < 0.01
+    assert float(scene.distance(free).min()) > 0
+
+
+def test_clouds_persist_in_one_camera():
+    scene = scene_view("box", 120, 160)
+    points, _, _ = scattered(scene)
+    pinhole = pinhole_about(points)
+    memory, counts = None, []
+    for frame in range(8):
+        points, mask, _ = scattered(scene, seed=frame)
+        view = cloud_observation(
+            points,
+            scene.world_T_camera,
+            ViewSettings(persist_s=0.4),
+            pinhole=pinhole,
+            mask=mask,
+            stamp=0.1 * frame,
+            memory=memory,
+        )
+        memory = view.memory
+        counts.append(len(view.observation))
+    assert counts[:4] == [0] * 4 and min(counts[4:]) > 0.5 * int(scene.mask.sum())
+
+
+def test_the_camera_about_a_cloud_has_points_in_its_pixels():
+    points, _, _ = scattered(scene_view("box", HEIGHT, WIDTH))
+    pinhole = pinhole_about(points)
+    flat = points @ pinhole.intrinsics.mT
+    pixel = (flat[:, :2] / flat[:, 2:]).round()
+    assert float(pixel.min()) >= 0 and float(pixel[:, 0].max()) < pinhole.width
+    assert float(pixel[:, 1].max()) < pinhole.height
+    a_pixel = len(points) / len(torch.unique(pixel, dim=0))
+    assert 2.5 < a_pixel < 6.5
+
+
+def test_what_is_no_cloud_of_a_camera_is_refused():
+    with pytest.raises(ValueError, match="z points forward"):
+        cloud_observation(-torch.rand(50, 3), torch.eye(4), mask=torch.ones(50, dtype=torch.bool))
+    random = torch.rand(20, 30, 3, generator=seeded())
+    with pytest.raises(ValueError, match="pixels off"):
+        cloud_observation(random, torch.eye(4), mask=torch.ones(20, 30, dtype=torch.bool))
+    with pytest.raises(ValueError, match="at least 10"):
+        cloud_observation(torch.full((4, 4, 3), torch.nan), torch.eye(4), mask=torch.ones(4, 4, dtype=torch.bool))
