@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from rumi.belief.motion import MOTIONS, Motion, Predictor, object_motion
-from rumi.belief.particles import PoseBelief
+from rumi.belief.particles import PoseBelief, boltzmann
 from rumi.belief.prior import PosePrior
 from rumi.belief.resampling import resample_systematic
 from rumi.errors import DegenerateBeliefError
@@ -266,8 +266,8 @@ class PoseFilter(nn.Module):
         if not bool(torch.isfinite(belief.discrepancy).any(-1).all()):
             raise DegenerateBeliefError("No particle has a finite discrepancy: check the observation's points")
         if self.settings.weighing == "incremental":
-            return belief.reweighted(belief.log_weights - self.settings.peakiness * change)
-        return belief.reweighted(-self.settings.peakiness * belief.discrepancy)
+            return belief.reweighted(belief.log_weights + boltzmann(change, self.settings.peakiness))
+        return belief.reweighted(boltzmann(belief.discrepancy, self.settings.peakiness))
 
     def resample(
         self, belief: PoseBelief, weights: PoseBelief, memory: Observation, *, generator: Generators
@@ -286,7 +286,7 @@ class PoseFilter(nn.Module):
         total = self.cost(poses, here)
         fresh = replace(fresh, attached_T_object=poses, discrepancy=total)
         if settings.weighing == "scratch" and settings.weigh_before_resampling:
-            fresh = fresh.reweighted(-settings.peakiness * total)
+            fresh = fresh.reweighted(boltzmann(total, settings.peakiness))
         return _where(rows, fresh, belief), rows
 
 

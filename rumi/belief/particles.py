@@ -8,11 +8,22 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from rumi.errors import DegenerateBeliefError
 from sdf import se3
+from sdf.check import may_look
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
 CHUNK_BYTES = 64 * 2**20
 _TEMPORARIES = 80  # numbers of a pair that live at once: a product of rotations, and what its angle needs
+
+
+def boltzmann(discrepancy: Float[Tensor, "*b N"], peakiness: float) -> Float[Tensor, "*b N"]:
+    """Log-weights -lambda C of discrepancies (RUMI, Eq 10), not normalised: the best particle's is 0.
+
+    Differences of discrepancies are exact or nearly so, products of large ones with lambda are not: taken first they
+    keep the weights right in float32 however large the discrepancies are.
+    """
+    return -peakiness * (discrepancy - discrepancy.amin(-1, keepdim=True))
 
 
 @dataclass(frozen=True)
@@ -56,7 +67,10 @@ class PoseBelief:
 
     def ess(self) -> Float[Tensor, "*b"]:
         """Effective sample size, 1 / sum of squared weights, between 1 and N."""
-        return torch.exp(-torch.logsumexp(2.0 * self.log_weights, -1))
+        # float64, and of weights that need not sum to 1 to the last digit: else it may come out above N
+        log = self.log_weights.double()
+        log = log - log.amax(-1, keepdim=True)
+        return (2.0 * torch.logsumexp(log, -1) - torch.logsumexp(2.0 * log, -1)).exp().to(self.log_weights.dtype)
 
     def mode(self, radius_m: float = 0.01, radius_rad: float = 0.175) -> Float[Tensor, "*b 4 4"]:
         """World pose of the best-weighted mode: the mean of the particles about the one with most weight around it.
@@ -95,10 +109,20 @@ class PoseBelief:
 
     def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
         """The belief after a known world motion: `world_T_object' = motion @ world_T_object`."""
-        return replace(self, world_T_attached=motion @ self.world_T_attached)
+        return replace(self, world_T_attached=se3.compose(motion, self.world_T_attached))
 
     def reweighted(self, log_weights: Float[Tensor, "*b N"]) -> Self:
-        """The same particles under other, not necessarily normalised, log-weights."""
+        """The same particles under other, not necessarily normalised, log-weights.
+
+        Raises:
+            DegenerateBeliefError: a scene's are all -inf, or some are NaN or +inf.
+        """
+        top = log_weights.amax(-1)
+        if may_look() and not bool(torch.isfinite(top).all()):
+            raise DegenerateBeliefError(
+                f"Expected a finite log-weight in each scene and none that is NaN or +inf, got {float(top.min())} as "
+                "the greatest: no particle fits what was observed, or a reading is none"
+            )
         return replace(self, log_weights=torch.log_softmax(log_weights, -1))
 
     def resampled(self, index: Int[Tensor, "*b N"]) -> Self:

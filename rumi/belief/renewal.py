@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.belief.filter import PoseFilter
-from rumi.belief.particles import PoseBelief
+from rumi.belief.particles import PoseBelief, boltzmann
 from rumi.belief.prior import PosePrior
 from rumi.registration.archive import fill
 from rumi.registration.descent import DescentSettings
@@ -129,7 +129,7 @@ def _spread(
 
 def _weighed(pose_filter: PoseFilter, belief: PoseBelief, poses: Tensor, cost: Tensor) -> PoseBelief:
     renewed = replace(belief, attached_T_object=poses, discrepancy=cost)
-    return renewed.reweighted(-pose_filter.settings.peakiness * cost)
+    return renewed.reweighted(boltzmann(cost, pose_filter.settings.peakiness))
 
 
 def _prior(pose_filter: PoseFilter) -> PosePrior:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief
+from rumi.belief.particles import PoseBelief, boltzmann
 from rumi.registration.descent import DescentSettings, Search
 from rumi.registration.register import RegisterSettings, register
 from rumi.seeding import uniform
@@ -123,4 +123,4 @@ def initialise(
         generator=generator,
     )
     belief = PoseBelief.uniform(found.frame_T_object)
-    return replace(belief, discrepancy=found.discrepancy).reweighted(-peakiness * found.discrepancy)
+    return replace(belief, discrepancy=found.discrepancy).reweighted(boltzmann(found.discrepancy, peakiness))

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from rumi.belief import particles
-from rumi.belief.particles import PoseBelief
+from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.errors import DegenerateBeliefError
 from sdf import se3
 
 F64 = torch.float64
@@ -36,6 +37,46 @@ def test_extreme_weights_stay_normalised(log_weights):
     weights = belief(3).reweighted(torch.tensor(log_weights, dtype=F64)).weights
     assert torch.isfinite(weights).all()
     assert float(weights.sum()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "log_weights", [[-math.inf] * 3, [math.nan, 0.0, 0.0], [math.inf, 0.0, 0.0], [-math.inf, math.nan, -math.inf]]
+)
+def test_weights_that_are_none_are_refused(log_weights):
+    with pytest.raises(DegenerateBeliefError, match="finite log-weight"):
+        belief(3).reweighted(torch.tensor(log_weights, dtype=F64))
+
+
+def test_one_lost_scene_of_a_batch_is_refused():
+    with pytest.raises(DegenerateBeliefError):
+        belief(3, (2,)).reweighted(torch.tensor([[0.0, 0.0, 0.0], [-math.inf] * 3], dtype=F64))
+
+
+def test_large_discrepancies_that_differ_little_are_told_apart_in_float32():
+    cost = torch.tensor([208034.0, 208033.984375, 208033.96875])
+    found = torch.softmax(boltzmann(cost, 1000.0), -1)
+    wanted = torch.softmax(-1000.0 * cost.double(), -1)
+    torch.testing.assert_close(found.double(), wanted, rtol=1e-5, atol=0)
+
+
+def test_an_infinite_discrepancy_has_no_weight():
+    log = boltzmann(torch.tensor([3.0, math.inf, 4.0]), 2.0)
+    assert log.tolist() == [0.0, -math.inf, -2.0]
+
+
+@pytest.mark.parametrize("count", [1, 3, 500, 100_000])
+def test_the_effective_size_never_exceeds_the_number_of_particles(count):
+    poses = se3.identity((1,)).expand(count, 4, 4)
+    assert float(PoseBelief.uniform(poses).ess()) == count
+
+
+def test_ten_thousand_motions_leave_a_rotation(generator):
+    motions = se3.exp(0.1 * torch.randn(100, 6, generator=generator))
+    start = PoseBelief.uniform(se3.identity((1,)))
+    for k in range(10_000):
+        start = start.moved(motions[k % 100])
+    rotation = start.world_T_attached[:3, :3].double()
+    assert float((rotation.mT @ rotation - torch.eye(3, dtype=F64)).abs().max()) < 1e-6
 
 
 def test_golden_large_discrepancies(golden):

@@ -33,6 +33,27 @@ def test_group_axioms(batch, seed):
 
 
 @pytest.mark.parametrize("batch", BATCHES)
+def test_compose_is_the_product(batch):
+    a, b = transforms(batch, 1), transforms(batch, 2)
+    assert close(se3.compose(a, b), a @ b)
+
+
+def test_compose_brings_a_product_back_to_a_rotation():
+    a, b = transforms((50,), 1), transforms((50,), 2)
+    off = a.clone()
+    off[..., :3, :3] *= 1.0 + 1e-5
+    rotation = se3.compose(off, b)[..., :3, :3]
+    assert close(rotation.mT @ rotation, torch.eye(3, dtype=torch.float64), 1e-9)
+    assert close(rotation, (a @ b)[..., :3, :3], 1e-9)
+
+
+def test_compose_keeps_gradients_and_dtype():
+    a, b = transforms((3,), 1), transforms((3,), 2)
+    assert torch.autograd.gradcheck(se3.compose, (a.requires_grad_(), b))
+    assert se3.compose(a.float(), b.float()).dtype == torch.float32
+
+
+@pytest.mark.parametrize("batch", BATCHES)
 def test_action_on_points(batch, generator):
     a, b = transforms(batch, 1), transforms(batch, 2)
     points = torch.randn(*batch, 7, 3, dtype=torch.float64, generator=generator)
