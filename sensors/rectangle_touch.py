@@ -185,8 +185,13 @@ class RectangleTouches:
 
     def joined(self, other: Self) -> Self:
         """Both together."""
-        names = ("points_w", "normals_w", "over_w", "ways_w")
-        return replace(self, **{name: torch.cat((getattr(self, name), getattr(other, name))) for name in names})
+        return replace(
+            self,
+            points_w=torch.cat((self.points_w, other.points_w)),
+            normals_w=torch.cat((self.normals_w, other.normals_w)),
+            over_w=torch.cat((self.over_w, other.over_w)),
+            ways_w=torch.cat((self.ways_w, other.ways_w)),
+        )
 
     def log_likelihood(self, poses: Float[Tensor, "N 3"]) -> Float[Tensor, "N"]:
         """Of all readings together (N), nats, up to a constant.

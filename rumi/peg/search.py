@@ -1,4 +1,4 @@
-"""The first stage: lanes to and fro over the table until the first touch, and a belief over the block's middle alone."""
+"""The first stage: lanes over the table until the first touch, and a belief over the block's middle alone."""
 
 import math
 from dataclasses import dataclass

@@ -1,11 +1,12 @@
 """A simulated cell: a ball on a force-torque sensor goes along straight ways and stops where it feels the object.
 
-The object is fixed and everything about a contact follows from geometry, so that contacts are cast exactly and no engine
-steps through the motion: a ball against a rectangle from the side, against its top from above. Times are those of
-trapezoidal speed profiles. What is left out: friction that turns the felt force away from the normal, a press that
+The object is fixed and everything about a contact follows from geometry, so that contacts are cast exactly and no
+engine steps through the motion: a ball against a rectangle from the side, against its top from above. Times are those
+of trapezoidal speed profiles. What is left out: friction that turns the felt force away from the normal, a press that
 yields, an arm that cannot reach.
 """
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -111,7 +112,7 @@ class TouchCell:
         if not torch.allclose(points[0], self.tip, atol=1e-9):
             raise ValueError(f"Expected a way from the tip at {self.tip.tolist()}, got {points[0].tolist()}")
         begun, path, free = self.clock(), [self.tip], []
-        for start, end in zip(points[:-1], points[1:], strict=True):
+        for start, end in itertools.pairwise(points):
             length = float((end - start).norm())
             if length == 0.0:
                 continue
