@@ -1,7 +1,7 @@
 """What each part of the touch-box task is worth, and what readings tell: runs with one thing changed at a time.
 
 python scripts/touch_ablations.py run --seeds 1000-1029             # all variants, seed by seed; again to go on
-python scripts/touch_ablations.py run --variants default correlated-0.9 --seconds 110
+python scripts/touch_ablations.py run --variants default 'no noise' --seconds 110
 python scripts/touch_ablations.py show
 """
 
@@ -55,10 +55,9 @@ def _readings(count: int) -> Variant:
     return Variant(task=TouchTask(readings=count, spacing_m=_EVERY / count))
 
 
-def _correlated(chance: float, temper: float = 1.0) -> Variant:
-    return Variant(
-        replace(TouchSettings(), filter=replace(_FILTER, temper=temper)), replace(TouchTask(), correlation=chance)
-    )
+def _correlated(chance: float, *, weighed: bool) -> Variant:
+    own = replace(TouchSettings(), weigh_correlated=weighed)
+    return Variant(own, replace(TouchTask(), correlation=chance))
 
 
 VARIANTS: dict[str, Variant] = {
@@ -81,14 +80,13 @@ VARIANTS: dict[str, Variant] = {
     "20 readings": _readings(20),
     "8 readings": _readings(8),
     "1 reading": _readings(1),
-    "correlated 0.5": _correlated(0.5),
-    "correlated 0.9": _correlated(0.9),
-    "correlated 0.5, told 1/3": _correlated(0.5, 1.0 / 3.0),
-    "correlated 0.9, told 1/19": _correlated(0.9, 1.0 / 19.0),
+    "correlated 0.5, taken as independent": _correlated(0.5, weighed=False),
+    "correlated 0.5": _correlated(0.5, weighed=True),
+    "correlated 0.9, taken as independent": _correlated(0.9, weighed=False),
+    "correlated 0.9": _correlated(0.9, weighed=True),
     "sharp readings": Variant(task=TouchTask(rates=(0.9, 0.05))),
 }
-"""All by name; "told 1/3" raises the likelihood to that power: readings that repeat their errors with chance c carry
-about (1 - c) / (1 + c) of what independent ones do."""
+"""All by name."""
 
 
 @dataclass(frozen=True)

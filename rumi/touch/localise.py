@@ -104,6 +104,9 @@ class Toucher:
         centre = torch.zeros(2, dtype=torch.float64)
         substeps = max(settings.filter.substeps, math.ceil(task.spacing_m / _SUBSTEP_M - 1e-9))
         own = replace(settings.filter, substeps=substeps)
+        if settings.weigh_correlated:
+            repeats = getattr(robot, "correlation", task.correlation)
+            own = replace(own, temper=own.temper * (1.0 - repeats) / (1.0 + repeats))
         self.filter = TouchFilter(task.outline, centre, robot.pusher, model, task.prior, own, carrier=self.carrier)
         self.hold = max(1, round(settings.poke.hold_m / task.spacing_m))
         self.support = SharedSupport(StateMetric.planar(0.06), settings.poke.neighbours, floor=1e-4)
@@ -190,7 +193,7 @@ class Toucher:
             if len(log) <= done:  # once for every reading
                 signal = touched.contact[-1]
                 gained = self.filter.model.log_likelihood(distance[0, done - 1], signal)
-                log.append(log[-1] + self.settings.filter.temper * gained)
+                log.append(log[-1] + self.filter.settings.temper * gained)
             return float(expects_contact(touching[:done], log[-1], self.hold)[-1]) <= own.sure
 
         return go_on

@@ -69,6 +69,8 @@ class TouchSettings:
         threshold: believed chance of lifting at which the box is grasped.
         actions: pokes at most; then it is grasped all the same.
         decay: fall-off of a contact signal with distance, 1/m.
+        weigh_correlated: count readings that repeat their errors with a chance c as (1 - c) / (1 + c) of independent
+            ones each: so much less do they tell of what they are a mean of.
         stop_early: end a poke where the belief expects contact to have lasted; off: push through.
         filter: of the particles.
         poke: candidates and their choice.
@@ -80,6 +82,7 @@ class TouchSettings:
     threshold: float = 0.92
     actions: int = 15
     decay: float = 1000.0
+    weigh_correlated: bool = True
     stop_early: bool = True
     filter: ReplaySettings = field(default_factory=_filter)
     poke: PokeSettings = field(default_factory=PokeSettings)
