@@ -44,6 +44,7 @@ examples:
   rumi run mug-1 --method info-only --seed 3
   rumi run mug-0 --preset paper --steps 10 --out my-run
   rumi run mug-0 --planner.mppi.samples 100 --stop.rule never
+  rumi run touch-box                        a box that only touch can tell, found, grasped and lifted
   rumi plot runs/mug-0-rumi-default-s0 --steps 0 4 8
 
 `rumi run` ends with exit code 0 if the belief became sure by its own stopping rule, 1 if it did not, 2 for input

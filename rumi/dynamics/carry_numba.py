@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 from numba import prange
 
 from rumi.dynamics.sliding_numba import settled, slope, value
@@ -114,7 +115,8 @@ def _one(e, poses, path, points, table, centre, lever, friction, shape, sizes, c
 
 def _carry(poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance):
     for e in prange(len(poses)):
-        _one(e, poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance)
+        # a signed index: a parallel loop's is unsigned, which with a signed one makes no index
+        _one(np.int64(e), poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance)
 
 
 carry = Kernel(_carry)

@@ -62,6 +62,7 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
     if any(folder.iterdir()):
         raise UsageError(f"Expected a folder without files in it, got {folder}: name another by --out")
     _say(f"{NAME} with {options.settings.method}, {options.robot}, seed {options.seed}; writing to {folder}")
+    _say("grasps are simulated once and kept (a minute at first)")
     toucher = make_toucher(options.task, options.settings, options.robot, cache_dir=cache_dir)
     count = 0
 

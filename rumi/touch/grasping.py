@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.dynamics.sliding import rotated
 
+_WITNESSES, _FINAL = 100, 8  # particles by which grasps are told apart at first, and grasps that are judged by all
 _CROWD = 0.5  # of the table's ends: poses this near to a candidate make up its local mean
 
 
@@ -91,13 +92,22 @@ def best_grasp(
         candidates: particles that are tried, the likeliest in even shares of the belief.
     """
     weights = log_weights.softmax(-1)
-    comb = (torch.arange(candidates, dtype=weights.dtype) + 0.5) / candidates
-    tried = poses[torch.searchsorted(weights.cumsum(0), comb).clamp_max(len(poses) - 1)]
+    few = poses[_comb(weights, _WITNESSES)]
+    even = torch.full_like(few[:, 0], 1.0 / len(few))
+    tried = poses[_comb(weights, candidates)]
     for _ in range(2):
-        tried = torch.cat((tried, _local_means(tried[-candidates:], poses, weights, table)))
-    chance = (table(tried[:, None], poses) * weights).sum(-1)
+        tried = torch.cat((tried, _local_means(tried[-candidates:], few, even, table)))
+    # most are told apart by few particles; all are asked about the best
+    tried = tried[(table(tried[:, None], few) @ even).topk(min(_FINAL, len(tried))).indices]
+    chance = table(tried[:, None], poses) @ weights
     best = int(chance.argmax())
     return Grasp(tried[best], float(chance[best]))
+
+
+def _comb(weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
+    """Particles in the middles of equal shares of the belief."""
+    comb = (torch.arange(count, dtype=weights.dtype) + 0.5) / count
+    return torch.searchsorted(weights.cumsum(0), comb).clamp_max(len(weights) - 1)
 
 
 def _local_means(

@@ -1,7 +1,8 @@
 """The loop of touch alone: belief, choice of a poke, robot, filter, until a grasp is likely to succeed."""
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -25,6 +26,7 @@ from rumi.touch.task import TouchTask, draw_truth
 from sensors.contact_model import ContactModel
 
 _DRAWS = 4  # rounds of candidates, until enough can be followed
+_SUBSTEP_M = 0.0025  # motion of the tool at most, from one contact problem to the next
 _TOUCH_M = 5e-4  # distance at which a particle counts as touched
 
 
@@ -100,9 +102,13 @@ class Toucher:
         rates = getattr(robot, "rates", task.rates)
         model = ContactModel(rates[0], rates[1], settings.decay)
         centre = torch.zeros(2, dtype=torch.float64)
-        self.filter = TouchFilter(
-            task.outline, centre, robot.pusher, model, task.prior, settings.filter, carrier=self.carrier
-        )
+        substeps = max(settings.filter.substeps, math.ceil(task.spacing_m / _SUBSTEP_M - 1e-9))
+        own = replace(settings.filter, substeps=substeps)
+        if settings.weigh_correlated:
+            repeats = getattr(robot, "correlation", task.correlation)
+            own = replace(own, temper=own.temper * (1.0 - repeats) / (1.0 + repeats))
+        self.filter = TouchFilter(task.outline, centre, robot.pusher, model, task.prior, own, carrier=self.carrier)
+        self.hold = max(1, round(settings.poke.hold_m / task.spacing_m))
         self.support = SharedSupport(StateMetric.planar(0.06), settings.poke.neighbours, floor=1e-4)
 
     def candidates(self, belief: TouchBelief, *, generator: torch.Generator) -> Float[Tensor, "C K1 3"]:
@@ -137,7 +143,7 @@ class Toucher:
         poses = belief.pose[0, rows]
         count, number = len(paths), len(rows)
         sliding = Sliding(torch.zeros(number, 2, dtype=poses.dtype), belief.lever[0, rows], belief.friction[0, rows])
-        own = self.settings.filter
+        own = self.filter.settings
         carried = self.carrier(
             poses.repeat(count, 1),
             paths.repeat_interleave(number, 0),
@@ -164,7 +170,7 @@ class Toucher:
             self.settings.method,
             rollouts,
             self.support,
-            hold=own.hold,
+            hold=self.hold,
             samples=own.samples,
             every=own.every,
             funnel=own.funnel,
@@ -187,8 +193,8 @@ class Toucher:
             if len(log) <= done:  # once for every reading
                 signal = touched.contact[-1]
                 gained = self.filter.model.log_likelihood(distance[0, done - 1], signal)
-                log.append(log[-1] + self.settings.filter.temper * gained)
-            return float(expects_contact(touching[:done], log[-1], own.hold)[-1]) <= own.sure
+                log.append(log[-1] + self.filter.settings.temper * gained)
+            return float(expects_contact(touching[:done], log[-1], self.hold)[-1]) <= own.sure
 
         return go_on
 

@@ -1,5 +1,7 @@
 """A robot whose truth is the quasi-static model itself: what an error of the model costs shows against it."""
 
+import math
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -11,7 +13,7 @@ from rumi.touch.grasping import GraspTable
 from rumi.touch.robot import GoOn, Readings, Touched
 from rumi.touch.task import BoxTruth, TouchTask
 
-_SUBSTEPS = 4  # finer than a filter's, whose readings fall on the same instants
+_SUBSTEP_M = 0.00125  # finer than a filter's, whose readings fall on the same instants
 
 
 class PlanarRobot:
@@ -62,11 +64,12 @@ class PlanarRobot:
         """Poke along a path; see `TouchRobot`."""
         path = path.double()
         outline, contact, stopped = self.task.outline, [], "end"
+        substeps = math.ceil(self.task.spacing_m / _SUBSTEP_M - 1e-9)
         if float(distance_to(self._pose[None], path[:1], self.pusher, outline)) < 0:
             return Touched(path[:1], torch.zeros(0, dtype=torch.bool), True, "blocked")
         for k in range(1, len(path)):
             way = path[None, k - 1 : k + 1]
-            carried = carry(self._pose[None], way, self.pusher, outline, self._sliding, substeps=_SUBSTEPS)
+            carried = carry(self._pose[None], way, self.pusher, outline, self._sliding, substeps=substeps)
             self._pose = carried.track[0, -1]
             contact.append(self._readings(float(carried.distance) <= self.touching_m))
             so_far = Touched(path[: k + 1], torch.tensor(contact), False, "end")

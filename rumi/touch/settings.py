@@ -19,7 +19,7 @@ class PokeSettings:
         candidates: pokes that are weighed.
         particles: of the belief, over which they are rolled out.
         bend: standard deviation of a via-point aside, as a share of a poke's length.
-        hold: steps of contact after which a poke has told what it can: it ends where the belief expects that many.
+        hold_m: way in contact after which a poke has told what it can: it ends where the belief expects as much.
         sure: share of the belief that must expect so.
         samples: reading sequences that are drawn a candidate.
         every: steps from one density term to the next.
@@ -30,7 +30,7 @@ class PokeSettings:
     candidates: int = 20
     particles: int = 100
     bend: float = 0.1
-    hold: int = 3
+    hold_m: float = 0.015
     sure: float = 0.8
     samples: int = 32
     every: int = 4
@@ -39,7 +39,7 @@ class PokeSettings:
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
-        for name in ("candidates", "particles", "hold", "samples", "every"):
+        for name in ("candidates", "particles", "samples", "every"):
             if getattr(self, name) < 1:
                 raise UsageError(f"Expected {name} to be 1 or more, got {getattr(self, name)}")
         if not 0.0 < self.sure <= 1.0:
@@ -49,11 +49,12 @@ class PokeSettings:
 def _filter() -> ReplaySettings:
     return ReplaySettings(
         trigger=0.5,
-        sweeps=4,
+        sweeps=6,
         friction=(0.1, 0.7),
         # square roots of 1.5 to 6: c of even pressure up to that of the four corners
         lever_m=(1.22 * 0.0447, 2.45 * 0.0447),
-        noise=0.07,
+        noise=0.08,
+        noise_tails=0.1,
     )
 
 
@@ -68,6 +69,8 @@ class TouchSettings:
         threshold: believed chance of lifting at which the box is grasped.
         actions: pokes at most; then it is grasped all the same.
         decay: fall-off of a contact signal with distance, 1/m.
+        weigh_correlated: count readings that repeat their errors with a chance c as (1 - c) / (1 + c) of independent
+            ones each: so much less do they tell of what they are a mean of.
         stop_early: end a poke where the belief expects contact to have lasted; off: push through.
         filter: of the particles.
         poke: candidates and their choice.
@@ -75,10 +78,11 @@ class TouchSettings:
 
     method: Method = "sequence"
     push_model: TouchPush = "quasi-static"
-    count: int = 500
-    threshold: float = 0.9
+    count: int = 800
+    threshold: float = 0.92
     actions: int = 15
     decay: float = 1000.0
+    weigh_correlated: bool = True
     stop_early: bool = True
     filter: ReplaySettings = field(default_factory=_filter)
     poke: PokeSettings = field(default_factory=PokeSettings)

@@ -39,7 +39,7 @@ def draw_run(run: TouchRun, toucher: Toucher, folder: Path) -> list[Path]:
         draw_box(axes[0], run.start, task, color=style.TRUTH, linewidth=1.2)
         for ax, index in zip(axes[1:], shown, strict=False):
             step = run.steps[index]
-            panel(ax, step.belief, task, limits, f"poke {index + 1}: lifted with {step.grasp.probability:.2f}")
+            panel(ax, step.belief, task, limits, f"poke {index + 1}: P(lift) {step.grasp.probability:.2f}")
             draw_pokes(ax, step)
             draw_box(ax, step.truth, task, color=style.TRUTH, linewidth=1.2)
         last = axes[len(shown) + 1]

@@ -85,14 +85,17 @@ def _belief(
 ) -> None:
     weights = log_weights.softmax(-1)
     for pose, weight in zip(poses, weights, strict=True):
-        strength = 0.08 + 0.7 * math.sqrt(float(weight / weights.max())) if len(poses) > 1 else 1.0
+        # many of one weight are drawn faintly, few heavy ones strongly
+        strength = min(0.9, 0.05 + 1.6 * math.sqrt(float(weight))) if len(poses) > 1 else 1.0
         color = style.EXPECTED if len(poses) > 1 else style.TRUTH
         if float(weight) > 1e-4:
-            _outline(ax, pose, setup, color=color, linewidth=0.6, alpha=min(1.0, strength))
+            _outline(ax, pose, setup, color=color, linewidth=0.6, alpha=strength)
     reach = 3.0 * max(prior_of(setup).spread[:2].tolist()) + max(setup.half)
     ax.set(xlim=(-reach, reach + setup.length_m * 0.5), ylim=(-reach, reach), xticks=[], yticks=[])
     ax.set_aspect("equal")
     ax.set_title(title, fontsize=8)
+    for spine in ax.spines.values():
+        spine.set_visible(False)
 
 
 def _outline(ax: Any, pose: Float[Tensor, "3"], setup: PushSetup, **kind: Any) -> None:  # noqa: ANN401

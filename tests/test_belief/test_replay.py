@@ -11,7 +11,7 @@ from torch import Tensor
 from rumi.belief.planar_prior import PlanarPrior
 from rumi.belief.replay import ReplaySettings, TouchFilter
 from rumi.belief.touch_belief import TouchAction, TouchBelief, joined
-from rumi.dynamics.carry import Pusher
+from rumi.dynamics.carry import Carried, Pusher
 from rumi.dynamics.outline import RectangleOutline
 from sdf import backend
 from sensors.contact_model import ContactModel
@@ -224,3 +224,57 @@ def test_prior_density_is_a_density() -> None:
 def test_settings_without_meaning_are_refused(changes: dict[str, object], no_shape_check: None) -> None:
     with pytest.raises(ValueError, match=next(iter(changes))):
         ReplaySettings(**changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_where_the_tool_came_down_tells_of_the_object(noise: float) -> None:
+    """Blocked, the box stands where the tool came down; not blocked, it does not; and replay keeps what that told."""
+    place = torch.tensor([[0.06, 0.0, 0.0]], **DOUBLE)
+    shares = {}
+    for blocked in (True, False):
+        settings = ReplaySettings(noise=noise, trigger=1.0, overlap_error=0.02)
+        own, random = follow(settings), torch.Generator().manual_seed(3)
+        history = [TouchAction(place, torch.zeros(0, dtype=torch.bool), blocked)]
+        belief, info = own.step(own.initial(1, 4000, generator=random), history, generator=random)
+        assert bool(info.resampled[0])
+        _, told = own.replayed(belief.start, belief.friction, belief.lever, belief.noise, history)
+        torch.testing.assert_close(told, belief.log_likelihood)
+        x = belief.pose[0, :, 0]
+        # the finger's border reaches to x = 0.04, and the box's side is 0.03 ahead of its middle
+        shares[blocked] = [float((x > limit).double().mean()) for limit in (0.004, 0.016)]
+    assert shares[True][0] > 0.88
+    assert shares[False][1] < 0.05
+
+
+def test_tempered_readings_tell_a_share() -> None:
+    whole, half = (follow(ReplaySettings(temper=power)) for power in (1.0, 0.5))
+    random = torch.Generator().manual_seed(3)
+    belief = whole.initial(1, 50, generator=random)
+    gained = [own.roll(belief.pose, belief.friction, belief.lever, None, HISTORY[1])[1] for own in (whole, half)]
+    torch.testing.assert_close(0.5 * gained[0], gained[1])
+
+
+def test_heavy_tails_throw_farther() -> None:
+    plain, heavy = (follow(ReplaySettings(noise=0.1, noise_tails=h)) for h in (0.0, 0.3))
+    before, after = torch.zeros(1, 2, 3, **DOUBLE), torch.zeros(1, 2, 3, **DOUBLE)
+    after[..., 0] = 0.05
+    noise = torch.tensor([[[0.5, 0.0, 0.0], [3.0, 0.0, 0.0]]], **DOUBLE)
+    near, far = (own._disturbed(before, after, noise)[0, :, 0] - 0.05 for own in (plain, heavy))
+    torch.testing.assert_close(near, 0.005 * torch.tensor([0.5, 3.0], **DOUBLE))
+    torch.testing.assert_close(far / near, (0.15 * torch.tensor([0.25, 9.0], **DOUBLE)).exp())
+
+
+def test_another_physics_may_carry_the_particles() -> None:
+    """Where nothing is ever moved, only the distances tell."""
+
+    def still(poses: Tensor, path: Tensor, pusher: Pusher, *rest: object, **options: object) -> Carried:
+        count, parts = len(poses), path.shape[1] - 1
+        return Carried(poses[:, None].expand(count, parts, 3).clone(), torch.full((count, parts), 1.0, **DOUBLE))
+
+    own = follow()
+    frozen = TouchFilter(own.outline, own.centre, own.pusher, own.model, own.prior, own.settings, still)
+    random = torch.Generator().manual_seed(3)
+    belief = frozen.initial(1, 10, generator=random)
+    after, _ = frozen.step(belief, [HISTORY[1]], generator=random, resample=False)
+    torch.testing.assert_close(after.pose, belief.pose)
+    torch.testing.assert_close(after.log_weights, belief.log_weights)

@@ -128,3 +128,18 @@ def test_gradients_reach_the_start_pose(generator: torch.Generator) -> None:
     assert poses.grad is not None
     assert bool(torch.isfinite(poses.grad).all())
     assert float(poses.grad.abs().max()) > 0
+
+
+@pytest.mark.parametrize("each", [False, True], ids=["one path", "a path for each"])
+def test_two_threads_carry_as_one_does(each: bool, generator: torch.Generator) -> None:
+    poses, sliding = objects(generator)
+    path, tool, before = straight().expand(20 if each else 1, -1, 3), finger("disc"), torch.get_num_threads()
+    found = []
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            found.append(carry(poses, path, tool, BOX, sliding))
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(found[0].track, found[1].track)
+    assert torch.equal(found[0].distance, found[1].distance)

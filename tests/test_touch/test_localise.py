@@ -114,3 +114,14 @@ def test_the_tables_say_what_the_runs_did():
 
 def test_signals_are_a_word():
     assert signals(torch.tensor([True, False, True])) == "101"
+
+
+def test_readings_that_repeat_their_errors_count_for_less():
+    task = replace(TASK, correlation=0.5)
+    assert toucher(task=task).filter.settings.temper == pytest.approx(1.0 / 3.0)
+    assert toucher(replace(SETTINGS, weigh_correlated=False), task).filter.settings.temper == 1.0
+    robot = PlanarRobot(TASK, TABLE)
+    robot.correlation, robot.rates = 0.0, (0.8, 0.02)  # a robot's own are taken for the task's
+    own = Toucher(task, SETTINGS, robot, TABLE)
+    assert own.filter.settings.temper == 1.0
+    assert float(own.filter.model(torch.zeros(1, dtype=torch.float64))) == pytest.approx(0.8)

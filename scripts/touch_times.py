@@ -1,0 +1,66 @@
+"""How long one decision takes: 20 candidates, 100 particles of the prior; seconds, the best of some.
+
+python scripts/touch_times.py                  # every method, quasi-static
+python scripts/touch_times.py --mujoco         # particles in MuJoCo as well
+"""
+
+import sys
+import time
+from dataclasses import dataclass
+
+import torch
+import tyro
+
+from rumi.seeding import split
+from rumi.touch.grasping import clearance_table
+from rumi.touch.localise import Toucher
+from rumi.touch.make import make_carrier
+from rumi.touch.planar_robot import PlanarRobot
+from rumi.touch.selection import METHODS
+from rumi.touch.settings import TouchSettings
+from rumi.touch.task import TouchTask
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is timed.
+
+    Attributes:
+        rounds: how often.
+        mujoco: time particles in MuJoCo too.
+    """
+
+    rounds: int = 5
+    mujoco: bool = False
+
+
+def seconds(settings: TouchSettings, rounds: int) -> tuple[float, float]:
+    """Wall and processor time of a decision, each the least."""
+    task = TouchTask()
+    table = clearance_table(task.half[0], task.opening_m, task.half[1])
+    robot = PlanarRobot(task, table)
+    toucher = Toucher(task, settings, robot, table, make_carrier(settings.push_model, task))
+    belief = toucher.filter.initial(1, settings.count, generator=split(0, "times"))
+    found = []
+    for index in range(rounds + 1):  # the first compiles
+        wall, busy = time.perf_counter(), time.process_time()
+        toucher.decide(belief, generator=split(index, "times"))
+        found.append((time.perf_counter() - wall, time.process_time() - busy))
+    return min(one for one, _ in found[1:]), min(two for _, two in found[1:])
+
+
+def main() -> None:
+    """Print the table."""
+    options = tyro.cli(Options, description=__doc__)
+    sys.stdout.write(f"{torch.get_num_threads()} threads, best of {options.rounds}: wall s (processor s)\n\n")
+    sys.stdout.write("| method | quasi-static |" + (" MuJoCo |" if options.mujoco else "") + "\n")
+    sys.stdout.write("|---|---|" + ("---|" if options.mujoco else "") + "\n")
+    for method in METHODS:
+        cells = ["{:.3f} ({:.3f})".format(*seconds(TouchSettings(method=method), options.rounds))]
+        if options.mujoco:
+            cells.append("{:.1f} ({:.1f})".format(*seconds(TouchSettings(method=method, push_model="mujoco"), 1)))
+        sys.stdout.write(f"| {method} | {' | '.join(cells)} |\n")
+
+
+if __name__ == "__main__":
+    main()

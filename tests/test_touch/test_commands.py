@@ -1,0 +1,85 @@
+"""`rumi run touch-box` and `rumi reproduce touch-...`, on the quasi-static robot."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mujoco")
+
+from rumi import cli
+from rumi.cli import main
+from rumi.jsonlines import read_lines
+from rumi.touch.grasping import clearance_table
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch, tmp_path):
+    """The grasps' table is simulated elsewhere; runs write where nothing else is."""
+    monkeypatch.setattr("rumi.sim.touch_grasps.grasp_table", lambda *a, **k: clearance_table(0.03, 0.08, 0.08))
+    monkeypatch.setenv("RUMI_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+
+
+QUICK = ["--robot", "planar", "--count", "100", "--actions", "2", "--task.rates", "0.9", "0.05"]
+
+
+def test_a_run_leaves_its_folder(capsys):
+    code = main(["run", "touch-box", *QUICK, "--seed", "2001", "--push-model", "displacement"])
+    result = json.loads(Path("runs/touch-box-sequence-planar-s2001/result.json").read_text())
+    assert code == (cli.DONE if result["lifted"] else cli.NOT_CONVERGED)
+    assert result["actions"] == len(result["steps"]) <= 2
+    settings = json.loads(Path("runs/touch-box-sequence-planar-s2001/settings.json").read_text())
+    assert settings["task"]["rates"] == [0.9, 0.05]
+    assert settings["settings"]["push_model"] == "displacement"
+    said = capsys.readouterr()
+    assert "pokes, " in said.out and "poke  1: " in said.err
+
+
+def test_figures_are_drawn():
+    pytest.importorskip("matplotlib")
+    main(["run", "touch-box", *QUICK, "--out", "own", "--seed", "2002"])
+    assert {path.name for path in Path("own").iterdir()} == {
+        *("pokes.png", "sure.png", "result.json", "settings.json"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "touch-box", "--method", "guess"], "guess"),
+        (["run", "touch-box", "--task.rates", "0.1", "0.5"], "true > false positive rate"),
+        (["run", "touch-box", "--poke.candidates", "0"], "Expected candidates to be 1 or more, got 0"),
+        (["reproduce", "touch-table9"], "There is no experiment 'touch-table9' of touch"),
+        (["reproduce", "touch-table1", "--methods", "guess"], "There is no method 'guess'"),
+        (["reproduce", "touch-table1", "--show"], "holds no runs with these settings"),
+    ],
+)
+def test_what_cannot_be_is_refused(arguments, message, capsys):
+    assert main(arguments) == cli.BAD_INPUT
+    assert message in capsys.readouterr().err
+
+
+def test_a_table_is_made_of_runs_that_are_done_once(capsys):
+    pytest.importorskip("matplotlib")
+    asked = ["--methods", "max-contact", "uninformed", "--seeds", "2000-2001", "--robot", "planar"]
+    asked += ["--settings.count", "100", "--settings.actions", "2"]
+    assert main(["reproduce", "touch-table1", *asked]) == cli.DONE
+    lines = [line for line, _ in read_lines(Path("runs/reproduce/touch.jsonl"))]
+    assert len(lines) == 4
+    first = capsys.readouterr().out
+    assert "| max-contact |" in first and "| uninformed |" in first and "believed at the grasp" in first
+    assert main(["reproduce", "touch-table1", "touch-fig3", *asked, "--show"]) == cli.DONE
+    shown = capsys.readouterr().out
+    assert first.strip() in shown
+    assert "Median seconds a poke: whole poke" in shown
+    assert main(["reproduce", "touch-table1", *asked]) == cli.DONE
+    assert len(list(read_lines(Path("runs/reproduce/touch.jsonl")))) == 4
+
+
+def test_other_tables_and_figures(capsys):
+    pytest.importorskip("matplotlib")
+    assert main(["reproduce", "touch-table2", "touch-fig4", "--runs", "4"]) == cli.DONE
+    said = capsys.readouterr().out
+    assert "| smooth+replay |" in said and "0.018 (position)" in said
+    assert Path("runs/reproduce/touch-fig4.png").stat().st_size > 10_000
