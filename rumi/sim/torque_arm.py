@@ -36,12 +36,13 @@ class TorqueSettings:
         friction_nm: dry friction of each joint.
         friction_known: share of it that model and observer know of.
         gain: of the observer, 1/s.
-        threshold_nm: of the residual's norm, from what it was at rest before the motion.
+        threshold_nm: of the norm of the mean residual from one reading to the next, from what it was at rest before the
+            motion. The mean, since the largest of a part, or the last, errs more often.
         joints: how many count in the norm.
         force_limit_n: estimated force on the hand at which an action ends.
     """
 
-    bandwidth: float = 30.0
+    bandwidth: float = 40.0
     grasp_bandwidth: float = 15.0
     torque_noise_nm: float = 0.15
     torque_bias_nm: float = 0.1
@@ -69,7 +70,7 @@ class Felt(NamedTuple):
 
     Attributes:
         pose: (4,), measured (x, y, z, yaw) of the tool at the end.
-        norm_nm: largest norm of the residual, from its rest.
+        norm_nm: norm of the mean residual in this part, from its rest.
         force_n: largest estimated force on the hand, from its rest.
         signal: whether the norm was above the threshold.
         touching: whether a finger touched the box, in truth.
@@ -217,7 +218,7 @@ class TorqueArm:
         hold = round(0.1 / step)
         parts: list[Felt] = []
         tracking: list[float] = []
-        norm = force = 0.0
+        force, felt = 0.0, []
         touched, stopping, counted = False, False, 0
         threshold = TorqueThreshold(self.settings.threshold_nm, self.settings.joints, tuple(self.tare.tolist()))
         while True:
@@ -233,7 +234,7 @@ class TorqueArm:
             if counted % _BATCH:
                 continue
             residual = self._observed()
-            norm = max(norm, float(threshold.norm(residual).max()))
+            felt.append(residual)
             force = max(force, self._force(residual[-1]))
             if not stopping and force > self.settings.force_limit_n:
                 stopping, ended = True, "force"
@@ -242,10 +243,10 @@ class TorqueArm:
             reached = place >= len(parts) + 1 - 1e-3 and not stopping
             if reached or hold <= 0:
                 pose = self.tool()
+                norm = float(threshold.norm(torch.cat(felt).mean(0)))
                 parts.append(Felt(pose, norm, force, norm > threshold.threshold_nm, touched))
                 tracking.append(float(np.linalg.norm(pose[:3] - self.kinematics.pose(position)[:3])))
-                norm = force = 0.0
-                touched = False
+                force, felt, touched = 0.0, [], False
                 if hold <= 0:
                     break
                 if len(parts) < round(path.end) and on_part is not None and not on_part(tuple(parts)):
