@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
+from rumi.sim.arm_calibration import Correction, Window, correction, free_motion, scale_masses
 from rumi.sim.arm_motion import ArmKinematics, JointPath
 from rumi.sim.arm_scene import ARM_JOINTS, FINGERS, ArmPhysics, arm_xml, scene_xml
 from rumi.sim.robot_dynamics import MujocoDynamics
@@ -18,6 +19,8 @@ from rumi.sim.world import _import_mujoco
 from sensors.momentum_observer import DynamicsTerms, MomentumObserver, TorqueThreshold, external_torque
 
 _BATCH = 10  # samples that the observer takes in at once, after which the force limit is looked at
+_WINDOW = 5  # such batches that are one row of a calibration
+_FREE_RATE = 1.25  # knots a second of the motion for that
 _CREEP = 0.02  # rad/s, about which known friction turns its sign
 _FINGER = 2e4, 200.0  # stiffness and damping of a finger, N/m and N s/m
 
@@ -51,7 +54,7 @@ class TorqueSettings:
     friction_nm: float = 0.5
     friction_known: float = 0.8
     gain: float = 25.0
-    threshold_nm: float = 0.6
+    threshold_nm: float = 0.45
     joints: int = 5
     force_limit_n: float = 25.0
 
@@ -90,11 +93,13 @@ class Motion(NamedTuple):
         parts: one a knot that was reached, and one for what the arm took to stop where that was between knots.
         ended: "end", "asked" or "force".
         tracking_m: (T,), distance of the tool from where it should have been, at each part's end.
+        joints: (7,), where the joints should be at the end, rad.
     """
 
     parts: tuple[Felt, ...]
     ended: str
     tracking_m: np.ndarray
+    joints: np.ndarray
 
 
 class TorqueArm:
@@ -117,12 +122,12 @@ class TorqueArm:
         physics: ArmPhysics | None = None,
         settings: TorqueSettings | None = None,
     ) -> None:
-        self._mujoco = _import_mujoco()
+        self.mujoco = _import_mujoco()
         self.physics, self.settings = physics or ArmPhysics(), settings or TorqueSettings()
         self.height_m = height_m
         text = scene_xml(self.physics, half, height_m, self.settings.friction_nm)
-        self.model: Any = self._mujoco.MjModel.from_xml_string(text)
-        self.data: Any = self._mujoco.MjData(self.model)
+        self.model: Any = self.mujoco.MjModel.from_xml_string(text)
+        self.data: Any = self.mujoco.MjData(self.model)
         self.kinematics = ArmKinematics(self.physics)
         self._place, self._dof = self._addresses(ARM_JOINTS)
         self._finger, self._finger_dof = self._addresses(FINGERS)
@@ -135,6 +140,9 @@ class TorqueArm:
         self.bandwidth = self.settings.bandwidth
         self.tare = self._residual = torch.zeros(len(ARM_JOINTS), dtype=torch.float64)
         self._samples: list[tuple[np.ndarray, ...]] = []
+        self._windows: list[Window] | None = None
+        self._known_rest: Tensor | None = None
+        self._between = np.zeros(0), np.zeros(0)
         self.seed(0)
 
     def _addresses(self, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -148,8 +156,33 @@ class TorqueArm:
         factors = np.clip(1.0 + own.mass_error * self._random.standard_normal(len(ARM_JOINTS)), 0.5, 1.5)
         text = arm_xml(self.physics, mass_factors=tuple(factors.tolist()))
         self.dynamics = MujocoDynamics.load(text, ARM_JOINTS)
+        self.friction = np.full(len(ARM_JOINTS), own.friction_known * own.friction_nm)
+        self._known_rest = None
         self._bias = own.torque_bias_nm * self._random.standard_normal(len(ARM_JOINTS))
         self._forget()
+
+    def renew(self, seed: int) -> None:
+        """Begin the noise anew; what sensors and model have wrong stays."""
+        self._random = np.random.default_rng((seed, 1))
+
+    def calibrate(self) -> Correction:
+        """Move in free air, well above the box, and mend the model's masses and friction by what is felt there.
+
+        What is left is the rest from then on: a rest that is taken while the arm stands has in it what friction holds
+        then, which is not what it holds in motion.
+        """
+        path = free_motion(self.kinematics)
+        self.stand(path.position[0], self.physics.finger_m)
+        self.rest(_BATCH * self.physics.time_step_s, path.position[0])
+        self._windows = []
+        self.follow(path, _FREE_RATE, ramp_s=0.3)
+        windows, self._windows = self._windows, None
+        found = correction(self.dynamics, [_mean(windows[i : i + _WINDOW]) for i in range(0, len(windows), _WINDOW)])
+        scale_masses(self.dynamics, found.factors)
+        self.friction = self.friction + found.friction_nm
+        self._known_rest = torch.from_numpy(found.rest_nm)
+        self._forget()
+        return found
 
     def put_box(self, pose: Float[Tensor, "3"]) -> None:
         """Stand the box at rest at (x, y, yaw)."""
@@ -187,7 +220,7 @@ class TorqueArm:
         return False
 
     def rest(self, seconds: float, joints: np.ndarray, opened: float | None = None) -> None:
-        """Hold a place, and take what is felt at the end for nothing; the fingers close or open meanwhile."""
+        """Hold a place, while the fingers open or close; unless calibrated, what is felt at its end is the rest."""
         zero, begun = np.zeros_like(joints), self.opened
         steps = max(_BATCH, round(seconds / self.physics.time_step_s / _BATCH) * _BATCH)
         last = []
@@ -197,7 +230,8 @@ class TorqueArm:
             self._step(joints, zero, zero)
             if (index + 1) % _BATCH == 0:
                 last.append(self._observed()[-1])
-        self.tare = torch.stack(last[len(last) // 2 :]).mean(0)
+        if self._known_rest is None:
+            self.tare = torch.stack(last[len(last) // 2 :]).mean(0)
 
     def follow(
         self,
@@ -251,7 +285,7 @@ class TorqueArm:
                     break
                 if len(parts) < round(path.end) and on_part is not None and not on_part(tuple(parts)):
                     stopping, ended = True, "asked"
-        return Motion(tuple(parts), ended, np.array(tracking))
+        return Motion(tuple(parts), ended, np.array(tracking), position)
 
     def _step(self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> None:
         """One control step: measure, command, let the engine step."""
@@ -259,7 +293,8 @@ class TorqueArm:
         joints = data.qpos[self._place]
         speed = data.qvel[self._dof] + own.velocity_noise * self._random.standard_normal(len(ARM_JOINTS))
         mass, bias = self.dynamics.terms(joints, speed)
-        bias = bias + own.friction_known * own.friction_nm * np.tanh(velocity / _CREEP)
+        sign = np.tanh(velocity / _CREEP)
+        bias = bias + self.friction * sign
         w = self.bandwidth
         torque = mass @ (acceleration + w * w * (position - joints) + 2.0 * w * (velocity - speed)) + bias
         torque = np.clip(torque, -self._limits, self._limits)
@@ -270,7 +305,9 @@ class TorqueArm:
         )
         measured = torque + self._bias + own.torque_noise_nm * self._random.standard_normal(len(ARM_JOINTS))
         self._samples.append((mass, bias, speed, measured))
-        self._mujoco.mj_step(self.model, data)
+        if self._windows is not None and len(self._samples) == _BATCH // 2:
+            self._between = joints.copy(), sign
+        self.mujoco.mj_step(self.model, data)
 
     def _observed(self) -> Float[Tensor, "K J"]:
         """Residuals of the samples since the last call; the last sample stays, for the next."""
@@ -278,6 +315,10 @@ class TorqueArm:
         step = self.physics.time_step_s
         before, after = DynamicsTerms(mass[:-1], bias[:-1]), DynamicsTerms(mass[1:], bias[1:])
         raw = external_torque(before, speed[:-1], after, speed[1:], torque[:-1], step)
+        if self._windows is not None:
+            joints, sign = self._between
+            change = (speed[-1] - speed[0]).numpy() / (step * len(raw))
+            self._windows.append(Window(joints, speed.mean(0).numpy(), change, sign, raw.mean(0).numpy()))
         found = self.observer.run(raw, torch.full((len(raw),), step, dtype=raw.dtype), self._residual)
         self._samples, self._residual = self._samples[-1:], found[-1]
         return found
@@ -290,6 +331,11 @@ class TorqueArm:
 
     def _forget(self) -> None:
         self._samples = []
-        self._residual = torch.zeros(len(ARM_JOINTS), dtype=torch.float64)
-        self.tare = self._residual.clone()
+        rest = self._known_rest
+        self._residual = torch.zeros(len(ARM_JOINTS), dtype=torch.float64) if rest is None else rest
+        self.tare = self._residual
         self.bandwidth = self.settings.bandwidth
+
+
+def _mean(windows: list[Window]) -> Window:
+    return Window(*(np.mean(part, 0) for part in zip(*windows, strict=True)))
