@@ -1,7 +1,7 @@
 """How well joint torques tell contact: rates, delays and tracking of pokes at a box by the simulated arm.
 
 python scripts/torque_rates.py run --seeds 1000-1019           # one line a poke in scripts/results/torque_rates.jsonl
-python scripts/torque_rates.py run --case link-side --seeds 1000-1099 --seconds 110
+python scripts/torque_rates.py run --case motor --seeds 1000-1099 --seconds 110
 python scripts/torque_rates.py show                            # Markdown: rates by threshold, delays, tracking
 python scripts/torque_rates.py speed --threads 1               # microseconds a sample of the observer
 
@@ -42,27 +42,25 @@ CODE = [
         "sensors/momentum_observer.py",
     )
 ]
-Case = Literal["usual", "raw", "friction", "link-side", "slow"]
+Case = Literal["usual", "raw", "motor", "friction"]
 CASES: dict[str, TorqueSettings] = {
     "usual": TorqueSettings(),
     "raw": TorqueSettings(),
-    "friction": TorqueSettings(friction_known=0.0),
-    "link-side": TorqueSettings(torque_noise_nm=0.05, torque_bias_nm=0.05, velocity_noise=0.0005),
-    "slow": TorqueSettings(gain=10.0),
+    "motor": TorqueSettings(motor_side=True),
+    "friction": TorqueSettings(motor_side=True, friction_known=0.0),
 }
 WORDS = {
     "usual": "calibrated",
-    "raw": "not calibrated, four fifths of friction known",
-    "friction": "not calibrated, friction not known",
-    "link-side": "calibrated, quieter sensors",
-    "slow": "calibrated, gain 10",
+    "raw": "not calibrated",
+    "motor": "by the motors, calibrated",
+    "friction": "by the motors, not calibrated, friction not known",
 }
 HALF, HEIGHT = (0.03, 0.08), 0.10
 SPEED, SPACING, LENGTH, CLEAR = 0.08, 0.005, 0.16, 0.15
 POKES = 10
 """Of an arm, before another is drawn, with other errors."""
 
-THRESHOLDS = (0.2, 0.3, 0.4, 0.45, 0.5, 0.6, 0.7, 0.8, 1.0, 1.3)
+THRESHOLDS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.3)
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,9 @@ class TorqueSettings:
         velocity_noise: white, of each measured velocity, rad/s.
         mass_error: standard deviation of the model's mass of each link, as a share.
         friction_nm: dry friction of each joint.
-        friction_known: share of it that model and observer know of.
+        friction_known: share of it that the controller knows of.
+        motor_side: torques are measured before the gears, by the motors' currents, so that friction is in them; else
+            behind the gears, by sensors in the joints.
         gain: of the observer, 1/s.
         threshold_nm: of the norm of the mean residual from one reading to the next, from what it was at rest before the
             motion. The mean, since the largest of a part, or the last, errs more often.
@@ -53,8 +55,9 @@ class TorqueSettings:
     mass_error: float = 0.03
     friction_nm: float = 0.5
     friction_known: float = 0.8
+    motor_side: bool = False
     gain: float = 25.0
-    threshold_nm: float = 0.45
+    threshold_nm: float = 0.3
     joints: int = 5
     force_limit_n: float = 25.0
 
@@ -290,24 +293,30 @@ class TorqueArm:
     def _step(self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> None:
         """One control step: measure, command, let the engine step."""
         own, data = self.settings, self.data
-        joints = data.qpos[self._place]
+        joints = data.qpos[self._place].copy()
         speed = data.qvel[self._dof] + own.velocity_noise * self._random.standard_normal(len(ARM_JOINTS))
         mass, bias = self.dynamics.terms(joints, speed)
         sign = np.tanh(velocity / _CREEP)
-        bias = bias + self.friction * sign
+        friction = self.friction * sign
         w = self.bandwidth
-        torque = mass @ (acceleration + w * w * (position - joints) + 2.0 * w * (velocity - speed)) + bias
+        torque = mass @ (acceleration + w * w * (position - joints) + 2.0 * w * (velocity - speed)) + bias + friction
         torque = np.clip(torque, -self._limits, self._limits)
         data.ctrl[: len(ARM_JOINTS)] = torque
         stiffness, damping = _FINGER
         data.ctrl[len(ARM_JOINTS) :] = (
             stiffness * (self.opened - data.qpos[self._finger]) - damping * data.qvel[self._finger_dof]
         )
+        self.mujoco.mj_step(self.model, data)
         measured = torque + self._bias + own.torque_noise_nm * self._random.standard_normal(len(ARM_JOINTS))
+        if own.motor_side:
+            bias = bias + friction
+        elif own.friction_nm > 0:
+            # the engine's rows of friction come first, a joint each
+            measured = measured + data.efc_force[: len(ARM_JOINTS)]
+            sign = np.zeros_like(sign)
         self._samples.append((mass, bias, speed, measured))
         if self._windows is not None and len(self._samples) == _BATCH // 2:
-            self._between = joints.copy(), sign
-        self.mujoco.mj_step(self.model, data)
+            self._between = joints, sign
 
     def _observed(self) -> Float[Tensor, "K J"]:
         """Residuals of the samples since the last call; the last sample stays, for the next."""

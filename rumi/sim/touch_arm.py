@@ -17,7 +17,7 @@ from rumi.sim.touch_scene import CLEAR_M, set_truth
 from rumi.touch.robot import GoOn, Touched
 from rumi.touch.task import BoxTruth, TouchTask
 
-RATES, CORRELATION = (0.88, 0.04), 0.7
+RATES, CORRELATION = (0.95, 0.01), 0.1
 """True and false positive rate of a reading, and the chance that an error repeats (scripts/torque_rates.py)."""
 
 _REST_S, _SETTLE_S, _CLOSE_S, _STOP_S = 0.15, 0.3, 0.5, 0.05
