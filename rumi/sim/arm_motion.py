@@ -148,15 +148,20 @@ class ArmKinematics:
 
         Nor can it where a joint would have to leap from one pose to the next.
         """
+        found = self.reach(poses, start)
+        return found if len(found) == len(poses) else None
+
+    def reach(self, poses: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+        """The same (m, 7), as far as it can go: m <= n."""
         joints = self.home(poses[0]) if start is None else start
         found: list[np.ndarray] = []
         for pose in poses:
             before = joints
             joints, error = self.solve(pose, before)
             if error > REACHED_M or (found and float(np.abs(joints - before).max()) > _LEAP):
-                return None
+                break
             found.append(joints)
-        return np.array(found)
+        return np.array(found).reshape(-1, len(ARM_JOINTS))
 
 
 def _wrapped(angle: float) -> float:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
+from rumi.sim.arm_calibration import Correction, Window, correction, free_motion, scale_masses
 from rumi.sim.arm_motion import ArmKinematics, JointPath
 from rumi.sim.arm_scene import ARM_JOINTS, FINGERS, ArmPhysics, arm_xml, scene_xml
 from rumi.sim.robot_dynamics import MujocoDynamics
@@ -18,6 +19,8 @@ from rumi.sim.world import _import_mujoco
 from sensors.momentum_observer import DynamicsTerms, MomentumObserver, TorqueThreshold, external_torque
 
 _BATCH = 10  # samples that the observer takes in at once, after which the force limit is looked at
+_WINDOW = 5  # such batches that are one row of a calibration
+_FREE_RATE = 1.25  # knots a second of the motion for that
 _CREEP = 0.02  # rad/s, about which known friction turns its sign
 _FINGER = 2e4, 200.0  # stiffness and damping of a finger, N/m and N s/m
 
@@ -34,14 +37,17 @@ class TorqueSettings:
         velocity_noise: white, of each measured velocity, rad/s.
         mass_error: standard deviation of the model's mass of each link, as a share.
         friction_nm: dry friction of each joint.
-        friction_known: share of it that model and observer know of.
+        friction_known: share of it that the controller knows of.
+        motor_side: torques are measured before the gears, by the motors' currents, so that friction is in them; else
+            behind the gears, by sensors in the joints.
         gain: of the observer, 1/s.
-        threshold_nm: of the residual's norm, from what it was at rest before the motion.
+        threshold_nm: of the norm of the mean residual from one reading to the next, from what it was at rest before the
+            motion. The mean, since the largest of a part, or the last, errs more often.
         joints: how many count in the norm.
         force_limit_n: estimated force on the hand at which an action ends.
     """
 
-    bandwidth: float = 30.0
+    bandwidth: float = 40.0
     grasp_bandwidth: float = 15.0
     torque_noise_nm: float = 0.15
     torque_bias_nm: float = 0.1
@@ -49,8 +55,9 @@ class TorqueSettings:
     mass_error: float = 0.03
     friction_nm: float = 0.5
     friction_known: float = 0.8
+    motor_side: bool = False
     gain: float = 25.0
-    threshold_nm: float = 0.6
+    threshold_nm: float = 0.3
     joints: int = 5
     force_limit_n: float = 25.0
 
@@ -69,7 +76,7 @@ class Felt(NamedTuple):
 
     Attributes:
         pose: (4,), measured (x, y, z, yaw) of the tool at the end.
-        norm_nm: largest norm of the residual, from its rest.
+        norm_nm: norm of the mean residual in this part, from its rest.
         force_n: largest estimated force on the hand, from its rest.
         signal: whether the norm was above the threshold.
         touching: whether a finger touched the box, in truth.
@@ -89,11 +96,13 @@ class Motion(NamedTuple):
         parts: one a knot that was reached, and one for what the arm took to stop where that was between knots.
         ended: "end", "asked" or "force".
         tracking_m: (T,), distance of the tool from where it should have been, at each part's end.
+        joints: (7,), where the joints should be at the end, rad.
     """
 
     parts: tuple[Felt, ...]
     ended: str
     tracking_m: np.ndarray
+    joints: np.ndarray
 
 
 class TorqueArm:
@@ -116,12 +125,12 @@ class TorqueArm:
         physics: ArmPhysics | None = None,
         settings: TorqueSettings | None = None,
     ) -> None:
-        self._mujoco = _import_mujoco()
+        self.mujoco = _import_mujoco()
         self.physics, self.settings = physics or ArmPhysics(), settings or TorqueSettings()
         self.height_m = height_m
         text = scene_xml(self.physics, half, height_m, self.settings.friction_nm)
-        self.model: Any = self._mujoco.MjModel.from_xml_string(text)
-        self.data: Any = self._mujoco.MjData(self.model)
+        self.model: Any = self.mujoco.MjModel.from_xml_string(text)
+        self.data: Any = self.mujoco.MjData(self.model)
         self.kinematics = ArmKinematics(self.physics)
         self._place, self._dof = self._addresses(ARM_JOINTS)
         self._finger, self._finger_dof = self._addresses(FINGERS)
@@ -134,6 +143,9 @@ class TorqueArm:
         self.bandwidth = self.settings.bandwidth
         self.tare = self._residual = torch.zeros(len(ARM_JOINTS), dtype=torch.float64)
         self._samples: list[tuple[np.ndarray, ...]] = []
+        self._windows: list[Window] | None = None
+        self._known_rest: Tensor | None = None
+        self._between = np.zeros(0), np.zeros(0)
         self.seed(0)
 
     def _addresses(self, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -147,8 +159,33 @@ class TorqueArm:
         factors = np.clip(1.0 + own.mass_error * self._random.standard_normal(len(ARM_JOINTS)), 0.5, 1.5)
         text = arm_xml(self.physics, mass_factors=tuple(factors.tolist()))
         self.dynamics = MujocoDynamics.load(text, ARM_JOINTS)
+        self.friction = np.full(len(ARM_JOINTS), own.friction_known * own.friction_nm)
+        self._known_rest = None
         self._bias = own.torque_bias_nm * self._random.standard_normal(len(ARM_JOINTS))
         self._forget()
+
+    def renew(self, seed: int) -> None:
+        """Begin the noise anew; what sensors and model have wrong stays."""
+        self._random = np.random.default_rng((seed, 1))
+
+    def calibrate(self) -> Correction:
+        """Move in free air, well above the box, and mend the model's masses and friction by what is felt there.
+
+        What is left is the rest from then on: a rest that is taken while the arm stands has in it what friction holds
+        then, which is not what it holds in motion.
+        """
+        path = free_motion(self.kinematics)
+        self.stand(path.position[0], self.physics.finger_m)
+        self.rest(_BATCH * self.physics.time_step_s, path.position[0])
+        self._windows = []
+        self.follow(path, _FREE_RATE, ramp_s=0.3)
+        windows, self._windows = self._windows, None
+        found = correction(self.dynamics, [_mean(windows[i : i + _WINDOW]) for i in range(0, len(windows), _WINDOW)])
+        scale_masses(self.dynamics, found.factors)
+        self.friction = self.friction + found.friction_nm
+        self._known_rest = torch.from_numpy(found.rest_nm)
+        self._forget()
+        return found
 
     def put_box(self, pose: Float[Tensor, "3"]) -> None:
         """Stand the box at rest at (x, y, yaw)."""
@@ -186,7 +223,7 @@ class TorqueArm:
         return False
 
     def rest(self, seconds: float, joints: np.ndarray, opened: float | None = None) -> None:
-        """Hold a place, and take what is felt at the end for nothing; the fingers close or open meanwhile."""
+        """Hold a place, while the fingers open or close; unless calibrated, what is felt at its end is the rest."""
         zero, begun = np.zeros_like(joints), self.opened
         steps = max(_BATCH, round(seconds / self.physics.time_step_s / _BATCH) * _BATCH)
         last = []
@@ -196,7 +233,8 @@ class TorqueArm:
             self._step(joints, zero, zero)
             if (index + 1) % _BATCH == 0:
                 last.append(self._observed()[-1])
-        self.tare = torch.stack(last[len(last) // 2 :]).mean(0)
+        if self._known_rest is None:
+            self.tare = torch.stack(last[len(last) // 2 :]).mean(0)
 
     def follow(
         self,
@@ -217,7 +255,7 @@ class TorqueArm:
         hold = round(0.1 / step)
         parts: list[Felt] = []
         tracking: list[float] = []
-        norm = force = 0.0
+        force, felt = 0.0, []
         touched, stopping, counted = False, False, 0
         threshold = TorqueThreshold(self.settings.threshold_nm, self.settings.joints, tuple(self.tare.tolist()))
         while True:
@@ -233,7 +271,7 @@ class TorqueArm:
             if counted % _BATCH:
                 continue
             residual = self._observed()
-            norm = max(norm, float(threshold.norm(residual).max()))
+            felt.append(residual)
             force = max(force, self._force(residual[-1]))
             if not stopping and force > self.settings.force_limit_n:
                 stopping, ended = True, "force"
@@ -242,34 +280,43 @@ class TorqueArm:
             reached = place >= len(parts) + 1 - 1e-3 and not stopping
             if reached or hold <= 0:
                 pose = self.tool()
+                norm = float(threshold.norm(torch.cat(felt).mean(0)))
                 parts.append(Felt(pose, norm, force, norm > threshold.threshold_nm, touched))
                 tracking.append(float(np.linalg.norm(pose[:3] - self.kinematics.pose(position)[:3])))
-                norm = force = 0.0
-                touched = False
+                force, felt, touched = 0.0, [], False
                 if hold <= 0:
                     break
                 if len(parts) < round(path.end) and on_part is not None and not on_part(tuple(parts)):
                     stopping, ended = True, "asked"
-        return Motion(tuple(parts), ended, np.array(tracking))
+        return Motion(tuple(parts), ended, np.array(tracking), position)
 
     def _step(self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> None:
         """One control step: measure, command, let the engine step."""
         own, data = self.settings, self.data
-        joints = data.qpos[self._place]
+        joints = data.qpos[self._place].copy()
         speed = data.qvel[self._dof] + own.velocity_noise * self._random.standard_normal(len(ARM_JOINTS))
         mass, bias = self.dynamics.terms(joints, speed)
-        bias = bias + own.friction_known * own.friction_nm * np.tanh(velocity / _CREEP)
+        sign = np.tanh(velocity / _CREEP)
+        friction = self.friction * sign
         w = self.bandwidth
-        torque = mass @ (acceleration + w * w * (position - joints) + 2.0 * w * (velocity - speed)) + bias
+        torque = mass @ (acceleration + w * w * (position - joints) + 2.0 * w * (velocity - speed)) + bias + friction
         torque = np.clip(torque, -self._limits, self._limits)
         data.ctrl[: len(ARM_JOINTS)] = torque
         stiffness, damping = _FINGER
         data.ctrl[len(ARM_JOINTS) :] = (
             stiffness * (self.opened - data.qpos[self._finger]) - damping * data.qvel[self._finger_dof]
         )
+        self.mujoco.mj_step(self.model, data)
         measured = torque + self._bias + own.torque_noise_nm * self._random.standard_normal(len(ARM_JOINTS))
+        if own.motor_side:
+            bias = bias + friction
+        elif own.friction_nm > 0:
+            # the engine's rows of friction come first, a joint each
+            measured = measured + data.efc_force[: len(ARM_JOINTS)]
+            sign = np.zeros_like(sign)
         self._samples.append((mass, bias, speed, measured))
-        self._mujoco.mj_step(self.model, data)
+        if self._windows is not None and len(self._samples) == _BATCH // 2:
+            self._between = joints, sign
 
     def _observed(self) -> Float[Tensor, "K J"]:
         """Residuals of the samples since the last call; the last sample stays, for the next."""
@@ -277,6 +324,10 @@ class TorqueArm:
         step = self.physics.time_step_s
         before, after = DynamicsTerms(mass[:-1], bias[:-1]), DynamicsTerms(mass[1:], bias[1:])
         raw = external_torque(before, speed[:-1], after, speed[1:], torque[:-1], step)
+        if self._windows is not None:
+            joints, sign = self._between
+            change = (speed[-1] - speed[0]).numpy() / (step * len(raw))
+            self._windows.append(Window(joints, speed.mean(0).numpy(), change, sign, raw.mean(0).numpy()))
         found = self.observer.run(raw, torch.full((len(raw),), step, dtype=raw.dtype), self._residual)
         self._samples, self._residual = self._samples[-1:], found[-1]
         return found
@@ -289,6 +340,11 @@ class TorqueArm:
 
     def _forget(self) -> None:
         self._samples = []
-        self._residual = torch.zeros(len(ARM_JOINTS), dtype=torch.float64)
-        self.tare = self._residual.clone()
+        rest = self._known_rest
+        self._residual = torch.zeros(len(ARM_JOINTS), dtype=torch.float64) if rest is None else rest
+        self.tare = self._residual
         self.bandwidth = self.settings.bandwidth
+
+
+def _mean(windows: list[Window]) -> Window:
+    return Window(*(np.mean(part, 0) for part in zip(*windows, strict=True)))

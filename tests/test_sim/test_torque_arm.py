@@ -1,6 +1,7 @@
 """The arm under torque control: kinematics, tracking, what it feels, and that force stops it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -143,6 +144,27 @@ def test_the_same_seed_feels_the_same() -> None:
         norms.append([part.norm_nm for part in arm.follow(joint_path(joints), 16.0).parts])
     assert norms[0] == norms[1]
     assert norms[0] != norms[2]
+
+
+@pytest.mark.slow
+def test_calibration_mends_masses_friction_and_bias() -> None:
+    settings = TorqueSettings(torque_noise_nm=0.05, velocity_noise=0.0005, mass_error=0.05, friction_known=0.5)
+    settings = replace(settings, motor_side=True)
+    norms = []
+    for calibrated in (False, True):
+        arm, joints = ready(settings, line((0.35, -0.2, 0.0), (0.55, -0.1, 0.0), 0.5, 21))
+        if calibrated:
+            found = arm.calibrate()
+            assert arm.friction == pytest.approx(np.full(7, 0.5), abs=0.1)
+            assert found.factors[1:] != pytest.approx(np.ones(6), abs=0.005)
+            # the bias that the sensors were drawn with
+            assert found.rest_nm == pytest.approx(-arm._bias, abs=0.25)
+            # box and floor are where they were
+            assert arm.box_pose().tolist() == pytest.approx([0.5, 0.1, 0.0], abs=1e-4)
+        arm.stand(joints[0], 0.01)
+        arm.rest(0.1, joints[0])
+        norms.append(np.mean([part.norm_nm for part in arm.follow(joint_path(joints), 16.0).parts]))
+    assert norms[1] < 0.6 * norms[0]
 
 
 def test_what_makes_no_arm_is_refused() -> None:

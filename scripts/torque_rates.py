@@ -1,0 +1,281 @@
+"""How well joint torques tell contact: rates, delays and tracking of pokes at a box by the simulated arm.
+
+python scripts/torque_rates.py run --seeds 1000-1019           # one line a poke in scripts/results/torque_rates.jsonl
+python scripts/torque_rates.py run --case motor --seeds 1000-1099 --seconds 110
+python scripts/torque_rates.py show                            # Markdown: rates by threshold, delays, tracking
+python scripts/torque_rates.py speed --threads 1               # microseconds a sample of the observer
+
+Boxes of 0.3 to 0.8 kg with friction of 0.2 to 0.6 stand about two places; half of the pokes go for them, half beside.
+Every ten pokes another arm is drawn, whose model and sensors are wrong by other amounts.
+"""
+
+import hashlib
+import math
+import statistics
+import sys
+import time
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+import torch
+import tyro
+from tqdm import tqdm
+
+from rumi.jsonlines import append_line, read_lines
+from rumi.metrics.intervals import wilson
+from rumi.sim.arm_motion import joint_path
+from rumi.sim.torque_arm import TorqueArm, TorqueSettings
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "scripts" / "results" / "torque_rates.jsonl"
+CODE = [
+    ROOT / name
+    for name in (
+        "rumi/sim/arm_calibration.py",
+        "rumi/sim/arm_motion.py",
+        "rumi/sim/arm_scene.py",
+        "rumi/sim/torque_arm.py",
+        "rumi/sim/robot_dynamics.py",
+        "sensors/momentum_observer.py",
+    )
+]
+Case = Literal["usual", "raw", "motor", "friction"]
+CASES: dict[str, TorqueSettings] = {
+    "usual": TorqueSettings(),
+    "raw": TorqueSettings(),
+    "motor": TorqueSettings(motor_side=True),
+    "friction": TorqueSettings(motor_side=True, friction_known=0.0),
+}
+WORDS = {
+    "usual": "calibrated",
+    "raw": "not calibrated",
+    "motor": "by the motors, calibrated",
+    "friction": "by the motors, not calibrated, friction not known",
+}
+HALF, HEIGHT = (0.03, 0.08), 0.10
+SPEED, SPACING, LENGTH, CLEAR = 0.08, 0.005, 0.16, 0.15
+POKES = 10
+"""Of an arm, before another is drawn, with other errors."""
+
+THRESHOLDS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.3)
+
+
+@dataclass(frozen=True)
+class Run:
+    """Poke, and keep a line a poke.
+
+    Attributes:
+        case: which sensors.
+        seeds: "1000-1099", or "1003,1005".
+        seconds: stop before the next poke after so long.
+        out: where the lines go.
+    """
+
+    case: Case = "usual"
+    seeds: str = "1000-1019"
+    seconds: float = float("inf")
+    out: Path = RESULTS
+
+
+@dataclass(frozen=True)
+class Show:
+    """Print the tables of the code as it is.
+
+    Attributes:
+        out: where the lines are.
+    """
+
+    out: Path = RESULTS
+
+
+@dataclass(frozen=True)
+class Speed:
+    """Time the observer.
+
+    Attributes:
+        threads: of torch.
+    """
+
+    threads: int = 1
+
+
+def fingerprint() -> str:
+    """Of the code that the figures come from."""
+    digest = hashlib.sha256()
+    for path in CODE:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def poke(arm: TorqueArm, seed: int) -> dict[str, Any] | None:
+    """One poke at or beside a box that is drawn by the seed; None where the arm cannot go."""
+    random = np.random.default_rng(seed)
+    mode = 0.2 * random.choice((-1.0, 1.0))
+    pose = np.array([0.45, mode, 0.0]) + (0.06, 0.06, 0.5) * random.standard_normal(3)
+    friction, floor = random.uniform(0.2, 0.6, 2)
+    mass, angle = float(random.uniform(0.3, 0.8)), float(random.uniform(-math.pi, math.pi))
+    ahead = np.array([math.cos(angle), math.sin(angle)])
+    beside = np.array([-ahead[1], ahead[0]]) * (0.15 if seed % 2 else 0.0)
+    inside = random.uniform(-1.0, 1.0, 2) * HALF
+    turn = np.array([[math.cos(pose[2]), -math.sin(pose[2])], [math.sin(pose[2]), math.cos(pose[2])]])
+    end = pose[:2] + turn @ inside + beside
+    start = end - LENGTH * ahead
+    knots = round(LENGTH / SPACING) + 1
+    path = np.zeros((knots, 4))
+    path[:, :2] = start + np.linspace(0.0, 1.0, knots)[:, None] * (end - start)
+    down = np.repeat(path[:1], 9, 0)
+    down[:, 2] = np.linspace(CLEAR, 0.0, 9)
+    whole = np.concatenate((down, path[1:]))
+    joints = None
+    for yaw in (angle, angle + math.pi):
+        whole[:, 3] = yaw
+        joints = arm.kinematics.follow(whole) if joints is None else joints
+    if joints is None:
+        return None
+    arm.mujoco.mj_resetData(arm.model, arm.data)
+    arm.put_box(torch.from_numpy(pose))
+    for name, value in (("floor", floor), ("left", friction), ("right", friction)):
+        arm.model.pair_friction[arm.model.pair(name).id][:2] = value
+    sides = np.array([2.0 * HALF[0], 2.0 * HALF[1], HEIGHT]) ** 2
+    body = arm.model.body("box").id
+    arm.model.body_mass[body], arm.model.body_inertia[body] = mass, mass / 12.0 * (sides.sum() - sides)
+    arm.renew(seed)
+    arm.stand(joints[0], arm.physics.finger_m)
+    arm.rest(0.1, joints[0])
+    descent = arm.follow(joint_path(joints[:9]), 10.0)
+    line: dict[str, Any] = {"mass": round(mass, 3), "floor": round(float(floor), 3), "descent": descent.ended}
+    if descent.ended == "end":
+        arm.rest(0.15, joints[8])
+        motion = arm.follow(joint_path(joints[8:]), SPEED / SPACING)
+        parts = motion.parts
+        line |= {
+            "ended": motion.ended,
+            "norm": [round(part.norm_nm, 4) for part in parts],
+            "force": [round(part.force_n, 2) for part in parts],
+            "touching": [int(part.touching) for part in parts],
+            "tracking_mm": [round(1e3 * float(value), 3) for value in motion.tracking_m],
+        }
+    return line
+
+
+def run(options: Run) -> None:
+    """Poke with what is missing."""
+    torch.set_num_threads(1)
+    code, end = fingerprint(), time.monotonic() + options.seconds
+    done = {(x["case"], x["seed"]) for x, _ in read_lines(options.out) if x["code"] == code}
+    seeds = [seed for seed in seeds_of(options.seeds) if (options.case, seed) not in done]
+    # a limit that no poke reaches, so that norms are of whole pokes
+    arm = TorqueArm(HALF, HEIGHT, settings=replace(CASES[options.case], force_limit_n=60.0))
+    drawn = -1
+    for seed in tqdm(seeds, desc=options.case, disable=None):
+        if time.monotonic() > end:
+            return
+        if drawn != seed // POKES:
+            drawn = seed // POKES
+            arm.mujoco.mj_resetData(arm.model, arm.data)
+            arm.seed(drawn)
+            if options.case not in ("raw", "friction"):
+                arm.calibrate()
+        found = poke(arm, seed)
+        line = {"case": options.case, "seed": seed, "code": code, "reached": found is not None}
+        append_line(options.out, line | (found or {}))
+
+
+def seeds_of(text: str) -> list[int]:
+    """Of "3-5" or "3,4,5"."""
+    found = []
+    for part in text.split(","):
+        low, _, high = part.partition("-")
+        found += list(range(int(low), int(high or low) + 1))
+    return found
+
+
+def show(options: Show) -> None:
+    """Markdown."""
+    code = fingerprint()
+    rows = [x for x, _ in read_lines(options.out) if x["code"] == code]
+    out = sys.stdout.write
+    out(
+        "| case | threshold, N m | true positive | false positive | pokes that touch, felt | delay, ms | errs again |\n"
+    )
+    out("|---" * 7 + "|\n")
+    for case in get_args(Case):
+        pokes = [x for x in rows if x["case"] == case and "norm" in x]
+        for threshold in THRESHOLDS if pokes else ():
+            out(f"| {WORDS[case]} | {threshold:g} | {' | '.join(rates(pokes, threshold))} |\n")
+    out("\n| case | pokes | out of reach | stopped coming down | tracking, mm: mean, 95 %, most | largest force, N |\n")
+    out("|---" * 6 + "|\n")
+    for case in get_args(Case):
+        own = [x for x in rows if x["case"] == case]
+        pokes = [x for x in own if "norm" in x]
+        if not pokes:
+            continue
+        tracking = np.concatenate([x["tracking_mm"] for x in pokes])
+        force = max(max(x["force"]) for x in pokes)
+        out(
+            f"| {WORDS[case]} | {len(pokes)} | {sum(not x['reached'] for x in own)} | "
+            f"{sum(x.get('descent', 'end') != 'end' for x in own)} | {tracking.mean():.2f}, "
+            f"{np.quantile(tracking, 0.95):.2f}, {tracking.max():.2f} | {force:.1f} |\n"
+        )
+
+
+def rates(pokes: list[dict[str, Any]], threshold: float) -> list[str]:
+    """Cells of one threshold."""
+    hits = [(np.array(x["norm"]) > threshold, np.array(x["touching"], dtype=bool)) for x in pokes]
+    said = np.concatenate([signal for signal, _ in hits])
+    true = np.concatenate([touching for _, touching in hits])
+    cells = []
+    for chosen in (true, ~true):
+        low, high = wilson(int(said[chosen].sum()), int(chosen.sum()))
+        cells.append(f"{said[chosen].mean():.3f} [{low:.3f}, {high:.3f}]")
+    delays, touched = [], 0
+    for signal, touching in hits:
+        # a touch of two readings and more, and who was silent before it
+        if touching.sum() < 2:
+            continue
+        first = int(touching.argmax())
+        touched += 1
+        late = signal[first:] & touching[first:]
+        if late.any():
+            delays.append(1e3 * SPACING / SPEED * int(late.argmax()))
+    cells.append(f"{len(delays)} of {touched}")
+    cells.append(f"{statistics.mean(delays):.0f}" if delays else "-")
+    wrong = [signal != touching for signal, touching in hits]
+    again = [bool(b) for x in wrong for a, b in pairwise(x) if a]
+    cells.append(f"{np.mean(again):.2f}" if again else "-")
+    return cells
+
+
+def speed(options: Speed) -> None:
+    """Microseconds a sample, median of five: the terms of the model, and the observer's step."""
+    torch.set_num_threads(options.threads)
+    arm = TorqueArm(HALF, HEIGHT)
+    position, velocity, torque = torch.zeros(7, dtype=torch.float64) + 0.3, torch.zeros(7), torch.zeros(7)
+    velocity, torque = velocity.double(), torque.double()
+    terms = arm.dynamics(position, velocity)
+    state = arm.observer.start(terms, velocity)
+
+    def step() -> None:
+        arm.observer.step(state, terms, velocity, torque, 0.001)
+
+    for name, work in (("terms", lambda: arm.dynamics(position, velocity)), ("observer", step)):
+        took = []
+        for _ in range(5):
+            began = time.perf_counter()
+            for _ in range(1000):
+                work()
+            took.append((time.perf_counter() - began) / 1000)
+        sys.stdout.write(f"{name}: {1e6 * sorted(took)[2]:.1f} us\n")
+
+
+def main() -> None:
+    """Run, show or time."""
+    options = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show, "speed": Speed}, description=__doc__)
+    {Run: run, Show: show, Speed: speed}[type(options)](options)
+
+
+if __name__ == "__main__":
+    main()
