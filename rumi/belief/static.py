@@ -8,7 +8,7 @@ no noise blurs it, however many readings there are.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -204,17 +204,17 @@ class StaticFilter:
 
     def _steps(self, size: int, others: Float[Tensor, "M ..."], generator: torch.Generator) -> Float[Tensor, "N D"]:
         """Steps that are as likely as their opposites: jitter of any size, or differences of other particles."""
-        kind: dict[str, Any] = {"generator": generator, "dtype": others.dtype}
+        dims, dtype = self.space.dims, others.dtype
         low, high = (math.log(bound) for bound in self.settings.jitter_m)
-        scale = torch.exp(low + (high - low) * torch.rand(size, 1, **kind))
-        units = torch.tensor(self.space.units, dtype=others.dtype)
-        steps = scale * units * torch.randn(size, self.space.dims, **kind)
+        scale = torch.exp(low + (high - low) * torch.rand(size, 1, generator=generator, dtype=dtype))
+        units = torch.tensor(self.space.units, dtype=dtype)
+        steps = scale * units * torch.randn(size, dims, generator=generator, dtype=dtype)
         if len(others) < 2:
             return steps.to(others)
         pair = torch.randint(len(others), (2, size), generator=generator).to(others.device)
-        share = 10.0 ** (1.2 * torch.rand(size, 1, **kind) - 1.0)
+        share = 10.0 ** (1.2 * torch.rand(size, 1, generator=generator, dtype=dtype) - 1.0)
         across = share * self.space.difference(others[pair[0]], others[pair[1]]).cpu()
         # a hair's breadth more, so that copies of one particle part too
-        across = across + self.settings.jitter_m[0] * units * torch.randn(size, self.space.dims, **kind)
-        crossed = torch.rand(size, 1, **kind) < self.settings.crossed
+        across = across + self.settings.jitter_m[0] * units * torch.randn(size, dims, generator=generator, dtype=dtype)
+        crossed = torch.rand(size, 1, generator=generator, dtype=dtype) < self.settings.crossed
         return torch.where(crossed, across, steps).to(others)

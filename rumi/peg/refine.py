@@ -16,7 +16,7 @@ from rumi.belief.static_spaces import PlaneSpace
 from rumi.belief.touch_gain import NOTHING, TOUCH, rectangle_likelihood, touch_gain
 from rumi.clock import SimulatedClock
 from rumi.peg.moves import Motion, motions, outcomes
-from rumi.peg.search import shortened
+from rumi.peg.search import free_ways
 from rumi.peg.settings import PegSettings
 from rumi.planning.anytime import Candidate, Selection, in_descending_posterior, select
 from rumi.planning.evaluation_time import EvaluationTime
@@ -45,11 +45,8 @@ def block_filter(settings: PegSettings) -> StaticFilter:
 def evidence_of(felt: Felt, settings: PegSettings) -> RectangleTouches:
     """What a motion says of the block: its touch, and the ways that were free."""
     new = RectangleTouches.none(settings.block.half(), settings.noise, settings.radius_m)
-    for start, end in felt.free[:-1]:
-        new = new.with_way(start, end)
-    last = shortened(felt, settings)
-    if last is not None:
-        new = new.with_way(*last)
+    for way in free_ways(felt, settings):
+        new = new.with_way(*way)
     if felt.kind == TOUCH:
         new = new.with_touch(felt.point, felt.normal)
     elif felt.kind != NOTHING:
