@@ -171,6 +171,28 @@ def sides_touched(pose: Float[Tensor, "3"], every: RectangleTouches) -> int:
     return len(side.unique())
 
 
+def confirmed(
+    belief: StaticBelief, every: RectangleTouches, aim: Aim, settings: PegSettings, *, generator: torch.Generator
+) -> tuple[StaticBelief, Aim]:
+    """Other particles of the same posterior, and how probable the aim is by them.
+
+    The aim was chosen for the particles that it is judged by, after each of many readings: by these it would seem
+    better than it is at the very moment at which it is taken.
+    """
+    index = resample_systematic(belief.log_weights, generator=generator)
+    even = torch.zeros_like(belief.log_weights).log_softmax(-1)
+    fresh = StaticBelief(belief.states[index], even, belief.log_target[index])
+    fresh, _ = block_filter(settings).moved(fresh, every, ess=belief.ess, generator=generator)
+    return fresh, aim._replace(probability=probability_of(aim.points, fresh, settings))
+
+
+def probability_of(points: Float[Tensor, "2 2"], belief: StaticBelief, settings: PegSettings) -> float:
+    """Of both holes within the tolerance of two points, either way round."""
+    holes = settings.block.holes(belief.states)
+    apart = torch.stack([(holes - order).norm(dim=-1).amax(-1) for order in (points, points.flip(0))]).amin(0)
+    return float((apart <= settings.tolerance_m).to(holes) @ belief.log_weights.exp())
+
+
 def sure(belief: StaticBelief, every: RectangleTouches, aim: Aim, settings: PegSettings) -> bool:
     """Whether the rule to stop holds."""
     if len(every.points_w) < settings.contacts:
