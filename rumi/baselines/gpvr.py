@@ -226,9 +226,10 @@ class GPVRPolicy(RummagingPolicy):
             each = deadline.expected(kind)
             if each > 0:
                 fits = min(fits, math.sqrt(max(share * left / each - fixed**2, 0.0)))
-        if most is not None:
-            fits = min(fits, most)
-        return None if fits == math.inf else max(int(fits), _FEW_POINTS)
+        if fits == math.inf:
+            return most
+        fits = max(int(fits), _FEW_POINTS)
+        return fits if most is None else min(fits, most)
 
     def _least_worth(self, deadline: Deadline) -> float:
         return deadline.expected("gp_variance", _square(_FEW_POINTS, _VARIANCE_FIXED))
