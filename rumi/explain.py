@@ -7,6 +7,7 @@ WORKS = {
     "workspace_points": "workspace points valued; the others are out of every pose's reach",
     "normals": "workspace points given a normal; the others are hardly ever touched",
     "contact_checks": "contact checks by point; the others are settled by a bound or by a rollout that met the same",
+    "pushes": "mini steps in which the tool could touch a pushed pose; in the others it is beyond a bound of it",
     "rollouts_valued": "rollouts valued; the others are the same as one of their control sequence",
     "reachability_sums": "terms of the reachability cost; one look-up in a table stands for a sum over all points",
     "old_points": "points weighed; the others' weight carries over, since only the object's frame moved",

@@ -24,7 +24,8 @@ def rummage(
 ) -> RunResult:
     """Find the object's pose by touching it (RUMI, Alg 1).
 
-    Same seed, same task and same device: the same run, byte for byte. Ctrl-C ends the run with what it has.
+    Same seed, same task, same device and no budget: the same run, byte for byte. Ctrl-C ends the run with what it has.
+    With a budget a plan is made first that nobody follows, since the first one of a process loads compiled code.
 
     Args:
         task: a simulator or hardware.
@@ -36,6 +37,7 @@ def rummage(
     clock = Clock()
     history: list[StepRecord] = []
     random = {name: split(seed, name) for name in ("initialise", "filter", "plan", "renewal")}
+    place = (rummager.model, rummager.workspace, rummager.tool)
     unseen = rummager.filter.prior is not None
     renews, challenges = unseen and rummager.renewal.at_contact, unseen and rummager.renewal.challenge
 
@@ -54,11 +56,13 @@ def rummage(
         last = emit(observe(rummager, clock, history, result, belief, memory))
         plan: Plan | None = None
         executed, surprised = 0, False
+        if rummager.budget_s is not None and not last.converged and steps > 0:
+            with clock("warm_up"):
+                scene = Scene(*place, result.reading.configuration, observed=memory, reading=result.reading)
+                rummager.policy.act(belief, scene, None, executed=0, budget_s=0.0, generator=split(seed, "warm_up"))
         while not last.converged and last.step < steps:
             if plan is None or surprised or executed >= min(rummager.replan_every, len(plan.controls)):
-                reading = result.reading
-                place = (rummager.model, rummager.workspace, rummager.tool)
-                scene = Scene(*place, reading.configuration, observed=memory, reading=reading)
+                scene = Scene(*place, result.reading.configuration, observed=memory, reading=result.reading)
                 with clock("plan"):
                     plan = rummager.policy.act(
                         belief, scene, plan, executed=executed, budget_s=rummager.budget_s, generator=random["plan"]

@@ -39,6 +39,7 @@ from rumi.metrics.prediction import (
     realised_of,
     run_spearman,
 )
+from rumi.planning.rummaging import SUITED
 from rumi.recording import load_run
 from rumi.records import StepRecord
 from rumi.reproduce.code import code_hash
@@ -127,18 +128,18 @@ def _asked(
     situation: Situation, control: torch.Tensor, settings: Settings, random: torch.Generator
 ) -> dict[str, dict[str, Any] | None]:
     """What every push model expects of an action; None of those that cannot do with the belief."""
-    planner = settings.planner
+    planner, rollouts = settings.planner, {name: settings.planner.suited(name).rollouts for name in SUITED}
     makers = {"displacement": PushModels("displacement", planner.push)}
     makers["quasi-static"] = PushModels("quasi-static", quasi_static=planner.quasi_static)
     asked: dict[str, tuple[PushModels, int]] = {f"{name}, likeliest": (maker, 0) for name, maker in makers.items()}
     for hazard in HAZARDS:
         maker = PushModels("displacement", replace(planner.push, hazard=hazard))
-        asked[f"displacement, mean {hazard}"] = (maker, planner.rollouts)
-    asked["quasi-static, mean"] = (makers["quasi-static"], planner.rollouts)
+        asked[f"displacement, mean {hazard}"] = (maker, rollouts["displacement"])
+    asked["quasi-static, mean"] = (makers["quasi-static"], rollouts["quasi-static"])
     found: dict[str, dict[str, Any] | None] = {}
-    for name, (maker, rollouts) in asked.items():
+    for name, (maker, count) in asked.items():
         try:
-            expected = situation.predict(control, planner.information, maker, rollouts=rollouts, generator=random)
+            expected = situation.predict(control, planner.information, maker, rollouts=count, generator=random)
             found[name] = asdict(expected)
         except ValueError:
             found[name] = None

@@ -1,5 +1,8 @@
 """GPVR: go where a Gaussian-process implicit surface is least sure of itself (RUMI, V-H)."""
 
+import math
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -16,8 +19,10 @@ from rumi.baselines.implicit_surface import (
     predictive_variance,
 )
 from rumi.belief.particles import PoseBelief
+from rumi.clock import Now
 from rumi.dynamics.base import PushRollouts
 from rumi.fields.information import WorkspaceFields
+from rumi.planning.deadline import Deadline
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.planning.tool import Tool
 from rumi.planning.trajectory_cost import mean_over_rollouts
@@ -26,6 +31,13 @@ from rumi.planning.worth import Worth, gathering
 from sdf.voxel_grid import VoxelGrid
 from sensors.observation import in_world
 from sensors.semantics import Semantics
+
+# data of the first look of a plan with a deadline, and the least that there is
+_FEW_POINTS = 50
+# data that would take as long as what of a step of the fit, and of the variance, does not depend on their number
+_STEP_FIXED, _VARIANCE_FIXED = 150, 50
+# of the time that is left, what the fit and the variance may take, and steps that the fit should have time for
+_FIT_SHARE, _VARIANCE_SHARE, _FIT_STEPS = 0.3, 0.15, 5
 
 
 @dataclass(frozen=True)
@@ -106,6 +118,7 @@ class GPVRPolicy(RummagingPolicy):
         settings: of the planner and the push model; its own costs are not used.
         gp: of the process and its cost.
         greedy: look at the next position only, as the work that GPVR comes from did (and the paper left).
+        now: the clock that budgets are held against.
 
     Raises:
         UsageError: the library of Gaussian processes is not installed.
@@ -114,7 +127,12 @@ class GPVRPolicy(RummagingPolicy):
     worth_stage = "gp_fit"
 
     def __init__(
-        self, settings: RummagingSettings | None = None, gp: GPVRSettings | None = None, *, greedy: bool = False
+        self,
+        settings: RummagingSettings | None = None,
+        gp: GPVRSettings | None = None,
+        *,
+        greedy: bool = False,
+        now: Now = time.perf_counter,
     ) -> None:
         library()
         settings = settings or RummagingSettings()
@@ -131,37 +149,93 @@ class GPVRPolicy(RummagingPolicy):
                 perturbation_cost=False,
             )
             settings = replace(settings, mppi=alone)
-        super().__init__(None, settings)
+        super().__init__(None, settings, now=now)
         self.gp = gp or GPVRSettings()
         self.greedy = greedy
 
-    def worth(self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields, previous: Plan | None) -> Worth:
-        """What motions are worth: the variance that they meet."""
-        settings, kept = self.gp, None if previous is None else previous.info.get("gp_hyperparameters")
-        data = self.data(belief, scene, fields)
+    def worth(
+        self,
+        belief: PoseBelief,
+        scene: Scene,
+        fields: WorkspaceFields,
+        previous: Plan | None,
+        deadline: Deadline | None = None,
+    ) -> Worth:
+        """What motions are worth: the variance that they meet.
+
+        Where there is no time for all, the process is fitted to fewer points, in fewer steps.
+        """
+        kept = None if previous is None else previous.info.get("gp_hyperparameters")
         start = None if kept is None else Hyperparameters(*kept)
-        found = fit(
-            data,
-            start,
-            steps=settings.refit_steps,
-            learning_rate=settings.learning_rate,
-            tolerance=settings.tolerance,
-            least_lengthscale_m=settings.least_lengthscale * settings.free_spacing * scene.workspace.spacing,
-        )
-        variance = predictive_variance(data, found, scene.workspace.points)
+        deadline = deadline or Deadline(None, self.now)
+        if not deadline.open and not deadline.knows("gp_variance"):
+            # to find out how long it takes
+            self._variance(belief, scene, fields, start, deadline, most=_FEW_POINTS, steps=1)
+        most, steps = self._points_in_time(deadline), self.gp.refit_steps
+        found, variance, count = self._variance(belief, scene, fields, start, deadline, most=most, steps=steps)
         share = (variance / variance.amax()).to(fields.information)
         grid = scene.workspace.grid(share)
         whole = gathering(grid, scene.tool)
         return Worth(
-            VarianceCost(grid, scene.tool, settings.discount),
+            VarianceCost(grid, scene.tool, self.gp.discount),
             lambda configurations, displacements: -whole(configurations, displacements),
             {"variance": share},
-            {"gp_hyperparameters": list(found), "gp_points": len(data.points)},
+            {"gp_hyperparameters": list(found), "gp_points": count},
             {"information_cost": 1.0, "reachability_cost": 1.0},
         )
 
-    def data(self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields) -> Labelled:
-        """What the process is fitted to.
+    def _variance(
+        self,
+        belief: PoseBelief,
+        scene: Scene,
+        fields: WorkspaceFields,
+        start: Hyperparameters | None,
+        deadline: Deadline,
+        *,
+        most: int | None,
+        steps: int,
+    ) -> tuple[Hyperparameters, Float[Tensor, "V"], int]:
+        """The fit to at most so many points, the variance on the lattice, and how many points there were."""
+        settings, begun = self.gp, deadline.now()
+        data = self.data(belief, scene, fields, most=most)
+        count, sorting_s = len(data.points), deadline.now() - begun
+        found = fit(
+            data,
+            start,
+            steps=steps if deadline.has_time_for("gp_step", _square(count, _STEP_FIXED)) else 0,
+            learning_rate=settings.learning_rate,
+            tolerance=settings.tolerance,
+            least_lengthscale_m=settings.least_lengthscale * settings.free_spacing * scene.workspace.spacing,
+            should_stop=None if deadline.open else _stopper(deadline, _square(count, _STEP_FIXED)),
+        )
+        begun = deadline.now()
+        variance = predictive_variance(data, found, scene.workspace.points)
+        deadline.took("gp_variance", _square(count, _VARIANCE_FIXED), deadline.now() - begun + sorting_s)
+        return found, variance, count
+
+    def _points_in_time(self, deadline: Deadline) -> int | None:
+        """How many points to fit the process to; None for all."""
+        most = self.gp.max_points or None
+        if deadline.open:
+            return most
+        left, fits = max(deadline.left(), 0.0), math.inf
+        for kind, share, fixed in (
+            ("gp_variance", _VARIANCE_SHARE, _VARIANCE_FIXED),
+            ("gp_step", _FIT_SHARE / _FIT_STEPS, _STEP_FIXED),
+        ):
+            each = deadline.expected(kind)
+            if each > 0:
+                fits = min(fits, math.sqrt(max(share * left / each - fixed**2, 0.0)))
+        if fits == math.inf:
+            return most
+        fits = max(int(fits), _FEW_POINTS)
+        return fits if most is None else min(fits, most)
+
+    def _least_worth(self, deadline: Deadline) -> float:
+        return deadline.expected("gp_variance", _square(_FEW_POINTS, _VARIANCE_FIXED))
+
+    def data(self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields, *, most: int | None = None) -> Labelled:
+        """What the process is fitted to, `most` points if given, else as many as the settings say.
 
         Raises:
             ValueError: the scene does not have the points observed so far.
@@ -176,7 +250,7 @@ class GPVRPolicy(RummagingPolicy):
         known = workspace.points[fields.semantics[..., 0] > settings.free_probability]
         free = torch.cat((observed.points[observed.of_class(Semantics.FREE)], known.to(surface)))
         spacing = settings.free_spacing * workspace.spacing
-        return labelled(surface, free, spacing, settings.max_points or None, bounds=workspace.bounds)
+        return labelled(surface, free, spacing, most or settings.max_points or None, bounds=workspace.bounds)
 
     def _start(
         self, mppi: MPPI, previous: Plan | None, executed: int, generator: torch.Generator
@@ -184,3 +258,23 @@ class GPVRPolicy(RummagingPolicy):
         if not self.greedy:
             return super()._start(mppi, previous, executed, generator)
         return mppi.from_knots(torch.zeros(1, mppi.control_dim)), 1
+
+
+def _square(count: int, fixed: int) -> float:
+    """Work on so many points, in a unit of its own."""
+    return float(count**2 + fixed**2)
+
+
+def _stopper(deadline: Deadline, work: float) -> Callable[[], bool]:
+    """Asked after each step of a fit, whether there is no time for another."""
+    last = deadline.now()
+    ends = last + _FIT_SHARE * max(deadline.left(), 0.0)
+
+    def stop() -> bool:
+        nonlocal last
+        now = deadline.now()
+        deadline.took("gp_step", work, now - last)
+        last = now
+        return now + deadline.expected("gp_step", work) > ends
+
+    return stop

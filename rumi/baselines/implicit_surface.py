@@ -2,6 +2,7 @@
 
 import importlib
 import math
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -137,6 +138,7 @@ def fit(
     learning_rate: float = 0.1,
     least_lengthscale_m: float = 0.0,
     tolerance: float = 0.0,
+    should_stop: Callable[[], bool] | None = None,
 ) -> Hyperparameters:
     """Hyperparameters after some steps of Adam on the exact marginal likelihood.
 
@@ -151,6 +153,7 @@ def fit(
         least_lengthscale_m: lower bound of the lengthscale.
         tolerance: gradient of the likelihood a point, nats, in every unconstrained parameter, below which no further
             step is taken; 0 takes all.
+        should_stop: asked after each step; on True the fit so far is the result.
     """
     start = start or Hyperparameters()
     start = start._replace(lengthscale_m=max(start.lengthscale_m, 1.01 * least_lengthscale_m))
@@ -168,6 +171,8 @@ def fit(
             if max(float(part.grad.abs().max()) for part in model.parameters()) < tolerance:
                 break
             optimiser.step()
+            if should_stop is not None and should_stop():
+                break
     kernel = model.covar_module
     values = (kernel.base_kernel.lengthscale, kernel.outputscale, model.likelihood.noise, model.mean_module.constant)
     found = Hyperparameters(*(value.item() for value in values))

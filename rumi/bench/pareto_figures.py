@@ -112,7 +112,7 @@ def _of_preset(name: str, dot: Dot) -> bool:
     values = {
         "particles": settings.initialise.particles,
         "samples": settings.planner.mppi.samples,
-        "rollouts": settings.planner.rollouts,
+        "rollouts": settings.planner.suited("displacement").rollouts,
         "mini_steps": settings.planner.push.mini_steps,
         "warmup_iterations": settings.planner.mppi.warmup_iterations,
         "iterations": settings.planner.mppi.iterations,

@@ -20,7 +20,7 @@ from rumi.dynamics.planar import world_height
 from rumi.fields.information import information_field
 from rumi.fields.reach_table import ReachSettings
 from rumi.fields.reachability import Reach
-from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
+from rumi.planning.rummaging import SUITED, RummagingPolicy, RummagingSettings
 from rumi.planning.tool import Tool
 from rumi.planning.trajectory_cost import TrajectoryCost
 from rumi.planning.types import Plan, Scene
@@ -35,7 +35,7 @@ _FINE_ROLLOUTS = 25
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """What a plan is made with; the rest is the default's.
+    """What a plan under the displacement model is made with; the rest is the default's.
 
     Attributes:
         particles: of the belief that is planned from.
@@ -49,7 +49,7 @@ class PlanSettings:
 
     particles: int = 100
     samples: int = MPPISettings.samples
-    rollouts: int = RummagingSettings.rollouts
+    rollouts: int = SUITED["displacement"].rollouts
     mini_steps: int = DisplacementSettings.mini_steps
     warmup_iterations: int = MPPISettings.warmup_iterations
     iterations: int = 2
@@ -58,7 +58,7 @@ class PlanSettings:
     @property
     def policy(self) -> RummagingSettings:
         """As settings of the policy."""
-        base = RummagingSettings()
+        base = RummagingSettings(push_model="displacement")
         mppi = replace(
             base.mppi,
             samples=self.samples,
@@ -150,7 +150,7 @@ class PlanBench:
 
 
 class FineObjective:
-    """The policy's cost with 25 rollouts of 8 mini steps, a 4 mm lattice and 1000 particles.
+    """The policy's cost, displacement model: 25 rollouts of 8 mini steps, a 4 mm lattice, 1000 particles.
 
     Args:
         belief: fine.
@@ -170,7 +170,7 @@ class FineObjective:
             space.grid(reach.field(space.points)),
             world_height(scene.tool.info, scene.tool.height_m),
             information_scale=settings.information_scale,
-            reachability_scale=settings.reachability_scale,
+            reachability_scale=SUITED["displacement"].reachability_scale,
             information_discount=settings.information_discount,
             normalise=settings.normalise_information,
         )

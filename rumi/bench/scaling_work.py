@@ -22,7 +22,7 @@ from rumi.fields.workspace import Workspace
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.planning.costs import information_cost
 from rumi.planning.reach_cost import ReachabilityCost
-from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
+from rumi.planning.rummaging import SUITED, RummagingPolicy, RummagingSettings
 from rumi.planning.tool import Tool
 from rumi.planning.types import Scene
 from rumi.registration.descent import DescentSettings, descend
@@ -173,7 +173,7 @@ def _push_model(size: Size) -> Work:
 
 def _rollouts(size: Size) -> Work:
     push, wanted = DisplacementModel(_contact(size)[0], tool()), controls(size)
-    start, rollouts = torch.tensor([0.4, 0.0, 0.0]), RummagingSettings().rollouts
+    start, rollouts = torch.tensor([0.4, 0.0, 0.0]), SUITED["displacement"].rollouts
     return lambda: push.rollout(start, wanted, rollouts=rollouts, generator=split(0, "rollouts"))
 
 
@@ -194,7 +194,7 @@ def _reach_cost(size: Size) -> Work:
 
 def _plan(size: Size) -> Work:
     held, where = belief(size), space(size)
-    base = RummagingSettings()
+    base = RummagingSettings(push_model="displacement")
     mppi = replace(base.mppi, samples=size.samples, horizon=size.horizon, knots=min(8, size.horizon))
     scene = Scene(model(), where, tool(), torch.tensor([0.4, 0.0, 0.0]))
     reach = tool().reach

@@ -86,6 +86,12 @@ class PushModels:
         self.engine = engine or EngineSettings()
         self._shape: tuple[SDF, float, GridOutline, Support] | None = None
 
+    def chosen(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> str:
+        """Name of the member that pushes these particles with this tool."""
+        if self.choice != "auto":
+            return self.choice
+        return "displacement" if tool.spatial or not stands(world_T_object) else "quasi-static"
+
     def of_belief(
         self,
         model: ObjectModel,
@@ -101,9 +107,7 @@ class PushModels:
             ValueError: if single poses are to be pushed, and they do not stand upright at one height.
             RuntimeError: if a physics engine is asked for that nothing has brought.
         """
-        choice = self.choice
-        if choice == "auto":
-            choice = "displacement" if tool.spatial or not stands(world_T_object) else "quasi-static"
+        choice = self.chosen(world_T_object, tool)
         if choice == "displacement":
             contact = ContactField.from_belief(model.sdf, world_T_object, log_weights, workspace, fields)
             return DisplacementModel(contact, tool, self.displacement)

@@ -1,103 +1,41 @@
 """RUMI's policy: plan motions that gather information and keep the object within reach."""
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import Self
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from kmppi import MPPI, ControlPlan, MPPISettings
+from kmppi import MPPI, ControlPlan, Rollouts
 from rumi.belief.particles import PoseBelief
-from rumi.dynamics.displacement import DisplacementSettings
-from rumi.dynamics.family import PUSH_MODELS, EngineSettings, PushChoice, PushModels
+from rumi.belief.thinning import thinned
+from rumi.clock import Now
+from rumi.dynamics.base import PushModel, PushRollouts
+from rumi.dynamics.family import PushModels
 from rumi.dynamics.planar import world_height
-from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import (
-    InformationSettings,
     WorkspaceFields,
     information_field,
 )
+from rumi.planning.deadline import Deadline
+from rumi.planning.rummaging_settings import SUITED, RummagingSettings, Suited
 from rumi.planning.trajectory_cost import TrajectoryCost
 from rumi.planning.types import Plan, Scene
 from rumi.planning.worth import Worth, gathered_by_action, gathering
 from sdf import savings
 
+__all__ = ["SUITED", "RummagingPolicy", "RummagingSettings", "Suited"]
+
 # control sequences that are rolled out at once: the memory for more is not needed
 _SAMPLES = 4096
-
-
-def _scale_free() -> MPPISettings:
-    # near the arg-min of the samples: a warmer mean of plans that go round either side of the object stands still
-    return MPPISettings(temperature=0.03, cost_scale="std", iterations=2)
-
-
-@dataclass(frozen=True)
-class RummagingSettings:
-    """Settings of the policy. The defaults do not depend on the unit of the information; `paper()` has the paper's.
-
-    Attributes:
-        information: the field that is to be gathered.
-        push_model: how the object is expected to move: "displacement" carries it with the point that touches it, as
-            in the paper; "quasi-static" pushes single poses of the belief, which slide and turn; "mujoco" does so with
-            the simulator's physics (slow: ask for few samples). "auto" is the quasi-static model where it can be, with
-            upright particles and a level tool, and the displacement model elsewhere.
-        push: settings of the displacement model.
-        quasi_static: settings of the quasi-static model.
-        engine: settings of the physics.
-        mppi: the planner; its iterations are `warmup_iterations` for the first plan.
-        information_scale: weight of the information cost (beta_I); 0 leaves it out.
-        reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out.
-        information_discount: factor by which information is worth less with each action until it is gathered. At 1,
-            the paper's, a plan may put its touches off to the end of the horizon, and so may the next plan.
-        normalise_information: count information as a share of all there is, so that both costs are in [-1, 0].
-        displaced_information: count information where the object will have been moved to (Eq 29); False is the ablation
-            that counts it where it is now (Eq 28).
-        rollouts: how often each control sequence is rolled out; its cost is the mean.
-    """
-
-    information: InformationSettings = field(default_factory=InformationSettings)
-    push_model: PushChoice = "displacement"
-    push: DisplacementSettings = field(default_factory=DisplacementSettings)
-    quasi_static: QuasiStaticSettings = field(default_factory=QuasiStaticSettings)
-    engine: EngineSettings = field(default_factory=EngineSettings)
-    mppi: MPPISettings = field(default_factory=_scale_free)
-    information_scale: float = 1.0
-    reachability_scale: float = 2.0
-    information_discount: float = 0.9
-    normalise_information: bool = True
-    displaced_information: bool = True
-    rollouts: int = 5
-
-    def __post_init__(self) -> None:
-        """Refuse what gives nothing to plan for."""
-        if self.rollouts < 1:
-            raise ValueError(f"Expected rollouts to be 1 or more, got {self.rollouts}")
-        if self.push_model not in PUSH_MODELS:
-            raise ValueError(f"Expected push_model to be one of {', '.join(PUSH_MODELS)}, got {self.push_model!r}")
-        scales = (self.information_scale, self.reachability_scale)
-        if not 0 < self.information_discount <= 1:
-            raise ValueError(f"Expected information_discount in (0, 1], got {self.information_discount}")
-        if min(scales) < 0 or max(scales) == 0:
-            raise ValueError(
-                "Expected information_scale and reachability_scale to be 0 or more and not both 0, "
-                f"got {scales[0]} and {scales[1]}"
-            )
-
-    @classmethod
-    def paper(cls) -> Self:
-        """The paper's settings (Table IV)."""
-        return cls(
-            information=InformationSettings(mode="surrogate"),
-            push_model="displacement",
-            push=DisplacementSettings(hazard="per_mini_step"),
-            mppi=MPPISettings(temperature=0.01, cost_scale="raw"),
-            reachability_scale=200.0,
-            information_discount=1.0,
-            normalise_information=False,
-        )
+# particles of the rough view of the scene that a plan with a deadline begins with, where it knows no pace yet
+_FEW = 8
+# of the time that is left, what fields and push model may take
+_VIEW_SHARE = 0.4
+# particles that would take as long as what of them does not depend on the number of particles
+_VIEW_FIXED = 10
 
 
 class RummagingPolicy:
@@ -106,14 +44,20 @@ class RummagingPolicy:
     Args:
         reachability: r(x) of every workspace point in [0, 1] (Eq 30); may be None where reachability_scale is 0.
         settings: see there.
+        now: the clock that budgets are held against.
     """
 
     worth_stage = "costs"
     """What making `worth` counts as, in the seconds of a plan."""
 
     def __init__(
-        self, reachability: Float[Tensor, "V"] | None = None, settings: RummagingSettings | None = None
+        self,
+        reachability: Float[Tensor, "V"] | None = None,
+        settings: RummagingSettings | None = None,
+        *,
+        now: Now = time.perf_counter,
     ) -> None:
+        self.now = now
         self.settings = settings or RummagingSettings()
         self.reachability = reachability
         own = self.settings
@@ -133,63 +77,160 @@ class RummagingPolicy:
         """Plan from the belief; see `rumi.planning.types.Policy`.
 
         A first plan starts from noise and takes the warm-up iterations; a later one starts from the previous plan,
-        `executed` controls further on. With a budget, no iteration is begun that would likely end after it; one is
-        always done.
+        `executed` controls further on.
+
+        With a budget the plan is the same where there is time for all of it. Where there is not, it is made with fewer
+        particles, fewer samples in the last iteration, or fewer iterations; and where there is no time even for a few
+        of each, the plan is the previous one, later. Only a first plan is made with a few of each all the same. How
+        long things take is known from the plan before (`info["pace"]`), of a first plan from a view of a few particles.
         """
         with savings.account() as work:
-            watch = _Stopwatch()
-            settings, workspace, tool = self.settings, scene.workspace, scene.tool
-            sdf, poses, log_weights = scene.model.sdf, belief.world_T_object, belief.log_weights
-            fields = information_field(sdf, poses, log_weights, workspace.points, settings.information)
-            watch.lap("fields")
-            model = self.push_models.of_belief(scene.model, poses, log_weights, tool, workspace, fields)
-            watch.lap("push_model")
-            worth = self.worth(belief, scene, fields, previous)
-            watch.lap(self.worth_stage)
-
-            configuration = scene.configuration.to(fields.information)
+            deadline = Deadline(budget_s, self.now, None if previous is None else previous.info.get("pace"))
+            watch = _Stopwatch(self.now)
+            configuration = scene.configuration.to(scene.workspace.points)
+            count = self.suited(belief, scene).rollouts
+            mppi = MPPI(self.settings.mppi, len(configuration), configuration.dtype, configuration.device)
+            start, iterations = self._start(mppi, previous, executed, generator)
+            if previous is not None and previous.warm_start is not None and self._too_late(deadline):
+                return self._carried_on(previous, start, executed, scene, deadline)
+            view = self._view_in_time(belief, scene, previous, deadline, watch)
+            if not deadline.open and not deadline.knows("finish"):
+                deadline.timed("finish", 1.0, lambda: self._predicted(view, configuration, start, watch))
 
             def objective(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
-                return torch.cat([cost_of(part) for part in controls.split(_SAMPLES)])
+                if deadline.open:
+                    return torch.cat([cost_of(part) for part in controls.split(_SAMPLES)])
+                return deadline.in_parts(controls, cost_of)
 
             def cost_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
-                rollouts = model.rollout(configuration, controls, rollouts=settings.rollouts, generator=generator)
+                rollouts = view.model.rollout(configuration, controls, rollouts=count, generator=generator)
                 watch.lap("dynamics")
-                costs = worth.cost(rollouts)
+                costs = view.worth.cost(rollouts)
                 watch.lap("costs")
                 return costs
 
-            mppi = MPPI(settings.mppi, len(configuration), configuration.dtype, configuration.device)
-            start, iterations = self._start(mppi, previous, executed, generator)
+            should_stop = None if deadline.open else deadline.no_more_samples
             nominal, samples = mppi.plan(
-                start, objective, iterations=iterations, should_stop=watch.stopper(budget_s), generator=generator
+                start, objective, iterations=iterations, should_stop=should_stop, generator=generator
             )
             watch.lap("planner")
-            predicted = model.likely(configuration, nominal.controls)
-            watch.lap("dynamics")
-            gathered = gathered_by_action(worth.gathered, predicted)
-            watch.lap("costs")
-            moves = predicted.displacements[0, 0]
-            plan = Plan(
-                controls=nominal.controls,
-                path=predicted.configurations[0, 0],
-                warm_start=nominal,
-                fields={"information": fields.information, "p_free": fields.semantics[..., 0]} | worth.maps,
-                timings_s=watch.laps,
-                info={
-                    "ess": float(samples.ess),
-                    "iterations": samples.iterations,
-                    "least_cost": float(samples.costs.min()),
-                    "information_total": float(fields.information.sum()),
-                    "displacement": moves[-1].tolist(),
-                    "predicted_information": gathered.tolist(),
-                    "predicted_displacement": torch.diff(moves, dim=0).tolist(),
-                }
-                | worth.info,
-            )
-        return replace(plan, skipped=work.skipped() | worth.skipped)
+            ending = deadline.now()
+            plan = self._plan(view, configuration, nominal, samples, watch)
+            deadline.took("finish", 1.0, deadline.now() - ending)
+            if not deadline.open:
+                made = {"pace": deadline.pace, "particles": view.particles, "samples": deadline.samples}
+                plan = replace(plan, info=plan.info | made)
+        return replace(plan, skipped=work.skipped() | view.worth.skipped)
 
-    def worth(self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields, previous: Plan | None) -> Worth:
+    def _plan(
+        self,
+        view: "_View",
+        configuration: Float[Tensor, "Q"],
+        nominal: ControlPlan,
+        samples: Rollouts,
+        watch: "_Stopwatch",
+    ) -> Plan:
+        predicted, gathered = self._predicted(view, configuration, nominal, watch)
+        moves = predicted.displacements[0, 0]
+        fields, worth = view.fields, view.worth
+        return Plan(
+            controls=nominal.controls,
+            path=predicted.configurations[0, 0],
+            warm_start=nominal,
+            fields={"information": fields.information, "p_free": fields.semantics[..., 0]} | worth.maps,
+            timings_s=watch.laps,
+            info={
+                "ess": float(samples.ess),
+                "iterations": samples.iterations,
+                "least_cost": float(samples.costs.min()),
+                "information_total": float(fields.information.sum()),
+                "displacement": moves[-1].tolist(),
+                "predicted_information": gathered.tolist(),
+                "predicted_displacement": torch.diff(moves, dim=0).tolist(),
+            }
+            | worth.info,
+        )
+
+    def _predicted(
+        self, view: "_View", configuration: Float[Tensor, "Q"], nominal: ControlPlan, watch: "_Stopwatch"
+    ) -> tuple[PushRollouts, Float[Tensor, "H"]]:
+        """What a plan is expected to do, and what each of its actions gathers."""
+        predicted = view.model.likely(configuration, nominal.controls)
+        watch.lap("dynamics")
+        gathered = gathered_by_action(view.worth.gathered, predicted)
+        watch.lap("costs")
+        return predicted, gathered
+
+    def _view_in_time(
+        self, belief: PoseBelief, scene: Scene, previous: Plan | None, deadline: Deadline, watch: "_Stopwatch"
+    ) -> "_View":
+        """All that motions are judged by, of as many particles as there is time for."""
+        whole, used = len(belief.log_weights), belief
+        sure = deadline.open or deadline.knows("view")
+        if not sure:
+            used = thinned(belief, _FEW)
+            fields, model = self._fields(used, scene, deadline, watch)
+        count = deadline.affordable("view", whole + _VIEW_FIXED, _VIEW_SHARE) - _VIEW_FIXED
+        if sure or (used is not belief and (count > 2 * _FEW or count == whole)):
+            used = thinned(belief, max(count, _FEW))
+            fields, model = self._fields(used, scene, deadline, watch)
+        begun = deadline.now()
+        worth = self.worth(used, scene, fields, previous, deadline)
+        deadline.took("worth", 1.0, deadline.now() - begun)
+        watch.lap(self.worth_stage)
+        return _View(len(used.log_weights), fields, model, worth)
+
+    def _fields(
+        self, belief: PoseBelief, scene: Scene, deadline: Deadline, watch: "_Stopwatch"
+    ) -> tuple[WorkspaceFields, PushModel]:
+        workspace, sdf = scene.workspace, scene.model.sdf
+        poses, log_weights = belief.world_T_object, belief.log_weights
+        begun = deadline.now()
+        fields = information_field(sdf, poses, log_weights, workspace.points, self.settings.information)
+        watch.lap("fields")
+        model = self.push_models.of_belief(scene.model, poses, log_weights, scene.tool, workspace, fields)
+        watch.lap("push_model")
+        deadline.took("view", len(log_weights) + _VIEW_FIXED, deadline.now() - begun)
+        return fields, model
+
+    def _too_late(self, deadline: Deadline) -> bool:
+        """Whether there is no time for a view of few particles and an iteration of few samples."""
+        if deadline.open:
+            return False
+        view = deadline.expected("view", _FEW + _VIEW_FIXED)
+        return view + self._least_worth(deadline) + deadline.few_samples() >= deadline.left()
+
+    def _least_worth(self, deadline: Deadline) -> float:
+        """Seconds that `worth` is expected to take at least."""
+        return deadline.expected("worth")
+
+    def _carried_on(self, previous: Plan, start: ControlPlan, executed: int, scene: Scene, deadline: Deadline) -> Plan:
+        """The previous plan, `executed` controls later, as it is."""
+        configuration = scene.configuration.to(start.controls)
+        free = scene.tool.free_path(configuration[None], start.controls[None], 1)[0]
+        path = torch.cat((configuration[None], free))
+        info: dict[str, Any] = {"iterations": 0, "samples": 0, "particles": 0, "pace": deadline.eased()}
+        for name in ("predicted_information", "predicted_displacement"):
+            told = torch.tensor(previous.info[name])
+            later = torch.zeros_like(told)
+            later[: max(len(told) - executed, 0)] = told[executed:]
+            info[name] = later.tolist()
+        info["displacement"] = torch.tensor(info["predicted_displacement"]).sum(0).tolist()
+        kept = {name: value for name, value in previous.info.items() if name.startswith("gp_")}
+        return Plan(start.controls, path, warm_start=start, fields=previous.fields, info=kept | info)
+
+    def suited(self, belief: PoseBelief, scene: Scene) -> Suited:
+        """What is set, or else suits the push model of a scene."""
+        return self.settings.suited(self.push_models.chosen(belief.world_T_object, scene.tool))
+
+    def worth(
+        self,
+        belief: PoseBelief,
+        scene: Scene,
+        fields: WorkspaceFields,
+        previous: Plan | None,
+        deadline: Deadline | None = None,
+    ) -> Worth:
         """What motions are worth: information gathered and kept within reach (Eq 31).
 
         Args:
@@ -197,10 +238,12 @@ class RummagingPolicy:
             scene: what else is known.
             fields: of the belief on the scene's workspace.
             previous: the last plan, None at the start.
+            deadline: by which the plan has to be there; None for no such.
         """
         settings, workspace = self.settings, scene.workspace
+        scale = self.suited(belief, scene).reachability_scale
         reachability = None
-        if settings.reachability_scale > 0 and self.reachability is not None:
+        if scale > 0 and self.reachability is not None:
             reachability = workspace.grid(self.reachability.to(fields.information))
         sensing = world_height(scene.tool.info, scene.tool.height_m).to(fields.information)
         information = workspace.grid(fields.information)
@@ -209,7 +252,7 @@ class RummagingPolicy:
             reachability,
             sensing,
             information_scale=settings.information_scale,
-            reachability_scale=settings.reachability_scale,
+            reachability_scale=scale,
             information_discount=settings.information_discount,
             normalise=settings.normalise_information,
             displaced_information=settings.displaced_information,
@@ -222,7 +265,7 @@ class RummagingPolicy:
             {} if reachability is None else {"reachability": reachability.values.flatten()},
             skipped={
                 "information_cost": float(settings.information_scale == 0),
-                "reachability_cost": float(settings.reachability_scale == 0),
+                "reachability_cost": float(scale == 0),
             },
         )
 
@@ -234,28 +277,31 @@ class RummagingPolicy:
         return mppi.shift(previous.warm_start, executed), self.settings.mppi.iterations
 
 
+class _View(NamedTuple):
+    """What one plan judges motions by.
+
+    Attributes:
+        particles: that it is made of.
+        fields: of them on the workspace.
+        model: how the object is pushed.
+        worth: what a motion is worth.
+    """
+
+    particles: int
+    fields: WorkspaceFields
+    model: PushModel
+    worth: Worth
+
+
 class _Stopwatch:
     """Seconds by stage since it was made."""
 
-    def __init__(self) -> None:
+    def __init__(self, now: Now) -> None:
         self.laps: dict[str, float] = {}
-        self._begun = self._last = time.perf_counter()
+        self._now = now
+        self._last = now()
 
     def lap(self, name: str) -> None:
-        now = time.perf_counter()
+        now = self._now()
         self.laps[name] = self.laps.get(name, 0.0) + now - self._last
         self._last = now
-
-    def stopper(self, budget_s: float | None) -> Callable[[], bool] | None:
-        """Whether another iteration as long as the longest so far would end after the budget."""
-        if budget_s is None:
-            return None
-        last, longest = time.perf_counter(), 0.0
-
-        def stop() -> bool:
-            nonlocal last, longest
-            now = time.perf_counter()
-            last, longest = now, max(longest, now - last)
-            return now - self._begun + longest > budget_s
-
-        return stop

@@ -204,6 +204,29 @@ def test_a_spent_budget(policy: Policy, scene: Scene) -> None:
     check(policy.act(believed(), scene, None, executed=0, budget_s=0.0, generator=random), scene)
 
 
+def test_later_plans_with_a_spent_budget(policy: Policy, scene: Scene) -> None:
+    random = torch.Generator().manual_seed(0)
+    plan = policy.act(believed(), scene, None, executed=0, budget_s=5.0, generator=random)
+    for budget_s in (0.0, 1e-4, 0.02):
+        plan = policy.act(believed(), scene, plan, executed=1, budget_s=budget_s, generator=random)
+        check(plan, scene)
+
+
+def test_an_ample_budget_changes_nothing(policy: Policy, scene: Scene) -> None:
+    """First and later plans are the same to the bit as without a budget; `info` says more."""
+    free = ample = None
+    for seed in range(3):
+        one, other = (torch.Generator().manual_seed(seed) for _ in range(2))
+        free = policy.act(believed(), scene, free, executed=1, budget_s=None, generator=one)
+        ample = policy.act(believed(), scene, ample, executed=1, budget_s=600.0, generator=other)
+        assert torch.equal(free.controls, ample.controls)
+        assert torch.equal(free.path, ample.path)
+        assert {name: ample.info[name] for name in free.info} == free.info
+        assert free.fields.keys() == ample.fields.keys()
+        assert all(torch.equal(free.fields[name], ample.fields[name]) for name in free.fields)
+        assert "pace" not in free.info
+
+
 def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> None:
     wide, belief = torch.float64, believed().to(dtype=torch.float64)
     reading = scene.reading

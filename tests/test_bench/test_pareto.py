@@ -29,7 +29,7 @@ def test_the_presets_are_among_what_is_compared():
         plan = PlanSettings(
             particles=settings.initialise.particles,
             samples=settings.planner.mppi.samples,
-            rollouts=settings.planner.rollouts,
+            rollouts=settings.planner.suited("displacement").rollouts,
             mini_steps=settings.planner.push.mini_steps,
             warmup_iterations=settings.planner.mppi.warmup_iterations,
             iterations=settings.planner.mppi.iterations,

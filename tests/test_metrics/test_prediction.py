@@ -170,6 +170,7 @@ def test_predicts_what_the_planner_predicted(mug: ObjectModel, workspace: Worksp
     """The likeliest outcome of a plan's first action, asked for afterwards."""
     settings = RummagingSettings(
         mppi=MPPISettings(horizon=5, knots=3, samples=60, warmup_iterations=3, cost_scale="std", temperature=0.03),
+        push_model="displacement",
         push=DisplacementSettings(hazard=hazard),
         reachability_scale=0.0,
         rollouts=2,

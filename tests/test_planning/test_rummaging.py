@@ -24,6 +24,7 @@ from sdf.symmetry import Symmetries
 HEIGHT = 0.045
 BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
 SMALL = RummagingSettings(
+    push_model="displacement",
     mppi=MPPISettings(horizon=6, knots=4, samples=60, warmup_iterations=4, temperature=0.1, cost_scale="std"),
     push=DisplacementSettings(mini_steps=2),
     rollouts=2,
@@ -189,6 +190,30 @@ def test_the_quasi_static_model_plans_too(scene: Scene) -> None:
     torch.testing.assert_close(made.path[1:], free)
     again = plan(RummagingPolicy(falling(scene), settings), scene, belief())
     assert torch.equal(made.controls, again.controls)
+
+
+def test_weight_and_rollouts_suit_the_push_model(scene: Scene) -> None:
+    settings = RummagingSettings()
+    assert settings.suited("displacement") == (2.0, 5)
+    assert settings.suited("quasi-static") == (4.0, 8)
+    assert replace(settings, rollouts=1, reachability_scale=0.0).suited("quasi-static") == (0.0, 1)
+    # which one pushes is seen from the belief: upright particles slide and turn, tilted ones are carried along
+    believed, policy = belief(), RummagingPolicy(torch.ones(1), settings)
+    assert policy.suited(believed, scene) == settings.suited("quasi-static")
+    tilted = replace(
+        believed, attached_T_object=believed.attached_T_object @ se3.exp(torch.tensor([0, 0, 0, 0.2, 0, 0]))
+    )
+    assert policy.suited(tilted, scene) == settings.suited("displacement")
+
+
+def test_what_suits_the_push_model_is_what_is_planned_with(scene: Scene) -> None:
+    few = MPPISettings(horizon=3, knots=2, samples=20, warmup_iterations=2)
+    spoken = RummagingSettings(mppi=few, push_model="displacement", reachability_scale=2.0, rollouts=5)
+    left = replace(spoken, reachability_scale=None, rollouts=None)
+    one, other = (plan(RummagingPolicy(falling(scene), own), scene, belief()) for own in (spoken, left))
+    assert torch.equal(one.controls, other.controls)
+    third = plan(RummagingPolicy(falling(scene), replace(left, rollouts=8)), scene, belief())
+    assert third.info["least_cost"] != other.info["least_cost"]
 
 
 def test_only_push_models_that_exist(no_shape_check: None) -> None:

@@ -197,6 +197,7 @@ def test_flags_reach_the_settings():
     assert options.settings.filter.free_scale == 5.0
     assert not options.settings.planner.mppi.include_nominal
     assert commands.parse_run(["mug-0"]).settings == preset()
+    assert commands.parse_run(["mug-0", "--budget", "0.05"]).settings == preset(budget_s=0.05)
 
 
 def test_default_folders_do_not_collide(tmp_path):

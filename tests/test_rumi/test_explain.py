@@ -29,7 +29,7 @@ def test_a_run_explains_itself(tmp_path: object, capsys: pytest.CaptureFixture[s
     assert code in (0, 1)
     works = (
         "workspace points valued",
-        "contact checks by point",
+        "mini steps in which the tool could touch",
         "actions planned for",
         "points weighed",
         "looks at an observed point",

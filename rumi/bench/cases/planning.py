@@ -13,6 +13,7 @@ from rumi.bench.case import Case, Setup, Target, case, largest_difference
 from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
 from rumi.config import preset
+from rumi.dynamics.family import PushChoice
 from rumi.loop import first_belief, rummage
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.planning.types import Plan, Policy, Scene
@@ -59,10 +60,21 @@ def _case(
 
 @case("plan-mug")
 def plan_mug(setup: Setup) -> Case:
-    """The planning pass of mug-0 after its first view."""
+    """The planning pass of mug-0 after its first view, under the paper's push model."""
+    return _mug(setup, "displacement")
+
+
+@case("plan-mug-pushed")
+def plan_mug_pushed(setup: Setup) -> Case:
+    """The same pass under the quasi-static push model, which is the default there."""
+    return _mug(setup, "quasi-static")
+
+
+def _mug(setup: Setup, push_model: PushChoice) -> Case:
     if setup.tiny:
-        return _made_up(setup, mug_scene(setup), "made up", ())
+        return _made_up(setup, mug_scene(setup), "made up", (), push_model)
     settings = preset("default", task="mug-0", seed=_SEED, device=setup.device.type)
+    settings = replace(settings, planner=replace(settings.planner, push_model=push_model))
     parts = build(settings, cache_dir=setup.cache_dir)
     try:
         reading = parts.task.reset(_SEED).reading
@@ -72,7 +84,7 @@ def plan_mug(setup: Setup) -> Case:
     belief, _ = first_belief(rummager, reading, generator=split(_SEED, "initialise"))
     scene = Scene(rummager.model, rummager.workspace, rummager.tool, reading.configuration)
     return _case(
-        f"planning pass of mug-0: {_effort(settings.planner)}",
+        f"planning pass of mug-0, {push_model}: {_effort(settings.planner, push_model)}",
         setup,
         rummager.policy,
         belief,
@@ -96,18 +108,25 @@ def plan_box(setup: Setup) -> Case:
     return _made_up(setup, box_scene(setup), "3-D fields; the tool and the object move in the plane only", targets)
 
 
-def _effort(settings: RummagingSettings) -> str:
-    return f"{settings.mppi.iterations} iterations of {settings.mppi.samples} x {settings.rollouts} rollouts"
+def _effort(settings: RummagingSettings, push_model: str) -> str:
+    rollouts = settings.suited(push_model).rollouts
+    return f"{settings.mppi.iterations} iterations of {settings.mppi.samples} x {rollouts} rollouts"
 
 
-def _made_up(setup: Setup, scene: FieldScene, what: str, targets: tuple[Target, ...]) -> Case:
-    settings, tool = preset("default").planner, bench_tool(setup)
+def _made_up(
+    setup: Setup,
+    scene: FieldScene,
+    what: str,
+    targets: tuple[Target, ...],
+    push_model: PushChoice = "displacement",
+) -> Case:
+    settings, tool = replace(preset("default").planner, push_model=push_model), bench_tool(setup)
     if setup.tiny:
         settings = replace(settings, mppi=replace(settings.mppi, samples=10, warmup_iterations=1), rollouts=2)
     belief = PoseBelief.uniform(scene.world_T_object).reweighted(scene.log_weights)
     start = torch.tensor([0.28, 0.02, 0.1], device=setup.device)
     policy = RummagingPolicy(reachability(tool, scene.workspace), settings)
-    title = f"planning pass, {what}: {scene.what}; {_effort(settings)}"
+    title = f"planning pass, {what}: {scene.what}; {_effort(settings, push_model)}"
     return _case(title, setup, policy, belief, Scene(scene.model, scene.workspace, tool, start), targets)
 
 
