@@ -11,6 +11,9 @@ from sdf import backend, fused
 from sdf.sweep import nearest_on_rectangle, turned
 from sensors.touch_likelihood import TouchNoise, box_face_log_likelihoods
 
+_ALLOWED = 2.0
+"""Standard deviations by which a free way may seem to overlap."""
+
 
 def rectangle_log_likelihoods(
     poses: Float[Tensor, "*#b N 3"],
@@ -185,19 +188,16 @@ class RectangleTouches:
 
     def joined(self, other: Self) -> Self:
         """Both together."""
-        return replace(
-            self,
-            points_w=torch.cat((self.points_w, other.points_w)),
-            normals_w=torch.cat((self.normals_w, other.normals_w)),
-            over_w=torch.cat((self.over_w, other.over_w)),
-            ways_w=torch.cat((self.ways_w, other.ways_w)),
-        )
+        names = ("points_w", "normals_w", "over_w", "ways_w")
+        points, normals, over, ways = (torch.cat((getattr(self, name), getattr(other, name))) for name in names)
+        return replace(self, points_w=points, normals_w=normals, over_w=over, ways_w=ways)
 
     def log_likelihood(self, poses: Float[Tensor, "N 3"]) -> Float[Tensor, "N"]:
         """Of all readings together (N), nats, up to a constant.
 
         The top's is Eq. 3 for a face that faces up, whose normal leaves no doubt. A way met nothing with the chance
-        that a ball, whose place is as uncertain as a touch's, was clear of the object all along.
+        that a ball, whose place is as uncertain as a touch's, was clear of the object all along; that it seems to
+        overlap by twice this uncertainty leaves it as good as sure, so that ways close by do not push the object off.
         """
         total = poses.new_zeros(len(poses))
         if len(self.points_w):
@@ -211,5 +211,5 @@ class RectangleTouches:
             total = total + self.noise.log_likelihood(off.square(), None).sum(-2)
         if len(self.ways_w):
             gap = way_clearances(poses, self.half, self.ways_w) - self.radius
-            total = total + torch.special.log_ndtr(gap / self.noise.point_m).sum(-2)
+            total = total + torch.special.log_ndtr(gap / self.noise.point_m + _ALLOWED).sum(-2)
         return total

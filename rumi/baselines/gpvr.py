@@ -165,15 +165,44 @@ class GPVRPolicy(RummagingPolicy):
 
         Where there is no time for all, the process is fitted to fewer points, in fewer steps.
         """
-        settings, kept = self.gp, None if previous is None else previous.info.get("gp_hyperparameters")
+        kept = None if previous is None else previous.info.get("gp_hyperparameters")
+        start = None if kept is None else Hyperparameters(*kept)
         deadline = deadline or Deadline(None, self.now)
-        begun = deadline.now()
-        data = self.data(belief, scene, fields, most=self._points_in_time(deadline))
+        if not deadline.open and not deadline.knows("gp_variance"):
+            # to find out how long it takes
+            self._variance(belief, scene, fields, start, deadline, most=_FEW_POINTS, steps=1)
+        most, steps = self._points_in_time(deadline), self.gp.refit_steps
+        found, variance, count = self._variance(belief, scene, fields, start, deadline, most=most, steps=steps)
+        share = (variance / variance.amax()).to(fields.information)
+        grid = scene.workspace.grid(share)
+        whole = gathering(grid, scene.tool)
+        return Worth(
+            VarianceCost(grid, scene.tool, self.gp.discount),
+            lambda configurations, displacements: -whole(configurations, displacements),
+            {"variance": share},
+            {"gp_hyperparameters": list(found), "gp_points": count},
+            {"information_cost": 1.0, "reachability_cost": 1.0},
+        )
+
+    def _variance(
+        self,
+        belief: PoseBelief,
+        scene: Scene,
+        fields: WorkspaceFields,
+        start: Hyperparameters | None,
+        deadline: Deadline,
+        *,
+        most: int | None,
+        steps: int,
+    ) -> tuple[Hyperparameters, Float[Tensor, "V"], int]:
+        """The fit to at most so many points, the variance on the lattice, and how many points there were."""
+        settings, begun = self.gp, deadline.now()
+        data = self.data(belief, scene, fields, most=most)
         count, sorting_s = len(data.points), deadline.now() - begun
         found = fit(
             data,
-            None if kept is None else Hyperparameters(*kept),
-            steps=settings.refit_steps if deadline.has_time_for("gp_step", _square(count, _STEP_FIXED)) else 0,
+            start,
+            steps=steps if deadline.has_time_for("gp_step", _square(count, _STEP_FIXED)) else 0,
             learning_rate=settings.learning_rate,
             tolerance=settings.tolerance,
             least_lengthscale_m=settings.least_lengthscale * settings.free_spacing * scene.workspace.spacing,
@@ -182,35 +211,25 @@ class GPVRPolicy(RummagingPolicy):
         begun = deadline.now()
         variance = predictive_variance(data, found, scene.workspace.points)
         deadline.took("gp_variance", _square(count, _VARIANCE_FIXED), deadline.now() - begun + sorting_s)
-        share = (variance / variance.amax()).to(fields.information)
-        grid = scene.workspace.grid(share)
-        whole = gathering(grid, scene.tool)
-        return Worth(
-            VarianceCost(grid, scene.tool, settings.discount),
-            lambda configurations, displacements: -whole(configurations, displacements),
-            {"variance": share},
-            {"gp_hyperparameters": list(found), "gp_points": count},
-            {"information_cost": 1.0, "reachability_cost": 1.0},
-        )
+        return found, variance, count
 
     def _points_in_time(self, deadline: Deadline) -> int | None:
         """How many points to fit the process to; None for all."""
         most = self.gp.max_points or None
         if deadline.open:
             return most
-        if not deadline.knows("gp_variance"):
-            return _FEW_POINTS if most is None else min(_FEW_POINTS, most)
-        left = max(deadline.left(), 0.0)
-        squares = []
+        left, fits = max(deadline.left(), 0.0), math.inf
         for kind, share, fixed in (
             ("gp_variance", _VARIANCE_SHARE, _VARIANCE_FIXED),
             ("gp_step", _FIT_SHARE / _FIT_STEPS, _STEP_FIXED),
         ):
             each = deadline.expected(kind)
             if each > 0:
-                squares.append(share * left / each - fixed**2)
-        fits = max(_FEW_POINTS, int(math.sqrt(max(min(squares, default=math.inf), 0.0)))) if squares else most
-        return fits if most is None or fits is None else min(fits, most)
+                fits = min(fits, math.sqrt(max(share * left / each - fixed**2, 0.0)))
+        if fits == math.inf:
+            return most
+        fits = max(int(fits), _FEW_POINTS)
+        return fits if most is None else min(fits, most)
 
     def _least_worth(self, deadline: Deadline) -> float:
         return deadline.expected("gp_variance", _square(_FEW_POINTS, _VARIANCE_FIXED))

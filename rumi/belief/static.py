@@ -204,7 +204,7 @@ class StaticFilter:
 
     def _steps(self, size: int, others: Float[Tensor, "M ..."], generator: torch.Generator) -> Float[Tensor, "N D"]:
         """Steps that are as likely as their opposites: jitter of any size, or differences of other particles."""
-        dtype, dims = others.dtype, self.space.dims
+        dims, dtype = self.space.dims, others.dtype
         low, high = (math.log(bound) for bound in self.settings.jitter_m)
         scale = torch.exp(low + (high - low) * torch.rand(size, 1, generator=generator, dtype=dtype))
         units = torch.tensor(self.space.units, dtype=dtype)

@@ -16,7 +16,7 @@ from rumi.belief.static_spaces import PlaneSpace
 from rumi.belief.touch_gain import NOTHING, TOUCH, rectangle_likelihood, touch_gain
 from rumi.clock import SimulatedClock
 from rumi.peg.moves import Motion, motions, outcomes
-from rumi.peg.search import shortened
+from rumi.peg.search import free_ways
 from rumi.peg.settings import PegSettings
 from rumi.planning.anytime import Candidate, Selection, in_descending_posterior, select
 from rumi.planning.evaluation_time import EvaluationTime
@@ -45,11 +45,8 @@ def block_filter(settings: PegSettings) -> StaticFilter:
 def evidence_of(felt: Felt, settings: PegSettings) -> RectangleTouches:
     """What a motion says of the block: its touch, and the ways that were free."""
     new = RectangleTouches.none(settings.block.half(), settings.noise, settings.radius_m)
-    for start, end in felt.free[:-1]:
-        new = new.with_way(start, end)
-    last = shortened(felt, settings)
-    if last is not None:
-        new = new.with_way(*last)
+    for way in free_ways(felt, settings):
+        new = new.with_way(*way)
     if felt.kind == TOUCH:
         new = new.with_touch(felt.point, felt.normal)
     elif felt.kind != NOTHING:
@@ -172,6 +169,28 @@ def sides_touched(pose: Float[Tensor, "3"], every: RectangleTouches) -> int:
     points = (every.points_w - pose[:2]) @ back.mT
     side = box_face_log_likelihoods(points, every.normals_w @ back.mT, every.half, every.noise).argmax(-1)
     return len(side.unique())
+
+
+def confirmed(
+    belief: StaticBelief, every: RectangleTouches, aim: Aim, settings: PegSettings, *, generator: torch.Generator
+) -> tuple[StaticBelief, Aim]:
+    """Other particles of the same posterior, and how probable the aim is by them.
+
+    The aim was chosen for the particles that it is judged by, after each of many readings: by these it would seem
+    better than it is at the very moment at which it is taken.
+    """
+    index = resample_systematic(belief.log_weights, generator=generator)
+    even = torch.zeros_like(belief.log_weights).log_softmax(-1)
+    fresh = StaticBelief(belief.states[index], even, belief.log_target[index])
+    fresh, _ = block_filter(settings).moved(fresh, every, ess=belief.ess, generator=generator)
+    return fresh, aim._replace(probability=probability_of(aim.points, fresh, settings))
+
+
+def probability_of(points: Float[Tensor, "2 2"], belief: StaticBelief, settings: PegSettings) -> float:
+    """Of both holes within the tolerance of two points, either way round."""
+    holes = settings.block.holes(belief.states)
+    apart = torch.stack([(holes - order).norm(dim=-1).amax(-1) for order in (points, points.flip(0))]).amin(0)
+    return float((apart <= settings.tolerance_m).to(holes) @ belief.log_weights.exp())
 
 
 def sure(belief: StaticBelief, every: RectangleTouches, aim: Aim, settings: PegSettings) -> bool:

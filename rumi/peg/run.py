@@ -11,7 +11,7 @@ from rumi.belief.certainty import Aim
 from rumi.belief.static import StaticBelief
 from rumi.belief.touch_gain import NOTHING, TOUCH
 from rumi.clock import SimulatedClock
-from rumi.peg.refine import Chooser, Thought, aim_of, block_filter, evidence_of, sure
+from rumi.peg.refine import Chooser, Thought, aim_of, block_filter, confirmed, evidence_of, sure
 from rumi.peg.search import joined, lanes, search
 from rumi.peg.settings import PegSettings
 from rumi.seeding import split
@@ -131,7 +131,14 @@ def run_peg(settings: PegSettings, seed: int) -> PegRun:
     aim = aim_of(belief, settings)
     probabilities = [aim.probability]
     last, stopped_by = found.felt[-1], "actions"
-    while not sure(belief, every, aim, settings) and len(done) < settings.most_actions:
+    while True:
+        if sure(belief, every, aim, settings) and settings.stop == "mass":
+            belief, aim = confirmed(belief, every, aim, settings, generator=draws)
+        if sure(belief, every, aim, settings):
+            stopped_by = "sure"
+            break
+        if len(done) == settings.most_actions:
+            break
         thoughts.append(chooser.choose(belief, cell.tip, _away(last)))
         choice = thoughts[-1].selection.candidate
         if choice is None:
@@ -145,8 +152,6 @@ def run_peg(settings: PegSettings, seed: int) -> PegRun:
         clock.advance(settings.update_s)
         aim = aim_of(belief, settings)
         probabilities.append(aim.probability)
-    else:
-        stopped_by = "sure" if sure(belief, every, aim, settings) else "actions"
     place = _better_hole(belief, aim, settings)
     lift = place.new_tensor([settings.lift_m])
     cell.follow(torch.stack((cell.tip, torch.cat((cell.tip[:2], lift)), torch.cat((place, lift)))))

@@ -1,4 +1,4 @@
-"""The first stage: lanes over the table until the first touch, and a belief over the block's middle alone."""
+"""The first stage: lanes to and fro over the table until the first touch, and a belief over the block's middle."""
 
 import math
 from dataclasses import dataclass
@@ -83,8 +83,7 @@ def search(cell: TouchCell, settings: PegSettings, *, generator: torch.Generator
         leg = torch.stack((cell.tip, torch.cat((corner, cell.tip[2:]))))
         felt.append(cell.follow(leg))
         new = CircleTouches.none(settings.block.half(), settings.radius_m, settings.point_m)
-        way = shortened(felt[-1], settings)
-        if way is not None:
+        for way in free_ways(felt[-1], settings):
             new, circle = new.with_way(*way), circle.with_way(*way)
         if felt[-1].kind != NOTHING:
             new, circle = (part.with_touch(felt[-1].point, felt[-1].normal) for part in (new, circle))
@@ -95,16 +94,23 @@ def search(cell: TouchCell, settings: PegSettings, *, generator: torch.Generator
     raise RuntimeError("Nothing was met on the table: is the block on it, and are the lanes close enough?")
 
 
-def shortened(felt: Felt, settings: PegSettings) -> tuple[Tensor, Tensor] | None:
-    """The last level way of a motion that was free, cut short of a contact by what the sensor may be off; or None."""
-    if not len(felt.free):
-        return None
-    start, end = felt.free[-1]
-    if felt.kind == NOTHING:
-        return start, end
-    length = float((end - start).norm())
-    left = length - 3.0 * settings.point_m
-    return None if left <= 0 else (start, start + (end - start) * (left / length))
+def free_ways(felt: Felt, settings: PegSettings) -> list[tuple[Tensor, Tensor]]:
+    """The level ways of a motion that were free, without those that leave a side, and cut short of a contact.
+
+    Where the ball rests against the block it is not clear of it by any margin: a way from there, or up to there, would
+    push the belief off the block. What the sensor may be off by is left out.
+    """
+    margin = 3.0 * settings.point_m
+    found = []
+    for number, (start, end) in enumerate(felt.free):
+        length = float((end - start).norm())
+        begins = felt.leaving and number == 0
+        ends = felt.kind != NOTHING and number == len(felt.free) - 1
+        left = length - margin * (begins + ends)
+        if left > 0:
+            along = (end - start) / length
+            found.append((start + margin * begins * along, end - margin * ends * along))
+    return found
 
 
 def joined(

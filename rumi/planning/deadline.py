@@ -85,7 +85,7 @@ class Deadline:
     ) -> Float[Tensor, "K"]:
         """Costs of as many samples as there is time for, first ones first, and infinity for the rest.
 
-        The first samples of a plan are worked out even where there is no time.
+        The first few samples are worked out even where there is no time: without any there is nothing to follow.
         """
         costs = controls.new_full((len(controls),), torch.inf)
         begun = self.now()
@@ -93,7 +93,7 @@ class Deadline:
             self.took("update", 1.0, begun - self._evaluated_at)
         done = 0
         while done < len(controls):
-            count = self._next(len(controls) - done)
+            count = self._next(len(controls) - done, first=done == 0)
             if count == 0:
                 break
             begun = self.now()
@@ -104,14 +104,14 @@ class Deadline:
             self.samples += count
         return costs
 
-    def _next(self, rest: int) -> int:
-        """How many samples to work out next; 0 where there is no time for any."""
+    def _next(self, rest: int, *, first: bool) -> int:
+        """How many samples to work out next; 0 where there is no time for any after the first ones."""
         few = min(_LEAST_SAMPLES, rest)
         if not self.knows("sample"):
             return min(_FIRST_SAMPLES, rest)
         fits = self.affordable("sample", rest, 1.0)
         if fits < few:
-            return 0 if self.samples else few
+            return few if first else 0
         if fits >= rest:
             return rest
         # half of what fits: by then the pace may have changed
@@ -122,5 +122,5 @@ class Deadline:
         return self.expected("sample", _LEAST_SAMPLES)
 
     def no_more_samples(self) -> bool:
-        """Whether there is no time for another iteration, of a few samples."""
-        return not self.has_time_for("sample", _LEAST_SAMPLES)
+        """Whether there is no time for another iteration, of few samples."""
+        return not self.has_time_for("sample", 2 * _LEAST_SAMPLES)

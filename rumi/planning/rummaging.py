@@ -161,38 +161,37 @@ class RummagingPolicy:
         watch.lap("costs")
         return predicted, gathered
 
-    def _view(
+    def _view_in_time(
         self, belief: PoseBelief, scene: Scene, previous: Plan | None, deadline: Deadline, watch: "_Stopwatch"
     ) -> "_View":
-        """All that motions are judged by."""
-        settings, workspace = self.settings, scene.workspace
-        sdf, poses, log_weights = scene.model.sdf, belief.world_T_object, belief.log_weights
+        """All that motions are judged by, of as many particles as there is time for."""
+        whole, used = len(belief.log_weights), belief
+        sure = deadline.open or deadline.knows("view")
+        if not sure:
+            used = thinned(belief, _FEW)
+            fields, model = self._fields(used, scene, deadline, watch)
+        count = deadline.affordable("view", whole + _VIEW_FIXED, _VIEW_SHARE) - _VIEW_FIXED
+        if sure or (used is not belief and (count > 2 * _FEW or count == whole)):
+            used = thinned(belief, max(count, _FEW))
+            fields, model = self._fields(used, scene, deadline, watch)
         begun = deadline.now()
-        fields = information_field(sdf, poses, log_weights, workspace.points, settings.information)
+        worth = self.worth(used, scene, fields, previous, deadline)
+        deadline.took("worth", 1.0, deadline.now() - begun)
+        watch.lap(self.worth_stage)
+        return _View(len(used.log_weights), fields, model, worth)
+
+    def _fields(
+        self, belief: PoseBelief, scene: Scene, deadline: Deadline, watch: "_Stopwatch"
+    ) -> tuple[WorkspaceFields, PushModel]:
+        workspace, sdf = scene.workspace, scene.model.sdf
+        poses, log_weights = belief.world_T_object, belief.log_weights
+        begun = deadline.now()
+        fields = information_field(sdf, poses, log_weights, workspace.points, self.settings.information)
         watch.lap("fields")
         model = self.push_models.of_belief(scene.model, poses, log_weights, scene.tool, workspace, fields)
         watch.lap("push_model")
         deadline.took("view", len(log_weights) + _VIEW_FIXED, deadline.now() - begun)
-        begun = deadline.now()
-        worth = self.worth(belief, scene, fields, previous, deadline)
-        deadline.took("worth", 1.0, deadline.now() - begun)
-        watch.lap(self.worth_stage)
-        return _View(len(log_weights), fields, model, worth)
-
-    def _view_in_time(
-        self, belief: PoseBelief, scene: Scene, previous: Plan | None, deadline: Deadline, watch: "_Stopwatch"
-    ) -> "_View":
-        """The view with as many particles as there is time for."""
-        whole = len(belief.log_weights)
-        if deadline.open:
-            return self._view(belief, scene, previous, deadline, watch)
-        rough = None
-        if not deadline.knows("view"):
-            rough = self._view(thinned(belief, _FEW), scene, previous, deadline, watch)
-        count = deadline.affordable("view", whole + _VIEW_FIXED, _VIEW_SHARE) - _VIEW_FIXED
-        if rough is not None and (count <= 2 * _FEW < whole or rough.particles == whole):
-            return rough
-        return self._view(thinned(belief, max(count, _FEW)), scene, previous, deadline, watch)
+        return fields, model
 
     def _too_late(self, deadline: Deadline) -> bool:
         """Whether there is no time for a view of few particles and an iteration of few samples."""

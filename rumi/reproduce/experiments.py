@@ -85,6 +85,26 @@ def _toys(selection: Selection) -> list[Job]:
     return [Job("toy", "toy", method, "", seed) for seed, method in product(selection.seeds, TOY_METHODS)]
 
 
+PEG_TIMES = (1, 2, 3, 5, 7, 10, 15, 20, 30, 40)
+"""t_max of the curve of total time, seconds."""
+
+PEG_MACHINES = ("", "evaluation_s=0.003")
+"""Seconds that a candidate takes to weigh: 1, as of a slow machine, and what it took on one of today's."""
+
+SHARP = ("point_m=0.001", "normal_deg=2")
+"""Noise of a better sensor than the paper's 5 mm and 6 degrees."""
+
+
+def _pegs(variants: Sequence[tuple[str, ...]]) -> Callable[[Selection], list[Job]]:
+    def jobs(selection: Selection) -> list[Job]:
+        return [
+            Job("peg", "peg", "allocation", "", seed, (*(part for part in variant if part), *selection.overrides))
+            for seed, variant in product(selection.seeds, variants)
+        ]
+
+    return jobs
+
+
 def _none(selection: Selection) -> list[Job]:
     return []
 
@@ -101,6 +121,11 @@ EXPERIMENTS: dict[str, Callable[[Selection], list[Job]]] = {
     "fig15": _none,
     "horizon": _horizons,
     "displacement": _displacement,
+    "allocation-table1": _pegs([(f"t_max_s={t}", "stop=contacts") for t in (10, 20)]),
+    "allocation-accuracy": _pegs(
+        [("t_max_s=10", *noise, stop) for noise in ((), SHARP) for stop in ("", "stop=contacts")]
+    ),
+    "allocation-time": _pegs([(f"t_max_s={t}", machine) for machine in PEG_MACHINES for t in PEG_TIMES]),
 }
 """The work of each experiment, by its name on the command line; several share runs."""
 

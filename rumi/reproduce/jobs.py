@@ -18,11 +18,11 @@ _MESH = "object.mesh="
 
 @dataclass(frozen=True)
 class Job:
-    """One run, or one closed loop of the toy of Figure 8.
+    """One run, one closed loop of the toy of Figure 8, or one of the peg task.
 
     Attributes:
-        kind: "run" or "toy".
-        task: its name; "toy" of the toy.
+        kind: "run", "toy" or "peg".
+        task: its name; "toy" of the toy, "peg" of the peg task.
         method: its name; of the toy one of MPPI, SMPPI, KMPPI.
         preset: that the settings start from; empty for the toy.
         seed: of all randomness.
@@ -118,9 +118,16 @@ def _toy(job: Job, cache_dir: Path) -> dict[str, Any]:
     return carry_out(job.method, job.seed)
 
 
+def _peg(job: Job, cache_dir: Path) -> dict[str, Any]:
+    from rumi.reproduce.peg import carry_out
+
+    return carry_out(job.overrides, job.seed)
+
+
 KINDS = {
     "run": Kind(("rumi.reproduce.runs",), _run),
     "toy": Kind(("rumi.reproduce.toy",), _toy),
+    "peg": Kind(("rumi.reproduce.peg",), _peg),
 }
 """All kinds of work by name."""
 

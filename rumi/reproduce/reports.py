@@ -141,7 +141,7 @@ def provenance(records: Sequence[Record]) -> str:
             name: ", ".join(sorted({getattr(record, name) for record in own})) for name in ("code", "commit", "machine")
         }
         parts.append(
-            f"- {len(own)} {'runs' if kind == 'run' else 'closed loops of the toy'}, seeds {_ranges(seeds)}; "
+            f"- {len(own)} {_KINDS[kind]}, seeds {_ranges(seeds)}; "
             f"code {by['code']}, commit {by['commit']}; {by['machine']}"
         )
     return "\n".join(parts) + "\n"
@@ -160,6 +160,9 @@ def write_page(path: Path, found: Sequence[Report], records: Sequence[Record]) -
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(part.rstrip("\n") + "\n" for part in parts if part.strip()), encoding="utf-8")
     return short
+
+
+_KINDS = {"run": "runs", "toy": "closed loops of the toy", "peg": "runs of the peg task"}
 
 
 def _ranges(numbers: Sequence[int]) -> str:

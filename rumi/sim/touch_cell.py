@@ -1,14 +1,14 @@
 """A simulated cell: a ball on a force-torque sensor goes along straight ways and stops where it feels the object.
 
-The object is fixed and everything about a contact follows from geometry, so that contacts are cast exactly and no
-engine steps through the motion: a ball against a rectangle from the side, against its top from above. Times are those
-of trapezoidal speed profiles. What is left out: friction that turns the felt force away from the normal, a press that
+The object is fixed and all about a contact follows from geometry, so that contacts are cast exactly and no engine steps
+through the motion: a ball against a rectangle from the side, against its top from above. Times are those of
+trapezoidal speed profiles. What is left out: friction that turns the felt force away from the normal, a press that
 yields, an arm that cannot reach.
 """
 
-import itertools
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from jaxtyping import Float
@@ -58,6 +58,7 @@ class Felt:
         point: (2,), touched, as the sensor has it; of no meaning where nothing was.
         normal: (2,), outward there, as the sensor has it; of no meaning but for a touch of a side.
         free: (K, 2, 2), ways at the low level on which nothing was met, the last cut off at the contact.
+        leaving: whether the first of these ways began at a side that the ball rested against.
         path: (K, 3), what the centre went along.
         begun_s, ended_s: on the clock.
     """
@@ -67,6 +68,7 @@ class Felt:
     point: Float[Tensor, "2"]
     normal: Float[Tensor, "2"]
     free: Float[Tensor, "W 2 2"]
+    leaving: bool
     path: Float[Tensor, "K 3"]
     begun_s: float
     ended_s: float
@@ -100,6 +102,7 @@ class TouchCell:
         self.truth, self.block, self.radius = truth, block, radius
         self.tip, self.clock = tip, clock
         self._noise, self._limits, self._generator = noise, limits, generator
+        self._resting = self._leaving = False
 
     def follow(self, points: Float[Tensor, "K 3"]) -> Felt:
         """Go from point to point, with a rest at each, until something is felt.
@@ -112,7 +115,8 @@ class TouchCell:
         if not torch.allclose(points[0], self.tip, atol=1e-9):
             raise ValueError(f"Expected a way from the tip at {self.tip.tolist()}, got {points[0].tolist()}")
         begun, path, free = self.clock(), [self.tip], []
-        for start, end in itertools.pairwise(points):
+        self._leaving = self._resting and bool((points[1] - points[0])[:2].norm() > 0)
+        for start, end in pairwise(points):
             length = float((end - start).norm())
             if length == 0.0:
                 continue
@@ -175,7 +179,8 @@ class TouchCell:
         self, kind: int, point: Tensor, normal: Tensor, free: list[Tensor], path: list[Tensor], begun: float
     ) -> Felt:
         ways = torch.stack(free) if free else self.tip.new_zeros(0, 2, 2)
-        return Felt(kind, self.tip, point, normal, ways, torch.stack(path), begun, self.clock())
+        self._resting = kind == TOUCH
+        return Felt(kind, self.tip, point, normal, ways, self._leaving, torch.stack(path), begun, self.clock())
 
 
 def time_to(gone: float, length: float, limits: SpeedLimits) -> float:

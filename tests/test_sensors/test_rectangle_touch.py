@@ -112,6 +112,10 @@ def test_ways_and_tops():
     a, b = torch.tensor([-0.3, 0.0], dtype=F64), torch.tensor([0.3, 0.0], dtype=F64)
     way = here.with_way(a, b).log_likelihood(poses)
     assert float(way[0]) < -50 and float(way[1]) == pytest.approx(0.0, abs=1e-9)
+    # one that just passes by says next to nothing of where exactly
+    beside = torch.tensor([0.0, 0.05 + RADIUS], dtype=F64)
+    close = here.with_way(a + beside, b + beside).log_likelihood(poses[:1])
+    assert -0.05 < float(close) < 0.0
     top = here.with_top(0.1 * b).log_likelihood(poses)
     assert float(top[0]) == 0.0 and float(top[1]) == pytest.approx(-0.5 * (0.25 / 0.005) ** 2)
     touch = here.with_touch(HALF * torch.tensor([1.0, 0.0]), torch.tensor([1.0, 0.0], dtype=F64))
