@@ -1,7 +1,7 @@
 """Find the mugs through images of a camera, of soft bubbles, or both, with and without their noise; resumable.
 
-    python scripts/sensor_table.py run --seeds 1000-1009 --seconds 120    # a line a run in scripts/results/sensors.jsonl
-    python scripts/sensor_table.py show                                   # Markdown
+    python scripts/sensor_table.py run --seeds 1000-1009 --seconds 120   # a line a run in scripts/results/sensors.jsonl
+    python scripts/sensor_table.py show                                  # Markdown
 
 Tune on seeds of 1000 and more.
 """
@@ -17,18 +17,16 @@ from typing import Any
 import torch
 import tyro
 
-from rumi.assemble import build_rummager
+from rumi.assemble import build
 from rumi.commands import cache_folder
-from rumi.config import Settings, preset
+from rumi.config import preset
 from rumi.errors import DegenerateBeliefError
 from rumi.jsonlines import append_line, read_lines
 from rumi.loop import rummage
 from rumi.metrics.intervals import wilson
 from rumi.recording import provenance
-from rumi.sim.sensed_task import SensedTask
 from rumi.sim.sensor_settings import SensorSettings, degraded
-from rumi.sim.tasks import find_task, make_task, make_tool
-from rumi.task import Task
+from rumi.sim.tasks import find_task
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "sensors.jsonl"
@@ -95,14 +93,9 @@ def run(options: Run) -> None:
 
 def carry_out(name: str, task: str, seed: int, cache: Path) -> dict[str, Any]:
     """One run, ready for JSON."""
-    sensors, spec = SENSORS[name], find_task(task)
-    settings = settings_of(sensors, task, seed)
-    model, tool = spec.object_factory(), make_tool(spec, settings.simulator, cache_dir=cache)
-    world: Task
-    if sensors.kind == "points":
-        world = make_task(spec, settings.simulator, tool=tool, model=model)
-    else:
-        world = SensedTask(spec, settings.simulator, sensors, tool, model)
+    spec, settings = find_task(task), preset(task=task, seed=seed)
+    settings = replace(settings, simulator=replace(settings.simulator, sensors=SENSORS[name]))
+    world, rummager = build(settings, cache_dir=cache)
     began = time.perf_counter()
     head = {
         "sensors": name,
@@ -113,7 +106,7 @@ def carry_out(name: str, task: str, seed: int, cache: Path) -> dict[str, Any]:
         "seconds": 0.0,
     }
     try:
-        found = rummage(world, build_rummager(spec, settings, model, tool), seed=seed, steps=spec.steps).as_dict()
+        found = rummage(world, rummager, seed=seed, steps=spec.steps).as_dict()
     except (DegenerateBeliefError, ValueError) as error:
         found = {"right": False, "stopped_by": "error", "error": str(error)[:200]}
     finally:
@@ -121,14 +114,6 @@ def carry_out(name: str, task: str, seed: int, cache: Path) -> dict[str, Any]:
     found.pop("timings_s", None)
     kept = {key: round(value, 4) if isinstance(value, float) else value for key, value in found.items()}
     return head | {"seconds": round(time.perf_counter() - began, 2)} | kept
-
-
-def settings_of(sensors: SensorSettings, task: str, seed: int) -> Settings:
-    """Those of a run; what only looks may stop without a contact."""
-    settings = preset(task=task, seed=seed)
-    if sensors.feels or sensors.kind == "points":
-        return settings
-    return replace(settings, stop=replace(settings.stop, contacts=0))
 
 
 def show(options: Show) -> None:

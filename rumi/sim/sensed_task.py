@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from rumi.errors import UsageError
 from rumi.planning.gripper_body import gripper_links
 from rumi.planning.tool import Tool
 from rumi.sim.bubble_camera import BubbleCamera
-from rumi.sim.sensor_settings import SensorSettings
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.task import SimTask
@@ -26,7 +26,6 @@ from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.robot_body import RobotBody
 from sensors.semantics import Semantics
-from sensors.tactile import swept_points
 from sensors.view import ViewSettings, view_observation
 
 _LOOK_S = 0.4
@@ -46,27 +45,30 @@ class SensedTask(SimTask):
 
     Args:
         spec: the task; it must have a camera.
-        settings: of the simulator.
-        sensors: which, and how well they work.
+        settings: of the simulator; its `sensors` say which there are, and how well they work.
         tool: the gripper with the reach of its arm.
         model: the object.
         physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes.
+
+    Raises:
+        UsageError: the task has no camera.
     """
 
     def __init__(
         self,
         spec: TaskSpec,
         settings: SimSettings,
-        sensors: SensorSettings,
         tool: Tool,
         model: ObjectModel,
         physics: PhysicsSettings | None = None,
         *,
         cache_dir: Path | None = None,
     ) -> None:
+        if spec.camera is None:
+            raise UsageError(f"{spec.name} has no camera: only tasks with one report through other sensors than points")
         super().__init__(spec, settings, tool, model, physics, cache_dir=cache_dir)
-        self.sensors = sensors
+        self.sensors = sensors = settings.sensors
         links = gripper_links(tool.shape)
         self._links = RobotBody(links)
         deep = torch.stack([link.distance(self._body) for link in links]).amin(0) < -settings.contact_m
@@ -118,7 +120,8 @@ class SensedTask(SimTask):
         count = math.ceil(_LOOK_S * self.sensors.frame_rate_hz) + 2
         memory, last, bounds = None, Observation.empty(), None
         for index in range(count):
-            image = _seen(depth, self.sensors.depth_noise_m, self._generator).float()
+            noise = math.hypot(self.sensors.depth_noise_m, self.spec.depth_noise_m)
+            image = _seen(depth, noise, self._generator).float()
             if self._lost():
                 continue
             if index >= count - 2:
@@ -172,21 +175,15 @@ class SensedTask(SimTask):
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> Reading:
         """What was felt and swept on the way, and seen at its end."""
         motion = track.world_T_object @ se3.inverse(before)
-        spread = (self.sensors.motion_noise_m, self.sensors.motion_noise_m, self.sensors.motion_noise_rad)
-        noise = torch.randn(3, generator=self._generator, dtype=torch.float64) * torch.tensor(spread).double()
-        measured = measured_motion(before, motion, noise).float()
+        shift = math.hypot(self.sensors.motion_noise_m, self.spec.motion_noise_m)
+        turn = math.hypot(self.sensors.motion_noise_rad, self.spec.motion_noise_rad)
+        noise = torch.randn(3, generator=self._generator, dtype=torch.float64)
+        noise = noise * torch.tensor((shift, shift, turn), dtype=torch.float64)
+        measured = measured_motion(before, motion, noise).float() if self._measures else None
         configuration = track.configuration.float()
         tool_pose = self.tool.pose(configuration)
         parts, instants, in_contact = self._felt_by_bubbles(track, tool_pose)
-        attached_T_world = se3.inverse(measured @ self._attached)
-        self._attached = measured[-1] @ self._attached
-        swept, _ = swept_points(
-            tool_pose,
-            self._inner,
-            self.settings.free_spacing_m,
-            attached_T_world=attached_T_world,
-            region=self._region,
-        )
+        swept, _ = self._swept(tool_pose, self._inner, measured, in_contact)
         parts.append(Observation.of(swept.points, Semantics.FREE))
         instants.append(swept.instant)
         if self.sensors.looks:

@@ -18,7 +18,8 @@ class SensorSettings:
             action, and nothing is felt; "bubbles" feels by a membrane over each pad, after one first look; or "both".
         depth_noise_m: standard deviation of each pixel of the camera's depth.
         bubble_noise_m: the same for the cameras in the bubbles.
-        motion_noise_m: standard deviation of the slip sensor's error along x and y, for an action that moved the object.
+        motion_noise_m: standard deviation of the slip sensor's error along x and y, for an action that moved the
+            object, beside the task's own.
         motion_noise_rad: the same for yaw.
         lost: part of the images that never arrive.
         late_s: by which images of the bubbles are later than the pose of the tool that they are taken to belong to.
