@@ -92,6 +92,8 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         following = replace(following, motion="estimated")
     if spec.apc_ratio is not None:
         stop = replace(stop, apc_ratio=spec.apc_ratio)
+    if settings.simulator.sensors.kind == "camera":  # which feels nothing
+        stop = replace(stop, contacts=0)
     standing = 0.0 - float(model.exact.bounds[0, 2])
     pushed = None
     if following.motion == "pushed":

@@ -21,8 +21,10 @@ from rumi.explain import Decisions, explain
 from rumi.progress import Progress, both, stages
 from rumi.recording import RunRecorder, holds_run, load_run, prepare_folder, write_json
 from rumi.records import RunResult
+from rumi.sim.sensor_settings import SensorKind, degraded
 from sdf import savings
 
+_SWITCHES = ("figures", "explain", "degraded")
 _RUN_HELP = """Find an object by touch, in simulation; `rumi tasks` lists what there is.
 
     rumi run mug-0
@@ -30,6 +32,7 @@ _RUN_HELP = """Find an object by touch, in simulation; `rumi tasks` lists what t
     rumi run mug-0 --preset paper --steps 10 --out my-run
     rumi run mug-0 --planner.mppi.samples 100 --stop.rule never
     rumi run mug-0 --mesh drill.obj --scale 0.001 --mass 0.9
+    rumi run mug-0 --sensor both --degraded
 
 Every setting below is a flag; --preset sets where the others start from."""
 
@@ -43,6 +46,9 @@ class RunOptions:
         motion: how the object's motion is known: measured by a slip sensor, sticking to the tool, pushed as a
             quasi-static model has it, or estimated from the touches; short for --filter.motion.
         push_model: how the planner expects the object to move; short for --planner.push-model.
+        sensor: through what the simulator reports: points at the pads, a camera's images, soft bubbles', or both; short
+            for --simulator.sensors.kind.
+        degraded: give those images noise, lose a tenth, and let them be late and off in calibration.
         out: folder of the run; by default runs/TASK-METHOD-PRESET-sSEED, with a number where that is taken.
         figures: draw figures at the end.
         explain: say at the end what was skipped, since the scene did not need it, and what that saved.
@@ -51,6 +57,8 @@ class RunOptions:
     settings: Annotated[Settings, tyro.conf.arg(name="")]
     motion: Motion | None = None
     push_model: PushChoice | None = None
+    sensor: SensorKind | None = None
+    degraded: bool = False
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = True
     explain: bool = False
@@ -203,6 +211,13 @@ def parse_run(arguments: Sequence[str]) -> RunOptions:
         settings = replace(settings, filter=replace(settings.filter, motion=options.motion))
     if options.push_model is not None:
         settings = replace(settings, planner=replace(settings.planner, push_model=options.push_model))
+    if options.sensor is not None or options.degraded:
+        own = settings.simulator.sensors
+        kind = own.kind if options.sensor is None else options.sensor
+        if options.degraded and kind == "points":
+            raise UsageError("--degraded is of images: give --sensor camera, bubbles or both with it")
+        own = degraded(kind) if options.degraded else replace(own, kind=kind)
+        settings = replace(settings, simulator=replace(settings.simulator, sensors=own))
     return replace(options, settings=settings)
 
 
@@ -261,11 +276,14 @@ def _asked_preset(arguments: Sequence[str]) -> str:
 
 def _check_flags(arguments: Sequence[str]) -> None:
     """Refuse flags that are no setting, with those that are."""
-    names = [name.replace("_", "-") for name in setting_names() if name != "task"] + ["motion", "push-model", "out"]
-    switches = {
-        f"{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in [*names, "figures", "explain"])
-    }
-    known = {"help", "figures", "explain", *names, *switches}
+    names = [name.replace("_", "-") for name in setting_names() if name != "task"] + [
+        "motion",
+        "push-model",
+        "sensor",
+        "out",
+    ]
+    switches = {f"{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in [*names, *_SWITCHES])}
+    known = {"help", *_SWITCHES, *names, *switches}
     for argument in arguments:
         name = argument[2:].split("=")[0].replace("_", "-")
         if not argument.startswith("--") or not name or name in known:

@@ -158,8 +158,55 @@ def depth_shown(
     return torch.where(ahead, limit, torch.full_like(limit, -1.0))
 
 
+def free_lattice(
+    nearest: Float[Tensor, "H W"],
+    intrinsics: Float[Tensor, "3 3"],
+    world_T_camera: Float[Tensor, "4 4"],
+    bounds: Float[Tensor, "2 3"],
+    *,
+    spacing: float = 0.005,
+    margin_m: float = 0.010,
+    fraction: float | None = None,
+) -> Float[Tensor, "M 3"]:
+    """`free_points` of an image whose pixels hold the least depth about them: one look-up a point in place of four.
+
+    Args:
+        nearest: (H, W), metres, the least depth within a pixel or more (`depth_filters.nearest_about`), which holds for
+            all four pixels about a point that the pixel is the nearest of.
+        intrinsics: (3, 3).
+        world_T_camera: (4, 4).
+        bounds: (2, 3), metres, box of the world.
+        spacing: of the lattice, metres.
+        margin_m: metres before what is seen up to which space is free.
+        fraction: part of the seen depth up to which it is, in place of the margin.
+    """
+    height, width = nearest.shape
+    axes = lattice_axes(bounds.to(nearest), spacing)
+    # a lattice's image is a sum over its axes, so that points need not be projected one by one
+    camera_T_world = se3.inverse(world_T_camera.to(nearest))
+    projection = intrinsics.to(nearest) @ camera_T_world[:3]
+    u, v, z = (
+        row[3] + (row[0] * axes[0])[:, None, None] + (row[1] * axes[1])[:, None] + row[2] * axes[2]
+        for row in projection
+    )
+    ahead = z > 1e-6
+    scale = torch.where(ahead, z, torch.ones_like(z)).reciprocal_()
+    column, row = u.mul_(scale).round_(), v.mul_(scale).round_()
+    inside = ahead & (column >= 0) & (column <= width - 1) & (row >= 0) & (row <= height - 1)
+    pixel = torch.where(inside, row * width + column, torch.zeros_like(z)).int()
+    limit = nearest.reshape(-1)[pixel.reshape(-1)].reshape(z.shape)
+    limit = limit - margin_m if fraction is None else limit * fraction
+    x, y, height_index = (inside & (z < limit)).nonzero().unbind(-1)
+    return torch.stack((axes[0][x], axes[1][y], axes[2][height_index]), -1)
+
+
 def lattice_points(bounds: Float[Tensor, "2 3"], spacing: float) -> Float[Tensor, "M 3"]:
     """Centres of the cells of the world's lattice `floor(x / spacing)` that lie within bounds (2, 3), metres."""
+    return torch.stack(torch.meshgrid(*lattice_axes(bounds, spacing), indexing="ij"), -1).reshape(-1, 3)
+
+
+def lattice_axes(bounds: Float[Tensor, "2 3"], spacing: float) -> list[Tensor]:
+    """Coordinates of `lattice_points` along x, y and z, metres."""
     check_shape("bounds", bounds, "(2, 3)", last=(2, 3))
     if not spacing > 0:
         raise ValueError(f"Expected free_spacing to be a positive number of metres, got {spacing}")
@@ -168,4 +215,4 @@ def lattice_points(bounds: Float[Tensor, "2 3"], spacing: float) -> Float[Tensor
         first, last = math.ceil(low / spacing - 0.5), math.floor(high / spacing - 0.5)
         cells = torch.arange(first, max(first, last + 1), dtype=bounds.dtype, device=bounds.device)
         axes.append((cells + 0.5) * spacing)
-    return torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    return axes

@@ -57,8 +57,9 @@ def reliable(
     there = known(depth).numpy()
     box = np.ones((3, 3), np.uint8)
     # unknown pixels say nothing of an edge: they are neither the least nor the largest
-    least = cv2.erode(np.where(image > 0, image, np.float32(np.inf)), box)
-    largest = cv2.dilate(np.where(image > 0, image, np.float32(0.0)), box)
+    positive = image > 0
+    least = cv2.erode(np.where(positive, image, np.float32(np.inf)), box)
+    largest = cv2.dilate(np.where(positive, image, np.float32(0.0)), box)
     slope = 2.0 * math.tan(settings.grazing_rad) / float(min(intrinsics[0, 0], intrinsics[1, 1]))
     with np.errstate(over="ignore"):  # where nothing is known nor met
         least *= np.float32(1.0 + slope)
@@ -77,9 +78,10 @@ def nearest_about(depth: Float[Tensor, "H W"], pixels: int) -> Float[Tensor, "H 
     """The least depth within some pixels of each, 0 where one of them is not known: what is surely seen past."""
     if pixels < 1:
         return depth
-    image = np.where(torch.isnan(depth).numpy(), np.float32(0.0), depth.float().numpy())
     cv2 = opencv()
-    return torch.from_numpy(cv2.erode(np.maximum(image, 0.0), _square(pixels), borderType=cv2.BORDER_REPLICATE))
+    image = np.ascontiguousarray(depth.float().numpy())
+    image = np.where(image > 0, image, np.float32(0.0))  # of NaN no comparison holds
+    return torch.from_numpy(cv2.erode(image, _square(pixels), borderType=cv2.BORDER_REPLICATE))
 
 
 def _square(pixels: int) -> np.ndarray:

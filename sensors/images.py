@@ -62,19 +62,23 @@ def depth_metres(
         scale = float(unit)
         if not (scale > 0 and math.isfinite(scale)):
             raise ValueError(f"Expected metres of one unit above 0, got {unit}")
-    unknown = values <= 0 if not whole else (values <= 0) | (values == np.iinfo(values.dtype).max)
-    found = torch.from_numpy(values.astype(np.float32) * np.float32(scale))
-    lost = torch.from_numpy(unknown) | torch.isnan(found) | (found < near_m)
-    lost |= (found > far_m) & torch.isfinite(found)
+    found = values.astype(np.float32)
+    found *= np.float32(scale)
+    # of NaN no comparison holds
+    lost = (values <= 0) | (values == np.iinfo(values.dtype).max) if whole else ~(values > 0)
+    if near_m > 0:
+        lost |= found < near_m
+    if math.isfinite(far_m):
+        lost |= (found > far_m) & np.isfinite(found)
     found[lost] = 0.0
     if scale == 1.0:
         some = found[:: max(1, len(found) // 64)]
-        some = some[(some > 0) & torch.isfinite(some)]
-        if len(some) and float(some.median()) > _NO_METRES:
+        some = some[(some > 0) & np.isfinite(some)]
+        if len(some) and float(np.median(some)) > _NO_METRES:
             raise ValueError(
-                f"Expected depth in metres, got a median of {float(some.median()):.0f}: give unit 'mm' if that is it"
+                f"Expected depth in metres, got a median of {float(np.median(some)):.0f}: give unit 'mm' if that is it"
             )
-    return found
+    return torch.from_numpy(found)
 
 
 def known(depth: Float[Tensor, "H W"]) -> Bool[Tensor, "H W"]:

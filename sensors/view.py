@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.check import check_finite, check_shape
-from sensors.camera import free_points, pixel_points
+from sensors.camera import free_lattice, pixel_points
 from sensors.depth_filters import EdgeSettings, nearest_about, reliable
 from sensors.images import Unit, depth_metres, known, undistorted
 from sensors.observation import Observation, concatenate
@@ -68,10 +68,12 @@ class ViewSettings:
     free_spacing_m: float = 0.005
     free_margin_m: float = 0.010
     free_fraction: float | None = None
-    free_rim_px: int = 1
+    free_rim_px: int = 2
 
     def __post_init__(self) -> None:
-        """Refuse an unknown way to find the object."""
+        """Refuse an unknown way to find the object, and free space up to the very edge of what is nearer."""
+        if self.free_rim_px < 1:
+            raise ValueError(f"Expected free_rim_px of 1 or more, got {self.free_rim_px}")
         if self.segmentation not in get_args(Segmentation):
             raise ValueError(
                 f"Expected segmentation to be one of {', '.join(get_args(Segmentation))}, got {self.segmentation!r}"
@@ -162,7 +164,7 @@ def view_observation(
     points = se3.apply(world_T_camera, pixel_points(shown, surface, intrinsics))
     observation = Observation.of(points, Semantics.SURFACE)
     if bounds is not None:
-        free = free_points(
+        free = free_lattice(
             nearest_about(metres, settings.free_rim_px),
             intrinsics,
             world_T_camera,

@@ -29,10 +29,31 @@ def sticking_motion(
     The paper's Delta T_r is the tool's motion in its own frame; the world motion of what sticks to it is
     `E' E^-1`. A step counts where both its ends touch, so that the approach does not move the object.
     """
+    return slip_motion(tool_pose, in_contact)
+
+
+def slip_motion(
+    tool_pose: Float[Tensor, "*b K 4 4"],
+    in_contact: Bool[Tensor, "*b K"],
+    slip: Float[Tensor, "*b K 4 4"] | None = None,
+) -> Float[Tensor, "*b K 4 4"]:
+    """World motion of an object whose slip at the tool is measured: product of E_k S_k E_{k-1}^-1 over contacts.
+
+    Args:
+        tool_pose: (*b, K, 4, 4), E_k, world_T_tool at each instant.
+        in_contact: (*b, K), whether the tool touched; a step counts where both its ends do.
+        slip: (*b, K, 4, 4), S_k, how the object moved against the tool since the instant before, in the tool's frame:
+            `tool_T_object_k = S_k tool_T_object_(k-1)`; None for sticking contact. That at the first instant is not
+            used, nor are those of steps without contact.
+
+    Returns:
+        from the first instant up to each.
+    """
     identity = se3.identity(tool_pose.shape[:-3], dtype=tool_pose.dtype, device=tool_pose.device)
     motions = [identity]
     for k in range(1, tool_pose.shape[-3]):
-        step = tool_pose[..., k, :, :] @ se3.inverse(tool_pose[..., k - 1, :, :])
+        here = tool_pose[..., k, :, :] if slip is None else tool_pose[..., k, :, :] @ slip[..., k, :, :]
+        step = here @ se3.inverse(tool_pose[..., k - 1, :, :])
         stuck = in_contact[..., k] & in_contact[..., k - 1]
         motions.append(torch.where(stuck[..., None, None], step, identity) @ motions[-1])
     return torch.stack(motions, -3)

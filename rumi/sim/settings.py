@@ -1,9 +1,10 @@
 """How the simulator steps and what its sensors report."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from rumi.errors import UsageError
+from rumi.sim.sensor_settings import SensorSettings
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class SimSettings:
             much, which rides with the object as its motion is measured; farther points refute no pose that the
             view leaves open.
         measures_motion: whether a slip sensor reports the object's motion.
+        sensors: through which the task reports; those of kind "points" know where the pads are near the true surface.
     """
 
     time_step_s: float = 0.004
@@ -44,6 +46,7 @@ class SimSettings:
     free_fraction: float | None = None
     free_region_m: float = 0.10
     measures_motion: bool = True
+    sensors: SensorSettings = field(default_factory=SensorSettings)
 
     def __post_init__(self) -> None:
         for name in ("time_step_s", "action_s", "contact_m", "pad_spacing_m", "body_spacing_m", "free_spacing_m"):

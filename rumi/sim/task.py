@@ -23,7 +23,7 @@ from sensors.camera import depth_observation, look_at, pinhole, pixel_rays
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
-from sensors.tactile import swept_points, tactile_observation, touched_points
+from sensors.tactile import InstantPoints, swept_points, tactile_observation, touched_points
 
 # standard deviations of the prior up to which free points are reported
 _SPREADS = 4.0
@@ -207,25 +207,7 @@ class SimTask:
         object_T_tool = (se3.inverse(track.world_T_object) @ tool_pose.double()).float()
         touched = self._felt(object_T_tool)
         in_contact = touched.any(-1)
-        attached_T_world, group = None, None
-        region = self._region
-        if measured is None:
-            # nothing moves while nothing is touched; what was swept while touching belongs to its instant alone
-            group = in_contact.long().cumsum(0)
-            low, high = self.spec.bounds
-            top = float(self._region[1, 2])
-            region = torch.tensor(((*low, 0.0), (*high, top)))
-        else:
-            attached_T_world = se3.inverse(measured @ self._attached)
-            self._attached = measured[-1] @ self._attached
-        swept, index = swept_points(
-            tool_pose,
-            self._body,
-            settings.free_spacing_m,
-            attached_T_world=attached_T_world,
-            group=group,
-            region=region,
-        )
+        swept, index = self._swept(tool_pose, self._body, measured, in_contact)
         clear = self._distance(object_T_tool, self._body, swept.instant, index) > settings.contact_m
         free = type(swept)(swept.points[clear], swept.instant[clear])
         observation, instant = tactile_observation(touched_points(tool_pose, self._felt_at, touched), free)
@@ -238,6 +220,30 @@ class SimTask:
             configuration[-1],
             refused,
             float(self.world.data.time),
+        )
+
+    def _swept(
+        self, tool_pose: Float[Tensor, "K 4 4"], body: Float[Tensor, "n 3"], measured: Tensor | None, in_contact: Tensor
+    ) -> tuple[InstantPoints, Int[Tensor, "M"]]:
+        """What the gripper's points went through, and which of them; takes note of a measured motion."""
+        attached_T_world, group = None, None
+        region = self._region
+        if measured is None:
+            # nothing moves while nothing is touched; what was swept while touching belongs to its instant alone
+            group = in_contact.long().cumsum(0)
+            low, high = self.spec.bounds
+            top = float(self._region[1, 2])
+            region = torch.tensor(((*low, 0.0), (*high, top)))
+        else:
+            attached_T_world = se3.inverse(measured @ self._attached)
+            self._attached = measured[-1] @ self._attached
+        return swept_points(
+            tool_pose,
+            body,
+            self.settings.free_spacing_m,
+            attached_T_world=attached_T_world,
+            group=group,
+            region=region,
         )
 
     def _felt(self, object_T_tool: Float[Tensor, "K 4 4"]) -> Tensor:

@@ -329,4 +329,8 @@ def make_task(
     settings = settings or SimSettings()
     tool = tool if tool is not None else make_tool(spec, settings, cache_dir=cache_dir)
     model = model if model is not None else spec.object_factory()
+    if settings.sensors.kind != "points":
+        from rumi.sim.sensed_task import SensedTask
+
+        return SensedTask(spec, settings, tool, model, cache_dir=cache_dir)
     return SimTask(spec, settings, tool, model, cache_dir=cache_dir)

@@ -61,6 +61,7 @@ class World:
         self._gripper = [int(self.model.joint(name).qposadr[0]) for name in self._axes(height_m)]
         self._object_body = int(self.model.body("object").id)
         self._rest: np.ndarray | None = None
+        self._apart: Any = None
 
     @staticmethod
     def _axes(height_m: float | None) -> tuple[str, ...]:
@@ -186,12 +187,21 @@ class World:
         """Speed of the object's frame, m/s."""
         return float(np.linalg.norm(self.data.joint("object").qvel[:3]))
 
-    def cast(self, origin: Float[Tensor, "3"], directions: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n"], Tensor]:
+    def cast(
+        self,
+        origin: Float[Tensor, "3"],
+        directions: Float[Tensor, "n 3"],
+        *,
+        at: tuple[Float[Tensor, "Q"], Float[Tensor, "4 4"]] | None = None,
+        through_gripper: bool = False,
+    ) -> tuple[Float[Tensor, "n"], Tensor]:
         """Cast rays into the scene.
 
         Args:
             origin: (3,), metres.
             directions: (n, 3), of any length.
+            at: configuration of the gripper and world_T_object, for the scene as it was; None for as it is.
+            through_gripper: whether rays go through the gripper as if it were not there.
 
         Returns:
             how many times each direction's length the ray goes to what it meets first (n; infinite if nothing),
@@ -199,16 +209,17 @@ class World:
         """
         count = len(directions)
         geom, distance = np.empty(count, np.int32), np.empty(count)
+        data = self.data if at is None else self._posed(*at)
         # positions follow the state only after the kinematics of the next step
-        self._mujoco.mj_kinematics(self.model, self.data)
+        self._mujoco.mj_kinematics(self.model, data)
         self._mujoco.mj_multiRay(
             self.model,
-            self.data,
+            data,
             origin.double().numpy(),
             directions.double().reshape(-1).numpy(),
             np.array(RAY_GROUPS, dtype=np.uint8),
             True,
-            -1,
+            int(self.model.body("gripper").id) if through_gripper else -1,
             geom,
             distance,
             None,
@@ -219,6 +230,18 @@ class World:
         bodies = np.asarray(self.model.geom_bodyid)[np.where(missed, 0, geom)]
         distance[missed] = np.inf
         return torch.from_numpy(distance), torch.from_numpy(~missed & (bodies == self._object_body))
+
+    def _posed(self, configuration: Float[Tensor, "Q"], world_T_object: Float[Tensor, "4 4"]) -> Any:  # noqa: ANN401
+        """A state apart, for looking at."""
+        if self._apart is None:
+            self._apart = self._mujoco.MjData(self.model)
+        position = self._apart.qpos
+        quaternion = np.empty(4)
+        self._mujoco.mju_mat2Quat(quaternion, world_T_object[:3, :3].double().reshape(-1).numpy())
+        position[self._gripper] = configuration.double().numpy()
+        start = self._object
+        position[start : start + 7] = (*world_T_object[:3, 3].tolist(), *quaternion)
+        return self._apart
 
     def _object_poses(self, states: np.ndarray) -> Float[Tensor, "K 4 4"]:
         pose = torch.from_numpy(states[:, self._object : self._object + 7].copy())

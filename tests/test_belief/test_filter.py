@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rumi.belief.filter import FilterSettings, PoseFilter
-from rumi.belief.motion import object_motion, sticking_motion
+from rumi.belief.motion import object_motion, slip_motion, sticking_motion
 from rumi.belief.particles import PoseBelief
 from rumi.registration.descent import DescentSettings
 from sdf import se3
@@ -280,6 +280,26 @@ def test_golden_sticking_and_noise_about_the_object(golden):
     )
     # an approach without contact moves nothing
     torch.testing.assert_close(sticking_motion(tool, torch.tensor([False, True]))[-1], torch.eye(4, dtype=F64))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_measured_slip_gives_the_objects_motion(seed):
+    """Any tool and any object in its hand: exact while both ends of a step touch, none where they do not."""
+    random = torch.Generator().manual_seed(seed)
+    tool = se3.exp(torch.randn(2, 6, 6, generator=random, dtype=F64))
+    tool_T_object = se3.exp(torch.randn(2, 6, 6, generator=random, dtype=F64))
+    slip = se3.exp(torch.randn(2, 6, 6, generator=random, dtype=F64))
+    slip[:, 1:] = tool_T_object[:, 1:] @ se3.inverse(tool_T_object[:, :-1])
+    world_T_object = tool @ tool_T_object
+    found = slip_motion(tool, torch.ones(2, 6, dtype=torch.bool), slip)
+    torch.testing.assert_close(found @ world_T_object[:, :1], world_T_object)
+    late = torch.tensor([[False, False, True, True, True, False]]).expand(2, 6)
+    found = slip_motion(tool, late, slip)
+    torch.testing.assert_close(found[:, :3], torch.eye(4, dtype=F64).expand(2, 3, 4, 4))
+    torch.testing.assert_close(found[:, 2:5] @ world_T_object[:, 2:3], world_T_object[:, 2:5])
+    torch.testing.assert_close(found[:, 5], found[:, 4])
+    stuck = slip_motion(tool, late, torch.eye(4, dtype=F64).expand(2, 6, 4, 4))
+    torch.testing.assert_close(stuck, sticking_motion(tool, late))
 
 
 def test_estimated_motion_recovers_a_slip():

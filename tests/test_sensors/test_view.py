@@ -10,6 +10,7 @@ import torch
 from rumi.bench.known_scenes import SCENES, scene_view, with_noise
 from sdf import se3
 from sdf.primitives import Capsule
+from sensors.camera import free_lattice, free_points, lattice_points
 from sensors.depth_filters import EdgeSettings, nearest_about, reliable
 from sensors.images import depth_metres, undistorted
 from sensors.persistence import Persistence
@@ -238,3 +239,32 @@ def test_lens_distortion_is_undone():
     rows, columns = (straight == 0.5).nonzero().unbind(-1)
     assert abs(float(rows.float().mean()) - 20) < 0.7 and abs(float(columns.float().mean()) - 30) < 0.7
     assert undistorted(depth, intrinsics, (0.0, 0.0)) is depth
+
+
+def test_free_space_stays_clear_of_all_pixels_about_a_point(scene):
+    """Every free point is one by the four pixels about its image, and few of those are left out."""
+    depth = scene.depth.float().clone()
+    depth[::17, ::13] = 0.0
+    place = (scene.intrinsics, scene.world_T_camera, BOUNDS)
+    for given in ({"margin_m": 0.01}, {"fraction": 0.95}):
+        wide = {tuple(p) for p in (1e4 * free_points(depth, *place, **given)).round().long().tolist()}
+        near = free_lattice(nearest_about(depth, 1), *place, **given)
+        found = {tuple(p) for p in (1e4 * near).round().long().tolist()}
+        assert found <= wide and len(found) > 0.75 * len(wide)
+
+
+def test_free_space_against_a_loop():
+    scene = scene_view("box", 48, 64)
+    nearest = nearest_about(scene.depth.float(), 1)
+    bounds = torch.tensor([[0.25, -0.1, -0.02], [0.55, 0.12, 0.15]])
+    found = free_lattice(nearest, scene.intrinsics, scene.world_T_camera, bounds, spacing=0.02)
+    expected = []
+    for point in lattice_points(bounds, 0.02):
+        x, y, z = se3.apply(se3.inverse(scene.world_T_camera), point[None])[0].tolist()
+        column = round(x / z * float(scene.intrinsics[0, 0]) + float(scene.intrinsics[0, 2]))
+        row = round(y / z * float(scene.intrinsics[1, 1]) + float(scene.intrinsics[1, 2]))
+        if 0 <= row < 48 and 0 <= column < 64 and z < float(nearest[row, column]) - 0.010:
+            expected.append(point)
+    assert len(expected) > 100 and torch.allclose(found, torch.stack(expected))
+    behind = torch.tensor([[-0.6, -0.1, 0.0], [-0.4, 0.1, 0.2]])
+    assert len(free_lattice(nearest, scene.intrinsics, scene.world_T_camera, behind)) == 0

@@ -1,0 +1,81 @@
+"""Through which sensors the simulator reports, and how well they work."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from rumi.errors import UsageError
+
+SensorKind = Literal["points", "camera", "bubbles", "both"]
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """Sensors of a task; what they report goes through the same converters as a real robot's.
+
+    Attributes:
+        kind: "points" reports surface points within the simulator's `contact_m` of the pads; "camera" looks after every
+            action, and nothing is felt; "bubbles" feels by a membrane over each pad, after one first look; or "both".
+        depth_noise_m: standard deviation of each pixel of the camera's depth.
+        bubble_noise_m: the same for the cameras in the bubbles.
+        motion_noise_m: standard deviation of the slip sensor's error along x and y, for an action that moved the
+            object, beside the task's own.
+        motion_noise_rad: the same for yaw.
+        lost: part of the images that never arrive.
+        late_s: by which images of the bubbles are later than the pose of the tool that they are taken to belong to.
+        calibration_m: error of where each camera is taken to be, in a random direction.
+        calibration_rad: error of how it is taken to be turned, about a random axis.
+        turned_about: point that the camera's wrong turn leaves in place: the "workspace", where a calibration looks at
+            its target, or the "sensor" itself. Bubbles turn about their own camera.
+        membrane_m: of the bubbles' membrane above the pads.
+        frame_rate_hz: of the camera, for 0.4 s after an action.
+    """
+
+    kind: SensorKind = "points"
+    depth_noise_m: float = 0.0
+    bubble_noise_m: float = 0.0
+    motion_noise_m: float = 0.0
+    motion_noise_rad: float = 0.0
+    lost: float = 0.0
+    late_s: float = 0.0
+    calibration_m: float = 0.0
+    calibration_rad: float = 0.0
+    turned_about: Literal["workspace", "sensor"] = "workspace"
+    membrane_m: float = 0.008
+    frame_rate_hz: float = 15.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no sensor has."""
+        if self.kind not in get_args(SensorKind):
+            raise UsageError(f"Expected sensors of kind {', '.join(get_args(SensorKind))}, got {self.kind!r}")
+        if not 0 <= self.lost < 1:
+            raise UsageError(f"Expected lost to be a part of the images in [0, 1), got {self.lost}")
+        if self.turned_about not in ("workspace", "sensor"):
+            raise UsageError(f"Expected turned_about to be workspace or sensor, got {self.turned_about!r}")
+        if not (self.membrane_m > 0 and self.frame_rate_hz > 0):
+            raise UsageError("Expected membrane_m and frame_rate_hz above 0")
+
+    @property
+    def looks(self) -> bool:
+        """Whether the camera looks after every action."""
+        return self.kind in ("camera", "both")
+
+    @property
+    def feels(self) -> bool:
+        """Whether there are bubbles."""
+        return self.kind in ("bubbles", "both")
+
+
+def degraded(kind: SensorKind) -> SensorSettings:
+    """Sensors with noise, a tenth of the images lost, 50 ms late, and calibrated to 2 mm and 1 degree."""
+    return SensorSettings(
+        kind=kind,
+        depth_noise_m=0.002,
+        bubble_noise_m=0.0005,
+        motion_noise_m=0.0005,
+        motion_noise_rad=math.radians(0.5),
+        lost=0.1,
+        late_s=0.05,
+        calibration_m=0.002,
+        calibration_rad=math.radians(1.0),
+    )
