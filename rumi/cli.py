@@ -9,7 +9,7 @@ from rumi.errors import DegenerateBeliefError, UsageError
 
 DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-COMMANDS = ("tasks", "run", "plot", "bench", "mesh", "localize", "reproduce")
+COMMANDS = ("tasks", "run", "replay", "plot", "bench", "mesh", "localize", "reproduce")
 EXTRAS = {
     "mujoco": "sim",
     "pytorch_kinematics": "robot",
@@ -22,6 +22,8 @@ EXTRAS = {
     "coacd": "mesh",
     "submitit": "cluster",
     "cv2": "vision",
+    "h5py": "logs",
+    "rosbags": "logs",
 }
 """Which extra brings a package that may be missing."""
 
@@ -30,6 +32,7 @@ rumi {__version__}: find the pose of an object by touching and pushing it.
 
 usage: rumi tasks                  what there is to find
        rumi run TASK [options]     find it, in simulation
+       rumi replay LOG [options]   take in a recorded log, by the same settings or by others
        rumi plot RUN [options]     draw the figures of a run again
        rumi bench [options]        time the work, against others' and against the targets
        rumi mesh FILE [options]    what a triangle mesh is like, and what is wrong with it
