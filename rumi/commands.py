@@ -166,6 +166,13 @@ def replay(arguments: Sequence[str]) -> int:
     return replay_command.replay(arguments, cache_dir=cache_folder())
 
 
+def import_bag(arguments: Sequence[str]) -> int:
+    """`rumi import`: a ROS 2 bag as a log."""
+    from rumi import bag_command
+
+    return bag_command.import_bag(arguments)
+
+
 def plot(arguments: Sequence[str]) -> int:
     """`rumi plot`: the figures of a run."""
     options = tyro.cli(PlotOptions, prog="rumi plot", args=arguments)

@@ -31,12 +31,14 @@ class Replayed:
         same: of each step, whether the belief is the recorded one bit for bit; None where none was recorded.
         robot_s: seconds that the robot took for the steps replayed, by the readings' stamps.
         wall_s: seconds that the replay took.
+        last: the record of the last step.
     """
 
     result: RunResult
     same: list[bool | None]
     robot_s: float
     wall_s: float
+    last: StepRecord
 
 
 class LogTask:
@@ -124,14 +126,14 @@ def replay(
     task = LogTask(taken)
     none = torch.zeros_like(taken[0].reading.configuration)
     controls = [none if one.control is None else one.control for one in taken[1:]]
-    doing = replace(rummager, policy=LogPolicy(task, controls), replan_every=1)
+    doing = replace(rummager, policy=LogPolicy(task, controls), replan_every=1, budget_s=None)
     same: list[bool | None] = []
-    stamps: list[float] = []
+    steps: list[StepRecord] = []
 
     def seen(step: StepRecord) -> None:
         recorded = taken[step.step].digest
         same.append(None if recorded is None else digest(step.belief) == recorded)
-        stamps.append(step.reading.stamp)
+        steps.append(step)
         if on_step is not None:
             on_step(step)
 
@@ -139,4 +141,4 @@ def replay(
     source: Task = task if wrap is None else wrap(task)
     result = rummage(source, doing, seed=seed, steps=len(taken) - 1, on_step=seen)
     wall = time.perf_counter() - start
-    return Replayed(result, same, stamps[-1] - stamps[0], wall)
+    return Replayed(result, same, steps[-1].reading.stamp - steps[0].reading.stamp, wall, steps[-1])

@@ -1,12 +1,15 @@
 """The command `rumi replay`: a recorded log in the robot's place."""
 
+import itertools
 import json
+import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import torch
 import tyro
 
 from rumi.cli import DONE, NOT_CONVERGED
@@ -15,6 +18,7 @@ from rumi.errors import UsageError
 from rumi.logbook import LOG
 
 if TYPE_CHECKING:
+    from rumi.bags.mapping import BagMap
     from rumi.replay import Replayed
     from rumi.rummager import Rummager
     from sensors.log.reader import Log, Taken
@@ -24,7 +28,7 @@ the one that it would have had on the same readings.
 
     rumi replay runs/mug-0-rumi-default-s0
     rumi replay runs/mug-0-rumi-default-s0/log.h5 --filter.peakiness 1 --out what-if
-    rumi replay pushes.h5
+    rumi replay pushes.h5 --map other.toml
 
 All settings of `rumi run` are flags; the log's own are where they start from. What was done is recorded, so that those
 of the planner change nothing, and those of the task and the simulator are refused."""
@@ -40,12 +44,14 @@ class ReplayOptions:
     Attributes:
         log: the log, or the run's folder that it lies in.
         settings: of the replay.
+        map: mapping file of an imported recording, in place of the one that it was imported with.
         out: folder for the replayed run, for `rumi plot`; none is written without.
         figures: draw its figures.
     """
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     settings: Annotated[Settings, tyro.conf.arg(name="")]
+    map: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = False
 
@@ -54,7 +60,7 @@ def replay(arguments: Sequence[str], *, cache_dir: Path) -> int:
     """`rumi replay`: 0 if the belief became sure, 1 if not or if it is not the recorded one, 2 for bad input."""
     from rumi.commands import check_flags
 
-    check_flags(arguments, ("out",), ("figures",))
+    check_flags(arguments, ("out", "map"), ("figures",))
     named = next((argument for argument in arguments if not argument.startswith("-")), None)
     if named is None:
         if "--help" in arguments or "-h" in arguments:
@@ -67,9 +73,10 @@ def replay(arguments: Sequence[str], *, cache_dir: Path) -> int:
         from sensors.log.reader import Log
 
         with Log(path) as log:
-            recorded = recorded_settings(log)
+            mapping = mapping_of_log(log, arguments)
+            recorded = recorded_settings(log, mapping)
             options = _parsed(arguments, path, recorded)
-            return _replay(log, options, recorded, cache_dir)
+            return _replay(log, options, recorded, mapping, cache_dir)
     except LogError as error:
         raise UsageError(str(error)) from error
 
@@ -87,15 +94,34 @@ def log_path(path: Path) -> Path:
     return path / LOG
 
 
-def recorded_settings(log: "Log") -> Settings:
-    """The settings of the run that made a log.
+def mapping_of_log(log: "Log", arguments: Sequence[str]) -> "BagMap | None":
+    """The mapping by which a log's raw streams are read; None where it holds a run's readings.
 
     Raises:
-        UsageError: it has none, or some that this rumi does not know.
+        UsageError: the log holds neither, or the mapping is wrong.
     """
-    if log.settings is None:
-        raise UsageError(f"{log.path} holds no settings: no run made it")
-    return from_dict(log.settings)
+    asked = next((Path(b) for a, b in itertools.pairwise(arguments) if a == "--map"), None)
+    asked = next((Path(a.removeprefix("--map=")) for a in arguments if a.startswith("--map=")), asked)
+    if log.settings is not None:
+        if asked is not None:
+            raise UsageError(f"{log.path} holds the readings of a run, which need no --map")
+        return None
+    from rumi.bags.mapping import mapping_of, read_mapping
+
+    if asked is not None:
+        return read_mapping(asked)
+    if "map" in log.texts:
+        return mapping_of(log.texts["map"], f"the mapping in {log.path}")
+    raise UsageError(f"{log.path} holds raw streams and no mapping: give one with --map FILE")
+
+
+def recorded_settings(log: "Log", mapping: "BagMap | None") -> Settings:
+    """The settings of the run that made a log, or of the mapping of one that none made."""
+    if mapping is None:
+        return from_dict(log.settings or {})
+    from rumi.bags.scene import settings_of
+
+    return settings_of(mapping)
 
 
 def _parsed(arguments: Sequence[str], path: Path, start: Settings) -> ReplayOptions:
@@ -107,7 +133,7 @@ def _parsed(arguments: Sequence[str], path: Path, start: Settings) -> ReplayOpti
     return options
 
 
-def _replay(log: "Log", options: ReplayOptions, recorded: Settings, cache_dir: Path) -> int:
+def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "BagMap | None", cache_dir: Path) -> int:
     from rumi.progress import Progress, both
     from rumi.recording import RunRecorder, load_run, prepare_folder, write_json
     from rumi.replay import replay as take_in
@@ -120,12 +146,12 @@ def _replay(log: "Log", options: ReplayOptions, recorded: Settings, cache_dir: P
     changed = changes(to_dict(recorded), to_dict(settings))
     if idle := [name for name in changed if name.split(".")[0] in _NO_EFFECT]:
         _say(f"{', '.join(idle)}: no effect, since what was done is recorded")
-    taken = log.taken()
+    taken = log.taken() if mapping is None else _made(log, mapping, settings)
     for problem in log.problems:
         _say(problem)
     if settings.steps is not None:
         taken = taken[: settings.steps + 1]
-    rummager = rummager_of(settings, cache_dir)
+    rummager = rummager_of(settings, mapping, taken, cache_dir)
     _check_object(log, rummager)
     elsewhere = _elsewhere(settings, taken)
     with Progress(settings.task, len(taken) - 1) as progress:
@@ -171,6 +197,9 @@ def summary(done: "Replayed", readings: int, changed: Sequence[str], out: Path |
     lines = ending(result, name)
     if used < readings:
         lines.append(f"readings {used} of {readings}: sure before the log's end (--stop.rule never goes on)")
+    x, y, z = done.last.belief.mode()[:3, 3].tolist()
+    yaw = math.degrees(float(torch.atan2(*done.last.belief.mode()[[1, 0], [0, 0]])))
+    lines.append(f"likeliest at ({x:.4f}, {y:.4f}, {z:.4f}) m, x axis {yaw:.1f} degrees from the world's")
     known = [same for same in done.same if same is not None]
     if not known:
         lines.append("belief   no live run's to compare with")
@@ -200,12 +229,32 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "
     return sorted(found)
 
 
-def rummager_of(settings: Settings, cache_dir: Path | None) -> "Rummager":
+def _made(log: "Log", mapping: "BagMap", settings: Settings) -> "list[Taken]":
+    """The readings of an imported recording; says what could not be used."""
+    from rumi.bags.readings import make_readings
+
+    made = make_readings(log, mapping, seed=settings.seed)
+    if made.wrenches:
+        _say("wrenches: " + ", ".join(f"{count} {name}" for name, count in made.wrenches.items() if count))
+    for problem in made.problems[:10]:
+        _say(problem)
+    if len(made.problems) > 10:
+        _say(f"and {len(made.problems) - 10} more like these")
+    return made.taken
+
+
+def rummager_of(
+    settings: Settings, mapping: "BagMap | None", taken: "Sequence[Taken]", cache_dir: Path | None
+) -> "Rummager":
     """All that a replay needs beside the log; nothing of it simulates or plans.
 
     Raises:
         UsageError: there is no such task or device, or the object cannot be used.
     """
+    if mapping is not None:
+        from rumi.bags.scene import rummager_of_map
+
+        return rummager_of_map(mapping, settings, taken, cache_dir)
     from rumi.assemble import build_rummager
     from rumi.sim.objects import with_object
     from rumi.sim.tasks import find_task, make_tool
