@@ -9,7 +9,9 @@ from rumi.errors import DegenerateBeliefError, UsageError
 
 DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-COMMANDS = ("tasks", "run", "plot", "bench", "mesh", "localize", "reproduce")
+COMMANDS = ("tasks", "run", "replay", "import", "plot", "bench", "mesh", "localize", "reproduce")
+HOMES = {"import": "import_bag"}
+"""Names of the functions whose commands have names that no function can have."""
 EXTRAS = {
     "mujoco": "sim",
     "pytorch_kinematics": "robot",
@@ -22,6 +24,8 @@ EXTRAS = {
     "coacd": "mesh",
     "submitit": "cluster",
     "cv2": "vision",
+    "h5py": "logs",
+    "rosbags": "logs",
 }
 """Which extra brings a package that may be missing."""
 
@@ -30,6 +34,8 @@ rumi {__version__}: find the pose of an object by touching and pushing it.
 
 usage: rumi tasks                  what there is to find
        rumi run TASK [options]     find it, in simulation
+       rumi replay LOG [options]   take in a recorded log, by the same settings or by others
+       rumi import BAG --map FILE  make a log of a ROS 2 bag
        rumi plot RUN [options]     draw the figures of a run again
        rumi bench [options]        time the work, against others' and against the targets
        rumi mesh FILE [options]    what a triangle mesh is like, and what is wrong with it
@@ -67,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
         from rumi import commands  # loads torch: only now, so that help is quick
 
-        return int(getattr(commands, name)(arguments[1:]))
+        return int(getattr(commands, HOMES.get(name, name))(arguments[1:]))
     except SystemExit as end:  # of the parser, which has said why
         return end.code if isinstance(end.code, int) else BAD_INPUT
     except KeyboardInterrupt:

@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -18,13 +18,13 @@ from rumi.config import Settings, preset, setting_names, to_dict
 from rumi.dynamics.family import PushChoice
 from rumi.errors import UsageError
 from rumi.explain import Decisions, explain
+from rumi.logbook import LOG, LogRecorder
 from rumi.progress import Progress, both, stages
-from rumi.recording import RunRecorder, holds_run, load_run, prepare_folder, write_json
+from rumi.recording import RunRecorder, holds_run, load_run, prepare_folder, provenance, write_json
 from rumi.records import RunResult
 from rumi.sim.sensor_settings import SensorKind, degraded
 from sdf import savings
 
-_SWITCHES = ("figures", "explain", "degraded")
 _RUN_HELP = """Find an object by touch, in simulation; `rumi tasks` lists what there is.
 
     rumi run mug-0
@@ -52,6 +52,7 @@ class RunOptions:
         out: folder of the run; by default runs/TASK-METHOD-PRESET-sSEED, with a number where that is taken.
         figures: draw figures at the end.
         explain: say at the end what was skipped, since the scene did not need it, and what that saved.
+        record: write a log too, log.h5 in the run's folder, for `rumi replay`.
     """
 
     settings: Annotated[Settings, tyro.conf.arg(name="")]
@@ -62,6 +63,7 @@ class RunOptions:
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = True
     explain: bool = False
+    record: bool = False
 
 
 @dataclass(frozen=True)
@@ -129,16 +131,22 @@ def run(arguments: Sequence[str]) -> int:
         with contextlib.suppress(OSError):  # other files in it are the user's
             folder.rmdir()
         raise
-    with RunRecorder(folder, to_dict(settings)) as recorder, savings.account() as account:
+    with (
+        RunRecorder(folder, to_dict(settings)) as recorder,
+        _log(options, folder, record(rummager.model)) as log,
+        savings.account() as account,
+    ):
         write_json(folder / "object.json", record(rummager.model))
         recorder.scene(scene_sketch(rummager))
         try:
             with Progress(settings.task, steps) as progress:
-                on_step = both(recorder, progress, Decisions(account))
+                on_step = both(recorder, *([] if log is None else [log]), progress, Decisions(account))
                 result = rummage(task, rummager, seed=settings.seed, steps=steps, on_step=on_step)
         finally:
             task.close()
         recorder.finish(result)
+        if log is not None:
+            log.finish(result)
     if options.figures and result.stopped_by != "interrupted":
         _say("drawing figures")
         _draw(folder, folder / "figures", None)
@@ -146,6 +154,30 @@ def run(arguments: Sequence[str]) -> int:
     if options.explain:
         sys.stdout.write(explain(account))
     return {"converged": DONE, "steps": NOT_CONVERGED, "interrupted": INTERRUPTED}[result.stopped_by]
+
+
+def _log(
+    options: RunOptions, folder: Path, about: dict[str, Any]
+) -> contextlib.AbstractContextManager[LogRecorder | None]:
+    """The log of a run, if one was asked for."""
+    if not options.record:
+        return contextlib.nullcontext()
+    settings, texts = options.settings, {"object": about, "made_with": provenance()}
+    return LogRecorder(folder / LOG, to_dict(settings), texts, dtype=settings.torch_dtype)
+
+
+def replay(arguments: Sequence[str]) -> int:
+    """`rumi replay`: a recorded log in the robot's place."""
+    from rumi import replay_command
+
+    return replay_command.replay(arguments, cache_dir=cache_folder())
+
+
+def import_bag(arguments: Sequence[str]) -> int:
+    """`rumi import`: a ROS 2 bag as a log."""
+    from rumi import bag_command
+
+    return bag_command.import_bag(arguments)
 
 
 def plot(arguments: Sequence[str]) -> int:
@@ -196,7 +228,7 @@ def parse_run(arguments: Sequence[str]) -> RunOptions:
         SystemExit: for all else that is wrong, after a message, and for help.
     """
     start = replace(preset(_asked_preset(arguments)), task="")
-    _check_flags(arguments)
+    check_flags(arguments, ("motion", "push-model", "sensor", "out"), ("figures", "explain", "degraded", "record"))
     options = tyro.cli(
         RunOptions,
         prog="rumi run",
@@ -242,16 +274,21 @@ def cache_folder() -> Path:
 
 def summary(result: RunResult, folder: Path, name: str) -> str:
     """A few lines on how a run ended."""
+    lines = [*ending(result, name)]
+    lines.append(f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}")
+    lines.append(f"folder   {folder}")
+    return "\n  ".join(lines) + "\n"
+
+
+def ending(result: RunResult, name: str) -> list[str]:
+    """The lines on what a run came to know."""
     ended = {"converged": "sure", "steps": "not sure", "interrupted": "interrupted"}[result.stopped_by]
     judged = {True: ", and right", False: ", and wrong", None: ""}[result.right]
     lines = [f"{name}: {ended} after {result.steps} actions, {result.contacts} of them in contact{judged}"]
     if result.position_error_mm is not None and result.rotation_error_deg is not None:
         lines.append(f"pose     off by {result.position_error_mm:.1f} mm and {result.rotation_error_deg:.1f} degrees")
     known = "" if result.final_nll is None else f"{result.final_nll:.1f} at the end, {result.min_nll:.1f} at best; "
-    lines.append(f"nll      {known}the belief expects {result.expected_nll:.1f}")
-    lines.append(f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}")
-    lines.append(f"folder   {folder}")
-    return "\n  ".join(lines) + "\n"
+    return [*lines, f"nll      {known}the belief expects {result.expected_nll:.1f}"]
 
 
 def _draw(folder: Path, out: Path, steps: Sequence[int] | None) -> list[Path]:
@@ -274,16 +311,17 @@ def _asked_preset(arguments: Sequence[str]) -> str:
     return "default"
 
 
-def _check_flags(arguments: Sequence[str]) -> None:
-    """Refuse flags that are no setting, with those that are."""
-    names = [name.replace("_", "-") for name in setting_names() if name != "task"] + [
-        "motion",
-        "push-model",
-        "sensor",
-        "out",
-    ]
-    switches = {f"{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in [*names, *_SWITCHES])}
-    known = {"help", *_SWITCHES, *names, *switches}
+def check_flags(arguments: Sequence[str], options: Sequence[str], on_off: Sequence[str]) -> None:
+    """Refuse flags that are no setting, with those that are.
+
+    Args:
+        arguments: of the command line.
+        options: of the command, beside the settings.
+        on_off: those that take no value.
+    """
+    names = [name.replace("_", "-") for name in setting_names() if name != "task"] + [*options]
+    switches = {f"{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in [*names, *on_off])}
+    known = {"help", *on_off, *names, *switches}
     for argument in arguments:
         name = argument[2:].split("=")[0].replace("_", "-")
         if not argument.startswith("--") or not name or name in known:

@@ -140,6 +140,20 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
     return _build(Settings, {name: value for name, value in values.items() if name not in extra}, "")
 
 
+def dataclass_of(kind: type[_T], values: Mapping[str, Any], at: str = "") -> _T:
+    """A dataclass from plain values, nested as its fields are; what is missing has its default.
+
+    Args:
+        kind: the dataclass.
+        values: by field.
+        at: what to name before a field in messages.
+
+    Raises:
+        UsageError: a name that is no field (the message lists the valid ones), or a value that is none.
+    """
+    return _build(kind, values, at)
+
+
 def setting_names(kind: type = Settings, prefix: str = "") -> list[str]:
     """Names of all settings as flags, nested ones with dots."""
     names: list[str] = []

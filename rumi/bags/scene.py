@@ -1,0 +1,78 @@
+"""How an object is found in an imported recording: the parts of a run that its mapping describes."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+
+from rumi.assemble import build_rummager
+from rumi.bags.mapping import BagMap
+from rumi.config import Settings, from_dict
+from rumi.errors import UsageError
+from rumi.planning.gripper import GripperShape
+from rumi.planning.tool import Tool
+from rumi.rummager import Rummager
+from rumi.sim.objects import with_object
+from rumi.sim.tasks import PriorSpec, TaskSpec, large_handled_mug
+from sdf.drill import drill_model
+from sdf.object_model import box_model
+
+if TYPE_CHECKING:
+    from sensors.log.reader import Taken
+
+_BUILTIN = {"mug": large_handled_mug, "box": box_model, "drill": drill_model}
+_MARGIN = 0.1  # metres about where the object and the tool are, for the workspace
+
+
+def settings_of(mapping: BagMap) -> Settings:
+    """The settings that a mapping asks for.
+
+    Raises:
+        UsageError: it has some that there are not.
+    """
+    return replace(from_dict({"task": "recording", **mapping.settings}), object=mapping.object)
+
+
+def rummager_of_map(
+    mapping: BagMap, settings: Settings, taken: "Sequence[Taken]", cache_dir: Path | None = None
+) -> Rummager:
+    """All that a replay of an imported recording needs beside its readings.
+
+    Args:
+        mapping: of the recording.
+        settings: of the replay; their object takes the place of the mapping's.
+        taken: the readings, from which the workspace follows.
+        cache_dir: folder that keeps tables of distances.
+
+    Raises:
+        UsageError: no object is named, or it cannot be used.
+    """
+    scene = mapping.scene
+    if settings.object.mesh is None and scene.builtin is None:
+        raise UsageError("Expected an object: a mesh in the mapping's table [object], or scene.builtin; or --mesh FILE")
+    places = torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
+    corners = torch.cat((places, torch.tensor(scene.within)))
+    low, high = ((corners.amin(0) - _MARGIN).tolist(), (corners.amax(0) + _MARGIN).tolist())
+    spatial = scene.search == "SE(3)"
+    spec = TaskSpec(
+        "recording",
+        "a recording",
+        _BUILTIN[scene.builtin or "mug"],
+        (0.0, 0.0, 0.0),
+        prior=None if scene.prior_mean_m is None else PriorSpec(scene.prior_mean_m, scene.prior_spread_m),
+        bounds=((low[0], low[1]), (high[0], high[1])),
+        height_m=float(places[:, 2].mean()),
+        heights_m=(max(0.0, low[2]), high[2]) if spatial else None,
+        workspace_top_m=high[2],
+        field_spacing_m=0.02 if spatial else 0.01,
+        search=scene.search,
+        camera=None,
+        measures_motion=False,
+    )
+    spec, model = with_object(spec, settings.object, cache_dir=cache_dir)
+    bounds = torch.tensor([low, high]) if spatial else torch.tensor(spec.bounds)
+    tool = Tool(bounds, shape=GripperShape(**asdict(mapping.tool)), height_m=spec.height_m)
+    planner = replace(settings.planner, push_model="displacement")
+    return build_rummager(spec, replace(settings, method="rumi", planner=planner), model, tool)

@@ -1,0 +1,137 @@
+"""What a recording's cameras saw: clouds and depth images as surface points of the object and free points about it."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.bags.frames import FrameTree
+from rumi.bags.mapping import BagMap
+from rumi.errors import UsageError
+from sensors.cloud import cloud_observation
+from sensors.log.reader import Log, Sample, Stream
+from sensors.observation import Observation, concatenate
+from sensors.semantics import Semantics
+from sensors.view import View, ViewSettings, view_observation
+
+
+class Views:
+    """Clouds and depth images of a log, by time.
+
+    Args:
+        log: with raw streams.
+        mapping: what they mean.
+        frames: where the cameras were.
+        generator: of the fit of planes.
+
+    Attributes:
+        any: whether there are any.
+        problems: what could not be used.
+    """
+
+    def __init__(self, log: Log, mapping: BagMap, frames: FrameTree, generator: torch.Generator) -> None:
+        from rumi.bags.readings import role_of
+
+        self._mapping, self._frames, self._generator = mapping, frames, generator
+        self._within = torch.tensor(mapping.scene.within)
+        self._settings = ViewSettings(**asdict(mapping.view))
+        self._streams: list[tuple[Stream, list[Sample]]] = []
+        self._cameras: dict[str, Sample] = {}
+        self._colors: list[Sample] = []
+        self.problems: list[str] = []
+        for stream in log.streams.values():
+            role = role_of(stream, mapping)
+            if role in ("cloud", "depth"):
+                self._streams.append((stream, stream.samples()))
+            elif role == "camera" and (samples := stream.samples()):
+                self._cameras[stream.name] = samples[0]
+            elif role == "color":
+                self._colors += stream.samples()
+        self.any = any(samples for _, samples in self._streams)
+
+    def between(self, begin_ns: int, end_ns: int, *, last: bool = False) -> Observation:
+        """What each camera saw of the object in a span of time; without `last` in the first picture that shows it.
+
+        Where pixels must persist (`view.persist_s`), pictures are taken in one after the other up to the first that
+        shows enough of them.
+        """
+        found = [Observation.empty()]
+        for stream, samples in self._streams:
+            mine = [one for one in samples if begin_ns <= one.stamp_ns <= end_ns]
+            memory = None
+            for one in reversed(mine) if last and self._settings.persist_s == 0 else mine:
+                view = self._view(stream, one, memory)
+                if view is None:
+                    continue
+                memory = view.memory
+                if bool(view.observation.of_class(Semantics.SURFACE).any()):
+                    found.append(view.observation)
+                    break
+        return concatenate(found)
+
+    def _view(self, stream: Stream, sample: Sample, memory: object) -> View | None:
+        pose, known = self._frames.at(stream.frame, [sample.stamp_ns])
+        if not bool(known.all()):
+            self.problems.append(
+                f"stream {stream.name}: the pose of {stream.frame!r} is not known at {sample.stamp_ns}"
+            )
+            return None
+        common = {
+            "within": self._within,
+            "bounds": self._within,
+            "stamp": sample.stamp_ns / 1e9,
+            "memory": memory,
+            "generator": self._generator,
+        }
+        try:
+            if stream.kind == "points":
+                return self._cloud(sample, pose[0].float(), common)
+            return self._depth(stream, sample, pose[0].float(), common)
+        except UsageError:
+            raise
+        except ValueError as error:
+            self.problems.append(f"stream {stream.name}: a picture is left out: {error}")
+            return None
+
+    def _cloud(self, sample: Sample, world_T_camera: Float[Tensor, "4 4"], common: dict[str, object]) -> View:
+        points = torch.tensor(sample.values["points"])
+        color = sample.values["color"]
+        colors = None if color is None else torch.tensor(color)
+        if points.shape[0] == 1:
+            points = points[0]
+            colors = None if colors is None else colors[0]
+        return cloud_observation(points, world_T_camera, self._settings, colors=colors, **common)  # type: ignore[arg-type]
+
+    def _depth(
+        self, stream: Stream, sample: Sample, world_T_camera: Float[Tensor, "4 4"], common: dict[str, object]
+    ) -> View:
+        name = str(stream.about.get("camera", ""))
+        if name not in self._cameras:
+            listed = ", ".join(self._cameras) or "none"
+            raise UsageError(
+                f"Expected the intrinsics of {stream.name}: name its CameraInfo topic as `camera` in the mapping, and "
+                f"give that topic the role camera; the log has those of {listed}"
+            )
+        camera = self._cameras[name].values
+        image = sample.values["depth"]
+        assert image is not None and camera["intrinsics"] is not None and camera["distortion"] is not None
+        unit = float(stream.about.get("unit_m", 0.001)) if stream.kind == "depth16" else 1.0
+        settings = replace(self._settings, unit=unit, distortion=tuple(float(k) for k in camera["distortion"]))
+        intrinsics = torch.tensor(camera["intrinsics"]).float()
+        return view_observation(
+            np.asarray(image),
+            intrinsics,
+            world_T_camera,
+            settings,
+            color=self._color(sample),
+            **common,  # type: ignore[arg-type]
+        )
+
+    def _color(self, sample: Sample) -> Tensor | None:
+        """The colour image nearest in time, if colours are asked for."""
+        if self._settings.segmentation != "color" or not self._colors:
+            return None
+        nearest = min(self._colors, key=lambda one: abs(one.stamp_ns - sample.stamp_ns))
+        return torch.tensor(nearest.values["color"])

@@ -1,0 +1,9 @@
+"""Recorded sensor streams and readings in one HDF5 file; `scripts/docs/logs.md` describes it.
+
+`columns` says what a row of each table holds, `table` how rows lie in the file, `writer` and `reader` are what others
+use. h5py is loaded by these two alone.
+"""
+
+from sensors.log.errors import LogError
+
+__all__ = ["LogError"]

@@ -1,0 +1,5 @@
+"""What can be wrong with a log."""
+
+
+class LogError(ValueError):
+    """A log cannot be read or written: the message says what came, what was expected and what to do."""

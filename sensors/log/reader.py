@@ -1,0 +1,263 @@
+"""Reads a log: also one that still grows, was killed, was cut short or is damaged here and there."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from sensors.log.as_closed import AsClosed
+from sensors.log.columns import KINDS, STAMPS, reading_columns, reading_of
+from sensors.log.errors import LogError
+from sensors.log.table import Row, Table
+from sensors.log.writer import FORMAT, SCHEMA, Odd
+from sensors.reading import Reading
+
+
+@dataclass(frozen=True)
+class Taken:
+    """What a run took in with one step.
+
+    Attributes:
+        reading: as the belief got it.
+        control: (A,), the action that led here; None for the first view.
+        truth: (4, 4), true world_T_object, None where unknown.
+        digest: SHA-256 of the belief after it, None where none was kept.
+    """
+
+    reading: Reading
+    control: Float[Tensor, "A"] | None
+    truth: Float[Tensor, "4 4"] | None
+    digest: bytes | None
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One row of a raw stream.
+
+    Attributes:
+        stamp_ns: ns since 1970, by the sensor's clock; where that was not set, of its receipt.
+        received_ns: ns since 1970, of its receipt.
+        odd: what is odd about the stamp.
+        values: the kind's columns.
+    """
+
+    stamp_ns: int
+    received_ns: int
+    odd: Odd
+    values: Row
+
+
+class Stream:
+    """One raw stream of a log.
+
+    Attributes:
+        name: of the stream.
+        kind: one of `KINDS`.
+        frame: that its numbers are in.
+        about: its further attributes.
+        problems: what was wrong with it, as far as it was read.
+    """
+
+    def __init__(self, name: str, group: h5py.Group) -> None:
+        self.name = name
+        attrs = {key: group.attrs[key] for key in group.attrs}
+        self.kind, self.frame = str(attrs.pop("kind", "")), str(attrs.pop("frame", ""))
+        if self.kind not in KINDS:
+            raise LogError(f"Stream {name} is of a kind that this rumi does not know, {self.kind!r}: update rumi")
+        attrs.pop("columns", None)
+        self.about: dict[str, Any] = {key: json.loads(value) for key, value in attrs.items()}
+        self._table = Table(group)
+        needed = {column.name for column in (*STAMPS, *KINDS[self.kind]) if not column.optional}
+        if lacking := sorted(needed - {column.name for column in self._table.columns}):
+            raise LogError(f"Expected stream {name} of kind {self.kind} to hold {lacking[0]}, found none")
+        self.problems: list[str] = []
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    def as_recorded(self) -> Iterator[Sample]:
+        """All rows that can be read, in the order in which they came."""
+        for _, row in self._table.rows():
+            stamp, received, odd = (int(_need(row, column.name)) for column in STAMPS)
+            values = {name: value for name, value in row.items() if name not in {column.name for column in STAMPS}}
+            yield Sample(stamp, received, Odd(odd), values)
+        self.problems = [f"stream {self.name}: {_those(self._table.damaged)}"] if self._table.damaged else []
+
+    def samples(self) -> list[Sample]:
+        """The rows that a belief is made from: in the order of their stamps, without duplicates and future stamps."""
+        good = [sample for sample in self.as_recorded() if not sample.odd & (Odd.DUPLICATE | Odd.FUTURE)]
+        return sorted(good, key=lambda sample: sample.stamp_ns)
+
+
+class Log:
+    """A log, open for reading; use as a context manager.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        LogError: there is no such file, it is no log, or a newer rumi wrote it.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise LogError(f"There is no log {self.path}")
+        self._file = _opened(self.path)
+        try:
+            self._read_head()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _read_head(self) -> None:
+        try:
+            attrs = self._file.attrs
+            form, schema = attrs.get("format"), attrs.get("schema")
+            if form != FORMAT:
+                raise LogError(f"{self.path} is no log of rumi: expected its attribute format to be {FORMAT!r}")
+            if not isinstance(schema, int | np.integer) or schema > SCHEMA:
+                raise LogError(
+                    f"{self.path} was written by a newer rumi (schema {schema}, this one reads {SCHEMA}): update rumi"
+                )
+            self.schema = int(schema)
+            about = self._file.get("about")
+            self.texts = {name: _text(about[name]) for name in about} if about is not None else {}
+        except (OSError, KeyError, ValueError) as error:
+            if isinstance(error, LogError):
+                raise
+            raise LogError(f"{self.path} is damaged at its head, and nothing of it can be read: {error}") from error
+        self.problems: list[str] = []
+        try:
+            self._end: dict[str, Any] | None = json.loads(_text(self._file["end"]) or "null")
+        except (OSError, KeyError, ValueError):  # a kill may have caught it being written
+            self._end = None
+        if self._end is None:
+            self.problems.append("the log was not finished: what had been written is there")
+        self.streams = self._found_streams()
+
+    def _found_streams(self) -> dict[str, Stream]:
+        found: dict[str, Stream] = {}
+        groups: list[str] = []
+        try:
+            self._file["streams"].visititems(lambda name, item: groups.append(name) if "kind" in item.attrs else None)
+        except (OSError, KeyError, RuntimeError) as error:
+            self.problems.append(f"the streams cannot be listed: {error}")
+        for name in groups:
+            try:
+                found[name] = Stream(name, self._file[f"streams/{name}"])
+            except (LogError, OSError) as error:
+                self.problems.append(str(error))
+        return found
+
+    @property
+    def end(self) -> Mapping[str, Any] | None:
+        """How it ended; None for a log that was not finished."""
+        return self._end
+
+    @property
+    def settings(self) -> dict[str, Any] | None:
+        """Of the run that made it, as plain values; None where none did.
+
+        Raises:
+            LogError: they are damaged.
+        """
+        try:
+            return dict(json.loads(self.texts["settings"])) if "settings" in self.texts else None
+        except ValueError as error:
+            raise LogError(f"{self.path} has damaged settings: {error}") from error
+
+    def stream(self, name: str) -> Stream:
+        """A stream by name.
+
+        Raises:
+            LogError: there is none; the message lists those that there are.
+        """
+        if name not in self.streams:
+            raise LogError(f"{self.path} has no stream {name!r}; it has {', '.join(sorted(self.streams)) or 'none'}")
+        return self.streams[name]
+
+    def taken(self) -> list[Taken]:
+        """What the run took in, step by step, up to the first row that is damaged; `problems` says if one was.
+
+        Raises:
+            LogError: the readings are of a newer rumi, or are not there.
+        """
+        try:
+            table = Table(self._file["readings"])
+        except KeyError:
+            raise LogError(f"{self.path} is damaged: its readings are gone") from None
+        known = {column.name for column in reading_columns("f4")}
+        if wrong := sorted({column.name for column in table.columns} - known):
+            raise LogError(f"{self.path} has readings with {wrong[0]}, which this rumi does not know: update rumi")
+        found: list[Taken] = []
+        for index, row in table.rows():
+            if index != len(found):
+                break  # a belief cannot go on without what came in between
+            try:
+                found.append(_taken(row))
+            except ValueError as error:
+                raise LogError(f"{self.path} holds no usable reading at step {index}: {error}") from error
+        if len(found) < len(table):
+            self.problems.append(
+                f"reading {len(found)} of {len(table)} is damaged: those before it are there, later ones are not used"
+            )
+        return found
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _opened(path: Path) -> h5py.File:
+    """The file; one that grows, was killed or was cut short as if it had been closed."""
+    try:
+        return h5py.File(path, "r")
+    except (OSError, ValueError) as error:
+        first = error
+    try:
+        return h5py.File(AsClosed(path), "r")
+    except (OSError, ValueError):
+        raise LogError(f"{path} is no HDF5 file, or is damaged at its head: {first}") from first
+
+
+def _taken(row: Row) -> Taken:
+    control, truth, digest = (row.get(name) for name in ("control", "truth", "digest"))
+    return Taken(
+        reading_of({name: value for name, value in row.items() if name.startswith("reading/")}),
+        None if control is None else torch.from_numpy(control.copy()),
+        None if truth is None else torch.from_numpy(truth.copy()),
+        None if digest is None else digest.tobytes(),
+    )
+
+
+def _need(row: Row, name: str) -> np.ndarray:
+    value = row[name]
+    if value is None:
+        raise LogError(f"Expected a value for {name}, found none")
+    return value
+
+
+def _text(dataset: h5py.Dataset) -> str:
+    return bytes(dataset[:]).decode()
+
+
+def _those(rows: list[int]) -> str:
+    shown = ", ".join(map(str, rows[:5])) + (", ..." if len(rows) > 5 else "")
+    return f"{len(rows)} row{'s are' if len(rows) > 1 else ' is'} damaged and left out ({shown})"

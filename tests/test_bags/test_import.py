@@ -1,0 +1,281 @@
+"""What is in a bag is in the log, whatever is wrong with other parts of it."""
+
+import re
+import zlib
+
+import numpy as np
+import pytest
+import torch
+
+from rumi import cli
+from rumi.bags.bag import import_bag
+from rumi.bags.mapping import mapping_of
+from rumi.cli import main
+from rumi.errors import UsageError
+from sensors.log.reader import Log
+from sensors.log.writer import Odd
+
+ALL = """
+schema = 1
+[topics]
+"/cloud" = "cloud"
+"/depth" = { role = "depth", camera = "/info" }
+"/metres" = "depth"
+"/color" = "color"
+"/info" = "camera"
+"/wrench" = { role = "wrench", frame = "wrist" }
+"/joints" = "joints"
+"/touched" = "contact"
+[frames]
+world = "base"
+tool = "hand"
+[scene]
+builtin = "mug"
+within = [[0, 0, 0], [1, 1, 1]]
+"""
+
+
+@pytest.fixture
+def mapping():
+    return mapping_of(ALL)
+
+
+def wrenches(bags, folder, stamps, received=None, **options):
+    maker = bags.Maker(folder, **options)
+    for index, at in enumerate(stamps):
+        came = bags.START + (index if received is None else received[index]) * bags.SECOND
+        stamp = bags.START + at * bags.SECOND if at is not None else 0
+        maker.wrench("/wrench", stamp, "sensor", np.full(6, float(index)), received=came)
+    return maker.close()
+
+
+@pytest.mark.parametrize("mcap", [True, False])
+def test_every_kind_of_message(bags, tmp_path, mapping, mcap):
+    draw = np.random.default_rng(0)
+    points = draw.random((4, 6, 3), np.float32)
+    points[0, 0] = np.nan
+    colors = draw.integers(0, 256, (4, 6, 3), dtype=np.uint8)
+    depth = draw.integers(0, 5000, (5, 7), dtype=np.uint16)
+    metres = draw.random((5, 7), np.float32)
+    at = bags.START
+    maker = bags.Maker(tmp_path / "bag", mcap=mcap)
+    maker.cloud("/cloud", at, "camera", points, colors=colors)
+    maker.cloud("/cloud", at + 1, "camera", points.reshape(-1, 3))
+    maker.image("/depth", at, "camera", depth, "16UC1")
+    maker.image("/metres", at, "camera", metres, "32FC1")
+    maker.image("/color", at, "camera", colors, "bgr8")
+    maker.camera_info("/info", at, "camera", np.arange(9.0), (5, 7))
+    maker.wrench("/wrench", at, "sensor", np.arange(6.0))
+    maker.joints("/joints", at, ["a", "b"], [1.0, 2.0], effort=[3.0, 4.0])
+    maker.joints("/joints", at + 1, ["b"], [5.0])
+    maker.flag("/touched", at + 7, True)
+    pose = torch.tensor([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
+    maker.tf(at, "base", "hand", pose)
+    maker.tf(at, "base", "eye/left", pose, topic="/tf_static")
+    file = maker.close()
+    done = import_bag(file, mapping, tmp_path / "log.h5")
+    assert done.problems == [] and done.lost == {}
+    with Log(tmp_path / "log.h5") as log:
+        assert log.problems == []
+        kinds = {name: stream.kind for name, stream in log.streams.items()}
+        assert kinds == {
+            "cloud": "points", "depth": "depth16", "metres": "depth", "color": "color", "info": "camera",
+            "wrench": "wrench", "joints": "joints", "touched": "contact", "tf/base/hand": "pose",
+            "tf/base/eye_left/static": "pose",
+        }  # fmt: skip
+        first, second = log.stream("cloud").samples()
+        assert np.array_equal(first.values["points"], points, equal_nan=True)
+        assert np.array_equal(first.values["color"], colors)
+        assert second.values["points"].shape == (1, 24, 3) and second.values["color"] is None
+        assert log.stream("cloud").frame == "camera"
+        assert np.array_equal(log.stream("depth").samples()[0].values["depth"], depth)
+        assert log.stream("depth").about["unit_m"] == 0.001 and log.stream("depth").about["camera"] == "info"
+        assert np.array_equal(log.stream("metres").samples()[0].values["depth"], metres)
+        assert np.array_equal(log.stream("color").samples()[0].values["color"], colors[..., ::-1])
+        info = log.stream("info").samples()[0].values
+        assert np.array_equal(info["intrinsics"], np.arange(9.0).reshape(3, 3))
+        assert info["size"].tolist() == [5, 7]
+        wrench = log.stream("wrench").samples()[0]
+        assert wrench.values["force"].tolist() == [0, 1, 2] and wrench.values["torque"].tolist() == [3, 4, 5]
+        assert log.stream("wrench").frame == "wrist"
+        joints = [one.values for one in log.stream("joints").samples()]
+        assert log.stream("joints").about["names"] == ["a", "b"]
+        assert np.array_equal(joints[1]["position"], [np.nan, 5.0], equal_nan=True)
+        assert joints[0]["effort"].tolist() == [3, 4] and np.isnan(joints[0]["velocity"]).all()
+        (touched,) = log.stream("touched").samples()
+        assert touched.stamp_ns == at + 7 and touched.odd == Odd.UNSET
+        hand = log.stream("tf/base/hand")
+        np.testing.assert_allclose(hand.samples()[0].values["pose"], pose, atol=1e-12)
+        assert hand.about == {"topic": "/tf", "parent": "base", "child": "hand", "static": False}
+
+
+def test_the_map_stays_with_the_log(bags, tmp_path, mapping):
+    import_bag(wrenches(bags, tmp_path / "bag", [0, 1]), mapping, tmp_path / "log.h5")
+    with Log(tmp_path / "log.h5") as log:
+        assert log.texts["map"] == ALL
+        assert log.texts["bag"] == "bag.mcap"
+        assert log.settings is None
+
+
+def test_odd_stamps(bags, tmp_path, mapping):
+    stamps = [0, 2, 1, 2, 60, 5, None]
+    file = wrenches(bags, tmp_path / "bag", stamps, received=[0, 2, 3, 4, 5, 6, 7])
+    done = import_bag(file, mapping, tmp_path / "log.h5")
+    assert done.odd == {"wrench": {"late": 1, "duplicate": 1, "future": 1, "unset": 1}}
+    with Log(tmp_path / "log.h5") as log:
+        stream = log.stream("wrench")
+        assert [one.values["force"][0] for one in stream.as_recorded()] == list(range(7))
+        assert [one.values["force"][0] for one in stream.samples()] == [0, 2, 1, 5, 6]
+
+
+def big(bags, folder, rows=24, **options):
+    """A bag of several chunks of messages that do not compress."""
+    maker = bags.Maker(folder, **options)
+    for index in range(rows):
+        points = np.random.default_rng(index).random((20000, 3), np.float32)
+        maker.cloud("/cloud", bags.START + index, "camera", points)
+    return maker.close(), rows
+
+
+def check_big(path, least, most):
+    with Log(path) as log:
+        samples = log.stream("cloud").samples()
+        assert least <= len(samples) <= most
+        for one in samples:
+            index = int(one.stamp_ns % 10**9)
+            expected = np.random.default_rng(index).random((20000, 3), np.float32)
+            assert np.array_equal(one.values["points"][0], expected), index
+        return len(samples)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_of_a_bag_that_was_cut_short_the_start_is_kept(bags, tmp_path, mapping, packed):
+    file, rows = big(bags, tmp_path / "bag", packed=packed)
+    data = file.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: int(0.6 * len(data))])
+    done = import_bag(cut, mapping, tmp_path / "log.h5")
+    kept = check_big(tmp_path / "log.h5", int(0.6 * rows) - 2, int(0.6 * rows) + 1)
+    assert done.rows == {"cloud": kept}
+    assert any("cut short" in problem or "left out" in problem for problem in done.problems)
+
+
+def with_checksums(data: bytes) -> bytearray:
+    """Give the chunks of an uncompressed MCAP file the checksums that rosbags leaves out."""
+    made, at = bytearray(data), 8
+    while at < len(made) - 8:
+        size = int.from_bytes(made[at + 1 : at + 9], "little")
+        if made[at] == 0x06:
+            records = made[at + 9 + 40 : at + 9 + size]
+            made[at + 9 + 24 : at + 9 + 28] = zlib.crc32(records).to_bytes(4, "little")
+        at += 9 + size
+    return made
+
+
+@pytest.mark.parametrize("kind", ["plain", "checksums", "packed"])
+def test_of_a_damaged_bag_the_rest_is_kept(bags, tmp_path, mapping, kind):
+    """Without checksums damage shows only where it hits what is not a number."""
+    file, rows = big(bags, tmp_path / "bag", packed=kind == "packed")
+    data = bytearray(file.read_bytes())
+    middle = len(data) // 2
+    if kind == "plain":
+        middle = data.index(b"camera\0", middle) - 4
+    elif kind == "checksums":
+        data = with_checksums(data)
+    else:
+        middle = data.index(bytes.fromhex("28b52ffd"), middle)
+    data[middle : middle + 64] = bytes(range(100, 164))
+    file.write_bytes(data)
+    done = import_bag(file, mapping, tmp_path / "log.h5")
+    kept = check_big(tmp_path / "log.h5", rows - 5, rows - 1)
+    if kind == "plain":
+        assert done.lost["/cloud"][0] == rows - kept
+    else:
+        assert any("left out" in problem for problem in done.problems)
+
+
+def test_messages_that_make_no_sense_are_counted(bags, tmp_path, mapping):
+    maker = bags.Maker(tmp_path / "bag")
+    maker.wrench("/wrench", bags.START, "sensor", np.zeros(6))
+    maker.raw("/wrench", b"\x00\x01\x00\x00short", bags.START + 1)
+    maker.wrench("/wrench", bags.START + 2, "sensor", np.ones(6))
+    maker.image("/metres", bags.START, "camera", np.zeros((2, 2, 3), np.uint8), "rgb8")
+    done = import_bag(maker.close(), mapping, tmp_path / "log.h5")
+    assert done.rows == {"wrench": 2}
+    assert done.lost["/wrench"][0] == 1
+    assert "expected an image of role depth, got the encoding rgb8" in done.lost["/metres"][1]
+
+
+def test_topics_that_are_missing_are_named(bags, tmp_path, mapping):
+    file = wrenches(bags, tmp_path / "bag", [0, 1])
+    done = import_bag(file, mapping, tmp_path / "log.h5")
+    (problem,) = done.problems
+    assert problem.startswith("the bag has no /cloud, /depth, /metres")
+    assert "its topics are /wrench (geometry_msgs/msg/WrenchStamped)" in problem
+    other = mapping_of(ALL.replace('"/wrench"', '"/force"'))
+    with pytest.raises(UsageError, match=r"found none; its topics are /wrench \(geometry_msgs"):
+        import_bag(file, other, tmp_path / "none.h5")
+    assert not (tmp_path / "none.h5").exists()
+
+
+def test_a_type_that_does_not_suit_its_role_is_named(bags, tmp_path):
+    file = wrenches(bags, tmp_path / "bag", [0])
+    wrong = mapping_of(ALL.replace('role = "wrench"', 'role = "cloud"'))
+    with pytest.raises(UsageError, match=r"Expected /wrench .*WrenchStamped.* to be wrench, got cloud"):
+        import_bag(file, wrong, tmp_path / "log.h5")
+    assert not list(tmp_path.glob("log*"))
+
+
+def test_what_is_no_bag_is_named(tmp_path, mapping):
+    with pytest.raises(UsageError, match="There is no bag"):
+        import_bag(tmp_path / "none.mcap", mapping, tmp_path / "log.h5")
+    for name in ("bad.mcap", "bad.db3"):
+        (tmp_path / name).write_text("not a bag, but long enough to have been one" * 10)
+        with pytest.raises(UsageError, match="found none"):
+            import_bag(tmp_path / name, mapping, tmp_path / "log.h5")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UsageError, match=r"found no \.mcap"):
+        import_bag(tmp_path / "empty", mapping, tmp_path / "log.h5")
+    assert not list(tmp_path.glob("log*"))
+
+
+def test_a_folder_without_its_metadata_is_read(bags, tmp_path, mapping):
+    file = wrenches(bags, tmp_path / "bag", [0, 1, 2])
+    assert import_bag(file.parent, mapping, tmp_path / "whole.h5").rows == {"wrench": 3}
+    (file.parent / "metadata.yaml").unlink()
+    assert import_bag(file.parent, mapping, tmp_path / "log.h5").rows == {"wrench": 3}
+
+
+def test_the_command(bags, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "map.toml").write_text(ALL)
+    wrenches(bags, tmp_path / "bag", [0, 1, 1])
+    assert main(["import", "bag/bag.mcap", "--map", "map.toml"]) == cli.NOT_CONVERGED
+    said = capsys.readouterr()
+    assert "bag.h5: 3 rows of 1 streams" in said.out and "(1 duplicate)" in said.out
+    assert "the bag has no /cloud" in said.err
+    (tmp_path / "few.toml").write_text(re.sub(r'"/(cloud|depth|metres|color|info|joints|touched)" .*\n', "", ALL))
+    assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == cli.DONE
+    assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == cli.BAD_INPUT
+    assert "few.h5 exists" in capsys.readouterr().err
+    assert main(["import", "bag/bag.mcap", "--map", "none.toml"]) == cli.BAD_INPUT
+    assert "Cannot read the mapping none.toml" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("schema = 1", "schema = 2"), "Expected schema = 1 .*, got 2: a newer one needs a newer rumi"),
+        (("schema = 1", ""), "Expected schema = 1"),
+        (("[scene]", "[scenery]"), r"no table \[scenery\]"),
+        (('world = "base"', ""), "world"),
+        (('"/cloud" = "cloud"', '"/cloud" = "clown"'), "clown"),
+        (("within = [[0, 0, 0], [1, 1, 1]]", "within = [[0, 0, 0], [1, 0, 1]]"), "a lower and an upper corner"),
+        (("builtin", "buildin"), "no setting scene.buildin; there are"),
+        (("[frames]", "[frames"), "is no TOML"),
+    ],
+)
+def test_mappings_that_are_wrong_are_named(change, message):
+    assert change[0] in ALL
+    with pytest.raises(UsageError, match=message):
+        mapping_of(ALL.replace(*change))

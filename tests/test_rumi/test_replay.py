@@ -1,0 +1,211 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from rumi import cli
+from rumi.belief.particles import PoseBelief
+from rumi.cli import main
+from rumi.logbook import digest
+from rumi.recording import load_run
+from rumi.replay_command import changes
+
+pytest.importorskip("h5py")
+
+import h5py
+
+from sensors.log.reader import Log
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+SMALL = ("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12")
+STEPS = 6
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def at_home(tmp_path, monkeypatch, cache):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RUMI_CACHE", str(cache))
+    monkeypatch.delenv("RUMI_DEBUG", raising=False)
+
+
+def record(folder, task="mug-0", *more):
+    """A short run that touches the object: slide goes straight to it."""
+    asked = ["run", task, "--method", "slide", "--seed", "3", "--steps", str(STEPS), "--no-figures", "--record"]
+    return main([*asked, "--out", str(folder), *SMALL, *more])
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory, cache):
+    """A recorded run with contacts."""
+    folder = tmp_path_factory.mktemp("recorded") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RUMI_CACHE", str(cache))
+        assert record(folder) in (cli.DONE, cli.NOT_CONVERGED)
+    assert load_run(folder).result.contacts > 0
+    return folder
+
+
+def said_of_beliefs(capsys):
+    return next(line for line in capsys.readouterr().out.splitlines() if line.strip().startswith("belief"))
+
+
+@pytest.mark.sim
+def test_a_replay_gives_the_recorded_beliefs_bit_for_bit(recorded, capsys):
+    code = main(["replay", str(recorded), "--out", "again"])
+    assert "the recorded one, bit for bit, after each of" in said_of_beliefs(capsys)
+    live, again = load_run(recorded), load_run("again")
+    assert code == (cli.DONE if live.result.stopped_by == "converged" else cli.NOT_CONVERGED)
+    assert len(again.steps) == len(live.steps)
+    for ours, theirs in zip(again.steps, live.steps, strict=True):
+        for name in ("world_T_attached", "attached_T_object", "log_weights", "discrepancy"):
+            assert torch.equal(getattr(ours.belief, name), getattr(theirs.belief, name)), (ours.step, name)
+        assert ours.nll == theirs.nll
+        assert ours.contacts == theirs.contacts
+        if ours.step:
+            assert torch.equal(ours.control, theirs.control)
+    assert (recorded / "belief.npz").read_bytes() == Path("again/belief.npz").read_bytes()
+    assert replace(again.result, timings_s={}) == replace(live.result, timings_s={})
+
+
+@pytest.mark.sim
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["shelf-mug", "shelf-box"])
+def test_replays_of_other_sensing_are_the_same_too(task, capsys):
+    """Motion that is estimated, a camera that looks again, and no camera at all."""
+    options = () if task == "shelf-mug" else ("--method", "rumi", "--planner.mppi.samples", "8")
+    record("run", task, *options)
+    main(["replay", "run"])
+    assert "bit for bit" in said_of_beliefs(capsys)
+
+
+@pytest.mark.sim
+@pytest.mark.slow
+def test_double_precision_is_recorded_as_it_is(capsys):
+    record("run", "mug-0", "--dtype", "float64", "--steps", "2")
+    main(["replay", "run"])
+    assert "bit for bit" in said_of_beliefs(capsys)
+    main(["replay", "run", "--dtype", "float32"])
+    assert "differs from the recorded one from the first view on (dtype changed)" in said_of_beliefs(capsys)
+
+
+@pytest.mark.sim
+def test_other_settings_give_what_would_have_been(recorded, capsys):
+    main(["replay", str(recorded), "--filter.peakiness", "0.5", "--out", "what-if"])
+    assert "differs from the recorded one from the first view on (filter.peakiness changed)" in said_of_beliefs(capsys)
+    settings = json.loads(Path("what-if/settings.json").read_text())
+    assert settings["filter"]["peakiness"] == 0.5
+    assert len(load_run("what-if").steps) > 1
+    main(["replay", str(recorded), "--planner.mppi.samples", "9", "--steps", "2"])
+    said = capsys.readouterr()
+    assert "planner.mppi.samples: no effect, since what was done is recorded" in said.err
+    assert "after each of 3 readings" in said.out
+
+
+@pytest.mark.sim
+@pytest.mark.slow
+def test_a_replay_draws_figures_where_asked(recorded):
+    main(["replay", str(recorded), "--steps", "1", "--out", "seen", "--figures"])
+    assert list(Path("seen/figures").glob("*.png"))
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--simulator.mini-steps", "5"], "Expected simulator as it was recorded"),
+        (["mug-1"], "Expected task as it was recorded|unrecognized|Unrecognized"),
+        (["--figures"], "Expected --out DIR with --figures"),
+        (["--filter.peakyness", "1"], "did you mean --filter.peakiness"),
+    ],
+)
+def test_what_a_replay_cannot_do_is_named(recorded, arguments, message, capsys):
+    import re
+
+    assert main(["replay", str(recorded), *arguments]) == cli.BAD_INPUT
+    said = capsys.readouterr()
+    assert re.search(message, said.err + said.out)
+
+
+def test_what_is_no_log_is_named(capsys, tmp_path):
+    assert main(["replay"]) == cli.BAD_INPUT
+    assert "Which log?" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert main(["replay", "empty"]) == cli.BAD_INPUT
+    assert "it was not recorded; `rumi run --record` does" in capsys.readouterr().err
+    assert main(["replay", "none.h5"]) == cli.BAD_INPUT
+    assert "There is no log none.h5" in capsys.readouterr().err
+    with h5py.File("log.h5", "w") as file:
+        file["a"] = [1]
+    assert main(["replay", "log.h5"]) == cli.BAD_INPUT
+    assert "is no log of rumi" in capsys.readouterr().err
+
+
+def test_replay_has_help(capsys):
+    assert main(["replay", "--help"]) == cli.DONE
+    said = capsys.readouterr().out
+    assert "rumi replay LOG" in said or "LOG" in said
+    assert "--filter.peakiness" in said
+
+
+@pytest.mark.sim
+def test_the_settings_of_a_log_that_another_rumi_wrote_are_checked(recorded, capsys, tmp_path):
+    path = tmp_path / "log.h5"
+    path.write_bytes((recorded / "log.h5").read_bytes())
+    with Log(path) as log:
+        settings = log.settings | {"mood": "good"}
+    with h5py.File(path, "r+") as file:
+        del file["about/settings"]
+        file["about/settings"] = np.frombuffer(json.dumps(settings).encode(), np.uint8)
+    assert main(["replay", str(path)]) == cli.BAD_INPUT
+    assert "There is no setting mood" in capsys.readouterr().err
+
+
+@pytest.mark.sim
+@pytest.mark.slow
+def test_a_run_that_was_killed_is_replayed_up_to_there(cache, capsys):
+    command = [sys.executable, "-m", "rumi", "run", "mug-0", "--method", "slide", "--no-figures", "--record"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "RUMI_CACHE": str(cache)}
+    running = subprocess.Popen([*command, "--stop.rule", "never", "--out", "run", *SMALL], env=environment)
+    log = Path("run/log.h5")
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and running.poll() is None:
+        time.sleep(0.05)
+        try:
+            with Log(log) as reading:
+                if len(reading.taken()) > 3:
+                    break
+        except ValueError:
+            continue  # not there yet
+    running.send_signal(signal.SIGKILL)
+    assert running.wait() == -signal.SIGKILL
+    assert main(["replay", "run"]) == cli.NOT_CONVERGED
+    said = capsys.readouterr()
+    assert "the log was not finished: what had been written is there" in said.err
+    assert "the recorded one, bit for bit, after each of" in said.out
+
+
+def test_a_digest_tells_beliefs_apart():
+    one = PoseBelief.uniform(torch.eye(4).expand(5, 4, 4))
+    other = replace(one, log_weights=one.log_weights.double())
+    assert digest(one) == digest(PoseBelief.uniform(torch.eye(4).expand(5, 4, 4)))
+    assert digest(one) != digest(other)
+    assert digest(one) != digest(one.moved(torch.diag(torch.tensor([1.0, 1.0, 1.0, 1.0]))[[1, 0, 2, 3]]))
+
+
+def test_changes_are_named_with_dots():
+    before = {"a": 1, "b": {"c": 2, "d": [3]}, "e": 5}
+    assert changes(before, {"a": 1, "b": {"c": 2, "d": [4]}, "e": None}) == ["b.d", "e"]
+    assert changes(before, before) == []
