@@ -345,6 +345,5 @@ def test_neighbours_of_next_to_no_weight_share_what_is_left(dtype: torch.dtype) 
     states = torch.tensor([[0.0, 0.0], [0.3, 0.4]], dtype=dtype)
     # the one neighbour has all that the state itself has not, however little that is
     pairs = [estimate(states, torch.tensor([0.0, log_weight], dtype=dtype)) for log_weight in (-30.0, -80.0, -600.0)]
-    wanted = 2 * math.log(0.5) + math.log(math.pi) - math.log(1e-6) + float(torch.digamma(torch.tensor(1.0)))
-    wanted -= float(torch.digamma(torch.tensor(1.0)))
+    wanted = 2 * math.log(0.5) + math.log(math.pi) - math.log(1e-6)
     assert [float(found) for found in pairs] == pytest.approx([wanted] * 3, abs=1e-3)
