@@ -9,7 +9,7 @@ from rumi.errors import DegenerateBeliefError, UsageError
 
 DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-COMMANDS = ("tasks", "run", "replay", "import", "plot", "bench", "mesh", "localize", "reproduce")
+COMMANDS = ("tasks", "run", "replay", "import", "plot", "bench", "mesh", "localize", "reproduce", "stress")
 HOMES = {"import": "import_bag"}
 """Names of the functions whose commands have names that no function can have."""
 EXTRAS = {
@@ -26,6 +26,8 @@ EXTRAS = {
     "cv2": "vision",
     "h5py": "logs",
     "rosbags": "logs",
+    "mpmath": "stress",
+    "hypothesis": "stress",
 }
 """Which extra brings a package that may be missing."""
 
@@ -41,6 +43,7 @@ usage: rumi tasks                  what there is to find
        rumi mesh FILE [options]    what a triangle mesh is like, and what is wrong with it
        rumi localize MESH CONTACTS [options]   where it is, from points that were touched on it
        rumi reproduce WHAT ...     the paper's tables and figures, beside the paper's own
+       rumi stress [options]       hold the arithmetic to references of higher precision
        rumi --version
 
        rumi run --help             all settings, with their defaults

@@ -220,6 +220,13 @@ def reproduce(arguments: Sequence[str]) -> int:
     return command.reproduce(arguments, cache_dir=cache_folder())
 
 
+def stress(arguments: Sequence[str]) -> int:
+    """`rumi stress`: how far the arithmetic is off."""
+    from rumi.stress import command
+
+    return command.stress(arguments)
+
+
 def parse_run(arguments: Sequence[str]) -> RunOptions:
     """Options of `rumi run`; the settings start from the preset that is asked for.
 

@@ -15,6 +15,8 @@ from sdf.grid_sdf import GridSDF
 
 # pairs looked up at once: few enough for the caches, enough that two threads do not wait for each other all the time
 _BLOCK = 1 << 17
+# metres
+_FAR = 1e4
 
 
 def posed_distance(
@@ -23,7 +25,8 @@ def posed_distance(
     """Signed distance of every world point from the object at every pose, metres.
 
     Differentiable to poses and points. Batch axes broadcast. Works block by block, so that beside the result
-    little memory is taken unless a graph is kept. What is skipped: where no graph is needed and the object is
+    little memory is taken unless a graph is kept. Rounding counts by how far points and poses are from the first pose,
+    not from the world's origin (`about_first`). What is skipped: where no graph is needed and the object is
     upright at one height over points of one height, a tabulated SDF is looked up in the one layer that all
     pairs share, which is the same interpolation with its z step done once.
 
@@ -36,6 +39,7 @@ def posed_distance(
         ValueError: if a shape does not fit.
     """
     _check(world_T_object, points_w)
+    world_T_object, points_w = about_first(world_T_object, points_w)
     version = backend.dispatch("posed_distance", world_T_object, points_w, *sdf.buffers())
     return version(sdf, world_T_object, points_w)
 
@@ -43,6 +47,7 @@ def posed_distance(
 def posed_query(sdf: SDF, world_T_object: Float[Tensor, "*#b N 4 4"], points_w: Float[Tensor, "*#b M 3"]) -> SDFQuery:
     """The same with the gradient (*b, N, M, 3) in each object frame."""
     _check(world_T_object, points_w)
+    world_T_object, points_w = about_first(world_T_object, points_w)
     version = backend.dispatch("posed_query", world_T_object, points_w, *sdf.buffers())
     return version(sdf, world_T_object, points_w)
 
@@ -114,6 +119,23 @@ def _by_blocks(
             row.append(look_up(planes.movedim(0, -1)))
         rows.append([torch.cat(parts, dim=-1) if len(row) > 1 else parts[0] for parts in zip(*row, strict=True)])
     return [torch.cat(parts, dim=-2) if len(rows) > 1 else parts[0] for parts in zip(*rows, strict=True)]
+
+
+def about_first(
+    world_T_object: Float[Tensor, "*#b N 4 4"], points_w: Float[Tensor, "*#b M 3"]
+) -> tuple[Float[Tensor, "..."], Float[Tensor, "..."]]:
+    """Poses and points with each scene's first pose at the origin: the same question, asked where floats are finer.
+
+    Taken apart, `R^T x - R^T t` loses what x and t have in common: in float32, metres from the world's origin, more
+    than a sharp sensor model forgives. Their difference is exact or nearly so. A first pose that is not finite, or
+    farther than `_FAR`, moves nothing.
+    """
+    if world_T_object.shape[-3] == 0:
+        return world_T_object, points_w
+    first = world_T_object[..., 0, :3, 3].detach()
+    middle = torch.where(first.abs() < _FAR, first, torch.zeros_like(first))
+    shift = torch.nn.functional.pad(middle[..., None, :, None], (3, 0, 0, 1))
+    return world_T_object - shift, points_w - middle[..., None, :].to(points_w.dtype)
 
 
 def common_height(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor | None:

@@ -104,7 +104,15 @@ class ContactModel(nn.Module):
     ) -> Float[Tensor, "*#b"]:
         """Log P(signal) where there was a contact signal, log (1 - P) where there was none; never below log floor."""
         probability = self(distance)
-        return torch.where(contact, probability, 1.0 - probability).clamp_min(floor).log()
+        return torch.where(contact, probability, self._silent(distance)).clamp_min(floor).log()
+
+    def _silent(self, distance: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """1 - P(contact signal) (*b), not as a difference from 1, of which little is left where a signal is sure."""
+        missed, gap = (1.0 - self.true_positive).to(distance), (self.true_positive - self.false_positive).to(distance)
+        if not self.smooth:
+            tolerance = self.tolerance.to(distance)
+            return torch.where(distance <= tolerance, missed, (1.0 - self.false_positive).to(distance))
+        return missed - gap * torch.expm1(-self.decay.to(distance) * distance.clamp_min(0.0))
 
 
 def robot_distance(

@@ -30,11 +30,13 @@ def semantics_probability(
         tolerance: metres within which a point counts as surface for sure.
     """
     excess = (distance.abs() - tolerance).clamp_min(0.0)
+    # each by itself: of a difference from 1 little would be left where one of them is small
+    surface = torch.exp(-sharpness * excess)
     off_surface = -torch.expm1(-sharpness * excess)
     outside = distance > 0
     zero = torch.zeros_like(off_surface)
     return torch.stack(
-        (torch.where(outside, off_surface, zero), torch.where(outside, zero, off_surface), 1.0 - off_surface),
+        (torch.where(outside, off_surface, zero), torch.where(outside, zero, off_surface), surface),
         dim=-1,
     )
 

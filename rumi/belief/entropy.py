@@ -164,14 +164,16 @@ class NeighbourEntropy:
     def __call__(self, states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"]) -> Float[Tensor, "*b"]:
         """Entropy of each set."""
         check_shape("states", states, "(*b, N, D)", last=(self.metric.dims,))
-        dims = self.metric.dims
+        dims, dtype = self.metric.dims, states.dtype
+        # in float64: weights of 1e-300 are weights, and of a state that has nearly all the others' share is divided by
+        states, log_weights = states.double(), log_weights.double()
         unique = merged(states, log_weights, self.metric)
         near = neighbours(states, unique, self.metric, self.neighbours, include_self=False)
         weights = unique.log_weights.exp()
         tiny = torch.finfo(states.dtype).tiny
         k = near.used.clamp_min(1).to(states.dtype)
         effective = 1.0 / weights.square().sum(-1)
-        log_share = near.mass.clamp_min(tiny).log() - (1.0 - weights).clamp_min(tiny).log()
+        log_share = near.mass.clamp_min(tiny).log() - _others(weights).clamp_min(tiny).log()
         alone = near.used == 0
         log_share = torch.where(alone[..., None], 0.0, log_share)
         each = dims * near.distance.clamp_min(self.floor).log() - log_share
@@ -180,7 +182,14 @@ class NeighbourEntropy:
         counted = torch.where(alone, 0.0, torch.digamma(size) - (size - 1.0).log() + k.log() - torch.digamma(k))
         ball = 0.5 * dims * math.log(math.pi) - math.lgamma(0.5 * dims + 1.0)
         scale = sum(math.log(s) for s in self.metric.scales)
-        return torch.where(unique.first, weights * each, 0.0).sum(-1) + counted + ball + scale
+        return (torch.where(unique.first, weights * each, 0.0).sum(-1) + counted + ball + scale).to(dtype)
+
+
+def _others(weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b N"]:
+    """Weight of all but each state: 1 less its own, of the heaviest the sum of the rest, which may be far below 1."""
+    heaviest = torch.zeros_like(weights).scatter(-1, weights.argmax(-1, keepdim=True), 1.0) > 0
+    rest = torch.where(heaviest, 0.0, weights).sum(-1, keepdim=True)
+    return torch.where(heaviest, rest, 1.0 - weights)
 
 
 @dataclass(frozen=True)

@@ -18,16 +18,13 @@ class BinaryOutcome(NamedTuple):
         contact: (*b), probability that the reading says contact.
         entropy: (*b), of the weights before, nats.
         expected: (*b), of the weights after, expected over both outcomes, nats.
+        gain: (*b), mutual information of reading and state, nats: the difference of the two.
     """
 
     contact: Float[Tensor, "*b"]
     entropy: Float[Tensor, "*b"]
     expected: Float[Tensor, "*b"]
-
-    @property
-    def gain(self) -> Float[Tensor, "*b"]:
-        """Mutual information of reading and state; 0 or more."""
-        return self.entropy - self.expected
+    gain: Float[Tensor, "*b"]
 
 
 def binary_outcome(log_weights: Float[Tensor, "*#b N"], probability: Float[Tensor, "*#b N"]) -> BinaryOutcome:
@@ -42,15 +39,24 @@ def binary_outcome(log_weights: Float[Tensor, "*#b N"], probability: Float[Tenso
     """
     log = log_weights.log_softmax(-1)
     weights = log.exp()
-    # H(post) = log Z - sum w L (log w + log L) / Z, times Z
-    total = probability.new_zeros(torch.broadcast_shapes(log.shape, probability.shape)[:-1])
+    # the gain is the mean divergence of a state's outcome from the mean one: as a difference of the two entropies,
+    # which are larger by far, it would be lost to rounding
+    shape = torch.broadcast_shapes(log.shape, probability.shape)
+    weights, probability = weights.expand(shape), probability.expand(shape)
     contact = (weights * probability).sum(-1).clamp(0.0, 1.0)
-    for likelihood, mass in ((probability, contact), (1.0 - probability, (weights * (1.0 - probability)).sum(-1))):
-        joint = weights * likelihood
-        held = joint > 0
-        inner = torch.where(held, joint * (log + torch.where(held, likelihood, 1.0).log()), 0.0).sum(-1)
-        total = total + torch.where(mass > 0, mass * torch.where(mass > 0, mass, 1.0).log() - inner, 0.0)
-    return BinaryOutcome(contact, weights_entropy(log).expand_as(total), total)
+    gain = torch.zeros_like(contact)
+    for chance in (probability, 1.0 - probability):
+        mean = (weights * chance).sum(-1, keepdim=True)
+        held = (weights * chance > 0) & (mean > 0)
+        apart = chance - mean
+        # the log of a ratio near 1 from how far it is from there, of any other as the difference of logs
+        close = held & (apart.abs() < 0.5 * mean)
+        near = torch.where(close, apart / torch.where(close, mean, 1.0), 0.0).log1p()
+        log_ratio = torch.where(close, near, torch.where(held, chance, 1.0).log() - torch.where(held, mean, 1.0).log())
+        # p log(p / q) - (p - q), of which the second part adds up to nothing
+        gain = gain + (weights * (torch.where(held, chance * log_ratio, 0.0) - apart)).sum(-1)
+    entropy = weights_entropy(log).expand_as(gain)
+    return BinaryOutcome(contact, entropy, entropy - gain, gain)
 
 
 def channel_capacity(low: float, high: float) -> float:

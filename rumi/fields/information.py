@@ -13,7 +13,7 @@ from sdf import backend, fused, savings
 from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.grid_fused import takes
-from sdf.posed import posed_distance
+from sdf.posed import about_first, posed_distance
 
 InformationMode = Literal["surrogate", "reverse_kl", "forward_kl", "sensor_mi"]
 
@@ -118,11 +118,12 @@ def information_from_distances(
     p_occupied = mean(off_surface * (distance <= 0))
     p_free = mean(off_surface * (distance > 0))
     semantics = torch.stack((p_free, p_occupied, p_surface), -1)
-    semantics = semantics / semantics.sum(-1, keepdim=True)  # weights sum to 1 up to rounding only
+    total = semantics.sum(-1)  # weights sum to 1 up to rounding only
+    semantics = semantics / total[..., None]
     if mode == "sensor_mi":
         tiny = torch.finfo(distance.dtype).tiny
         own = sharpness * excess * surface - off_surface * off_surface.clamp_min(tiny).log()
-        information = -torch.xlogy(semantics, semantics.clamp_min(tiny)).sum(-1) - mean(own)
+        information = -torch.xlogy(semantics, semantics.clamp_min(tiny)).sum(-1) - mean(own) / total
     else:
         costs = (
             free_scale * (-tolerance - distance).clamp_min(0.0),
@@ -131,7 +132,8 @@ def information_from_distances(
         )
         information = torch.zeros_like(p_free)
         for s, cost in enumerate(costs):
-            information = information + semantics[..., s] * _divergence(cost * peakiness, log_weights, mode, mean)
+            found = _divergence(cost * peakiness, log_weights, mode, lambda values: mean(values) / total)
+            information = information + semantics[..., s] * found
     return WorkspaceFields(semantics, information.clamp_min(0.0))
 
 
@@ -139,6 +141,8 @@ def _divergence(cost: Tensor, log_weights: Tensor, mode: InformationMode, mean: 
     """Information of one outcome whose negative log-likelihood under each pose is `cost` (*b, N, V)."""
     if mode == "surrogate":
         return mean(cost)
+    # what all poses have in common says nothing, and would cost digits
+    cost = cost - cost.amin(-2, keepdim=True)
     joint = log_weights[..., :, None] - cost
     log_evidence = torch.logsumexp(joint, -2)
     if mode == "reverse_kl":
@@ -179,6 +183,7 @@ def information_field(
     )
     reach = tail_distance(sharpness, surface_tolerance, tail)
     near = near_object(sdf, world_T_object, points_w, reach)  # (*b, V)
+    world_T_object, points_w = about_first(world_T_object, points_w)
     tensors = (value for value in values.values() if isinstance(value, Tensor))
     version = backend.dispatch("information_field", world_T_object, log_weights, points_w, *sdf.buffers(), *tensors)
     with savings.work("workspace_points") as work:
@@ -193,12 +198,13 @@ def _information_field(
 ) -> WorkspaceFields:
     """Fields of the points `near` (*b, V), the others free and void of information."""
     batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
-    some = near.reshape(math.prod(batch), len(points_w)).any(0).nonzero()[:, 0]
-    semantics = points_w.new_tensor([1.0, 0.0, 0.0]).expand(*batch, len(points_w), 3).clone()
-    information = points_w.new_zeros(*batch, len(points_w))
+    some = near.reshape(math.prod(batch), points_w.shape[-2]).any(0).nonzero()[:, 0]
+    shape = (*batch, points_w.shape[-2])
+    semantics = points_w.new_tensor([1.0, 0.0, 0.0]).expand(*shape, 3).clone()
+    information = points_w.new_zeros(shape)
     size = max(1, CHUNK_BYTES // (4 * 16 * max(1, math.prod(batch) * count)))
     for index in some.split(size):
-        points = points_w[index].expand(*batch, len(index), 3)
+        points = points_w[..., index, :].expand(*batch, len(index), 3)
         here = information_from_distances(posed_distance(sdf, world_T_object, points), log_weights, **values)
         kept = near[..., index]  # a scene of a batch leaves out what it would leave out alone
         semantics[..., index, :] = torch.where(kept[..., None], here.semantics, semantics[..., index, :])

@@ -26,7 +26,7 @@ def fused_fields(
 ) -> WorkspaceFields:
     """One pass over the poses for each point of `near`; the others are free and void of information."""
     batch, poses = world_T_object.shape[:-3], world_T_object.shape[-3]
-    scenes, count, dtype = math.prod(batch), len(points_w), points_w.dtype
+    scenes, count, dtype = math.prod(batch), points_w.shape[-2], points_w.dtype
     semantics = points_w.new_zeros(*batch, count, 3)
     semantics[..., 0] = 1.0
     information = points_w.new_zeros(*batch, count)
@@ -44,7 +44,7 @@ def fused_fields(
     upright, (flat, _, *rest) = table_arguments(sdf, common_height(sdf, world_T_object, points_w), dtype)
     field(
         near.reshape(-1).nonzero()[:, 0].numpy(),
-        points_w.detach().contiguous().numpy(),
+        points_w.detach().reshape(-1, 3).contiguous().numpy(),
         rows.numpy(),
         log_weights.reshape(scenes, poses).contiguous().numpy(),
         weights[:, 0].numpy(),

@@ -124,15 +124,24 @@ def _cost(v, outcome, settings):
 
 
 @fast
-def _divergence(v, log_weights, mean, outcome, reverse, settings):
-    """Information of one outcome, from the distances to all poses, their log-weights and the mean cost."""
-    kind = type(mean)
-    most = kind(-np.inf)
+def _divergence(v, log_weights, w, outcome, reverse, settings):
+    """Information of one outcome, from the distances to all poses, their log-weights and weights.
+
+    Of the costs less the least one: what all poses have in common says nothing, and would cost digits.
+    """
+    kind = type(settings[0])
+    least = kind(np.inf)
     for j in range(len(v)):
-        most = max(most, log_weights[j] - _cost(v[j], outcome, settings))
+        least = min(least, _cost(v[j], outcome, settings))
+    most = kind(-np.inf)
+    mean = kind(0.0)
+    for j in range(len(v)):
+        cost = _cost(v[j], outcome, settings) - least
+        mean += w[j] * cost
+        most = max(most, log_weights[j] - cost)
     total, weighted = kind(0.0), kind(0.0)
     for j in range(len(v)):
-        cost = _cost(v[j], outcome, settings)
+        cost = _cost(v[j], outcome, settings) - least
         share = _exp_minus(most - (log_weights[j] - cost))
         total += share
         weighted += share * cost
@@ -157,7 +166,7 @@ def _field(
     information,
 ):
     lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
-    count, poses, real = len(points), rows.shape[2], log_weights.shape[1]
+    count, poses, real = information.shape[1], rows.shape[2], log_weights.shape[1]
     kind = type(settings[0])
     none, one, tiny = kind(0.0), kind(1.0), settings[6]
     sharpness, tolerance, margin = settings[4], settings[3], settings[5]
@@ -166,7 +175,8 @@ def _field(
         for number in range(task * _STEP, min((task + 1) * _STEP, len(chosen))):
             scene, point = chosen[number] // count, chosen[number] % count
             m, w = rows[scene].reshape(-1), weights[scene]
-            x, y, z = points[point, 0], points[point, 1], points[point, 2]
+            place = chosen[number] % len(points)  # a row for each scene, or one for all
+            x, y, z = points[place, 0], points[place, 1], points[place, 2]
             if upright:
                 for j in range(poses):
                     x_o, y_o = placed_upright_from(m, poses, j, x, y)
@@ -195,18 +205,18 @@ def _field(
             total = free + occupied + surface
             free, occupied, surface = free / total, occupied / total, surface / total
             if mode == SENSOR:
-                gain = _minus_p_log_p(free, tiny) + _minus_p_log_p(occupied, tiny) + _minus_p_log_p(surface, tiny) - own
+                gain = _minus_p_log_p(free, tiny) + _minus_p_log_p(occupied, tiny) + _minus_p_log_p(surface, tiny)
+                gain -= own / total
             else:
-                if_free, if_occupied, if_surface = (
-                    if_free * settings[2],
-                    if_occupied * settings[2],
-                    if_surface * settings[1],
-                )
-                if mode != SURROGATE:
+                if mode == SURROGATE:
+                    if_free = if_free * settings[2] / total
+                    if_occupied = if_occupied * settings[2] / total
+                    if_surface = if_surface * settings[1] / total
+                else:
                     reverse, belief, found = mode == REVERSE, log_weights[scene], v[:real]
-                    if_free = _divergence(found, belief, if_free, 0, reverse, settings)
-                    if_occupied = _divergence(found, belief, if_occupied, 1, reverse, settings)
-                    if_surface = _divergence(found, belief, if_surface, 2, reverse, settings)
+                    if_free = _divergence(found, belief, w, 0, reverse, settings)
+                    if_occupied = _divergence(found, belief, w, 1, reverse, settings)
+                    if_surface = _divergence(found, belief, w, 2, reverse, settings)
                 gain = free * if_free + occupied * if_occupied + surface * if_surface
             semantics[scene, point, 0] = free
             semantics[scene, point, 1] = occupied

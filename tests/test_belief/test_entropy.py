@@ -337,3 +337,13 @@ def test_versions_agree(shape: tuple[int, int], own: bool, dtype: torch.dtype, g
     torch.testing.assert_close(found.log_weights, plain.log_weights)
     for a, b in zip(neighbours(x, found, PLANAR, 5, include_self=own), around, strict=True):
         torch.testing.assert_close(a, b)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_neighbours_of_next_to_no_weight_share_what_is_left(dtype: torch.dtype) -> None:
+    estimate = NeighbourEntropy(StateMetric.euclidean(2), 1)
+    states = torch.tensor([[0.0, 0.0], [0.3, 0.4]], dtype=dtype)
+    # the one neighbour has all that the state itself has not, however little that is
+    pairs = [estimate(states, torch.tensor([0.0, log_weight], dtype=dtype)) for log_weight in (-30.0, -80.0, -600.0)]
+    wanted = 2 * math.log(0.5) + math.log(math.pi) - math.log(1e-6)
+    assert [float(found) for found in pairs] == pytest.approx([wanted] * 3, abs=1e-3)

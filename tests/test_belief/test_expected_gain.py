@@ -186,3 +186,20 @@ def test_no_candidates_and_no_steps() -> None:
     still = expected_gain(torch.zeros(2, 1, 5, 2, **DOUBLE), log, torch.zeros(2, 0, 5, **DOUBLE), SUPPORT)
     assert still.chosen == -1
     assert still.value.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("count", [2, 100, 3000])
+def test_a_small_gain_keeps_its_digits_in_float32(count: int) -> None:
+    random = torch.Generator().manual_seed(count)
+    log, p = torch.randn(count, generator=random), 0.3 + 1e-4 * torch.rand(count, generator=random)
+    found, wanted = binary_outcome(log, p).gain, binary_outcome(log.double(), p.double()).gain
+    assert float(found) == pytest.approx(float(wanted), rel=0.05)
+    assert float(found) > 0
+
+
+def test_outcomes_that_cannot_happen_or_almost_cannot_tell_nothing_infinite() -> None:
+    p = torch.tensor([[0.0, 1.0, 0.0], [1e-30, 1e-38, 0.9], [1.0, 1.0, 1.0]])
+    log = torch.tensor([[0.0, -math.inf, 0.0], [0.0, -80.0, -90.0], [0.0, 1.0, 2.0]])
+    gain = binary_outcome(log, p).gain
+    assert bool(torch.isfinite(gain).all())
+    assert gain[0] == 0.0 and gain[2] == 0.0

@@ -395,3 +395,40 @@ def test_refuses_settings_without_meaning(no_shape_check: None) -> None:
         InformationSettings(sharpness=0.0)
     with pytest.raises(ValueError, match="tail"):
         InformationSettings(tail=1.0)
+
+
+@pytest.mark.parametrize("mode", ["reverse_kl", "forward_kl"])
+@only_plain
+def test_poses_that_agree_tell_nothing_however_far_the_point(mode):
+    distance = torch.linspace(-1.0, 1.0, 41)[None].expand(30, 41)
+    log_weights = torch.linspace(0.0, 3.0, 30).log_softmax(-1)
+    fields = information_from_distances(distance, log_weights, mode=mode, peakiness=1000.0)
+    assert float(fields.information.abs().max()) < 1e-6
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_float32_holds_to_a_hundred_thousandth_of_the_greatest(mode, beliefs, generator):
+    poses, log_weights = beliefs(count=60)
+    away = torch.tensor([1.5, -2.0, 0.7], dtype=torch.float64)
+    poses[..., :3, 3] += away
+    points = away + 0.1 * torch.randn(300, 3, generator=generator, dtype=torch.float64)
+    table = GridSDF.from_sdf(Mug(), 0.004)
+    settings = InformationSettings(mode=mode, peakiness=300.0, sharpness=1000.0, tail=0.0)
+    small = [tensor.float() for tensor in (poses, log_weights, points)]
+    found = information_field(table, *small, settings).information
+    with backend.force("torch"):
+        wanted = information_field(table.double(), *[tensor.double() for tensor in small], settings).information
+    assert float((found.double() - wanted).abs().max() / wanted.max()) < 1e-5
+
+
+def test_scenes_far_apart_are_as_right_as_alone(beliefs, generator):
+    poses, log_weights = beliefs(2, count=8)
+    poses[1, :, :3, 3] += 3.0
+    points = torch.cat((0.1 * torch.randn(50, 3, generator=generator, dtype=torch.float64),) * 2)
+    points[50:] += 3.0
+    table = GridSDF.from_sdf(Mug(), 0.004).double()
+    both = information_field(table, poses, log_weights, points)
+    for scene in range(2):
+        alone = information_field(table, poses[scene], log_weights[scene], points)
+        torch.testing.assert_close(both.information[scene], alone.information)
+        torch.testing.assert_close(both.semantics[scene], alone.semantics)

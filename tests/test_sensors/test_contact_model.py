@@ -150,3 +150,16 @@ def test_refusals() -> None:
         ContactModel(1.2)
     with pytest.raises(ValueError, match="decay above 0"):
         ContactModel(decay=0.0)
+
+
+@pytest.mark.parametrize("rate", [1.0, 1.0 - 1e-9])
+def test_silence_at_touch_is_told_from_silence_near_it_in_float32(rate: float) -> None:
+    distance = torch.tensor([0.0, 1e-11, 1e-8, 1e-5])
+    found = ContactModel(rate, 0.0, 1000.0).log_likelihood(distance, torch.zeros(4, dtype=torch.bool), floor=1e-30)
+    wanted = (1.0 - rate) - rate * torch.expm1(-1000.0 * distance.double())
+    torch.testing.assert_close(found.double(), wanted.clamp_min(1e-30).log(), rtol=1e-6, atol=1e-5)
+
+
+def test_silence_of_the_binary_model() -> None:
+    found = ContactModel(0.9, 0.1, None).log_likelihood(torch.tensor([0.0, 1.0]), torch.zeros(2, dtype=torch.bool))
+    torch.testing.assert_close(found, torch.tensor([0.1, 0.9]).log())

@@ -34,3 +34,9 @@ def test_module_trains_its_parameters():
     expected = -0.007 * torch.exp(torch.tensor(-0.7, dtype=torch.float64))
     torch.testing.assert_close(sensor.sharpness.grad, expected, rtol=1e-6, atol=0)
     assert set(sensor.state_dict()) == {"sharpness", "tolerance"}
+
+
+def test_small_chances_of_surface_keep_their_digits_in_float32():
+    v = torch.tensor([0.103, 0.143, 0.303])
+    found = semantics_probability(v)[:, 2].log()
+    torch.testing.assert_close(found, log_surface_probability(v), rtol=1e-6, atol=1e-5)
