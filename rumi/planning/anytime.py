@@ -102,9 +102,9 @@ def select(
 ) -> Selection[A]:
     """The candidate of highest gain that thinking and motion together have the time for.
 
-    Thinking ends when what is left is what the best candidate so far takes to carry out, or candidates run out. Where
-    that leaves nothing to do, the time is doubled, for this decision alone; candidates that there was no time for come
-    first then, and no candidate is evaluated twice. Equal gains keep the earlier candidate.
+    Thinking ends when no evaluation would be done before the best candidate so far has to begin, or when candidates run
+    out. Where that leaves nothing to do, the time is doubled, for this decision alone; candidates that there was no
+    time for come first then, and no candidate is evaluated twice. Equal gains keep the earlier candidate.
 
     As printed, the test before an evaluation asks whether the new candidate would end in time, not whether the best
     one so far still would; thinking would go on for ever where nothing gains anything; and an evaluation takes its
@@ -135,7 +135,7 @@ def select(
     generated = tried = done = 0
     while True:
         again, waiting, ended = iter(waiting), [], False
-        while deciding.left() > making:
+        while deciding.has_time_to_go_on(making):
             candidate = next(again, None)
             if candidate is None:
                 candidate = next(source, None)
@@ -174,9 +174,10 @@ class _Decision(Generic[A]):
         self._history: list[Evaluated] = []
         self._measured: list[tuple[float, float]] = []
 
-    def left(self) -> float:
-        """Seconds until the best so far has to begin."""
-        return self._deadline - self._now() - (0.0 if self.best is None else self.best.execution_s)
+    def has_time_to_go_on(self, making_s: float) -> bool:
+        """Whether another candidate can be made, and any be evaluated, before the best so far has to begin."""
+        left = self._deadline - self._now() - (0.0 if self.best is None else self.best.execution_s)
+        return left > making_s and left >= making_s + self._evaluation.bound(0.0)
 
     def has_time_for(self, candidate: Candidate[A]) -> bool:
         """Whether it can be evaluated, and the slower of it and the best so far carried out after that."""

@@ -70,6 +70,13 @@ def test_equal_gains_keep_the_likelier_candidate() -> None:
     assert made.candidate.action == 1
 
 
+def test_no_candidate_is_made_that_could_not_be_evaluated() -> None:
+    """With 0.9 s left and evaluations of 1 s, thinking is over."""
+    made, _ = choose([(2.0, 1.0)] * 100, 3.9, making_s=0.001)
+    assert (made.generated, made.evaluated, made.ended) == (1, 1, "deadline")
+    assert made.late_s == pytest.approx(-0.899)
+
+
 def test_nothing_to_gain_is_to_stay() -> None:
     """Candidates end: no doubling would bring any more."""
     made, _ = choose([(1.0, 0.0), (2.0, 0.0)], 10.0)
@@ -112,8 +119,8 @@ def test_making_candidates_counts() -> None:
     assert free.late_s <= 0
     assert paid.late_s <= 0
     # not knowing that making takes time, it starts on one more
-    unaware, _ = choose([(2.0, 0.1), (2.0, 0.2), (2.0, 0.3)], 6.5, making_s=1.0)
-    assert unaware.late_s == pytest.approx(0.5)
+    unaware, _ = choose([(2.0, 0.1), (2.0, 0.2), (2.0, 0.3)], 5.6, making_s=1.5)
+    assert unaware.late_s == pytest.approx(0.4)
 
 
 def test_an_open_loop_action_is_there_from_the_start() -> None:
