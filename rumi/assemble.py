@@ -32,6 +32,7 @@ from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 from sensors.reading import Reading
 
+_PLANAR = ("pushed", "corrected")  # motions by a model of upright objects and a level tool
 _OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
 
 
@@ -89,14 +90,15 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     prior = prior_of(spec, model)
     following, stop = settings.filter, settings.stop
     if following.motion == "measured" and not spec.measures_motion:
-        following = replace(following, motion="estimated")
+        needs_plane = following.unmeasured in _PLANAR and not _planar(spec)
+        following = replace(following, motion="estimated" if needs_plane else following.unmeasured)
     if spec.apc_ratio is not None:
         stop = replace(stop, apc_ratio=spec.apc_ratio)
     if settings.simulator.sensors.kind == "camera":  # which feels nothing
         stop = replace(stop, contacts=0)
     standing = 0.0 - float(model.exact.bounds[0, 2])
     pushed = None
-    if following.motion == "pushed":
+    if following.motion in _PLANAR:
         pushed = PushedMotion.of(model.sdf, spec.height_m - standing, tool.shape, settings.planner.quasi_static)
     return Rummager(
         model,
@@ -116,15 +118,20 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     )
 
 
+def _planar(spec: TaskSpec) -> bool:
+    """Whether the object stays upright and the tool level."""
+    return spec.search == "SE(2)" and not spec.spatial
+
+
 def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects in a plane where the task has others."""
-    if spec.search == "SE(2)" and not spec.spatial:
+    if _planar(spec):
         return
     for name, value, other in (
         ("push-model", settings.planner.push_model, "displacement"),
         ("motion", settings.filter.motion, "measured, sticking or estimated"),
     ):
-        if value in ("quasi-static", "mujoco", "pushed"):
+        if value in ("quasi-static", "mujoco", *_PLANAR):
             raise UsageError(
                 f"--{name} {value} pushes upright objects with a level tool, and {spec.name} is another task: "
                 f"use {other} there"

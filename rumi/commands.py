@@ -44,7 +44,8 @@ class RunOptions:
     Attributes:
         settings: of the run.
         motion: how the object's motion is known: measured by a slip sensor, sticking to the tool, pushed as a
-            quasi-static model has it, or estimated from the touches; short for --filter.motion.
+            quasi-static model has it, estimated from what was sensed (Alg 5), or corrected, pushed and then estimated;
+            short for --filter.motion.
         push_model: how the planner expects the object to move; short for --planner.push-model.
         sensor: through what the simulator reports: points at the pads, a camera's images, soft bubbles', or both; short
             for --simulator.sensors.kind.

@@ -211,6 +211,7 @@ def _paper() -> Settings:
             surface_spacing_m=0.002,
             translation_noise_m=0.010,
             rotation_noise_rad=0.0,
+            unmeasured="estimated",
             trigger=5.0,
             trigger_percentile=1.0,
             weigh_before_resampling=False,

@@ -32,8 +32,10 @@ class FilterSettings:
         free_scale: C of free and occupied points (Eqs 4, 5), for the lattice `free_spacing_m`.
         tolerance_m: violation that a free or occupied point is allowed.
         free_spacing_m, surface_spacing_m: lattice that keeps one point a cell (Alg 6).
-        motion: "measured" by a slip sensor, "sticking" to the tool, "pushed" as a quasi-static model has it, or
-            "estimated" (Alg 5).
+        motion: "measured" by a slip sensor, "sticking" to the tool, "pushed" as a quasi-static model has it,
+            "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way.
+        unmeasured: what "measured" becomes on a task that has no slip sensor; "pushed" and "corrected" are for
+            upright objects and a level tool, and "estimated" elsewhere.
         translation_noise_m, rotation_noise_rad: standard deviations of the process noise, drawn on every move
             and after every resampling (Alg 3); in SE(2) along x, y and yaw. By default the 1 mm and 1 degree of a
             usual slip sensor: 3 mm throws particles across a 4 mm wall, to where the seen side fits the inner one.
@@ -59,6 +61,7 @@ class FilterSettings:
     free_spacing_m: float = 0.005
     surface_spacing_m: float = 0.002
     motion: Motion = "measured"
+    unmeasured: Motion = "corrected"
     translation_noise_m: float = 0.001
     rotation_noise_rad: float = 0.0175
     trigger: float = 5.0
@@ -73,8 +76,11 @@ class FilterSettings:
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
-        if self.motion not in MOTIONS:
-            raise ValueError(f"Expected motion to be one of {', '.join(MOTIONS)}, got {self.motion!r}")
+        for name in ("motion", "unmeasured"):
+            if getattr(self, name) not in MOTIONS:
+                raise ValueError(f"Expected {name} to be one of {', '.join(MOTIONS)}, got {getattr(self, name)!r}")
+        if self.unmeasured == "measured":
+            raise ValueError("Expected unmeasured to be a motion that needs no slip sensor, got 'measured'")
         if self.weighing not in ("scratch", "incremental"):
             raise ValueError(f"Expected weighing scratch or incremental, got {self.weighing!r}")
         for name in ("peakiness", "free_spacing_m", "surface_spacing_m"):
@@ -109,7 +115,7 @@ class PoseFilter(nn.Module):
         search: "SE(2)" or "SE(3)".
         settings: how.
         prior: of the pose at the start; its part is added to the discrepancy, as if it were an observation.
-        pushed: says how far the object was pushed; needed for the motion "pushed".
+        pushed: says how far the object was pushed; needed for the motions "pushed" and "corrected".
     """
 
     lattice: Tensor

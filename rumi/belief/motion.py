@@ -1,7 +1,7 @@
-"""How far the object moved during an action: measured, assumed sticking, pushed by a model, or estimated."""
+"""How far the object moved during an action: measured, assumed sticking, pushed by a model, estimated, corrected."""
 
 from collections.abc import Callable
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,8 +14,8 @@ from sensors.discrepancy import Discrepancy
 from sensors.observation import attach
 from sensors.reading import Reading
 
-Motion = Literal["measured", "sticking", "pushed", "estimated"]
-MOTIONS: tuple[str, ...] = ("measured", "sticking", "pushed", "estimated")
+Motion = Literal["measured", "sticking", "pushed", "estimated", "corrected"]
+MOTIONS: tuple[str, ...] = get_args(Motion)
 
 Predictor = Callable[[PoseBelief, Reading], Tensor]
 """World motion (*b, K, 4, 4) that a push model makes of a belief and the tool's path."""
@@ -59,20 +59,28 @@ def slip_motion(
     return torch.stack(motions, -3)
 
 
-def estimated_motion(
+def corrected_motion(
+    motion: Float[Tensor, "*b K 4 4"],
     belief: PoseBelief,
     reading: Reading,
     discrepancy: Discrepancy,
     search: Search,
     descent: DescentSettings,
 ) -> Float[Tensor, "*b K 4 4"]:
-    """World motion that best explains what was touched, starting from sticking contact (RUMI, Alg 5, corrected).
+    """World motion that best explains what was sensed, searched from another one (RUMI, Alg 5, corrected).
 
     As printed, Alg 5 applies one change of pose to all particles along each one's own axes; here the motion is
     one world motion M, and the representative particle i (least discrepancy) is moved to M W_i. The optimised
-    correction is spread over the instants in proportion to the sticking motion so far.
+    correction is spread over the instants in proportion to the contact so far. Alg 5 starts from sticking contact.
+
+    Args:
+        motion: (*b, K, 4, 4), to start from, up to each instant.
+        belief: before the action.
+        reading: of the action.
+        discrepancy: that the correction makes less.
+        search: of poses.
+        descent: how.
     """
-    motion = sticking_motion(reading.tool_pose, reading.in_contact)
     total = motion[..., -1, :, :]
     best = belief.discrepancy.argmin(-1)[..., None, None, None]
     poses = belief.world_T_object
@@ -106,10 +114,14 @@ def object_motion(
         return reading.object_motion
     if kind == "sticking":
         return sticking_motion(reading.tool_pose, reading.in_contact)
-    if kind == "pushed":
+    if kind in ("pushed", "corrected"):
         if pushed is None:
-            raise ValueError("Expected a push model for the motion 'pushed', got None: give the filter one")
-        return pushed(belief, reading)
+            raise ValueError(f"Expected a push model for the motion {kind!r}, got None: give the filter one")
+        motion = pushed(belief, reading)
+        if kind == "pushed":
+            return motion
+        return corrected_motion(motion, belief, reading, discrepancy, search, descent)
     if kind == "estimated":
-        return estimated_motion(belief, reading, discrepancy, search, descent)
+        motion = sticking_motion(reading.tool_pose, reading.in_contact)
+        return corrected_motion(motion, belief, reading, discrepancy, search, descent)
     raise ValueError(f"Expected motion to be one of {', '.join(MOTIONS)}, got {kind!r}")

@@ -335,7 +335,8 @@ def test_estimated_motion_recovers_a_slip():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"motion": "guessed"}, "measured, sticking, pushed, estimated"),
+        ({"motion": "guessed"}, "measured, sticking, pushed, estimated, corrected"),
+        ({"unmeasured": "measured"}, "needs no slip sensor"),
         ({"peakiness": 0.0}, "peakiness"),
         ({"trigger_percentile": 2.0}, "percentile"),
     ],

@@ -1,6 +1,7 @@
 """Motion that a push model makes of the tool's path."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -16,9 +17,11 @@ from rumi.sim.world import World
 from sdf import se3
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Mug
+from sdf.surface import sample_surface
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
+from sensors.semantics import Semantics
 
 HEIGHT = 0.045
 MUG = Mug()
@@ -105,6 +108,25 @@ def test_the_seam_of_the_yaw_is_nowhere(pushed: PushedMotion) -> None:
     wrapped = path.clone()
     wrapped[:, 2] = torch.remainder(path[:, 2] + math.pi, 2 * math.pi) - math.pi
     torch.testing.assert_close(pushed(belief(0.5), reading(wrapped)), pushed(belief(0.5), reading(path)))
+
+
+def test_what_was_sensed_corrects_it(pushed: PushedMotion) -> None:
+    """A push that went 8 mm further and 3 degrees round: seen points bring the motion there, at the last instant."""
+    start, felt = belief(0.5), reading(straight())
+    model = pushed(start, felt)
+    more = se3.from_planar(torch.tensor([0.008, 0.004, 0.05], dtype=model.dtype))
+    truth = more @ model[-1] @ start.world_T_object[0]
+    local = sample_surface(MUG, 200, generator=torch.Generator().manual_seed(0))[0].to(model)
+    seen = Observation.of(se3.apply(truth, local), Semantics.SURFACE)
+    late = replace(felt, observation=seen, instant=torch.full((len(local),), len(model) - 1))
+    descent = DescentSettings(iterations=30)
+    found = object_motion("corrected", start, late, MODULE, "SE(2)", descent, pushed)[-1] @ start.world_T_object[0]
+    metres, radians = se3.distance(found, truth)
+    assert float(metres) < 1e-3 and float(radians) < 5e-3
+    alone = object_motion("pushed", start, late, MODULE, "SE(2)", descent, pushed)[-1] @ start.world_T_object[0]
+    assert float(se3.distance(alone, truth)[0]) > 0.005
+    with pytest.raises(ValueError, match="push model for the motion 'corrected'"):
+        object_motion("corrected", start, late, MODULE, "SE(2)", descent)
 
 
 def test_the_filter_asks_it(pushed: PushedMotion) -> None:
