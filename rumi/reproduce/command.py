@@ -60,7 +60,8 @@ class ReproduceOptions:
         out: folder of results, figures and logs.
         results: file of the results; by default runs.jsonl in the folder.
         show: run nothing; the tables are over what the file holds by its newest code.
-        code: with --show, the hash of the code whose runs to show.
+        code: with --show, the hash of the code whose runs to show; of several, a later one's runs stand in for those
+            of an earlier one.
         markdown: write the page of results to this file, its figures beside it, and print a summary.
         figures: draw figures.
     """
@@ -78,7 +79,7 @@ class ReproduceOptions:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/reproduce")
     results: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     show: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    code: str | None = None
+    code: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HASH ...")] = ()
     markdown: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     figures: bool = True
 
@@ -134,7 +135,7 @@ def chosen(options: ReproduceOptions) -> tuple[list[str], Selection]:
     _among("preset", options.presets, valid_presets())
     if options.jobs < 1:
         raise UsageError(f"Expected jobs to be 1 or more, got {options.jobs}")
-    if options.code is not None and not options.show:
+    if options.code and not options.show:
         raise UsageError("--code says which of the kept runs to show: give --show with it")
     if options.figures and find_spec("matplotlib") is None:
         raise UsageError("Figures need matplotlib and pillow: pip install 'rumi[plot]', or give --no-figures")
@@ -206,7 +207,7 @@ def _done(
 def _shown(options: ReproduceOptions, jobs: Sequence[Job]) -> list[Record]:
     if not options.path.is_file():
         raise UsageError(f"There are no results in {options.path}: leave out --show to run")
-    records = Records(options.path).newest(options.code)
+    records = Records(options.path).newest(*options.code)
     if jobs and not records:
         raise UsageError(f"{options.path} holds no results: leave out --show to run")
     return records

@@ -154,24 +154,27 @@ class Records:
         """Results of some work by the present code and settings, in the order of the work; of what is there."""
         return [self.by_id[job.id] for job in jobs if job.id in self.by_id]
 
-    def newest(self, code: str | None = None) -> list[Record]:
+    def newest(self, *code: str) -> list[Record]:
         """Results by one code for each kind of work, the last one of each piece.
 
         Args:
-            code: hash of the code of the runs; by default that of the last line of each kind.
+            code: hashes of the code of the runs, the one to prefer last; by default that of the last line of each kind.
 
         Raises:
-            UsageError: there are no results by this code.
+            UsageError: there are no results by one of these codes.
         """
-        codes = {record.kind: record.code for record in self.every}
-        if code is not None:
+        codes = {record.kind: [record.code] for record in self.every}
+        if code:
             known = dict.fromkeys(record.code for record in self.every if record.kind == "run")
-            if code not in known:
+            missing = [one for one in code if one not in known]
+            if missing:
                 raise UsageError(
-                    f"There are no runs by the code {code} in {self.path}; there are by {', '.join(known)}"
+                    f"There are no runs by the code {missing[0]} in {self.path}; there are by {', '.join(known)}"
                 )
-            codes["run"] = code
-        return list({record.key: record for record in self.every if record.code == codes[record.kind]}.values())
+            codes["run"] = list(code)
+        order = [(kind, one) for kind, own in codes.items() for one in own]
+        kept = sorted((r for r in self.every if r.code in codes[r.kind]), key=lambda r: order.index((r.kind, r.code)))
+        return list({record.key: record for record in kept}.values())
 
 
 def by_column(records: Iterable[Record]) -> Iterator[tuple[str, list[Record]]]:

@@ -55,6 +55,9 @@ def test_the_newest_code_is_the_last_lines(tmp_path):
     records = Records(path)
     assert [record.figures["cost"] for record in records.newest()] == [3.0]
     assert [record.figures["cost"] for record in records.newest("old")] == [1.0]
+    # of several codes the last one's line of the same piece prevails, wherever in the file it stands
+    assert [record.figures["cost"] for record in records.newest("old", "new")] == [3.0]
+    assert [record.figures["cost"] for record in records.newest("new", "old")] == [1.0]
     with pytest.raises(UsageError, match=r"no runs by the code other in .* there are by old, new"):
         records.newest("other")
 
