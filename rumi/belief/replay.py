@@ -187,13 +187,13 @@ class TouchFilter:
         self, belief: TouchBelief, history: Sequence[TouchAction], *, generator: torch.Generator
     ) -> tuple[TouchBelief, float]:
         """Resample all runs, by the rule of the settings; and the share of accepted moves."""
-        if self.settings.resampling == "newcomers":
+        if self.settings.resampling == "newcomers" and history[-1].contact.shape[-1] > 0:
             touched = history[-1].contact[..., -1].expand(len(belief.start))
             with_newcomers = self._newcomers(belief, history[-1], generator)
             belief = belief.chosen(resample_systematic(belief.log_weights, generator=generator))
             return belief.put(touched.nonzero()[:, 0], with_newcomers.at(touched.nonzero()[:, 0])), float("nan")
         belief = belief.chosen(resample_systematic(belief.log_weights, generator=generator))
-        if self.settings.resampling == "importance" or self.settings.sweeps == 0:
+        if self.settings.resampling != "replay" or self.settings.sweeps == 0:
             return belief, float("nan")
         moved = 0.0
         for _ in range(self.settings.sweeps):
