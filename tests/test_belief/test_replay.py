@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay import ReplaySettings, TouchFilter
+from rumi.belief.replay import TouchFilter
+from rumi.belief.replay_settings import ReplaySettings
 from rumi.belief.touch_belief import TouchAction, TouchBelief, joined
 from rumi.dynamics.carry import Carried, Pusher
 from rumi.dynamics.outline import RectangleOutline
