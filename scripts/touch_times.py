@@ -7,6 +7,7 @@ python scripts/touch_times.py --mujoco         # particles in MuJoCo as well
 import sys
 import time
 from dataclasses import dataclass
+from typing import get_args
 
 import torch
 import tyro
@@ -16,7 +17,7 @@ from rumi.touch.grasping import clearance_table
 from rumi.touch.localise import Toucher
 from rumi.touch.make import make_carrier
 from rumi.touch.planar_robot import PlanarRobot
-from rumi.touch.selection import METHODS
+from rumi.touch.selection import Method
 from rumi.touch.settings import TouchSettings
 from rumi.touch.task import TouchTask
 
@@ -28,10 +29,12 @@ class Options:
     Attributes:
         rounds: how often.
         mujoco: time particles in MuJoCo too.
+        methods: which.
     """
 
     rounds: int = 5
     mujoco: bool = False
+    methods: tuple[Method, ...] = get_args(Method)
 
 
 def seconds(settings: TouchSettings, rounds: int) -> tuple[float, float]:
@@ -55,7 +58,7 @@ def main() -> None:
     sys.stdout.write(f"{torch.get_num_threads()} threads, best of {options.rounds}: wall s (processor s)\n\n")
     sys.stdout.write("| method | quasi-static |" + (" MuJoCo |" if options.mujoco else "") + "\n")
     sys.stdout.write("|---|---|" + ("---|" if options.mujoco else "") + "\n")
-    for method in METHODS:
+    for method in options.methods:
         cells = ["{:.3f} ({:.3f})".format(*seconds(TouchSettings(method=method), options.rounds))]
         if options.mujoco:
             cells.append("{:.1f} ({:.1f})".format(*seconds(TouchSettings(method=method, push_model="mujoco"), 1)))

@@ -7,90 +7,20 @@ newcomers near the robot; it stands beside.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.belief.planar_prior import PlanarPrior
+from rumi.belief.replay_settings import ReplaySettings
 from rumi.belief.resampling import resample_systematic
 from rumi.belief.touch_belief import TouchAction, TouchBelief, joined
 from rumi.dynamics.carry import Carrier, Pusher, carry, distance_to
 from rumi.dynamics.sliding import Outline, Sliding
 from sensors.contact_model import ContactModel
-
-Resampling = Literal["replay", "importance", "newcomers", "none"]
-
-
-@dataclass(frozen=True)
-class ReplaySettings:
-    """Settings of the filter.
-
-    Attributes:
-        resampling: "replay" moves particles along the exact posterior; "importance" copies the likely ones;
-            "newcomers" is the paper's rule, near the robot where contact was felt and importance else; "none" never.
-        trigger: share of N that the effective sample size falls below before it is resampled.
-        sweeps: Metropolis moves of every particle at a resampling.
-        from_prior: share of moves that are draws from the prior, not jitter.
-        jitter_m: least and greatest standard deviation of the jitter, log-uniform.
-        jitter_rad_per_m: of yaw with it.
-        friction: range of the coefficient, uniform.
-        lever_m: range of c, uniform.
-        noise: standard deviation of each action's motion, as a share of it; 0 for none.
-        noise_tails: h of Tukey's g-and-h distribution, z exp(h z^2 / 2) of a normal z: 0 is normal, more has heavier
-            tails, for motions that now and then go quite another way.
-        noise_m_per_rad: metres of motion that a radian counts as.
-        noise_rad_per_m: of yaw with it.
-        newcomers: share of the particles that newcomers replace.
-        newcomer_mass: weight that they get in all, split by their likelihood.
-        temper: power of the likelihood: 1 for readings that err independently, below it for those that err together.
-        overlap_m: distance over which it is uncertain whether the tool, coming down, meets the object.
-        overlap_error: chance that it is wrongly taken to have met it, or not to.
-        substeps: parts of the way between two readings.
-        passes: contacts that are settled in a part, at most.
-    """
-
-    resampling: Resampling = "replay"
-    trigger: float = 0.5
-    sweeps: int = 2
-    from_prior: float = 0.1
-    jitter_m: tuple[float, float] = (1e-3, 0.05)
-    jitter_rad_per_m: float = 8.0
-    friction: tuple[float, float] = (0.1, 0.6)
-    lever_m: tuple[float, float] = (0.03, 0.06)
-    noise: float = 0.0
-    noise_tails: float = 0.0
-    noise_m_per_rad: float = 0.04
-    noise_rad_per_m: float = 10.0
-    newcomers: float = 0.2
-    newcomer_mass: float = 0.1
-    temper: float = 1.0
-    overlap_m: float = 0.002
-    overlap_error: float = 0.02
-    substeps: int = 2
-    passes: int = 2
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        if self.resampling not in get_args(Resampling):
-            raise ValueError(
-                f"Expected resampling to be one of {', '.join(get_args(Resampling))}, got {self.resampling!r}"
-            )
-        for name in ("trigger", "from_prior", "newcomers", "newcomer_mass"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"Expected {name} in [0, 1], got {getattr(self, name)}")
-        for name in ("friction", "lever_m", "jitter_m"):
-            low, high = getattr(self, name)
-            if not 0 <= low <= high or (name != "friction" and low <= 0):
-                raise ValueError(f"Expected {name} as (low, high) above 0, got {(low, high)}")
-        for name in ("noise", "noise_tails", "sweeps"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
-        for name in ("temper", "overlap_m", "overlap_error"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
 
 
 class StepInfo(NamedTuple):
@@ -187,13 +117,13 @@ class TouchFilter:
         self, belief: TouchBelief, history: Sequence[TouchAction], *, generator: torch.Generator
     ) -> tuple[TouchBelief, float]:
         """Resample all runs, by the rule of the settings; and the share of accepted moves."""
-        if self.settings.resampling == "newcomers":
+        if self.settings.resampling == "newcomers" and history[-1].contact.shape[-1] > 0:
             touched = history[-1].contact[..., -1].expand(len(belief.start))
             with_newcomers = self._newcomers(belief, history[-1], generator)
             belief = belief.chosen(resample_systematic(belief.log_weights, generator=generator))
             return belief.put(touched.nonzero()[:, 0], with_newcomers.at(touched.nonzero()[:, 0])), float("nan")
         belief = belief.chosen(resample_systematic(belief.log_weights, generator=generator))
-        if self.settings.resampling == "importance" or self.settings.sweeps == 0:
+        if self.settings.resampling != "replay" or self.settings.sweeps == 0:
             return belief, float("nan")
         moved = 0.0
         for _ in range(self.settings.sweeps):

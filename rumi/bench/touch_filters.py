@@ -11,7 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay import ReplaySettings, TouchFilter
+from rumi.belief.replay import TouchFilter
+from rumi.belief.replay_settings import ReplaySettings
 from rumi.belief.touch_belief import TouchAction, TouchBelief
 from rumi.dynamics.carry import Pusher, carry
 from rumi.dynamics.outline import RectangleOutline

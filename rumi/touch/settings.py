@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from rumi.belief.replay import ReplaySettings
+from rumi.belief.replay_settings import ReplaySettings
 from rumi.errors import UsageError
 from rumi.touch.selection import METHODS, Method
 

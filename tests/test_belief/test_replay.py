@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay import ReplaySettings, TouchFilter
+from rumi.belief.replay import TouchFilter
+from rumi.belief.replay_settings import ReplaySettings
 from rumi.belief.touch_belief import TouchAction, TouchBelief, joined
 from rumi.dynamics.carry import Carried, Pusher
 from rumi.dynamics.outline import RectangleOutline
@@ -278,3 +279,13 @@ def test_another_physics_may_carry_the_particles() -> None:
     after, _ = frozen.step(belief, [HISTORY[1]], generator=random, resample=False)
     torch.testing.assert_close(after.pose, belief.pose)
     torch.testing.assert_close(after.log_weights, belief.log_weights)
+
+
+@pytest.mark.parametrize("rule", ["newcomers", "importance", "none"])
+def test_other_rules_take_in_a_tool_that_could_not_come_down(rule: str) -> None:
+    place = torch.tensor([[0.04, 0.0, 0.0]], **DOUBLE)
+    own, random = follow(ReplaySettings(resampling=rule, trigger=1.0)), torch.Generator().manual_seed(3)  # type: ignore[arg-type]
+    history = [TouchAction(place, torch.zeros(0, dtype=torch.bool), True)]
+    belief, _ = own.step(own.initial(1, 500, generator=random), history, generator=random)
+    mean = float((belief.log_weights[0].exp() * belief.pose[0, :, 0]).sum())
+    assert mean > 0.005
