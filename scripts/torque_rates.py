@@ -61,7 +61,7 @@ SPEED, SPACING, LENGTH, CLEAR = 0.08, 0.005, 0.16, 0.15
 POKES = 10
 """Of an arm, before another is drawn, with other errors."""
 
-THRESHOLDS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.3)
+THRESHOLDS = (0.1, 0.15, 0.3, 0.6, 1.0, 1.3)
 
 
 @dataclass(frozen=True)
