@@ -3,6 +3,7 @@
 python scripts/torque_rates.py run --seeds 1000-1019           # one line a poke in scripts/results/torque_rates.jsonl
 python scripts/torque_rates.py run --case motor --seeds 1000-1099 --seconds 110
 python scripts/torque_rates.py show                            # Markdown: rates by threshold, delays, tracking
+python scripts/torque_rates.py limit                           # Markdown: pokes at a box that does not move
 python scripts/torque_rates.py speed --threads 1               # microseconds a sample of the observer
 
 Boxes of 0.3 to 0.8 kg with friction of 0.2 to 0.6 stand about two places; half of the pokes go for them, half beside.
@@ -60,7 +61,7 @@ SPEED, SPACING, LENGTH, CLEAR = 0.08, 0.005, 0.16, 0.15
 POKES = 10
 """Of an arm, before another is drawn, with other errors."""
 
-THRESHOLDS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.3)
+THRESHOLDS = (0.1, 0.15, 0.3, 0.6, 1.0, 1.3)
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,19 @@ class Show:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """Poke at a box that does not move, at several force limits.
+
+    Attributes:
+        seeds: as for `run`; those whose poke goes for the box and is within reach count.
+        limits_n: that are tried.
+    """
+
+    seeds: str = "1000-1019"
+    limits_n: tuple[float, ...] = (10.0, 25.0, 50.0)
+
+
+@dataclass(frozen=True)
 class Speed:
     """Time the observer.
 
@@ -110,13 +124,18 @@ def fingerprint() -> str:
     return digest.hexdigest()[:12]
 
 
-def poke(arm: TorqueArm, seed: int) -> dict[str, Any] | None:
-    """One poke at or beside a box that is drawn by the seed; None where the arm cannot go."""
+def poke(arm: TorqueArm, seed: int, *, fixed: bool = False) -> dict[str, Any] | None:
+    """One poke at or beside a box that is drawn by the seed; None where the arm cannot go.
+
+    A fixed box has half a ton.
+    """
     random = np.random.default_rng(seed)
     mode = 0.2 * random.choice((-1.0, 1.0))
     pose = np.array([0.45, mode, 0.0]) + (0.06, 0.06, 0.5) * random.standard_normal(3)
     friction, floor = random.uniform(0.2, 0.6, 2)
     mass, angle = float(random.uniform(0.3, 0.8)), float(random.uniform(-math.pi, math.pi))
+    if fixed:
+        mass, floor = 500.0, 1.0
     ahead = np.array([math.cos(angle), math.sin(angle)])
     beside = np.array([-ahead[1], ahead[0]]) * (0.15 if seed % 2 else 0.0)
     inside = random.uniform(-1.0, 1.0, 2) * HALF
@@ -153,6 +172,7 @@ def poke(arm: TorqueArm, seed: int) -> dict[str, Any] | None:
         parts = motion.parts
         line |= {
             "ended": motion.ended,
+            "moved_mm": round(1e3 * float((arm.box_pose()[:2] - torch.from_numpy(pose[:2])).norm()), 2),
             "norm": [round(part.norm_nm, 4) for part in parts],
             "force": [round(part.force_n, 2) for part in parts],
             "touching": [int(part.touching) for part in parts],
@@ -249,6 +269,24 @@ def rates(pokes: list[dict[str, Any]], threshold: float) -> list[str]:
     return cells
 
 
+def limit(options: Limit) -> None:
+    """Markdown: who stopped, the largest estimated force, and how far the tool went on after the first reading."""
+    torch.set_num_threads(1)
+    sys.stdout.write("| limit, N | pokes that touch | stopped by it | largest force, N: mean, most | box moved, mm |\n")
+    sys.stdout.write("|---" * 5 + "|\n")
+    for newtons in options.limits_n:
+        arm = TorqueArm(HALF, HEIGHT, settings=replace(CASES["usual"], force_limit_n=newtons))
+        arm.seed(0)
+        arm.calibrate()
+        lines = [poke(arm, seed, fixed=True) for seed in seeds_of(options.seeds) if seed % 2 == 0]
+        found = [x for x in lines if x is not None and any(x.get("touching", ()))]
+        forces = [max(x["force"]) for x in found]
+        sys.stdout.write(
+            f"| {newtons:g} | {len(found)} | {sum(x['ended'] == 'force' for x in found)} | "
+            f"{statistics.mean(forces):.1f}, {max(forces):.1f} | {max(x['moved_mm'] for x in found):.1f} |\n"
+        )
+
+
 def speed(options: Speed) -> None:
     """Microseconds a sample, median of five: the terms of the model, and the observer's step."""
     torch.set_num_threads(options.threads)
@@ -273,8 +311,10 @@ def speed(options: Speed) -> None:
 
 def main() -> None:
     """Run, show or time."""
-    options = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show, "speed": Speed}, description=__doc__)
-    {Run: run, Show: show, Speed: speed}[type(options)](options)
+    options = tyro.extras.subcommand_cli_from_dict(
+        {"run": Run, "show": Show, "limit": Limit, "speed": Speed}, description=__doc__
+    )
+    {Run: run, Show: show, Limit: limit, Speed: speed}[type(options)](options)
 
 
 if __name__ == "__main__":

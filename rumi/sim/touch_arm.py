@@ -17,7 +17,8 @@ from rumi.sim.touch_scene import CLEAR_M, set_truth
 from rumi.touch.robot import GoOn, Touched
 from rumi.touch.task import BoxTruth, TouchTask
 
-RATES, CORRELATION = (0.95, 0.01), 0.1
+THRESHOLD_NM = 0.15
+RATES, CORRELATION = (0.97, 0.005), 0.0
 """True and false positive rate of a reading, and the chance that an error repeats (scripts/torque_rates.py)."""
 
 _REST_S, _SETTLE_S, _CLOSE_S, _STOP_S = 0.15, 0.3, 0.5, 0.05
@@ -35,7 +36,7 @@ class ArmRobot:
 
     Args:
         task: the scene; readings are the arm's own, so that the task's rates are not used.
-        settings: control, noise and reading of the arm.
+        settings: control, noise and reading of the arm; by default with the threshold of the stated rates.
         physics: the arm.
     """
 
@@ -46,6 +47,7 @@ class ArmRobot:
     ) -> None:
         self.task = task
         own = physics or ArmPhysics(finger_m=task.finger_m)
+        settings = settings or TorqueSettings(threshold_nm=THRESHOLD_NM)
         self.arm = TorqueArm(task.half, task.height_m, own, settings)
         self._found: dict[bytes, tuple[np.ndarray, float]] = {}
 
