@@ -49,7 +49,8 @@ class SlidePolicy:
     Out of contact the tool moves towards the mean over the particles of the surface's centre, not beyond it; in
     contact (at the last instant of the last action) along the horizontal tangent of the mean surface normal where it
     is felt. Whether that goes clockwise about the object, seen from above, is drawn at the first plan of a run, which
-    hands it on to the next by `Plan.info`. Configurations are a position, in the plane or in space, and a yaw.
+    hands it on to the next by `Plan.info`. Configurations are a position, in the plane or in space, and a yaw. A
+    decision takes a millisecond, whatever the budget.
 
     Args:
         settings: see there.

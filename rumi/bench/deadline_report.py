@@ -36,17 +36,17 @@ def _simulated_table(rows: list[Row]) -> str:
     if not kinds:
         return ""
     lines = [
-        "| evaluation times | level | decisions | late | allowed | latest, share of the budget |",
+        "| evaluation times | level | decisions | late | allowed | latest, share of the time |",
         "|---" * 6 + "|",
     ]
     for (noise, level), own in kinds.items():
-        late = [(float(budget), s) for row in own for budget, all_s in row["late_s"].items() for s in all_s]
-        missed = sum(s > 0 for _, s in late)
-        worst = max(s / budget for budget, s in late)
+        count = sum(row["decisions"] * len(row["late"]) for row in own)
+        missed = sum(sum(row["late"].values()) for row in own)
+        worst = max(0.0, *(share for row in own for share in row["latest"].values()))
         allowed = "none" if noise == "exact" else f"{100 * (1 - level):g} %"
         told = "" if noise == "exact" else f"{level:g}"
-        share = f"{100 * missed / len(late):.2f} %"
-        lines.append(f"| {noise} | {told} | {len(late)} | {missed} ({share}) | {allowed} | {worst:.2f} |")
+        share = f"{100 * missed / count:.2f} %"
+        lines.append(f"| {noise} | {told} | {count} | {missed} ({share}) | {allowed} | {worst:.2f} |")
     return "\n".join(lines)
 
 
@@ -174,10 +174,11 @@ def _draw_late(rows: list[Row], axis: "Axes") -> None:
     axis.set_ylabel("late, %")
     for noise, colour in zip(_NOISES, (style.NLL, style.APC, style.CONTACT), strict=True):
         for level, line in ((0.9, "-"), (0.99, "--")):
-            own = [row["late_s"] for row in rows if (row["noise"], row["level"]) == (noise, level)]
+            own = [row for row in rows if (row["noise"], row["level"]) == (noise, level)]
             if own:
-                budgets = list(own[0])
-                shares = [100 * _share([s > 0 for late in own for s in late[budget]]) for budget in budgets]
+                budgets = list(own[0]["late"])
+                count = sum(row["decisions"] for row in own)
+                shares = [100 * sum(row["late"][budget] for row in own) / count for budget in budgets]
                 axis.plot([float(b) for b in budgets], shares, line, color=colour, label=f"{noise}, {level:g}")
     for allowed in (1.0, 10.0):
         axis.axhline(allowed, color=style.QUIET, linewidth=0.7, linestyle=":")
@@ -193,9 +194,9 @@ def _draw_gains(rows: list[Row], axis: "Axes") -> None:
     axis.set_ylabel("mean gain, nats")
     noises = ("exact", *_NOISES)
     for noise, colour in zip(noises, (style.INK, style.NLL, style.APC, style.CONTACT), strict=True):
-        own = [row["gains"] for row in rows if (row["noise"], row["level"]) == (noise, 0.9)]
+        own = [row["gain"] for row in rows if (row["noise"], row["level"]) == (noise, 0.9)]
         if own:
-            means = [statistics.mean(g for gains in own for g in gains[budget]) for budget in own[0]]
+            means = [statistics.mean(gain[budget] for gain in own) for budget in own[0]]
             axis.plot([float(b) for b in own[0]], means, "o-", markersize=3, color=colour, label=noise)
     if rows:
         axis.legend(fontsize=6.5)
@@ -220,10 +221,6 @@ def _draw_values(ledger: Ledger, axis: "Axes") -> None:
         axis.errorbar(places, shares, spread, fmt="o-", markersize=3, color=colour, label=f"{planner}, {task}")
     if axis.has_data():
         axis.legend(fontsize=6.5)
-
-
-def _share(flags: list[bool]) -> float:
-    return sum(flags) / len(flags)
 
 
 def _error(values: list[float]) -> float:

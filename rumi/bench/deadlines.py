@@ -1,5 +1,6 @@
 """How well deadlines are kept by every planner on a real clock, and what more time is worth."""
 
+import gc
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -95,6 +96,7 @@ def decisions(where: Situations, budget_s: float, clock: str, piece: int) -> Fig
     # compiled code is loaded, and the processor is awake
     for belief, scene in where.given[:2]:
         plan = policy.act(belief, scene, plan, executed=1, budget_s=budget_s, generator=random)
+    gc.freeze()  # as `rumi run` does
     took, first, kept, samples = [], [], 0, []
     for index in range(PIECE):
         belief, scene = where.given[(piece * PIECE + index) % len(where.given)]
@@ -113,6 +115,7 @@ def decisions(where: Situations, budget_s: float, clock: str, piece: int) -> Fig
 def touch_decisions(budget_s: float, clock: str, piece: int) -> Figures:
     """Choices of the next touch, motions scaled to milliseconds: how long thinking and motion take together."""
     now = _CLOCKS[clock]
+    gc.freeze()  # as `rumi run` does
     took, gains, evaluated = [], [], []
     work, seconds = _measured(TouchChoice.drawn(1000, limits=_FAST), now, 100)
     making = _making(TouchChoice.drawn(1000, limits=_FAST), now, 1200)

@@ -83,7 +83,8 @@ class Policy(Protocol):
             scene: what else is known.
             previous: the last plan, to warm-start from; None at the start.
             executed: how many controls of `previous` were carried out.
-            budget_s: seconds that planning may take, or None for as long as it needs.
+            budget_s: seconds that planning may take, or None for as long as it needs; the plan is the best that there
+                was time for.
             generator: all randomness.
         """
         ...

@@ -1,3 +1,4 @@
+import gc
 import io
 import json
 import subprocess
@@ -54,6 +55,23 @@ def test_a_run_leaves_its_folder(capsys):
     assert "runs/mug-0-rumi-default-s4" in said.out
     assert [text.split(":")[0] for text in said.err.splitlines()[1:]] == ["first view", "action 1", "action 2"]
     assert "Traceback" not in said.err
+
+
+@pytest.fixture
+def thaw():
+    """What is held back from the garbage collector is given back after the test."""
+    yield
+    gc.unfreeze()
+
+
+@pytest.mark.sim
+def test_a_run_by_a_budget(thaw):
+    assert run_small("--budget", "0.02", steps=3) == cli.NOT_CONVERGED
+    run = load_run("runs/mug-0-rumi-default-s0")
+    assert run.settings["budget_s"] == 0.02
+    assert run.result.timings_s["warm_up"] > 0
+    assert len(run.steps) == 4
+    assert gc.get_freeze_count() > 0
 
 
 @pytest.mark.sim
