@@ -79,6 +79,9 @@ def tasks(arguments: Sequence[str]) -> int:
     width = max(map(len, TASKS))
     for name, spec in TASKS.items():
         sys.stdout.write(f"{name:<{width}}  {spec.description}\n")
+    from rumi.peg_command import DESCRIPTION
+
+    sys.stdout.write(f"{'peg':<{width}}  {DESCRIPTION}; `rumi run peg --help`\n")
     return DONE
 
 
@@ -89,6 +92,10 @@ class _Nothing:
 
 def run(arguments: Sequence[str]) -> int:
     """`rumi run`: one run, its folder and its figures."""
+    if arguments[:1] == ["peg"]:  # a task of its own, with settings of its own
+        from rumi import peg_command
+
+        return peg_command.peg(arguments[1:])
     options = parse_run(arguments)
     settings = options.settings
     # what can be wrong is looked at before anything that takes time
