@@ -85,11 +85,13 @@ class PlotOptions:
 
 def tasks(arguments: Sequence[str]) -> int:
     """`rumi tasks`: the tasks by name."""
+    from rumi import peg_command
     from rumi.sim.tasks import TASKS
     from rumi.touch import command as touch
 
     tyro.cli(_Nothing, prog="rumi tasks", args=arguments, description="List what there is to find.")
-    listed = {name: spec.description for name, spec in TASKS.items()} | {touch.NAME: touch.DESCRIPTION}
+    listed = {name: spec.description for name, spec in TASKS.items()}
+    listed |= {touch.NAME: touch.DESCRIPTION, peg_command.NAME: peg_command.DESCRIPTION}
     width = max(map(len, listed))
     for name, description in listed.items():
         sys.stdout.write(f"{name:<{width}}  {description}\n")
@@ -103,10 +105,14 @@ class _Nothing:
 
 def run(arguments: Sequence[str]) -> int:
     """`rumi run`: one run, its folder and its figures."""
+    from rumi import peg_command
     from rumi.touch import command as touch
 
-    if touch.NAME in arguments:
-        return touch.run_touch([a for a in arguments if a != touch.NAME], cache_dir=cache_folder())
+    # tasks of their own, with settings of their own
+    for name, own in ((touch.NAME, touch.run_touch), (peg_command.NAME, peg_command.peg)):
+        at = arguments.index(name) if name in arguments else -1
+        if at == 0 or (at > 0 and not arguments[at - 1].startswith("--")):  # not the value of a flag
+            return own([*arguments[:at], *arguments[at + 1 :]], cache_dir=cache_folder())
     options = parse_run(arguments)
     settings = options.settings
     # what can be wrong is looked at before anything that takes time

@@ -1,0 +1,148 @@
+"""The command `rumi run peg`."""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from rumi.cli import DONE, NOT_CONVERGED
+from rumi.errors import UsageError
+from rumi.peg.run import PegRun, run_peg
+from rumi.peg.settings import PegSettings, Stop
+
+NAME = "peg"
+DESCRIPTION = "a block with two holes on a table, found by touch under a deadline, and a peg put into it"
+"""What the task is, for the list of tasks."""
+
+_HELP = """Find a block on a table by touch, deciding where to touch next in the time there is, and put a peg into it.
+
+    rumi run peg --t-max 10
+    rumi run peg --t-max 20 --stop contacts --seed 3
+    rumi run peg --t-max 10 --evaluation real --set point_m=0.001 normal_deg=2
+
+Time passes on a simulated clock: thinking takes what --evaluation says, motion what its speed profile does."""
+
+
+@dataclass(frozen=True)
+class PegOptions:
+    """Options of `rumi run peg`.
+
+    Attributes:
+        t_max: seconds for a decision and its motion together.
+        evaluation: seconds that weighing one candidate takes, or "real" for what it takes on this machine.
+        stop: "mass" stops where both holes are within 5 mm with a probability of 0.95, "contacts" after four contacts
+            on two sides, as the paper does.
+        seed: of the block's pose, the noise and the choices.
+        set: other settings of the task, such as point_m=0.001; see rumi/peg/settings.py.
+        out: folder of the run; by default runs/peg-tT_MAX-STOP-sSEED.
+        figures: draw contacts and time-line.
+    """
+
+    t_max: float = 10.0
+    evaluation: str = "1"
+    stop: Stop = "mass"
+    seed: int = 0
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SETTING=VALUE ...")] = ()
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    figures: bool = True
+
+
+def peg(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
+    """Carry out `rumi run peg`; nothing of it needs to be kept in a cache."""
+    options = tyro.cli(PegOptions, prog="rumi run peg", description=_HELP, args=arguments)
+    settings = settings_of(options)
+    folder = options.out or Path("runs") / f"peg-t{options.t_max:g}-{options.stop}-s{options.seed}"
+    run = run_peg(settings, options.seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "result.json").write_text(json.dumps(record(run), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    if options.figures:
+        draw(run, folder)
+    sys.stdout.write(summary(run, folder))
+    return DONE if run.stopped_by == "sure" else NOT_CONVERGED
+
+
+def settings_of(options: PegOptions) -> PegSettings:
+    """The settings that are asked for.
+
+    Raises:
+        UsageError: one cannot be.
+    """
+    from rumi.reproduce.peg import settings_of as parsed
+
+    try:
+        seconds = None if options.evaluation == "real" else float(options.evaluation)
+    except ValueError as error:
+        raise UsageError(f"Expected --evaluation to be seconds or real, got {options.evaluation!r}") from error
+    return replace(parsed(options.set), t_max_s=options.t_max, evaluation_s=seconds, stop=options.stop)
+
+
+def record(run: PegRun) -> dict[str, Any]:
+    """A run as plain values: how it ended, its settings, and every motion."""
+    motions = [
+        {
+            "kind": ("nothing", "side", "top")[felt.kind],
+            "begun_s": felt.begun_s,
+            "ended_s": felt.ended_s,
+            "path": felt.path.tolist(),
+            "point": felt.point.tolist(),
+            "normal": felt.normal.tolist(),
+        }
+        for felt in (*run.searched, *run.felt)
+    ]
+    decisions = [
+        {
+            "begun_s": thought.begun_s,
+            "ended_s": thought.ended_s,
+            "gain": thought.selection.gain,
+            "evaluated": thought.selection.evaluated,
+            "skipped": thought.selection.skipped,
+            "late_s": thought.selection.late_s,
+        }
+        for thought in run.thoughts
+    ]
+    return {
+        "seed": run.seed,
+        "truth": run.truth.tolist(),
+        "holes_m": run.aim.points.tolist(),
+        **run.as_dict(),
+        "settings": run.settings.as_dict(),
+        "motions": motions,
+        "decisions": decisions,
+    }
+
+
+def draw(run: PegRun, folder: Path) -> None:
+    """Contacts and time-line of a run."""
+    from rumi.viz import peg as drawn
+    from rumi.viz import style
+
+    with style.figure(9.0, 3.6) as figure:
+        whole, close = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
+        drawn.draw_contacts(run, whole)
+        drawn.draw_contacts(run, close, around_m=0.18)
+        figure.savefig(folder / "contacts.png", metadata={"Software": "rumi"})
+    with style.figure(9.0, 2.8) as figure:
+        one, two = figure.subplots(1, 2)
+        drawn.draw_timeline(run, one)
+        if run.thoughts:
+            drawn.draw_decision(run.thoughts[0], two).set_title("the first decision")
+        figure.savefig(folder / "timeline.png", metadata={"Software": "rumi"})
+
+
+def summary(run: PegRun, folder: Path) -> str:
+    """A few lines on how a run ended."""
+    ended = {"sure": "sure", "actions": "not sure", "stay": "nothing to do in the time allowed"}[run.stopped_by]
+    found = run.as_dict()
+    place = "in the hole" if run.in_hole else "beside the hole"
+    lines = [f"peg: {ended} after {found['touches']} touches, {place} by {found['off_mm']:.1f} mm from its middle"]
+    lines.append(
+        f"holes    off by {found['hole_error_mm']:.1f} mm at most; believed {found['probability']:.2f} within 5"
+    )
+    said = f"{found['search_s']:.0f} search, {found['thinking_s']:.0f} reasoning"
+    lines.append(f"seconds  {found['total_s']:.0f}: {said}; {found['evaluated']} candidates weighed")
+    lines.append(f"folder   {folder}")
+    return "\n  ".join(lines) + "\n"

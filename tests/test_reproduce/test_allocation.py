@@ -1,0 +1,95 @@
+"""Table I of the time-allocation paper and what goes with it, from records."""
+
+from dataclasses import replace
+
+import pytest
+
+from rumi.errors import UsageError
+from rumi.reproduce import allocation
+from rumi.reproduce.experiments import EXPERIMENTS, Selection, work_of
+from rumi.reproduce.peg import carry_out, settings_of
+from rumi.reproduce.records import Record, Records
+from rumi.reproduce.reports import reports
+
+QUICK = ("t_max_s=10", "particles=150", "search_particles=400", "point_m=0.001", "normal_deg=2")
+
+
+def record(seed, overrides, **figures):
+    whole = {
+        "in_hole": True, "right": True, "off_mm": 2.0, "hole_error_mm": 3.0, "middle_error_mm": 2.0, "touches": 18,
+        "probability": 0.96, "total_s": 100.0, "search_s": 30.0, "thinking_s": 20.0, "evaluated": 40, "actions": 10,
+    }  # fmt: skip
+    curves = {"contact_s": [30.0 + seed, 40.0, 50.0, 60.0], "probability": [0.1, 0.9]}
+    return Record("peg", "peg", "allocation", "", seed, tuple(overrides), whole | figures, {"wall_s": 1.0}, curves)
+
+
+def test_a_run_is_kept_and_found_again(tmp_path):
+    job = replace(work_of(["allocation-table1"], Selection(seeds=(3,)))[0], overrides=QUICK)
+    records = Records(tmp_path / "peg.jsonl")
+    records.add(job, job.carry_out(tmp_path))
+    records.refresh()
+    (found,) = records.done([job])
+    assert found.figures == carry_out(QUICK, 3)["figures"]
+    assert found.curves["contact_s"][0] == found.figures["search_s"]
+    assert len(found.curves["contact_s"]) == found.figures["touches"]
+    assert found.timings["wall_s"] > 0
+
+
+def test_the_settings_of_a_run():
+    found = settings_of(["t_max_s=20", "stop=contacts", "table_m=[0.6, 0.4]", "evaluation_s=null"])
+    assert (found.t_max_s, found.stop, found.table_m, found.evaluation_s) == (20, "contacts", (0.6, 0.4), None)
+    with pytest.raises(UsageError, match="no setting 'time'"):
+        settings_of(["time=3"])
+
+
+def test_experiments_share_what_they_have_in_common():
+    selection = Selection(seeds=(0, 1))
+    sizes = {name: len(work_of([name], selection)) for name in EXPERIMENTS if name.startswith("allocation")}
+    assert sizes == {"allocation-table1": 4, "allocation-accuracy": 8, "allocation-time": 40}
+    every = work_of(sizes, selection)
+    assert len({job.id for job in every}) == 52 - 2 - 2  # 10 s with either stop is in two of them
+    for job in every:
+        settings_of(job.overrides)
+
+
+def test_table_1_beside_the_paper():
+    runs = [record(s, (f"t_max_s={t}", "stop=contacts"), total_s=60.0 + t + s) for s in range(3) for t in (10, 20)]
+    text = allocation.times(runs)
+    assert "| 10 s | 3 | 31.0 [30.0, 32.0] |" in text and "71.0 [70.0, 72.0]" in text
+    assert "| 10 s, the paper | 1 | 36.9 | 53.9 | 68.4 | 83.5 | 98.1 |" in text and "110" in text
+    assert "sooner by 10.0 [10.0, 10.0] s" in allocation.faster(runs) and "median of 3" in allocation.faster(runs)
+    assert allocation.faster(runs[:1]) == "" and allocation.times([]) == ""
+
+
+def test_how_exact():
+    runs = [record(s, ("t_max_s=10",), right=s > 0, off_mm=2.0 + s) for s in range(4)]
+    text = allocation.accuracy([*runs, record(0, ("t_max_s=10", "stop=contacts", "point_m=0.001", "normal_deg=2"))])
+    first, second = text.splitlines()[2:]
+    assert first.startswith("| 5 mm, 6 deg | P >= 0.95 | 4 |") and "| 3/4 [" in first and "| 1/4 [" in first
+    assert second.startswith("| 1 mm, 2 deg | 4 contacts on 2 sides | 1 |")
+
+
+def test_the_least_is_marked(tmp_path):
+    runs = [
+        record(s, (f"t_max_s={t}", *machine), total_s=total + s)
+        for machine, row in (((), (90, 50, 70)), (("evaluation_s=0.003",), (60, 55, 40)))
+        for t, total in zip((3, 7, 20), row, strict=True)
+        for s in range(4)
+    ]
+    lines = allocation.totals(runs).splitlines()[2:]
+    assert [("**" in line) for line in lines] == [False, True, False, False, False, True]
+    assert lines[1].startswith("| 1 | 7 | 4 | **52 [") and lines[5].startswith("| 0.003 | 20 | 4 | **42 [")
+    assert "| 4.0 |" in lines[0]  # candidates a decision
+    (path,) = allocation.draw_totals(runs, tmp_path / "time.png")
+    assert path.stat().st_size > 10_000
+    assert allocation.draw_totals([], tmp_path / "none.png") == []
+
+
+def test_reports_with_figures(tmp_path):
+    selection = Selection(seeds=(0,))
+    runs = [record(0, (f"t_max_s={t}", "stop=contacts")) for t in (10, 20)]
+    (found,) = reports(["allocation-table1"], selection, runs, tmp_path, tmp_path)
+    assert "the paper" in found.text and len(found.figures) == 2
+    assert all(path.stat().st_size > 10_000 for path in found.figures)
+    one, two = reports(["allocation-accuracy", "allocation-time"], selection, runs, None, tmp_path)
+    assert "contacts on 2 sides" in one.text and two.figures == ()
