@@ -9,7 +9,7 @@ from rumi.errors import DegenerateBeliefError, UsageError
 
 DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
-COMMANDS = ("tasks", "run", "replay", "import", "plot", "bench", "mesh", "localize", "reproduce", "stress")
+COMMANDS = ("tasks", "run", "replay", "import", "check", "plot", "bench", "mesh", "localize", "reproduce", "stress")
 HOMES = {"import": "import_bag"}
 """Names of the functions whose commands have names that no function can have."""
 EXTRAS = {
@@ -38,6 +38,7 @@ usage: rumi tasks                  what there is to find
        rumi run TASK [options]     find it, in simulation
        rumi replay LOG [options]   take in a recorded log, by the same settings or by others
        rumi import BAG --map FILE  make a log of a ROS 2 bag
+       rumi check LOG [options]    draw what was observed over the model: is the calibration right?
        rumi plot RUN [options]     draw the figures of a run again
        rumi bench [options]        time the work, against others' and against the targets
        rumi mesh FILE [options]    what a triangle mesh is like, and what is wrong with it

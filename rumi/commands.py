@@ -191,6 +191,13 @@ def import_bag(arguments: Sequence[str]) -> int:
     return bag_command.import_bag(arguments)
 
 
+def check(arguments: Sequence[str]) -> int:
+    """`rumi check`: a log's observations over the model."""
+    from rumi import check_command
+
+    return check_command.check(arguments, cache_dir=cache_folder())
+
+
 def plot(arguments: Sequence[str]) -> int:
     """`rumi plot`: the figures of a run."""
     options = tyro.cli(PlotOptions, prog="rumi plot", args=arguments)

@@ -146,7 +146,7 @@ def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "Ba
     changed = changes(to_dict(recorded), to_dict(settings))
     if idle := [name for name in changed if name.split(".")[0] in _NO_EFFECT]:
         _say(f"{', '.join(idle)}: no effect, since what was done is recorded")
-    taken = log.taken() if mapping is None else _made(log, mapping, settings)
+    taken = log.taken() if mapping is None else made_readings(log, mapping, settings)
     for problem in log.problems:
         _say(problem)
     if settings.steps is not None:
@@ -229,7 +229,7 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "
     return sorted(found)
 
 
-def _made(log: "Log", mapping: "BagMap", settings: Settings) -> "list[Taken]":
+def made_readings(log: "Log", mapping: "BagMap", settings: Settings) -> "list[Taken]":
     """The readings of an imported recording; says what could not be used."""
     from rumi.bags.readings import make_readings
 
@@ -254,7 +254,8 @@ def rummager_of(
     if mapping is not None:
         from rumi.bags.scene import rummager_of_map
 
-        return rummager_of_map(mapping, settings, taken, cache_dir)
+        places = torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
+        return rummager_of_map(mapping, settings, places, cache_dir)
     from rumi.assemble import build_rummager
     from rumi.sim.objects import with_object
     from rumi.sim.tasks import find_task, make_tool

@@ -1,11 +1,11 @@
 """How an object is found in an imported recording: the parts of a run that its mapping describes."""
 
-from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from rumi.assemble import build_rummager
 from rumi.bags.mapping import BagMap
@@ -18,9 +18,6 @@ from rumi.sim.objects import with_object
 from rumi.sim.tasks import PriorSpec, TaskSpec, large_handled_mug
 from sdf.drill import drill_model
 from sdf.object_model import box_model
-
-if TYPE_CHECKING:
-    from sensors.log.reader import Taken
 
 _BUILTIN = {"mug": large_handled_mug, "box": box_model, "drill": drill_model}
 _MARGIN = 0.1  # metres about where the object and the tool are, for the workspace
@@ -36,14 +33,14 @@ def settings_of(mapping: BagMap) -> Settings:
 
 
 def rummager_of_map(
-    mapping: BagMap, settings: Settings, taken: "Sequence[Taken]", cache_dir: Path | None = None
+    mapping: BagMap, settings: Settings, places: Float[Tensor, "n 3"], cache_dir: Path | None = None
 ) -> Rummager:
     """All that a replay of an imported recording needs beside its readings.
 
     Args:
         mapping: of the recording.
         settings: of the replay; their object takes the place of the mapping's.
-        taken: the readings, from which the workspace follows.
+        places: where the tool is or was, which the workspace has to hold.
         cache_dir: folder that keeps tables of distances.
 
     Raises:
@@ -52,8 +49,7 @@ def rummager_of_map(
     scene = mapping.scene
     if settings.object.mesh is None and scene.builtin is None:
         raise UsageError("Expected an object: a mesh in the mapping's table [object], or scene.builtin; or --mesh FILE")
-    places = torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
-    corners = torch.cat((places, torch.tensor(scene.within)))
+    corners = torch.cat((places.float(), torch.tensor(scene.within)))
     low, high = ((corners.amin(0) - _MARGIN).tolist(), (corners.amax(0) + _MARGIN).tolist())
     spatial = scene.search == "SE(3)"
     spec = TaskSpec(

@@ -34,6 +34,10 @@ def made(log, bags):
         return make_readings(opened, mapping_of(bags.MAP))
 
 
+def places(taken):
+    return torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
+
+
 def signed(points, pose):
     from rumi.sim.tasks import large_handled_mug
 
@@ -89,7 +93,7 @@ def test_the_replayed_belief_finds_the_object(log, bags, recorded):
         taken = make_readings(opened, mapping).taken
     settings = settings_of(mapping)
     steps = []
-    rummager = rummager_of_map(mapping, settings, taken)
+    rummager = rummager_of_map(mapping, settings, places(taken))
     done = replay(taken, rummager, seed=0, on_step=steps.append)
     assert done.same == [None] * 6
     first, last = steps[0].belief.mode(), steps[-1].belief.mode()
@@ -170,7 +174,7 @@ def test_an_object_is_needed(log, bags):
     with Log(log) as opened:
         taken = make_readings(opened, mapping).taken
     with pytest.raises(UsageError, match="Expected an object"):
-        rummager_of_map(mapping, settings_of(mapping), taken)
+        rummager_of_map(mapping, settings_of(mapping), places(taken))
 
 
 def edge(parent, poses, stamps=()):

@@ -1,0 +1,105 @@
+"""The command `rumi check`: a log's observations drawn over the model, to see whether calibrations are right."""
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import torch
+import tyro
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.cli import DONE
+from rumi.errors import UsageError
+from sdf import se3
+
+if TYPE_CHECKING:
+    from rumi.rummager import Rummager
+    from sensors.log.reader import Taken
+    from sensors.observation import Observation
+
+_Six = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class CheckOptions:
+    """Draw what was observed over the model, and say how well it lies there.
+
+    Put the object where you know its pose, record, and give that pose: what is then off is the calibration. Without one
+    the likeliest pose of the belief is taken, which shows errors of shape and scale, but has adapted to others.
+
+    Attributes:
+        log: the log, or the run's folder that it lies in.
+        step: reading to draw; 0 is the first view.
+        pose: of the object in the world with its floor at 0: x, y, z in metres, roll, pitch, yaw in degrees.
+        map: mapping file of an imported recording, in place of its own.
+        out: the picture; by default check.png in the current folder.
+    """
+
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
+    step: int = 0
+    pose: Annotated[_Six | None, tyro.conf.arg(metavar="X Y Z ROLL PITCH YAW")] = None
+    map: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    out: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("check.png")
+
+
+def check(arguments: Sequence[str], *, cache_dir: Path) -> int:
+    """`rumi check`: 0 where it could be drawn, 2 for bad input."""
+    options = tyro.cli(CheckOptions, prog="rumi check", args=arguments)
+    from rumi.bags.mapping import Fixed
+    from rumi.misfit import misfit
+    from rumi.replay_command import log_path, made_readings, mapping_of_log, recorded_settings, rummager_of
+    from rumi.viz.overlay import draw_overlay
+    from sensors.log.errors import LogError
+
+    try:
+        from sensors.log.reader import Log
+
+        with Log(log_path(options.log)) as log:
+            mapping = mapping_of_log(log, arguments)
+            settings = recorded_settings(log, mapping)
+            taken = log.taken() if mapping is None else made_readings(log, mapping, settings)
+    except LogError as error:
+        raise UsageError(str(error)) from error
+    if not 0 <= options.step < len(taken):
+        raise UsageError(f"Expected --step 0 to {len(taken) - 1}, the readings of {options.log}, got {options.step}")
+    rummager = rummager_of(settings, mapping, taken, cache_dir)
+    if options.pose is not None:
+        at, turn = options.pose[:3], options.pose[3:]
+        pose, whose = Fixed("", "", at, turn).pose(), "the pose that was given"
+    else:
+        pose, whose = _likeliest(taken[: options.step + 1], rummager, settings.seed), "the belief's likeliest pose"
+    seen = at_the_end(taken[options.step])
+    model = rummager.model.to("cpu", torch.float32)
+    found = misfit(seen, pose, rummager.model.exact)
+    title = f"{options.log}, reading {options.step}, at {whose}"
+    path = draw_overlay(seen, pose.float(), model, found, options.out, title=title)
+    x, y, z = pose[:3, 3].tolist()
+    yaw = math.degrees(math.atan2(float(pose[1, 0]), float(pose[0, 0])))
+    sys.stdout.write(f"{title}: ({x:.4f}, {y:.4f}, {z:.4f}) m, yaw {yaw:.1f} degrees\n")
+    sys.stdout.write("".join(f"  {line}\n" for line in found.text().splitlines()))
+    sys.stdout.write(f"  picture  {path}\n")
+    return DONE
+
+
+def at_the_end(taken: "Taken") -> "Observation":
+    """The points of a reading, carried with the object to where it was at the reading's end, where that is known."""
+    reading = taken.reading
+    if reading.object_motion is None or len(reading.observation) == 0:
+        return reading.observation
+    carry = reading.object_motion[-1] @ se3.inverse(reading.object_motion)
+    own = carry[reading.instant]
+    moved = (own[:, :3, :3] @ reading.observation.points[..., None])[..., 0] + own[:, :3, 3]
+    attached = reading.observation.attached[:, None]
+    return replace(reading.observation, points=torch.where(attached, moved, reading.observation.points))
+
+
+def _likeliest(taken: "Sequence[Taken]", rummager: "Rummager", seed: int) -> Float[Tensor, "4 4"]:
+    from rumi.replay import replay
+
+    # all of the readings, sure or not
+    rummager = replace(rummager, stop=replace(rummager.stop, rule="never"))
+    return replay(taken, rummager, seed=seed).last.belief.mode().cpu()
