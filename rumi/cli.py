@@ -1,4 +1,4 @@
-"""The command `rumi`: list tasks, run one, draw a run again, time the work, reproduce the paper."""
+"""The command `rumi`: what there is to give, and where each command lives."""
 
 import os
 import sys
@@ -55,6 +55,7 @@ examples:
   rumi run mug-0 --preset paper --steps 10 --out my-run
   rumi run mug-0 --planner.mppi.samples 100 --stop.rule never
   rumi run touch-box                        a box that only touch can tell, found, grasped and lifted
+  rumi run peg --t-max 10                   a block found by touch under a deadline, a peg put into it
   rumi plot runs/mug-0-rumi-default-s0 --steps 0 4 8
 
 `rumi run` ends with exit code 0 if the belief became sure by its own stopping rule, 1 if it did not, 2 for input

@@ -124,7 +124,7 @@ def test_figures_are_drawn_and_drawn_again(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["find"], "There is no command 'find'; the commands are tasks, run, plot, bench"),
+        (["find"], "There is no command 'find'; the commands are tasks, run, replay"),
         (["run", "mug-9"], f"There is no task 'mug-9'; the tasks are {', '.join(sorted(TASKS))}"),
         (["run", "mug-0", "--preset", "quick"], "There is no preset 'quick'; the presets are default, fast, paper"),
         (["run", "mug-0", "--preset=quick"], "There is no preset 'quick'"),
@@ -184,7 +184,7 @@ def test_what_goes_wrong_in_a_run_is_named(error, message, monkeypatch, capsys):
 def test_tasks_are_listed(capsys):
     assert main(["tasks"]) == cli.DONE
     listed = capsys.readouterr().out.splitlines()
-    assert [text.split()[0] for text in listed] == [*TASKS, "touch-box"]
+    assert [text.split()[0] for text in listed] == [*TASKS, "touch-box", "peg"]
 
 
 def test_help_is_quick_and_has_examples():
