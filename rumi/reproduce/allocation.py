@@ -147,7 +147,7 @@ def draw_runs(seed: int, folder: Path) -> list[Path]:
     runs = [run_peg(settings_of([f"t_max_s={t}", "stop=contacts"]), seed) for t in (10, 20)]
     with style.figure(9.0, 3.4) as figure:
         axes = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.0))
-        peg.draw_contacts(runs[0], axes[0]).set_title("the search")
+        peg.draw_contacts(runs[0], axes[0]).set_title("t_max 10 s, the table")
         for ax, run in zip(axes[1:], runs, strict=True):
             peg.draw_contacts(run, ax, around_m=0.18).set_title(f"t_max {run.settings.t_max_s:g} s")
         written = [_saved(figure, folder / "allocation-contacts.png")]
