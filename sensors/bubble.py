@@ -27,7 +27,7 @@ class BubbleSettings:
         mean_px: side of the square that deformations are averaged over; odd, 1 for none.
         still_m: deformation below which the membrane is at rest: there is nothing in front of it.
         free_inset_m: free points lie this far inside of the resting membrane, beyond `still_m`.
-        free_stride_px: pixels between free points, and between points of the patch.
+        free_stride_px: pixels between free points.
         patch_stride_px: pixels between points of the patch.
         unit: of the depth image (`images.depth_metres`).
     """
