@@ -29,6 +29,7 @@ from rumi.plain import plain
 from rumi.records import RunResult, StepRecord
 from rumi.sketch import SceneSketch
 from rumi.trace import TraceWriter, read_trace
+from sdf.cache import DAMAGED
 
 SCHEMA = 1
 """Version of the run folder; raised when an older reader would misread a newer folder."""
@@ -138,16 +139,20 @@ def load_run(folder: Path | str) -> Run:
             f"{folder} was written by a newer rumi (schema {schema}, this one reads {SCHEMA}): update rumi"
         )
     ended = _read_json(folder, "result.json")
-    result = None if ended is None else _result(ended)
+    try:
+        result = None if ended is None else _result(ended)
+        actions = 0 if result is None else int(result.steps)
+    except (ValueError, TypeError) as error:
+        raise UsageError(f"{folder / 'result.json'} is damaged: {error}") from error
     try:
         members = read_trace(folder / "trace.npz")
         sketch, steps = read_sketch(members), read_steps(members, _timings(folder))
-    except (ValueError, KeyError, TypeError) as error:
+    except (AttributeError, IndexError, *DAMAGED) as error:
         raise UsageError(f"{folder / 'trace.npz'} is damaged: {error}") from error
     # an interrupt may have caught the recorder at the last step
-    lost = 0 if result is None else result.steps + 1 - len(steps)
+    lost = 0 if result is None else actions + 1 - len(steps)
     if result is not None and lost not in ((0, 1) if result.stopped_by == "interrupted" else (0,)):
-        raise UsageError(f"{folder / 'trace.npz'} is damaged: {len(steps)} steps are whole of {result.steps + 1}")
+        raise UsageError(f"{folder / 'trace.npz'} is damaged: {len(steps)} steps are whole of {actions + 1}")
     return Run(folder, settings, sketch, steps, result)
 
 

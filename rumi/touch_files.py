@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
+from sdf.cache import DAMAGED
 
 SUFFIXES = (".csv", ".txt", ".xyz", ".off", ".ply", ".npz", ".npy")
 
@@ -60,7 +61,7 @@ def read_contacts(path: str | Path, *, scale: float = 1.0) -> Contacts:
             points, normals = _ply(path.read_bytes())
         else:
             points, normals = (_off if suffix == ".off" else _table)(path.read_text(errors="replace"))
-    except (ValueError, KeyError, IndexError, OSError, EOFError) as error:
+    except (IndexError, *DAMAGED) as error:
         raise UsageError(f"Expected contacts in {path}, could not read them: {error}") from error
     if points.ndim != 2 or points.shape[1] != 3 or (normals is not None and normals.shape != points.shape):
         shapes = f"{points.shape}" + ("" if normals is None else f" and normals {normals.shape}")

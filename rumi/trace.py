@@ -15,6 +15,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from sdf.cache import DAMAGED
+
 _DATE = (1980, 1, 1, 0, 0, 0)  # the same arrays give the same bytes at any time
 _HEADER = struct.Struct("<4s5H3I2H")
 _SIGNATURE = b"PK\x03\x04"
@@ -73,7 +75,7 @@ def read_trace(path: Path) -> dict[str, Any]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = {info.filename: archive.read(info) for info in archive.infolist()}
-    except (zipfile.BadZipFile, zlib.error, EOFError):
+    except DAMAGED:
         members = _walk(data)
     return {name.rsplit(".", 1)[0]: _decode(name, member) for name, member in members.items()}
 

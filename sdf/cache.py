@@ -3,8 +3,11 @@
 import hashlib
 import logging
 import os
+import struct
 import tempfile
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,13 @@ import torch
 from sdf.grid_sdf import GridSDF
 
 _TABLE = ("values", "origin", "spacing", "bounds", "outer", "outer_spacing")
+
+DAMAGED = (
+    *(OSError, EOFError, ValueError, KeyError, TypeError, OverflowError, MemoryError, SyntaxError),
+    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error),
+    *(NotImplementedError, RuntimeError),  # a way of packing, or a password, that a flipped byte asks for
+)
+"""What reading a damaged .npz or .npy may raise, without pickles."""
 
 _logger = logging.getLogger(__name__)
 
@@ -36,7 +46,7 @@ def load_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray] | Non
     try:
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in names}
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+    except DAMAGED as error:
         _logger.warning("%s cannot be read (%s): working it out again", path, error)
         return None
 
@@ -53,6 +63,14 @@ def save_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
+
+
+def keep_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """`save_arrays`, or a warning where that cannot be: what was worked out is as good without being kept."""
+    try:
+        save_arrays(path, arrays)
+    except OSError as error:
+        _logger.warning("%s cannot be kept (%s): it will be worked out again next time", path, error)
 
 
 def load_table(path: Path) -> GridSDF | None:
@@ -79,8 +97,8 @@ def load_table(path: Path) -> GridSDF | None:
 
 
 def save_table(path: Path, table: GridSDF) -> None:
-    """Write a tabulated SDF."""
-    save_arrays(
+    """Write a tabulated SDF, or warn where that cannot be."""
+    keep_arrays(
         path,
         {
             "values": table.values.numpy(),

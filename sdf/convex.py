@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from sdf.cache import content_key, load_arrays, save_arrays
+from sdf.cache import content_key, keep_arrays, load_arrays
 from sdf.mesh import MeshError, TriangleMesh
 from sdf.repair import enclosed_volume
 
@@ -168,7 +168,7 @@ def _load(path: Path) -> tuple[TriangleMesh, ...] | None:
 def _save(path: Path, pieces: tuple[TriangleMesh, ...]) -> None:
     parts = [(piece.vertices.numpy(), piece.faces.numpy()) for piece in pieces]
     vertices, faces = zip(*parts, strict=True)
-    save_arrays(
+    keep_arrays(
         path,
         {
             "vertices": np.concatenate(vertices),

@@ -175,7 +175,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
             loaded = loaded.to_geometry() if loaded.geometry else None
     except Exception as error:  # whatever its parsers stumble over
         if path.suffix.lower() == ".off":
-            with contextlib.suppress(ValueError, IndexError):
+            with contextlib.suppress(ValueError, IndexError, OverflowError):
                 vertices, faces = read_off(path.read_text(errors="replace"))
                 loaded = trimesh.Trimesh(vertices, faces, process=False)
                 return _arrays(loaded, path)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from sdf import se3
 from sdf.base import SDF
-from sdf.check import check_shape, keep_within_reach
+from sdf.check import FAR, check_shape, keep_within_reach
 
 
 class Sphere(SDF):
@@ -82,6 +82,9 @@ class Capsule(SDF):
     """
 
     def __init__(self, a: Sequence[float], b: Sequence[float], radius: float) -> None:
+        _positive("radius", radius)
+        if not all(abs(x) < FAR for x in (*a, *b)):
+            raise ValueError(f"Expected ends within {FAR:g} m of the origin, got {tuple(a)} and {tuple(b)}")
         low = [min(p, q) - radius for p, q in zip(a, b, strict=True)]
         high = [max(p, q) + radius for p, q in zip(a, b, strict=True)]
         super().__init__(_box(low, high))
@@ -111,7 +114,7 @@ class TorusArc(SDF):
     def __init__(self, center: Sequence[float], ring_radius: float, tube_radius: float, half_angle: float) -> None:
         if not 0 < half_angle <= math.pi:
             raise ValueError(f"Expected half_angle in (0, pi], got {half_angle}")
-        if not 0 < tube_radius < ring_radius:
+        if not 0 < tube_radius < ring_radius < FAR:
             raise ValueError(f"Expected 0 < tube_radius < ring_radius, got {tube_radius} and {ring_radius}")
         x, y, z = map(float, center)
         left = ring_radius * math.cos(half_angle)
@@ -149,7 +152,7 @@ class Cup(SDF):
     """
 
     def __init__(self, outer_radius: float, height: float, wall: float, base: float) -> None:
-        if not 0 < wall < outer_radius or not 0 < base < height:
+        if not 0 < wall < outer_radius < FAR or not 0 < base < height < FAR:
             raise ValueError(
                 f"Expected 0 < wall < outer_radius and 0 < base < height, got wall {wall}, outer_radius "
                 f"{outer_radius}, base {base}, height {height}"
@@ -279,6 +282,6 @@ def _box(low: Sequence[float], high: Sequence[float]) -> Float[Tensor, "2 3"]:
 
 
 def _positive(name: str, value: float) -> float:
-    if not value > 0:
+    if not 0 < value < FAR:
         raise ValueError(f"Expected {name} to be a positive number of metres, got {value}")
     return float(value)

@@ -56,13 +56,20 @@ def compose(first: Float[Tensor, "*#b 4 4"], second: Float[Tensor, "*#b 4 4"]) -
 
     For products that go on and on: of plain ones what rounding adds piles up, until after 10^6 in float32 they are no
     rotations by 1e-4, and their angles are off by more. Here the product is worked out in float64, brought back to a
-    rotation by one step of Newton's iteration (whose error is the square of what was off), and rounded once.
+    rotation (`renormalised`), and rounded once.
     """
-    product = first.double() @ second.double()
-    rotation = product[..., :3, :3]
-    off = torch.eye(3, dtype=product.dtype, device=product.device) - rotation.mT @ rotation
-    whole = make(rotation + 0.5 * (rotation @ off), product[..., :3, 3])
-    return whole.to(torch.promote_types(first.dtype, second.dtype))
+    product = renormalised(first.double() @ second.double())
+    return product.to(torch.promote_types(first.dtype, second.dtype))
+
+
+def renormalised(transform: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
+    """The same with its rotation block, which must be one up to rounding, a rotation to the last digit.
+
+    By one step of Newton's iteration in float64; `reproject` takes any matrix, and takes longer.
+    """
+    rotation = transform[..., :3, :3].double()
+    off = torch.eye(3, dtype=rotation.dtype, device=rotation.device) - rotation.mT @ rotation
+    return make((rotation + 0.5 * (rotation @ off)).to(transform.dtype), transform[..., :3, 3])
 
 
 def inverse(transform: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:

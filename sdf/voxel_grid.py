@@ -1,5 +1,6 @@
 """Values on a lattice of the world: look-up between the nodes, and keys that name lattice cells."""
 
+import math
 from typing import Self
 
 import torch
@@ -12,6 +13,8 @@ from sdf.lookup import interpolate
 
 _BITS = 17
 _HALF = 1 << (_BITS - 1)
+MOST_NODES = 2**28
+"""Numbers that a lattice may hold: 1 GiB of float32."""
 
 
 def lattice_keys(points: Float[Tensor, "*b 3"], spacing: float | Float[Tensor, "*b"]) -> Int[Tensor, "*b"]:
@@ -70,8 +73,15 @@ class VoxelGrid(nn.Module):
         """
         check_shape("bounds", bounds, "(2, 3)")
         extent = ((bounds[1] - bounds[0]) / spacing).tolist()
-        if min(extent) < 0:
+        if not 0 < spacing < math.inf:
+            raise ValueError(f"Expected spacing to be a positive number of metres, got {spacing}")
+        if not min(extent) >= 0:
             raise ValueError(f"Expected bounds as (lower, upper) corners, got {bounds.tolist()}: swap them")
+        if not math.prod(ratio + 1.0 for ratio in extent) * math.prod(channels) < MOST_NODES:
+            raise ValueError(
+                f"Expected fewer than {MOST_NODES:.0e} numbers in a lattice, got {bounds.tolist()} m with a node every "
+                f"{spacing:g} m: widen the spacing, or narrow the bounds"
+            )
         # a hair less than the ratio, so that rounding adds no node
         shape = [int(-(-(ratio - 1e-4) // 1)) + 1 for ratio in extent]
         return cls(bounds.new_zeros(*shape, *channels), bounds[0].clone(), spacing)

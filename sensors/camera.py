@@ -143,6 +143,8 @@ def depth_shown(
 ) -> Float[Tensor, "M"]:
     """Least depth of the four pixels about each point of the camera's frame, -1 where that is not known."""
     height, width = depth.shape
+    if min(height, width) < 2:  # no four pixels
+        return points_c.new_full(points_c.shape[:1], -1.0)
     z = points_c[:, 2]
     ahead = z > 1e-6
     flat = (points_c / torch.where(ahead, z, torch.ones_like(z))[:, None]) @ intrinsics.mT

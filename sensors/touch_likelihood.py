@@ -33,8 +33,9 @@ class TouchNoise:
     def __post_init__(self) -> None:
         """Refuse noise that is none."""
         for name in ("point_m", "normal_rad", "extent_m"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+            # squares of less, and logs of more, are no numbers
+            if not 1e-12 < getattr(self, name) < 1e12:
+                raise ValueError(f"Expected {name} above 0 (1e-12 to 1e12), got {getattr(self, name)}")
         if not 0 <= self.outlier < 1:
             raise ValueError(f"Expected an outlier share in [0, 1), got {self.outlier}")
 

@@ -210,9 +210,10 @@ class PoseFilter(nn.Module):
         noise = normal(shape, generator=generator, dtype=poses.dtype, device=poses.device)
         noise = noise * torch.tensor(sigma, dtype=poses.dtype, device=poses.device)
         if self.prior is None:
-            return torch.where(rows[..., None, None, None], retract(poses, noise, self.search), poses)
+            moved = se3.renormalised(retract(poses, noise, self.search))
+            return torch.where(rows[..., None, None, None], moved, poses)
         back = se3.inverse(belief.world_T_attached)[..., None, :, :]
-        moved = back @ retract(belief.world_T_object, noise, self.search)
+        moved = se3.renormalised(back @ retract(belief.world_T_object, noise, self.search))
         return torch.where(rows[..., None, None, None], moved, poses)
 
     def descend(self, belief: PoseBelief, here: Observation, settings: DescentSettings) -> Float[Tensor, "*b N 4 4"]:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from rumi.fields.arm import Arm, ArmGeometry
 from sdf import se3
-from sdf.cache import load_arrays, save_arrays
+from sdf.cache import keep_arrays, load_arrays
 
 VERSION = 1
 """Of the table's contents: raise it when the same settings give other numbers."""
@@ -88,7 +88,7 @@ def reach_table(settings: ReachSettings, *, cache_dir: Path | None = None) -> Re
     table = _load(path, settings)
     if table is None:
         table = solve_table(settings)
-        save_arrays(path, {key: value.numpy() for key, value in table._asdict().items()})
+        keep_arrays(path, {key: value.numpy() for key, value in table._asdict().items()})
     return table
 
 

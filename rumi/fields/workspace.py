@@ -1,5 +1,6 @@
 """The lattice of world points on which fields live."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -9,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf.check import check_finite, check_shape
-from sdf.voxel_grid import VoxelGrid
+from sdf.voxel_grid import MOST_NODES, VoxelGrid
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,13 +38,21 @@ class Workspace:
         """
         check_shape("bounds", bounds, "(2, 3)", last=(2, 3))
         check_finite("bounds", bounds)
-        if not spacing > 0:
+        if not 0 < spacing < math.inf:
             raise ValueError(f"Expected spacing to be a positive number of metres, got {spacing}")
         if bool((bounds[1] < bounds[0]).any()):
             raise ValueError(
                 f"Expected bounds to be (lower, upper) with lower <= upper, got {bounds.tolist()}: swap the corners"
             )
-        steps = ((bounds[1] - bounds[0]) / spacing + 1e-4).floor().long() + 1
+        ratios = ((bounds[1] - bounds[0]).double() / spacing + 1.0).tolist()
+        if not math.prod(ratios) < MOST_NODES:
+            raise ValueError(
+                f"Expected fewer than {MOST_NODES:.0e} lattice points, got {bounds.tolist()} m with one every "
+                f"{spacing:g} m: widen the spacing, or narrow the bounds"
+            )
+        # a hair more than the ratio, so that rounding of the corners loses no point
+        slack = 1e-4 + 4.0 * torch.finfo(bounds.dtype).eps * float(bounds.abs().max()) / spacing
+        steps = ((bounds[1] - bounds[0]).double() / spacing + min(slack, 0.5)).floor().long() + 1
         origin = bounds[0].clone()
         if planar_height is not None:
             origin[2] = planar_height

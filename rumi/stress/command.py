@@ -1,14 +1,17 @@
 """The command `rumi stress`."""
 
 import json
+import logging
 import math
 import os
 import sys
+import tempfile
 import time
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -18,6 +21,9 @@ from rumi.errors import UsageError
 from rumi.plain import plain
 from rumi.stress import exact, subjects
 from rumi.stress.sweep import SWEEPS, Outcome, Sweep, carry_out
+
+if TYPE_CHECKING:
+    from rumi.stress.fuzz.run import Fuzzed
 
 WRONG = 1
 """Exit code where an error exceeded its limit."""
@@ -29,6 +35,9 @@ _HELP = """Hold public operations to references of higher precision, over inputs
     rumi stress --minutes 10 --json stress.json
     rumi stress --only se3-log-float32 fields --minutes 1
     rumi stress --only se3-log-float32 --seed 1234 --rounds 1 --show
+    rumi stress --fuzz 100000
+    rumi stress --kills 100
+    rumi stress --readings 10000
 
 Ends with exit code 1 if an error exceeds its limit or something comes out that is not finite, with 2 for bad input."""
 
@@ -44,7 +53,10 @@ class StressOptions:
         rounds: of each sweep, in place of minutes.
         json: file for what was found.
         show: print the inputs of the worst cases.
-        list: name the sweeps and end.
+        list: name the sweeps, or with --fuzz its targets, and end.
+        fuzz: instead of the sweeps, so many cases of functions, files, settings and command lines.
+        kills: instead of the sweeps, kill writers so many times at random moments.
+        readings: instead of the sweeps, follow one object over so many readings.
     """
 
     minutes: float = 1.0
@@ -54,6 +66,9 @@ class StressOptions:
     json: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     show: bool = False
     list: bool = False
+    fuzz: int | None = None
+    kills: int | None = None
+    readings: int | None = None
 
 
 def stress(arguments: Sequence[str]) -> int:
@@ -67,6 +82,12 @@ def stress(arguments: Sequence[str]) -> int:
         raise UsageError(f"Expected --seed from 0 and --rounds from 1, got {options.seed} and {options.rounds}")
     if options.json is not None:
         _check_folder(options.json)
+    instead = {name: getattr(options, name) for name in ("fuzz", "kills", "readings")}
+    asked = [name for name, count in instead.items() if count is not None]
+    if len(asked) > 1 or any(count is not None and count < 1 for count in instead.values()):
+        raise UsageError("Expected one of --fuzz, --kills and --readings, with a number above 0")
+    if asked:
+        return int({"fuzz": _fuzz, "kills": _kills, "readings": _readings}[asked[0]](options, instead[asked[0]]))
     subjects.load()
     sweeps = _chosen(options)
     if options.list:
@@ -83,6 +104,77 @@ def stress(arguments: Sequence[str]) -> int:
     if options.json is not None:
         write_whole(options.json, report(found, options, time.perf_counter() - began))
     return ended or (DONE if all(outcome.kept for outcome in found.values()) else WRONG)
+
+
+def _fuzz(options: StressOptions, count: int) -> int:
+    """Cases of all targets in turn, the same number of each."""
+    from rumi.stress.fuzz.run import many
+    from rumi.stress.fuzz.targets import TARGETS
+
+    chosen = {name: t for name, t in TARGETS.items() if not options.only or name.startswith(options.only)}
+    if not chosen:
+        raise UsageError(f"There is no target {options.only[0]!r}; the targets are {', '.join(TARGETS)}")
+    if options.list:
+        sys.stdout.write("".join(f"{name}\n" for name in chosen))
+        return DONE
+    logging.disable(logging.WARNING)  # damaged files are warned about, as they should be
+    warnings.simplefilter("ignore")
+    found: list[Fuzzed] = []
+    each = -(-count // len(chosen))
+    try:
+        for name, one in chosen.items():
+            _progress(len(found) + 1, len(chosen), name)
+            found.append(many(name, one, (str(options.seed + k) for k in range(each))))
+            _progress(0, 0, "")
+            sys.stdout.write(_fuzzed(found[-1]))
+            sys.stdout.flush()
+    except KeyboardInterrupt:
+        _say("interrupted")
+    finally:
+        logging.disable(logging.NOTSET)
+    wrong = sum(len(fuzzed.wrong) for fuzzed in found)
+    cases = sum(fuzzed.cases for fuzzed in found)
+    sys.stdout.write(f"{cases} cases of {len(found)} targets, {wrong} wrong\n")
+    _write(options, {"fuzz": [asdict(fuzzed) for fuzzed in found]})
+    return WRONG if wrong else INTERRUPTED if len(found) < len(chosen) else DONE
+
+
+def _fuzzed(fuzzed: "Fuzzed") -> str:
+    """A line on a target, and what was wrong."""
+    bad = f", {len(fuzzed.wrong)} WRONG\n" if fuzzed.wrong else "\n"
+    said = [f"    --seed {seed}: {what}\n" for seed, what in fuzzed.wrong[:5]]
+    return "".join([f"{fuzzed.name:<16} {fuzzed.cases:>7} cases, {fuzzed.refused:>7} refused", bad, *said])
+
+
+def _kills(options: StressOptions, count: int) -> int:
+    """Writers killed at random moments."""
+    from rumi.stress.kills import kill_many
+
+    with tempfile.TemporaryDirectory() as folder:
+        found = kill_many(count, Path(folder), seed=options.seed, said=lambda done: _progress(done, count, "kills"))
+    _progress(0, 0, "")
+    told = ", ".join(f"{number} of {kind}" for kind, number in found.kills.items())
+    sys.stdout.write(f"{sum(found.kills.values())} kills ({told}); {len(found.wrong)} wrong\n")
+    sys.stdout.write("".join(f"    {what}\n" for what in found.wrong))
+    _write(options, asdict(found))
+    return WRONG if found.wrong else DONE
+
+
+def _readings(options: StressOptions, count: int) -> int:
+    """One belief over many readings."""
+    from rumi.stress.long_run import long_run, text
+
+    found = long_run(count, seed=options.seed, said=lambda done: _progress(done, count, "readings"))
+    _progress(0, 0, "")
+    sys.stdout.write(text(found))
+    _write(options, asdict(found))
+    return DONE
+
+
+def _write(options: StressOptions, found: Mapping[str, Any]) -> None:
+    if options.json is not None:
+        about = {"commit": commit(), "machine": machine(), "seed": options.seed}
+        write_whole(options.json, {**about, **plain(found)})
 
 
 def sweep_all(sweeps: Sequence[Sweep], options: StressOptions) -> dict[str, Outcome]:

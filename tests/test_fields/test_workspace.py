@@ -52,3 +52,20 @@ def test_refuses_what_is_no_lattice() -> None:
         Workspace.from_bounds(PAPER * torch.inf, 0.1)
     with pytest.raises(ValueError, match=r"shape \(50, \*c\)"):
         Workspace.from_bounds(PAPER, 0.2).grid(torch.zeros(7))
+
+
+@pytest.mark.parametrize("spacing", [0.0005, 0.001, 0.007])
+def test_rounded_corners_lose_no_points(spacing):
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(200):
+        cells = torch.randint(0, 60, (3,), generator=generator)
+        low = (4.0 * torch.rand(3, generator=generator) - 2.0).float()
+        high = (low.double() + cells * spacing).float()
+        made = Workspace.from_bounds(torch.stack((low, torch.maximum(low, high))), spacing)
+        assert made.shape == tuple((cells + 1).tolist())
+
+
+@pytest.mark.parametrize("spacing", [float("inf"), float("nan"), 1e-9])
+def test_lattices_that_cannot_be_are_refused(spacing):
+    with pytest.raises(ValueError, match="spacing"):
+        Workspace.from_bounds(torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]), spacing)

@@ -140,3 +140,18 @@ def test_placed_member_moves_and_turns(generator):
 def test_impossible_sizes_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Sphere(math.inf),
+        lambda: Box((0.1, math.nan, 0.1)),
+        lambda: Capsule((1e30, 0.0, 0.0), (0.0, 0.0, 0.1), 0.1),
+        lambda: Cup(math.inf, 1.0, 0.1, 0.1),
+        lambda: TorusArc((0.0, 0.0, 0.0), math.inf, 0.1, 1.0),
+    ],
+)
+def test_shapes_of_no_size_are_refused(make):
+    with pytest.raises(ValueError, match="Expected"):
+        make()

@@ -47,6 +47,13 @@ def test_compose_brings_a_product_back_to_a_rotation():
     assert close(rotation, (a @ b)[..., :3, :3], 1e-9)
 
 
+def test_renormalised_is_a_rotation_to_the_last_digit():
+    off = transforms((50,), 1, torch.float32) * (1.0 + 3e-6)
+    rotation = se3.renormalised(off)[..., :3, :3].double()
+    assert close(rotation.mT @ rotation, torch.eye(3, dtype=torch.float64), 3e-7)
+    assert torch.equal(se3.renormalised(off)[..., :3, 3], off[..., :3, 3])
+
+
 def test_compose_keeps_gradients_and_dtype():
     a, b = transforms((3,), 1), transforms((3,), 2)
     assert torch.autograd.gradcheck(se3.compose, (a.requires_grad_(), b))

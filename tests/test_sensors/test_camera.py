@@ -227,3 +227,11 @@ def test_bad_arguments(no_shape_check):
         depth_observation(depth, intrinsics, world_T_camera * torch.nan, mask)
     with pytest.raises(ValueError, match="free_spacing"):
         depth_observation(depth, intrinsics, world_T_camera, mask, bounds=BOUNDS, free_spacing=0.0)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (4, 1)])
+def test_an_image_without_four_pixels_says_nothing_of_free_space(shape):
+    bounds = torch.tensor([[-0.05, -0.05, 0.1], [0.05, 0.05, 0.2]])
+    depth = torch.full(shape, 0.5)
+    seen = depth_observation(depth, pinhole(*shape, 1.0), torch.eye(4), depth > 0, bounds=bounds)
+    assert len(seen) == depth.numel()

@@ -1,0 +1,138 @@
+"""Kills, a disk that is full, a folder that cannot be written, two writers: nothing half-written is believed."""
+
+import json
+import os
+import resource
+import signal
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from rumi.cli import main
+from rumi.errors import UsageError
+from rumi.fields import reach_table
+from rumi.fields.reach_table import ReachSettings, ReachTable
+from rumi.jsonlines import append_line, read_lines
+from rumi.recording import RunRecorder, load_run, write_json
+from rumi.stress import kills
+from rumi.stress.kills import kill_many
+from rumi.stress.made_run import made_steps
+from sdf.cache import keep_arrays, load_arrays, save_arrays
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signal")
+
+
+def test_kills_leave_what_was_written(tmp_path):
+    found = kill_many(12, tmp_path, seed=1)
+    assert found.wrong == []
+    assert sum(found.kills.values()) >= 12
+    assert set(found.kills) == set(kills.WRITERS)
+
+
+def test_a_writer_that_writes_in_place_is_caught(tmp_path, monkeypatch):
+    def careless(folder, number, say):
+        values = {"a": np.zeros((400, 400)), "b": np.zeros(7)}
+        while True:
+            np.savez(folder / "cache-0.npz", **values)
+
+    monkeypatch.setattr(kills, "WRITERS", {"cache": careless})
+    assert kill_many(12, tmp_path).wrong
+
+
+def test_lines_that_are_said_too_early_are_missed(tmp_path, monkeypatch):
+    def careless(folder, number, say):
+        for k in range(10**9):
+            say(k + 1)
+            append_line(folder / "lines.jsonl", {"writer": number, "k": k, "text": "x" * k})
+
+    monkeypatch.setattr(kills, "WRITERS", {"lines": careless})
+    assert kill_many(4, tmp_path).wrong
+
+
+def in_a_child(work):
+    """Exit code of a function in a process of its own, whose files may not grow beyond 20 kB: as on a full disk."""
+    pid = os.fork()
+    if pid == 0:
+        code = 1
+        try:
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+            code = work()
+        finally:
+            os._exit(code)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+def test_a_full_disk_keeps_the_old_cache_and_leaves_nothing_else(tmp_path):
+    path = tmp_path / "a.npz"
+    save_arrays(path, {"a": np.ones(3)})
+
+    def work():
+        keep_arrays(path, {"a": np.zeros(10**5)})
+        return 7
+
+    assert in_a_child(work) == 7
+    assert load_arrays(path, ("a",))["a"].tolist() == [1.0] * 3
+    assert os.listdir(tmp_path) == ["a.npz"]
+
+
+def test_a_full_disk_leaves_a_run_up_to_there(tmp_path):
+    def work():
+        said = 0
+        with RunRecorder(tmp_path / "run", {"seed": 0}) as recorder:
+            for step in made_steps(points=60, particles=20):
+                try:
+                    recorder(step)
+                except OSError:
+                    return said
+                said += 1
+        return 0
+
+    written = in_a_child(work)
+    assert written > 0
+    assert len(load_run(tmp_path / "run").steps) >= written
+
+
+def test_a_full_disk_keeps_the_old_lines_and_results(tmp_path):
+    append_line(tmp_path / "lines.jsonl", {"k": 0})
+    write_json(tmp_path / "a.json", {"k": 0})
+
+    def work():
+        for write in (lambda: append_line(tmp_path / "lines.jsonl", {"k": "x" * 10**5}),
+                      lambda: write_json(tmp_path / "a.json", {"k": "x" * 10**5})):  # fmt: skip
+            try:
+                write()
+            except OSError:
+                continue
+            return 1
+        return 7
+
+    assert in_a_child(work) == 7
+    assert [line for line, _ in read_lines(tmp_path / "lines.jsonl")] == [{"k": 0}]
+    append_line(tmp_path / "lines.jsonl", {"k": 1})
+    assert [line for line, _ in read_lines(tmp_path / "lines.jsonl")] == [{"k": 0}, {"k": 1}]
+    assert json.loads((tmp_path / "a.json").read_text()) == {"k": 0}
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(tmp_path, monkeypatch, caplog):
+    (tmp_path / "file").write_text("")
+    solved = ReachTable(torch.zeros(141, 61).double(), torch.zeros(141, 61).double())
+    monkeypatch.setattr(reach_table, "solve_table", lambda settings: solved)
+    found = reach_table.reach_table(ReachSettings(), cache_dir=tmp_path / "file" / "below")
+    assert found is solved
+    assert "cannot be kept" in caplog.text
+
+
+def test_a_run_into_a_folder_that_cannot_be_written_is_refused(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match="Cannot write"):
+        RunRecorder(tmp_path / "file" / "run", {})
+    assert main(["run", "mug-0", "--out", str(tmp_path / "file" / "run")]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_the_command(capsys):
+    assert main(["stress", "--kills", "4"]) == 0
+    assert "0 wrong" in capsys.readouterr().out
