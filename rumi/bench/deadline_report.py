@@ -127,7 +127,6 @@ def draw(ledger: Ledger, out: Path, clock: str = "wall") -> list[Path]:
         _draw_late(ledger.of("simulated"), first)
         _draw_gains(ledger.of("simulated"), second)
         _draw_values(ledger, third)
-        made.tight_layout()
         made.savefig(paths[0])
     if planners:
         paths.append(out / "deadline_histogram.png")
@@ -138,14 +137,12 @@ def draw(ledger: Ledger, out: Path, clock: str = "wall") -> list[Path]:
                     _histogram(real, planner, budget, axis)
             for axis in panels[-1]:
                 axis.set_xlabel("milliseconds")
-            made.tight_layout()
-            made.savefig(paths[1])
+                made.savefig(paths[1])
     return paths
 
 
 def _histogram(rows: list[Row], planner: str, budget: float, axis: "Axes") -> None:
     took = [1e3 * s for row in rows if (row["planner"], row["budget_s"]) == (planner, budget) for s in row["took_s"]]
-    axis.set_yticks([])
     if not took:
         axis.set_axis_off()
         return
@@ -163,6 +160,8 @@ def _histogram(rows: list[Row], planner: str, budget: float, axis: "Axes") -> No
     axis.axvline(1e3 * budget, color=style.INK, linewidth=0.8)
     axis.axvline(limit, color=style.INK, linewidth=0.8, linestyle=":")
     axis.set_ylim(bottom=0.8)
+    axis.set_yticks([])
+    axis.minorticks_off()
     axis.set_title(f"{planner}, {1e3 * budget:g} ms: {late} of {len(took)} late", fontsize=7.5)
 
 
