@@ -194,12 +194,8 @@ class _Cutter:
 
 def _span(log: Log, mapping: BagMap) -> tuple[int, int]:
     """First and last time, ns, at which anything but fixed frames was recorded."""
-    stamps = [
-        sample.stamp_ns
-        for stream in log.streams.values()
-        if not stream.about.get("static")
-        for sample in stream.samples()
-    ]
+    recorded = [stream.stamps_ns() for stream in log.streams.values() if not stream.about.get("static")]
+    stamps = [int(at) for each in recorded if len(each) for at in (each.min(), each.max())]
     if not stamps:
         raise UsageError(f"Expected {log.path} to hold raw streams with anything in them, found none")
     return min(stamps), max(stamps)

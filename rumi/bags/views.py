@@ -16,6 +16,8 @@ from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 from sensors.view import View, ViewSettings, view_observation
 
+_APART_NS = 10**8  # between a depth image and the colour image that is of the same moment
+
 
 class Views:
     """Clouds and depth images of a log, by time.
@@ -37,19 +39,19 @@ class Views:
         self._mapping, self._frames, self._generator = mapping, frames, generator
         self._within = torch.tensor(mapping.scene.within)
         self._settings = ViewSettings(**asdict(mapping.view))
-        self._streams: list[tuple[Stream, list[Sample]]] = []
+        self._streams: list[Stream] = []
         self._cameras: dict[str, Sample] = {}
-        self._colors: list[Sample] = []
+        self._colors: list[Stream] = []
         self.problems: list[str] = []
         for stream in log.streams.values():
             role = role_of(stream, mapping)
             if role in ("cloud", "depth"):
-                self._streams.append((stream, stream.samples()))
+                self._streams.append(stream)
             elif role == "camera" and (samples := stream.samples()):
                 self._cameras[stream.name] = samples[0]
             elif role == "color":
-                self._colors += stream.samples()
-        self.any = any(samples for _, samples in self._streams)
+                self._colors.append(stream)
+        self.any = any(len(stream) for stream in self._streams)
 
     def between(self, begin_ns: int, end_ns: int, *, last: bool = False) -> Observation:
         """What each camera saw of the object in a span of time; without `last` in the first picture that shows it.
@@ -58,8 +60,9 @@ class Views:
         shows enough of them.
         """
         found = [Observation.empty()]
-        for stream, samples in self._streams:
-            mine = [one for one in samples if begin_ns <= one.stamp_ns <= end_ns]
+        for stream in self._streams:
+            mine = stream.samples(begin_ns, end_ns)
+            self.problems += stream.problems
             memory = None
             for one in reversed(mine) if last and self._settings.persist_s == 0 else mine:
                 view = self._view(stream, one, memory)
@@ -131,7 +134,10 @@ class Views:
 
     def _color(self, sample: Sample) -> Tensor | None:
         """The colour image nearest in time, if colours are asked for."""
-        if self._settings.segmentation != "color" or not self._colors:
+        if self._settings.segmentation != "color":
             return None
-        nearest = min(self._colors, key=lambda one: abs(one.stamp_ns - sample.stamp_ns))
-        return torch.tensor(nearest.values["color"])
+        at = sample.stamp_ns
+        near = [one for stream in self._colors for one in stream.samples(at - _APART_NS, at + _APART_NS)]
+        if not near:
+            return None
+        return torch.tensor(min(near, key=lambda one: abs(one.stamp_ns - at)).values["color"])

@@ -83,17 +83,55 @@ class Stream:
     def __len__(self) -> int:
         return len(self._table)
 
-    def as_recorded(self) -> Iterator[Sample]:
-        """All rows that can be read, in the order in which they came."""
-        for _, row in self._table.rows():
+    def stamps_ns(self) -> np.ndarray:
+        """Stamps of the rows that `samples` gives, not checked and in the order in which they came; reads little.
+
+        Raises:
+            LogError: the stream is damaged there.
+        """
+        stamps, flags = self._stamps()
+        return stamps[(flags & (Odd.DUPLICATE | Odd.FUTURE)) == 0]
+
+    def _stamps(self) -> tuple[np.ndarray, np.ndarray]:
+        try:
+            return self._table.unchecked("stamp_ns"), self._table.unchecked("flag")
+        except OSError as error:
+            raise LogError(f"The stamps of stream {self.name} are damaged: {error}") from error
+
+    def as_recorded(self, start: int = 0, end: int | None = None) -> Iterator[Sample]:
+        """All rows that can be read, in the order in which they came.
+
+        Args:
+            start: the first row.
+            end: the one after the last.
+        """
+        for _, row in self._table.rows(start, end):
             stamp, received, odd = (int(_need(row, column.name)) for column in STAMPS)
             values = {name: value for name, value in row.items() if name not in {column.name for column in STAMPS}}
             yield Sample(stamp, received, Odd(odd), values)
         self.problems = [f"stream {self.name}: {_those(self._table.damaged)}"] if self._table.damaged else []
 
-    def samples(self) -> list[Sample]:
-        """The rows that a belief is made from: in the order of their stamps, without duplicates and future stamps."""
-        good = [sample for sample in self.as_recorded() if not sample.odd & (Odd.DUPLICATE | Odd.FUTURE)]
+    def samples(self, begin_ns: int | None = None, end_ns: int | None = None) -> list[Sample]:
+        """The rows that a belief is made from: in the order of their stamps, without duplicates and future stamps.
+
+        Args:
+            begin_ns: the earliest; earlier ones are not read.
+            end_ns: the latest; later ones are not read.
+        """
+        rows: tuple[int, int | None] = (0, None)
+        if begin_ns is not None or end_ns is not None:
+            stamps, _ = self._stamps()
+            low = stamps.min(initial=0) if begin_ns is None else begin_ns
+            high = stamps.max(initial=0) if end_ns is None else end_ns
+            inside = ((low <= stamps) & (stamps <= high)).nonzero()[0]
+            if len(inside) == 0:
+                return []
+            rows = (int(inside[0]), int(inside[-1]) + 1)
+        good = [one for one in self.as_recorded(*rows) if not one.odd & (Odd.DUPLICATE | Odd.FUTURE)]
+        if begin_ns is not None:
+            good = [one for one in good if one.stamp_ns >= begin_ns]
+        if end_ns is not None:
+            good = [one for one in good if one.stamp_ns <= end_ns]
         return sorted(good, key=lambda sample: sample.stamp_ns)
 
 

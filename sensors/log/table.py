@@ -144,16 +144,17 @@ class Table:
         """Number of rows that were written whole, damaged ones included."""
         return int(self._checks.shape[0])
 
-    def rows(self, names: Sequence[str] | None = None) -> Iterator[tuple[int, Row]]:
+    def rows(self, start: int = 0, end: int | None = None) -> Iterator[tuple[int, Row]]:
         """The index and the values of each row, without those that are damaged: `damaged` lists these afterwards.
 
         Args:
-            names: of the columns to give back; all by default. (All are read, since all are checked.)
+            start: the first row.
+            end: the one after the last; all by default.
         """
         self.damaged = []
-        at = 0
-        while at < len(self):
-            stop = self._block_end(at)
+        at, last = start, len(self) if end is None else min(end, len(self))
+        while at < last:
+            stop = min(self._block_end(at), last)
             try:
                 block = self._read(at, stop)
             except (OSError, ValueError):
@@ -170,8 +171,16 @@ class Table:
                 if row is None:
                     self.damaged.append(index)
                 else:
-                    yield index, row if names is None else {name: row[name] for name in names}
+                    yield index, row
             at = stop
+
+    def unchecked(self, name: str) -> np.ndarray:
+        """A column of fixed shape as it lies in the file, as many rows as there are, not checked.
+
+        Raises:
+            OSError: the file is damaged there.
+        """
+        return np.asarray(self._sets[name][: len(self)])
 
     def _block_end(self, at: int) -> int:
         """So many rows that they fit a block, by the size of the first."""

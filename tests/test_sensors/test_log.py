@@ -157,6 +157,9 @@ def test_odd_stamps_are_flagged_kept_and_put_in_order(tmp_path):
         assert [sample.values["force"][0] for sample in stream.as_recorded()] == stamps
         assert [sample.values["force"][0] for sample in stream.samples()] == [5, 6, 7, 8, 0]
         assert stream.samples()[-1].stamp_ns == 9 * second
+        assert [sample.values["force"][0] for sample in stream.samples(6 * second, 8 * second)] == [6, 7, 8]
+        assert stream.samples(20 * second, 30 * second) == []
+        assert stream.stamps_ns().tolist() == [5 * second, 7 * second, 6 * second, 8 * second, 9 * second]
 
 
 @pytest.mark.parametrize(
