@@ -82,10 +82,10 @@ def accuracy(records: Sequence[Record]) -> str:
 def totals(records: Sequence[Record]) -> str:
     """Total time to the accuracy that is asked for, by t_max and evaluation time, the least marked."""
     heads = ["s a candidate", "t_max, s", "runs", "total, s: mean", "median", "search", "reasoning", "touches"]
-    heads += ["candidates a decision", "both holes < 5 mm", "in a hole"]
+    heads += ["candidates a decision", "sure", "both holes < 5 mm", "in a hole"]
     rows = []
     for machine, courses in _machines(records).items():
-        least = min(courses, key=lambda t: _mean(courses[t])[0])
+        least = _least(courses)
         for t_max, own in sorted(courses.items()):
             centre, low, high = _mean(own)
             cells = f"{centre:.0f} [{low:.0f}, {high:.0f}]"
@@ -101,6 +101,7 @@ def totals(records: Sequence[Record]) -> str:
                     f"{statistics.mean(numbers(own, 'thinking_s')):.0f}",
                     f"{statistics.mean(numbers(own, 'touches')):.1f}",
                     f"{sum(numbers(own, 'evaluated')) / max(1.0, decisions):.1f}",
+                    f"{_sure(own)}/{len(own)}",
                     rate(flags(own, "right")),
                     rate(flags(own, "in_hole")),
                 ]
@@ -124,7 +125,10 @@ def draw_totals(records: Sequence[Record], path: Path) -> list[Path]:
             label = f"{machine:g} s a candidate"
             ax.fill_between(t_max, low, high, color=colour, alpha=0.15, lw=0)
             ax.plot(t_max, centre, color=colour, lw=1.6, marker="o", ms=3.5, label=label)
-            best = int(np.argmin(centre))
+            least = _least(courses)
+            if least is None:
+                continue
+            best = t_max.index(least)
             ax.plot(t_max[best], centre[best], marker="*", color=colour, ms=13, mec="white", zorder=4)
             ax.annotate(f"{centre[best]:.0f} s", (t_max[best], centre[best]), textcoords="offset points",
                         xytext=(0, -14), ha="center", color=colour)  # fmt: skip
@@ -168,6 +172,17 @@ def _machines(records: Sequence[Record]) -> dict[float, dict[float, list[Record]
         machine, t_max = float(settings.get("evaluation_s", 1.0)), float(settings["t_max_s"])  # type: ignore[arg-type]
         found.setdefault(machine, {})[t_max] = own
     return found
+
+
+def _sure(records: Sequence[Record]) -> int:
+    """Runs that became as sure as was asked for."""
+    return sum(record.figures["stopped_by"] == "sure" for record in records)
+
+
+def _least(courses: dict[float, list[Record]]) -> float | None:
+    """The t_max of the least mean total, among those at which nine of ten runs became sure."""
+    reached = [t for t, own in courses.items() if _sure(own) >= 0.9 * len(own)]
+    return min(reached, key=lambda t: _mean(courses[t])[0], default=None)
 
 
 def _mean(records: Sequence[Record]) -> tuple[float, float, float]:

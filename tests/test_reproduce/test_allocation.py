@@ -18,6 +18,7 @@ def record(seed, overrides, **figures):
     whole = {
         "in_hole": True, "right": True, "off_mm": 2.0, "hole_error_mm": 3.0, "middle_error_mm": 2.0, "touches": 18,
         "probability": 0.96, "total_s": 100.0, "search_s": 30.0, "thinking_s": 20.0, "evaluated": 40, "actions": 10,
+        "stopped_by": "sure",
     }  # fmt: skip
     curves = {"contact_s": [30.0 + seed, 40.0, 50.0, 60.0], "probability": [0.1, 0.9]}
     return Record("peg", "peg", "allocation", "", seed, tuple(overrides), whole | figures, {"wall_s": 1.0}, curves)
@@ -82,6 +83,9 @@ def test_the_least_is_marked(tmp_path):
     assert "| 4.0 |" in lines[0]  # candidates a decision
     (path,) = allocation.draw_totals(runs, tmp_path / "time.png")
     assert path.stat().st_size > 10_000
+    # what never became sure did not take so little time to it
+    unsure = [record(s, ("t_max_s=3",), total_s=9.0, stopped_by="actions") for s in range(4)]
+    assert "**" in allocation.totals([*unsure, *runs[4:8]]) and "**" not in allocation.totals(unsure)
     assert allocation.draw_totals([], tmp_path / "none.png") == []
 
 
