@@ -62,7 +62,7 @@ bootstrap intervals."""
 def reports(
     names: Sequence[str], selection: Selection, records: Sequence[Record], figures: Path | None, cache_dir: Path
 ) -> list[Report]:
-    """The reports of some experiments.
+    """The reports of some experiments; of several, those without any result are left out.
 
     Args:
         names: of `rumi.reproduce.experiments.EXPERIMENTS`.
@@ -74,6 +74,8 @@ def reports(
     found = []
     for name in names:
         own = of_experiment(name, selection, records)
+        if not own and len(names) > 1 and EXPERIMENTS[name](selection):
+            continue  # of all experiments, those that the file holds nothing of
         report = _REPORTS[name]
         found.append(report(name, selection, own, figures, cache_dir))
     return found
