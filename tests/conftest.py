@@ -69,6 +69,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason=reason))
 
 
+@pytest.fixture(params=["torch", "numba"])
+def version(request: pytest.FixtureRequest) -> Iterator[str]:
+    """The plain versions of hot operations, then the fused ones; a file all of whose tests are for both asks for it."""
+    from sdf import backend, fused
+
+    if request.param == "numba" and not fused.available():
+        pytest.skip("without numba")
+    with backend.force(request.param):
+        yield request.param
+
+
 @pytest.fixture(scope="session")
 def device(request: pytest.FixtureRequest) -> torch.device:
     """The device asked for by --device."""

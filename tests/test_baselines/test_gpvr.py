@@ -1,6 +1,5 @@
 """GPVR: its cost against sums spelt out, its data against what was observed, its plans against where variance is."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -17,7 +16,7 @@ from rumi.fields.workspace import Workspace
 from rumi.planning.rummaging import RummagingSettings
 from rumi.planning.tool import Tool
 from rumi.planning.types import Plan, Scene
-from sdf import backend, se3
+from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
 from sdf.symmetry import Symmetries
@@ -35,11 +34,8 @@ PLANNER = RummagingSettings(
 )
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 @pytest.fixture(scope="module")

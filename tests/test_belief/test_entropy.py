@@ -1,7 +1,7 @@
 """Entropy of weighted sets: exact on lattices, golden numbers, closed forms, loops spelt out."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, get_args
 
 import pytest
@@ -28,11 +28,8 @@ DOUBLE = {"dtype": torch.float64}
 PLANAR = StateMetric((0.06, 0.06, 0.5), (False, False, True))
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def uniform_weights(count: int) -> Tensor:

@@ -7,7 +7,7 @@ import torch
 
 from rumi.belief.expected_divergence import with_kinds, with_misses
 from rumi.belief.touch_gain import Outcomes, mesh_touch_gain, noisy, rectangle_likelihood, touch_gain
-from sdf import backend, fused, se3
+from sdf import se3
 from sdf.sweep import sweep_rectangle
 from sdf.triangles import Triangles
 from sensors.touch_likelihood import TouchNoise
@@ -19,12 +19,8 @@ RADIUS = 0.0125
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 
 
-@pytest.fixture(params=["torch", "numba"], autouse=True)
-def version(request):
-    if request.param == "numba" and not fused.available():
-        pytest.skip("without numba")
-    with backend.force(request.param):
-        yield request.param
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def believed(count=120, spread=(0.02, 0.02, 0.2)):

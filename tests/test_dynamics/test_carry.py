@@ -1,7 +1,5 @@
 """Particles along a path: one push after the other, both versions, and a path for each."""
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 from torch import Tensor
@@ -16,11 +14,8 @@ DOUBLE = {"dtype": torch.float64}
 BOX = RectangleOutline((0.03, 0.08))
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def objects(generator: torch.Generator, count: int = 20, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Sliding]:

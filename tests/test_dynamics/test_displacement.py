@@ -1,7 +1,6 @@
 """The displacement model against a loop that spells Alg 7 out, and against what pushing must do."""
 
 import math
-from collections.abc import Iterator
 from typing import get_args
 
 import pytest
@@ -25,11 +24,8 @@ BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
 FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def workspace(dtype: torch.dtype, spacing: float = 0.01) -> Workspace:

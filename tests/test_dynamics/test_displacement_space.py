@@ -1,7 +1,6 @@
 """The displacement model of a tool that moves in space, against a loop that spells Alg 7 out."""
 
 import math
-from collections.abc import Iterator
 from typing import get_args
 
 import pytest
@@ -23,11 +22,8 @@ BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
 FREE = torch.tensor([[-5.0, -5.0, 0.03], [5.0, 5.0, 0.3]])
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def make_tool(dtype: torch.dtype, *, reaching: bool = False, spacing: float = 0.03) -> Tool:

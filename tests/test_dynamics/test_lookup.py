@@ -1,7 +1,5 @@
 """Quick look-ups and the contact bound against the plain interpolation."""
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 from torch import Tensor
@@ -14,11 +12,8 @@ from sdf.voxel_grid import VoxelGrid
 DOUBLE = {"dtype": torch.float64}
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def tool_points(count: int, generator: torch.Generator, *, uneven: bool = False) -> Tensor:

@@ -1,7 +1,6 @@
 """The quasi-static push model: both versions, and what a pushed object must do."""
 
 import math
-from collections.abc import Iterator
 
 import pytest
 import torch
@@ -26,11 +25,8 @@ FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
 COARSE = QuasiStaticSettings(mini_steps=4, spacing_m=0.01)
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 @pytest.fixture(scope="module")

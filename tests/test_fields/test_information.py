@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -38,11 +38,8 @@ GOLDEN_NAMES = {
 }
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version, but where a graph is kept."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version, but where a graph is kept
+pytestmark = pytest.mark.usefixtures("version")
 
 
 only_plain = pytest.mark.parametrize("version", ["torch"], indirect=True)

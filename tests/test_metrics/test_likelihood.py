@@ -1,7 +1,6 @@
 """nll, expected nll, APC, pose error and the stopping rule."""
 
 import math
-from collections.abc import Iterator
 
 import pytest
 import torch
@@ -19,11 +18,8 @@ from sdf.symmetry import Symmetries
 F64 = torch.float64
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def test_golden_nll(golden):

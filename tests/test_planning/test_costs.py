@@ -1,6 +1,6 @@
 """Information and reachability cost against golden numbers and sums spelt out."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -13,17 +13,14 @@ from rumi.planning.costs import InformationCost, information_cost
 from rumi.planning.reach_cost import ReachabilityCost, cross_correlation
 from rumi.planning.trajectory_cost import TrajectoryCost
 from rumi.planning.worth import gathered_by_action
-from sdf import backend, se3
+from sdf import se3
 from sdf.voxel_grid import VoxelGrid
 
 DOUBLE = {"dtype": torch.float64}
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def sparse_field(shape: tuple[int, int, int], generator: torch.Generator, share: float = 0.3) -> VoxelGrid:

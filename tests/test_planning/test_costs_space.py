@@ -1,7 +1,6 @@
 """The information that a tool in space gathers, against sets of cells."""
 
 import math
-from collections.abc import Iterator
 
 import pytest
 import torch
@@ -14,11 +13,8 @@ from sdf.voxel_grid import VoxelGrid
 DOUBLE = {"dtype": torch.float64}
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def solid_field(generator: torch.Generator, share: float = 0.3) -> VoxelGrid:

@@ -15,11 +15,8 @@ from sdf import backend
 BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request):
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 """Descent, archive and the first belief."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -23,11 +22,8 @@ BOX = Box((0.04, 0.06, 0.1)).double()
 TABLE = GridSDF.from_sdf(BOX, 0.004)
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def box_surface(count=300, seed=0):

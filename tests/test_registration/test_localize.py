@@ -69,14 +69,6 @@ def cylinder():
     return TouchSurface.of(cylinder_mesh())
 
 
-@pytest.fixture(params=["torch", "numba"])
-def version(request):
-    if request.param == "numba" and not fused.available():
-        pytest.skip("without numba")
-    with backend.force(request.param):
-        yield request.param
-
-
 def touches(surface, count, noise=0.0, seed=3):
     """A pose, points on the object there, and their normals."""
     generator = seeded(seed)

@@ -1,5 +1,4 @@
 import math
-from collections.abc import Iterator
 
 import pytest
 import torch
@@ -10,12 +9,8 @@ from sdf.grid_sdf import GridSDF
 from sdf.posed import posed_distance, posed_query
 from sdf.primitives import Mug
 
-
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version, but where a graph is kept."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version, but where a graph is kept
+pytestmark = pytest.mark.usefixtures("version")
 
 
 only_plain = pytest.mark.parametrize("version", ["torch"], indirect=True)

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from sdf import backend, fused, se3
+from sdf import se3
 from sdf.sweep import nearest_on_rectangle, sweep_mesh, sweep_rectangle, turned
 from sdf.triangles import Triangles
 
@@ -15,12 +15,8 @@ RADIUS = 0.0125
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 
 
-@pytest.fixture(params=["torch", "numba"], autouse=True)
-def version(request):
-    if request.param == "numba" and not fused.available():
-        pytest.skip("without numba")
-    with backend.force(request.param):
-        yield request.param
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def box(half):

@@ -19,12 +19,8 @@ def touches(shape, dtype=torch.float64):
     return points, normals
 
 
-@pytest.fixture(params=["torch", "numba"], autouse=True)
-def version(request):
-    if request.param == "numba" and not fused.available():
-        pytest.skip("without numba")
-    with backend.force(request.param):
-        yield request.param
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 @pytest.mark.parametrize("reach", [0.01, 0.05, 1.0])

@@ -10,11 +10,8 @@ from sdf.primitives import Box
 from sdf.tree import build_tree, split_long
 from sdf.triangles import Triangles, area_vectors, nearest, solid_angle, winding_number
 
-
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request):
-    with backend.force(request.param):
-        yield request.param
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def spread(count, generator, size=0.08):

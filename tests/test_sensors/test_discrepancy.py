@@ -1,7 +1,5 @@
 """RUMI's discrepancy, its gradients and its Gauss-Newton terms."""
 
-from collections.abc import Iterator
-
 import pytest
 import torch
 
@@ -22,11 +20,8 @@ from sensors.semantics import Semantics
 F64 = torch.float64
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def scene(case):

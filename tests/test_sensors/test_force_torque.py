@@ -1,7 +1,7 @@
 """Wrenches: where a tool was touched, against contacts that are known; what no contact can be is said to be so."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -25,11 +25,8 @@ F64 = torch.float64
 RADIUS = 0.0125
 
 
-@pytest.fixture(autouse=True, params=["torch", "numba"])
-def version(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Every test of this file holds for the plain and for the fused version."""
-    with backend.force(request.param):
-        yield
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def ball(lever: float = 0.05) -> SphereTool:

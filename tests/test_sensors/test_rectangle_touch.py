@@ -16,12 +16,8 @@ NOISE = TouchNoise()
 RADIUS = 0.0125
 
 
-@pytest.fixture(params=["torch", "numba"], autouse=True)
-def version(request):
-    if request.param == "numba" and not fused.available():
-        pytest.skip("without numba")
-    with backend.force(request.param):
-        yield request.param
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 def poses_and_touches(count=40, touches=6):

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from sdf import backend, fused, se3, so3
+from sdf import se3, so3
 from sdf.triangles import Triangles
 from sensors.evidence import Evidence
 from sensors.touch_likelihood import (
@@ -21,12 +21,8 @@ QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (
 HALF = torch.tensor([0.03, 0.05, 0.08], dtype=F64)
 
 
-@pytest.fixture(params=["torch", "numba"], autouse=True)
-def version(request):
-    if request.param == "numba" and not fused.available():
-        pytest.skip("without numba")
-    with backend.force(request.param):
-        yield request.param
+# every test of this file holds for the plain and for the fused version
+pytestmark = pytest.mark.usefixtures("version")
 
 
 @pytest.fixture
