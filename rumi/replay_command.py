@@ -58,7 +58,7 @@ class ReplayOptions:
 
 def replay(arguments: Sequence[str], *, cache_dir: Path) -> int:
     """`rumi replay`: 0 if the belief became sure, 1 if not or if it is not the recorded one, 2 for bad input."""
-    from rumi.commands import check_flags
+    from rumi.flags import check_flags
 
     check_flags(arguments, ("out", "map"), ("figures",))
     named = next((argument for argument in arguments if not argument.startswith("-")), None)
@@ -190,7 +190,7 @@ def summary(done: "Replayed", readings: int, changed: Sequence[str], out: Path |
         out: the folder that was written.
         name: of the task.
     """
-    from rumi.commands import ending
+    from rumi.run_command import ending
 
     result = done.result
     used = len(done.same)

@@ -60,7 +60,16 @@ def test_a_run_depends_on_the_algorithm_and_not_on_what_shows_it():
         "sdf.se3",
     } <= found
     assert "rumi.reproduce.runs" in found
-    shown = ("rumi.viz", "rumi.bench", "rumi.cli", "rumi.commands", "rumi.recording", "rumi.explain", "rumi.config")
+    shown = (
+        "rumi.viz",
+        "rumi.bench",
+        "rumi.cli",
+        "rumi.commands",
+        "rumi.run_command",
+        "rumi.recording",
+        "rumi.explain",
+        "rumi.config",
+    )
     assert not [name for name in found if name.startswith((*shown, "rumi.reproduce.tables", "rumi.reproduce.toy"))]
     toy = reached(KINDS["toy"].roots)
     assert "kmppi.parameterization" in toy and "rumi.loop" not in toy

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rumi import __version__, cli, commands
+from rumi import __version__, cli, commands, run_command
 from rumi.assemble import build
 from rumi.cli import main
 from rumi.config import preset
@@ -206,25 +206,25 @@ def test_version_and_help_of_commands(capsys):
 
 
 def test_flags_reach_the_settings():
-    options = commands.parse_run(["mug-1", "--preset", "paper", "--motion", "sticking", "--filter.trigger", "7"])
+    options = run_command.parse_run(["mug-1", "--preset", "paper", "--motion", "sticking", "--filter.trigger", "7"])
     expected = preset("paper", task="mug-1")
     assert options.settings == replace(expected, filter=replace(expected.filter, motion="sticking", trigger=7.0))
     assert options.figures
     # both spellings, and switches
-    options = commands.parse_run(["mug-0", "--filter.free_scale=5", "--planner.mppi.no-include-nominal"])
+    options = run_command.parse_run(["mug-0", "--filter.free_scale=5", "--planner.mppi.no-include-nominal"])
     assert options.settings.filter.free_scale == 5.0
     assert not options.settings.planner.mppi.include_nominal
-    assert commands.parse_run(["mug-0"]).settings == preset()
-    assert commands.parse_run(["mug-0", "--budget", "0.05"]).settings == preset(budget_s=0.05)
+    assert run_command.parse_run(["mug-0"]).settings == preset()
+    assert run_command.parse_run(["mug-0", "--budget", "0.05"]).settings == preset(budget_s=0.05)
 
 
 def test_default_folders_do_not_collide(tmp_path):
     settings = preset(seed=2)
-    first = commands.default_folder(settings, tmp_path)
+    first = run_command.default_folder(settings, tmp_path)
     assert first.name == "mug-0-rumi-default-s2"
     first.mkdir()
     (first / "settings.json").touch()
-    assert commands.default_folder(settings, tmp_path).name == "mug-0-rumi-default-s2-2"
+    assert run_command.default_folder(settings, tmp_path).name == "mug-0-rumi-default-s2-2"
 
 
 def test_cache_folder(monkeypatch):
@@ -265,6 +265,6 @@ def test_an_object_that_cannot_be_made_leaves_no_folder(tmp_path, capsys):
 )
 def test_models_that_push_in_a_plane_refuse_other_tasks(asked, cache):
     """Before any step is made, and in words."""
-    options = commands.parse_run(["drill-0", *asked])
+    options = run_command.parse_run(["drill-0", *asked])
     with pytest.raises(UsageError, match=f"{asked[0]} {asked[1]} .*drill-0"):
         build(options.settings, cache_dir=cache)

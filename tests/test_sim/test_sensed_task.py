@@ -9,11 +9,11 @@ import torch
 pytest.importorskip("cv2")
 
 from rumi.assemble import build_rummager
-from rumi.commands import parse_run
 from rumi.config import from_dict, preset, to_dict
 from rumi.errors import UsageError
 from rumi.planning.gripper import GripperShape
 from rumi.planning.gripper_body import Ellipsoid, gripper_links
+from rumi.run_command import parse_run
 from rumi.sim.bubble_camera import BubbleCamera
 from rumi.sim.sensor_settings import SensorSettings, degraded
 from rumi.sim.settings import SimSettings

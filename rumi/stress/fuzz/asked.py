@@ -11,8 +11,8 @@ from typing import Any
 from torch import Tensor
 
 from rumi.cli import BAD_INPUT, COMMANDS, DONE, NOT_CONVERGED, main
-from rumi.commands import parse_run
 from rumi.config import PRESETS, Settings, from_dict, preset, setting_names, to_dict
+from rumi.run_command import parse_run
 from rumi.stress.fuzz.draw import WILD, Draw, choice, number
 from rumi.stress.fuzz.files import damaged, originals
 
