@@ -142,9 +142,16 @@ def named(overrides: Sequence[str]) -> tuple[str, ...]:
     """Overrides in order as they are kept and shown: of a mesh its file's name, since where it lies decides nothing."""
     return tuple(
         sorted(
-            _MESH + Path(value.removeprefix(_MESH)).name if value.startswith(_MESH) else value for value in overrides
+            _MESH + Path(value.removeprefix(_MESH)).name if value.startswith(_MESH) else value
+            for value in map(_spelled, overrides)
         )
     )
+
+
+def _spelled(override: str) -> str:
+    """With the setting as Python spells it; the flags of `rumi run` have dashes."""
+    path, equals, text = override.partition("=")
+    return path.replace("-", "_") + equals + text
 
 
 def overridden(values: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
@@ -152,14 +159,14 @@ def overridden(values: Mapping[str, Any], overrides: Sequence[str]) -> dict[str,
 
     Args:
         values: as `rumi.config.to_dict` gives them.
-        overrides: "path.to.setting=value", the value as JSON or else as text.
+        overrides: "path.to.setting=value", the value as JSON or else as text; dashes as in the flags of `rumi run` do.
 
     Raises:
         UsageError: there is no such setting, or no value.
     """
     changed: dict[str, Any] = json.loads(json.dumps(values))
     for override in overrides:
-        path, equals, text = override.partition("=")
+        path, equals, text = _spelled(override).partition("=")
         *parents, last = path.split(".")
         inner: Any = changed
         for parent in parents:

@@ -18,6 +18,9 @@ def test_settings_are_the_presets_with_what_is_overridden():
     settings = job(overrides=("planner.rollouts=3", "stop.rule=never", "steps=4")).settings
     assert (settings.task, settings.method, settings.seed) == ("mug-0", "rumi", 3)
     assert (settings.planner.rollouts, settings.stop.rule, settings.steps) == (3, "never", 4)
+    dashed, spelled = (job(overrides=(f"planner.reachability{sign}scale=1.5",)) for sign in "-_")
+    assert dashed.settings.planner.reachability_scale == 1.5
+    assert dashed.id == spelled.id
     assert job(preset="paper").settings == preset("paper", task="mug-0", seed=3)
 
 
