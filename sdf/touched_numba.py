@@ -4,7 +4,7 @@ import numba
 import numpy as np
 
 from sdf.fused import Kernel, bare
-from sdf.tree_numba import closest, to_box
+from sdf.tree_numba import closest, next_leaf, to_box
 
 _BLOCK = 64
 # of a path from the root with the sibling of each node on it: enough for 2^60 leaves
@@ -23,37 +23,14 @@ def search(px, py, pz, nx, ny, nz, square, corners, owner, boxes, facing, start,
 
     What a triangle costs is at least its squared distance, so that boxes further than the best cost are passed by.
     """
-    first_leaf = len(boxes) // 2
-    size = len(corners) // first_leaf
+    size = len(corners) // (len(boxes) // 2)
     best = closest(px, py, pz, corners, start, np.inf, found)
     if square > 0.0:
         best += square * _chord(nx, ny, nz, facing, owner[start])
     piece = start
-    top = 1
     stack[0], gaps[0] = 1, to_box(px, py, pz, boxes, 1)
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if gaps[top] >= best:
-            continue
-        # down to a leaf by the nearer child; the other waits
-        while node < first_leaf:
-            node *= 2
-            near, far = to_box(px, py, pz, boxes, node), to_box(px, py, pz, boxes, node + 1)
-            if far < near:
-                near, far = far, near
-                other, node = node, node + 1
-            else:
-                other = node + 1
-            if far < best:
-                stack[top], gaps[top] = other, far
-                top += 1
-            if near >= best:
-                node = 0
-                break
-        if node == 0:
-            continue
-        leaf = node - first_leaf
+    leaf, top = next_leaf(px, py, pz, boxes, best, stack, gaps, 1)
+    while leaf >= 0:
         for at in range(leaf * size, (leaf + 1) * size):
             extra = square * _chord(nx, ny, nz, facing, owner[at]) if square > 0.0 else 0.0
             if extra >= best:
@@ -63,6 +40,7 @@ def search(px, py, pz, nx, ny, nz, square, corners, owner, boxes, facing, start,
             if gap < left:
                 best, piece = extra + gap, at
                 found[0], found[1], found[2] = trial[0], trial[1], trial[2]
+        leaf, top = next_leaf(px, py, pz, boxes, best, stack, gaps, top)
     return piece
 
 

@@ -66,14 +66,12 @@ def to_box(px, py, pz, boxes, node):
 
 
 @bare
-def _search(px, py, pz, corners, boxes, start, stack, gaps, found):
-    """The nearest piece, given one to begin with."""
+def next_leaf(px, py, pz, boxes, best, stack, gaps, top):
+    """The next leaf that is nearer than the best, and how many nodes are left waiting; -1 where there is none.
+
+    `stack` and `gaps` hold the nodes that wait and their squared distances.
+    """
     first_leaf = len(boxes) // 2
-    size = len(corners) // first_leaf
-    best = closest(px, py, pz, corners, start, np.inf, found)
-    piece = start
-    top = 1
-    stack[0], gaps[0] = 1, to_box(px, py, pz, boxes, 1)
     while top > 0:
         top -= 1
         node = stack[top]
@@ -94,13 +92,25 @@ def _search(px, py, pz, corners, boxes, start, stack, gaps, found):
             if near >= best:
                 node = 0
                 break
-        if node == 0:
-            continue
-        leaf = node - first_leaf
+        if node > 0:
+            return node - first_leaf, top
+    return -1, 0
+
+
+@bare
+def _search(px, py, pz, corners, boxes, start, stack, gaps, found):
+    """The nearest piece, given one to begin with."""
+    size = len(corners) // (len(boxes) // 2)
+    best = closest(px, py, pz, corners, start, np.inf, found)
+    piece = start
+    stack[0], gaps[0] = 1, to_box(px, py, pz, boxes, 1)
+    leaf, top = next_leaf(px, py, pz, boxes, best, stack, gaps, 1)
+    while leaf >= 0:
         for at in range(leaf * size, (leaf + 1) * size):
             gap = closest(px, py, pz, corners, at, best, found)
             if gap < best:
                 best, piece = gap, at
+        leaf, top = next_leaf(px, py, pz, boxes, best, stack, gaps, top)
     return piece
 
 
