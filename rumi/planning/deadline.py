@@ -109,13 +109,11 @@ class Deadline:
         few = min(_LEAST_SAMPLES, rest)
         if not self.knows("sample"):
             return min(_FIRST_SAMPLES, rest)
-        fits = self.affordable("sample", rest, 1.0)
+        fits = self.affordable("sample", 2 * rest, 1.0)
         if fits < few:
             return few if first else 0
-        if fits >= rest:
-            return rest
-        # half of what fits: by then the pace may have changed
-        return fits if fits < 2 * few else fits // 2
+        # half of what fits: these may take longer than their like did, and the rest is looked at again
+        return min(rest, fits if fits < 2 * few else fits // 2)
 
     def few_samples(self) -> float:
         """Seconds that the fewest samples of an iteration are expected to take."""
