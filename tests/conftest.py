@@ -92,6 +92,20 @@ def dtype(request: pytest.FixtureRequest) -> torch.dtype:
     return getattr(torch, request.config.getoption("--dtype"))
 
 
+@pytest.fixture(scope="session")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of what takes long to work out, for all tests."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture
+def at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path) -> None:
+    """The test in a folder of its own, where default folders land."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RUMI_CACHE", str(cache))
+    monkeypatch.delenv("RUMI_DEBUG", raising=False)
+
+
 @pytest.fixture
 def generator() -> torch.Generator:
     """A CPU generator with a fixed seed, fresh for each test."""

@@ -17,11 +17,8 @@ SOME = ("distance-mug", "kmppi-toy")
 
 
 @pytest.fixture(autouse=True)
-def small(tmp_path, monkeypatch):
+def small(at_home, monkeypatch):
     """In a folder of its own, with everything tiny and without the peers."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("RUMI_CACHE", str(tmp_path / "cache"))
-    monkeypatch.delenv("RUMI_DEBUG", raising=False)
 
     def tiny(device, **more):
         return Setup(device, tiny=True, **more | {"without_peers": "not asked for"})

@@ -8,10 +8,7 @@ from rumi.bench.scaling import measure_apart
 from rumi.bench.scaling_figure import draw
 from rumi.bench.scaling_work import SIZES, WORK, Size
 
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path_factory, monkeypatch):
-    monkeypatch.setenv("RUMI_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
+pytestmark = pytest.mark.usefixtures("at_home")
 
 
 @pytest.mark.parametrize("name", WORK)

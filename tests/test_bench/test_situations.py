@@ -11,12 +11,7 @@ from sdf import se3
 from sdf.grid_sdf import GridSDF
 from sensors.semantics import Semantics
 
-pytestmark = pytest.mark.sim
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path_factory, monkeypatch):
-    monkeypatch.setenv("RUMI_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
+pytestmark = [pytest.mark.sim, pytest.mark.usefixtures("at_home")]
 
 
 def test_a_situation_is_the_same_twice_and_holds_what_was_touched():

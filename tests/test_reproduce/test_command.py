@@ -22,16 +22,10 @@ from rumi.reproduce.live import lines as live_lines
 from rumi.reproduce.records import Records
 from rumi.reproduce.worker import Errand
 
+pytestmark = pytest.mark.usefixtures("at_home")
+
 ROOT = Path(__file__).resolve().parents[2]
 FEW = ("reproduce", "fig8", "--seeds", "1000-1001", "--no-figures")
-
-
-@pytest.fixture(autouse=True)
-def at_home(tmp_path, monkeypatch):
-    """Every test in a folder of its own, where default folders land."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("RUMI_CACHE", str(tmp_path / "cache"))
-    monkeypatch.delenv("RUMI_DEBUG", raising=False)
 
 
 @pytest.fixture

@@ -17,24 +17,13 @@ from rumi.progress import Progress, line
 from rumi.recording import load_run
 from rumi.sim.tasks import TASKS
 
+pytestmark = pytest.mark.usefixtures("at_home")
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 SMALL = [
     *("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12"),
     *("--planner.mppi.samples", "8", "--planner.mppi.warmup-iterations", "1", "--planner.rollouts", "1"),
 ]
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def at_home(tmp_path, monkeypatch, cache):
-    """Every test in a folder of its own, where default folders land."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("RUMI_CACHE", str(cache))
-    monkeypatch.delenv("RUMI_DEBUG", raising=False)
 
 
 def run_small(*more, steps=2):

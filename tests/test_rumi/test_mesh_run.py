@@ -15,7 +15,7 @@ from sdf.primitives import Mug
 
 for package in ("trimesh", "scipy", "networkx"):
     pytest.importorskip(package)
-pytestmark = pytest.mark.sim
+pytestmark = [pytest.mark.sim, pytest.mark.usefixtures("at_home")]
 
 SMALL = [
     *("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12"),
@@ -27,13 +27,6 @@ SMALL = [
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def at_home(tmp_path, monkeypatch, cache):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("RUMI_CACHE", str(cache))
-    monkeypatch.delenv("RUMI_DEBUG", raising=False)
 
 
 @pytest.fixture

@@ -24,21 +24,11 @@ import h5py
 
 from sensors.log.reader import Log
 
+pytestmark = pytest.mark.usefixtures("at_home")
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 SMALL = ("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12")
 STEPS = 6
-
-
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def at_home(tmp_path, monkeypatch, cache):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("RUMI_CACHE", str(cache))
-    monkeypatch.delenv("RUMI_DEBUG", raising=False)
 
 
 def record(folder, task="mug-0", *more):

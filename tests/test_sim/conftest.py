@@ -14,10 +14,5 @@ def mug():
 
 
 @pytest.fixture(scope="session")
-def reach_cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("reach")
-
-
-@pytest.fixture(scope="session")
-def arm_tool(reach_cache):
-    return make_tool(TASKS["mug-0"], cache_dir=reach_cache)
+def arm_tool(cache):
+    return make_tool(TASKS["mug-0"], cache_dir=cache)

@@ -119,11 +119,11 @@ def test_agrees_with_the_quasi_static_model(mug: ObjectModel) -> None:
     assert float((a.turns - b.turns)[:, :, -1][touched].abs().median()) < math.radians(10)
 
 
-def test_a_run_may_plan_with_it(arm_tool: Tool, reach_cache: Path) -> None:
+def test_a_run_may_plan_with_it(arm_tool: Tool, cache: Path) -> None:
     settings = preset(task="mug-0", steps=1)
     few = replace(settings.planner.mppi, samples=4, horizon=2, knots=2, warmup_iterations=1, iterations=1)
     planner = replace(settings.planner, push_model="mujoco", mppi=few, rollouts=1)
-    parts = build(replace(settings, planner=planner), cache_dir=reach_cache)
+    parts = build(replace(settings, planner=planner), cache_dir=cache)
     assert "mujoco" in ENGINES
     policy = parts.rummager.policy
     assert isinstance(policy.push_models, PushModels)  # type: ignore[attr-defined]

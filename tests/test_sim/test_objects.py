@@ -26,11 +26,6 @@ SPEC = TASKS["mug-0"]
 HALF = (0.03, 0.04, 0.06)
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
 def box_file(folder, half=HALF, turn=(0.0, 0.0, 0.0), at=(0.0, 0.0, 0.0), name="box.obj"):
     signs = torch.tensor([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=torch.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -148,12 +143,12 @@ def test_bad_settings(wrong, said):
         ObjectSettings(**wrong)
 
 
-def test_a_task_with_a_mesh(tmp_path, cache, reach_cache):
+def test_a_task_with_a_mesh(tmp_path, cache):
     """Built as the command does it: the origin of a mesh is where it is in the file, the object on the floor."""
     path = tmp_path / "mug.obj"
     write_obj(mug_mesh(Mug(), 0.006).moved(se3.make(torch.eye(3), torch.tensor([0.0, 0.0, -0.04]))), path)
     own = ObjectSettings(mesh=str(path), spacing_m=0.004, collision="hull")
-    task, rummager = build(replace(preset(task="mug-0"), object=own), cache_dir=reach_cache)
+    task, rummager = build(replace(preset(task="mug-0"), object=own), cache_dir=cache)
     assert rummager.height_m == pytest.approx(0.04)
     first = task.reset(0)
     expected = se3.from_planar(torch.tensor(SPEC.start), 0.04)

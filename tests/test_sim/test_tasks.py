@@ -193,11 +193,11 @@ def test_tool_of_a_task(tmp_path):
     assert free.height_m == TASKS["mug-0"].height_m
 
 
-def test_reach_is_kept_on_disk(reach_cache, arm_tool, monkeypatch):
+def test_reach_is_kept_on_disk(cache, arm_tool, monkeypatch):
     from rumi.fields import reach_table
 
     monkeypatch.setattr(reach_table, "solve_table", lambda settings: pytest.fail("solved again"))
-    again = make_tool(TASKS["mug-1"], cache_dir=reach_cache)
+    again = make_tool(TASKS["mug-1"], cache_dir=cache)
     assert torch.equal(again.reach.position, arm_tool.reach.position)
 
 
