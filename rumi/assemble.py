@@ -124,13 +124,16 @@ def _planar(spec: TaskSpec) -> bool:
 
 
 def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
-    """Refuse models that push upright objects in a plane where the task has others."""
+    """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
     if _planar(spec):
         return
+    upright = spec.search == "SE(2)"
     for name, value, other in (
-        ("push-model", settings.planner.push_model, "displacement"),
+        ("push-model", settings.planner.push_model, "displacement or mujoco" if upright else "displacement"),
         ("motion", settings.filter.motion, "measured, sticking or estimated"),
     ):
+        if value == "mujoco" and upright:
+            continue
         if value in ("quasi-static", "mujoco", *_PLANAR):
             raise UsageError(
                 f"--{name} {value} pushes upright objects with a level tool, and {spec.name} is another task: "

@@ -30,7 +30,8 @@ class Paths(NamedTuple):
         cos, sin = self.turns.cos(), self.turns.sin()
         x, y = (self.configurations[..., :2] - self.pivot - self.displacements[..., :2]).unbind(-1)
         place = torch.stack((cos * x + sin * y, cos * y - sin * x), -1) + self.pivot
-        seen = torch.cat((place, (self.configurations[..., 2] - self.turns)[..., None]), -1)
+        height, yaw = self.configurations[..., 2:-1], self.configurations[..., -1] - self.turns
+        seen = torch.cat((place, height, yaw[..., None]), -1)
         return seen, torch.zeros_like(self.displacements)
 
     def staying(self) -> tuple[Float[Tensor, "*b H Q"], Float[Tensor, "*b H 3"]]:

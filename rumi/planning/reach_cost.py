@@ -46,8 +46,9 @@ class ReachabilityCost:
 
     `-mean_t sum_x r(x) I(x - d_t) / sum_x I(x)`, with I multilinear between nodes and zero outside the lattice. For
     fractional d this is, exactly, the same interpolation of a table over whole shifts, the cross-correlation of r and
-    I: one Fourier transform for a plan and one look-up for a displacement. Turns of the object about a point have a
-    table for every `turn_step`, made where a turn needs it, with linear interpolation between (planar fields only).
+    I: one Fourier transform for a plan and one look-up for a displacement. Turns of the object about an upright axis
+    have a table for every `turn_step`, made where a turn needs it, with linear interpolation between; what turns stays
+    at its height.
 
     Args:
         information: (X, Y, Z), 0 or more.
@@ -95,18 +96,14 @@ class ReachabilityCost:
         return torch.where(self._total > 0, share / self._total, torch.zeros_like(share)).clamp(0.0, 1.0)
 
     def _turned_shares(self, displacements: Tensor, turns: Tensor, pivot: Tensor) -> Tensor:
-        if self._information.shape[2] != 1:
-            raise ValueError(
-                f"Expected a planar information field for objects that turn, got {self._information.shape[2]} layers"
-            )
-        place = turns / self.turn_step
+        place, level = turns / self.turn_step, self._information.shape[2] - 1  # the shift by no height
         first, last = int(place.min().floor()), int(place.max().floor()) + 1
         # whole turns leave the information where it was
         needed = [index % self._steps for index in range(first, last + 1)]
         missing = sorted(set(needed) - self._turned.keys())
         if missing:
             turned = torch.stack([self._turn(index * self.turn_step, pivot) for index in missing])
-            self._turned |= dict(zip(missing, self._table(turned)[..., 0], strict=True))
+            self._turned |= dict(zip(missing, self._table(turned)[..., level], strict=True))
         stack = torch.stack([self._turned[index] for index in needed])
         angles, wide, deep = stack.shape
         x, y = ((displacements - self._origin[:2]) / self._information.spacing).unbind(-1)
@@ -119,7 +116,10 @@ class ReachabilityCost:
 
     def _turn(self, turn: float, pivot: Tensor) -> Tensor:
         """The information turned about the pivot: each node's value goes to the four nodes about its new place."""
-        values, origin = self._information.values[:, :, 0], self._information.origin
+        return torch.stack([self._turned_layer(layer, turn, pivot) for layer in self._information.values.unbind(2)], -1)
+
+    def _turned_layer(self, values: Tensor, turn: float, pivot: Tensor) -> Tensor:
+        origin = self._information.origin
         x, y = values.nonzero().unbind(-1)
         held, spacing = values[x, y], self._information.spacing
         from_pivot = torch.stack((x, y), -1) * spacing + origin[:2] - pivot
@@ -135,4 +135,4 @@ class ReachabilityCost:
                 part = held * (share[:, 0] if dx else 1 - share[:, 0]) * (share[:, 1] if dy else 1 - share[:, 1])
                 inside = (i >= 0) & (j >= 0) & (i < values.shape[0]) & (j < values.shape[1])
                 result.index_put_((i[inside], j[inside]), part[inside], accumulate=True)
-        return result[..., None]
+        return result

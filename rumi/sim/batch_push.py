@@ -1,5 +1,6 @@
 """The push model that is MuJoCo: many rollouts at once, the same to the bit with any number of threads."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,8 @@ class MujocoPush:
     As in the quasi-static model each rollout pushes one pose of the belief; here the engine that the simulator is made
     of does it, with inertia, soft contacts and servos that lag. Slow: 20 to 100 thousand steps a second and core.
 
+    A tool that moves in space has a drive that gives way; an object that it tilts is taken to be upright at its yaw.
+
     Skipped, with the same rollouts: actions before the first in which the tool comes near the object. A servo is at
     rest after each action's hold, so that a rollout may begin with any of them.
 
@@ -57,43 +60,48 @@ class MujocoPush:
         self.pivot = self.weights @ self.poses[:, :2]
         own = self.settings
         physics = PhysicsSettings(mass_kg=own.mass_kg, friction=own.friction)
-        self.world = World(model.exact, tool.shape, tool.height_m, own.time_step_s, physics)
+        if tool.spatial:
+            # pressed down with more, objects sink into the floor
+            physics = replace(physics, max_force_n=25.0, max_lift_n=15.0, max_torque_nm=4.0)
+        height = None if tool.spatial else tool.height_m
+        self.world = World(model.exact, tool.shape, height, own.time_step_s, physics)
         corners = model.exact.bounds[:, :2].abs().amax(0)
         outline = tool.shape.outline(0.005)
         self.reach = float(corners.norm()) + float(outline.norm(dim=-1).max()) + _MARGIN_M
 
     def rollout(
         self,
-        configuration: Float[Tensor, "3"],
+        configuration: Float[Tensor, "Q"],
         controls: Float[Tensor, "K H A"],
         *,
         rollouts: int,
         generator: torch.Generator | None = None,
     ) -> PushRollouts:
-        """Roll control sequences out from one configuration (x, y, yaw), once for each of `rollouts` poses."""
+        """Roll control sequences out from one configuration, once for each of `rollouts` poses."""
         chosen = representatives(self.poses[:, 2], self.weights, rollouts)
         return self.rollout_poses(configuration, controls, self.poses[chosen])
 
-    def likely(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "H A"]) -> PushRollouts:
+    def likely(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) of the likeliest pose."""
         return self.rollout_poses(configuration, controls[None], self.poses[self.weights.argmax()][None])
 
     @torch.no_grad()
     def rollout_poses(
-        self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], poses: Float[Tensor, "M 3"]
+        self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "K H A"], poses: Float[Tensor, "M 3"]
     ) -> PushRollouts:
         """The rollouts in which the object starts at given poses (x, y, yaw)."""
-        check_shape("configuration", configuration, "(3,)", last=(3,))
+        freedom = len(self.tool.scale)
+        check_shape("configuration", configuration, f"({freedom},)", last=(freedom,))
         check_shape("controls", controls, "(K, H, A)")
         (samples, horizon, _), count = controls.shape, len(poses)
-        start = configuration.expand(samples, 1, 3)
+        start = configuration.expand(samples, 1, freedom)
         path = torch.cat((start, self.tool.free_path(start[:, 0], controls, 1)), 1)
         first = self._first_near(path, poses).reshape(-1)
         now = poses.expand(samples, count, 3).reshape(-1, 3)
         begun = now
-        states = self.world.states(path[:, :1].expand(samples, count, 3).reshape(-1, 3), now)
+        states = self.world.states(path[:, :1].expand(samples, count, freedom).reshape(-1, freedom), now)
         track, contact = [now], torch.zeros(samples * count, horizon, dtype=torch.bool)
-        rows_path = path[:, None].expand(samples, count, horizon + 1, 3).reshape(-1, horizon + 1, 3)
+        rows_path = path[:, None].expand(samples, count, horizon + 1, freedom).reshape(-1, horizon + 1, freedom)
         stepped = 0
         for action in range(horizon):
             rows = (first <= action).nonzero()[:, 0]
@@ -111,7 +119,7 @@ class MujocoPush:
         shape = (samples, count, horizon + 1)
         contact = contact.view(samples, count, horizon)
         return PushRollouts(
-            rows_path.view(*shape, 3).clone(),
+            rows_path.view(*shape, freedom).clone(),
             shifts.view(*shape, 3),
             contact,
             stepped / max(1, samples * count * horizon),
@@ -120,7 +128,7 @@ class MujocoPush:
             self.pivot,
         )
 
-    def _first_near(self, path: Float[Tensor, "K T 3"], poses: Float[Tensor, "M 3"]) -> Int[Tensor, "K M"]:
+    def _first_near(self, path: Float[Tensor, "K T Q"], poses: Float[Tensor, "M 3"]) -> Int[Tensor, "K M"]:
         """The first action in which the tool may touch; the number of actions if none."""
         begin, way = path[:, None, :-1, :2], (path[:, 1:, :2] - path[:, :-1, :2])[:, None]
         apart = poses[None, :, None, :2] - begin

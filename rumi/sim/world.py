@@ -130,10 +130,12 @@ class World:
             states[-1] = position
         return Track(torch.from_numpy(states[:, self._gripper]), self._object_poses(states))
 
-    def states(self, configuration: Float[Tensor, "R 3"], object_pose: Float[Tensor, "R 3"]) -> np.ndarray:
-        """Physics states (R, S) with gripper and object at rest at (x, y, yaw), the object settled into the floor."""
+    def states(self, configuration: Float[Tensor, "R Q"], object_pose: Float[Tensor, "R 3"]) -> np.ndarray:
+        """Physics states (R, S) with gripper and object at rest, the object at (x, y, yaw), settled into the floor."""
         if self._rest is None:
-            self.reset(torch.tensor([-3.0, 0.0, 0.0]), torch.zeros(3))
+            away = torch.zeros(len(self._gripper))
+            away[0] = -3.0
+            self.reset(away, torch.zeros(3))
             size = int(self._mujoco.mj_stateSize(self.model, self._mujoco.mjtState.mjSTATE_FULLPHYSICS))
             rest = np.empty(size)
             self._mujoco.mj_getState(self.model, self.data, rest, self._mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -154,7 +156,7 @@ class World:
 
         Args:
             states: (R, S), as `states` gives them.
-            ways: (R, 2, 3), x, y, yaw from where to where.
+            ways: (R, 2, Q), configurations from where to where.
             action_s: duration of the motion.
             hold_s: of standing still after it.
             threads: that step at once; the states are the same to the bit.

@@ -324,6 +324,29 @@ def test_reachability_of_turned_information_is_the_direct_sum(generator: torch.G
     torch.testing.assert_close(cost, expected, atol=5e-3, rtol=0)
     finer = ReachabilityCost(information, reachability, turn_step=0.02)(displacements, turns, pivot)
     torch.testing.assert_close(finer, expected, atol=5e-4, rtol=0)
-    with pytest.raises(ValueError, match="planar information"):
-        layered = sparse_field((4, 5, 2), generator)
-        ReachabilityCost(layered, layered)(displacements, turns, pivot)
+
+
+def test_reachability_of_turned_layers_is_that_of_each(generator: torch.Generator) -> None:
+    """What turns stays at its height: the layers' own costs, weighed by what each holds."""
+    information, reachability = sparse_field((9, 8, 3), generator), sparse_field((9, 8, 3), generator, 0.8)
+    displacements = 0.1 * torch.randn(4, 2, 3, generator=generator, **DOUBLE) * torch.tensor([1.0, 1.0, 0.0], **DOUBLE)
+    turns, pivot = torch.randn(4, 2, generator=generator, **DOUBLE), torch.tensor([0.02, 0.03], **DOUBLE)
+    expected = torch.zeros(4, **DOUBLE)
+    for k in range(3):
+        one, two = (VoxelGrid(f.values[:, :, k : k + 1], f.origin, f.spacing) for f in (information, reachability))
+        share = one.values.sum() / information.values.sum()
+        expected += share * ReachabilityCost(one, two)(displacements, turns, pivot)
+    torch.testing.assert_close(ReachabilityCost(information, reachability)(displacements, turns, pivot), expected)
+    assert float(expected.min()) < -0.01
+
+
+def test_information_turns_with_the_object_in_space(generator: torch.Generator) -> None:
+    """Height stays, and the rest is as in the plane."""
+    rollouts = turning_rollouts(generator)
+    q = rollouts.configurations
+    planar, moved = Paths(q, rollouts.displacements, rollouts.turns, rollouts.pivot).riding()
+    raised = torch.cat((q[..., :2], torch.randn(q[..., :1].shape, generator=generator, **DOUBLE), q[..., 2:]), -1)
+    seen, still = Paths(raised, rollouts.displacements, rollouts.turns, rollouts.pivot).riding()
+    assert torch.equal(seen[..., [0, 1, 3]], planar)
+    assert torch.equal(seen[..., 2], raised[..., 2])
+    assert torch.equal(still, moved)

@@ -251,10 +251,15 @@ def test_an_object_that_cannot_be_made_leaves_no_folder(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "asked", [("--push-model", "quasi-static"), ("--motion", "pushed"), ("--push-model", "mujoco")]
+    "asked",
+    [
+        ("drill-0", "--push-model", "quasi-static"),
+        ("drill-0", "--motion", "pushed"),
+        ("box-0", "--push-model", "mujoco"),
+    ],
 )
 def test_models_that_push_in_a_plane_refuse_other_tasks(asked, cache):
     """Before any step is made, and in words."""
-    options = run_command.parse_run(["drill-0", *asked])
-    with pytest.raises(UsageError, match=f"{asked[0]} {asked[1]} .*drill-0"):
+    options = run_command.parse_run(list(asked))
+    with pytest.raises(UsageError, match=f"{asked[1]} {asked[2]} .*{asked[0]}"):
         build(options.settings, cache_dir=cache)

@@ -119,8 +119,30 @@ def test_agrees_with_the_quasi_static_model(mug: ObjectModel) -> None:
     assert float((a.turns - b.turns)[:, :, -1][touched].abs().median()) < math.radians(10)
 
 
-def test_a_run_may_plan_with_it(arm_tool: Tool, cache: Path) -> None:
-    settings = preset(task="mug-0", steps=1)
+def test_a_tool_in_space_pushes_as_a_level_one_and_passes_over(mug: ObjectModel) -> None:
+    """At the level one's height; a hand above the rim touches nothing."""
+    level = make(mug, [0.2, 1.0])
+    space = Tool(torch.tensor([[-5.0, -5.0, 0.0], [5.0, 5.0, 0.5]]))
+    model = MujocoPush(mug, se3.from_planar(level.poses), level.weights.log(), space)
+    controls = torch.cat((ways()[..., :2], torch.zeros(3, 2, 1), ways()[..., 2:]), -1)
+    start = torch.tensor([0.22, 0.0, HEIGHT, 0.0])
+    a, b = level.rollout(START, ways(), rollouts=2), model.rollout(start, controls, rollouts=2)
+    assert torch.equal(a.touched, b.touched)
+    assert b.configurations.shape == (3, 2, 3, 4)
+    assert a.turns is not None
+    assert b.turns is not None
+    assert float(b.displacements[1, :, -1].norm(dim=-1).min()) > 0.02
+    # its drive gives way: it lags where it meets the mug
+    torch.testing.assert_close(a.displacements, b.displacements, atol=3e-3, rtol=0)
+    torch.testing.assert_close(a.turns, b.turns, atol=0.05, rtol=0)
+    above = model.rollout(torch.tensor([0.22, 0.0, 0.3, 0.0]), controls, rollouts=2)
+    assert not bool(above.touched.any())
+    assert float(above.displacements.abs().max()) == 0
+
+
+@pytest.mark.parametrize("task", ["mug-0", "drill-0"])
+def test_a_run_may_plan_with_it(task: str, arm_tool: Tool, cache: Path) -> None:
+    settings = preset(task=task, steps=1)
     few = replace(settings.planner.mppi, samples=4, horizon=2, knots=2, warmup_iterations=1, iterations=1)
     planner = replace(settings.planner, push_model="mujoco", mppi=few, rollouts=1)
     parts = build(replace(settings, planner=planner), cache_dir=cache)
