@@ -236,8 +236,8 @@ def made_readings(log: "Log", mapping: "BagMap", settings: Settings) -> "list[Ta
     made = make_readings(log, mapping, seed=settings.seed)
     if made.wrenches:
         _say("wrenches: " + ", ".join(f"{count} {name}" for name, count in made.wrenches.items() if count))
-    for problem in made.problems[:10]:
-        _say(problem)
+    for line in (*made.notes, *made.problems[:10]):
+        _say(line)
     if len(made.problems) > 10:
         _say(f"and {len(made.problems) - 10} more like these")
     return made.taken

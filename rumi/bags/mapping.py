@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.bags.sensor_maps import BubbleMap, RobotMap, TorqueMap, WrenchMap
 from rumi.config import dataclass_of
 from rumi.errors import UsageError
 from rumi.sim.objects import ObjectSettings
@@ -20,7 +21,7 @@ from sdf import se3, so3
 SCHEMA = 1
 """Of mapping files."""
 
-Role = Literal["cloud", "depth", "color", "camera", "felt", "contact", "wrench", "joints", "tf"]
+Role = Literal["cloud", "depth", "color", "camera", "felt", "contact", "bubble", "wrench", "joints", "torques", "tf"]
 ROLES: tuple[str, ...] = typing.get_args(Role)
 Vector = tuple[float, float, float]
 
@@ -31,9 +32,11 @@ class Topic:
 
     Attributes:
         role: "cloud" of a camera, "depth" image, "color" image, "camera" intrinsics, "felt" points on the object that a
-            finger felt, "contact" flags, "wrench", "joints", or "tf" (which /tf and /tf_static are by themselves).
+            finger felt, "contact" flags, "bubble": the depth image of a soft bubble's membrane from inside, "wrench",
+            "joints", "torques": joints whose efforts are measured torques, or "tf" (which /tf and /tf_static are by
+            themselves).
         frame: in place of the messages' frame_id.
-        camera: topic of a depth image's CameraInfo.
+        camera: topic of a depth image's CameraInfo; of a bubble's too.
         unit_m: metres that one unit of a depth image is; by default 0.001 for whole numbers and 1 for floating ones.
     """
 
@@ -141,35 +144,6 @@ class ViewMap:
 
 
 @dataclass(frozen=True)
-class WrenchMap:
-    """The force-torque sensor's tool, a ball, its load, and when a wrench is a touch.
-
-    Attributes:
-        radius_m: of the ball.
-        center_m: of the ball, in the sensor's frame.
-        bias: forces and moments without contact.
-        mass_kg: of all that hangs from the sensor.
-        mass_center_m: its centre of mass in the sensor's frame.
-        tare_s: seconds at the start, without contact, from which the bias is taken anew; 0 to take it as given.
-        reaction: the driver reports what the tool does to the world.
-        force_n, moment_nm: standard deviations of the noise.
-        least_force_n, friction: see `sensors.force_torque.WrenchSettings`.
-    """
-
-    radius_m: float
-    center_m: Vector = (0.0, 0.0, 0.0)
-    bias: tuple[float, float, float, float, float, float] = (0.0,) * 6
-    mass_kg: float = 0.0
-    mass_center_m: Vector = (0.0, 0.0, 0.0)
-    tare_s: float = 0.0
-    reaction: bool = False
-    force_n: float = 0.1
-    moment_nm: float = 0.005
-    least_force_n: float = 1.0
-    friction: float = 0.6
-
-
-@dataclass(frozen=True)
 class Actions:
     """How a recording is cut into readings.
 
@@ -200,7 +174,10 @@ class BagMap:
         object: a mesh, as the flags of `rumi run` give it.
         tool: the gripper.
         view: how a camera is read.
+        bubble: how soft bubbles are read.
         wrench: how wrenches are read; None where there are none.
+        robot: its model; None where nothing needs it.
+        torques: how joint torques are read; None where there are none.
         actions: how the recording is cut.
         settings: of the run, by name, as in a run's settings.json.
         text: the file itself.
@@ -213,7 +190,10 @@ class BagMap:
     object: ObjectSettings = field(default_factory=ObjectSettings)
     tool: ToolMap = field(default_factory=ToolMap)
     view: ViewMap = field(default_factory=ViewMap)
+    bubble: BubbleMap = field(default_factory=BubbleMap)
     wrench: WrenchMap | None = None
+    robot: RobotMap | None = None
+    torques: TorqueMap | None = None
     actions: Actions = field(default_factory=Actions)
     settings: dict[str, Any] = field(default_factory=dict)
     text: str = ""
@@ -225,7 +205,10 @@ _TABLES: dict[str, type] = {
     "object": ObjectSettings,
     "tool": ToolMap,
     "view": ViewMap,
+    "bubble": BubbleMap,
     "wrench": WrenchMap,
+    "robot": RobotMap,
+    "torques": TorqueMap,
     "actions": Actions,
 }
 

@@ -77,7 +77,7 @@ def image(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: AN
         kind, channels, wanted = np.dtype("u1"), _COLORS[encoding][0], "color"
     else:
         raise ValueError(f"unknown encoding {encoding!r}; known are {', '.join([*_DEPTHS, *_COLORS])}")
-    if told.role != wanted:
+    if (told.role == "color") != (wanted == "color"):
         raise ValueError(f"expected an image of role {told.role}, got the encoding {encoding}")
     data = np.frombuffer(memoryview(message.data), np.uint8)
     used = width * channels * kind.itemsize
@@ -146,10 +146,10 @@ def flag(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN
 
 CONVERTERS: Mapping[str, tuple[tuple[str, ...], Convert]] = {
     "sensor_msgs/msg/PointCloud2": (("cloud", "felt"), point_cloud),
-    "sensor_msgs/msg/Image": (("depth", "color"), image),
+    "sensor_msgs/msg/Image": (("depth", "color", "bubble"), image),
     "sensor_msgs/msg/CameraInfo": (("camera",), camera_info),
     "geometry_msgs/msg/WrenchStamped": (("wrench",), wrench),
-    "sensor_msgs/msg/JointState": (("joints",), joint_state),
+    "sensor_msgs/msg/JointState": (("joints", "torques"), joint_state),
     "tf2_msgs/msg/TFMessage": (("tf",), transforms),
     "std_msgs/msg/Bool": (("contact",), flag),
     "std_msgs/msg/UInt8MultiArray": (("contact",), flag),

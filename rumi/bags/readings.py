@@ -8,22 +8,18 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from rumi.bags.felt import Felt, all_felt
 from rumi.bags.frames import FrameTree
-from rumi.bags.mapping import BagMap, WrenchMap
+from rumi.bags.mapping import BagMap
 from rumi.bags.views import Views
 from rumi.errors import UsageError
 from rumi.planning.gripper import GripperShape
 from rumi.seeding import generator
-from sdf import se3
-from sensors.force_evidence import wrench_observation
-from sensors.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus, wrench_contact
-from sensors.log.reader import Log, Sample, Stream, Taken
+from sensors.log.reader import Log, Taken
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 from sensors.tactile import InstantPoints, swept_points
-from sensors.tool_load import ToolLoad
-from sensors.tool_surface import SphereTool
 
 _FREE_SPACING = 0.005  # metres, lattice on which free points are reported
 _BODY_SPACING = 0.005  # metres between the tool's points
@@ -37,26 +33,13 @@ class Made:
         taken: the first view first.
         problems: what could not be used.
         wrenches: how many wrenches were taken for what.
+        notes: what was found in other streams that feel.
     """
 
     taken: list[Taken]
     problems: list[str]
     wrenches: dict[str, int]
-
-
-@dataclass(frozen=True)
-class _Felt:
-    """What was felt at one time.
-
-    Attributes:
-        stamp_ns: when.
-        points: (n, 3), of the object's surface, world; none where it is only known that it was touched.
-        touched: whether it was.
-    """
-
-    stamp_ns: int
-    points: Float[Tensor, "n 3"]
-    touched: bool
+    notes: list[str]
 
 
 def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
@@ -77,12 +60,13 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
     frames = FrameTree.of_log(log, mapping)
     start, end = _span(log, mapping)
     views = Views(log, mapping, frames, generator(seed))
-    felt, wrenches, problems = _all_felt(log, mapping, frames, start)
-    if not (views.any or felt):
+    sensed = all_felt(log, mapping, frames, start)
+    felt, problems = sensed.felt, sensed.problems
+    if not (views.any or sensed.any):
         listed = ", ".join(sorted(f"{name} ({stream.kind})" for name, stream in log.streams.items())) or "none"
         raise UsageError(
-            "Expected a stream with the role cloud, depth, felt, contact or wrench, found none that can be read; the "
-            f"log's streams are {listed}"
+            "Expected a stream with the role cloud, depth, felt, contact, bubble, wrench or torques, found none that "
+            f"can be read; the log's streams are {listed}"
         )
     first_ns = start + int(mapping.actions.view_s * 1e9)
     seen = views.between(start, first_ns)
@@ -99,14 +83,7 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
             )
         else:
             taken.append(reading)
-    return Made(taken, problems + views.problems, wrenches)
-
-
-def role_of(stream: Stream, mapping: BagMap) -> str:
-    """What a stream is used as: what the mapping says, else what it was imported as."""
-    topic = str(stream.about.get("topic", stream.name))
-    told = mapping.topics.get(topic)
-    return str(stream.about.get("role", "")) if told is None else told.role
+    return Made(taken, problems + views.problems, sensed.wrenches, sensed.notes)
 
 
 class _Cutter:
@@ -117,7 +94,7 @@ class _Cutter:
         mapping: BagMap,
         frames: FrameTree,
         views: Views,
-        felt: Sequence[_Felt],
+        felt: Sequence[Felt],
         body: Float[Tensor, "n 3"],
         start: int,
     ) -> None:
@@ -137,7 +114,8 @@ class _Cutter:
 
     def reading(self, begin_ns: int, end_ns: int) -> Taken | None:
         count = self._mapping.actions.instants
-        stamps = torch.linspace(begin_ns, end_ns, count + 1, dtype=torch.float64).long()[1:]
+        # whole numbers: floating ones tell times since 1970 to 0.2 microseconds
+        stamps = begin_ns + (end_ns - begin_ns) * torch.arange(1, count + 1) // count
         pose, known = self._frames.at(self._mapping.frames.tool, stamps)
         if not bool(known.all()):
             return None
@@ -147,14 +125,21 @@ class _Cutter:
         in_contact = torch.zeros(count, dtype=torch.bool)
         parts = [torch.zeros(0, 3)]
         where = [torch.zeros(0, dtype=torch.long)]
+        clear, clear_at = [torch.zeros(0, 3)], [torch.zeros(0, dtype=torch.long)]
         for one, k in zip(mine, at, strict=True):
             in_contact[k] |= one.touched
             parts.append(one.points)
             where.append(torch.full((len(one.points),), k))
+            within = one.free[((one.free >= self._region[0]) & (one.free <= self._region[1])).all(-1)]
+            clear.append(within)
+            clear_at.append(torch.full((len(within),), k))
         points, instant = torch.cat(parts), torch.cat(where)
         free = self._swept(pose, in_contact, points, instant)
-        observation = [Observation.of(points, Semantics.SURFACE), Observation.of(free.points, Semantics.FREE)]
-        instants = [instant, free.instant]
+        observation = [
+            Observation.of(points, Semantics.SURFACE),
+            Observation.of(torch.cat((*clear, free.points)), Semantics.FREE),
+        ]
+        instants = [instant, *clear_at, free.instant]
         if self._mapping.scene.looks_again:
             observation.append(self._views.between(begin_ns, end_ns, last=True))
             instants.append(torch.full((len(observation[-1]),), count - 1))
@@ -199,106 +184,3 @@ def _span(log: Log, mapping: BagMap) -> tuple[int, int]:
     if not stamps:
         raise UsageError(f"Expected {log.path} to hold raw streams with anything in them, found none")
     return min(stamps), max(stamps)
-
-
-def _all_felt(
-    log: Log, mapping: BagMap, frames: FrameTree, start: int
-) -> tuple[list[_Felt], dict[str, int], list[str]]:
-    found: list[_Felt] = []
-    wrenches: dict[str, int] = {}
-    problems: list[str] = []
-    for stream in log.streams.values():
-        role = role_of(stream, mapping)
-        if role == "felt":
-            found += _points_felt(stream, frames, problems)
-        elif role == "contact":
-            found += [
-                _Felt(one.stamp_ns, torch.zeros(0, 3), bool((one.values["touched"] != 0).any()))  # type: ignore[union-attr]
-                for one in stream.samples()
-            ]
-        elif role == "wrench":
-            if mapping.wrench is None:
-                raise UsageError(f"Expected a table [wrench] in the mapping for {stream.name}, found none")
-            found += _wrenches_felt(stream, mapping, frames, start, wrenches, problems)
-        problems += stream.problems
-    return sorted(found, key=lambda one: one.stamp_ns), wrenches, problems
-
-
-def _points_felt(stream: Stream, frames: FrameTree, problems: list[str]) -> list[_Felt]:
-    samples = stream.samples()
-    pose, known = frames.at(stream.frame, [one.stamp_ns for one in samples])
-    found = []
-    for one, world_T_frame, there in zip(samples, pose.float(), known.tolist(), strict=True):
-        if there:
-            points = torch.tensor(one.values["points"]).reshape(-1, 3)
-            points = se3.apply(world_T_frame, points[torch.isfinite(points).all(-1)])
-            found.append(_Felt(one.stamp_ns, points, len(points) > 0))
-    _tell_unknown(stream, known, problems)
-    return found
-
-
-def _wrenches_felt(
-    stream: Stream,
-    mapping: BagMap,
-    frames: FrameTree,
-    start: int,
-    counted: dict[str, int],
-    problems: list[str],
-) -> list[_Felt]:
-    """Touches of the wrenches of a stream; impossible wrenches are touches that nobody knows the place of."""
-    told = mapping.wrench
-    assert told is not None
-    samples = stream.samples()
-    if not samples:
-        return []
-    pose, known = frames.at(stream.frame, [one.stamp_ns for one in samples])
-    _tell_unknown(stream, known, problems)
-    samples = [one for one, there in zip(samples, known.tolist(), strict=True) if there]
-    pose = pose[known]
-    wrench = torch.stack([_wrench_of(one) for one in samples]) if samples else torch.zeros(0, 6, dtype=torch.float64)
-    contact = read_wrenches(wrench, pose, _load(told, wrench, pose, samples, start), mapping)
-    for name in WrenchStatus:
-        counted[name.name.lower()] = counted.get(name.name.lower(), 0) + int((contact.status == int(name)).sum())
-    observation, index = wrench_observation(contact, pose)
-    points = dict(zip(index.tolist(), observation.points.float(), strict=True))
-    none = torch.zeros(0, 3)
-    return [
-        _Felt(one.stamp_ns, points[k][None] if k in points else none, status != int(WrenchStatus.NONE))
-        for k, (one, status) in enumerate(zip(samples, contact.status.tolist(), strict=True))
-    ]
-
-
-def read_wrenches(
-    wrench: Float[Tensor, "K 6"], world_T_sensor: Float[Tensor, "K 4 4"], load: ToolLoad, mapping: BagMap
-) -> WrenchContact:
-    """Where a mapping's ball was touched; wrenches as recorded."""
-    told = mapping.wrench
-    assert told is not None
-    signed = -wrench if told.reaction else wrench
-    left = load.contact_wrench(signed, world_T_sensor[:, :3, :3])
-    noise = WrenchNoise(told.force_n, told.moment_nm)
-    tool = SphereTool(torch.tensor(told.center_m), told.radius_m)
-    settings = WrenchSettings(least_force_n=told.least_force_n, friction=told.friction)
-    return wrench_contact(left, tool, noise.covariance(), settings)
-
-
-def _load(told: WrenchMap, wrench: Tensor, pose: Tensor, samples: Sequence[Sample], start: int) -> ToolLoad:
-    numbers = [torch.tensor(value, dtype=torch.float64) for value in (told.bias, told.mass_kg, told.mass_center_m)]
-    load = ToolLoad(*numbers)
-    early = torch.tensor([one.stamp_ns <= start + told.tare_s * 1e9 for one in samples], dtype=torch.bool)
-    if told.tare_s > 0 and bool(early.any()):
-        signed = -wrench if told.reaction else wrench
-        load = load.tared(signed[early], pose[early, :3, :3])
-    return load
-
-
-def _wrench_of(sample: Sample) -> Float[Tensor, "6"]:
-    return torch.cat([torch.tensor(sample.values[name]) for name in ("force", "torque")])
-
-
-def _tell_unknown(stream: Stream, known: Bool[Tensor, "K"], problems: list[str]) -> None:
-    lost = int((~known).sum())
-    if lost:
-        problems.append(
-            f"stream {stream.name}: the pose of {stream.frame!r} is not known for {lost} of {len(known)} rows"
-        )

@@ -9,6 +9,8 @@ from torch import Tensor
 
 from rumi.bags.frames import FrameTree
 from rumi.bags.mapping import BagMap
+from rumi.bags.streams import lens_of, lenses_of, role_of, unit_of
+from rumi.bags.torques import BodyTrack
 from rumi.errors import UsageError
 from sensors.cloud import cloud_observation
 from sensors.log.reader import Log, Sample, Stream
@@ -34,21 +36,21 @@ class Views:
     """
 
     def __init__(self, log: Log, mapping: BagMap, frames: FrameTree, generator: torch.Generator) -> None:
-        from rumi.bags.readings import role_of
-
         self._mapping, self._frames, self._generator = mapping, frames, generator
         self._within = torch.tensor(mapping.scene.within)
         self._settings = ViewSettings(**asdict(mapping.view))
+        self._robot: BodyTrack | None = None
+        if mapping.robot is not None and mapping.robot.remove:
+            self._robot = BodyTrack(mapping.robot, log, mapping, frames)
+            self._settings = replace(self._settings, body_margin_m=mapping.robot.margin_m)
         self._streams: list[Stream] = []
-        self._cameras: dict[str, Sample] = {}
+        self._lenses = lenses_of(log, mapping)
         self._colors: list[Stream] = []
         self.problems: list[str] = []
         for stream in log.streams.values():
             role = role_of(stream, mapping)
             if role in ("cloud", "depth"):
                 self._streams.append(stream)
-            elif role == "camera" and (samples := stream.samples()):
-                self._cameras[stream.name] = samples[0]
             elif role == "color":
                 self._colors.append(stream)
         self.any = any(len(stream) for stream in self._streams)
@@ -81,7 +83,7 @@ class Views:
                 f"stream {stream.name}: the pose of {stream.frame!r} is not known at {sample.stamp_ns}"
             )
             return None
-        common = {
+        common: dict[str, object] = {
             "within": self._within,
             "bounds": self._within,
             "stamp": sample.stamp_ns / 1e9,
@@ -89,6 +91,8 @@ class Views:
             "generator": self._generator,
         }
         try:
+            if self._robot is not None:
+                common |= {"body": self._robot.body, "world_T_links": self._robot.at(sample.stamp_ns)}
             if stream.kind == "points":
                 return self._cloud(sample, pose[0].float(), common)
             return self._depth(stream, sample, pose[0].float(), common)
@@ -110,22 +114,13 @@ class Views:
     def _depth(
         self, stream: Stream, sample: Sample, world_T_camera: Float[Tensor, "4 4"], common: dict[str, object]
     ) -> View:
-        name = str(stream.about.get("camera", ""))
-        if name not in self._cameras:
-            listed = ", ".join(self._cameras) or "none"
-            raise UsageError(
-                f"Expected the intrinsics of {stream.name}: name its CameraInfo topic as `camera` in the mapping, and "
-                f"give that topic the role camera; the log has those of {listed}"
-            )
-        camera = self._cameras[name].values
+        lens = lens_of(stream, self._lenses)
         image = sample.values["depth"]
-        assert image is not None and camera["intrinsics"] is not None and camera["distortion"] is not None
-        unit = float(stream.about.get("unit_m", 0.001)) if stream.kind == "depth16" else 1.0
-        settings = replace(self._settings, unit=unit, distortion=tuple(float(k) for k in camera["distortion"]))
-        intrinsics = torch.tensor(camera["intrinsics"]).float()
+        assert image is not None
+        settings = replace(self._settings, unit=unit_of(stream), distortion=lens.distortion)
         return view_observation(
             np.asarray(image),
-            intrinsics,
+            lens.intrinsics,
             world_T_camera,
             settings,
             color=self._color(sample),

@@ -134,10 +134,10 @@ class BagMaker:
         )
         self.add(topic, message, stamp if received is None else received)
 
-    def joints(self, topic, stamp, names, position, effort=()) -> None:
+    def joints(self, topic, stamp, names, position, effort=(), velocity=()) -> None:
         message = self.types.JointState(
             header=self.header(stamp, ""), name=list(names), position=np.asarray(position, float),
-            velocity=np.zeros(0), effort=np.asarray(effort, float),
+            velocity=np.asarray(velocity, float), effort=np.asarray(effort, float),
         )  # fmt: skip
         self.add(topic, message, stamp)
 

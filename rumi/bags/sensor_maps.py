@@ -1,0 +1,110 @@
+"""Tables of a mapping file that say how each sensor of forces, membranes and joints is read."""
+
+import math
+from dataclasses import asdict, dataclass
+
+from sensors.bubble import BubbleSettings
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class WrenchMap:
+    """The force-torque sensor's tool, a ball, its load, and when a wrench is a touch.
+
+    Attributes:
+        radius_m: of the ball.
+        center_m: of the ball, in the sensor's frame.
+        bias: forces and moments without contact.
+        mass_kg: of all that hangs from the sensor.
+        mass_center_m: its centre of mass in the sensor's frame.
+        tare_s: seconds at the start, without contact, from which the bias is taken anew; 0 to take it as given.
+        reaction: the driver reports what the tool does to the world.
+        force_n, moment_nm: standard deviations of the noise.
+        least_force_n, friction: see `sensors.force_torque.WrenchSettings`.
+    """
+
+    radius_m: float
+    center_m: Vector = (0.0, 0.0, 0.0)
+    bias: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    mass_kg: float = 0.0
+    mass_center_m: Vector = (0.0, 0.0, 0.0)
+    tare_s: float = 0.0
+    reaction: bool = False
+    force_n: float = 0.1
+    moment_nm: float = 0.005
+    least_force_n: float = 1.0
+    friction: float = 0.6
+
+
+@dataclass(frozen=True)
+class BubbleMap:
+    """Soft bubbles: see `sensors.bubble.BubbleSettings`; their shape at rest is the mean picture of the first view.
+
+    Attributes:
+        contact_m, top, mean_px, still_m, free_stride_px, patch_stride_px: of the settings.
+        late_s: by which a picture's stamp is later than what it shows.
+    """
+
+    contact_m: float = 0.004
+    top: float = 0.1
+    mean_px: int = 5
+    still_m: float = 0.001
+    free_stride_px: int = 4
+    patch_stride_px: int = 1
+    late_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.settings()
+
+    def settings(self) -> BubbleSettings:
+        """For metres."""
+        values = asdict(self)
+        values.pop("late_s")
+        return BubbleSettings(**values, unit="m")
+
+
+@dataclass(frozen=True)
+class RobotMap:
+    """The robot's model, for its dynamics and its body.
+
+    Attributes:
+        file: URDF, or MJCF, of the robot alone with a fixed base.
+        base: frame of the recording that the model's root stands at; the world's by default.
+        remove: leave the robot out of what cameras saw, by the collision shapes of a URDF and the measured joints.
+        margin_m: what is this near to those shapes is the robot.
+        packages: folders of the packages that a URDF's meshes lie in, each of its package's name.
+    """
+
+    file: str
+    base: str | None = None
+    remove: bool = False
+    margin_m: float = 0.01
+    packages: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TorqueMap:
+    """Joint torques, and when they tell of a touch: see `sensors.momentum_observer`.
+
+    Attributes:
+        threshold_nm: of the norm of the observer's residual, from what it is at rest.
+        joints: names of the model's joints, from the base on; all that are recorded by default.
+        counted: how many of them count in the norm.
+        gain: of the observer, 1/s.
+        rest_s: seconds at the start, without contact, from which the rest is taken; 0 for a rest of 0.
+    """
+
+    threshold_nm: float
+    joints: tuple[str, ...] = ()
+    counted: int = 5
+    gain: float = 25.0
+    rest_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("threshold_nm", "gain"):
+            value = getattr(self, name)
+            if not (value > 0 and math.isfinite(value)):
+                raise ValueError(f"expected {name} above 0, got {value}")
+        if self.counted < 1 or self.rest_s < 0:
+            raise ValueError("expected at least 1 joint to count and rest_s of 0 or more")
