@@ -10,6 +10,7 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 WRONG = 1
 """Exit code where an error exceeded its limit."""
+KILLED = ("commands", "writers")
+"""What `--kills` kills: whole commands, and processes that write one kind of file over and over."""
 SLOW_FROM = 5.0
 """Minutes from which sweeps that take minutes are carried out too."""
 
@@ -48,14 +51,15 @@ class StressOptions:
 
     Attributes:
         minutes: to spend; each sweep has one round at least. Those that take minutes run from 5 minutes on.
-        only: sweeps, or the beginnings of their names; all if none is given.
+        only: sweeps, or the beginnings of their names; all if none is given. With --fuzz its targets, with --kills
+            "commands" or "writers".
         seed: of the first round; by a worst case's seed it is drawn again.
         rounds: of each sweep, in place of minutes.
         json: file for what was found.
         show: print the inputs of the worst cases.
         list: name the sweeps, or with --fuzz its targets, and end.
         fuzz: instead of the sweeps, so many cases of functions, files, settings and command lines.
-        kills: instead of the sweeps, kill writers so many times at random moments.
+        kills: instead of the sweeps, kill whole commands so many times at random moments, and writers as often.
         readings: instead of the sweeps, follow one object over so many readings.
     """
 
@@ -147,17 +151,26 @@ def _fuzzed(fuzzed: "Fuzzed") -> str:
 
 
 def _kills(options: StressOptions, count: int) -> int:
-    """Writers killed at random moments."""
-    from rumi.stress.kills import kill_many
+    """Whole commands and writers killed at random moments."""
+    from rumi.stress.killed_commands import kill_commands
+    from rumi.stress.kills import Killed, kill_many
 
-    with tempfile.TemporaryDirectory() as folder:
-        found = kill_many(count, Path(folder), seed=options.seed, said=lambda done: _progress(done, count, "kills"))
-    _progress(0, 0, "")
-    told = ", ".join(f"{number} of {kind}" for kind, number in found.kills.items())
-    sys.stdout.write(f"{sum(found.kills.values())} kills ({told}); {len(found.wrong)} wrong\n")
-    sys.stdout.write("".join(f"    {what}\n" for what in found.wrong))
-    _write(options, asdict(found))
-    return WRONG if found.wrong else DONE
+    if unknown := [name for name in options.only if name not in KILLED]:
+        raise UsageError(f"There is nothing to kill called {unknown[0]!r}; there are {' and '.join(KILLED)}")
+    found: dict[str, Killed] = {}
+    for what in options.only or KILLED:
+        with tempfile.TemporaryDirectory() as folder:
+            kill = kill_commands if what == "commands" else kill_many
+            said = partial(_progress, of=count, name=f"kills of {what}")
+            found[what] = kill(count, Path(folder), seed=options.seed, said=said)
+        _progress(0, 0, "")
+        killed = found[what]
+        told = ", ".join(f"{number} of {kind}" for kind, number in killed.kills.items())
+        sys.stdout.write(f"{sum(killed.kills.values())} kills of {what} ({told}); {len(killed.wrong)} wrong\n")
+        sys.stdout.write("".join(f"    {text}\n" for text in killed.wrong))
+        sys.stdout.flush()
+    _write(options, {what: asdict(killed) for what, killed in found.items()})
+    return WRONG if any(killed.wrong for killed in found.values()) else DONE
 
 
 def _readings(options: StressOptions, count: int) -> int:

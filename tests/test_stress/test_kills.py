@@ -3,22 +3,29 @@
 import json
 import os
 import resource
+import shutil
 import signal
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from rumi import cli
 from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.fields import reach_table
 from rumi.fields.reach_table import ReachSettings, ReachTable
 from rumi.jsonlines import append_line, read_lines
 from rumi.recording import RunRecorder, load_run, write_json
-from rumi.stress import kills
+from rumi.sim.settings import SimSettings
+from rumi.sim.tasks import find_task, make_tool
+from rumi.stress import killed_commands, kills
+from rumi.stress.killed_commands import kill_commands
 from rumi.stress.kills import kill_many
 from rumi.stress.made_run import made_steps
+from rumi.stress.processes import Commands
 from sdf.cache import keep_arrays, load_arrays, save_arrays
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signal")
@@ -134,5 +141,80 @@ def test_a_run_into_a_folder_that_cannot_be_written_is_refused(tmp_path, capsys)
 
 
 def test_the_command(capsys):
-    assert main(["stress", "--kills", "4"]) == 0
+    assert main(["stress", "--kills", "4", "--only", "writers"]) == 0
     assert "0 wrong" in capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def commands():
+    with Commands() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    """A folder that keeps the arm's reach as zeros: to solve it takes seconds."""
+    folder = tmp_path_factory.mktemp("caches")
+    with pytest.MonkeyPatch.context() as patch:
+        zeros = torch.zeros(reach_table.table_shape(ReachSettings())).double()
+        patch.setattr(reach_table, "solve_table", lambda settings: ReachTable(zeros, zeros))
+        make_tool(find_task(killed_commands.TASK), SimSettings(), cache_dir=folder)
+    assert len(list(folder.glob("reach-*.npz"))) == 1
+    return folder
+
+
+@pytest.fixture(scope="module")
+def kind(commands, cache, tmp_path_factory):
+    pytest.importorskip("h5py")
+    return killed_commands.RunKind(commands, tmp_path_factory.mktemp("runs"), cache, record=True)
+
+
+@pytest.mark.sim
+def test_a_killed_run_leaves_the_steps_that_it_had_said(kind):
+    random = np.random.default_rng(1)
+    assert sum(kind.turn(random, number) for number in range(5)) >= 4
+
+
+@pytest.mark.sim
+def test_steps_that_are_lost_or_others_are_missed(kind, tmp_path):
+    whole = tmp_path / "whole"
+    shutil.copytree(kind.whole.folder, whole)
+    killed_commands.check_run(whole, 4, kind.whole)
+    killed_commands.check_log(whole, 4, kind.taken)
+    with pytest.raises(AssertionError, match="of 5 steps 4 are left"):
+        killed_commands.check_run(whole, 5, kind.whole)
+    with pytest.raises(AssertionError, match="of 5 readings 4 are left"):
+        killed_commands.check_log(whole, 5, kind.taken)
+    with pytest.raises(AssertionError, match="or they are others"):
+        killed_commands.check_log(whole, 4, kind.taken[1:])
+    steps = kind.whole.steps
+    other = replace(kind.whole, steps=[steps[1], *steps[1:]])
+    with pytest.raises(AssertionError, match="step 0 is not that"):
+        killed_commands.check_run(whole, 0, other)
+    trace = whole / "trace.npz"
+    trace.write_bytes(trace.read_bytes()[: trace.stat().st_size // 2])
+    (whole / "result.json").unlink()
+    killed_commands.check_run(whole, 0, kind.whole)
+    with pytest.raises(AssertionError, match="of 4 steps"):
+        killed_commands.check_run(whole, 4, kind.whole)
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize("grow", [3000, 60_000, 300_000])
+def test_a_command_on_a_full_disk_says_so_and_leaves_its_steps(kind, commands, cache, tmp_path, grow):
+    asked = [*killed_commands.RUN, "--record", "--out", "run"]
+    command = commands.begin(asked, tmp_path, "run", cache=cache, grow=grow)
+    command.finish((cli.BAD_INPUT,))
+    said = command.err.read_text()
+    assert "File too large" in said
+    steps = sum(line.startswith(("first view:", "action ")) for line in said.splitlines())
+    killed_commands.check_run(tmp_path / "run", steps, kind.whole)
+    killed_commands.check_log(tmp_path / "run", steps, kind.taken)
+
+
+@pytest.mark.sim
+@pytest.mark.slow
+def test_commands_killed_in_turn(tmp_path):
+    found = kill_commands(14, tmp_path, seed=1)
+    assert found.wrong == []
+    assert set(found.kills) == set(killed_commands.ORDER)
