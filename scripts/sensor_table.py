@@ -225,7 +225,7 @@ def stamp(name: str) -> str:
 
 def seeds_of(text: str) -> list[int]:
     """The seeds that "1000-1009" or "1000,1005" names."""
-    found = []
+    found: list[int] = []
     for part in text.split(","):
         first, _, last = part.partition("-")
         found += range(int(first), int(last or first) + 1)
