@@ -1,6 +1,7 @@
 """Find the mugs through images of a camera, of soft bubbles, or both, with and without their noise; resumable.
 
     python scripts/sensor_table.py run --seeds 1000-1009 --seconds 120   # a line a run in scripts/results/sensors.jsonl
+    python scripts/sensor_table.py why --seconds 120     # those that were not right, without parts of the degradation
     python scripts/sensor_table.py show                                  # Markdown
 
 Tune on seeds of 1000 and more.
@@ -10,6 +11,7 @@ import hashlib
 import statistics
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,7 @@ from rumi.jsonlines import append_line, read_lines
 from rumi.loop import rummage
 from rumi.metrics.intervals import wilson
 from rumi.recording import provenance
-from rumi.sim.sensor_settings import SensorSettings, degraded
+from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
 from rumi.sim.tasks import find_task
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -36,6 +38,19 @@ SENSORS: dict[str, SensorSettings] = {
     **{f"{kind}, degraded": degraded(kind) for kind in ("camera", "bubbles", "both")},
     "camera, degraded, turned about itself": replace(degraded("camera"), turned_about="sensor"),
     "both, degraded, turned about itself": replace(degraded("both"), turned_about="sensor"),
+}
+
+KINDS: tuple[SensorKind, ...] = ("camera", "bubbles", "both")
+PARTS: dict[str, dict[str, float]] = {
+    "calibrated": {"calibration_m": 0.0, "calibration_rad": 0.0},
+    "in time": {"late_s": 0.0, "lost": 0.0},
+    "motion measured exactly": {"motion_noise_m": 0.0, "motion_noise_rad": 0.0},
+}
+"""Parts of the degradation that can be left out, by what is left out."""
+SENSORS |= {
+    f"{kind}, degraded, {part}": replace(degraded(kind), **changes)  # type: ignore[arg-type]
+    for part, changes in PARTS.items()
+    for kind in KINDS
 }
 
 
@@ -56,6 +71,23 @@ class Run:
     seeds: str = "1000-1009"
     tasks: tuple[str, ...] = TASKS
     sensors: tuple[str, ...] = tuple(SENSORS)[:7]
+    seconds: float = float("inf")
+    threads: int = 1
+    out: Path = RESULTS
+    cache: Path | None = None
+
+
+@dataclass(frozen=True)
+class Why:
+    """Repeat the degraded runs that were not right, each with one part of the degradation left out.
+
+    Attributes:
+        seconds: begin no run after so long.
+        threads: of PyTorch and of the kernels.
+        out: where the lines are, and go.
+        cache: folder of the arm's reach; the user's by default.
+    """
+
     seconds: float = float("inf")
     threads: int = 1
     out: Path = RESULTS
@@ -89,6 +121,23 @@ def run(options: Run) -> None:
                     return
                 line = carry_out(name, task, seed, options.cache or cache_folder())
                 append_line(options.out, line)
+
+
+def why(options: Why) -> None:
+    """Carry these out."""
+    end = time.monotonic() + options.seconds
+    for line in wrong_runs(options.out):
+        for part in PARTS:
+            left = max(0.0, end - time.monotonic())
+            sensors, seeds = (f"{line['sensors']}, {part}",), str(line["seed"])
+            run(Run(seeds, (line["task"],), sensors, left, options.threads, options.out, options.cache))
+
+
+def wrong_runs(path: Path) -> list[dict[str, Any]]:
+    """Degraded runs that were not right."""
+    lines = [x for x, _ in read_lines(path)]
+    names = [f"{kind}, degraded" for kind in KINDS]
+    return [x for x in lines if x["sensors"] in names and x["settings"] == stamp(x["sensors"]) and not x["right"]]
 
 
 def carry_out(name: str, task: str, seed: int, cache: Path) -> dict[str, Any]:
@@ -128,7 +177,7 @@ def show(options: Show) -> None:
     lines = [x for x, _ in read_lines(options.out) if wanted is None or x["seed"] in wanted]
     for name in SENSORS:
         own = [x for x in lines if x["sensors"] == name and x["settings"] == stamp(name)]
-        if not own:
+        if not own or any(name.endswith(part) for part in PARTS):
             continue
         right, stopped = sum(x["right"] for x in own), [x for x in own if x["stopped_by"] == "converged"]
         low, high = wilson(right, len(own))
@@ -141,6 +190,32 @@ def show(options: Show) -> None:
             f"| {name} | {right}/{len(own)} [{low:.2f}, {high:.2f}] | {len(stopped) - len(wrong)} | {len(wrong)} | "
             f"{len(own) - len(stopped)} | {steps:g} | {off[0]:.1f}, {off[1]:.1f} | {away} |"
         )
+    show_parts(options.out, lines)
+
+
+def show_parts(path: Path, lines: list[dict[str, Any]]) -> None:
+    """The runs that were not right, and what became of them with a part of the degradation left out."""
+    wrong = wrong_runs(path)
+    if not wrong:
+        return
+    print("\n| not right | ended | off (mm, degrees) | " + " | ".join(PARTS) + " |")
+    print("|---" * (3 + len(PARTS)) + "|")
+    for line in wrong:
+        cells = []
+        for part in PARTS:
+            name = f"{line['sensors']}, {part}"
+            same = (name, stamp(name), line["task"], line["seed"])
+            own = [x for x in lines if (x["sensors"], x["settings"], x["task"], x["seed"]) == same]
+            cells.append(f"{'right' if own[0]['right'] else 'not right'}, {_off(own[0])}" if own else "-")
+        ended = "sure" if line["stopped_by"] == "converged" else f"after {line.get('steps', 0)} actions, not sure"
+        head = f"{line['sensors']}, {line['task']}, seed {line['seed']}"
+        print(f"| {head} | {ended} | {_off(line)} | " + " | ".join(cells) + " |")
+
+
+def _off(line: dict[str, Any]) -> str:
+    if line.get("position_error_mm") is None:
+        return str(line.get("error", "-"))
+    return f"{line['position_error_mm']:.1f}, {line['rotation_error_deg']:.1f}"
 
 
 def stamp(name: str) -> str:
@@ -150,7 +225,7 @@ def stamp(name: str) -> str:
 
 def seeds_of(text: str) -> list[int]:
     """The seeds that "1000-1009" or "1000,1005" names."""
-    found = []
+    found: list[int] = []
     for part in text.split(","):
         first, _, last = part.partition("-")
         found += range(int(first), int(last or first) + 1)
@@ -158,6 +233,7 @@ def seeds_of(text: str) -> list[int]:
 
 
 if __name__ == "__main__":
-    chosen = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show}, description=__doc__)
-    run(chosen) if isinstance(chosen, Run) else show(chosen)
+    commands: dict[type, Callable[[Any], None]] = {Run: run, Why: why, Show: show}
+    chosen = tyro.extras.subcommand_cli_from_dict({"run": Run, "why": Why, "show": Show}, description=__doc__)
+    commands[type(chosen)](chosen)
     sys.exit(0)

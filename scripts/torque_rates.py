@@ -25,6 +25,7 @@ import torch
 import tyro
 from tqdm import tqdm
 
+from rumi.bench.timing import fitting_clock
 from rumi.jsonlines import append_line, read_lines
 from rumi.metrics.intervals import wilson
 from rumi.sim.arm_motion import joint_path
@@ -288,8 +289,12 @@ def limit(options: Limit) -> None:
 
 
 def speed(options: Speed) -> None:
-    """Microseconds a sample, median of five: the terms of the model, and the observer's step."""
+    """Microseconds a sample, median of five: the terms of the model, and the observer's step.
+
+    With one thread by the processor's clock.
+    """
     torch.set_num_threads(options.threads)
+    clock = fitting_clock(options.threads)
     arm = TorqueArm(HALF, HEIGHT)
     position, velocity, torque = torch.zeros(7, dtype=torch.float64) + 0.3, torch.zeros(7), torch.zeros(7)
     velocity, torque = velocity.double(), torque.double()
@@ -302,10 +307,10 @@ def speed(options: Speed) -> None:
     for name, work in (("terms", lambda: arm.dynamics(position, velocity)), ("observer", step)):
         took = []
         for _ in range(5):
-            began = time.perf_counter()
+            began = clock()
             for _ in range(1000):
                 work()
-            took.append((time.perf_counter() - began) / 1000)
+            took.append((clock() - began) / 1000)
         sys.stdout.write(f"{name}: {1e6 * sorted(took)[2]:.1f} us\n")
 
 

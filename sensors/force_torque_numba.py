@@ -43,23 +43,30 @@ def _strike_sphere(sphere, origin, d):
 def _strike_planes(planes, origin, d):
     """Point, normal and gap."""
     enter, leave, into, out = -math.inf, math.inf, 0, 0
-    beside, scale = False, 0.0
+    beside = False
     for f in range(len(planes)):
         n = (planes[f, 0], planes[f, 1], planes[f, 2])
         rate, room = _dot(n, d), planes[f, 3] - _dot(n, origin)
-        scale = max(scale, abs(room))
+        # times are room / rate; a division a plane would take most of the time
         if rate < 0.0:
-            time = room / rate
-            if time > enter:
-                enter, into = time, f
+            if room < enter * rate:
+                enter, into = room / rate, f
         elif rate > 0.0:
-            time = room / rate
-            if time < leave:
-                leave, out = time, f
+            if room < leave * rate:
+                leave, out = room / rate, f
         elif room < 0.0:
             beside = True
     if enter <= leave and not beside:
         return _plus(origin, enter, d), (planes[into, 0], planes[into, 1], planes[into, 2]), 0.0
+    return _pass_planes(planes, origin, d, into, out)
+
+
+@bare
+def _pass_planes(planes, origin, d, into, out):
+    """The same of a line that goes by, by the planes that bound it most."""
+    scale = 0.0
+    for f in range(len(planes)):
+        scale = max(scale, abs(planes[f, 3] - _dot((planes[f, 0], planes[f, 1], planes[f, 2]), origin)))
     at = gap = 0.0
     for _ in range(_STEPS + 1):
         n, m = (planes[into, 0], planes[into, 1], planes[into, 2]), (planes[out, 0], planes[out, 1], planes[out, 2])
@@ -85,6 +92,35 @@ def _strike_planes(planes, origin, d):
 
 
 @bare
+def _struck_beside(planes, point, d, root):
+    """Faces, or -1 for a miss, that two lines along d strike, which go by a point on either side at root."""
+    enter, leave, into = -math.inf, math.inf, 0
+    enter_2, leave_2, into_2 = -math.inf, math.inf, 0
+    beside = beside_2 = False
+    for f in range(len(planes)):
+        n = (planes[f, 0], planes[f, 1], planes[f, 2])
+        rate, room, step = _dot(n, d), planes[f, 3] - _dot(n, point), _dot(n, root)
+        near, far = room - step, room + step
+        if rate < 0.0:
+            if near < enter * rate:
+                enter, into = near / rate, f
+            if far < enter_2 * rate:
+                enter_2, into_2 = far / rate, f
+        elif rate > 0.0:
+            if near < leave * rate:
+                leave = near / rate
+            if far < leave_2 * rate:
+                leave_2 = far / rate
+        else:
+            beside |= near < 0.0
+            beside_2 |= far < 0.0
+    return (
+        -1 if enter > leave or beside else into,
+        -1 if enter_2 > leave_2 or beside_2 else into_2,
+    )
+
+
+@bare
 def _normal_sd(sphere, planes, point, normal, d, first, second, least):
     if sphere[3] > 0.0:
         slant = min(_dot(normal, d), -least)
@@ -94,8 +130,13 @@ def _normal_sd(sphere, planes, point, normal, d, first, second, least):
     total = 0.0
     for axis in range(2):
         root = first if axis == 0 else second
-        for sign in (1.0, -1.0):
-            other = _strike_planes(planes, _plus(point, sign, root), d)[1]
+        faces = _struck_beside(planes, point, d, root)
+        for side in range(2):
+            face = faces[side]
+            if face < 0:
+                other = _strike_planes(planes, _plus(point, 1.0 - 2.0 * side, root), d)[1]
+            else:
+                other = (planes[face, 0], planes[face, 1], planes[face, 2])
             off = _plus(other, -1.0, normal)
             angle = 2.0 * math.asin(min(0.5 * math.sqrt(_dot(off, off)), 1.0))
             total += 0.5 * angle * angle

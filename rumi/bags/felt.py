@@ -17,7 +17,6 @@ from sensors.force_evidence import wrench_observation
 from sensors.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus, wrench_contact
 from sensors.log.reader import Log, Sample, Stream
 from sensors.tool_load import ToolLoad
-from sensors.tool_surface import SphereTool
 
 
 def _none() -> Tensor:
@@ -148,15 +147,14 @@ def _wrenches_felt(
 def read_wrenches(
     wrench: Float[Tensor, "K 6"], world_T_sensor: Float[Tensor, "K 4 4"], load: ToolLoad, mapping: BagMap
 ) -> WrenchContact:
-    """Where a mapping's ball was touched; wrenches as recorded."""
+    """Where a mapping's tool was touched; wrenches as recorded."""
     told = mapping.wrench
     assert told is not None
     signed = -wrench if told.reaction else wrench
     left = load.contact_wrench(signed, world_T_sensor[:, :3, :3])
     noise = WrenchNoise(told.force_n, told.moment_nm)
-    tool = SphereTool(torch.tensor(told.center_m), told.radius_m)
     settings = WrenchSettings(least_force_n=told.least_force_n, friction=told.friction)
-    return wrench_contact(left, tool, noise.covariance(), settings)
+    return wrench_contact(left, told.tool(), noise.covariance(), settings)
 
 
 def _load(told: WrenchMap, wrench: Tensor, pose: Tensor, samples: Sequence[Sample], start: int) -> ToolLoad:

@@ -12,18 +12,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.bags.sensor_maps import BubbleMap, RobotMap, TorqueMap, WrenchMap
+from rumi.bags.sensor_maps import BubbleMap, RobotMap, TorqueMap, Vector, WrenchMap, placed
 from rumi.config import dataclass_of
 from rumi.errors import UsageError
 from rumi.sim.objects import ObjectSettings
-from sdf import se3, so3
+from sdf import se3
 
 SCHEMA = 1
 """Of mapping files."""
 
 Role = Literal["cloud", "depth", "color", "camera", "felt", "contact", "bubble", "wrench", "joints", "torques", "tf"]
 ROLES: tuple[str, ...] = typing.get_args(Role)
-Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -67,11 +66,7 @@ class Fixed:
         """parent_T_child, float64."""
         if self.quaternion_wxyz is not None:
             return pose_of(self.position_m, self.quaternion_wxyz)
-        roll, pitch, yaw = (
-            so3.exp(math.radians(angle) * torch.eye(3, dtype=torch.float64)[axis])
-            for axis, angle in enumerate(self.rpy_deg)
-        )
-        return se3.make(yaw @ pitch @ roll, torch.tensor(self.position_m, dtype=torch.float64))
+        return placed(self.position_m, self.rpy_deg)
 
 
 @dataclass(frozen=True)

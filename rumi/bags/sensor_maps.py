@@ -3,18 +3,36 @@
 import math
 from dataclasses import asdict, dataclass
 
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.errors import UsageError
+from sdf import se3, so3
 from sensors.bubble import BubbleSettings
+from sensors.tool_surface import ConvexTool, SphereTool, ToolSurface
 
 Vector = tuple[float, float, float]
 
 
+def placed(position_m: Vector, rpy_deg: Vector) -> Float[Tensor, "4 4"]:
+    """A transform, float64: roll, pitch and yaw about the parent's x, y and z, in this order, and a position."""
+    roll, pitch, yaw = (
+        so3.exp(math.radians(angle) * torch.eye(3, dtype=torch.float64)[axis]) for axis, angle in enumerate(rpy_deg)
+    )
+    return se3.make(yaw @ pitch @ roll, torch.tensor(position_m, dtype=torch.float64))
+
+
 @dataclass(frozen=True)
 class WrenchMap:
-    """The force-torque sensor's tool, a ball, its load, and when a wrench is a touch.
+    """The force-torque sensor's tool, a ball or a convex mesh, its load, and when a wrench is a touch.
 
     Attributes:
-        radius_m: of the ball.
-        center_m: of the ball, in the sensor's frame.
+        radius_m: of a ball.
+        mesh: file of another tool's shape; its convex hull is taken.
+        scale: metres of one unit of the mesh.
+        center_m: of the ball, or the origin of the mesh, in the sensor's frame.
+        rpy_deg: roll, pitch and yaw of the mesh about the sensor's x, y and z, in this order.
         bias: forces and moments without contact.
         mass_kg: of all that hangs from the sensor.
         mass_center_m: its centre of mass in the sensor's frame.
@@ -24,8 +42,11 @@ class WrenchMap:
         least_force_n, friction: see `sensors.force_torque.WrenchSettings`.
     """
 
-    radius_m: float
+    radius_m: float | None = None
+    mesh: str | None = None
+    scale: float = 1.0
     center_m: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Vector = (0.0, 0.0, 0.0)
     bias: tuple[float, float, float, float, float, float] = (0.0,) * 6
     mass_kg: float = 0.0
     mass_center_m: Vector = (0.0, 0.0, 0.0)
@@ -35,6 +56,28 @@ class WrenchMap:
     moment_nm: float = 0.005
     least_force_n: float = 1.0
     friction: float = 0.6
+
+    def __post_init__(self) -> None:
+        if (self.radius_m is None) == (self.mesh is None):
+            raise ValueError("expected either radius_m, of a ball, or mesh, a file of another tool's shape")
+
+    def tool(self) -> ToolSurface:
+        """In the sensor's frame.
+
+        Raises:
+            UsageError: the mesh cannot be used.
+        """
+        if self.mesh is None:
+            assert self.radius_m is not None
+            return SphereTool(torch.tensor(self.center_m), self.radius_m)
+        from sdf.convex import hull
+        from sdf.mesh import MeshError, load_mesh
+
+        try:
+            shape = hull(load_mesh(self.mesh, scale=self.scale))
+        except (OSError, MeshError) as error:
+            raise UsageError(f"Cannot use wrench.mesh: {error}") from error
+        return ConvexTool.of(shape, placed(self.center_m, self.rpy_deg))
 
 
 @dataclass(frozen=True)

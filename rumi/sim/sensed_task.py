@@ -208,29 +208,42 @@ class SensedTask(SimTask):
         parts: list[Observation] = []
         instants: list[Tensor] = []
         in_contact = torch.zeros(len(tool_pose), dtype=torch.bool)
+        near = self._near(track, tool_pose) if self._bubbles else []
         for index in range(len(tool_pose)):
             taken = max(0, index - self._late)  # the image that arrives now
             for camera, bubble in zip(self._bubbles, self._believed, strict=True):
-                patch = self._patch(camera, bubble, track, tool_pose, taken, index)
+                patch = self._patch(camera, bubble, track, tool_pose, taken, index, near[taken])
                 if patch is not None:
                     parts.append(patch.observation)
                     instants.append(torch.full((len(patch.observation),), index, dtype=torch.long))
                     in_contact[index] |= bool(patch.contact.any())
         return parts, instants, in_contact
 
+    def _near(self, track: Track, tool_pose: Float[Tensor, "K 4 4"]) -> list[bool]:
+        """Whether the object is near a bubble at each mini step; elsewhere its membrane is at rest."""
+        pads = torch.tensor(self.tool.shape.pad_centers).double()
+        there = se3.apply(se3.inverse(track.world_T_object) @ tool_pose.double(), pads.expand(len(tool_pose), -1, 3))
+        with torch.no_grad():
+            away = self.model.exact.distance(there.float()).amin(-1)
+        near: list[bool] = (away < max(self.tool.shape.pad_m) + self.sensors.membrane_m + _NEAR_M).tolist()
+        return near
+
     def _patch(
-        self, camera: BubbleCamera, bubble: Bubble, track: Track, tool_pose: Tensor, taken: int, index: int
+        self,
+        camera: BubbleCamera,
+        bubble: Bubble,
+        track: Track,
+        tool_pose: Tensor,
+        taken: int,
+        index: int,
+        near: bool,
     ) -> BubblePatch | None:
-        """One image of one bubble, read; None where it was lost."""
+        """One image of one bubble, read; None where it was lost. Rays are cast where the object is near alone."""
         if self._lost():
             return None
-        tool, pose = tool_pose[taken].double(), track.world_T_object[taken]
         image = camera.rest
-        # far from the object the membrane is at rest, and rays need not be cast
-        pads = se3.apply(se3.inverse(pose) @ tool, torch.tensor(self.tool.shape.pad_centers).double())
-        with torch.no_grad():
-            away = float(self.model.exact.distance(pads.float()).min())
-        if away < max(self.tool.shape.pad_m) + self.sensors.membrane_m + _NEAR_M:
+        if near:
+            tool, pose = tool_pose[taken].double(), track.world_T_object[taken]
             origin, ways = camera.ways(tool)
             met, _ = self.world.cast(origin, ways, at=(track.configuration[taken], pose), through_gripper=True)
             image = camera.image(met)

@@ -273,6 +273,7 @@ def test_the_command(bags, tmp_path, monkeypatch, capsys):
         (("within = [[0, 0, 0], [1, 1, 1]]", "within = [[0, 0, 0], [1, 0, 1]]"), "a lower and an upper corner"),
         (("builtin", "buildin"), "no setting scene.buildin; there are"),
         (("[frames]", "[frames"), "is no TOML"),
+        (("[scene]", "[wrench]\n[scene]"), "expected either radius_m, of a ball, or mesh"),
     ],
 )
 def test_mappings_that_are_wrong_are_named(change, message):

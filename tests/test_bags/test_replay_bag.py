@@ -214,8 +214,9 @@ def test_circles_of_frames_are_named():
         FrameTree(edges, "a", 0.0, 1.0).at("a", [0])
 
 
-def test_wrenches_become_touches(bags, tmp_path, recorded):
-    """A ball on a sensor that is pressed on from the side, with a load and a bias taken off."""
+@pytest.mark.parametrize("mesh", [False, True])
+def test_wrenches_become_touches(mesh, bags, tmp_path, recorded):
+    """A ball, or a cube of its width, on a sensor that is pressed on from the side; load and bias are taken off."""
     text = """
 schema = 1
 [topics]
@@ -237,6 +238,15 @@ view_s = 0.5
 every_s = 0.5
 instants = 5
 """
+    if mesh:
+        import trimesh
+
+        # turned by 90 degrees about x, with its middle 50 mm along its own y
+        cube = trimesh.creation.box((25.0, 25.0, 25.0))
+        cube.apply_translation((0.0, 20.0, 0.0))
+        cube.export(tmp_path / "cube.stl")
+        shape = f'mesh = "{tmp_path / "cube.stl"}"\nscale = 0.001\nrpy_deg = [90, 0, 0]\n'
+        text = text.replace("radius_m = 0.0125\n", shape).replace("[0.0, 0.0, 0.05]", "[0.0, 0.0, 0.03]")
     mapping = mapping_of(text)
     weight = torch.tensor([0.0, 0.0, -0.2 * 9.81, 0.0, 0.0, 0.0])
     bias = torch.tensor([1.0, -2.0, 0.5, 0.01, 0.02, -0.03])

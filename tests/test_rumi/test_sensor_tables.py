@@ -63,8 +63,17 @@ def test_runs_are_carried_out_once_and_wrong_stops_counted(tmp_path, capsys, mon
     assert made == [(name, "mug-0", seed) for seed in (1000, 1001, 1002) for name in ("camera", "both, degraded")]
     table.show(table.Show(out=out))
     rows = capsys.readouterr().out.splitlines()
-    assert len(rows) == 4
     assert rows[2].startswith("| camera | 2/3 [") and "| 1 | 1 | 1 | 7 | 1.0, 2.0 | 9.0, 2 |" in rows[2]
+    assert rows[-1] == "| both, degraded, mug-0, seed 1001 | sure | 9.0, 2.0 | - | - | - |"
+    # of those that were not right each is repeated once with each part left out, and kept out of the first table
+    made.clear()
+    table.why(table.Why(out=out))
+    table.why(table.Why(out=out))
+    assert made == [(f"both, degraded, {part}", "mug-0", 1001) for part in table.PARTS]
+    table.show(table.Show(out=out))
+    after = capsys.readouterr().out.splitlines()
+    assert after[:-1] == rows[:-1]
+    assert after[-1].count("not right, 9.0, 2.0") == len(table.PARTS)
 
 
 @pytest.mark.slow
