@@ -76,7 +76,7 @@ class UrdfBody:
             packages: folders of the packages that `package://` names.
 
         Raises:
-            UsageError: no URDF, no collision shapes, or a shape of another kind.
+            UsageError: no URDF, no collision shapes, a shape of another kind, or joints that cannot be.
             ImportError: pytorch-kinematics is not installed.
         """
         try:
@@ -100,7 +100,10 @@ class UrdfBody:
                 owners.append(str(link.get("name")))
         if not links:
             raise UsageError("Expected collision shapes in the URDF, got none: the robot's body cannot be told from it")
-        chain = pytorch_kinematics.build_chain_from_urdf(text.encode())
+        try:
+            chain = pytorch_kinematics.build_chain_from_urdf(text.encode())
+        except Exception as error:  # it raises whatever it stumbles over
+            raise UsageError(f"Expected a URDF whose links hang together by joints, got: {error}") from error
         return cls(RobotBody(links), tuple(owners), tuple(chain.get_joint_parameter_names()), chain)
 
     def poses(

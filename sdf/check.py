@@ -6,6 +6,9 @@ from torch import Tensor
 FAR = 1.0e6
 """Metres that stand for a coordinate that is not finite: farther than any scene, small enough to square."""
 
+ROUNDING_M = 1e-5
+"""Metres by which rounding may move a place: what poses are held to, a hundredth of a table's spacing of 1 mm."""
+
 
 def check_shape(name: str, tensor: Tensor, text: str, last: tuple[int, ...] = ()) -> None:
     """Refuse a tensor of another shape than `text` says.
@@ -55,6 +58,32 @@ def check_finite(name: str, tensor: Tensor) -> None:
         f"Expected {name} to be finite, got {bad.shape[0]} of {tensor.numel()} values that are not (the first, "
         f"{float(tensor[first])}, at index {first}): remove or mask them"
     )
+
+
+def check_near(name: str, places: Tensor, dtype: torch.dtype | None = None) -> None:
+    """Refuse places so far from the origin that the numbers cannot tell a hundredth of a millimetre.
+
+    The greatest coordinate times the precision's epsilon may be `ROUNDING_M` at most: 84 m in float32, and in float64
+    farther than anybody goes. Values that are not finite are somebody else's to refuse.
+
+    Args:
+        name: the argument's name, for the message.
+        places: coordinates, metres, of any shape.
+        dtype: that they are worked with, if not their own.
+
+    Raises:
+        ValueError: with the name, how far places may be, how far they are, and what to do.
+    """
+    if places.numel() == 0 or not may_look():
+        return
+    epsilon = torch.finfo(dtype or places.dtype).eps
+    farthest = float(places.detach().abs().amax())
+    if ROUNDING_M < epsilon * farthest < float("inf"):
+        raise ValueError(
+            f"Expected {name} within {ROUNDING_M / epsilon:.3g} m of the origin for {dtype or places.dtype}, got "
+            f"{farthest:.6g} m, where its numbers are {1e3 * epsilon * farthest:.1g} mm apart: subtract the middle of "
+            "the workspace in float64 first (sdf.recentred.Recentred), or work in float64"
+        )
 
 
 def keep_within_reach(coordinates: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sdf import se3
-from sdf.check import check_finite, check_shape
+from sdf.check import check_finite, check_near, check_shape
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 
@@ -96,6 +96,7 @@ def depth_observation(
     check_shape("world_T_camera", world_T_camera, "(4, 4)", last=(4, 4))
     check_finite("intrinsics", intrinsics)
     check_finite("world_T_camera", world_T_camera)
+    check_near("world_T_camera", world_T_camera[:3, 3], depth.dtype)
     if object_mask.shape != depth.shape:
         raise ValueError(
             f"Expected object_mask to have depth's shape {tuple(depth.shape)}, got {tuple(object_mask.shape)}"

@@ -17,6 +17,9 @@ from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.posed import posed_distance
 
+_STEEPEST = 1e12
+"""Of a decay, 1/m: a step, to any sensor."""
+
 
 def proximity_probability(
     distance: Float[Tensor, "*b"],
@@ -72,8 +75,11 @@ class ContactModel(nn.Module):
         for name, rate in (("true_positive", true_positive), ("false_positive", false_positive)):
             if not 0 <= rate <= 1:
                 raise ValueError(f"Expected {name} to be a probability, got {rate}")
-        if decay is not None and not decay > 0:
-            raise ValueError(f"Expected decay above 0 or None for the binary model, got {decay}")
+        # of more, its product with a distance of 0 may be no number
+        if decay is not None and not 0 < decay < _STEEPEST:
+            raise ValueError(
+                f"Expected decay above 0 (to {_STEEPEST:g} 1/m), or None for the binary model, got {decay}"
+            )
         self.smooth = decay is not None
         values = {
             "true_positive": true_positive,

@@ -81,6 +81,8 @@ def _ply(data: bytes) -> Cloud:
     if not data.startswith(b"ply"):
         raise ValueError("expected a PLY header")
     loaded: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
+    if not hasattr(loaded, "vertices"):  # an empty scene
+        raise ValueError("expected vertices, got none")
     table = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
     names = () if table is None else table.dtype.names if isinstance(table, np.ndarray) else table
     raw = {name: table[name] for name in names}

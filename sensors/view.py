@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sdf import se3
-from sdf.check import check_finite, check_shape
+from sdf.check import check_finite, check_near, check_shape
 from sensors.camera import free_lattice, pixel_points
 from sensors.depth_filters import EdgeSettings, nearest_about, reliable
 from sensors.images import Unit, depth_metres, known, undistorted
@@ -140,6 +140,7 @@ def view_observation(
     check_finite("intrinsics", intrinsics)
     check_finite("world_T_camera", world_T_camera)
     metres = depth_metres(depth, settings.unit, near_m=settings.near_m, far_m=settings.far_m)
+    check_near("world_T_camera", world_T_camera[:3, 3], metres.dtype)
     intrinsics, world_T_camera = intrinsics.to(metres), world_T_camera.to(metres)
     metres = undistorted(metres, intrinsics, settings.distortion)
     seen = known(metres) if settings.edges is None else reliable(metres, intrinsics, settings.edges)

@@ -10,6 +10,7 @@ from torch import Tensor
 from rumi.bags.mapping import BagMap
 from rumi.errors import UsageError
 from sdf import se3, so3
+from sdf.check import check_near
 from sensors.log.reader import Log
 
 
@@ -51,16 +52,22 @@ class FrameTree:
 
     Args:
         edges: by child.
-        world: the frame that poses are asked in; `floor_z_m` of it is height 0.
-        floor_z_m: height of the floor in `world`.
+        world: the frame that poses are asked in, but for its origin.
+        origin_w: (3,), metres in `world`, the origin of the poses that are given.
         longest_gap_s: over which poses are interpolated.
     """
 
-    def __init__(self, edges: dict[str, Edge], world: str, floor_z_m: float, longest_gap_s: float) -> None:
+    def __init__(
+        self,
+        edges: dict[str, Edge],
+        world: str,
+        origin_w: Sequence[float] = (0.0, 0.0, 0.0),
+        longest_gap_s: float = 0.5,
+    ) -> None:
         self._edges, self.world = edges, world
         self._gap_ns = int(longest_gap_s * 1e9)
         self._rise = se3.identity(dtype=torch.float64)
-        self._rise[2, 3] = -floor_z_m
+        self._rise[:3, 3] = -torch.tensor(origin_w, dtype=torch.float64)
 
     @classmethod
     def of_log(cls, log: Log, mapping: BagMap) -> "FrameTree":
@@ -81,7 +88,7 @@ class FrameTree:
         for one in mapping.fixed:
             edges[one.child] = Edge(one.parent, torch.zeros(0, dtype=torch.long), one.pose()[None])
         frames = mapping.frames
-        return cls(edges, frames.world, frames.floor_z_m, frames.longest_gap_s)
+        return cls(edges, frames.world, (*frames.origin_m, frames.floor_z_m), frames.longest_gap_s)
 
     def at(
         self, frame: str, stamps_ns: Sequence[int] | Int[Tensor, "K"]
@@ -89,7 +96,8 @@ class FrameTree:
         """world_T_frame at some times, and which of them are known.
 
         Raises:
-            UsageError: nothing connects the frame to the world; the message lists the frames.
+            UsageError: nothing connects the frame to the world (the message lists the frames), or it is so far from the
+                origin that single precision cannot tell where it is.
         """
         stamps = torch.as_tensor(stamps_ns, dtype=torch.long)
         up, down = self._chain(frame.strip("/")), self._chain(self.world)
@@ -101,7 +109,12 @@ class FrameTree:
             )
         root_T_frame, known = self._to_root(up, stamps)
         root_T_world, also = self._to_root(down, stamps)
-        return self._rise @ se3.inverse(root_T_world) @ root_T_frame, known & also
+        pose = self._rise @ se3.inverse(root_T_world) @ root_T_frame
+        try:
+            check_near(f"the frame {frame!r} in {self.world!r}", pose[known & also][:, :3, 3], torch.float32)
+        except ValueError as error:
+            raise UsageError(f"{error}: in the mapping, frames.origin_m does that") from error
+        return pose, known & also
 
     def _chain(self, frame: str) -> list[str]:
         chain = [frame]

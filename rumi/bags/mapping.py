@@ -77,18 +77,21 @@ class Frames:
         world: z up; the belief lives in it.
         tool: of the gripper: between its pads, x forward, z up when it is level.
         floor_z_m: height in `world` of what the object stands on; the belief's own frame has it at 0.
+        origin_m: x and y in `world` at which the belief's own frame has its origin; taken off in float64, so that a
+            map's frame may be kilometres away.
         longest_gap_s: a frame's pose is interpolated over gaps up to this.
     """
 
     world: str
     tool: str
     floor_z_m: float = 0.0
+    origin_m: tuple[float, float] = (0.0, 0.0)
     longest_gap_s: float = 0.5
 
 
 @dataclass(frozen=True)
 class SceneMap:
-    """What is known of the object's place; metres in the world with its floor at 0.
+    """What is known of the object's place; metres in the belief's own frame: the world with its floor and origin at 0.
 
     Attributes:
         builtin: "mug", "box" or "drill", where [object] names no mesh.

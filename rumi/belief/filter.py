@@ -17,6 +17,7 @@ from rumi.errors import DegenerateBeliefError
 from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
 from rumi.seeding import Generators, normal
 from sdf import savings, se3
+from sdf.check import check_near
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import Evidence, in_attached_frame
 from sensors.observation import Observation, attach, merge
@@ -159,8 +160,12 @@ class PoseFilter(nn.Module):
 
         Returns:
             the belief after, the memory after, and what was done.
+
+        Raises:
+            ValueError: the world's origin is so far that rounding moves the object (`sdf.check.check_near`).
         """
         settings = self.settings
+        check_near("the belief's poses", belief.attached_T_object[..., :3, 3])
         motion = object_motion(
             settings.motion, belief, reading, self.discrepancy, self.search, settings.descent, self.pushed
         )

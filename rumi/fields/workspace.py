@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf.check import check_finite, check_shape
+from sdf.check import check_finite, check_near, check_shape
 from sdf.voxel_grid import MOST_NODES, VoxelGrid
 
 
@@ -38,6 +38,7 @@ class Workspace:
         """
         check_shape("bounds", bounds, "(2, 3)", last=(2, 3))
         check_finite("bounds", bounds)
+        check_near("bounds", bounds)
         if not 0 < spacing < math.inf:
             raise ValueError(f"Expected spacing to be a positive number of metres, got {spacing}")
         if bool((bounds[1] < bounds[0]).any()):

@@ -13,6 +13,7 @@ from rumi.registration.archive import fill, orientation_bins, super_fibonacci
 from rumi.registration.descent import DescentSettings, Search, descend
 from rumi.seeding import uniform
 from sdf import se3
+from sdf.check import check_near
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
@@ -124,10 +125,15 @@ def register(
         search: "SE(2)" or "SE(3)".
         further: what to add to the discrepancy of poses, such as a prior's part.
         generator: draws the starts and the sample of points.
+
+    Raises:
+        ValueError: surface points so far from the origin that rounding moves them (`sdf.check.check_near`).
     """
     settings = settings or RegisterSettings()
+    check_near("the observation's surface points", observation.points[observation.of_class(Semantics.SURFACE)])
     if starts is None:
         starts = uniform_starts(observation, discrepancy.sdf.bounds, settings.starts, generator=generator)
+    check_near("starts", starts[..., :3, 3])
     surface = observation.of_class(Semantics.SURFACE).nonzero()[:, 0]
     others = (observation.valid & (observation.semantics != Semantics.SURFACE)).nonzero()[:, 0]
     sample = drawn(observation, surface, settings.coarse_points, generator=generator)

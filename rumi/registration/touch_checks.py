@@ -4,6 +4,7 @@ import torch
 from torch import Tensor
 
 from rumi.registration.touch_surface import TouchSurface
+from sdf.check import check_near
 
 # of the object's diagonal: points further apart than the first were not all on it; nearer together than the second say
 # nothing; and of the points' length, what they need across for a plane
@@ -56,10 +57,13 @@ def check_contacts(surface: TouchSurface, points: Tensor, normals: Tensor | None
 
 
 def _rows(name: str, values: Tensor) -> Tensor:
-    values = torch.as_tensor(values).detach().double().cpu()
+    given = torch.as_tensor(values).detach()
+    values = given.double().cpu()
     if values.ndim != 2 or values.shape[1] != 3:
         raise ValueError(f"Expected {name} of shape (K, 3), got {tuple(values.shape)}")
     bad = int((~torch.isfinite(values)).any(-1).sum())
     if bad:
         raise ValueError(f"Expected finite {name}, got {bad} of {len(values)} with NaN or infinity: leave them out")
+    if given.is_floating_point():
+        check_near(name, given)
     return values

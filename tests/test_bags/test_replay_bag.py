@@ -191,7 +191,7 @@ def test_frames_are_put_together_and_interpolated():
         "hand": edge("arm", [turned(0.5, 0.2)]),
         "world": edge("base", [turned(0.0, 0.3)]),
     }
-    tree = FrameTree(edges, "world", -0.25, 1e-6)
+    tree = FrameTree(edges, "world", (0.0, 0.0, -0.25), 1e-6)
     pose, known = tree.at("hand", [1000, 1500, 2000, 2099, 2101, 899])
     assert known.tolist() == [True, True, True, True, False, False]
     rise = turned(0.0, 0.0)
@@ -203,15 +203,29 @@ def test_frames_are_put_together_and_interpolated():
 
 def test_gaps_in_frames_are_not_bridged():
     edges = {"hand": edge("base", [turned(0.0, 0.0)] * 3, [0, 1000, 9000])}
-    tree = FrameTree(edges, "base", 0.0, 2e-6)
+    tree = FrameTree(edges, "base", longest_gap_s=2e-6)
     _, known = tree.at("hand", [500, 1100, 5000, 8900])
     assert known.tolist() == [True, True, False, True]
+
+
+def test_a_world_far_away_is_brought_near_in_double_precision():
+    x, y = 412_345.678, 5_812_345.25
+    far = turned(x, 0.0)
+    far[1, 3] = y
+    edges = {"base": edge("map", [far]), "hand": edge("base", [turned(0.5, 0.2)])}
+    with pytest.raises(UsageError, match=r"'hand' in 'map' within 83.9 m .* frames.origin_m does that"):
+        FrameTree(edges, "map").at("hand", [0])
+    pose, known = FrameTree(edges, "map", (x, y, -0.1)).at("hand", [0])
+    assert known.all()
+    right = turned(0.5, 0.2)
+    right[2, 3] = 0.1
+    torch.testing.assert_close(pose[0], right, atol=1e-9, rtol=0)
 
 
 def test_circles_of_frames_are_named():
     edges = {"a": edge("b", [turned(0, 0)]), "b": edge("a", [turned(0, 0)])}
     with pytest.raises(UsageError, match="circle"):
-        FrameTree(edges, "a", 0.0, 1.0).at("a", [0])
+        FrameTree(edges, "a").at("a", [0])
 
 
 @pytest.mark.parametrize("mesh", [False, True])

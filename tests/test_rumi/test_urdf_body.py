@@ -90,3 +90,19 @@ def test_what_a_urdf_lacks_is_said(robot, tmp_path):
     stretched.write_text(ROBOT % MESH.replace("0.001 0.001 0.001", "0.001 0.001 0.002"))
     with pytest.raises(UsageError, match="one scale"):
         UrdfBody.load(stretched)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        ('<child link="upper"/>', ""),
+        ('xyz="0 0 1"/><limit', 'xyz="0 0"/><limit'),
+        ('parent link="base"', 'parent link="x"'),
+    ],
+)
+def test_links_that_do_not_hang_together_are_refused(damage):
+    text = ROBOT.strip() % '<collision><geometry><sphere radius="0.04"/></geometry></collision>'
+    assert UrdfBody.load(text).joints == ("turn", "slide")
+    assert damage[0] in text
+    with pytest.raises(UsageError, match="hang together"):
+        UrdfBody.load(text.replace(*damage))

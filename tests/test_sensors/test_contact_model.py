@@ -148,8 +148,11 @@ def test_sure_rates_never_give_minus_infinity(generator: torch.Generator) -> Non
 def test_refusals() -> None:
     with pytest.raises(ValueError, match="true_positive"):
         ContactModel(1.2)
-    with pytest.raises(ValueError, match="decay above 0"):
-        ContactModel(decay=0.0)
+    for decay in (0.0, float("inf"), float("nan"), 1e300):
+        with pytest.raises(ValueError, match="decay above 0"):
+            ContactModel(decay=decay)
+    steep = ContactModel(0.9, 0.1, 1e11)(torch.tensor([-1.0, 0.0, 1e-9, 1e30]))
+    torch.testing.assert_close(steep, torch.tensor([0.9, 0.9, 0.1, 0.1]))
 
 
 @pytest.mark.parametrize("rate", [1.0, 1.0 - 1e-9])

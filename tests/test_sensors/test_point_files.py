@@ -187,6 +187,8 @@ def test_ply_ascii_and_binary(tmp_path):
         assert cloud.viewpoint is None and cloud.normals is None
     with pytest.raises(ValueError, match="PLY header"):
         read_cloud(write(tmp_path, "no.ply", b"solid"))
+    with pytest.raises(ValueError, match="expected vertices, got none"):
+        read_cloud(write(tmp_path, "none.ply", b"ply\nformat ascii 1.0\nelement verte8 1\nend_header\n0 0 0\n"))
 
 
 def test_npz_of_points_and_of_an_image(tmp_path):

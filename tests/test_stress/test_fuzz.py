@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rumi.cli import main
 from rumi.stress.fuzz.draw import Given, Seeded, number, tensor
 from rumi.stress.fuzz.files import Bomb, damaged, originals, pickled
+from rumi.stress.fuzz.recordings import WHOLE
 from rumi.stress.fuzz.run import PickleLoadedError, many, no_pickles, one
 from rumi.stress.fuzz.targets import TARGETS
 
@@ -73,6 +74,11 @@ def test_the_bomb_would_go_off(tmp_path):
 def test_pickles_of_compiled_code_are_let_through():
     with no_pickles(), pytest.raises(PickleLoadedError):
         pickle.loads(pickle.dumps([1]))
+
+
+@pytest.mark.parametrize("name", WHOLE)
+def test_what_is_damaged_was_right_before(name, tmp_path):
+    assert list(WHOLE[name](tmp_path)) == []
 
 
 def test_damage_changes_files():

@@ -145,13 +145,29 @@ def pickled(draw: Draw, names: list[str]) -> bytes:
     return whole.getvalue() if draw.integer(0, 1) else bad.getvalue()
 
 
-def _with_file(draw: Draw, name: str, read: Callable[[Path], Iterable[Tensor]], arrays: list[str]) -> Iterable[Tensor]:
-    data = originals()[name]
-    bomb = arrays and draw.integer(0, 9) == 0
-    data = pickled(draw, arrays) if bomb else damaged(draw, data)
+def with_file(
+    draw: Draw,
+    name: str,
+    original: Callable[[], bytes],
+    read: Callable[[Path], Iterable[Tensor]],
+    arrays: list[str],
+) -> Iterable[Tensor]:
+    """A case that damages a file and reads it.
+
+    Args:
+        draw: of the case.
+        name: of the file.
+        original: its bytes as they should be.
+        read: what is tested.
+        arrays: names of the arrays that it holds, one of which is a pickle at times; none if it holds no arrays.
+
+    Raises:
+        AssertionError: code of the file was run.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / Path(name).name
-        path.write_bytes(data)
+        bomb = arrays and draw.integer(0, 9) == 0
+        path = Path(folder) / name
+        path.write_bytes(pickled(draw, arrays) if bomb else damaged(draw, original()))
         results = list(read(path))
     if Bomb.fired:
         Bomb.fired = False
@@ -160,7 +176,7 @@ def _with_file(draw: Draw, name: str, read: Callable[[Path], Iterable[Tensor]], 
 
 
 def _enter(name: str, original: str, read: Callable[[Path], Iterable[Tensor]], *arrays: str) -> None:
-    FILES[name] = lambda draw: _with_file(draw, original, read, list(arrays))
+    FILES[name] = lambda draw: with_file(draw, original, lambda: originals()[original], read, list(arrays))
 
 
 def _mesh(path: Path) -> Iterable[Tensor]:

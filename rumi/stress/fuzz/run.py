@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from rumi.stress.fuzz.draw import Draw, Seeded
-from rumi.stress.fuzz.functions import DOCUMENTED
+from rumi.stress.fuzz.entered import DOCUMENTED
 
 Target = Callable[[Draw], Iterable[Tensor]]
 
