@@ -2,6 +2,7 @@
 
     python scripts/fused_table.py run --seeds 1000-1009 --seconds 120   # a line a run in scripts/results/fused.jsonl
     python scripts/fused_table.py show                                  # Markdown
+    python scripts/fused_table.py draw                                  # scripts/docs/fused.png
 
 Tune on seeds of 1000 and more.
 """
@@ -67,6 +68,19 @@ class Show:
     seeds: str | None = None
 
 
+@dataclass(frozen=True)
+class Draw:
+    """Draw nll over the actions.
+
+    Attributes:
+        results: where the lines are.
+        out: of the figure.
+    """
+
+    results: Path = RESULTS
+    out: Path = ROOT / "scripts" / "docs" / "fused.png"
+
+
 def run(options: Run) -> None:
     """Carry them out, and keep a line a run."""
     torch.set_num_threads(options.threads)
@@ -93,9 +107,16 @@ def carry_out(name: str, parts: FusedParts, seed: int) -> dict[str, Any]:
     except (DegenerateBeliefError, ValueError) as error:
         found = {"right": False, "lifted": False, "ended": "error", "error": str(error)[:200]}
     found.pop("timings_s", None)
-    kept = {key: round(value, 4) if isinstance(value, float) else value for key, value in found.items()}
+    kept = {key: rounded(value) for key, value in found.items()}
     seconds = {"seconds": time.perf_counter() - began, "cpu_s": time.process_time() - used}
     return head | {key: round(value, 2) for key, value in seconds.items()} | kept
+
+
+def rounded(value: Any) -> Any:  # noqa: ANN401  (of a result)
+    """The same with numbers of few digits."""
+    if isinstance(value, list):
+        return [rounded(part) for part in value]
+    return round(value, 4) if isinstance(value, float) else value
 
 
 def show(options: Show) -> None:
@@ -145,6 +166,24 @@ def show(options: Show) -> None:
         print(_row((name, str(len(seeds)), middle, f"{statistics.median(apart):.0f}", f"{lower} of {len(seeds)}")))
 
 
+def draw(options: Draw) -> None:
+    """Mean nll after each action, of all sensors and of each alone; a run that stopped keeps its last."""
+    from rumi.viz import style
+
+    lines = [x for x, _ in read_lines(options.results)]
+    with style.figure(6.4, 3.6) as figure:
+        axes = figure.subplots()
+        for name in VARIANTS:
+            own = [x["nll"] for x in lines if x["sensors"] == name and x["settings"] == stamp(name) and "nll" in x]
+            if own:
+                steps = settings_of(name).steps + 1
+                held = np.array([(nll + nll[-1:] * steps)[:steps] for nll in own])
+                axes.plot(held.mean(0).clip(0.1), label=f"{name} ({len(own)} runs)", lw=2.4 if name == "all" else 1.2)
+        axes.set(xlabel="actions", ylabel="mean nll", yscale="log")
+        axes.legend()
+        figure.savefig(options.out, metadata={"Software": "rumi"})
+
+
 def mean_interval(values: list[float], seed: int = 0) -> tuple[float, float]:
     """95 % percentile-bootstrap interval of the mean."""
     data = np.asarray(values)
@@ -182,10 +221,11 @@ def _row(cells: tuple[str, ...]) -> str:
 
 
 if __name__ == "__main__":
-    kind, *rest = sys.argv[1:] or ["--help"]
-    if kind == "run":
-        run(tyro.cli(Run, args=rest))
-    elif kind == "show":
-        show(tyro.cli(Show, args=rest))
+    chosen = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show, "draw": Draw}, description=__doc__)
+    if isinstance(chosen, Run):
+        run(chosen)
+    elif isinstance(chosen, Show):
+        show(chosen)
     else:
-        print(__doc__)
+        draw(chosen)
+    sys.exit(0)

@@ -14,6 +14,7 @@ from rumi.fused.filter import FusedFilter
 from rumi.fused.grasp import HandleTable, handle_table
 from rumi.fused.settings import FusedSettings, task_of
 from rumi.planning.gripper import GripperShape
+from rumi.planning.tool import Tool
 from rumi.rummager import Rummager
 from rumi.sim.fused_task import FusedTask
 from rumi.sim.handle_grasp import HandleGripper
@@ -41,15 +42,23 @@ class FusedParts:
     surface: Float[Tensor, "n 3"]
 
 
-def build_fused(settings: FusedSettings, *, cache_dir: Path | None = None) -> FusedParts:
+def build_fused(
+    settings: FusedSettings,
+    *,
+    cache_dir: Path | None = None,
+    tool: Tool | None = None,
+    table: HandleTable | None = None,
+) -> FusedParts:
     """Make the parts of a run.
 
     Args:
         settings: of the run.
         cache_dir: folder that keeps the arm's reach and the table of grasps; None works them out each time (a minute).
+        tool: made before by `make_tool`; None makes one.
+        table: made before by `handle_table`; None makes one.
     """
     spec, plain = task_of(settings), preset(settings.preset, task="mug-0")
-    tool, model = make_tool(spec, cache_dir=cache_dir), spec.object_factory()
+    tool, model = tool or make_tool(spec, cache_dir=cache_dir), spec.object_factory()
     task = FusedTask(settings, tool, model, cache_dir=cache_dir)
     rummager = build_rummager(spec, plain, model, tool)
     # a camera feels nothing that a belief could wait for; touches that are none cost what no pose explains
@@ -61,7 +70,7 @@ def build_fused(settings: FusedSettings, *, cache_dir: Path | None = None) -> Fu
         task,
         replace(rummager, filter=FusedFilter.of(rummager.filter), stop=stop),
         gripper,
-        handle_table(gripper, cache_dir=cache_dir),
+        table or handle_table(gripper, cache_dir=cache_dir),
         gripper_surface(tool.shape, settings.signals.spacing_m).float(),
     )
 

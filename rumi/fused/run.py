@@ -1,5 +1,6 @@
 """The fused run, top to bottom: look, then plan, act, sense, fuse, until sure or out of time; then grasp."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -40,8 +41,9 @@ class Outcome:
         ended: "sure", out of actions ("steps"), out of time ("budget"), or "interrupted".
         grasp: where the mug was grasped, and the believed chance of lifting it; None where the run was interrupted.
         lifted: whether it was.
-        total_nll: nll (RUMI, Eq 36) summed up over the first view and as many actions as the settings say; after the
-            last action the belief stays as it is.
+        nll: (RUMI, Eq 36) after the first view and each action.
+        total_nll: nll summed up over the first view and as many actions as the settings say; after the last action the
+            belief stays as it is.
         total_s: on the run's clock, the grasp included.
     """
 
@@ -49,6 +51,7 @@ class Outcome:
     ended: Ended
     grasp: Grasp | None
     lifted: bool
+    nll: tuple[float, ...]
     total_nll: float
     total_s: float
 
@@ -57,7 +60,13 @@ class Outcome:
         grasp = None if self.grasp is None else self.grasp.pose.tolist()
         chance = None if self.grasp is None else self.grasp.probability
         own = {"ended": self.ended, "lifted": self.lifted, "believed": chance, "grasp": grasp}
-        return {**own, "total_nll": self.total_nll, "total_s": self.total_s, **asdict(self.found)}
+        return {
+            **own,
+            "nll": list(self.nll),
+            "total_nll": self.total_nll,
+            "total_s": self.total_s,
+            **asdict(self.found),
+        }
 
 
 def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None] | None = None) -> Outcome:
@@ -149,13 +158,13 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
         ended = "interrupted"
     # a recorded run knows no clock: there it is as if the actions had been all
     found = summarise(rummager, history, {"sure": "converged", "budget": "steps"}.get(ended, ended))
-    return Outcome(found, ended, grasp, lifted, total_nll(history, settings.steps), spent_s)
+    nll = tuple(math.nan if record.nll is None else record.nll for record in history)
+    return Outcome(found, ended, grasp, lifted, nll, total_nll(nll, settings.steps), spent_s)
 
 
-def total_nll(history: Sequence[StepRecord], steps: int) -> float:
+def total_nll(nll: Sequence[float], steps: int) -> float:
     """Nll summed up over the first view and `steps` actions, the last one's for those that were not needed."""
-    known = [0.0 if record.nll is None else record.nll for record in history]
-    return sum(known) + known[-1] * max(0, steps + 1 - len(known))
+    return math.fsum(nll) + nll[-1] * max(0, steps + 1 - len(nll))
 
 
 def _filter(rummager: Rummager) -> FusedFilter:
