@@ -29,13 +29,13 @@ class PlotOptions:
 
 def tasks(arguments: Sequence[str]) -> int:
     """`rumi tasks`: the tasks by name."""
-    from rumi import peg_command
+    from rumi import fused_command, peg_command
     from rumi.sim.tasks import TASKS
     from rumi.touch import command as touch
 
     tyro.cli(_Nothing, prog="rumi tasks", args=arguments, description="List what there is to find.")
     listed = {name: spec.description for name, spec in TASKS.items()}
-    listed |= {touch.NAME: touch.DESCRIPTION, peg_command.NAME: peg_command.DESCRIPTION}
+    listed |= {own.NAME: own.DESCRIPTION for own in (touch, peg_command, fused_command)}
     width = max(map(len, listed))
     for name, description in listed.items():
         sys.stdout.write(f"{name:<{width}}  {description}\n")
@@ -49,11 +49,16 @@ class _Nothing:
 
 def run(arguments: Sequence[str]) -> int:
     """`rumi run`: one run, its folder and its figures."""
-    from rumi import peg_command, run_command
+    from rumi import fused_command, peg_command, run_command
     from rumi.touch import command as touch
 
     # tasks of their own, with settings of their own
-    for name, own in ((touch.NAME, touch.run_touch), (peg_command.NAME, peg_command.peg)):
+    own_commands = (
+        (touch.NAME, touch.run_touch),
+        (peg_command.NAME, peg_command.peg),
+        (fused_command.NAME, fused_command.fused),
+    )
+    for name, own in own_commands:
         at = arguments.index(name) if name in arguments else -1
         if at == 0 or (at > 0 and not arguments[at - 1].startswith("--")):  # not the value of a flag
             return own([*arguments[:at], *arguments[at + 1 :]], cache_dir=cache_folder())

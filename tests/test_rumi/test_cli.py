@@ -174,7 +174,7 @@ def test_what_goes_wrong_in_a_run_is_named(error, message, monkeypatch, capsys):
 def test_tasks_are_listed(capsys):
     assert main(["tasks"]) == cli.DONE
     listed = capsys.readouterr().out.splitlines()
-    assert [text.split()[0] for text in listed] == [*TASKS, "touch-box", "peg"]
+    assert [text.split()[0] for text in listed] == [*TASKS, "touch-box", "peg", "fused"]
 
 
 def test_help_is_quick_and_has_examples():

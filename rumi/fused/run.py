@@ -1,0 +1,184 @@
+"""The fused run, top to bottom: look, then plan, act, sense, fuse, until sure or out of time; then grasp."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import torch
+
+from rumi.belief.particles import PoseBelief
+from rumi.belief.renewal import challenge
+from rumi.clock import Clock
+from rumi.fused.evidence import FeltSoFar
+from rumi.fused.filter import FusedFilter
+from rumi.fused.grasp import Grasp, best_grasp
+from rumi.fused.parts import FusedParts
+from rumi.fused.reading import FusedReading
+from rumi.loop import first_belief
+from rumi.planning.types import Plan, Scene
+from rumi.records import RunResult, StepRecord
+from rumi.registration.initialise import initialise, view_starts
+from rumi.rummager import Rummager
+from rumi.scoring import observe, summarise
+from rumi.seeding import split
+from rumi.sim.handle_grasp import GRASP_S
+from sensors.observation import Observation
+from sensors.semantics import Semantics
+
+Ended = Literal["sure", "steps", "budget", "interrupted"]
+
+_LEAST_PLAN_S = 0.05
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Attributes:
+        found: what the belief came to, up to the grasp.
+        ended: "sure", out of actions ("steps"), out of time ("budget"), or "interrupted".
+        grasp: where the mug was grasped, and the believed chance of lifting it; None where the run was interrupted.
+        lifted: whether it was.
+        nll: (RUMI, Eq 36) after the first view and each action.
+        total_nll: nll summed up over the first view and as many actions as the settings say; after the last action the
+            belief stays as it is.
+        total_s: on the run's clock, the grasp included.
+    """
+
+    found: RunResult
+    ended: Ended
+    grasp: Grasp | None
+    lifted: bool
+    nll: tuple[float, ...]
+    total_nll: float
+    total_s: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, ready for JSON."""
+        grasp = None if self.grasp is None else self.grasp.pose.tolist()
+        chance = None if self.grasp is None else self.grasp.probability
+        own = {"ended": self.ended, "lifted": self.lifted, "believed": chance, "grasp": grasp}
+        return {
+            **own,
+            "nll": list(self.nll),
+            "total_nll": self.total_nll,
+            "total_s": self.total_s,
+            **asdict(self.found),
+        }
+
+
+def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None] | None = None) -> Outcome:
+    """Find the mug by all sensors that there are, and lift it by its handle.
+
+    Same seed, same machine, and thinking that takes what the settings say: the same run. Ctrl-C ends it without a
+    grasp.
+
+    Args:
+        parts: of the run.
+        seed: of where the mug stands, of the noise and of the choices.
+        on_step: called with the record of every step, the first view's included.
+    """
+    settings, task, rummager = parts.settings, parts.task, parts.rummager
+    clock, history = Clock(), list[StepRecord]()
+    random = {name: split(seed, name) for name in ("initialise", "filter", "plan", "renewal")}
+    felt = FeltSoFar.nothing(rummager.model.sdf, settings, len(parts.surface))
+    spent_s, motion_s = 0.0, task.settings.action_s + task.settings.hold_s
+
+    def emit(record: StepRecord) -> StepRecord:
+        history.append(record)
+        if on_step is not None:
+            on_step(record)
+        return record
+
+    def thought(began: float) -> float:
+        """Seconds on the run's clock for what was thought since."""
+        return time.perf_counter() - began if settings.thinking_s is None else settings.thinking_s
+
+    ended: Ended = "steps"
+    grasp, lifted = None, False
+    try:
+        with clock("simulate"):
+            result = task.reset(seed)
+        began = time.perf_counter()
+        with clock("belief"):
+            belief, memory = first_belief(rummager, result.reading, generator=random["initialise"])
+            belief = _seen(rummager, belief, memory, generator=random["initialise"])
+            blind = not bool(memory.of_class(Semantics.SURFACE).any())
+        spent_s += thought(began)
+        last = emit(observe(rummager, clock, history, result, belief, memory))
+        plan: Plan | None = None
+        while not last.converged and last.step < settings.steps:
+            left_s = settings.budget_s - spent_s - motion_s - GRASP_S
+            if left_s < (settings.thinking_s or _LEAST_PLAN_S):
+                ended = "budget"
+                break
+            began = time.perf_counter()
+            with clock("plan"):
+                scene = Scene(
+                    rummager.model,
+                    rummager.workspace,
+                    rummager.tool,
+                    result.reading.configuration,
+                    observed=memory,
+                    reading=result.reading,
+                )
+                executed, allowed = min(last.step, 1), None if settings.thinking_s is not None else left_s
+                plan = rummager.policy.act(
+                    belief, scene, plan, executed=executed, budget_s=allowed, generator=random["plan"]
+                )
+            spent_s += motion_s + thought(began)
+            with clock("simulate"):
+                result = task.step(plan.controls[0])
+            began, reading = time.perf_counter(), result.reading
+            with clock("belief"):
+                assert isinstance(reading, FusedReading) and reading.object_motion is not None
+                felt = felt.joined(reading, reading.object_motion @ belief.world_T_attached, parts.surface, settings)
+                follow = _filter(rummager).with_evidence(felt)
+                belief, memory, info = follow(belief, memory, reading, generator=random["filter"])
+                if blind and bool(reading.in_contact.any()) and last.contacts < settings.renewals:
+                    belief = challenge(follow, belief, memory, rummager.renewal, generator=random["renewal"])
+            done = (plan.controls[0], plan, bool(info.resampled))
+            last = observe(rummager, clock, history, result, belief, info.added, *done)
+            if last.converged:
+                with clock("belief"):
+                    belief = challenge(follow, belief, memory, rummager.renewal, generator=random["renewal"])
+                last = observe(rummager, clock, history, result, belief, info.added, *done)
+            # what is thought of a reading belongs to the next plan where thinking has its own time
+            spent_s += thought(began) if settings.thinking_s is None else 0.0
+            emit(last)
+        ended = "sure" if last.converged else ended
+        grasp = best_grasp(belief.world_T_object, belief.log_weights, parts.table)
+        lifted = parts.gripper.grasp(grasp.pose, task.world.world_T_object())
+        spent_s += GRASP_S
+    except KeyboardInterrupt:
+        if not history:
+            raise
+        ended = "interrupted"
+    # a recorded run knows no clock: there it is as if the actions had been all
+    found = summarise(rummager, history, {"sure": "converged", "budget": "steps"}.get(ended, ended))
+    nll = tuple(math.nan if record.nll is None else record.nll for record in history)
+    return Outcome(found, ended, grasp, lifted, nll, total_nll(nll, settings.steps), spent_s)
+
+
+def total_nll(nll: Sequence[float], steps: int) -> float:
+    """Nll summed up over the first view and `steps` actions, the last one's for those that were not needed."""
+    return math.fsum(nll) + nll[-1] * max(0, steps + 1 - len(nll))
+
+
+def _filter(rummager: Rummager) -> FusedFilter:
+    assert isinstance(rummager.filter, FusedFilter)
+    return rummager.filter
+
+
+def _seen(rummager: Rummager, belief: PoseBelief, memory: Observation, *, generator: torch.Generator) -> PoseBelief:
+    """All poses that a first view leaves, weighed by the prior too; the belief itself where nothing was seen."""
+    surface, own, follow = memory.points[memory.of_class(Semantics.SURFACE)], rummager.initialise, rummager.filter
+    if len(surface) == 0:
+        return belief
+    reach_m = float(rummager.model.surface_points[:, :2].norm(dim=-1).max())
+    starts = view_starts(surface, own.starts, reach_m, rummager.height_m, generator=generator)
+    peakiness = follow.settings.peakiness
+    found = initialise(follow.discrepancy, memory, starts, follow.search, peakiness, own, generator=generator)
+    return follow.weigh(found, found, memory, memory, torch.zeros((), dtype=torch.bool))

@@ -1,0 +1,167 @@
+"""The command `rumi run fused`."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from rumi.cli import DONE, INTERRUPTED, NOT_CONVERGED
+from rumi.errors import UsageError
+
+if TYPE_CHECKING:
+    from rumi.fused.run import Outcome
+    from rumi.fused.settings import SensorName
+
+NAME = "fused"
+DESCRIPTION = "a mug seen once, then felt by bubbles, wrench and joint torques on one belief, and lifted by its handle"
+"""What the task is, for the list of tasks."""
+
+_HELP = """Find a movable mug by a first view, soft bubbles, a wrench and joint torques at once, and lift it.
+
+    rumi run fused
+    rumi run fused --sensors camera,wrench --seed 3
+    rumi run fused --sensors bubbles --budget 30
+    rumi run fused --thinking real
+
+Time passes on the run's own clock: thinking takes what --thinking says, motion what it takes.
+Ends with exit code 0 if the mug was lifted, 1 if not."""
+
+
+@dataclass(frozen=True)
+class FusedOptions:
+    """Options of `rumi run fused`.
+
+    Attributes:
+        sensors: whose evidence counts: all, or some of camera, bubbles, wrench and torques, with commas between.
+        seed: of where the mug stands, of the noise and of the choices.
+        budget: seconds for it all, the grasp included.
+        thinking: seconds that a decision is taken to last, or "real" for what it lasts on this machine.
+        steps: actions at most.
+        preset: of planner and belief, as of the other runs.
+        out: folder of the run; by default runs/fused-SENSORS-sSEED, with a number where that is taken.
+        figures: draw figures at the end.
+    """
+
+    sensors: str = "all"
+    seed: int = 0
+    budget: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 60.0
+    thinking: str = "1"
+    steps: int = 20
+    preset: str = "fast"
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    figures: bool = True
+
+
+def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
+    """Carry out `rumi run fused`; `arguments` are those after the name."""
+    options = tyro.cli(FusedOptions, prog=f"rumi run {NAME}", description=_HELP, args=arguments)
+    from rumi.assemble import scene_sketch
+    from rumi.fused.parts import build_fused
+    from rumi.fused.run import run_fused
+    from rumi.fused.settings import FusedSettings
+    from rumi.progress import Progress, both
+    from rumi.recording import RunRecorder, holds_run, prepare_folder, write_json
+    from rumi.run_command import draw_figures
+
+    thinking = thinking_of(options.thinking)
+    settings = FusedSettings(
+        sensors=sensors_of(options.sensors),
+        budget_s=options.budget,
+        thinking_s=thinking,
+        steps=options.steps,
+        preset=options.preset,
+    )
+    if options.seed < 0:
+        raise UsageError(f"Expected seed to be 0 or more, got {options.seed}")
+    folder = options.out
+    if folder is None:
+        first = folder = Path("runs") / f"{NAME}-{options.sensors.replace(',', '-')}-s{options.seed}"
+        number = 1
+        while holds_run(folder):
+            number += 1
+            folder = first.with_name(f"{first.name}-{number}")
+    prepare_folder(folder)
+    _say(f"{NAME} with {', '.join(settings.sensors)}, seed {options.seed}; writing to {folder}")
+    _say("grasps are simulated once and kept (a minute at first)")
+    parts = build_fused(settings, cache_dir=cache_dir)
+    with RunRecorder(folder, {"task": NAME, "seed": options.seed, "fused": settings}) as recorder:
+        recorder.scene(scene_sketch(parts.rummager))
+        with Progress(NAME, settings.steps) as progress:
+            outcome = run_fused(parts, options.seed, both(recorder, progress))
+        parts.task.close()
+        recorder.finish(outcome.found)
+    write_json(folder / "grasp.json", grasp_of(outcome))
+    if options.figures and outcome.ended != "interrupted":
+        _say("drawing figures")
+        draw_figures(folder, folder / "figures", None)
+    sys.stdout.write(summary(outcome, folder))
+    if outcome.ended == "interrupted":
+        return INTERRUPTED
+    return DONE if outcome.lifted else NOT_CONVERGED
+
+
+def sensors_of(text: str) -> "tuple[SensorName, ...]":
+    """The sensors that a text names, in their own order.
+
+    Raises:
+        UsageError: there is no such sensor.
+    """
+    from rumi.fused.settings import SENSORS
+
+    if text == "all":
+        return SENSORS
+    named = text.split(",")
+    for name in named:
+        if name not in SENSORS:
+            raise UsageError(f"There is no sensor {name!r}; there are all, {', '.join(SENSORS)}")
+    return tuple(name for name in SENSORS if name in named)
+
+
+def thinking_of(text: str) -> float | None:
+    """Seconds that a decision lasts; None for as long as it takes.
+
+    Raises:
+        UsageError: it is neither a number of 0 or more nor "real".
+    """
+    if text == "real":
+        return None
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = -1.0
+    if not seconds >= 0:
+        raise UsageError(f"Expected --thinking to be seconds, 0 or more, or real, got {text!r}")
+    return seconds
+
+
+def grasp_of(outcome: "Outcome") -> dict[str, Any]:
+    """What is told of a run beside its result: grasp, time, and the sum of nll."""
+    names = ("ended", "lifted", "believed", "grasp", "total_nll", "total_s")
+    found = outcome.as_dict()
+    return {name: found[name] for name in names}
+
+
+def summary(outcome: "Outcome", folder: Path) -> str:
+    """A few lines on how a run ended."""
+    from rumi.progress import stages
+    from rumi.run_command import ending
+
+    found = outcome.found
+    lines = ending(found, NAME)
+    if outcome.ended == "budget":
+        lines[0] = lines[0].replace("not sure", "out of time", 1)
+    if outcome.grasp is not None:
+        done = "lifted by its handle" if outcome.lifted else "not lifted"
+        lines.append(f"grasp    {done}; believed {outcome.grasp.probability:.2f}")
+    lines.append(f"clock    {outcome.total_s:.0f} s of the budget; nll summed up {outcome.total_nll:.0f}")
+    lines.append(f"seconds  {sum(found.timings_s.values()):.1f}: {stages(found.timings_s)}")
+    lines.append(f"folder   {folder}")
+    return "\n  ".join(lines) + "\n"
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"rumi: {text}\n")
+    sys.stderr.flush()

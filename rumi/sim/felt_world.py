@@ -1,0 +1,106 @@
+"""The simulated world, with what a sensor at the wrist and the joints need: the force of contact at every step."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.sim.world import _LEVER_M, Track, World
+
+
+class Felt(NamedTuple):
+    """An action, step of the physics by step.
+
+    Attributes:
+        stamp: (T), seconds, at the end of each step.
+        configuration: (T, 3), x, y, yaw of the gripper at the end of each step.
+        wrench: (T, 6), force (N) of the object on the gripper and its moment (N m) about the origin of the tool frame,
+            world axes, in each step.
+        ends: (K), the steps at whose end the mini steps of the action end; the last is after the hold.
+    """
+
+    stamp: np.ndarray
+    configuration: np.ndarray
+    wrench: np.ndarray
+    ends: np.ndarray
+
+
+class FeltWorld(World):
+    """A world that keeps what its last `move` felt; its motions are those of a `World`, to the bit."""
+
+    felt: Felt | None = None
+    _own: int | None = None
+
+    def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float) -> Track:
+        """Drive the gripper as `World.move` does."""
+        step_s = float(self.model.opt.timestep)
+        count, steps = len(targets), round(action_s / step_s)
+        held = max(1, round(hold_s / step_s)) if hold_s > 0 else 0
+        knots = np.concatenate((np.asarray(self.data.ctrl)[None], targets.double().numpy()))
+        phase = (np.arange(steps) + 1.0) * (count / steps)
+        commands = np.stack(
+            [np.interp(phase, np.arange(count + 1.0), knots[:, axis]) for axis in range(knots.shape[1])], -1
+        )
+        ends = [max(1, round((k + 1) * steps / count)) - 1 for k in range(count)]
+        ends[-1] += held
+        control, position, gripper = self.data.ctrl, self.data.qpos, self._gripper
+        ahead = np.array([self.physics.lead_m] * (len(gripper) - 1) + [self.physics.lead_m / _LEVER_M])
+        states = np.empty((steps + held, len(position)))
+        wrenches = np.empty((steps + held, 6))
+        began = float(self.data.time)
+        for index in range(steps + held):
+            if index < steps:
+                control[:] = commands[index]
+                if math.isfinite(self.physics.lead_m):
+                    np.clip(control, position[gripper] - ahead, position[gripper] + ahead, out=control)
+            self._mujoco.mj_step(self.model, self.data)
+            states[index] = position
+            wrenches[index] = self._wrench(position[gripper])
+        stamp = began + step_s * (1.0 + np.arange(steps + held))
+        self.felt = Felt(stamp, states[:, gripper], wrenches, np.array(ends))
+        kept = states[ends]
+        return Track(torch.from_numpy(kept[:, gripper]), self._object_poses(kept))
+
+    def _wrench(self, configuration: np.ndarray) -> np.ndarray:
+        """Force of contact on the gripper and its moment about the tool frame's origin, in the last step."""
+        total, force = np.zeros(6), np.zeros(6)
+        if self.data.ncon == 0:
+            return total
+        own = self._gripper_body
+        bodies = self.model.geom_bodyid
+        origin = np.array([configuration[0], configuration[1], self._height])
+        for index in range(self.data.ncon):
+            contact = self.data.contact[index]
+            first, second = (int(bodies[geom]) for geom in contact.geom)
+            if own not in (first, second):
+                continue
+            self._mujoco.mj_contactForce(self.model, self.data, index, force)
+            frame = np.asarray(contact.frame).reshape(3, 3)
+            # the engine gives the force of the first geom on the second
+            sign = 1.0 if own == second else -1.0
+            push, turn = sign * (frame.T @ force[:3]), sign * (frame.T @ force[3:])
+            total[:3] += push
+            total[3:] += turn + np.cross(np.asarray(contact.pos) - origin, push)
+        return total
+
+    @property
+    def _gripper_body(self) -> int:
+        if self._own is None:
+            self._own = int(self.model.body("gripper").id)
+        return self._own
+
+    @property
+    def _height(self) -> float:
+        return float(self.model.body("gripper").pos[2])
+
+    def contacts(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Points at which the gripper touches the object now, and the normals of contact there, world frame."""
+        own, found = self._gripper_body, []
+        for index in range(self.data.ncon):
+            contact = self.data.contact[index]
+            if own in (int(self.model.geom_bodyid[geom]) for geom in contact.geom):
+                found.append((np.array(contact.pos), np.array(contact.frame[:3])))
+        return found

@@ -1,0 +1,195 @@
+"""What the joints of the arm that carries the gripper feel: its torques for a motion, and an observer's signals.
+
+The gripper of the scene flies; the arm is put behind it afterwards. Its joints follow the gripper (inverse kinematics),
+the torques are those that the true arm needs for that motion and for the force of contact (inverse dynamics), and what
+is measured of them goes through the momentum observer with a model that is a little wrong. Neither a controller nor
+friction in the joints is simulated: torques are taken to be measured behind the gears.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from rumi.errors import UsageError
+from rumi.sim.arm_motion import REACHED_M, ArmKinematics, joint_path
+from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, _arm, _hand
+from rumi.sim.felt_world import Felt
+from rumi.sim.robot_dynamics import MujocoDynamics
+from rumi.sim.world import _import_mujoco
+from sensors.momentum_observer import MomentumObserver, TorqueThreshold, residuals
+
+_KNOT_S = 0.05  # from one solution of the inverse kinematics to the next
+_STILL_S = 0.3  # of standing before an action, by the end of which the observer's rest is taken
+# elbow up, and other ways to begin the search for the first configuration
+_STARTS = (
+    (0.0, 0.6, 0.0, -1.2, 0.0, 1.0, 0.0),
+    (0.0, 0.6, 0.0, 1.2, 0.0, -1.0, 0.0),
+    (0.1, -0.2, 0.1, 1.1, -0.2, -1.1, 2.0),
+    (0.0, 0.8, 0.0, -1.2, 1.5, 1.0, 0.0),
+)
+
+
+@dataclass(frozen=True)
+class JointSettings:
+    """Sensors, model and reading.
+
+    Attributes:
+        torque_noise_nm: white, of each measured torque.
+        torque_bias_nm: standard deviation of each joint's constant error.
+        velocity_noise: white, of each measured velocity, rad/s.
+        mass_error: standard deviation of the model's mass of each link, as a share.
+        gain: of the observer, 1/s.
+        threshold_nm: of the norm of the mean residual in a mini step, from what it was at rest.
+        joints: how many count in the norm.
+    """
+
+    torque_noise_nm: float = 0.15
+    torque_bias_nm: float = 0.1
+    velocity_noise: float = 0.002
+    mass_error: float = 0.03
+    gain: float = 25.0
+    threshold_nm: float = 0.3
+    joints: int = 5
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        for name in ("torque_noise_nm", "torque_bias_nm", "velocity_noise", "mass_error"):
+            if not getattr(self, name) >= 0:
+                raise UsageError(f"Expected {name} of 0 or more, got {getattr(self, name)}")
+
+
+class LevelKinematics(ArmKinematics):
+    """The arm with its tool bent forward, so that it is level where the planner's tool is."""
+
+    def __init__(self, physics: ArmPhysics) -> None:
+        self._mujoco = _import_mujoco()
+        self.physics = physics
+        self.model: Any = self._mujoco.MjModel.from_xml_string(level_xml(physics))
+        self.data: Any = self._mujoco.MjData(self.model)
+        self._place = [int(self.model.joint(name).qposadr[0]) for name in ARM_JOINTS]
+        self._dof = [int(self.model.joint(name).dofadr[0]) for name in ARM_JOINTS]
+        self._site = int(self.model.site("tool").id)
+        self._move, self._turn = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
+        self.limits = np.array(physics.geometry.limits_rad)
+
+    def first(self, pose: np.ndarray) -> np.ndarray:
+        """Joints for (x, y, z, yaw) from the first of some starts that gets there, or else the nearest."""
+        x, y, base = self.physics.base
+        azimuth = math.atan2(pose[1] - y, pose[0] - x) - base
+        found = [self.solve(pose, np.array(start) + np.eye(7)[0] * azimuth) for start in _STARTS]
+        return next((one for one in found if one[1] < REACHED_M), min(found, key=lambda one: one[1]))[0]
+
+
+class JointFeeler:
+    """Contact signals of the joints of an arm for what the gripper went through.
+
+    Args:
+        base: (x, y, yaw) of the arm's base.
+        height_m: of the level tool.
+        settings: sensors and reading.
+    """
+
+    def __init__(
+        self, base: tuple[float, float, float], height_m: float, settings: JointSettings | None = None
+    ) -> None:
+        self.settings, self.height_m = settings or JointSettings(), height_m
+        self.physics = ArmPhysics(base=base)
+        self.kinematics = LevelKinematics(self.physics)
+        self.arm = MujocoDynamics.load(level_xml(self.physics), ARM_JOINTS)
+        self.observer = MomentumObserver(self.settings.gain)
+        self.seed(torch.Generator())
+
+    def seed(self, generator: torch.Generator) -> None:
+        """Draw what sensors and model have wrong in this run; the noise comes from the same generator."""
+        own, size = self.settings, len(ARM_JOINTS)
+        self._generator = generator
+        factors = 1.0 + own.mass_error * torch.randn(size, generator=generator, dtype=torch.float64)
+        text = level_xml(self.physics, tuple(factors.clamp(0.5, 1.5).tolist()))
+        self.model = MujocoDynamics.load(text, ARM_JOINTS)
+        self._bias = own.torque_bias_nm * torch.randn(size, generator=generator, dtype=torch.float64)
+        self._joints: np.ndarray | None = None
+
+    def residual(self, felt: Felt, start: Float[Tensor, "3"]) -> Float[Tensor, "T 7"]:
+        """The observer's residual at each step of an action, from its rest before the action, N m.
+
+        Args:
+            felt: the action.
+            start: (3,), the gripper's x, y, yaw before it.
+        """
+        step = float(felt.stamp[1] - felt.stamp[0])
+        still = round(_STILL_S / step)
+        # standing first, as the observer of a robot that has been on for a while
+        position, velocity, acceleration = self._followed(felt, start, step, still)
+        torque = np.empty_like(position)
+        for k, (q, v, a) in enumerate(zip(position, velocity, acceleration, strict=True)):
+            mass, bias = self.arm.terms(q, v)
+            torque[k] = mass @ a + bias
+            if k >= still and felt.wrench[k - still].any():
+                torque[k] -= self.kinematics.jacobian(q).T @ felt.wrench[k - still]
+        own, shape = self.settings, position.shape
+
+        def noise(scale: float) -> Tensor:
+            return scale * torch.randn(shape, generator=self._generator, dtype=torch.float64)
+
+        stamps = step * torch.arange(len(position), dtype=torch.float64)
+        found = residuals(
+            self.model,
+            stamps,
+            torch.from_numpy(position),
+            torch.from_numpy(velocity) + noise(own.velocity_noise),
+            torch.from_numpy(torque) + self._bias + noise(own.torque_noise_nm),
+            self.observer,
+        )
+        return found[still:] - found[still // 2 : still].mean(0)
+
+    def signals(self, felt: Felt, start: Float[Tensor, "3"]) -> Bool[Tensor, "K"]:
+        """Whether the mean residual of each mini step is above the threshold."""
+        residual = self.residual(felt, start)
+        ends = [0, *(int(end) + 1 for end in felt.ends)]
+        mean = torch.stack([residual[a:b].mean(0) for a, b in pairwise(ends)])
+        return TorqueThreshold(self.settings.threshold_nm, self.settings.joints).contact(mean)
+
+    def _followed(
+        self, felt: Felt, start: Float[Tensor, "3"], step: float, still: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Joint positions, velocities and accelerations (still + T, 7) at the steps of standing and of the action."""
+        first = start.double().numpy()[None]
+        every = np.concatenate((np.repeat(first, still + 1, 0), felt.configuration))
+        times = step * np.arange(len(every))
+        knots = np.arange(0.0, times[-1] + _KNOT_S, _KNOT_S)
+        every[:, 2] = np.unwrap(every[:, 2])
+        x, y, yaw = (np.interp(knots, times, every[:, axis]) for axis in range(3))
+        poses = np.stack((x, y, np.full_like(x, self.height_m), yaw), -1)
+        joints = self.kinematics.first(poses[0]) if self._joints is None else self._joints
+        solved = []
+        for pose in poses:
+            joints, _ = self.kinematics.solve(pose, joints)
+            solved.append(joints)
+        self._joints = solved[-1]
+        path = joint_path(np.array(solved))
+        found = [path.at(time / _KNOT_S) for time in times[1:]]
+        position, slope, bend = (np.array(part) for part in zip(*found, strict=True))
+        return position, slope / _KNOT_S, bend / _KNOT_S**2
+
+
+def level_xml(physics: ArmPhysics, mass_factors: tuple[float, ...] = (1.0,) * 7) -> str:
+    """The arm alone with its tool bent forward, as MJCF text; where the site `tool` is level it points along +x, z up.
+
+    Args:
+        physics: the arm.
+        mass_factors: of the links' masses.
+    """
+    shape = physics.geometry
+    half = 0.5 * (-0.5 * math.pi - shape.tool_pitch_rad)
+    tool = (
+        f'<body name="tool" pos="0 0 {shape.flange_m + shape.tool_m}" quat="{math.cos(half)} 0 {math.sin(half)} 0">'
+        '<geom type="box" size="0.045 0.05 0.02" pos="-0.07 0 0" mass="0.5"/><site name="tool"/></body>'
+    )
+    arm = _arm(physics, mass_factors, 0.0).replace(_hand(physics), tool)
+    return f'<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody>{arm}</worldbody></mujoco>'

@@ -1,0 +1,231 @@
+"""The fused run against each of its sensors alone, seed by seed; resumable.
+
+    python scripts/fused_table.py run --seeds 1000-1009 --seconds 120   # a line a run in scripts/results/fused.jsonl
+    python scripts/fused_table.py show                                  # Markdown
+    python scripts/fused_table.py draw                                  # scripts/docs/fused.png
+
+Tune on seeds of 1000 and more.
+"""
+
+import hashlib
+import statistics
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+
+from rumi.commands import cache_folder
+from rumi.errors import DegenerateBeliefError
+from rumi.fused.parts import FusedParts, build_fused
+from rumi.fused.run import run_fused
+from rumi.fused.settings import SENSORS, FusedSettings, SensorName
+from rumi.jsonlines import append_line, read_lines
+from rumi.metrics.intervals import wilson
+from rumi.recording import provenance
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "scripts" / "results" / "fused.jsonl"
+VARIANTS: dict[str, tuple[SensorName, ...]] = {"all": SENSORS, **{name: (name,) for name in SENSORS}}
+_RESAMPLES = 20_000
+
+
+@dataclass(frozen=True)
+class Run:
+    """Do the runs that are missing, all sensors of a seed one after the other.
+
+    Attributes:
+        seeds: "1000-1009", or "1000,1005".
+        sensors: which.
+        seconds: begin no run after so long.
+        threads: of PyTorch and of the kernels.
+        out: where the lines go.
+        cache: folder of the arm's reach and the grasps' table; the user's by default.
+    """
+
+    seeds: str = "1000-1009"
+    sensors: tuple[str, ...] = tuple(VARIANTS)
+    seconds: float = float("inf")
+    threads: int = 1
+    out: Path = RESULTS
+    cache: Path | None = None
+
+
+@dataclass(frozen=True)
+class Show:
+    """Print the tables.
+
+    Attributes:
+        out: where the lines are.
+        seeds: only these.
+    """
+
+    out: Path = RESULTS
+    seeds: str | None = None
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Draw nll over the actions.
+
+    Attributes:
+        results: where the lines are.
+        out: of the figure.
+    """
+
+    results: Path = RESULTS
+    out: Path = ROOT / "scripts" / "docs" / "fused.png"
+
+
+def run(options: Run) -> None:
+    """Carry them out, and keep a line a run."""
+    torch.set_num_threads(options.threads)
+    end = time.monotonic() + options.seconds
+    done = {(x["sensors"], x["settings"], x["seed"]) for x, _ in read_lines(options.out)}
+    parts: dict[str, FusedParts] = {}
+    for seed in seeds_of(options.seeds):
+        for name in options.sensors:
+            if (name, stamp(name), seed) in done:
+                continue
+            if time.monotonic() > end:
+                return
+            if name not in parts:
+                parts[name] = build_fused(settings_of(name), cache_dir=options.cache or cache_folder())
+            append_line(options.out, carry_out(name, parts[name], seed))
+
+
+def carry_out(name: str, parts: FusedParts, seed: int) -> dict[str, Any]:
+    """One run, ready for JSON."""
+    began, used = time.perf_counter(), time.process_time()
+    head = {"sensors": name, "settings": stamp(name), "seed": seed, "commit": provenance()["commit"]}
+    try:
+        found = run_fused(parts, seed).as_dict()
+    except (DegenerateBeliefError, ValueError) as error:
+        found = {"right": False, "lifted": False, "ended": "error", "error": str(error)[:200]}
+    found.pop("timings_s", None)
+    kept = {key: rounded(value) for key, value in found.items()}
+    seconds = {"seconds": time.perf_counter() - began, "cpu_s": time.process_time() - used}
+    return head | {key: round(value, 2) for key, value in seconds.items()} | kept
+
+
+def rounded(value: Any) -> Any:  # noqa: ANN401  (of a result)
+    """The same with numbers of few digits."""
+    if isinstance(value, list):
+        return [rounded(part) for part in value]
+    return round(value, 4) if isinstance(value, float) else value
+
+
+def show(options: Show) -> None:
+    """Markdown: each kind of run, and all sensors against each alone, seed by seed."""
+    wanted = None if options.seeds is None else set(seeds_of(options.seeds))
+    lines = [x for x, _ in read_lines(options.out) if wanted is None or x["seed"] in wanted]
+    current = [x for x in lines if x["settings"] == stamp(x["sensors"])]
+    by = {name: {x["seed"]: x for x in current if x["sensors"] == name} for name in VARIANTS}
+    heads = (
+        "sensors", "runs", "nll summed up: mean, median", "right", "stopped on a wrong pose", "lifted",
+        "actions, median", "seconds on the clock, median", "off, median (mm, degrees)",
+    )  # fmt: skip
+    print(_row(heads) + "\n" + "|---" * len(heads) + "|")
+    for name, runs in by.items():
+        own = [x for x in runs.values() if x["ended"] != "error"]
+        if not own:
+            continue
+        total = [x["total_nll"] for x in own]
+        wrong = sum(x["ended"] == "sure" and not x["right"] for x in own)
+        off = [statistics.median(x[key] for x in own) for key in ("position_error_mm", "rotation_error_deg")]
+        print(
+            _row(
+                (
+                    name,
+                    str(len(runs)),
+                    f"{statistics.mean(total):.0f}, {statistics.median(total):.0f}",
+                    _rate([x["right"] for x in runs.values()]),
+                    str(wrong),
+                    _rate([x["lifted"] for x in runs.values()]),
+                    f"{statistics.median(x['steps'] for x in own):g}",
+                    f"{statistics.median(x['total_s'] for x in own):.0f}",
+                    f"{off[0]:.1f}, {off[1]:.1f}",
+                )
+            )
+        )
+    heads = ("nll summed up, all sensors less", "pairs", "mean difference [95 %]", "median", "all sensors lower in")
+    print("\n" + _row(heads) + "\n" + "|---" * len(heads) + "|")
+    fused = by["all"]
+    for name in SENSORS:
+        seeds = [s for s in sorted(fused) if s in by[name] and "total_nll" in fused[s] and "total_nll" in by[name][s]]
+        if not seeds:
+            continue
+        apart = [fused[s]["total_nll"] - by[name][s]["total_nll"] for s in seeds]
+        low, high = mean_interval(apart)
+        lower = sum(x < 0 for x in apart)
+        middle = f"{statistics.mean(apart):.0f} [{low:.0f}, {high:.0f}]"
+        print(_row((name, str(len(seeds)), middle, f"{statistics.median(apart):.0f}", f"{lower} of {len(seeds)}")))
+
+
+def draw(options: Draw) -> None:
+    """Mean nll after each action, of all sensors and of each alone; a run that stopped keeps its last."""
+    from rumi.viz import style
+
+    lines = [x for x, _ in read_lines(options.results)]
+    with style.figure(6.4, 3.6) as figure:
+        axes = figure.subplots()
+        for name in VARIANTS:
+            own = [x["nll"] for x in lines if x["sensors"] == name and x["settings"] == stamp(name) and "nll" in x]
+            if own:
+                steps = settings_of(name).steps + 1
+                held = np.array([(nll + nll[-1:] * steps)[:steps] for nll in own])
+                axes.plot(held.mean(0).clip(0.1), label=f"{name} ({len(own)} runs)", lw=2.4 if name == "all" else 1.2)
+        axes.set(xlabel="actions", ylabel="mean nll", yscale="log")
+        axes.legend()
+        figure.savefig(options.out, metadata={"Software": "rumi"})
+
+
+def mean_interval(values: list[float], seed: int = 0) -> tuple[float, float]:
+    """95 % percentile-bootstrap interval of the mean."""
+    data = np.asarray(values)
+    drawn = data[np.random.default_rng(seed).integers(0, len(data), (_RESAMPLES, len(data)))].mean(1)
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def settings_of(name: str) -> FusedSettings:
+    """Of a kind of run."""
+    return FusedSettings(sensors=VARIANTS[name])
+
+
+def stamp(name: str) -> str:
+    """Of the settings."""
+    return hashlib.sha256(repr(settings_of(name)).encode()).hexdigest()[:8]
+
+
+def seeds_of(text: str) -> list[int]:
+    """The seeds that a text names."""
+    found = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        found += range(int(first), int(last or first) + 1)
+    return found
+
+
+def _rate(held: list[bool]) -> str:
+    low, high = wilson(sum(held), len(held))
+    return f"{sum(held)}/{len(held)} [{low:.2f}, {high:.2f}]"
+
+
+def _row(cells: tuple[str, ...]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+if __name__ == "__main__":
+    chosen = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show, "draw": Draw}, description=__doc__)
+    if isinstance(chosen, Run):
+        run(chosen)
+    elif isinstance(chosen, Show):
+        show(chosen)
+    else:
+        draw(chosen)
+    sys.exit(0)

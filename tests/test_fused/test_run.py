@@ -1,0 +1,162 @@
+"""The filter with further evidence, and whole short runs."""
+
+import math
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+
+from rumi.belief.filter import FilterSettings, PoseFilter
+from rumi.belief.particles import PoseBelief
+from rumi.belief.prior import PosePrior
+from rumi.cli import DONE, NOT_CONVERGED
+from rumi.errors import UsageError
+from rumi.fused.filter import FusedFilter
+from rumi.fused.grasp import HandleTable
+from rumi.fused.parts import build_fused, gripper_surface
+from rumi.fused.run import run_fused, total_nll
+from rumi.fused.settings import SENSORS, FusedSettings
+from rumi.fused_command import fused, sensors_of, thinking_of
+from rumi.planning.gripper import GripperShape
+from rumi.registration.descent import DescentSettings
+from sdf import se3
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+
+
+@dataclass(frozen=True)
+class Leaning:
+    """Evidence that likes poses to the left, by 3 nats a metre."""
+
+    def log_likelihood(self, world_T_object):
+        return -3.0 * world_T_object[..., 0, 3]
+
+    def moved(self, motion):
+        return self
+
+
+def plain_filter(mug):
+    settings = FilterSettings(trigger=math.inf, descent=DescentSettings(iterations=0))
+    prior = PosePrior.of((0.5, 0.0), 0.05, mug.sdf.bounds)
+    return PoseFilter(Discrepancy(mug.sdf, mug.radius), "SE(2)", settings, prior)
+
+
+def still_reading(points):
+    return Reading(
+        points,
+        torch.zeros(len(points), dtype=torch.long),
+        se3.identity((1,)),
+        torch.zeros(1, dtype=torch.bool),
+        se3.identity((1,)),
+        torch.zeros(3),
+        torch.zeros(()),
+    )
+
+
+def belief_of(plain):
+    """Weighed by the prior, as before anything is seen."""
+    planar = torch.tensor([[0.5, 0.0, 0.0], [0.52, 0.0, 0.5], [0.47, 0.03, 2.0], [0.5, 0.02, -1.0]])
+    belief = PoseBelief.uniform(se3.from_planar(planar))
+    return replace(belief, discrepancy=plain.total(belief, Observation.empty()))
+
+
+def test_evidence_counts_as_its_log_likelihood_beside_points_and_prior(mug):
+    """Weights of Eq 10 times the likelihood, for points that came before and for new ones."""
+    plain = plain_filter(mug)
+    points = Observation.of(torch.tensor([[0.46, 0.0, 0.05], [0.5, 0.041, 0.04]]), Semantics.SURFACE)
+    none, generator = Observation.empty(), torch.Generator()
+    belief, memory, _ = plain(belief_of(plain), none, still_reading(points), generator=generator)
+    own = FusedFilter.of(plain)
+    silent, _, _ = own(belief_of(plain), none, still_reading(points), generator=generator)
+    torch.testing.assert_close(silent.log_weights, belief.log_weights)
+    leaning = own.with_evidence(Leaning())
+    fused_belief, _, _ = leaning(belief_of(plain), none, still_reading(points), generator=generator)
+    change = Leaning().log_likelihood(belief.world_T_object)
+    torch.testing.assert_close(fused_belief.log_weights, (belief.log_weights + change).log_softmax(-1))
+    # evidence alone, without new points, changes weights too; and the filter that it was made from has none
+    later, _, _ = leaning(belief, memory, still_reading(none), generator=generator)
+    torch.testing.assert_close(later.log_weights, fused_belief.log_weights)
+    assert own.evidence is None
+
+
+def test_a_filter_without_a_prior_is_refused(mug):
+    plain = plain_filter(mug)
+    with pytest.raises(ValueError, match="prior"):
+        FusedFilter.of(PoseFilter(plain.discrepancy, "SE(2)", plain.settings))
+
+
+def test_the_surface_is_all_around_palm_and_pads():
+    shape = GripperShape()
+    points = gripper_surface(shape, 0.008)
+    palm = shape.in_palm(points)
+    low, high = points.amin(0), points.amax(0)
+    torch.testing.assert_close(low[0], torch.tensor(shape.palm_front_m - shape.palm_m[0], dtype=torch.float64))
+    assert float(high[0]) == pytest.approx(shape.pad_m[0], abs=1e-3)
+    assert 200 < int(palm.sum()) < len(points)
+    # on its border, within rounding
+    center = torch.tensor([shape.palm_center_m, 0.0, 0.0], dtype=torch.float64)
+    scaled = ((points[palm] - center) / torch.tensor(shape.palm_m, dtype=torch.float64)).abs()
+    assert float((scaled.amax(-1) - 0.5).abs().max()) < 1e-6
+
+
+def test_what_a_stopped_belief_keeps_is_summed_up_to_the_end():
+    assert total_nll([10.0, 4.0, 1.0], 5) == pytest.approx(10.0 + 4.0 + 1.0 + 3 * 1.0)
+    assert total_nll([10.0, 4.0, 1.0], 2) == pytest.approx(15.0)
+
+
+def parts_of(tool, **changes):
+    table = HandleTable(torch.ones(9, 6, 13, dtype=torch.float64))
+    return build_fused(FusedSettings(**changes), tool=tool, table=table)
+
+
+@pytest.mark.sim
+def test_without_time_for_an_action_it_grasps_at_once(tool):
+    steps = []
+    outcome = run_fused(parts_of(tool, sensors=("camera",), budget_s=4.0), 1000, steps.append)
+    assert outcome.ended == "budget" and outcome.found.steps == 0 and len(steps) == 1
+    assert outcome.grasp is not None and outcome.grasp.probability > 0.2
+    assert outcome.total_nll == pytest.approx(21 * outcome.nll[0])
+    assert outcome.total_s == pytest.approx(1.0 + 2.1)
+
+
+@pytest.mark.sim
+def test_the_same_seed_gives_the_same_run(tool):
+    """Two actions with all sensors, on a clock on which thinking lasts a second."""
+    found = []
+    for _ in range(2):
+        outcome = run_fused(parts_of(tool, steps=2), 1001).as_dict()
+        found.append({name: value for name, value in outcome.items() if name != "timings_s"})
+    assert found[0] == found[1]
+    assert found[0]["total_s"] == pytest.approx(1.0 + 2 * 2.1 + 2.1) and found[0]["ended"] == "steps"
+
+
+def test_sensors_and_thinking_are_told_in_words():
+    assert sensors_of("all") == SENSORS and sensors_of("wrench,camera") == ("camera", "wrench")
+    assert thinking_of("real") is None and thinking_of("0.5") == 0.5
+    for wrong in ("eyes", "camera,", ""):
+        with pytest.raises(UsageError, match="camera"):
+            sensors_of(wrong)
+    for wrong in ("soon", "-1", "nan"):
+        with pytest.raises(UsageError, match="thinking"):
+            thinking_of(wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"sensors": ()}, {"budget_s": 0.0}, {"steps": 0}])
+def test_settings_that_cannot_be_are_refused(wrong):
+    with pytest.raises(UsageError):
+        FusedSettings(**wrong)
+
+
+@pytest.mark.sim
+@pytest.mark.slow
+def test_the_command_leaves_a_run_that_can_be_drawn_again(tmp_path, capsys):
+    out = tmp_path / "run"
+    code = fused(["--seed", "1001", "--budget", "9", "--out", str(out)], cache_dir=tmp_path / "cache")
+    said = capsys.readouterr().out
+    assert code in (DONE, NOT_CONVERGED) and ("not lifted" in said) == (code == NOT_CONVERGED)
+    assert {"result.json", "grasp.json", "settings.json", "trace.npz", "figures"} <= {p.name for p in out.iterdir()}
+    from rumi.run_command import draw_figures
+
+    assert draw_figures(out, tmp_path / "again", None)

@@ -1,0 +1,164 @@
+"""What wrist and joints feel of a push, against what the simulator knows."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from rumi.fused.settings import FusedSettings, task_of
+from rumi.sim.felt_world import FeltWorld
+from rumi.sim.fused_task import FusedTask
+from rumi.sim.joint_torques import JointFeeler, JointSettings, LevelKinematics
+from rumi.sim.world import World
+from sdf import se3
+from sensors.force_torque import WrenchStatus
+from sensors.semantics import Semantics
+
+pytestmark = pytest.mark.sim
+
+SPEC = task_of(FusedSettings())
+AHEAD = torch.tensor([1.0, 0.0, 0.0])
+EXACT = JointSettings(torque_noise_nm=0.0, torque_bias_nm=0.0, velocity_noise=0.0, mass_error=0.0)
+
+
+def world_before(body, tool, kind=FeltWorld, start=(0.42, 0.02, 0.0)):
+    world = kind(body, tool.shape, SPEC.height_m, 0.004, SPEC.physics)
+    world.reset(torch.tensor(start), torch.tensor([0.50, 0.0, 0.2]))
+    return world
+
+
+def push(world, ahead_m=0.08):
+    start = world.configuration()
+    share = (torch.arange(20) + 1.0)[:, None] / 20
+    return start, world.move(start + share * torch.tensor([ahead_m, 0.0, 0.0]), 1.0, 0.1)
+
+
+def test_motions_are_those_of_the_plain_world_to_the_bit(body, tool):
+    tracks = [push(world_before(body, tool, kind))[1] for kind in (World, FeltWorld)]
+    assert torch.equal(tracks[0].configuration, tracks[1].configuration)
+    assert torch.equal(tracks[0].world_T_object, tracks[1].world_T_object)
+
+
+def test_the_wrench_is_that_of_the_contacts(body, tool):
+    """It balances friction on the floor while the mug is pushed steadily, and its line goes through what is touched."""
+    world = world_before(body, tool, start=(0.40, 0.045, 0.0))
+    push(world, 0.06)
+    felt = world.felt
+    touching = np.abs(felt.wrench).sum(-1) > 0
+    assert 30 < touching.sum() < len(touching)
+    steady = felt.wrench[100:220][touching[100:220]]
+    friction = SPEC.physics.friction * SPEC.physics.mass_kg * 9.81
+    # the gripper's own friction carries a part of the weight
+    assert -2.5 * friction < steady[:, 0].mean() < -0.5 * friction
+    force, moment = steady[:, :3].mean(0), steady[:, 3:].mean(0)
+    assert abs(force @ moment) / np.linalg.norm(force) < 0.02 * np.linalg.norm(force)
+
+
+@pytest.fixture(scope="module")
+def pushed(mug, tool):
+    """Two pushes by seeds, as all sensors report them."""
+    task = FusedTask(FusedSettings(), tool, mug)
+    found = []
+    for seed in (1000, 1002):
+        task.reset(seed)
+        task.world.reset(torch.tensor([0.38, 0.03, 0.0]), torch.tensor(task.spec.start))
+        task._from = task.world.configuration()
+        found.append((task.step(AHEAD), task.world.felt, task.wrist_contacts(task.world.felt)))
+    return found
+
+
+def test_touches_by_the_wrench_lie_on_the_mug(pushed, mug):
+    distances, deviations = [], []
+    for result, _, _ in pushed:
+        reading = result.reading
+        touch, motion = reading.wrench, reading.object_motion
+        carried = motion[-1] @ se3.inverse(motion[touch.instant])
+        points = se3.apply(se3.inverse(result.truth) @ carried, touch.points[:, None])[:, 0]
+        distances += mug.exact.distance(points).abs().tolist()
+        deviations += touch.point_sd.tolist()
+    assert len(distances) >= 3
+    assert max(distances) < 0.008 and np.median(distances) < 0.003
+    assert 0.0001 < np.median(deviations) < 0.006
+
+
+def test_free_points_are_hardly_in_the_mug(pushed, mug):
+    """By the measured motion's error, and by what a touch that no sensor feels yet presses."""
+    for result, _, _ in pushed:
+        reading, motion = result.reading, result.reading.object_motion
+        free = reading.observation.of_class(Semantics.FREE)
+        carried = motion[-1] @ se3.inverse(motion[reading.instant[free]])
+        points = se3.apply(se3.inverse(result.truth) @ carried, reading.observation.points[free][:, None])[:, 0]
+        assert len(points) > 100 and float(mug.exact.distance(points).min()) > -0.003
+
+
+def test_sensors_agree_on_when_something_was_touched(pushed):
+    for result, felt, (contact, _) in pushed:
+        ends = [0, *(felt.ends + 1)]
+        force = np.array([np.linalg.norm(felt.wrench[a:b, :3].mean(0)) for a, b in pairwise(ends)])
+        told = contact.status.numpy() != int(WrenchStatus.NONE)
+        assert (told[force > 1.3]).all() and not told[force < 0.7].any()
+        strong, none = force > 1.5, (force == 0) & (np.roll(force, 1) == 0)
+        signals = result.reading.signals.numpy()
+        assert signals[strong].mean() > 0.8 and not signals[none].any()
+
+
+def test_the_residual_is_the_contact_seen_through_the_filter(body, tool):
+    """With exact sensors and an exact model, in the middle of a long steady force."""
+    world = world_before(body, tool)
+    start, _ = push(world)
+    feeler = JointFeeler(SPEC.base, SPEC.height_m, EXACT)
+    force = np.array([-3.0, 1.0, 0.5, 0.02, -0.1, 0.05])
+    felt = world.felt._replace(wrench=np.tile(force, (len(world.felt.stamp), 1)))
+    residual = feeler.residual(felt, start).numpy()
+    kinematics, joints = feeler.kinematics, feeler._joints
+    expected = kinematics.jacobian(joints).T @ force
+    assert np.abs(residual[-1] - expected).max() < 0.02
+    # one time constant after its begin a step shows by 63 %
+    first = kinematics.jacobian(kinematics.first(np.array([*start[:2], SPEC.height_m, start[2]]))).T @ force
+    share = residual[round(1.0 / 25.0 / 0.004) - 1, 0] / first[0]
+    assert share == pytest.approx(1.0 - math.exp(-1.0), abs=0.06)
+
+
+def test_without_contact_an_exact_observer_feels_nothing(body, tool):
+    world = world_before(body, tool, start=(0.25, 0.0, 0.0))
+    start, _ = push(world, 0.06)
+    residual = JointFeeler(SPEC.base, SPEC.height_m, EXACT).residual(world.felt, start)
+    assert float(residual.abs().max()) < 0.03
+
+
+def test_the_arm_holds_its_tool_level_where_the_gripper_is(body, tool):
+    kinematics = LevelKinematics(JointFeeler(SPEC.base, SPEC.height_m, EXACT).physics)
+    pose = np.array([0.35, 0.1, SPEC.height_m, 0.3])
+    place, turn = kinematics.place(kinematics.first(pose))
+    assert np.abs(place - pose[:3]).max() < 1e-4
+    expected = [[math.cos(0.3), -math.sin(0.3), 0.0], [math.sin(0.3), math.cos(0.3), 0.0], [0.0, 0.0, 1.0]]
+    assert np.abs(turn - np.array(expected)).max() < 1e-3
+
+
+def test_sensors_that_are_off_tell_nothing(mug, tool):
+    task = FusedTask(FusedSettings(sensors=("torques",)), tool, mug)
+    first = task.reset(1000)
+    assert len(first.reading.observation) == 0
+    task.world.reset(torch.tensor([0.38, 0.03, 0.0]), torch.tensor(task.spec.start))
+    reading = task.step(AHEAD).reading
+    assert not bool(reading.observation.of_class(Semantics.SURFACE).any())
+    assert len(reading.wrench.points) == 0 and bool(reading.signals.any())
+    seeing = FusedTask(FusedSettings(sensors=("camera",)), tool, mug)
+    assert bool(seeing.reset(1000).reading.observation.of_class(Semantics.SURFACE).any())
+    seeing.world.reset(torch.tensor([0.38, 0.03, 0.0]), torch.tensor(seeing.spec.start))
+    blind = seeing.step(AHEAD).reading
+    assert blind.signals is None and not bool(blind.in_contact.any())
+    assert not bool(blind.observation.of_class(Semantics.SURFACE).any())
+
+
+def test_a_seed_gives_the_same_mug_to_all_sensors_and_its_handle_is_hidden(mug, tool):
+    tasks = [FusedTask(FusedSettings(sensors=sensors), tool, mug) for sensors in (("camera",), ("wrench",))]
+    for seed in (1000, 1001):
+        x, y, yaw = tasks[0].drawn(seed)
+        assert tasks[1].drawn(seed) == (x, y, yaw)
+        camera = SPEC.camera.position
+        away = math.atan2(y - camera[1], x - camera[0])
+        assert abs(yaw - away) <= math.radians(20.0)
+        assert math.hypot(x - 0.5, y) <= 0.06
