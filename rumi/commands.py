@@ -2,10 +2,10 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import tyro
 
@@ -29,13 +29,11 @@ class PlotOptions:
 
 def tasks(arguments: Sequence[str]) -> int:
     """`rumi tasks`: the tasks by name."""
-    from rumi import fused_command, peg_command
     from rumi.sim.tasks import TASKS
-    from rumi.touch import command as touch
 
     tyro.cli(_Nothing, prog="rumi tasks", args=arguments, description="List what there is to find.")
     listed = {name: spec.description for name, spec in TASKS.items()}
-    listed |= {own.NAME: own.DESCRIPTION for own in (touch, peg_command, fused_command)}
+    listed |= {name: own.description for name, own in _own_tasks().items()}
     width = max(map(len, listed))
     for name, description in listed.items():
         sys.stdout.write(f"{name:<{width}}  {description}\n")
@@ -47,21 +45,38 @@ class _Nothing:
     """No options."""
 
 
-def run(arguments: Sequence[str]) -> int:
-    """`rumi run`: one run, its folder and its figures."""
-    from rumi import fused_command, peg_command, run_command
+class _Own(NamedTuple):
+    """A task with settings of its own.
+
+    Attributes:
+        description: in a line.
+        run: carries out `rumi run` of it, given the other arguments.
+    """
+
+    description: str
+    run: Callable[..., int]
+
+
+def _own_tasks() -> dict[str, _Own]:
+    """Tasks that are not rummaging's, by name."""
+    from rumi import fused_command, peg_command
     from rumi.touch import command as touch
 
-    # tasks of their own, with settings of their own
-    own_commands = (
-        (touch.NAME, touch.run_touch),
-        (peg_command.NAME, peg_command.peg),
-        (fused_command.NAME, fused_command.fused),
-    )
-    for name, own in own_commands:
+    return {
+        touch.NAME: _Own(touch.DESCRIPTION, touch.run_touch),
+        peg_command.NAME: _Own(peg_command.DESCRIPTION, peg_command.peg),
+        fused_command.NAME: _Own(fused_command.DESCRIPTION, fused_command.fused),
+    }
+
+
+def run(arguments: Sequence[str]) -> int:
+    """`rumi run`: one run, its folder and its figures."""
+    from rumi import run_command
+
+    for name, own in _own_tasks().items():
         at = arguments.index(name) if name in arguments else -1
         if at == 0 or (at > 0 and not arguments[at - 1].startswith("--")):  # not the value of a flag
-            return own([*arguments[:at], *arguments[at + 1 :]], cache_dir=cache_folder())
+            return own.run([*arguments[:at], *arguments[at + 1 :]], cache_dir=cache_folder())
     return run_command.run(arguments, cache_dir=cache_folder())
 
 

@@ -272,7 +272,10 @@ def find_task(name: str) -> TaskSpec:
         UsageError: for a name that is not among `TASKS`, with those that are.
     """
     if name not in TASKS:
-        raise UsageError(f"There is no task {name!r}; the tasks are {', '.join(sorted(TASKS))}")
+        known = ", ".join(sorted(TASKS))
+        raise UsageError(
+            f"There is no task {name!r}; the tasks are {known}; `rumi tasks` lists more, with settings of their own"
+        )
     return TASKS[name]
 
 
