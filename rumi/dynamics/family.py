@@ -1,5 +1,6 @@
 """The family of push models by name, each made for one belief."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -23,6 +24,8 @@ PUSH_MODELS: tuple[str, ...] = get_args(PushChoice)
 
 # metres off upright or off a height at which a particle's outline is another
 _LEVEL = 1e-3
+# cosine of the tilt up to which an engine takes particles to be upright where the tool moves in space, and tilts them
+_TILTED = math.cos(math.radians(15.0))
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,9 @@ class PushModels:
         self._shape: tuple[SDF, float, GridOutline, Support] | None = None
 
     def chosen(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> str:
-        """Name of the member that pushes these particles with this tool."""
+        """Name of the member that pushes these particles with this tool; "displacement" for what has been toppled."""
+        if self.choice == "mujoco" and tool.spatial:
+            return "mujoco" if bool((world_T_object[:, 2, 2] >= _TILTED).all()) else "displacement"
         if self.choice != "auto":
             return self.choice
         return "displacement" if tool.spatial or not stands(world_T_object) else "quasi-static"
@@ -111,7 +116,7 @@ class PushModels:
         if choice == "displacement":
             contact = ContactField.from_belief(model.sdf, world_T_object, log_weights, workspace, fields)
             return DisplacementModel(contact, tool, self.displacement)
-        height = standing_height(world_T_object)
+        height = 0.0 if tool.spatial and choice == "mujoco" else standing_height(world_T_object)
         if choice == "quasi-static":
             outline, support = self._shape_at(model.sdf, tool.height_m - height)
             return QuasiStaticModel(outline, support, tool, world_T_object, log_weights, self.quasi_static)

@@ -16,10 +16,12 @@ from rumi.dynamics.base import PushModel
 from rumi.dynamics.family import ENGINES, EngineSettings, PushModels
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.quasi_static import QuasiStaticModel
+from rumi.fields.information import information_field
+from rumi.fields.workspace import Workspace
 from rumi.planning.tool import Tool
 from rumi.sim.batch_push import MujocoPush
 from rumi.sim.world import World
-from sdf import se3
+from sdf import se3, so3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
 from sdf.symmetry import Symmetries
@@ -138,6 +140,27 @@ def test_a_tool_in_space_pushes_as_a_level_one_and_passes_over(mug: ObjectModel)
     above = model.rollout(torch.tensor([0.22, 0.0, 0.3, 0.0]), controls, rollouts=2)
     assert not bool(above.touched.any())
     assert float(above.displacements.abs().max()) == 0
+
+
+@pytest.mark.parametrize(("tilt", "name"), [(0.0, "mujoco"), (8.0, "mujoco"), (40.0, "displacement")])
+def test_what_a_tool_in_space_has_tilted_is_pushed_and_what_it_toppled_is_not(
+    tilt: float, name: str, mug: ObjectModel
+) -> None:
+    space = Tool(torch.tensor([[-5.0, -5.0, 0.0], [5.0, 5.0, 0.5]]))
+    lean = se3.make(so3.exp(torch.tensor([0.0, math.radians(tilt), 0.0])), torch.tensor([0.0, 0.0, 0.01]))
+    poses = torch.stack((se3.from_planar(torch.tensor([0.4, 0.0, 0.7])),) * 2)
+    poses[1] = poses[1] @ lean
+    family = PushModels("mujoco")
+    assert family.chosen(poses, space) == name
+    level = Tool(FREE, height_m=HEIGHT)
+    assert family.chosen(poses, level) == "mujoco"
+    if name == "mujoco":
+        workspace = Workspace.from_bounds(torch.tensor([[0.2, -0.2, 0.0], [0.6, 0.2, 0.1]]), 0.05)
+        even = torch.zeros(2).log_softmax(-1)
+        fields = information_field(mug.sdf, poses, even, workspace.points)
+        made = family.of_belief(mug, poses, even, space, workspace, fields)
+        assert isinstance(made, MujocoPush)
+        assert float(made.poses[1, 2]) == pytest.approx(0.7, abs=0.05)
 
 
 @pytest.mark.parametrize("task", ["mug-0", "drill-0"])
