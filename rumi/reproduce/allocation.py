@@ -122,16 +122,15 @@ def draw_totals(records: Sequence[Record], path: Path) -> list[Path]:
         for (machine, courses), colour in zip(machines.items(), colours * len(machines), strict=False):
             t_max = sorted(courses)
             centre, low, high = np.array([_mean(courses[t]) for t in t_max]).T
+            least = _least(courses)
             label = f"{machine:g} s a candidate"
+            if least is not None:
+                best = t_max.index(least)
+                # in the legend: beside the star it may lie on another curve
+                label += f", {centre[best]:.0f} s at best"
+                ax.plot(least, centre[best], marker="*", color=colour, ms=13, mec="white", zorder=4)
             ax.fill_between(t_max, low, high, color=colour, alpha=0.15, lw=0)
             ax.plot(t_max, centre, color=colour, lw=1.6, marker="o", ms=3.5, label=label)
-            least = _least(courses)
-            if least is None:
-                continue
-            best = t_max.index(least)
-            ax.plot(t_max[best], centre[best], marker="*", color=colour, ms=13, mec="white", zorder=4)
-            ax.annotate(f"{centre[best]:.0f} s", (t_max[best], centre[best]), textcoords="offset points",
-                        xytext=(0, -14), ha="center", color=colour)  # fmt: skip
         ax.set_xscale("log")
         ticks = sorted({t for courses in machines.values() for t in courses})
         ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
