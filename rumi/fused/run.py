@@ -137,7 +137,8 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
                 felt = felt.joined(reading, reading.object_motion @ belief.world_T_attached, parts.surface, settings)
                 follow = _filter(rummager).with_evidence(felt)
                 belief, memory, info = follow(belief, memory, reading, generator=random["filter"])
-                if blind and bool(reading.in_contact.any()) and last.contacts < settings.renewals:
+                located = last.contacts >= settings.renewals and bool(memory.of_class(Semantics.SURFACE).any())
+                if blind and bool(reading.in_contact.any()) and not located:
                     belief = challenge(follow, belief, memory, rummager.renewal, generator=random["renewal"])
             done = (plan.controls[0], plan, bool(info.resampled))
             last = observe(rummager, clock, history, result, belief, info.added, *done)
