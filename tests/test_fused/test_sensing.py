@@ -116,7 +116,7 @@ def test_the_residual_is_the_contact_seen_through_the_filter(body, tool):
     expected = kinematics.jacobian(joints).T @ force
     assert np.abs(residual[-1] - expected).max() < 0.02
     # one time constant after its begin a step shows by 63 %
-    first = kinematics.jacobian(kinematics.first(np.array([*start[:2], SPEC.height_m, start[2]]))).T @ force
+    first = kinematics.jacobian(kinematics.track(np.array([[*start[:2], SPEC.height_m, start[2]]]))[0][0]).T @ force
     share = residual[round(1.0 / 25.0 / 0.004) - 1, 0] / first[0]
     assert share == pytest.approx(1.0 - math.exp(-1.0), abs=0.06)
 
@@ -131,7 +131,7 @@ def test_without_contact_an_exact_observer_feels_nothing(body, tool):
 def test_the_arm_holds_its_tool_level_where_the_gripper_is(body, tool):
     kinematics = LevelKinematics(JointFeeler(SPEC.base, SPEC.height_m, EXACT).physics)
     pose = np.array([0.35, 0.1, SPEC.height_m, 0.3])
-    place, turn = kinematics.place(kinematics.first(pose))
+    place, turn = kinematics.place(kinematics.track(pose[None])[0][0])
     assert np.abs(place - pose[:3]).max() < 1e-4
     expected = [[math.cos(0.3), -math.sin(0.3), 0.0], [math.sin(0.3), math.cos(0.3), 0.0], [0.0, 0.0, 1.0]]
     assert np.abs(turn - np.array(expected)).max() < 1e-3
