@@ -99,9 +99,10 @@ def test_sensors_agree_on_when_something_was_touched(pushed):
         force = np.array([np.linalg.norm(felt.wrench[a:b, :3].mean(0)) for a, b in pairwise(ends)])
         told = contact.status.numpy() != int(WrenchStatus.NONE)
         assert (told[force > 1.3]).all() and not told[force < 0.7].any()
-        strong, none = force > 1.5, (force == 0) & (np.roll(force, 1) == 0)
+        # one of a touch's beginning may be missed
+        lasting, none = (force > 1.0) & (np.roll(force, 1) > 1.0), (force == 0) & (np.roll(force, 1) == 0)
         signals = result.reading.signals.numpy()
-        assert signals[strong].mean() > 0.8 and not signals[none].any()
+        assert lasting.sum() > 4 and signals[lasting].mean() > 0.7 and not signals[none].any()
 
 
 def test_the_residual_is_the_contact_seen_through_the_filter(body, tool):
