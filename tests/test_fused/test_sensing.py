@@ -63,7 +63,8 @@ def pushed(mug, tool):
     found = []
     for seed in (1000, 1002):
         task.reset(seed)
-        task.world.reset(torch.tensor([0.38, 0.03, 0.0]), torch.tensor(task.spec.start))
+        x, y, _ = task.spec.start
+        task.world.reset(torch.tensor([x - 0.09, y + 0.01, 0.0]), torch.tensor(task.spec.start))
         task._from = task.world.configuration()
         found.append((task.step(AHEAD), task.world.felt, task.wrist_contacts(task.world.felt)))
     return found
