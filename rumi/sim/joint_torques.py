@@ -100,7 +100,8 @@ class LevelKinematics(ArmKinematics):
         return best
 
     def _tracked(self, poses: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        found, errors = [], []
+        found: list[np.ndarray] = []
+        errors: list[float] = []
         for pose in poses:
             if not errors or errors[-1] < _LOST_M:
                 joints, error = self.solve(pose, joints)
