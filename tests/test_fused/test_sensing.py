@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from rumi.fused.settings import FusedSettings, task_of
+from rumi.planning.gripper_body import gripper_links
 from rumi.sim.felt_world import FeltWorld
 from rumi.sim.fused_task import FusedTask
 from rumi.sim.joint_torques import JointFeeler, JointSettings, LevelKinematics
@@ -153,6 +154,27 @@ def test_sensors_that_are_off_tell_nothing(mug, tool):
     blind = seeing.step(AHEAD).reading
     assert blind.signals is None and not bool(blind.in_contact.any())
     assert not bool(blind.observation.of_class(Semantics.SURFACE).any())
+
+
+def depths(reading, tool, chosen):
+    """Of free points in the gripper, by how far they are inside of it where it was then."""
+    index = (reading.observation.of_class(Semantics.FREE) & chosen[reading.instant]).nonzero()[:, 0]
+    own = se3.inverse(reading.tool_pose)[reading.instant[index]]
+    places = se3.apply(own, reading.observation.points[index][:, None])[:, 0]
+    return -torch.stack([link.distance(places) for link in gripper_links(tool.shape)]).amin(0)
+
+
+def test_a_silent_sensor_frees_the_grippers_skin_and_a_touched_one_does_not(mug, tool):
+    task = FusedTask(FusedSettings(sensors=("wrench",)), tool, mug)
+    task.reset(1000)
+    x, y, _ = task.spec.start
+    task.world.reset(torch.tensor([x - 0.20, y, 0.0]), torch.tensor(task.spec.start))
+    silent = task.step(AHEAD).reading
+    assert not bool(silent.in_contact.any())
+    assert float(depths(silent, tool, ~silent.in_contact).min()) < 0.001
+    touched = task.step(AHEAD).reading
+    assert int(touched.in_contact.sum()) > 4
+    assert float(depths(touched, tool, touched.in_contact).min()) > 0.0029
 
 
 def test_a_seed_gives_the_same_mug_to_all_sensors_and_its_handle_is_hidden(mug, tool):
