@@ -3,6 +3,7 @@
     python scripts/fused_table.py run --seeds 1000-1009 --seconds 120   # a line a run in scripts/results/fused.jsonl
     python scripts/fused_table.py show                                  # Markdown
     python scripts/fused_table.py draw                                  # scripts/docs/fused.png
+    python scripts/fused_table.py senses --pushes 100                   # how far each sense and the grasp are off
 
 Tune on seeds of 1000 and more.
 """
@@ -12,6 +13,7 @@ import statistics
 import sys
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +24,18 @@ import tyro
 from rumi.commands import cache_folder
 from rumi.errors import DegenerateBeliefError
 from rumi.fused.parts import FusedParts, build_fused
+from rumi.fused.reading import FusedReading
 from rumi.fused.run import run_fused
-from rumi.fused.settings import SENSORS, FusedSettings, SensorName
+from rumi.fused.settings import SENSORS, FusedSettings, SensorName, task_of
 from rumi.jsonlines import append_line, read_lines
 from rumi.metrics.intervals import wilson
 from rumi.recording import provenance
+from rumi.seeding import split
+from rumi.sim.fused_task import FusedTask
+from rumi.sim.handle_grasp import HandleGripper
+from rumi.sim.tasks import make_tool
+from sdf import se3
+from sensors.semantics import Semantics
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "fused.jsonl"
@@ -79,6 +88,21 @@ class Draw:
 
     results: Path = RESULTS
     out: Path = ROOT / "scripts" / "docs" / "fused.png"
+
+
+@dataclass(frozen=True)
+class Senses:
+    """Push mugs by chance, and hold what wrist and joints say against the truth; then grasp where they truly are.
+
+    Attributes:
+        pushes: how many.
+        seed: the first mug's.
+        cache: folder of the arm's reach; the user's by default.
+    """
+
+    pushes: int = 100
+    seed: int = 1000
+    cache: Path | None = None
 
 
 def run(options: Run) -> None:
@@ -184,6 +208,62 @@ def draw(options: Draw) -> None:
         figure.savefig(options.out, metadata={"Software": "rumi"})
 
 
+def senses(options: Senses) -> None:
+    """Markdown: touches by the wrench, signals of the joints, free points, grasps of the true pose."""
+    torch.set_num_threads(1)
+    settings = FusedSettings()
+    tool = make_tool(task_of(settings), cache_dir=options.cache or cache_folder())
+    task = FusedTask(settings, tool, task_of(settings).object_factory())
+    gripper = HandleGripper(task.model.exact, task.world.body, task.spec.physics)
+    touches, said, turned, inside, told, lifted = [], [], [], [], [], []
+    for seed in range(options.seed, options.seed + options.pushes):
+        task.reset(seed)
+        random = split(seed, "senses")
+        angle = 1.2 * (torch.rand((), generator=random) - 0.5)
+        way, aside = torch.stack((angle.cos(), angle.sin())), 0.03 * torch.randn((), generator=random)
+        place = torch.tensor(task.spec.start[:2]) - 0.10 * way + aside * torch.stack((-way[1], way[0]))
+        task.world.reset(torch.cat((place, angle[None])), torch.tensor(task.spec.start))
+        result = task.step(torch.tensor([1.0, 0.0, 0.0]))
+        reading, truth = result.reading, result.truth
+        assert isinstance(reading, FusedReading) and reading.signals is not None
+        motion, felt = reading.object_motion, task.world.felt
+        assert motion is not None and truth is not None and felt is not None
+        now = se3.inverse(truth) @ motion[-1] @ se3.inverse(motion)
+        own = now[reading.wrench.instant]
+        points = se3.apply(own, reading.wrench.points[:, None])[:, 0].requires_grad_()
+        distance = task.model.exact.distance(points)
+        (normal,) = torch.autograd.grad(distance.sum(), points)
+        facing = se3.rotate(own, reading.wrench.normals[:, None])[:, 0]
+        touches += distance.abs().tolist()
+        turned += (normal * facing).sum(-1).clamp(-1.0, 1.0).acos().rad2deg().tolist()
+        said += reading.wrench.point_sd.tolist()
+        free = reading.observation.of_class(Semantics.FREE)
+        at = se3.apply(now[reading.instant[free]], reading.observation.points[free][:, None])[:, 0]
+        inside += task.model.exact.distance(at).tolist()
+        ends = [0, *(int(end) + 1 for end in felt.ends)]
+        force = [float(np.linalg.norm(felt.wrench[a:b, :3].mean(0))) for a, b in pairwise(ends)]
+        told += [(f, max(force[max(0, k - 3) : k + 1]), bool(reading.signals[k])) for k, f in enumerate(force)]
+        where = task.world.world_T_object()
+        lifted.append(gripper.grasp(se3.to_planar(where), where))
+    far = np.abs(np.array(touches)) * 1e3
+    free_mm = np.array(inside) * 1e3
+    hit, quiet = [s for f, _, s in told if f > 1.0], [s for _, lately, s in told if lately == 0.0]
+    rows = (
+        ("touches by the wrench", f"{len(far)}"),
+        ("off the mug, mm: median, 95 %", f"{np.median(far):.1f}, {np.quantile(far, 0.95):.1f}"),
+        ("said by the sensor's noise alone, mm: median", f"{1e3 * statistics.median(said):.1f}"),
+        ("normals off, degrees: median, 95 %", f"{np.median(turned):.0f}, {np.quantile(turned, 0.95):.0f}"),
+        ("signal of the joints where the mean force is above 1 N", _rate(hit)),
+        ("signal where nothing touches, nor did for 0.15 s", _rate(quiet)),
+        ("free points; of them inside the mug by more than 1, 2, 3 mm",
+         f"{len(free_mm)}; " + ", ".join(str(int((free_mm < -depth).sum())) for depth in (1, 2, 3))),
+        ("grasps of the true pose after a push that lift", _rate(lifted)),
+    )  # fmt: skip
+    print(f"| {len(lifted)} pushes | |\n|---|---|")
+    for row in rows:
+        print(_row(row))
+
+
 def mean_interval(values: list[float], seed: int = 0) -> tuple[float, float]:
     """95 % percentile-bootstrap interval of the mean."""
     data = np.asarray(values)
@@ -221,11 +301,15 @@ def _row(cells: tuple[str, ...]) -> str:
 
 
 if __name__ == "__main__":
-    chosen = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show, "draw": Draw}, description=__doc__)
+    chosen = tyro.extras.subcommand_cli_from_dict(
+        {"run": Run, "show": Show, "draw": Draw, "senses": Senses}, description=__doc__
+    )
     if isinstance(chosen, Run):
         run(chosen)
     elif isinstance(chosen, Show):
         show(chosen)
+    elif isinstance(chosen, Senses):
+        senses(chosen)
     else:
         draw(chosen)
     sys.exit(0)

@@ -24,7 +24,7 @@ SECTOR_RAD = math.radians(80.0)
 """The table holds for goals within this angle of the arm's forward direction."""
 
 # elbow up, wrist over, shoulder turned aside: together they find the best pose of every goal that was tried
-_STARTS = (
+STARTS = (
     (0.0, 0.6, 0.0, -1.2, 0.0, 1.0, 0.0),
     (-0.8, 1.4, -0.6, -0.1, -0.6, -0.9, -1.3),
     (0.1, -0.2, 0.1, 1.1, -0.2, -1.1, 2.0),
@@ -151,7 +151,7 @@ def _solve_coarse(
     columns = _coarse_nodes(goals.shape[1], settings.coarse)
     chosen = goals[rows][:, columns]
     flat = chosen.reshape(-1, 4, 4)
-    starts = torch.tensor(_STARTS, dtype=goals.dtype)
+    starts = torch.tensor(STARTS, dtype=goals.dtype)
     result = arm.solve(
         flat.repeat(len(starts), 1, 1),
         starts.repeat_interleave(len(flat), 0),
@@ -181,7 +181,7 @@ def _neighbour_starts(coarse: tuple[int, ...], fine: tuple[int, int], stride: in
 
 def _key(settings: ReachSettings) -> str:
     content = {key: value for key, value in asdict(settings).items() if key != "tolerance_m"}
-    text = json.dumps({"version": VERSION, "starts": _STARTS, "sector": SECTOR_RAD, **content}, sort_keys=True)
+    text = json.dumps({"version": VERSION, "starts": STARTS, "sector": SECTOR_RAD, **content}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -84,7 +84,7 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
     clock, history = Clock(), list[StepRecord]()
     random = {name: split(seed, name) for name in ("initialise", "filter", "plan", "renewal")}
     felt = FeltSoFar.nothing(rummager.model.sdf, settings, len(parts.surface))
-    spent_s, motion_s = 0.0, task.settings.action_s + task.settings.hold_s
+    spent_s, updating_s, motion_s = 0.0, 0.0, task.settings.action_s + task.settings.hold_s
 
     def emit(record: StepRecord) -> StepRecord:
         history.append(record)
@@ -105,12 +105,11 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
         with clock("belief"):
             belief, memory = first_belief(rummager, result.reading, generator=random["initialise"])
             belief = _seen(rummager, belief, memory, generator=random["initialise"])
-            blind = not bool(memory.of_class(Semantics.SURFACE).any())
         spent_s += thought(began)
         last = emit(observe(rummager, clock, history, result, belief, memory))
         plan: Plan | None = None
         while not last.converged and last.step < settings.steps:
-            left_s = settings.budget_s - spent_s - motion_s - GRASP_S
+            left_s = settings.budget_s - spent_s - motion_s - updating_s - GRASP_S
             if left_s < (settings.thinking_s or _LEAST_PLAN_S):
                 ended = "budget"
                 break
@@ -137,7 +136,8 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
                 felt = felt.joined(reading, reading.object_motion @ belief.world_T_attached, parts.surface, settings)
                 follow = _filter(rummager).with_evidence(felt)
                 belief, memory, info = follow(belief, memory, reading, generator=random["filter"])
-                if blind and bool(reading.in_contact.any()) and last.contacts < settings.renewals:
+                located = last.contacts >= settings.renewals and bool(memory.of_class(Semantics.SURFACE).any())
+                if bool(reading.in_contact.any()) and not located:
                     belief = challenge(follow, belief, memory, rummager.renewal, generator=random["renewal"])
             done = (plan.controls[0], plan, bool(info.resampled))
             last = observe(rummager, clock, history, result, belief, info.added, *done)
@@ -145,8 +145,9 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
                 with clock("belief"):
                     belief = challenge(follow, belief, memory, rummager.renewal, generator=random["renewal"])
                 last = observe(rummager, clock, history, result, belief, info.added, *done)
-            # what is thought of a reading belongs to the next plan where thinking has its own time
-            spent_s += thought(began) if settings.thinking_s is None else 0.0
+            if settings.thinking_s is None:  # else it is part of the decision's time
+                updating_s = thought(began)
+                spent_s += updating_s
             emit(last)
         ended = "sure" if last.converged else ended
         grasp = best_grasp(belief.world_T_object, belief.log_weights, parts.table)

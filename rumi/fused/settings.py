@@ -54,7 +54,7 @@ class SignalSettings:
         spacing_m: of the points on the gripper's surface.
     """
 
-    true_positive: float = 0.95
+    true_positive: float = 0.9
     false_positive: float = 0.02
     decay: float = 150.0
     most: int = 2
@@ -71,7 +71,8 @@ class FusedSettings:
         thinking_s: that a plan and a belief's update are taken to last on that clock; None for what they last here,
             and the planner then makes do with what is left.
         preset: of planner and belief.
-        renewals: actions with contact after which poses drawn anew are put beside the belief's, where nothing was seen.
+        renewals: actions with contact, from the first on, after which poses drawn anew are put beside the belief's;
+            where no point of the surface was ever seen or felt, all of them.
         fit_a_contact: discrepancy by which the best pose may fit worse for each action that touched (`StopSettings`).
         contacts: actions that must have touched before the belief counts as sure.
         steps: actions over which nll is summed up; a belief that stopped keeps its last.

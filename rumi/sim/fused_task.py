@@ -117,8 +117,8 @@ class FusedTask(SensedTask):
             instants.append(touch.instant)
             in_contact, silent = in_contact | pushed, silent | ~pushed
         if self._joints is not None:
-            signals = self._joints.signals(felt, self._from)
-            in_contact, silent = in_contact | signals, silent | ~signals
+            signals, known = self._joints.signals(felt, self._from)
+            in_contact, silent = in_contact | signals, silent | (known & ~signals)
         # what one sensor feels, another's silence does not deny
         free, instant = self._free(tool_pose, measured, silent & ~in_contact)
         parts.append(free)

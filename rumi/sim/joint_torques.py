@@ -17,7 +17,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.sim.arm_motion import REACHED_M, ArmKinematics, joint_path
+from rumi.fields.reach_table import STARTS
+from rumi.sim.arm_motion import ArmKinematics, joint_path
 from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, _arm, _hand
 from rumi.sim.felt_world import Felt
 from rumi.sim.robot_dynamics import MujocoDynamics
@@ -26,13 +27,10 @@ from sensors.momentum_observer import MomentumObserver, TorqueThreshold, residua
 
 _KNOT_S = 0.05  # from one solution of the inverse kinematics to the next
 _STILL_S = 0.3  # of standing before an action, by the end of which the observer's rest is taken
-# elbow up, and other ways to begin the search for the first configuration
-_STARTS = (
-    (0.0, 0.6, 0.0, -1.2, 0.0, 1.0, 0.0),
-    (0.0, 0.6, 0.0, 1.2, 0.0, -1.0, 0.0),
-    (0.1, -0.2, 0.1, 1.1, -0.2, -1.1, 2.0),
-    (0.0, 0.8, 0.0, -1.2, 1.5, 1.0, 0.0),
-)
+_LOST_M = 0.05  # error from which on a way is given up
+_STIRRED = 3  # knots after the arm could follow again in which the observer is still stirred up
+FOLLOWS_M = 0.001
+"""Error up to which the arm follows the gripper, metres; radians count a tenth of a metre."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class JointSettings:
     velocity_noise: float = 0.002
     mass_error: float = 0.03
     gain: float = 25.0
-    threshold_nm: float = 0.3
+    threshold_nm: float = 0.4
     joints: int = 5
 
     def __post_init__(self) -> None:
@@ -78,12 +76,42 @@ class LevelKinematics(ArmKinematics):
         self._move, self._turn = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
         self.limits = np.array(physics.geometry.limits_rad)
 
-    def first(self, pose: np.ndarray) -> np.ndarray:
-        """Joints for (x, y, z, yaw) from the first of some starts that gets there, or else the nearest."""
+    def track(self, poses: np.ndarray, begin: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Joints (n, 7) along (x, y, z, yaw) of the tool (n, 4), and the errors left (n), as those of `solve`.
+
+        It goes on from where the arm is, and where that does not get there, begins with the arm held in another way.
+
+        Args:
+            poses: of the tool.
+            begin: (7,), the arm's joints; None where it may be held in any way.
+        """
         x, y, base = self.physics.base
-        azimuth = math.atan2(pose[1] - y, pose[0] - x) - base
-        found = [self.solve(pose, np.array(start) + np.eye(7)[0] * azimuth) for start in _STARTS]
-        return next((one for one in found if one[1] < REACHED_M), min(found, key=lambda one: one[1]))[0]
+        azimuth = math.atan2(poses[0, 1] - y, poses[0, 0] - x) - base
+        held = [np.array(start) + azimuth * np.eye(7)[0] for start in STARTS]
+        best: tuple[np.ndarray, np.ndarray] | None = None
+        for joints in held if begin is None else (begin, *held):
+            found = self._tracked(poses, joints)
+            # the way that goes well for longest, and then the nearest
+            if best is None or _merit(found[1]) > _merit(best[1]):
+                best = found
+            if best[1].max() < FOLLOWS_M:
+                break
+        assert best is not None
+        return best
+
+    def _tracked(self, poses: np.ndarray, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found: list[np.ndarray] = []
+        errors: list[float] = []
+        for pose in poses:
+            if not errors or errors[-1] < _LOST_M:
+                joints, error = self.solve(pose, joints)
+            found.append(joints)
+            errors.append(error)
+        return np.array(found), np.array(errors)
+
+
+def _merit(errors: np.ndarray) -> tuple[int, float]:
+    return int((errors < FOLLOWS_M).sum()), -float(errors.max())
 
 
 class JointFeeler:
@@ -114,6 +142,7 @@ class JointFeeler:
         self.model = MujocoDynamics.load(text, ARM_JOINTS)
         self._bias = own.torque_bias_nm * torch.randn(size, generator=generator, dtype=torch.float64)
         self._joints: np.ndarray | None = None
+        self._follows = torch.zeros(0, dtype=torch.bool)
 
     def residual(self, felt: Felt, start: Float[Tensor, "3"]) -> Float[Tensor, "T 7"]:
         """The observer's residual at each step of an action, from its rest before the action, N m.
@@ -148,12 +177,16 @@ class JointFeeler:
         )
         return found[still:] - found[still // 2 : still].mean(0)
 
-    def signals(self, felt: Felt, start: Float[Tensor, "3"]) -> Bool[Tensor, "K"]:
-        """Whether the mean residual of each mini step is above the threshold."""
+    def signals(self, felt: Felt, start: Float[Tensor, "3"]) -> tuple[Bool[Tensor, "K"], Bool[Tensor, "K"]]:
+        """Whether the mean residual of each mini step is above the threshold, and whether it tells anything.
+
+        Where the arm cannot follow the gripper, as at the border of its reach, its joints jerk at their limits.
+        """
         residual = self.residual(felt, start)
         ends = [0, *(int(end) + 1 for end in felt.ends)]
         mean = torch.stack([residual[a:b].mean(0) for a, b in pairwise(ends)])
-        return TorqueThreshold(self.settings.threshold_nm, self.settings.joints).contact(mean)
+        known = torch.stack([self._follows[a:b].all() for a, b in pairwise(ends)])
+        return TorqueThreshold(self.settings.threshold_nm, self.settings.joints).contact(mean) & known, known
 
     def _followed(
         self, felt: Felt, start: Float[Tensor, "3"], step: float, still: int
@@ -166,13 +199,14 @@ class JointFeeler:
         every[:, 2] = np.unwrap(every[:, 2])
         x, y, yaw = (np.interp(knots, times, every[:, axis]) for axis in range(3))
         poses = np.stack((x, y, np.full_like(x, self.height_m), yaw), -1)
-        joints = self.kinematics.first(poses[0]) if self._joints is None else self._joints
-        solved = []
-        for pose in poses:
-            joints, _ = self.kinematics.solve(pose, joints)
-            solved.append(joints)
+        solved, errors = self.kinematics.track(poses, self._joints)
         self._joints = solved[-1]
-        path = joint_path(np.array(solved))
+        lost = errors > FOLLOWS_M
+        # the spline goes wrong from the knot before on
+        stirred = np.array([lost[max(0, k - _STIRRED) : k + 2].any() for k in range(len(lost))])
+        near = np.minimum(np.round(times[still + 1 :] / _KNOT_S).astype(int), len(stirred) - 1)
+        self._follows = torch.from_numpy(~stirred[near])
+        path = joint_path(solved)
         found = [path.at(time / _KNOT_S) for time in times[1:]]
         position, slope, bend = (np.array(part) for part in zip(*found, strict=True))
         return position, slope / _KNOT_S, bend / _KNOT_S**2

@@ -109,7 +109,7 @@ def test_table_agrees_with_inverse_kinematics_at_any_pose(arm, reach):
     local = se3.inverse(se3.from_planar(torch.tensor(BASE, dtype=torch.float64))) @ se3.from_planar(q, SMALL.height_m)
     generator = torch.Generator().manual_seed(3)
     starts = torch.rand(16, 7, generator=generator, dtype=torch.float64) * 3.0 - 1.5
-    starts = torch.cat((starts, torch.tensor(reach_table_module._STARTS, dtype=torch.float64)))
+    starts = torch.cat((starts, torch.tensor(reach_table_module.STARTS, dtype=torch.float64)))
     every = arm.solve(local.repeat(len(starts), 1, 1), starts.repeat_interleave(len(q), 0))
     error = torch.stack((every.position_error, every.rotation_error)).reshape(2, len(starts), -1)
     best = (error[0].square() + (0.1 * error[1]).square()).argmin(0)

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from rumi.fused.settings import FusedSettings, task_of
+from rumi.planning.gripper_body import gripper_links
 from rumi.sim.felt_world import FeltWorld
 from rumi.sim.fused_task import FusedTask
 from rumi.sim.joint_torques import JointFeeler, JointSettings, LevelKinematics
@@ -63,7 +64,8 @@ def pushed(mug, tool):
     found = []
     for seed in (1000, 1002):
         task.reset(seed)
-        task.world.reset(torch.tensor([0.38, 0.03, 0.0]), torch.tensor(task.spec.start))
+        x, y, _ = task.spec.start
+        task.world.reset(torch.tensor([x - 0.09, y + 0.01, 0.0]), torch.tensor(task.spec.start))
         task._from = task.world.configuration()
         found.append((task.step(AHEAD), task.world.felt, task.wrist_contacts(task.world.felt)))
     return found
@@ -99,9 +101,10 @@ def test_sensors_agree_on_when_something_was_touched(pushed):
         force = np.array([np.linalg.norm(felt.wrench[a:b, :3].mean(0)) for a, b in pairwise(ends)])
         told = contact.status.numpy() != int(WrenchStatus.NONE)
         assert (told[force > 1.3]).all() and not told[force < 0.7].any()
-        strong, none = force > 1.5, (force == 0) & (np.roll(force, 1) == 0)
+        # one of a touch's beginning may be missed
+        lasting, none = (force > 1.0) & (np.roll(force, 1) > 1.0), (force == 0) & (np.roll(force, 1) == 0)
         signals = result.reading.signals.numpy()
-        assert signals[strong].mean() > 0.8 and not signals[none].any()
+        assert lasting.sum() > 4 and signals[lasting].mean() > 0.7 and not signals[none].any()
 
 
 def test_the_residual_is_the_contact_seen_through_the_filter(body, tool):
@@ -116,7 +119,7 @@ def test_the_residual_is_the_contact_seen_through_the_filter(body, tool):
     expected = kinematics.jacobian(joints).T @ force
     assert np.abs(residual[-1] - expected).max() < 0.02
     # one time constant after its begin a step shows by 63 %
-    first = kinematics.jacobian(kinematics.first(np.array([*start[:2], SPEC.height_m, start[2]]))).T @ force
+    first = kinematics.jacobian(kinematics.track(np.array([[*start[:2], SPEC.height_m, start[2]]]))[0][0]).T @ force
     share = residual[round(1.0 / 25.0 / 0.004) - 1, 0] / first[0]
     assert share == pytest.approx(1.0 - math.exp(-1.0), abs=0.06)
 
@@ -131,7 +134,7 @@ def test_without_contact_an_exact_observer_feels_nothing(body, tool):
 def test_the_arm_holds_its_tool_level_where_the_gripper_is(body, tool):
     kinematics = LevelKinematics(JointFeeler(SPEC.base, SPEC.height_m, EXACT).physics)
     pose = np.array([0.35, 0.1, SPEC.height_m, 0.3])
-    place, turn = kinematics.place(kinematics.first(pose))
+    place, turn = kinematics.place(kinematics.track(pose[None])[0][0])
     assert np.abs(place - pose[:3]).max() < 1e-4
     expected = [[math.cos(0.3), -math.sin(0.3), 0.0], [math.sin(0.3), math.cos(0.3), 0.0], [0.0, 0.0, 1.0]]
     assert np.abs(turn - np.array(expected)).max() < 1e-3
@@ -151,6 +154,27 @@ def test_sensors_that_are_off_tell_nothing(mug, tool):
     blind = seeing.step(AHEAD).reading
     assert blind.signals is None and not bool(blind.in_contact.any())
     assert not bool(blind.observation.of_class(Semantics.SURFACE).any())
+
+
+def depths(reading, tool, chosen):
+    """Of free points in the gripper, by how far they are inside of it where it was then."""
+    index = (reading.observation.of_class(Semantics.FREE) & chosen[reading.instant]).nonzero()[:, 0]
+    own = se3.inverse(reading.tool_pose)[reading.instant[index]]
+    places = se3.apply(own, reading.observation.points[index][:, None])[:, 0]
+    return -torch.stack([link.distance(places) for link in gripper_links(tool.shape)]).amin(0)
+
+
+def test_a_silent_sensor_frees_the_grippers_skin_and_a_touched_one_does_not(mug, tool):
+    task = FusedTask(FusedSettings(sensors=("wrench",)), tool, mug)
+    task.reset(1000)
+    x, y, _ = task.spec.start
+    task.world.reset(torch.tensor([x - 0.20, y, 0.0]), torch.tensor(task.spec.start))
+    silent = task.step(AHEAD).reading
+    assert not bool(silent.in_contact.any())
+    assert float(depths(silent, tool, ~silent.in_contact).min()) < 0.001
+    touched = task.step(AHEAD).reading
+    assert int(touched.in_contact.sum()) > 4
+    assert float(depths(touched, tool, touched.in_contact).min()) > 0.0029
 
 
 def test_a_seed_gives_the_same_mug_to_all_sensors_and_its_handle_is_hidden(mug, tool):
