@@ -27,6 +27,7 @@ class LogRecorder:
         settings: everything that the run was asked for, as plain values or dataclasses.
         about: further plain values by name, such as the object's record and what the run is made with.
         dtype: of the readings' floating numbers.
+        raw: streams that are known from the start, by name: kind, frame and further attributes.
 
     Raises:
         UsageError: the log cannot be written.
@@ -40,19 +41,25 @@ class LogRecorder:
         about: Mapping[str, Any] | None = None,
         *,
         dtype: torch.dtype = torch.float32,
+        raw: Mapping[str, tuple[str, str, Mapping[str, Any]]] | None = None,
     ) -> None:
-        from sensors.log.writer import LogWriter
+        from sensors.log.writer import LogWriter, StreamSpec
 
         texts = {name: json.dumps(plain(value)) for name, value in (about or {}).items()}
         float_type = "f8" if dtype == torch.float64 else "f4"
         try:
-            self._log = LogWriter(path, settings=plain(settings), about=texts, float_type=float_type)
+            streams = [StreamSpec(name, *told) for name, told in (raw or {}).items()]
+            self._log = LogWriter(path, streams, settings=plain(settings), about=texts, float_type=float_type)
         except LogError as error:
             raise UsageError(str(error)) from error
 
     def __call__(self, step: StepRecord) -> None:
         """Append a step; once this returns, a kill no longer loses it."""
         self._log.reading(step.reading, control=step.control, truth=step.truth, digest=digest(step.belief))
+
+    def raw(self, stream: str, stamp_ns: int, values: Mapping[str, object]) -> None:
+        """Append a row to a raw stream, received when it was taken."""
+        self._log.append(stream, stamp_ns, stamp_ns, **values)
 
     def finish(self, result: RunResult) -> None:
         """Write how the run ended, and close."""

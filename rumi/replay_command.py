@@ -103,9 +103,10 @@ def mapping_of_log(log: "Log", arguments: Sequence[str]) -> "BagMap | None":
     asked = next((Path(b) for a, b in itertools.pairwise(arguments) if a == "--map"), None)
     asked = next((Path(a.removeprefix("--map=")) for a in arguments if a.startswith("--map=")), asked)
     if log.settings is not None:
-        if asked is not None:
-            raise UsageError(f"{log.path} holds the readings of a run, which need no --map")
-        return None
+        if asked is None:
+            return None
+        if not log.streams:
+            raise UsageError(f"{log.path} holds the readings of a run and no raw streams, which need no --map")
     from rumi.bags.mapping import mapping_of, read_mapping
 
     if asked is not None:

@@ -22,6 +22,7 @@ from rumi.progress import Progress, both, stages
 from rumi.recording import RunRecorder, holds_run, load_run, prepare_folder, provenance, write_json
 from rumi.records import RunResult
 from rumi.sim.sensor_settings import SensorKind, degraded
+from rumi.task import Task
 from sdf import savings
 
 _RUN_HELP = """Find an object by touch, in simulation; `rumi tasks` lists what there is.
@@ -99,7 +100,7 @@ def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
         gc.freeze()
     with (
         RunRecorder(folder, to_dict(settings)) as recorder,
-        _log(options, folder, record(rummager.model)) as log,
+        _log(options, folder, record(rummager.model), task) as log,
         savings.account() as account,
     ):
         write_json(folder / "object.json", record(rummager.model))
@@ -113,6 +114,8 @@ def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
         recorder.finish(result)
         if log is not None:
             log.finish(result)
+            if (raw := getattr(task, "raw", None)) is not None:
+                (folder / "map.toml").write_text(raw.mapping(), encoding="utf-8")
     if options.figures and result.stopped_by != "interrupted":
         _say("drawing figures")
         draw_figures(folder, folder / "figures", None)
@@ -123,13 +126,18 @@ def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
 
 
 def _log(
-    options: RunOptions, folder: Path, about: dict[str, Any]
+    options: RunOptions, folder: Path, about: dict[str, Any], task: Task
 ) -> contextlib.AbstractContextManager[LogRecorder | None]:
-    """The log of a run, if one was asked for."""
+    """The log of a run, if one was asked for; what its sensors give unread goes there too."""
     if not options.record:
         return contextlib.nullcontext()
     settings, texts = options.settings, {"object": about, "made_with": provenance()}
-    return LogRecorder(folder / LOG, to_dict(settings), texts, dtype=settings.torch_dtype)
+    raw = getattr(task, "raw", None)
+    kinds = None if raw is None else raw.kinds()
+    log = LogRecorder(folder / LOG, to_dict(settings), texts, dtype=settings.torch_dtype, raw=kinds)
+    if raw is not None:
+        raw.sink = log.raw
+    return log
 
 
 def parse_run(arguments: Sequence[str]) -> RunOptions:

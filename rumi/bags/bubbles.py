@@ -31,9 +31,9 @@ def bubbles_felt(
     """
     if len(stream) == 0:
         return []
-    late_ns, settings = int(mapping.bubble.late_s * 1e9), mapping.bubble.settings()
+    late_ns, settings = round(mapping.bubble.late_s * 1e9), mapping.bubble.settings()
     lens = lens_of(stream, lenses_of(log, mapping))
-    rest = _at_rest(stream, lens, start, start + int(mapping.actions.view_s * 1e9))
+    rest = _at_rest(stream, lens, start, start + round(mapping.actions.view_s * 1e9))
     # poses are asked for the camera itself, so that it is its own tool
     bubble = Bubble.of(rest, lens.intrinsics, se3.identity(), unit="m")
     felt: list[Felt] = []

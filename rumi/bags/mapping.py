@@ -98,6 +98,7 @@ class SceneMap:
         search: freedom of the pose.
         within: lower and upper corner of a box that holds the object.
         looks_again: whether views after the first one are used: the camera must not see the robot as the object.
+        tool_seen: the camera sees the gripper: what is near its shape is left out of views.
         prior_mean_m, prior_spread_m: x and y that the object's origin is known to be about, and the standard deviation
             along each: where no camera sees it.
         clear_m: the tool's body is known to be free but for what is this near to a felt point.
@@ -107,6 +108,7 @@ class SceneMap:
     builtin: Literal["mug", "box", "drill"] | None = None
     search: Literal["SE(2)", "SE(3)"] = "SE(2)"
     looks_again: bool = False
+    tool_seen: bool = False
     prior_mean_m: tuple[float, float] | None = None
     prior_spread_m: float = 0.05
     clear_m: float = 0.01
@@ -139,6 +141,7 @@ class ViewMap:
     near_m: float = 0.0
     far_m: float = math.inf
     persist_s: float = 0.0
+    persist_gap_s: float = 0.1
 
 
 @dataclass(frozen=True)

@@ -68,12 +68,12 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
             "Expected a stream with the role cloud, depth, felt, contact, bubble, wrench or torques, found none that "
             f"can be read; the log's streams are {listed}"
         )
-    first_ns = start + int(mapping.actions.view_s * 1e9)
+    first_ns = start + round(mapping.actions.view_s * 1e9)
     seen = views.between(start, first_ns)
     body = GripperShape(**asdict(mapping.tool)).solid(_BODY_SPACING).float()
     cutter = _Cutter(mapping, frames, views, felt, body, start)
     taken = [cutter.first(seen, first_ns)]
-    every = int(mapping.actions.every_s * 1e9)
+    every = round(mapping.actions.every_s * 1e9)
     for begin in range(first_ns, end - every // 2, every):
         reading = cutter.reading(begin, begin + every)
         if reading is None:

@@ -12,9 +12,12 @@ from rumi.bags.mapping import BagMap
 from rumi.bags.streams import lens_of, lenses_of, role_of, unit_of
 from rumi.bags.torques import BodyTrack
 from rumi.errors import UsageError
+from rumi.planning.gripper import GripperShape
+from rumi.planning.gripper_body import gripper_links
 from sensors.cloud import cloud_observation
 from sensors.log.reader import Log, Sample, Stream
 from sensors.observation import Observation, concatenate
+from sensors.robot_body import RobotBody
 from sensors.semantics import Semantics
 from sensors.view import View, ViewSettings, view_observation
 
@@ -39,6 +42,8 @@ class Views:
         self._mapping, self._frames, self._generator = mapping, frames, generator
         self._within = torch.tensor(mapping.scene.within)
         self._settings = ViewSettings(**asdict(mapping.view))
+        tool = gripper_links(GripperShape(**asdict(mapping.tool))) if mapping.scene.tool_seen else ()
+        self._tool = RobotBody(tool)
         self._robot: BodyTrack | None = None
         if mapping.robot is not None and mapping.robot.remove:
             self._robot = BodyTrack(mapping.robot, log, mapping, frames)
@@ -91,8 +96,7 @@ class Views:
             "generator": self._generator,
         }
         try:
-            if self._robot is not None:
-                common |= {"body": self._robot.body, "world_T_links": self._robot.at(sample.stamp_ns)}
+            common |= self._body(sample.stamp_ns)
             if stream.kind == "points":
                 return self._cloud(sample, pose[0].float(), common)
             return self._depth(stream, sample, pose[0].float(), common)
@@ -101,6 +105,19 @@ class Views:
         except ValueError as error:
             self.problems.append(f"stream {stream.name}: a picture is left out: {error}")
             return None
+
+    def _body(self, stamp_ns: int) -> dict[str, object]:
+        """What is known of the robot's shape, at a time."""
+        links, poses = list(self._tool.links), [torch.zeros(0, 4, 4)]
+        if links:
+            tool, known = self._frames.at(self._mapping.frames.tool, [stamp_ns])
+            if not bool(known.all()):
+                raise ValueError(f"where the tool was at {stamp_ns} is not known")
+            poses.append(tool.float().expand(len(links), 4, 4))
+        if self._robot is not None:
+            links += self._robot.body.links
+            poses.append(self._robot.at(stamp_ns))
+        return {"body": RobotBody(links), "world_T_links": torch.cat(poses)} if links else {}
 
     def _cloud(self, sample: Sample, world_T_camera: Float[Tensor, "4 4"], common: dict[str, object]) -> View:
         points = torch.tensor(sample.values["points"])

@@ -12,6 +12,7 @@ from rumi.errors import UsageError
 from rumi.planning.gripper_body import gripper_links
 from rumi.planning.tool import Tool
 from rumi.sim.bubble_camera import BubbleCamera
+from rumi.sim.raw_streams import RawStreams
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.task import SimTask
@@ -20,7 +21,7 @@ from rumi.sim.world import Track
 from rumi.task import StepResult
 from sdf import se3
 from sdf.object_model import ObjectModel
-from sensors.bubble import Bubble, BubblePatch, bubble_patch
+from sensors.bubble import Bubble, bubble_patch
 from sensors.camera import look_at, pinhole, pixel_rays
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
@@ -77,6 +78,8 @@ class SensedTask(SimTask):
         self._believed: list[Bubble] = []
         self._off = se3.identity()
         self._late = round(sensors.late_s * settings.mini_steps / settings.action_s)
+        self._look_frames = math.ceil(_LOOK_S * sensors.frame_rate_hz) + 2
+        self.raw = RawStreams(spec, settings, tool.shape, self._bubbles, self._look_frames)
 
     def reset(self, seed: int) -> StepResult:
         """Put everything at its start and return the first look; the seed draws noise and errors of calibration."""
@@ -107,6 +110,7 @@ class SensedTask(SimTask):
         surface = seen.points[seen.of_class(Semantics.SURFACE)]
         if first and len(surface):
             self._region = self._region_about(surface)
+            self.raw.about(self._region)
         return seen
 
     def _looked(self) -> Observation:
@@ -117,12 +121,17 @@ class SensedTask(SimTask):
         depth, color = self._frame(camera, pose)
         taken = self._taken_pose(camera, pose).float()
         body = self.tool.pose(self.world.configuration().float()[None]).expand(len(self._links.links), 4, 4)
-        count = math.ceil(_LOOK_S * self.sensors.frame_rate_hz) + 2
+        count, tool_pose = self._look_frames, self.tool.pose(self.world.configuration().float())
+        if self._steps == 0:
+            rest, mounts = ([getattr(b, name) for b in self._believed] for name in ("rest", "tool_T_camera"))
+            self.raw.start(taken, tool_pose, rest, mounts)
         memory, last, bounds = None, Observation.empty(), None
         for index in range(count):
             noise = math.hypot(self.sensors.depth_noise_m, self.spec.depth_noise_m)
             image = _seen(depth, noise, self._generator).float()
-            if self._lost():
+            lost = self._lost()
+            self.raw.frame(index, None if lost else image, color, tool_pose)
+            if lost:
                 continue
             if index >= count - 2:
                 # the lasting points of these frames say where free ones matter
@@ -143,6 +152,7 @@ class SensedTask(SimTask):
             surface = view.observation.of_class(Semantics.SURFACE)
             if bool(surface.any()):
                 last = view.observation if bounds is not None else view.observation[surface]
+        self.raw.looked(tool_pose)
         if bounds is None and len(last):  # the last frames never came
             last = last[last.of_class(Semantics.SURFACE)]
         return last
@@ -183,6 +193,7 @@ class SensedTask(SimTask):
         configuration = track.configuration.float()
         tool_pose = self.tool.pose(configuration)
         parts, instants, in_contact = self._felt_by_bubbles(track, tool_pose)
+        self.raw.moved(tool_pose)
         swept, _ = self._swept(tool_pose, self._inner, measured, in_contact)
         parts.append(Observation.of(swept.points, Semantics.FREE))
         instants.append(swept.instant)
@@ -211,9 +222,11 @@ class SensedTask(SimTask):
         near = self._near(track, tool_pose) if self._bubbles else []
         for index in range(len(tool_pose)):
             taken = max(0, index - self._late)  # the image that arrives now
-            for camera, bubble in zip(self._bubbles, self._believed, strict=True):
-                patch = self._patch(camera, bubble, track, tool_pose, taken, index, near[taken])
-                if patch is not None:
+            for which in range(len(self._bubbles)):
+                image = self._image(self._bubbles[which], track, tool_pose, taken, near[taken])
+                if image is not None:
+                    self.raw.bubble(which, index, image)
+                    patch = bubble_patch(self._believed[which], image, tool_pose[index])
                     parts.append(patch.observation)
                     instants.append(torch.full((len(patch.observation),), index, dtype=torch.long))
                     in_contact[index] |= bool(patch.contact.any())
@@ -228,17 +241,10 @@ class SensedTask(SimTask):
         near: list[bool] = (away < max(self.tool.shape.pad_m) + self.sensors.membrane_m + _NEAR_M).tolist()
         return near
 
-    def _patch(
-        self,
-        camera: BubbleCamera,
-        bubble: Bubble,
-        track: Track,
-        tool_pose: Tensor,
-        taken: int,
-        index: int,
-        near: bool,
-    ) -> BubblePatch | None:
-        """One image of one bubble, read; None where it was lost. Rays are cast where the object is near alone."""
+    def _image(
+        self, camera: BubbleCamera, track: Track, tool_pose: Float[Tensor, "K 4 4"], taken: int, near: bool
+    ) -> Float[Tensor, "H W"] | None:
+        """One image of one bubble; None where it was lost. Rays are cast where the object is near alone."""
         if self._lost():
             return None
         image = camera.rest
@@ -247,8 +253,7 @@ class SensedTask(SimTask):
             origin, ways = camera.ways(tool)
             met, _ = self.world.cast(origin, ways, at=(track.configuration[taken], pose), through_gripper=True)
             image = camera.image(met)
-        image = _seen(image, self.sensors.bubble_noise_m, self._generator)
-        return bubble_patch(bubble, image.float(), tool_pose[index])
+        return _seen(image, self.sensors.bubble_noise_m, self._generator).float()
 
 
 def _seen(depth: Tensor, noise_m: float, generator: torch.Generator) -> Tensor:

@@ -103,9 +103,14 @@ def readings_of(bag, text, path):
         return make_readings(log, mapping)
 
 
-def test_bubbles_of_a_bag_feel_what_the_live_ones_felt(felt_run, tmp_path):
-    bag, live, _ = felt_run
-    made = readings_of(bag, BUBBLES, tmp_path / "log.h5")
+@pytest.fixture(scope="module")
+def felt_again(felt_run, tmp_path_factory):
+    """Readings of the bag."""
+    return readings_of(felt_run[0], BUBBLES, tmp_path_factory.mktemp("again") / "log.h5")
+
+
+def test_bubbles_of_a_bag_feel_what_the_live_ones_felt(felt_run, felt_again):
+    made, live = felt_again, felt_run[1]
     assert made.problems == [] and len(made.taken) == len(live)
     assert [note.split(":")[0] for note in made.notes] == ["bubble left/depth", "bubble right/depth"]
     touched = 0
@@ -124,10 +129,9 @@ def test_bubbles_of_a_bag_feel_what_the_live_ones_felt(felt_run, tmp_path):
     assert touched > 100
 
 
-def test_the_membrane_at_rest_is_free(felt_run, tmp_path):
-    bag, _, taken = felt_run
-    made = readings_of(bag, BUBBLES, tmp_path / "log.h5")
-    reading, k = made.taken[3].reading, 2
+def test_the_membrane_at_rest_is_free(felt_run, felt_again):
+    taken = felt_run[2]
+    reading, k = felt_again.taken[3].reading, 2
     low, high = torch.tensor(mapping_of(BUBBLES).scene.within)
     expected = []
     for bubble, depth, pose in taken[2 * (2 * 20 + k) :][:2]:
@@ -140,11 +144,10 @@ def test_the_membrane_at_rest_is_free(felt_run, tmp_path):
     assert float(apart(membrane, free).amin(-1).max()) < 1e-5
 
 
-def test_late_pictures_are_of_before(felt_run, tmp_path):
+def test_late_pictures_are_of_before(felt_run, felt_again, tmp_path):
     bag, _, _ = felt_run
     late = readings_of(bag, BUBBLES + "[bubble]\nlate_s = 0.055\n", tmp_path / "log.h5")
-    early = readings_of(bag, BUBBLES, tmp_path / "log.h5")
-    first = [one.taken[3].reading.in_contact.tolist().index(True) for one in (early, late)]
+    first = [one.taken[3].reading.in_contact.tolist().index(True) for one in (felt_again, late)]
     assert first[1] == first[0] - 1
 
 
@@ -234,8 +237,14 @@ def told(pushed_arm, **changes):
     return text
 
 
-def test_joint_torques_of_a_bag_tell_when_the_hand_was_pushed(pushed_arm, tmp_path):
-    made = readings_of(pushed_arm[0], told(pushed_arm), tmp_path / "log.h5")
+@pytest.fixture(scope="module")
+def torques(pushed_arm, tmp_path_factory):
+    """Readings of its bag."""
+    return readings_of(pushed_arm[0], told(pushed_arm), tmp_path_factory.mktemp("torques") / "log.h5")
+
+
+def test_joint_torques_of_a_bag_tell_when_the_hand_was_pushed(torques):
+    made = torques
     assert made.problems == []
     assert "samples beyond 1 N m" in made.notes[0]
     touched = torch.cat([one.reading.in_contact for one in made.taken[1:]])
@@ -245,8 +254,8 @@ def test_joint_torques_of_a_bag_tell_when_the_hand_was_pushed(pushed_arm, tmp_pa
     assert not touched[(ends < 0.7) | (ends > 1.15)].any()
 
 
-def test_a_touch_that_nobody_knows_the_place_of_leaves_no_free_space(pushed_arm, tmp_path):
-    made = readings_of(pushed_arm[0], told(pushed_arm), tmp_path / "log.h5")
+def test_a_touch_that_nobody_knows_the_place_of_leaves_no_free_space(torques):
+    made = torques
     for one in made.taken[1:]:
         reading = one.reading
         for k in reading.in_contact.nonzero()[:, 0].tolist():
