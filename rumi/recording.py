@@ -142,7 +142,7 @@ def load_run(folder: Path | str) -> Run:
     try:
         result = None if ended is None else _result(ended)
         actions = 0 if result is None else int(result.steps)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise UsageError(f"{folder / 'result.json'} is damaged: {error}") from error
     try:
         members = read_trace(folder / "trace.npz")

@@ -1,5 +1,6 @@
 """A robot's body from its URDF: collision shapes as links, and where they are at measured joints."""
 
+import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -130,8 +131,8 @@ class UrdfBody:
 def _shape(collision: ElementTree.Element, folder: Path, packages: Mapping[str, Path]) -> SDF:
     """A collision element, in its link's frame."""
     place, turn = (
-        torch.tensor([float(x) for x in text.split()])
-        for text in (_attribute(collision, "origin", name) or "0 0 0" for name in ("xyz", "rpy"))
+        torch.tensor(_three(f"{name} of an origin", _attribute(collision, "origin", name) or "0 0 0"))
+        for name in ("xyz", "rpy")
     )
     geometry = collision.find("geometry")
     kinds = [] if geometry is None else list(geometry)
@@ -140,7 +141,7 @@ def _shape(collision: ElementTree.Element, folder: Path, packages: Mapping[str, 
     shape = kinds[0]
     member: SDF
     if shape.tag == "box":
-        member = Box([0.5 * float(side) for side in str(shape.get("size")).split()])
+        member = Box([0.5 * side for side in _three("size of a box", str(shape.get("size")))])
     elif shape.tag == "sphere":
         member = Sphere(float(str(shape.get("radius"))))
     elif shape.tag == "cylinder":
@@ -153,6 +154,17 @@ def _shape(collision: ElementTree.Element, folder: Path, packages: Mapping[str, 
         se3.exp(torch.cat((torch.zeros(3), angle * axis))) for angle, axis in zip(turn, torch.eye(3), strict=True)
     )
     return Placed(member, se3.make((yaw @ pitch @ roll)[:3, :3], place))
+
+
+def _three(name: str, text: str) -> list[float]:
+    """Three numbers of an attribute."""
+    try:
+        found = [float(word) for word in text.split()]
+    except ValueError:
+        found = []
+    if len(found) != 3 or not all(map(math.isfinite, found)):
+        raise UsageError(f"Expected three numbers for the {name} in the URDF, got {text!r}")
+    return found
 
 
 def _attribute(element: ElementTree.Element, child: str, name: str) -> str | None:
@@ -170,7 +182,7 @@ def _mesh(shape: ElementTree.Element, folder: Path, packages: Mapping[str, Path]
     else:
         path = folder / name.removeprefix("file://")
     mesh = load_mesh(path)
-    scale = torch.tensor([float(x) for x in (shape.get("scale") or "1 1 1").split()])
+    scale = torch.tensor(_three(f"scale of {name}", shape.get("scale") or "1 1 1"))
     if not bool((scale == scale[0]).all()):
         raise UsageError(f"Expected one scale along all axes for {name}, got {scale.tolist()}")
     return mesh.scaled(float(scale[0]))

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 _KINDS = {"I": "i", "U": "u", "F": "f"}
+_SIZES = {"I": (1, 2, 4, 8), "U": (1, 2, 4, 8), "F": (4, 8)}
 _AT_ORIGIN = ["0", "0", "0", "1", "0", "0", "0"]
 
 
@@ -43,6 +44,8 @@ def read_pcd(data: bytes) -> PCDFile:
         )
     if any(kind not in _KINDS for kind in types) or any(count < 1 for count in counts):
         raise ValueError(f"expected TYPE of I, U and F and COUNT of 1 or more, got {' '.join(types)} and {counts}")
+    if any(size not in _SIZES[kind] for kind, size in zip(types, sizes, strict=True)):
+        raise ValueError(f"expected SIZE of 1, 2, 4 or 8 bytes, of F 4 or 8, got {sizes} for {' '.join(types)}")
     width, height = int(header["WIDTH"][0]), int(header["HEIGHT"][0])
     points = int(header["POINTS"][0]) if "POINTS" in header else width * height
     if width < 0 or points != width * height:

@@ -1,5 +1,6 @@
 """Convex tools that are touched: where a line first meets their surface."""
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -65,8 +66,8 @@ class SphereTool:
     def __init__(self, center_s: Float[Tensor, "3"], radius_m: float) -> None:
         check_shape("center_s", center_s, "(3,)", last=(3,))
         check_finite("center_s", center_s)
-        if not radius_m > 0:
-            raise ValueError(f"Expected a radius above 0, got {radius_m}")
+        if not 0 < radius_m < math.inf:
+            raise ValueError(f"Expected a radius above 0 and below infinity, got {radius_m}")
         self.sphere = torch.cat((center_s.double().cpu(), torch.tensor([float(radius_m)], dtype=torch.float64)))
         self.planes = torch.zeros(0, 4, dtype=torch.float64)
 

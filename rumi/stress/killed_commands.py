@@ -81,6 +81,8 @@ class RunKind:
     def __init__(self, commands: Commands, folder: Path, cache: Path, *, record: bool = False) -> None:
         self._commands, self._folder, self._cache = commands, folder, cache
         self._arguments = [*RUN, *(["--record"] if record else [])]
+        if not any(cache.glob("reach-*.npz")):  # seconds that the others do not take
+            self._begin("first").finish((NOT_CONVERGED,))
         self._seconds = self._begin("whole").finish((NOT_CONVERGED,))
         self.whole = load_run(folder / "whole")
         self.taken = _taken(folder / "whole") if record else None
@@ -222,7 +224,7 @@ def kill_commands(
     """Kill whole commands of each kind in turn; one that ended before its moment came counts for none.
 
     Args:
-        count: how many kills, or one more where the last two came together.
+        count: how many kills, or one more where the last two came together; fewer after Ctrl-C.
         folder: to work in.
         only: kinds; all by default.
         seed: of the moments.
@@ -237,23 +239,30 @@ def kill_commands(
         chosen = {name: make() for name, make in makers.items()}
         turns = itertools.cycle(name for name in ORDER if name in chosen)
         random = np.random.default_rng(seed)
-        for number, name in enumerate(turns):
-            if sum(found.kills.values()) >= count:
-                break
-            try:
-                killed = chosen[name].turn(random, number)
-            except Exception as error:  # whatever is wrong is what is looked for
-                killed = 1
-                found.wrong.append(f"turn {number}, of {name}: {type(error).__name__}: {error}")
-            found.kills[name] = found.kills.get(name, 0) + killed
-            if said is not None:
-                said(sum(found.kills.values()))
+        try:
+            for number, name in enumerate(turns):
+                if sum(found.kills.values()) >= count:
+                    break
+                _turn(chosen[name], name, random, number, found)
+                if said is not None:
+                    said(sum(found.kills.values()))
+        except KeyboardInterrupt:
+            pass  # what was found is told
         for name in found.kills:
             try:
                 chosen[name].end()
             except Exception as error:
                 found.wrong.append(f"at the end, of {name}: {type(error).__name__}: {error}")
     return found
+
+
+def _turn(kind: Kind, name: str, random: np.random.Generator, number: int, found: Killed) -> None:
+    try:
+        killed = kind.turn(random, number)
+    except Exception as error:  # whatever is wrong is what is looked for
+        killed = 1
+        found.wrong.append(f"turn {number}, of {name}: {type(error).__name__}: {error}")
+    found.kills[name] = found.kills.get(name, 0) + killed
 
 
 def _moment(random: np.random.Generator, seconds: float) -> float:

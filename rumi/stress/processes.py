@@ -46,8 +46,9 @@ class Command:
         Seconds of computing, where the system tells them: they come at the same point of its work on a busy machine.
         """
         began = time.monotonic()
-        if self._ended(lambda: _used(self.pid, began) >= seconds) is None:
-            os.kill(self.pid, signal.SIGKILL)
+        if self._ended(lambda: _used(self.pid, began) >= seconds) is not None:
+            return False
+        os.kill(self.pid, signal.SIGKILL)  # nobody waits for it but by asking: the number is still its own
         ended = self._ended(lambda: False)
         return ended is not None and os.WIFSIGNALED(int(ended[0]))
 

@@ -122,7 +122,11 @@ class Table:
         self._group, self.name = group, str(group.name)
         try:
             told = json.loads(group.attrs["columns"])
-            self.columns = tuple(Column(**{**column, "tail": tuple(column["tail"])}) for column in told)
+            self.columns = tuple(Column(**{**column, "tail": tuple(map(int, column["tail"]))}) for column in told)
+            for column in self.columns:
+                np.dtype(column.dtype)  # raises where damage made it no type
+                if not isinstance(column.name, str) or column.variable not in (0, 1, 2):
+                    raise ValueError(f"a column {column.name!r} of {column.variable!r} axes that vary")
             self._checks = group[CHECK]
         except (KeyError, TypeError, ValueError, OSError) as error:
             raise LogError(f"Expected {self.name} to be a table of a log, could not read it: {error}") from None

@@ -2,6 +2,7 @@ import itertools
 import json
 import math
 import os
+import re
 import stat
 from dataclasses import fields, replace
 
@@ -222,3 +223,15 @@ def test_plain_refuses_what_json_cannot_hold():
     with pytest.raises(TypeError, match="got object"):
         plain({"a": [object()]})
     assert plain({"a": torch.tensor([1.0, math.nan])}) == {"a": [1.0, None]}
+
+
+@pytest.mark.parametrize("steps", ["1e999", '"two"', "null", "[]"])
+def test_a_result_of_steps_that_are_no_number_is_damaged(tmp_path, run, steps):
+    folder = record(tmp_path / "run", run)
+    path = folder / "result.json"
+    text = path.read_text()
+    damaged = re.sub(r'"steps": \d+', f'"steps": {steps}', text)
+    assert damaged != text
+    path.write_text(damaged)
+    with pytest.raises(UsageError, match=r"result.json is damaged"):
+        load_run(folder)

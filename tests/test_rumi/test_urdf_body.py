@@ -94,6 +94,17 @@ def test_what_a_urdf_lacks_is_said(robot, tmp_path):
 
 @pytest.mark.parametrize(
     "damage",
+    [('"0.2 0 0" rpy="0 0 0.5"', '"0.2 0" rpy="0 0 0.5"'), ("0.4 0.06 0.04", "0.4 0.06"), ("0 0 0.5", "0 nan 0.5")],
+)
+def test_origins_and_sizes_are_of_three_numbers(damage):
+    text = ROBOT.strip() % '<collision><geometry><sphere radius="0.04"/></geometry></collision>'
+    assert damage[0] in text
+    with pytest.raises(UsageError, match="three numbers"):
+        UrdfBody.load(text.replace(*damage))
+
+
+@pytest.mark.parametrize(
+    "damage",
     [
         ('<child link="upper"/>', ""),
         ('xyz="0 0 1"/><limit', 'xyz="0 0"/><limit'),

@@ -225,8 +225,9 @@ def test_only_convex_shapes_are_tools() -> None:
     with pytest.raises(MeshError, match="outward"):
         ConvexTool.of(TriangleMesh(mesh.vertices, mesh.faces.flip(-1)))
     assert len(ConvexTool.of(mesh).planes) == 6
-    with pytest.raises(ValueError, match="radius above 0"):
-        SphereTool(torch.zeros(3), 0.0)
+    for radius in (0.0, math.inf, math.nan):
+        with pytest.raises(ValueError, match="radius above 0"):
+            SphereTool(torch.zeros(3), radius)
 
 
 def test_the_tool_may_stand_anywhere_in_the_sensors_frame(generator: torch.Generator) -> None:

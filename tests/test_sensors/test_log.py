@@ -294,6 +294,25 @@ def test_damage_within_costs_the_rows_it_hits_alone(tmp_path, live):
         assert f"{rows - len(samples)} row" in problem
 
 
+@pytest.mark.parametrize(
+    ("was", "damage"), [('"f4"', '"f{"'), ('"tail": [3]', '"tail": ["x"]'), ('"variable": 1', '"variable": 7')]
+)
+def test_columns_that_cannot_be_are_told(tmp_path, live_log, was, damage):
+    path = tmp_path / "log.h5"
+    path.write_bytes(live_log)
+    with h5py.File(path, "r+") as file:
+        told = file["readings"].attrs["columns"]
+        assert was in told
+        file["readings"].attrs["columns"] = told.replace(was, damage)
+    with Log(path) as log, pytest.raises(LogError, match="to be a table of a log, could not read it"):
+        log.taken()
+
+
+@pytest.fixture
+def live_log(tmp_path):
+    return written(tmp_path / "whole.h5", [made_up_reading(seed, 30) for seed in range(2)]).read_bytes()
+
+
 def test_what_is_no_log_is_named(tmp_path):
     with pytest.raises(LogError, match="There is no log"):
         Log(tmp_path / "none.h5")

@@ -150,6 +150,8 @@ def test_lzf_by_hand():
         (header("binary", fields="a b c d") + rows(), "fields x, y and z"),
         (header("binary", sizes="4 4 4"), "SIZE"),
         (header("binary", types="F F F Q"), "TYPE"),
+        (header("binary", sizes="4 4 4 99999999999"), "SIZE of 1, 2"),
+        (header("binary", sizes="4 4 -1 4"), "SIZE of 1, 2"),
         (header("binary").replace(b"POINTS 4", b"POINTS 5") + rows(), "WIDTH times HEIGHT"),
         (header("binary_compressed") + struct.pack("<II", 100, 64) + b"abc", "64 bytes from 100"),
         (header("binary_compressed") + b"abc", "two sizes"),

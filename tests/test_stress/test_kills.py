@@ -175,6 +175,16 @@ def test_a_killed_run_leaves_the_steps_that_it_had_said(kind):
     assert sum(kind.turn(random, number) for number in range(5)) >= 4
 
 
+def test_a_command_that_ends_before_its_moment_counts_for_none(commands, cache, tmp_path):
+    command = commands.begin(["--version"], tmp_path, "it", cache=cache)
+    assert not command.kill_after(100.0)
+    assert command.out.read_text().startswith("rumi ")
+    hanging = commands.begin(["reproduce", "fig8", "--seeds", "1000-1099", "--no-figures"], tmp_path, "on", cache=cache)
+    assert hanging.kill_after(0.1)
+    with pytest.raises(AssertionError, match="ended with 2: rumi: There is no command"):
+        commands.begin(["no-such"], tmp_path, "no", cache=cache).finish((0,))
+
+
 @pytest.mark.sim
 def test_steps_that_are_lost_or_others_are_missed(kind, tmp_path):
     whole = tmp_path / "whole"

@@ -8,6 +8,7 @@ import torch
 
 from rumi.cli import main
 from rumi.stress import exact, subjects
+from rumi.stress.on_device import on_device, sweeps_there
 from rumi.stress.sweep import SWEEPS, Sweep, carry_out, register
 from sdf import se3, so3
 
@@ -71,6 +72,36 @@ def test_an_exception_is_a_failure_and_names_its_case():
     assert not found.kept
     assert found.failure == "RuntimeError: out of luck"
     assert "pose" in found.inputs
+
+
+def test_sweeps_on_another_device_give_the_same():
+    for name in ("se3-log-float32", "beliefs-weights-of-points", "fields-semantics-torch", "distances-table-float32"):
+        assert SWEEPS[name] in sweeps_there()
+        other = on_device(SWEEPS[name], torch.device("cpu"))
+        assert other.name == f"{name.removesuffix('-torch')}-cpu"
+        one, two = (carry_out(sweep, (2,)) for sweep in (SWEEPS[name], replace(other, name=name)))
+        assert replace(one, seconds=0.0) == replace(two, seconds=0.0)
+    assert not any(sweep.name.endswith("-numba") for sweep in sweeps_there())
+
+
+def test_inputs_go_to_the_device_and_results_come_back():
+    seen = []
+
+    def operation(inputs):
+        seen.append((inputs["pose"].device.type, torch.zeros(1).device.type))
+        return {"made": (torch.zeros(2),)}
+
+    sweep = on_device(planted("se3-log-float32", operation), torch.device("meta"))
+    with pytest.raises(NotImplementedError, match="meta"):  # which has no numbers to bring back
+        sweep.operation({"pose": torch.eye(4)})
+    assert seen == [("meta", "meta")]
+
+
+@pytest.mark.gpu
+def test_sweeps_on_a_cuda_device():
+    for sweep in sweeps_there():
+        found = carry_out(on_device(sweep, torch.device("cuda")), (2,))
+        assert found.kept, (sweep.name, found.failure, found.worst)
 
 
 def test_a_name_is_entered_once():

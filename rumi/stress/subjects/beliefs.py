@@ -11,6 +11,7 @@ from rumi.belief.particles import PoseBelief, boltzmann
 from rumi.belief.resampling import systematic
 from rumi.stress import measures
 from rumi.stress.draws import choice, integer, log_uniform, log_weights, mixed, normal, poses, rotation_vectors, uniform
+from rumi.stress.on_device import here
 from rumi.stress.sweep import Inputs, Sweep, register
 from sdf import se3, so3
 from sdf.grid_sdf import GridSDF
@@ -182,8 +183,12 @@ def _wanted_moved(inputs: Inputs) -> Tensor:
 # a belief's weights from poses and points, end to end
 
 
-@cache
 def _mug(dtype: torch.dtype) -> GridSDF:
+    return here(_table(dtype))
+
+
+@cache
+def _table(dtype: torch.dtype) -> GridSDF:
     return GridSDF.from_sdf(Mug(), 0.002).to(dtype)
 
 

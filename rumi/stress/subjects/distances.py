@@ -8,6 +8,7 @@ from torch import Tensor
 
 from rumi.stress import measures
 from rumi.stress.draws import choice, directions, integer, log_uniform, mixed, poses, uniform
+from rumi.stress.on_device import here
 from rumi.stress.sweep import Inputs, Sweep, register
 from sdf import backend, fused, se3
 from sdf.base import SDF
@@ -26,9 +27,13 @@ VERSIONS = ("torch", "numba") if fused.available() else ("torch",)
 F64 = torch.float64
 
 
-@cache
 def table(spacing: float, dtype: torch.dtype, half: bool = False) -> GridSDF:
     """A mug, or at the least spacing a box of its own size, as a table; the values those of float32 or of half."""
+    return here(_table(spacing, dtype, half))
+
+
+@cache
+def _table(spacing: float, dtype: torch.dtype, half: bool) -> GridSDF:
     shape: SDF = Box((0.012, 0.008, 0.01)) if spacing < 0.001 else Mug()
     made = GridSDF.from_sdf(shape, spacing)
     values = made.values.half() if half else made.values.float()
@@ -109,8 +114,12 @@ _PRIMITIVES = {
 }
 
 
-@cache
 def _primitive(name: str) -> SDF:
+    return here(_made(name))
+
+
+@cache
+def _made(name: str) -> SDF:
     return _PRIMITIVES[name]()
 
 
