@@ -10,7 +10,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -44,6 +44,7 @@ ORDER = ("run", "record", "reproduce", "cache", "run", "record", "reproduce")
 """The kinds by turn; caches take longest."""
 
 
+@runtime_checkable
 class Kind(Protocol):
     """A kind of command to kill."""
 
