@@ -3,7 +3,7 @@
 import math
 import tomllib
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -253,7 +253,7 @@ def mapping_of(text: str, name: str = "the mapping") -> BagMap:
     return BagMap(topics=topics, fixed=fixed, settings=values.get("settings", {}), text=text, **made)
 
 
-def pose_of(position: typing.Sequence[float], quaternion_wxyz: typing.Sequence[float]) -> Float[Tensor, "4 4"]:
+def pose_of(position: Sequence[float], quaternion_wxyz: Sequence[float]) -> Float[Tensor, "4 4"]:
     """A transform (4, 4), float64, of a position and a quaternion, which is normalised.
 
     Raises:
