@@ -14,9 +14,9 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.sim.bodies import Body
-from rumi.sim.scene import _object_xml
+from rumi.sim.scene import object_xml
 from rumi.sim.settings import PhysicsSettings
-from rumi.sim.touch_scene import _servo
+from rumi.sim.touch_scene import servo, two_fingers_xml
 from rumi.sim.world import _import_mujoco
 from sdf import se3
 from sdf.primitives import Mug
@@ -148,7 +148,7 @@ def grasp_xml(shape: Mug, body: Body, physics: PhysicsSettings, settings: Handle
         f'friction="{own.friction} 0.005 0.0001" solref="0.005 1" solimp="0.95 0.99 0.001"'
     )
     drives = "".join(
-        _servo(name, name, k, inertia, limit)
+        servo(name, name, k, inertia, limit)
         for name, k, inertia, limit in (
             ("x", own.stiffness, 10.0, 200.0),
             ("y", own.stiffness, 10.0, 200.0),
@@ -166,23 +166,9 @@ def grasp_xml(shape: Mug, body: Body, physics: PhysicsSettings, settings: Handle
     <geom name="floor" type="plane" size="3 3 0.1" contype="1" conaffinity="0"/>
     <body name="object">
       <freejoint name="object"/>
-      {_object_xml(body, physics)}
+      {object_xml(body, physics)}
     </body>
-    <body name="gripper" gravcomp="1">
-      <joint name="x" type="slide" axis="1 0 0" armature="10"/>
-      <joint name="y" type="slide" axis="0 1 0" armature="10"/>
-      <joint name="z" type="slide" axis="0 0 1" armature="10"/>
-      <joint name="yaw" type="hinge" axis="0 0 1" armature="0.1"/>
-      <geom type="box" size="0.02 0.06 0.01" pos="0 0 {top + 0.03}" mass="0.1" contype="0" conaffinity="0"/>
-      <body name="left" gravcomp="1">
-        <joint name="left" type="slide" axis="0 1 0" armature="0.5"/>
-        <geom name="left" {finger}/>
-      </body>
-      <body name="right" gravcomp="1">
-        <joint name="right" type="slide" axis="0 -1 0" armature="0.5"/>
-        <geom name="right" {finger}/>
-      </body>
-    </body>
+    {two_fingers_xml(finger, top, 10, 0.1)}
   </worldbody>
   <actuator>{drives}</actuator>
 </mujoco>"""

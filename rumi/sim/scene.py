@@ -62,7 +62,7 @@ def scene_xml(
     <geom name="floor" type="plane" size="3 3 0.1" contype="{_FLOOR}" conaffinity="0"/>
     <body name="object">
       <freejoint name="object"/>
-      {_object_xml(body, physics)}
+      {object_xml(body, physics)}
     </body>
     {_gripper_xml(gripper, height_m, physics)}
   </worldbody>
@@ -74,7 +74,8 @@ def _meshes(body: Body) -> list[tuple[str, TriangleMesh]]:
     return [(f"mesh{index}", part.mesh) for index, part in enumerate(body.pieces) if part.mesh is not None]
 
 
-def _object_xml(body: Body, physics: PhysicsSettings) -> str:
+def object_xml(body: Body, physics: PhysicsSettings) -> str:
+    """The geoms of the object's pieces, with its mass and friction, as MJCF text."""
     lines = []
     if body.solid is not None:
         mass, inertia = physics.mass_kg, physics.mass_kg * body.solid.inertia

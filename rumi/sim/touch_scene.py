@@ -50,7 +50,7 @@ def scene_xml(task: TouchTask, physics: GripperPhysics, *, grasping: bool) -> st
     finger = f'type="capsule" size="{r}" fromto="0 0 {TIP_M + r} 0 0 {top}" mass="0.05" contype="0" conaffinity="0"'
     contact = f'solref="{own.contact_s} 1" solimp="0.99 0.999 0.0005" condim="4"'
     drives = "".join(
-        _servo(name, name, k, inertia, limit)
+        servo(name, name, k, inertia, limit)
         for name, k, inertia, limit in (
             ("x", stiffness, own.mass_kg, own.push_n),
             ("y", stiffness, own.mass_kg, own.push_n),
@@ -69,21 +69,7 @@ def scene_xml(task: TouchTask, physics: GripperPhysics, *, grasping: bool) -> st
       <freejoint name="box"/>
       <geom name="box" type="box" size="{half[0]} {half[1]} {half[2]}" mass="0.5" contype="0" conaffinity="0"/>
     </body>
-    <body name="gripper" gravcomp="1">
-      <joint name="x" type="slide" axis="1 0 0" armature="{own.mass_kg}"/>
-      <joint name="y" type="slide" axis="0 1 0" armature="{own.mass_kg}"/>
-      <joint name="z" type="slide" axis="0 0 1" armature="{own.mass_kg}"/>
-      <joint name="yaw" type="hinge" axis="0 0 1" armature="{own.inertia}"/>
-      <geom type="box" size="0.02 0.06 0.01" pos="0 0 {top + 0.03}" mass="0.1" contype="0" conaffinity="0"/>
-      <body name="left" gravcomp="1">
-        <joint name="left" type="slide" axis="0 1 0" armature="0.5"/>
-        <geom name="left" {finger}/>
-      </body>
-      <body name="right" gravcomp="1">
-        <joint name="right" type="slide" axis="0 -1 0" armature="0.5"/>
-        <geom name="right" {finger}/>
-      </body>
-    </body>
+    {two_fingers_xml(finger, top, own.mass_kg, own.inertia)}
   </worldbody>
   <contact>
     <pair name="floor" geom1="floor" geom2="box" friction="0.4 0.4 0.002 0.0001 0.0001" {contact}/>
@@ -94,7 +80,34 @@ def scene_xml(task: TouchTask, physics: GripperPhysics, *, grasping: bool) -> st
 </mujoco>"""
 
 
-def _servo(name: str, joint: str, stiffness: float, inertia: float, limit: float) -> str:
+def two_fingers_xml(finger: str, top_m: float, mass_kg: float, inertia: float) -> str:
+    """A gripper that slides x, y, z, turns, and closes two fingers along y.
+
+    Args:
+        finger: attributes of a finger's geom.
+        top_m: where fingers end and the palm begins, above the gripper's frame.
+        mass_kg: that every slide moves.
+        inertia: that the turn moves, kg m^2.
+    """
+    return f"""<body name="gripper" gravcomp="1">
+      <joint name="x" type="slide" axis="1 0 0" armature="{mass_kg}"/>
+      <joint name="y" type="slide" axis="0 1 0" armature="{mass_kg}"/>
+      <joint name="z" type="slide" axis="0 0 1" armature="{mass_kg}"/>
+      <joint name="yaw" type="hinge" axis="0 0 1" armature="{inertia}"/>
+      <geom type="box" size="0.02 0.06 0.01" pos="0 0 {top_m + 0.03}" mass="0.1" contype="0" conaffinity="0"/>
+      <body name="left" gravcomp="1">
+        <joint name="left" type="slide" axis="0 1 0" armature="0.5"/>
+        <geom name="left" {finger}/>
+      </body>
+      <body name="right" gravcomp="1">
+        <joint name="right" type="slide" axis="0 -1 0" armature="0.5"/>
+        <geom name="right" {finger}/>
+      </body>
+    </body>"""
+
+
+def servo(name: str, joint: str, stiffness: float, inertia: float, limit: float) -> str:
+    """A position servo of a joint, critically damped, with a limit of its force, as MJCF text."""
     damping = 2.0 * math.sqrt(stiffness * inertia)
     return (
         f'<position name="{name}" joint="{joint}" kp="{stiffness:.9g}" kv="{damping:.9g}" '
