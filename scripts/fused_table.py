@@ -30,6 +30,7 @@ from rumi.fused.settings import SENSORS, FusedSettings, SensorName, task_of
 from rumi.jsonlines import append_line, read_lines
 from rumi.metrics.intervals import wilson
 from rumi.recording import provenance
+from rumi.reproduce.seeds import seeds_of
 from rumi.seeding import split
 from rumi.sim.fused_task import FusedTask
 from rumi.sim.handle_grasp import HandleGripper
@@ -280,15 +281,6 @@ def settings_of(name: str) -> FusedSettings:
 def stamp(name: str) -> str:
     """Of the settings."""
     return hashlib.sha256(repr(settings_of(name)).encode()).hexdigest()[:8]
-
-
-def seeds_of(text: str) -> list[int]:
-    """The seeds that a text names."""
-    found = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        found += range(int(first), int(last or first) + 1)
-    return found
 
 
 def _rate(held: list[bool]) -> str:

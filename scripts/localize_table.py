@@ -22,6 +22,7 @@ from rumi.jsonlines import append_line, read_lines
 from rumi.metrics.intervals import wilson
 from rumi.registration.localize import localize
 from rumi.registration.touch_surface import TouchSurface
+from rumi.reproduce.seeds import seeds_of
 from rumi.seeding import generator
 from rumi.touch_files import read_contacts
 
@@ -152,15 +153,6 @@ def data() -> Path:
     if not root or not (Path(root) / "icub_touch").is_dir():
         sys.exit("Expected RUMI_DATA to name the folder of recorded data, with icub_touch in it")
     return Path(root) / "icub_touch"
-
-
-def seeds_of(text: str) -> list[int]:
-    """The seeds that "0-9" or "3,5" names."""
-    found = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        found += range(int(first), int(last or first) + 1)
-    return found
 
 
 def fingerprint() -> str:

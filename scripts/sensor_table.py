@@ -27,6 +27,7 @@ from rumi.jsonlines import append_line, read_lines
 from rumi.loop import rummage
 from rumi.metrics.intervals import wilson
 from rumi.recording import provenance
+from rumi.reproduce.seeds import seeds_of
 from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
 from rumi.sim.tasks import find_task
 
@@ -221,15 +222,6 @@ def _off(line: dict[str, Any]) -> str:
 def stamp(name: str) -> str:
     """Of the sensors' settings."""
     return hashlib.sha256(repr(sorted(asdict(SENSORS[name]).items())).encode()).hexdigest()[:8]
-
-
-def seeds_of(text: str) -> list[int]:
-    """The seeds that "1000-1009" or "1000,1005" names."""
-    found: list[int] = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        found += range(int(first), int(last or first) + 1)
-    return found
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from tqdm import tqdm
 from rumi.bench.timing import fitting_clock
 from rumi.jsonlines import append_line, read_lines
 from rumi.metrics.intervals import wilson
+from rumi.reproduce.seeds import seeds_of
 from rumi.sim.arm_motion import joint_path
 from rumi.sim.torque_arm import TorqueArm, TorqueSettings
 
@@ -203,15 +204,6 @@ def run(options: Run) -> None:
         found = poke(arm, seed)
         line = {"case": options.case, "seed": seed, "code": code, "reached": found is not None}
         append_line(options.out, line | (found or {}))
-
-
-def seeds_of(text: str) -> list[int]:
-    """Of "3-5" or "3,4,5"."""
-    found = []
-    for part in text.split(","):
-        low, _, high = part.partition("-")
-        found += list(range(int(low), int(high or low) + 1))
-    return found
 
 
 def show(options: Show) -> None:
