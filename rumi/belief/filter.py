@@ -233,6 +233,12 @@ class PoseFilter(nn.Module):
         level = se3.inverse(world_T_attached)[..., None, :, :] @ level
         return torch.where(tipped[..., None, None, None], level, poses)
 
+    def settled(
+        self, attached_T_object: Float[Tensor, "N 4 4"], here: Observation, *, generator: Generators
+    ) -> Float[Tensor, "N 4 4"]:
+        """Poses drawn anew, after their descent on points: as they are, since there is nothing else to follow."""
+        return attached_T_object
+
     def tipped(self, belief: PoseBelief) -> Bool[Tensor, "*b"]:
         """Whether the frame that rides with the object has tilted since the start; never without a prior."""
         upright = belief.world_T_attached[..., 2, 2]

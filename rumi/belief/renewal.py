@@ -88,6 +88,7 @@ def redraw(
         starts=prior.starts(settings.starts, generator=generator),
         search=pose_filter.search,
         further=pose_filter.prior_part,
+        settled=lambda poses: pose_filter.settled(poses, here, generator=generator),
         generator=generator,
     )
     renewed = _weighed(pose_filter, belief, found.frame_T_object, found.discrepancy)

@@ -109,6 +109,7 @@ def register(
     starts: Float[Tensor, "N 4 4"] | None = None,
     search: Search = "SE(3)",
     further: Callable[[Float[Tensor, "N 4 4"]], Float[Tensor, "N"]] | None = None,
+    settled: Callable[[Float[Tensor, "N 4 4"]], Float[Tensor, "N 4 4"]] | None = None,
     generator: torch.Generator,
 ) -> Registered:
     """Plausible poses of one scene under its points alone, spread over all orientations that are plausible.
@@ -124,6 +125,7 @@ def register(
         starts: poses to start from; `uniform_starts` by default.
         search: "SE(2)" or "SE(3)".
         further: what to add to the discrepancy of poses, such as a prior's part.
+        settled: what to move poses by after the fine descent, such as towards what `further` asks of them.
         generator: draws the starts and the sample of points.
 
     Raises:
@@ -152,6 +154,8 @@ def register(
     cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, spread)
     best = fill(cells, coarse, math.inf, min(settings.polished, len(poses)))
     poses = descend(discrepancy, poses[best], observation, search, settings.fine)
+    if settled is not None:
+        poses = settled(poses)
     fine = discrepancy(poses, observation)
     if further is not None:
         fine = fine + further(poses)

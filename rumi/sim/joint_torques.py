@@ -28,7 +28,6 @@ from sensors.momentum_observer import MomentumObserver, TorqueThreshold, residua
 _KNOT_S = 0.05  # from one solution of the inverse kinematics to the next
 _STILL_S = 0.3  # of standing before an action, by the end of which the observer's rest is taken
 _LOST_M = 0.05  # error from which on a way is given up
-_STIRRED = 3  # knots after the arm could follow again in which the observer is still stirred up
 FOLLOWS_M = 0.001
 """Error up to which the arm follows the gripper, metres; radians count a tenth of a metre."""
 
@@ -52,7 +51,7 @@ class JointSettings:
     velocity_noise: float = 0.002
     mass_error: float = 0.03
     gain: float = 25.0
-    threshold_nm: float = 0.4
+    threshold_nm: float = 0.6
     joints: int = 5
 
     def __post_init__(self) -> None:
@@ -180,7 +179,8 @@ class JointFeeler:
     def signals(self, felt: Felt, start: Float[Tensor, "3"]) -> tuple[Bool[Tensor, "K"], Bool[Tensor, "K"]]:
         """Whether the mean residual of each mini step is above the threshold, and whether it tells anything.
 
-        Where the arm cannot follow the gripper, as at the border of its reach, its joints jerk at their limits.
+        Where the arm cannot follow the gripper, as at the border of its reach, its joints jerk at their limits; until
+        the action's end it may then be held in a way for which no rest was taken.
         """
         residual = self.residual(felt, start)
         ends = [0, *(int(end) + 1 for end in felt.ends)]
@@ -202,8 +202,9 @@ class JointFeeler:
         solved, errors = self.kinematics.track(poses, self._joints)
         self._joints = solved[-1]
         lost = errors > FOLLOWS_M
-        # the spline goes wrong from the knot before on
-        stirred = np.array([lost[max(0, k - _STIRRED) : k + 2].any() for k in range(len(lost))])
+        # the spline goes wrong from the knot before on; found again, the arm may be held in another way, in which the
+        # model's masses err by other torques than where the rest was taken
+        stirred = np.array([lost[: k + 2].any() for k in range(len(lost))])
         near = np.minimum(np.round(times[still + 1 :] / _KNOT_S).astype(int), len(stirred) - 1)
         self._follows = torch.from_numpy(~stirred[near])
         path = joint_path(solved)

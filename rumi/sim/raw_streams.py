@@ -31,7 +31,7 @@ class RawStreams:
         settings: of the simulator.
         shape: the gripper's.
         bubbles: their cameras.
-        look_frames: pictures of one look of the camera.
+        look_frames: pictures of one look of the camera, the first one perhaps apart.
 
     Attributes:
         sink: what takes a stream's name, a stamp in ns, and the columns of a row; None while nobody listens.
@@ -49,8 +49,7 @@ class RawStreams:
         self._spec, self._settings, self._shape, self._bubbles = spec, settings, shape, tuple(bubbles)
         self._rate = settings.sensors.frame_rate_hz
         self._mini_ns = round(1e6 * settings.action_s / settings.mini_steps) * 1000
-        # of a whole number of mini steps, so that an action and a look are as many instants
-        self._look_steps = math.ceil(1e9 * look_frames / self._rate / self._mini_ns)
+        self._look_steps = self._first_steps = self._steps_of(look_frames)
         self._now = _START_NS
         self._region = torch.zeros(2, 3)
 
@@ -105,9 +104,12 @@ class RawStreams:
             self._put("camera/depth", stamp, depth=depth)
             self._put("camera/color", stamp, color=color)
 
-    def looked(self, world_T_tool: Float[Tensor, "4 4"]) -> None:
-        """The camera has looked."""
-        self._now += self._look_steps * self._mini_ns
+    def looked(self, world_T_tool: Float[Tensor, "4 4"], frames: int) -> None:
+        """The camera has looked, for so many frames; the first time perhaps for longer than later."""
+        steps = self._steps_of(frames)
+        if self._now == _START_NS:
+            self._first_steps = steps
+        self._now += steps * self._mini_ns
         self._put("tf/world/tool", self._now, pose=world_T_tool)
 
     def moved(self, world_T_tool: Float[Tensor, "K 4 4"]) -> None:
@@ -152,10 +154,14 @@ class RawStreams:
             f"pad_m = {list(shape.pad_m)}\npad_offset_m = {shape.pad_offset_m}",
             '[view]\nsegmentation = "color"\nhue_deg = [200.0, 260.0]\npersist_s = 0.4\npersist_gap_s = 0.15',
             "[actions]",
-            f"view_s = {self._look_steps * self._mini_ns / 1e9:.9f}\nevery_s = {every / 1e9:.9f}",
+            f"view_s = {self._first_steps * self._mini_ns / 1e9:.9f}\nevery_s = {every / 1e9:.9f}",
             f"instants = {every // self._mini_ns}",
         ]
         return "\n".join(lines) + "\n"
+
+    def _steps_of(self, frames: int) -> int:
+        """Mini steps that a look lasts: a whole number, so that an action and a look are as many instants."""
+        return math.ceil(1e9 * frames / self._rate / self._mini_ns)
 
     def _lens(self, name: str, intrinsics: Float[Tensor, "3 3"], size: Sequence[int]) -> None:
         self._put(name, self._now, intrinsics=intrinsics, distortion=np.zeros(0), size=np.array(size, np.int32))

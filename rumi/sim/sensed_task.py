@@ -30,6 +30,7 @@ from sensors.semantics import Semantics
 from sensors.view import ViewSettings, view_observation
 
 _LOOK_S = 0.4
+_LOOKS = 3  # that the first one lasts for at most, while the object does not show
 _BLUE, _GREY = (30, 60, 200), (120, 120, 120)
 _FLOOR_M = 0.002  # what is lower is the floor
 _NEAR_M = 0.002  # what the simulator's flat pieces are off the exact shape, at most
@@ -40,7 +41,8 @@ class SensedTask(SimTask):
     """A `SimTask` that reports through a camera, soft bubbles, or both, and knows nothing else of the object.
 
     The camera sees the object and the gripper in one colour over a grey floor, for 0.4 s after an action; its frames go
-    through `sensors.view`, the gripper's body left out at the measured configuration. Bubbles go through
+    through `sensors.view`, the gripper's body left out at the measured configuration. The first look goes on for three
+    times as long where too many frames were lost for anything to show. Bubbles go through
     `sensors.bubble` at every mini step. What the rigid part of the gripper went through, by 3 mm and more inside of it,
     is free. The object's motion is measured by a slip sensor, with noise.
 
@@ -106,10 +108,9 @@ class SensedTask(SimTask):
     def _view(self) -> Observation:
         """What the camera sees while nothing moves; the first look sets the region of free points for touch."""
         seen = self._looked()
-        first = self._steps == 0
         surface = seen.points[seen.of_class(Semantics.SURFACE)]
-        if first and len(surface):
-            self._region = self._region_about(surface)
+        if self._steps == 0:
+            self._region = self._region_about(surface) if len(surface) else self._region_unseen()
             self.raw.about(self._region)
         return seen
 
@@ -122,11 +123,13 @@ class SensedTask(SimTask):
         taken = self._taken_pose(camera, pose).float()
         body = self.tool.pose(self.world.configuration().float()[None]).expand(len(self._links.links), 4, 4)
         count, tool_pose = self._look_frames, self.tool.pose(self.world.configuration().float())
+        most = count * (_LOOKS if self._steps == 0 else 1)
         if self._steps == 0:
             rest, mounts = ([getattr(b, name) for b in self._believed] for name in ("rest", "tool_T_camera"))
             self.raw.start(taken, tool_pose, rest, mounts)
-        memory, last, bounds = None, Observation.empty(), None
-        for index in range(count):
+        memory, last, bounds, index = None, Observation.empty(), None, -1
+        while index + 1 < (count if bounds is not None else most):
+            index += 1
             noise = math.hypot(self.sensors.depth_noise_m, self.spec.depth_noise_m)
             image = _seen(depth, noise, self._generator).float()
             lost = self._lost()
@@ -152,7 +155,7 @@ class SensedTask(SimTask):
             surface = view.observation.of_class(Semantics.SURFACE)
             if bool(surface.any()):
                 last = view.observation if bounds is not None else view.observation[surface]
-        self.raw.looked(tool_pose)
+        self.raw.looked(tool_pose, index + 1)
         if bounds is None and len(last):  # the last frames never came
             last = last[last.of_class(Semantics.SURFACE)]
         return last

@@ -146,6 +146,8 @@ class SimTask:
         depth, is_object = self.depth_image()
         surface = depth_observation(depth, intrinsics, world_T_camera, is_object).points
         if len(surface) == 0:
+            if self._steps == 0:
+                self._region = self._region_unseen()
             return Observation.empty()
         self._region = self._region_about(surface)
         return depth_observation(
@@ -287,6 +289,10 @@ class SimTask:
         mean, reach = torch.tensor(prior.mean_m), _SPREADS * prior.spread_m + self.model.radius
         top = max(float((bounds[1] - bounds[0])["xyz".index(up)]) for up in self.spec.up)
         return torch.tensor([[*(mean - reach).tolist(), 0.0], [*(mean + reach).tolist(), top]])
+
+    def _region_unseen(self) -> Float[Tensor, "2 3"]:
+        """Where the object may be if the first view does not show it: nowhere in particular without a prior."""
+        return torch.zeros(2, 3) if self.spec.prior is None else self._region_of_prior()
 
     def _region_about(self, surface: Float[Tensor, "M 3"]) -> Float[Tensor, "2 3"]:
         """The box in which free points can refute a pose that the view leaves open."""

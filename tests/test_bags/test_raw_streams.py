@@ -20,14 +20,20 @@ pytest.importorskip("cv2")
 pytestmark = pytest.mark.sim
 
 
-def pushed(sensors, path):
-    """Readings of three pushes, the mug's poses after each, and the mapping of what was recorded of them."""
+def pushed(sensors, path, lost=0):
+    """Readings of three pushes, the mug's poses after each, and the mapping of what was recorded of them.
+
+    The camera's first pictures are lost, as many as told.
+    """
     from rumi.sim.settings import SimSettings
     from rumi.sim.tasks import TASKS, large_handled_mug, make_task, make_tool
 
     mug = large_handled_mug()
     spec = replace(TASKS["mug-0"], start=(0.45, 0.03, 0.6))
     task = make_task(spec, SimSettings(sensors=sensors), tool=make_tool(spec, free_flying=True), model=mug)
+    if lost:
+        late = iter([True] * lost + [False] * 10_000)
+        task._lost = lambda: next(late)
     with LogRecorder(path, {}, raw=task.raw.kinds()) as log:
         task.raw.sink = log.raw
         results = [task.reset(3)]
@@ -57,6 +63,20 @@ def test_bubbles_read_again_feel_the_same(degraded, tmp_path):
             ordered = [each[each[:, 1].argsort(stable=True)] for each in points]
             torch.testing.assert_close(*ordered, atol=1e-5, rtol=0)
     assert int(live[-1].in_contact.sum()) > 3
+
+
+def test_a_first_look_that_lasted_longer_is_read_as_long(tmp_path):
+    from rumi.sim.sensor_settings import SensorSettings
+
+    live, _, mapping, _ = pushed(SensorSettings("both"), tmp_path / "log.h5", lost=9)
+    with Log(tmp_path / "log.h5") as log:
+        made = make_readings(log, mapping)
+    assert made.problems == [] and len(made.taken) == 4
+    for ours, theirs in zip(made.taken, live, strict=True):
+        torch.testing.assert_close(ours.reading.tool_pose[-1], theirs.tool_pose[-1], atol=1e-6, rtol=0)
+        seen = [one.observation.of_class(Semantics.SURFACE) for one in (ours.reading, theirs)]
+        assert min(int(each.sum()) for each in seen) > 300
+    assert bool((made.taken[-1].reading.in_contact[:20] == live[-1].in_contact).all())
 
 
 def test_views_read_again_leave_the_gripper_out(tmp_path):

@@ -28,10 +28,12 @@ from sensors.semantics import Semantics
 
 @dataclass(frozen=True)
 class Leaning:
-    """Evidence that likes poses to the left, by 3 nats a metre."""
+    """Evidence that likes poses to the left, by so many nats a metre."""
+
+    slope: float = 3.0
 
     def log_likelihood(self, world_T_object):
-        return -3.0 * world_T_object[..., 0, 3]
+        return -self.slope * world_T_object[..., 0, 3]
 
     def moved(self, motion):
         return self
@@ -79,6 +81,21 @@ def test_evidence_counts_as_its_log_likelihood_beside_points_and_prior(mug):
     later, _, _ = leaning(belief, memory, still_reading(none), generator=generator)
     torch.testing.assert_close(later.log_weights, fused_belief.log_weights)
     assert own.evidence is None
+
+
+def test_poses_drawn_anew_settle_by_what_points_do_not_tell(mug):
+    """Evidence moves those whose points do not hold them, and no pose comes to cost more."""
+    plain, generator = plain_filter(mug), torch.Generator()
+    here = Observation.of(torch.tensor([[0.459, 0.0, 0.05]]), Semantics.SURFACE)
+    poses = belief_of(plain).attached_T_object
+    assert FusedFilter.of(plain).settled(poses, here, generator=generator) is poses
+    strong = FusedFilter.of(plain).with_evidence(Leaning(3000.0))
+    settled = strong.settled(poses, here, generator=generator)
+    assert bool((strong.cost(settled, here) <= strong.cost(poses, here)).all())
+    left = poses[:, 0, 3] - settled[:, 0, 3]
+    assert float(left[0]) == pytest.approx(0.0, abs=0.003), "it touches the point already"
+    assert bool((left[1:] > 0.005).all())
+    assert float((settled[:, :3, 2] - poses[:, :3, 2]).abs().max()) < 1e-6, "upright as they were"
 
 
 def test_a_filter_without_a_prior_is_refused(mug):

@@ -131,6 +131,27 @@ def test_without_contact_an_exact_observer_feels_nothing(body, tool):
     assert float(residual.abs().max()) < 0.03
 
 
+def test_after_the_arm_was_lost_its_joints_tell_nothing_until_the_action_ends(body, tool, monkeypatch):
+    """Found again it may be held in another way, for which no rest was taken: a false contact from there on."""
+    world = world_before(body, tool, start=(0.25, 0.0, 0.0))
+    start, _ = push(world, 0.06)
+    feeler = JointFeeler(SPEC.base, SPEC.height_m, EXACT)
+    follow = feeler.kinematics.track
+
+    def lost_on_the_way(poses, begin=None):
+        joints, errors = follow(poses, begin)
+        middle = len(poses) // 2
+        errors[middle] = 1.0
+        joints[middle:] += 0.3  # held in another way
+        return joints, errors
+
+    monkeypatch.setattr(feeler.kinematics, "track", lost_on_the_way)
+    signals, known = feeler.signals(world.felt, start)
+    assert bool(known[0]) and not bool(known[-1])
+    assert bool((known.int().diff() <= 0).all()), "once lost, unknown to the end"
+    assert not bool(signals[~known].any())
+
+
 def test_the_arm_holds_its_tool_level_where_the_gripper_is(body, tool):
     kinematics = LevelKinematics(JointFeeler(SPEC.base, SPEC.height_m, EXACT).physics)
     pose = np.array([0.35, 0.1, SPEC.height_m, 0.3])

@@ -126,6 +126,28 @@ def test_all_images_lost_leave_the_robots_own_way(arm_tool, mug):
     assert not bool(reading.in_contact.any()) and not bool(reading.observation.of_class(Semantics.SURFACE).any())
 
 
+def test_the_first_look_goes_on_until_the_object_shows(arm_tool, mug, monkeypatch):
+    task = task_with(arm_tool, mug, SensorSettings("both"))
+    whole = task.reset(1000).reading.observation
+    late = iter([True] * 9 + [False] * 100)
+    monkeypatch.setattr(task, "_lost", lambda: next(late))
+    seen = task.reset(1000).reading.observation
+    for kind in (Semantics.SURFACE, Semantics.FREE):
+        assert int(seen.of_class(kind).sum()) == int(whole.of_class(kind).sum())
+
+
+def test_a_run_does_not_know_of_the_run_before(arm_tool, mug, monkeypatch):
+    """Where nothing shows, free points are not looked for where an earlier run's object was."""
+    used, fresh = (task_with(arm_tool, mug, SensorSettings("both")) for _ in range(2))
+    assert len(used.reset(1000).reading.observation) > 0
+    found = []
+    for task in (used, fresh):
+        monkeypatch.setattr(task, "_lost", lambda: True)
+        task.reset(1001)
+        found.append(task.step(AHEAD).reading.observation.points)
+    assert torch.equal(*found)
+
+
 def test_same_seed_same_bytes_and_another_seed_other_noise(arm_tool, mug):
     task = task_with(arm_tool, mug, degraded("both"))
     runs = []
