@@ -112,6 +112,9 @@ class Deadline:
         fits = self.affordable("sample", 2 * rest, 1.0)
         if fits < few:
             return few if first else 0
+        if first:
+            # an iteration's samples may take several times as long as those of the one before: more of them push
+            return min(_FIRST_SAMPLES, fits, rest)
         # half of what fits: these may take longer than their like did, and the rest is looked at again
         return min(rest, fits if fits < 2 * few else fits // 2)
 

@@ -238,3 +238,18 @@ def test_parts_grow_with_the_time_there_is() -> None:
     assert sizes == [16]
     assert torch.equal(late[:16], controls[:16, 0, 0])
     assert bool(torch.isinf(late[16:]).all())
+
+
+def test_a_slower_iteration_is_not_late() -> None:
+    """Samples of a later iteration push more: they take five times as long, which its first few tell."""
+    clock = SimulatedClock()
+    deadline, controls = Deadline(0.05, clock), torch.zeros(200, 5, 3)
+    for each_s in (0.0001, 0.0005):
+
+        def costs_of(part: Tensor, each_s: float = each_s) -> Tensor:
+            clock.advance(len(part) * each_s)
+            return torch.zeros(len(part))
+
+        costs = deadline.in_parts(controls, costs_of)
+        assert int(torch.isfinite(costs).sum()) > 40
+    assert 0.045 < clock() <= 0.05
