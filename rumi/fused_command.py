@@ -41,6 +41,7 @@ class FusedOptions:
         thinking: seconds that a decision is taken to last, or "real" for what it lasts on this machine.
         steps: actions at most.
         preset: of planner and belief, as of the other runs.
+        noise_free: sensors without noise, loss, delay or wrong calibration.
         out: folder of the run; by default runs/fused-SENSORS-sSEED, with a number where that is taken.
         figures: draw figures at the end.
     """
@@ -51,6 +52,7 @@ class FusedOptions:
     thinking: str = "1"
     steps: int = 20
     preset: str = "fast"
+    noise_free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = True
 
@@ -73,6 +75,7 @@ def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
         thinking_s=thinking,
         steps=options.steps,
         preset=options.preset,
+        noise_free=options.noise_free,
     )
     if options.seed < 0:
         raise UsageError(f"Expected seed to be 0 or more, got {options.seed}")

@@ -1,6 +1,7 @@
 """The fused run against each of its sensors alone, seed by seed; resumable.
 
     python scripts/fused_table.py run --seeds 1000-1009 --seconds 120   # a line a run in scripts/results/fused.jsonl
+    python scripts/fused_table.py run --noise-free                      # the same with sensors that make no errors
     python scripts/fused_table.py show                                  # Markdown
     python scripts/fused_table.py draw                                  # scripts/docs/fused.png
     python scripts/fused_table.py senses --pushes 100                   # how far each sense and the grasp are off
@@ -15,7 +16,7 @@ import time
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -40,7 +41,9 @@ from sensors.semantics import Semantics
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "fused.jsonl"
-VARIANTS: dict[str, tuple[SensorName, ...]] = {"all": SENSORS, **{name: (name,) for name in SENSORS}}
+USED: dict[str, tuple[SensorName, ...]] = {"all": SENSORS, **{name: (name,) for name in SENSORS}}
+_FREE = ", noise-free"
+VARIANTS = (*USED, *(name + _FREE for name in USED))
 _RESAMPLES = 20_000
 
 
@@ -51,6 +54,7 @@ class Run:
     Attributes:
         seeds: "1000-1009", or "1000,1005".
         sensors: which.
+        noise_free: with sensors that make no errors.
         seconds: begin no run after so long.
         threads: of PyTorch and of the kernels.
         out: where the lines go.
@@ -58,7 +62,8 @@ class Run:
     """
 
     seeds: str = "1000-1009"
-    sensors: tuple[str, ...] = tuple(VARIANTS)
+    sensors: tuple[str, ...] = tuple(USED)
+    noise_free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     seconds: float = float("inf")
     threads: int = 1
     out: Path = RESULTS
@@ -113,7 +118,7 @@ def run(options: Run) -> None:
     done = {(x["sensors"], x["settings"], x["seed"]) for x, _ in read_lines(options.out)}
     parts: dict[str, FusedParts] = {}
     for seed in seeds_of(options.seeds):
-        for name in options.sensors:
+        for name in (used + _FREE * options.noise_free for used in options.sensors):
             if (name, stamp(name), seed) in done:
                 continue
             if time.monotonic() > end:
@@ -198,7 +203,7 @@ def draw(options: Draw) -> None:
     lines = [x for x, _ in read_lines(options.results)]
     with style.figure(6.4, 3.6) as figure:
         axes = figure.subplots()
-        for name in VARIANTS:
+        for name in USED:
             own = [x["nll"] for x in lines if x["sensors"] == name and x["settings"] == stamp(name) and "nll" in x]
             if own:
                 steps = settings_of(name).steps + 1
@@ -275,7 +280,7 @@ def mean_interval(values: list[float], seed: int = 0) -> tuple[float, float]:
 
 def settings_of(name: str) -> FusedSettings:
     """Of a kind of run."""
-    return FusedSettings(sensors=VARIANTS[name])
+    return FusedSettings(sensors=USED[name.removesuffix(_FREE)], noise_free=name.endswith(_FREE))
 
 
 def stamp(name: str) -> str:

@@ -82,6 +82,8 @@ class FusedSettings:
         free_region_m: free points are kept in the box about what the camera saw, grown by this much.
         spread_m: standard deviation of where the mug stands, along x and along y; also what the robot knows.
         handle_rad: its handle points away from the camera, to within this.
+        noise_free: sensors without noise, loss, delay or wrong calibration, of which the belief still expects the usual
+            errors: what the noise costs.
     """
 
     sensors: tuple[SensorName, ...] = SENSORS
@@ -98,6 +100,7 @@ class FusedSettings:
     free_region_m: float = 0.05
     spread_m: float = 0.03
     handle_rad: float = math.radians(20.0)
+    noise_free: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""

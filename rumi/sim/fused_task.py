@@ -16,7 +16,7 @@ from rumi.seeding import split
 from rumi.sim.felt_world import Felt, FeltWorld
 from rumi.sim.joint_torques import JointFeeler
 from rumi.sim.sensed_task import SensedTask
-from rumi.sim.sensor_settings import degraded
+from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
 from rumi.sim.settings import SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.world import Track
@@ -35,9 +35,10 @@ _PALM = 2  # the part after the two pads
 class FusedTask(SensedTask):
     """The scene, with those of the sensors that are switched on.
 
-    All images have the noise of `degraded` sensors, lost ones included. In every variant the object's motion is
-    measured, with noise, and where the rigid gripper has been is free: that takes no more than joint positions. Where
-    the wrench or the joints say that nothing is touched, the gripper's skin is free too.
+    All images have the noise of `degraded` sensors, lost ones included, unless the settings ask for none. In every
+    variant the object's motion is measured, with noise, and where the rigid gripper has been is free: that takes no
+    more than joint positions. Where the wrench or the joints say that nothing is touched, the gripper's skin is free
+    too.
 
     Args:
         settings: of the run.
@@ -51,7 +52,8 @@ class FusedTask(SensedTask):
     ) -> None:
         own = settings.sensors
         spec = task_of(settings)
-        sensors = degraded("bubbles" if "bubbles" in own else "camera")
+        kind: SensorKind = "bubbles" if "bubbles" in own else "camera"
+        sensors = SensorSettings(kind) if settings.noise_free else degraded(kind)
         simulator = SimSettings(sensors=sensors, free_region_m=settings.free_region_m)
         super().__init__(spec, simulator, tool, model, cache_dir=cache_dir)
         self.fused = settings
@@ -65,7 +67,8 @@ class FusedTask(SensedTask):
         palm = torch.tensor([shape.palm_center_m, 0.0, 0.0], dtype=torch.float64) + ahead
         self._parts = [*pads, box_tool(palm, shape.palm_m)]
         self._noise = WrenchNoise(wrist.force_n, wrist.moment_nm)
-        self._joints = JointFeeler(spec.base, spec.height_m, settings.joints) if "torques" in own else None
+        joints = settings.joints.without_errors() if settings.noise_free else settings.joints
+        self._joints = JointFeeler(spec.base, spec.height_m, joints) if "torques" in own else None
         self._wrist_noise, self._from = torch.Generator(), torch.zeros(3)
 
     def reset(self, seed: int) -> StepResult:
@@ -168,6 +171,7 @@ class FusedTask(SensedTask):
         own = torch.cat((force, moment), -1)
         mean = torch.stack([own[a:b].mean(0) for a, b in pairwise(ends)])
         scale = torch.tensor([wrist.force_n] * 3 + [wrist.moment_nm] * 3, dtype=torch.float64)
+        scale *= not self.fused.noise_free
         mean = mean + scale * torch.randn(mean.shape, generator=self._wrist_noise, dtype=torch.float64)
         settings = WrenchSettings(least_force_n=wrist.least_force_n, friction=wrist.friction)
         return parts_contact(mean, self._parts, self._noise.covariance(), settings)

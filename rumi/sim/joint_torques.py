@@ -7,9 +7,9 @@ friction in the joints is simulated: torques are taken to be measured behind the
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -59,6 +59,10 @@ class JointSettings:
         for name in ("torque_noise_nm", "torque_bias_nm", "velocity_noise", "mass_error"):
             if not getattr(self, name) >= 0:
                 raise UsageError(f"Expected {name} of 0 or more, got {getattr(self, name)}")
+
+    def without_errors(self) -> Self:
+        """Exact sensors and an exact model."""
+        return replace(self, torque_noise_nm=0.0, torque_bias_nm=0.0, velocity_noise=0.0, mass_error=0.0)
 
 
 class LevelKinematics(ArmKinematics):

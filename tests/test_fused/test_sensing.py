@@ -21,7 +21,7 @@ pytestmark = pytest.mark.sim
 
 SPEC = task_of(FusedSettings())
 AHEAD = torch.tensor([1.0, 0.0, 0.0])
-EXACT = JointSettings(torque_noise_nm=0.0, torque_bias_nm=0.0, velocity_noise=0.0, mass_error=0.0)
+EXACT = JointSettings().without_errors()
 
 
 def world_before(body, tool, kind=FeltWorld, start=(0.42, 0.02, 0.0)):
@@ -207,3 +207,19 @@ def test_a_seed_gives_the_same_mug_to_all_sensors_and_its_handle_is_hidden(mug, 
         away = math.atan2(y - camera[1], x - camera[0])
         assert abs(yaw - away) <= math.radians(20.0)
         assert math.hypot(x - 0.5, y) <= 0.06
+
+
+def test_sensors_without_noise_tell_the_truth(mug, tool):
+    settings = FusedSettings(noise_free=True)
+    task = FusedTask(settings, tool, mug)
+    first = task.reset(1000)
+    seen = first.reading.observation.points[first.reading.observation.of_class(Semantics.SURFACE)]
+    assert float(mug.exact.distance(se3.apply(se3.inverse(first.truth), seen)).abs().max()) < 0.001
+    task.world.reset(torch.tensor([0.38, 0.03, 0.0]), torch.tensor(task.spec.start))
+    before = task.world.world_T_object()
+    pushed = task.step(AHEAD)
+    moved = (pushed.truth.double() @ se3.inverse(before.double())).float()
+    torch.testing.assert_close(pushed.reading.object_motion[-1], moved, atol=1e-5, rtol=0)
+    contact, _ = task.wrist_contacts(task.world.felt)
+    again, _ = task.wrist_contacts(task.world.felt)
+    assert torch.equal(contact.point_s, again.point_s), "no noise is drawn"
