@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from rumi.bags.bag import import_bag
+from rumi.bags.mapping import mapping_of
+from rumi.bags.readings import Made, make_readings
 from sdf import se3, so3
 from sensors.camera import look_at, pinhole, pixel_rays
+from sensors.log.reader import Log
 from sensors.semantics import Semantics
 
 pytest.importorskip("rosbags")
@@ -249,10 +253,22 @@ def record(folder: Path, *, organised: bool = True, depth: bool = False, **optio
     return Recorded(maker.close(), results[-1].truth, first.truth, [first.reading, *(r.reading for r in results)])
 
 
+def readings_of(bag: Path, text: str, path: Path) -> Made:
+    """What a bag tells by a mapping file's text, all of it, by way of a log at `path`."""
+    mapping = mapping_of(text)
+    path.unlink(missing_ok=True)
+    done = import_bag(bag, mapping, path)
+    assert done.problems == [] and done.lost == {}
+    with Log(path) as log:
+        return make_readings(log, mapping)
+
+
 @pytest.fixture(scope="session")
 def bags():
     """What bags are made with: test files cannot import this one."""
-    return SimpleNamespace(Maker=BagMaker, record=record, MAP=MAP, RISE=RISE, START=START, SECOND=SECOND)
+    return SimpleNamespace(
+        Maker=BagMaker, record=record, readings_of=readings_of, MAP=MAP, RISE=RISE, START=START, SECOND=SECOND
+    )
 
 
 @pytest.fixture(scope="module")

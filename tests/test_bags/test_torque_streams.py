@@ -1,0 +1,126 @@
+"""Joint torques in a bag: when the hand was pushed, and what is named where something lacks."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from rumi.errors import UsageError
+from sensors.semantics import Semantics
+
+pytestmark = pytest.mark.sim
+
+TORQUES = """
+schema = 1
+[topics]
+"/joint_states" = "torques"
+[frames]
+world = "base"
+tool = "gripper"
+[scene]
+builtin = "box"
+within = [[-1, -1, -1], [1, 1, 1]]
+prior_mean_m = [0.5, 0.0]
+[robot]
+file = "ROBOT"
+[torques]
+threshold_nm = 1.0
+rest_s = 0.3
+[actions]
+view_s = 0.3
+every_s = 0.4
+instants = 4
+"""
+
+
+@pytest.fixture(scope="module")
+def pushed_arm(bags, tmp_path_factory):
+    """An arm that holds itself under gravity while its hand is pushed from 0.7 s to 0.9 s; its bag and its model."""
+    import mujoco
+
+    from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, arm_xml
+
+    folder = tmp_path_factory.mktemp("arm")
+    model = mujoco.MjModel.from_xml_string(arm_xml(ArmPhysics()))
+    (folder / "arm.xml").write_text(arm_xml(ArmPhysics()))
+    data = mujoco.MjData(model)
+    place = [model.joint(name).qposadr[0] for name in ARM_JOINTS]
+    dof = [model.joint(name).dofadr[0] for name in ARM_JOINTS]
+    data.qpos[place] = target = np.array([0.1, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
+    hand = model.body("tool").id
+    maker = bags.Maker(folder / "bag")
+    for step in range(1500):
+        mujoco.mj_forward(model, data)
+        wave = 0.1 * math.sin(2.0 * step / 1000) * np.ones(7)
+        data.ctrl[:7] = 400 * (target + wave - data.qpos[place]) - 40 * data.qvel[dof] + data.qfrc_bias[dof]
+        data.xfrc_applied[hand, :3] = (0.0, 15.0, 0.0) if 700 <= step < 900 else 0.0
+        stamp = bags.START + step * bags.SECOND // 1000
+        if step % 2 == 0:
+            # in another order, with a joint that the arm does not have
+            maker.joints(
+                "/joint_states",
+                stamp,
+                ["gripper", *reversed(ARM_JOINTS)],
+                [0.0, *data.qpos[place][::-1]],
+                effort=[0.0, *data.ctrl[:7][::-1]],
+                velocity=[0.0, *data.qvel[dof][::-1]],
+            )
+        if step % 100 == 0 or step == 1499:
+            maker.tf(stamp, "base", "gripper", torch.eye(4))
+        mujoco.mj_step(model, data)
+    return maker.close(), folder / "arm.xml"
+
+
+def told(pushed_arm, **changes):
+    from rumi.sim.arm_scene import ARM_JOINTS
+
+    _, model = pushed_arm
+    joints = ", ".join(f'"{name}"' for name in ARM_JOINTS)
+    text = TORQUES.replace("ROBOT", str(model)).replace("rest_s = 0.3", f"rest_s = 0.3\njoints = [{joints}]")
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    return text
+
+
+@pytest.fixture(scope="module")
+def torques(pushed_arm, bags, tmp_path_factory):
+    """Readings of its bag."""
+    return bags.readings_of(pushed_arm[0], told(pushed_arm), tmp_path_factory.mktemp("torques") / "log.h5")
+
+
+def test_joint_torques_of_a_bag_tell_when_the_hand_was_pushed(torques):
+    made = torques
+    assert made.problems == []
+    assert "samples beyond 1 N m" in made.notes[0]
+    touched = torch.cat([one.reading.in_contact for one in made.taken[1:]])
+    ends = 0.3 + 0.1 * torch.arange(1, len(touched) + 1)
+    # a residual of gain 25 goes on for a while after the push
+    assert touched[(ends > 0.75) & (ends < 0.95)].all()
+    assert not touched[(ends < 0.7) | (ends > 1.15)].any()
+
+
+def test_a_touch_that_nobody_knows_the_place_of_leaves_no_free_space(torques):
+    made = torques
+    for one in made.taken[1:]:
+        reading = one.reading
+        for k in reading.in_contact.nonzero()[:, 0].tolist():
+            assert not (reading.instant == k).any()
+    assert sum(int(one.reading.observation.of_class(Semantics.FREE).sum()) for one in made.taken) > 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"joint_1", ', '"shoulder", ', "Expected the joint 'shoulder' in joint_states, which has gripper, joint_7"),
+        ("arm.xml", "none.xml", "Cannot read robot.file .*none.xml"),
+        ("[torques]\nthreshold_nm = 1.0", "[settings]", r"Expected tables \[torques\] and \[robot\]"),
+        ("threshold_nm = 1.0", "threshold_nm = -1.0", "expected threshold_nm above 0"),
+    ],
+)
+def test_what_torques_lack_is_named(pushed_arm, bags, tmp_path, old, new, message):
+    text = told(pushed_arm).replace(old, new)
+    if new == "[settings]":
+        text = text.split("[settings]")[0] + "[actions]" + text.split("[actions]")[1]
+    with pytest.raises(UsageError, match=message):
+        bags.readings_of(pushed_arm[0], text, tmp_path / "log.h5")
