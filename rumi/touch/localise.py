@@ -9,9 +9,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.belief.entropy import SharedSupport
+from rumi.belief.planar_prior import PlanarPrior
 from rumi.belief.replay import TouchFilter
 from rumi.belief.resampling import resample_systematic
-from rumi.belief.states import StateMetric
+from rumi.belief.states import StateMetric, merged
 from rumi.belief.touch_belief import TouchAction, TouchBelief
 from rumi.clock import Clock
 from rumi.dynamics.carry import Carrier, carry
@@ -165,7 +166,15 @@ class Toucher:
         paths = self.candidates(belief, generator=generator)
         drawn = resample_systematic(belief.log_weights[0], generator=generator)
         rows = drawn[torch.linspace(0, len(drawn) - 1, own.particles).round().long()]
+        alone = self.settings.method == "ml-observation"
+        if alone:  # rolled out beside the others, whose weights leave it out
+            rows = torch.cat((rows, rows.new_tensor([likeliest(belief, self.task.prior, self.support.metric)])))
         rollouts, _ = self.rollouts(belief, paths, rows)
+        if alone:
+            even = rollouts.log_weights.new_zeros(own.particles).log_softmax(-1)
+            rollouts = rollouts._replace(
+                log_weights=torch.nn.functional.pad(even, (0, 1), value=-math.inf), likeliest=own.particles
+            )
         return paths, choose(
             self.settings.method,
             rollouts,
@@ -201,6 +210,19 @@ class Toucher:
     def grasp(self, belief: TouchBelief) -> Grasp:
         """The best grasp of a belief."""
         return best_grasp(belief.pose[0], belief.log_weights[0], self.table)
+
+
+def likeliest(belief: TouchBelief, prior: PlanarPrior, metric: StateMetric) -> int:
+    """The particle of one run with the most weight, copies taken together.
+
+    Of those that weigh the same, as all do after a resampling but for copies, the one whose start and readings are
+    likeliest.
+    """
+    weights = merged(belief.pose[0], belief.log_weights[0], metric).log_weights
+    # sums of the same weights differ by rounding
+    heaviest = weights >= weights.max() - 1e-9
+    posterior = belief.log_likelihood[0] + prior.log_density(belief.start[0])
+    return int(torch.where(heaviest, posterior, -math.inf).argmax())
 
 
 def localise(toucher: Toucher, *, seed: int, on_step: Callable[[TouchStep], None] | None = None) -> TouchRun:

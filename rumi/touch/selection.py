@@ -21,12 +21,15 @@ class Rollouts(NamedTuple):
         probability: (C, T, N), of a contact signal after each step.
         touching: (C, T, N), whether the tool touches then.
         log_weights: (N), now.
+        likeliest: the particle that "ml-observation" takes for the truth, which may have no weight here; the heaviest
+            if None.
     """
 
     states: Float[Tensor, "C T1 N 3"]
     probability: Float[Tensor, "C T N"]
     touching: Bool[Tensor, "C T N"]
     log_weights: Float[Tensor, "N"]
+    likeliest: int | None = None
 
 
 class Choice(NamedTuple):
@@ -124,7 +127,7 @@ def likeliest_gain(
     The reading after each step is the one that is expected of that particle: contact where it is touched.
     """
     log, chance = rollouts.log_weights.log_softmax(-1), rollouts.probability
-    likely = int(log.argmax())
+    likely = int(log.argmax()) if rollouts.likeliest is None else rollouts.likeliest
     contact = rollouts.touching[:, :, likely, None]
     tiny = torch.finfo(chance.dtype).tiny
     after = log + torch.where(contact, chance, 1.0 - chance).clamp_min(tiny).log()

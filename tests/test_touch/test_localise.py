@@ -1,15 +1,17 @@
 """The loop, closed on the quasi-static robot."""
 
+import math
 from dataclasses import replace
 
 import pytest
 import torch
 
 from rumi.touch.grasping import clearance_table
-from rumi.touch.localise import Toucher, localise, signals
+from rumi.touch.localise import Toucher, likeliest, localise, signals
 from rumi.touch.planar_robot import PlanarRobot
 from rumi.touch.records import calibration, figures_of, summarise, table
-from rumi.touch.settings import TouchSettings
+from rumi.touch.selection import choose
+from rumi.touch.settings import PokeSettings, TouchSettings
 from rumi.touch.task import TouchTask
 
 TASK = TouchTask(rates=(0.9, 0.05))
@@ -80,6 +82,51 @@ def test_a_decision_has_a_candidate_for_each_that_was_asked_for():
     paths, choice = own.decide(belief, generator=generator)
     assert paths.shape == (20, 41, 3)
     assert choice.value.shape == (20,)
+
+
+def test_the_likeliest_particle_is_the_heaviest_with_its_copies_and_else_the_one_that_fits():
+    own = toucher()
+    belief = own.filter.initial(1, 50, generator=torch.Generator().manual_seed(0))
+
+    def found(weights=None, **changes):
+        log = torch.zeros(1, 50, dtype=torch.float64) if weights is None else weights
+        return likeliest(replace(belief, log_weights=log.log_softmax(-1), **changes), TASK.prior, own.support.metric)
+
+    heavy = torch.zeros(1, 50, dtype=torch.float64)
+    heavy[0, 17] = 1.0
+    assert found(heavy) == 17
+    # nine copies together weigh more than one that weighs twice as much as the others
+    heavy[0, 17] = math.log(2.0)
+    copies = belief.pose.clone()
+    copies[0, 30:39] = copies[0, 5]
+    assert found(heavy, pose=copies) == 5
+    # all alike: by the readings, and before there are any by the prior
+    fits = torch.zeros_like(heavy)
+    fits[0, 41] = 100.0
+    assert found(log_likelihood=fits) == 41
+    assert found() == int(TASK.prior.log_density(belief.start[0]).argmax())
+
+
+def test_the_reading_that_is_simulated_is_the_likeliest_particle_s(monkeypatch):
+    """However few are rolled out, and wherever in the belief it is."""
+    seen = []
+
+    def watched(method, rollouts, *others, **named):
+        seen.append(rollouts)
+        return choose(method, rollouts, *others, **named)
+
+    monkeypatch.setattr("rumi.touch.localise.choose", watched)
+    own = toucher(replace(SETTINGS, method="ml-observation", poke=PokeSettings(candidates=3, particles=20)))
+    belief = own.filter.initial(1, 200, generator=torch.Generator().manual_seed(0))
+    weights = torch.zeros(1, 200, dtype=torch.float64)
+    weights[0, 77] = 0.5  # too light to be sure to be drawn
+    belief = replace(belief, log_weights=weights.log_softmax(-1))
+    for seed in range(5):
+        own.decide(belief, generator=torch.Generator().manual_seed(seed))
+    for rollouts in seen:
+        assert torch.equal(rollouts.states[0, 0, rollouts.likeliest], belief.pose[0, 77])
+        torch.testing.assert_close(rollouts.log_weights.exp()[:20], torch.full((20,), 0.05, dtype=torch.float64))
+        assert float(rollouts.log_weights.exp().sum()) == pytest.approx(1.0)
 
 
 def test_a_robot_that_cannot_follow_all_paths_is_asked_for_those_it_can():

@@ -81,6 +81,22 @@ def test_the_likeliest_particle_alone_says_what_is_read(generator):
         assert int(step[c]) == 1 + max(range(4), key=gains.__getitem__)
 
 
+def test_a_particle_that_is_named_says_what_is_read_and_needs_no_weight(generator):
+    found = rollouts(generator)
+    other = int(found.log_weights.argmin())
+    beside = found._replace(
+        states=torch.cat((found.states, found.states[:, :, other, None]), 2),
+        probability=torch.cat((found.probability, found.probability[..., other, None]), 2),
+        touching=torch.cat((found.touching, found.touching[..., other, None]), 2),
+        log_weights=torch.nn.functional.pad(found.log_weights, (0, 1), value=-math.inf),
+        likeliest=len(found.log_weights),
+    )
+    named = likeliest_gain(found._replace(likeliest=other), SUPPORT, every=1)
+    for one, two in zip(named, likeliest_gain(beside, SUPPORT, every=1), strict=True):
+        torch.testing.assert_close(one, two)
+    assert not torch.allclose(named[0], likeliest_gain(found, SUPPORT, every=1)[0])
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_takes_its_best(method, generator):
     found = rollouts(generator)
