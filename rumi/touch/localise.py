@@ -11,6 +11,7 @@ from torch import Tensor
 from rumi.belief.entropy import SharedSupport
 from rumi.belief.planar_prior import PlanarPrior
 from rumi.belief.replay import TouchFilter
+from rumi.belief.replay_settings import ReplaySettings
 from rumi.belief.resampling import resample_systematic
 from rumi.belief.states import StateMetric, merged
 from rumi.belief.touch_belief import TouchAction, TouchBelief
@@ -28,6 +29,7 @@ from sensors.contact_model import ContactModel
 
 _DRAWS = 4  # rounds of candidates, until enough can be followed
 _SUBSTEP_M = 0.0025  # motion of the tool at most, from one contact problem to the next
+_BINARY_M = 2e-4  # up to which a step of a likelihood takes tool and object to touch
 _TOUCH_M = 5e-4  # distance at which a particle counts as touched
 
 
@@ -101,10 +103,10 @@ class Toucher:
         self.task, self.settings, self.robot, self.table = task, settings, robot, table
         self.carrier = carrier or carry
         rates = getattr(robot, "rates", task.rates)
-        model = ContactModel(rates[0], rates[1], settings.decay)
+        model = ContactModel(rates[0], rates[1], settings.decay, tolerance=_BINARY_M)
         centre = torch.zeros(2, dtype=torch.float64)
         substeps = max(settings.filter.substeps, math.ceil(task.spacing_m / _SUBSTEP_M - 1e-9))
-        own = replace(settings.filter, substeps=substeps)
+        own = replace(for_task(settings.filter, task), substeps=substeps)
         if settings.weigh_correlated:
             repeats = getattr(robot, "correlation", task.correlation)
             own = replace(own, temper=own.temper * (1.0 - repeats) / (1.0 + repeats))
@@ -210,6 +212,23 @@ class Toucher:
     def grasp(self, belief: TouchBelief) -> Grasp:
         """The best grasp of a belief."""
         return best_grasp(belief.pose[0], belief.log_weights[0], self.table)
+
+
+def for_task(settings: ReplaySettings, task: TouchTask) -> ReplaySettings:
+    """The filter's priors, which settings give for the default task's box, for that of another task.
+
+    The limit surface's range goes by the lever of even pressure; the tool's friction keeps its place relative to the
+    task's range.
+    """
+    usual, (low, high) = TouchTask(), task.friction
+    ratio = task.even_lever_m / usual.even_lever_m
+    least, most = (ratio * end for end in settings.lever_m)
+    friction = settings.friction
+    if task.friction != usual.friction:
+        begin, end = usual.friction
+        share = (high - low) / (end - begin)
+        friction = (max(0.0, low + share * (friction[0] - begin)), max(0.0, low + share * (friction[1] - begin)))
+    return replace(settings, lever_m=(least, most), friction=friction)
 
 
 def likeliest(belief: TouchBelief, prior: PlanarPrior, metric: StateMetric) -> int:

@@ -10,6 +10,7 @@ from rumi.touch.grasping import clearance_table
 from rumi.touch.localise import Toucher, likeliest, localise, signals
 from rumi.touch.planar_robot import PlanarRobot
 from rumi.touch.records import calibration, figures_of, summarise, table
+from rumi.touch.robot import Touched
 from rumi.touch.selection import choose
 from rumi.touch.settings import PokeSettings, TouchSettings
 from rumi.touch.task import TouchTask
@@ -162,6 +163,37 @@ def test_the_tables_say_what_the_runs_did():
 
 def test_signals_are_a_word():
     assert signals(torch.tensor([True, False, True])) == "101"
+
+
+def test_priors_are_the_default_box_s_to_the_last_digit_and_go_with_another():
+    usual = TouchSettings().filter
+    assert toucher().filter.settings.lever_m == usual.lever_m
+    assert toucher().filter.settings.friction == usual.friction
+    small = replace(TASK, half=(0.015, 0.04), friction=(0.3, 0.5))
+    own = toucher(task=small).filter.settings
+    assert own.lever_m == pytest.approx([0.5 * end for end in usual.lever_m])
+    # half as wide, about the same middle: 0.1 to 0.7 about 0.2 to 0.6
+    assert own.friction == pytest.approx((0.25, 0.55))
+    known = replace(SETTINGS, filter=replace(usual, friction=(0.4, 0.4)))
+    assert toucher(known, replace(TASK, friction=(0.5, 0.9))).filter.settings.friction == pytest.approx((0.7, 0.7))
+
+
+def test_a_step_of_a_likelihood_is_where_simulated_readings_have_it():
+    model = toucher(replace(SETTINGS, decay=None)).filter.model
+    found = model(torch.tensor([-1e-3, 1.9e-4, 2.1e-4, 1e-2], dtype=torch.float64))
+    torch.testing.assert_close(found, torch.tensor([0.9, 0.9, 0.05, 0.05], dtype=torch.float64))
+
+
+def test_a_poke_out_of_reach_is_no_evidence():
+    """Nothing moved, nothing was felt: all particles weigh what they did, also one that stands in the way."""
+
+    class Short(PlanarRobot):
+        def execute(self, path, go_on):
+            return Touched(path[:1], torch.zeros(0, dtype=torch.bool), None, "reach")
+
+    own = Toucher(TASK, replace(SETTINGS, actions=1), Short(TASK, TABLE), TABLE)
+    (step,) = localise(own, seed=2000).steps
+    assert torch.equal(step.belief[1], torch.zeros(200, dtype=torch.float64).log_softmax(-1))
 
 
 def test_readings_that_repeat_their_errors_count_for_less():
