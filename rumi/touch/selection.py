@@ -90,7 +90,8 @@ def choose(
         raise ValueError(f"Expected a method out of {', '.join(METHODS)}, got {method!r}")
     if funnel != 0.0:
         value = value + funnel * shrinking(rollouts, support, whole)
-    # where nothing gains, the first candidate is carried out to its end: standing still would repeat itself
+    # where nothing gains, the first candidate is carried out to its end, which is an uninformed poke, since candidates
+    # are drawn alike: to stand still would gather nothing and lead to the same choice again
     whole = torch.where(whole > 0, whole, steps)
     return Choice(value, whole, int(value.argmax()))
 

@@ -113,6 +113,16 @@ def test_most_contact_is_the_touched_share_of_the_belief(generator):
     torch.testing.assert_close(value, touched @ found.log_weights.exp())
 
 
+def test_where_nothing_gains_a_candidate_that_was_drawn_like_any_is_carried_out_to_its_end(generator):
+    found = rollouts(generator)
+    spread = torch.linspace(1.0, 2.0, 5, dtype=torch.float64)[:, None, None] * found.states[:, :1]
+    found = found._replace(states=spread, probability=torch.full_like(found.probability, 0.1))
+    for method in ("entropy", "weights-only"):
+        choice = choose(method, found, SUPPORT, generator=generator)
+        assert choice.value.tolist() == [0.0] * 3
+        assert (choice.best, choice.steps.tolist()) == (0, [4] * 3)
+
+
 def test_a_bonus_for_funnels_counts_what_the_motion_alone_gathers(generator):
     found = rollouts(generator)
     states = found.states.clone()
