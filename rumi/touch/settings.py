@@ -81,7 +81,8 @@ class TouchSettings:
         weigh_correlated: count readings that repeat their errors with a chance c as (1 - c) / (1 + c) of independent
             ones each: so much less do they tell of what they are a mean of.
         stop_early: end a poke where the belief expects contact to have lasted; off: push through.
-        filter: of the particles.
+        filter: of the particles; its ranges of friction and limit surface are those for the default task, and go with
+            another's as `rumi.touch.localise.for_task` has it.
         poke: candidates and their choice.
     """
 

@@ -84,7 +84,7 @@ class TouchTask:
         for name in ("half", "spread"):
             if not all(0.0 < value < math.inf for value in getattr(self, name)):
                 raise UsageError(f"Expected {name} with numbers above 0, got {getattr(self, name)}")
-        if not self.modes or not all(math.isfinite(value) for mode in self.modes for value in mode):
+        if not self.modes or not all(len(mode) == 3 and all(map(math.isfinite, mode)) for mode in self.modes):
             raise UsageError(f"Expected modes with one place (x, y, yaw) or more, got {self.modes}")
         for name in ("friction", "floor_friction", "mass_kg"):
             low, high = getattr(self, name)
