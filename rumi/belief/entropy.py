@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.states import Merged, StateMetric, merged, neighbours
+from rumi.belief.states import Merged, StateMetric, check_weights, merged, neighbours
 from sdf.check import check_shape
 
 EntropyChoice = Literal["spatial", "kernel", "neighbour", "weights"]
@@ -29,7 +29,12 @@ class Entropy(Protocol):
 
 
 def weights_entropy(log_weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b"]:
-    """-sum w log w of weights that need not be normalised; 0 log 0 is 0. At most log N."""
+    """-sum w log w of weights that need not be normalised; 0 log 0 is 0. At most log N.
+
+    Raises:
+        ValueError: see `rumi.belief.states.check_weights`.
+    """
+    check_weights(log_weights)
     log = log_weights.log_softmax(-1)
     return -torch.where(log > -math.inf, log.exp() * log, torch.zeros_like(log)).sum(-1)
 

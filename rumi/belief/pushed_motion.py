@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.dynamics.carry import Carrier, Pusher, carry
+from rumi.dynamics.carry import Carrier, Pusher, carry, unwrapped
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.sliding import Sliding
@@ -88,11 +88,3 @@ class PushedMotion:
         felt = reading.in_contact.any(-1)[..., None, None, None]
         identity = se3.identity((*batch, instants), dtype=motion.dtype, device=motion.device)
         return torch.where(felt, motion, identity)
-
-
-def unwrapped(path: Float[Tensor, "R T 3"]) -> Float[Tensor, "R T 3"]:
-    """The same path without jumps of the yaw from pi to -pi."""
-    yaw = path[..., 2]
-    step = torch.remainder(yaw[:, 1:] - yaw[:, :-1] + torch.pi, 2.0 * torch.pi) - torch.pi
-    whole = torch.cat((yaw[:, :1], yaw[:, :1] + step.cumsum(1)), 1)
-    return torch.cat((path[..., :2], whole[..., None]), -1)

@@ -1,5 +1,6 @@
 """Settings of the filter that replays its history."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -65,11 +66,17 @@ class ReplaySettings:
                 raise ValueError(f"Expected {name} in [0, 1], got {getattr(self, name)}")
         for name in ("friction", "lever_m", "jitter_m"):
             low, high = getattr(self, name)
-            if not 0 <= low <= high or (name != "friction" and low <= 0):
+            if not 0 <= low <= high < math.inf or (name != "friction" and low <= 0):
                 raise ValueError(f"Expected {name} as (low, high) above 0, got {(low, high)}")
-        for name in ("noise", "noise_tails", "sweeps"):
-            if getattr(self, name) < 0:
+        for name in ("noise", "noise_tails", "noise_m_per_rad", "noise_rad_per_m", "jitter_rad_per_m"):
+            if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
-        for name in ("temper", "overlap_m", "overlap_error"):
-            if not getattr(self, name) > 0:
+        for name, least in (("sweeps", 0), ("substeps", 1), ("passes", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise ValueError(f"Expected {name} to be a whole number from {least} on, got {value}")
+        for name in ("temper", "overlap_m"):
+            if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if not 0 < self.overlap_error < 0.5:
+            raise ValueError(f"Expected overlap_error between 0 and 0.5, got {self.overlap_error}")

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sdf import backend, fused
+from sdf.check import check_finite, may_look
 
 # bytes of pairwise differences that are held at once
 _BYTES = 64 << 20
@@ -81,7 +82,14 @@ class Merged(NamedTuple):
 
 
 def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"], metric: StateMetric) -> Merged:
-    """The same mixture without duplicates, as resampling leaves them; states without weight are left out too."""
+    """The same mixture without duplicates, as resampling leaves them; states without weight are left out too.
+
+    Raises:
+        ValueError: no states, some that are not finite, or weights as `check_weights` refuses them.
+    """
+    check_weights(log_weights)
+    if may_look():
+        check_finite("states", states)
     log_weights = log_weights.expand(states.shape[:-1]).log_softmax(-1)
     flat, weights = states.reshape(-1, *states.shape[-2:]), log_weights.reshape(-1, states.shape[-2])
     version = backend.dispatch("leading_states", flat, weights)
@@ -92,6 +100,24 @@ def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"],
     log = torch.where(first, lead.log(), torch.full_like(lead, -math.inf))
     shape = states.shape[:-1]
     return Merged(log.view(shape), first.view(shape), first.sum(-1).view(shape[:-1]))
+
+
+def check_weights(log_weights: Float[Tensor, "*b N"]) -> None:
+    """Refuse log-weights that weigh nothing.
+
+    Raises:
+        ValueError: there are none, a set's are all -inf, or some are NaN or +inf.
+    """
+    if log_weights.shape[-1] == 0:
+        raise ValueError(f"Expected one state or more in each set, got log_weights {tuple(log_weights.shape)}")
+    if not may_look() or log_weights.numel() == 0:
+        return
+    top = log_weights.detach().amax(-1)
+    if not bool(torch.isfinite(top).all()):
+        bad = float(top[~torch.isfinite(top)].reshape(-1)[0])
+        raise ValueError(
+            f"Expected a finite log-weight in each set and none that is NaN or +inf, got {bad} as a set's greatest"
+        )
 
 
 class Neighbours(NamedTuple):

@@ -83,7 +83,8 @@ def carry(
 
     Args:
         poses: (x, y, yaw) of each object, metres and radians.
-        path: (x, y, yaw) of the tool at K + 1 instants, the present first; for each object, or one for all.
+        path: (x, y, yaw) of the tool at K + 1 instants, the present first; for each object, or one for all. A jump of
+            the yaw by a whole turn is a whole turn of the tool: see `unwrapped`.
         pusher: the tool.
         outline: of the objects.
         sliding: of each object.
@@ -154,6 +155,14 @@ def distance_to(
     placed = tool[:, None, :2] + rotated(pusher.points, tool[:, None, 2])
     local = rotated(placed - poses[:, None, :2], -poses[:, None, 2])
     return outline(local).distance.amin(-1) - pusher.thickness
+
+
+def unwrapped(path: Float[Tensor, "*b T 3"]) -> Float[Tensor, "*b T 3"]:
+    """The same path without jumps of the yaw from pi to -pi."""
+    yaw = path[..., 2]
+    step = torch.remainder(yaw[..., 1:] - yaw[..., :-1] + torch.pi, 2.0 * torch.pi) - torch.pi
+    whole = torch.cat((yaw[..., :1], yaw[..., :1] + step.cumsum(-1)), -1)
+    return torch.cat((path[..., :2], whole[..., None]), -1)
 
 
 @backend.register("carry", "numba", fused.supports)

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.belief.pushed_motion import unwrapped
+from rumi.dynamics.carry import unwrapped
 from rumi.dynamics.family import EngineSettings
 from rumi.planning.gripper import GripperShape
 from rumi.sim.settings import PhysicsSettings

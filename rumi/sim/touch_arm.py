@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.dynamics.carry import Pusher
+from rumi.dynamics.carry import Pusher, unwrapped
 from rumi.sim.arm_motion import joint_path
 from rumi.sim.arm_scene import ArmPhysics
 from rumi.sim.torque_arm import Felt, Motion, TorqueArm, TorqueSettings
@@ -80,7 +80,7 @@ class ArmRobot:
         arm, none = self.arm, torch.zeros(0, dtype=torch.bool)
         joints, turn = self._way(path)
         if len(joints) < _DOWN + 1:  # it cannot come down there, and does not move
-            return Touched(path[:1].clone(), none, False, "end")
+            return Touched(path[:1].clone(), none, None, "reach")
         arm.stand(joints[0], self.task.finger_m)
         arm.rest(_REST_S, joints[0])
         descent = arm.follow(joint_path(joints[:_DOWN]), _DOWN_RATE)
@@ -166,6 +166,8 @@ class ArmRobot:
 
     def _touched(self, start: Float[Tensor, "3"], parts: tuple[Felt, ...], turn: float, stopped: str) -> Touched:
         path = torch.stack([start, *(_planar(part.pose, turn) for part in parts)])
+        if bool((path[1:, 2] - path[:-1, 2]).abs().gt(math.pi).any()):
+            path = unwrapped(path)
         return Touched(path, torch.tensor([part.signal for part in parts], dtype=torch.bool), False, stopped)
 
 
@@ -177,7 +179,7 @@ def _vertical(pose: np.ndarray, height: float) -> np.ndarray:
 
 
 def _planar(pose: np.ndarray, turn: float) -> Float[Tensor, "3"]:
-    """(x, y, yaw) with the yaw that was asked for, not the one turned by half."""
+    """(x, y, yaw) with the yaw that was asked for, not the one turned by half; within half a turn of 0."""
     x, y, _, yaw = pose.tolist()
     return torch.tensor([x, y, math.remainder(yaw - turn, 2.0 * math.pi)], dtype=torch.float64)
 

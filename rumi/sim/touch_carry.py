@@ -19,13 +19,17 @@ _FRICTIONS = 5
 _ROWS = 128
 # metres that servo and soft contact may add to the tool's reach
 _MARGIN_M = 0.003
+# depth of the tool's start in a box up to which the engine parts them gently
+_INSIDE_M = 0.001
 
 
 class MujocoCarry:
     """Boxes carried along tool paths by the engine that the simulated truth has, too.
 
     Mass and the floor's friction are the middles of the task's ranges, and the limit surface is the engine's own: what
-    a particle holds of it changes nothing here. The fingers must be the task's gripper's.
+    a particle holds of it changes nothing here; of its friction the nearest of five in the task's range counts. The
+    fingers must be the task's gripper's. A box in which the tool would come down stays where it stands, as it does
+    when it blocks the tool: the engine would throw it metres away.
 
     Skipped, with the same result but for rounding: boxes that the tool does not come near where they stand, and of the
     others what is before it first does.
@@ -85,12 +89,15 @@ class MujocoCarry:
     def _first_near(
         self, poses: Float[Tensor, "E 3"], path: Float[Tensor, "#E K1 3"], pusher: Pusher, outline: Outline
     ) -> Int[Tensor, "E"]:
-        """The first part of the path in which the tool may touch a box that stands still; their number if none."""
+        """The first part of the path in which the tool may touch a box that stands still; their number if none.
+
+        None for a box that the path begins inside of.
+        """
         wide = path.expand(len(poses), -1, 3)
         step = float((path[:, 1:, :2] - path[:, :-1, :2]).norm(dim=-1).max())
         still = poses[:, None].expand(-1, path.shape[1], 3)
         apart = distance_to(still.reshape(-1, 3), wide.reshape(-1, 3), pusher, outline).view(wide.shape[:2])
-        near: Bool[Tensor, "E K1"] = apart < step + _MARGIN_M
+        near: Bool[Tensor, "E K1"] = (apart < step + _MARGIN_M) & (apart[:, :1] >= -_INSIDE_M)
         none = torch.full_like(near[:, 0].long(), path.shape[1] - 1)
         return torch.where(near.any(-1), near.to(torch.uint8).argmax(-1), none)
 

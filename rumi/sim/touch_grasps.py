@@ -1,6 +1,6 @@
 """The chance that a grasp succeeds, simulated once over a grid of misplacements of the box."""
 
-import hashlib
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +13,14 @@ from rumi.sim.touch_gripper import LIFTED_M, GripperRobot
 from rumi.sim.touch_scene import GripperPhysics, scene_xml, set_truth
 from rumi.touch.grasping import GraspTable
 from rumi.touch.task import BoxTruth, TouchTask
+from sdf.cache import content_key, keep_arrays, load_arrays
 
 _ENDS, _COUNTS = (0.022, 0.09, 0.9), (12, 7, 19)
 _TRUTHS = 6  # friction and mass differ from grasp to grasp, as many ways
 _STEP_S = 0.002
 _ROWS = 64
+
+_logger = logging.getLogger(__name__)
 
 
 def grasp_table(task: TouchTask, *, cache_dir: Path | None = None, threads: int = 1) -> GraspTable:
@@ -32,18 +35,30 @@ def grasp_table(task: TouchTask, *, cache_dir: Path | None = None, threads: int 
     robot = GripperRobot(task, physics)
     axes = [torch.linspace(0.0 if i < 2 else -_ENDS[i], _ENDS[i], _COUNTS[i], dtype=torch.float64) for i in range(3)]
     boxes = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    name = hashlib.sha256(
-        repr((scene_xml(task, physics, grasping=True), _ENDS, _COUNTS, task.friction, task.mass_kg)).encode()
-        + robot.grasp_controls(torch.zeros(3)).tobytes()
-    ).hexdigest()[:16]
-    path = None if cache_dir is None else cache_dir / f"grasps-{name}.pt"
-    if path is not None and path.is_file():
-        return GraspTable(torch.load(path, weights_only=True), _ENDS)
-    odds = lifted(robot, boxes, truths(task, _TRUTHS), threads=threads).to(torch.float64).view(_COUNTS)
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        torch.save(odds, path)
+    ranges = (task.friction, task.floor_friction, task.mass_kg)
+    key = content_key(
+        repr((scene_xml(task, physics, grasping=True), _ENDS, _COUNTS, _TRUTHS, LIFTED_M, ranges)),
+        robot.grasp_controls(torch.zeros(3)).tobytes(),
+    )
+    path = None if cache_dir is None else cache_dir / f"grasps-{key}.npz"
+    odds = None if path is None else _kept(path)
+    if odds is None:
+        odds = lifted(robot, boxes, truths(task, _TRUTHS), threads=threads).to(torch.float64).view(_COUNTS)
+        if path is not None:
+            keep_arrays(path, {"odds": odds.numpy()})
     return GraspTable(odds, _ENDS)
+
+
+def _kept(path: Path) -> Tensor | None:
+    """Odds that were kept; None if there are none, or with a warning if they are no odds."""
+    arrays = load_arrays(path, ("odds",))
+    if arrays is None:
+        return None
+    odds = arrays["odds"]
+    if odds.shape == _COUNTS and odds.dtype == np.float64 and bool(((odds >= 0.0) & (odds <= 1.0)).all()):
+        return torch.from_numpy(odds)
+    _logger.warning("%s holds no odds of grasps: simulating them again", path)
+    return None
 
 
 def truths(task: TouchTask, count: int) -> list[BoxTruth]:

@@ -69,7 +69,8 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
     def told(step: TouchStep) -> None:
         nonlocal count
         count += 1
-        readings = signals(step.touched.contact) or "blocked"
+        empty = "out of reach" if step.touched.blocked is None else "blocked"
+        readings = signals(step.touched.contact) or empty
         _say(f"poke {count:2}: {readings:<{options.task.readings}}  lifted with {step.grasp.probability:.2f}")
 
     try:

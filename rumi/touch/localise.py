@@ -9,9 +9,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.belief.entropy import SharedSupport
+from rumi.belief.planar_prior import PlanarPrior
 from rumi.belief.replay import TouchFilter
+from rumi.belief.replay_settings import ReplaySettings
 from rumi.belief.resampling import resample_systematic
-from rumi.belief.states import StateMetric
+from rumi.belief.states import StateMetric, merged
 from rumi.belief.touch_belief import TouchAction, TouchBelief
 from rumi.clock import Clock
 from rumi.dynamics.carry import Carrier, carry
@@ -27,6 +29,7 @@ from sensors.contact_model import ContactModel
 
 _DRAWS = 4  # rounds of candidates, until enough can be followed
 _SUBSTEP_M = 0.0025  # motion of the tool at most, from one contact problem to the next
+_BINARY_M = 2e-4  # up to which a step of a likelihood takes tool and object to touch
 _TOUCH_M = 5e-4  # distance at which a particle counts as touched
 
 
@@ -100,10 +103,10 @@ class Toucher:
         self.task, self.settings, self.robot, self.table = task, settings, robot, table
         self.carrier = carrier or carry
         rates = getattr(robot, "rates", task.rates)
-        model = ContactModel(rates[0], rates[1], settings.decay)
+        model = ContactModel(rates[0], rates[1], settings.decay, tolerance=_BINARY_M)
         centre = torch.zeros(2, dtype=torch.float64)
         substeps = max(settings.filter.substeps, math.ceil(task.spacing_m / _SUBSTEP_M - 1e-9))
-        own = replace(settings.filter, substeps=substeps)
+        own = replace(for_task(settings.filter, task), substeps=substeps)
         if settings.weigh_correlated:
             repeats = getattr(robot, "correlation", task.correlation)
             own = replace(own, temper=own.temper * (1.0 - repeats) / (1.0 + repeats))
@@ -165,7 +168,15 @@ class Toucher:
         paths = self.candidates(belief, generator=generator)
         drawn = resample_systematic(belief.log_weights[0], generator=generator)
         rows = drawn[torch.linspace(0, len(drawn) - 1, own.particles).round().long()]
+        alone = self.settings.method == "ml-observation"
+        if alone:  # rolled out beside the others, whose weights leave it out
+            rows = torch.cat((rows, rows.new_tensor([likeliest(belief, self.task.prior, self.support.metric)])))
         rollouts, _ = self.rollouts(belief, paths, rows)
+        if alone:
+            even = rollouts.log_weights.new_zeros(own.particles).log_softmax(-1)
+            rollouts = rollouts._replace(
+                log_weights=torch.nn.functional.pad(even, (0, 1), value=-math.inf), likeliest=own.particles
+            )
         return paths, choose(
             self.settings.method,
             rollouts,
@@ -201,6 +212,36 @@ class Toucher:
     def grasp(self, belief: TouchBelief) -> Grasp:
         """The best grasp of a belief."""
         return best_grasp(belief.pose[0], belief.log_weights[0], self.table)
+
+
+def for_task(settings: ReplaySettings, task: TouchTask) -> ReplaySettings:
+    """The filter's priors, which settings give for the default task's box, for that of another task.
+
+    The limit surface's range goes by the lever of even pressure; the tool's friction keeps its place relative to the
+    task's range.
+    """
+    usual, (low, high) = TouchTask(), task.friction
+    ratio = task.even_lever_m / usual.even_lever_m
+    least, most = (ratio * end for end in settings.lever_m)
+    friction = settings.friction
+    if task.friction != usual.friction:
+        begin, end = usual.friction
+        share = (high - low) / (end - begin)
+        friction = (max(0.0, low + share * (friction[0] - begin)), max(0.0, low + share * (friction[1] - begin)))
+    return replace(settings, lever_m=(least, most), friction=friction)
+
+
+def likeliest(belief: TouchBelief, prior: PlanarPrior, metric: StateMetric) -> int:
+    """The particle of one run with the most weight, copies taken together.
+
+    Of those that weigh the same, as all do after a resampling but for copies, the one whose start and readings are
+    likeliest.
+    """
+    weights = merged(belief.pose[0], belief.log_weights[0], metric).log_weights
+    # sums of the same weights differ by rounding
+    heaviest = weights >= weights.max() - 1e-9
+    posterior = belief.log_likelihood[0] + prior.log_density(belief.start[0])
+    return int(torch.where(heaviest, posterior, -math.inf).argmax())
 
 
 def localise(toucher: Toucher, *, seed: int, on_step: Callable[[TouchStep], None] | None = None) -> TouchRun:

@@ -32,7 +32,7 @@ def make_toucher(
         cache_dir: folder that keeps the grasps' success; None simulates it each time (a minute).
 
     Raises:
-        UsageError: an unknown robot, or one that is not there.
+        UsageError: an unknown robot, or one that is not there; rates of readings for one that has its own.
     """
     from rumi.sim.touch_grasps import grasp_table
 
@@ -54,6 +54,12 @@ def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: P
     if robot == "arm":
         if find_spec(_ARM) is None:
             raise UsageError("There is no arm under torque control here: choose --robot gripper or planar")
+        usual = TouchTask()
+        if (task.rates, task.correlation) != (usual.rates, usual.correlation):
+            raise UsageError(
+                "The arm feels by its own torques, which no rates are stated for: leave out task.rates and "
+                "task.correlation, or choose --robot gripper or planar"
+            )
         made: TouchRobot = importlib.import_module(_ARM).make_arm(task, cache_dir)
         return made
     raise UsageError(f"Expected a robot out of {', '.join(ROBOTS)}, got {robot!r}")

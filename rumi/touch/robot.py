@@ -17,13 +17,14 @@ class Touched(NamedTuple):
     Attributes:
         path: (K + 1, 3), measured (x, y, yaw) of the tool at the instants that were reached, the start first.
         contact: (K), the reading at the end of each part.
-        blocked: the tool could not come down at the start of the path, since the box stands there; then K = 0.
-        stopped: "end", "belief" (who asked for the poke said so), "force" (the robot's limit) or "blocked".
+        blocked: the tool could not come down at the start of the path, since the box stands there; then K = 0. None
+            if it did not try, which tells nothing: the start is out of its reach.
+        stopped: "end", "belief" (who asked for the poke said so), "force" (the robot's limit), "blocked" or "reach".
     """
 
     path: Float[Tensor, "K1 3"]
     contact: Bool[Tensor, "K"]
-    blocked: bool
+    blocked: bool | None
     stopped: str
 
 

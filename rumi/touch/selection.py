@@ -21,12 +21,15 @@ class Rollouts(NamedTuple):
         probability: (C, T, N), of a contact signal after each step.
         touching: (C, T, N), whether the tool touches then.
         log_weights: (N), now.
+        likeliest: the particle that "ml-observation" takes for the truth, which may have no weight here; the heaviest
+            if None.
     """
 
     states: Float[Tensor, "C T1 N 3"]
     probability: Float[Tensor, "C T N"]
     touching: Bool[Tensor, "C T N"]
     log_weights: Float[Tensor, "N"]
+    likeliest: int | None = None
 
 
 class Choice(NamedTuple):
@@ -87,7 +90,8 @@ def choose(
         raise ValueError(f"Expected a method out of {', '.join(METHODS)}, got {method!r}")
     if funnel != 0.0:
         value = value + funnel * shrinking(rollouts, support, whole)
-    # where nothing gains, the first candidate is carried out to its end: standing still would repeat itself
+    # where nothing gains, the first candidate is carried out to its end, which is an uninformed poke, since candidates
+    # are drawn alike: to stand still would gather nothing and lead to the same choice again
     whole = torch.where(whole > 0, whole, steps)
     return Choice(value, whole, int(value.argmax()))
 
@@ -124,7 +128,7 @@ def likeliest_gain(
     The reading after each step is the one that is expected of that particle: contact where it is touched.
     """
     log, chance = rollouts.log_weights.log_softmax(-1), rollouts.probability
-    likely = int(log.argmax())
+    likely = int(log.argmax()) if rollouts.likeliest is None else rollouts.likeliest
     contact = rollouts.touching[:, :, likely, None]
     tiny = torch.finfo(chance.dtype).tiny
     after = log + torch.where(contact, chance, 1.0 - chance).clamp_min(tiny).log()

@@ -1,5 +1,6 @@
 """Settings of finding a box by touch alone."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -42,6 +43,13 @@ class PokeSettings:
         for name in ("candidates", "particles", "samples", "every"):
             if getattr(self, name) < 1:
                 raise UsageError(f"Expected {name} to be 1 or more, got {getattr(self, name)}")
+        if self.neighbours < 2:
+            raise UsageError(f"Expected neighbours to be 2 or more, got {self.neighbours}")
+        for name in ("bend", "hold_m"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise UsageError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
+        if not math.isfinite(self.funnel):
+            raise UsageError(f"Expected funnel to be a finite number of nats, got {self.funnel}")
         if not 0.0 < self.sure <= 1.0:
             raise UsageError(f"Expected sure in (0, 1], got {self.sure}")
 
@@ -68,11 +76,13 @@ class TouchSettings:
         count: particles.
         threshold: believed chance of lifting at which the box is grasped.
         actions: pokes at most; then it is grasped all the same.
-        decay: fall-off of a contact signal with distance, 1/m.
+        decay: fall-off of a contact signal with distance, 1/m; None for a signal that knows only touching (up to the
+            0.2 mm at which simulated readings do) and not touching.
         weigh_correlated: count readings that repeat their errors with a chance c as (1 - c) / (1 + c) of independent
             ones each: so much less do they tell of what they are a mean of.
         stop_early: end a poke where the belief expects contact to have lasted; off: push through.
-        filter: of the particles.
+        filter: of the particles; its ranges of friction and limit surface are those for the default task, and go with
+            another's as `rumi.touch.localise.for_task` has it.
         poke: candidates and their choice.
     """
 
@@ -81,7 +91,7 @@ class TouchSettings:
     count: int = 800
     threshold: float = 0.92
     actions: int = 15
-    decay: float = 1000.0
+    decay: float | None = 1000.0
     weigh_correlated: bool = True
     stop_early: bool = True
     filter: ReplaySettings = field(default_factory=_filter)
@@ -95,3 +105,7 @@ class TouchSettings:
             raise UsageError(f"Expected a push model out of {', '.join(TOUCH_PUSHES)}, got {self.push_model!r}")
         if self.count < 1 or self.actions < 0:
             raise UsageError(f"Expected count >= 1 and actions >= 0, got {self.count} and {self.actions}")
+        if not 0.0 < self.threshold <= 1.0:
+            raise UsageError(f"Expected threshold in (0, 1], got {self.threshold}")
+        if self.decay is not None and not 0.0 < self.decay < math.inf:
+            raise UsageError(f"Expected decay above 0, or None for a step, got {self.decay}")

@@ -13,6 +13,8 @@ from rumi.dynamics.outline import RectangleOutline
 from rumi.errors import UsageError
 from rumi.seeding import split
 
+_CLEARANCE_M = 0.01  # of the open fingers about a box, both sides together
+
 
 @dataclass(frozen=True)
 class BoxTruth:
@@ -76,9 +78,23 @@ class TouchTask:
             raise UsageError(f"Expected correlation in [0, 1), got {self.correlation}")
         if self.readings < 1:
             raise UsageError(f"Expected readings to be 1 or more, got {self.readings}")
-        if 2.0 * self.half[0] >= self.opening_m:
+        for name in ("height_m", "finger_m", "opening_m", "spacing_m", "speed"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise UsageError(f"Expected {name} above 0, got {getattr(self, name)}")
+        for name in ("half", "spread"):
+            if not all(0.0 < value < math.inf for value in getattr(self, name)):
+                raise UsageError(f"Expected {name} with numbers above 0, got {getattr(self, name)}")
+        if not self.modes or not all(len(mode) == 3 and all(map(math.isfinite, mode)) for mode in self.modes):
+            raise UsageError(f"Expected modes with one place (x, y, yaw) or more, got {self.modes}")
+        for name in ("friction", "floor_friction", "mass_kg"):
+            low, high = getattr(self, name)
+            if not 0.0 <= low <= high < math.inf or (name == "mass_kg" and low == 0.0):
+                raise UsageError(f"Expected {name} as (low, high), low <= high, above 0, got {(low, high)}")
+        widest = self.opening_m - _CLEARANCE_M
+        if 2.0 * self.half[0] > widest + 1e-9:
             raise UsageError(
-                f"Expected a box narrower than the gripper's opening of {self.opening_m} m, got {2 * self.half[0]} m"
+                f"Expected a box of at most {max(widest, 0.0):.3g} m across, {_CLEARANCE_M:g} m less than the "
+                f"gripper's opening of {self.opening_m} m, got {2 * self.half[0]:.3g} m: turn it, or open wider"
             )
 
     @property

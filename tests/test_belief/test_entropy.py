@@ -299,6 +299,25 @@ def test_bias_is_what_prototypes_found(dims: int, biases: tuple[float, float], g
     assert float(estimate(gaussian, log).mean()) - truth == pytest.approx(biases[1], abs=0.04)
 
 
+@pytest.mark.parametrize("name", get_args(EntropyChoice))
+def test_beliefs_that_are_none_are_refused(name: EntropyChoice) -> None:
+    estimate = make_entropy(name, SharedSupport(PLANAR))
+    states, log = torch.arange(15.0).view(5, 3), torch.zeros(5)
+    for value in (math.nan, math.inf):
+        wild = states.clone()
+        wild[2, 1] = value
+        with pytest.raises(ValueError, match="Expected states to be finite, got 1 of 15"):
+            estimate(wild, log)
+        with pytest.raises(ValueError, match="Expected a finite log-weight in each set"):
+            estimate(states, log + value * (torch.arange(5) == 3).float().log().neg().clamp_max(0).add(1))
+    with pytest.raises(ValueError, match="none that is NaN or \\+inf, got -inf"):
+        estimate(states.expand(2, 5, 3), torch.stack((log, log - math.inf)))
+    with pytest.raises(ValueError, match="one state or more in each set"):
+        estimate(states[:0], log[:0])
+    with pytest.raises(ValueError, match="got -inf"):
+        weights_entropy(log - math.inf)
+
+
 def test_refusals(no_shape_check: None) -> None:
     with pytest.raises(ValueError, match="scales above 0"):
         StateMetric((0.0,), (False,))

@@ -2,13 +2,14 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 pytestmark = pytest.mark.sim
 pytest.importorskip("mujoco")
-from rumi.sim.torque_arm import TorqueSettings  # noqa: E402
+from rumi.sim.torque_arm import Felt, TorqueSettings  # noqa: E402
 from rumi.sim.touch_arm import ArmRobot, make_arm  # noqa: E402
 from rumi.touch.robot import Touched, TouchRobot  # noqa: E402
 from rumi.touch.task import BoxTruth, TouchTask  # noqa: E402
@@ -91,7 +92,25 @@ def test_it_goes_as_far_as_it_can(robot: ArmRobot) -> None:
     assert not bool(touched.contact.any())
     nowhere = robot.execute(beyond, lambda touched: True)
     assert nowhere.path.shape == (1, 3)
-    assert not nowhere.blocked
+    # it did not move: what it would have met there, nobody knows
+    assert nowhere.blocked is None
+    assert nowhere.stopped == "reach"
+
+
+def test_a_measured_yaw_does_not_jump_by_a_turn(robot: ArmRobot) -> None:
+    def felt(yaw: float, k: int = 0) -> Felt:
+        return Felt(np.array([0.5, 0.1 + 0.01 * k, 0.0, yaw]), 0.0, 0.0, False, False)
+
+    yaws = [math.pi - 1e-3, -math.pi + 1e-3, math.pi - 2e-3, -math.pi + 2e-3]
+    parts = tuple(felt(yaw, k) for k, yaw in enumerate(yaws[1:]))
+    start = torch.tensor([0.5, 0.09, yaws[0]], dtype=F64)
+    path = robot._touched(start, parts, 0.0, "end").path
+    expected = torch.tensor([yaw % (2.0 * math.pi) for yaw in yaws], dtype=F64)
+    torch.testing.assert_close(path[:, 2], expected)
+    # where it does not, a reading is told to the last digit as it was measured
+    level = tuple(felt(yaw) for yaw in (0.1, -0.1, 3.0))
+    path = robot._touched(start.new_tensor([0.5, 0.09, 0.3]), level, 0.0, "end").path
+    assert path[:, 2].tolist() == [0.3, 0.1, -0.1, 3.0]
 
 
 def test_it_lifts_the_box_where_that_is_and_not_elsewhere(robot: ArmRobot) -> None:

@@ -1,6 +1,7 @@
 """The gripper in MuJoCo, the table of its grasps, and particles that MuJoCo pushes."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -14,6 +15,7 @@ from rumi.sim.touch_carry import MujocoCarry
 from rumi.sim.touch_gripper import GripperRobot
 from rumi.touch.robot import TouchRobot
 from rumi.touch.task import BoxTruth, TouchTask
+from sdf.cache import save_arrays
 
 TASK = TouchTask(rates=(1.0, 0.0))
 BOX = torch.tensor([0.45, 0.1, 0.3], dtype=torch.float64)
@@ -94,6 +96,64 @@ def test_the_table_of_grasps_is_what_the_gripper_does(robot, tmp_path, monkeypat
     assert len(list(tmp_path.iterdir())) == 1
     again = touch_grasps.grasp_table(TASK, cache_dir=tmp_path)
     torch.testing.assert_close(again.odds, table.odds, rtol=0, atol=0)
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """Floors of the grasps that were simulated, without simulating them."""
+    asked = []
+
+    def lifted(robot, boxes, which, threads=1):
+        asked.append([one.floor_friction for one in which])
+        return torch.ones(len(boxes))
+
+    monkeypatch.setattr(touch_grasps, "lifted", lifted)
+    return asked
+
+
+@pytest.mark.parametrize("damage", [lambda data: data[:100], lambda data: b"", lambda data: data[:-40] + b"x" * 40])
+def test_a_damaged_table_of_grasps_is_simulated_again(tmp_path, told, damage):
+    touch_grasps.grasp_table(TASK, cache_dir=tmp_path)
+    (path,) = tmp_path.iterdir()
+    path.write_bytes(damage(path.read_bytes()))
+    again = touch_grasps.grasp_table(TASK, cache_dir=tmp_path)
+    assert len(told) == 2 and float(again.odds.min()) == 1.0
+    assert torch.equal(touch_grasps.grasp_table(TASK, cache_dir=tmp_path).odds, again.odds)
+    assert len(told) == 2 and [one.name for one in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("odds", [torch.ones(2, 2), torch.full(touch_grasps._COUNTS, float("nan")).double()])
+def test_a_table_of_something_else_is_simulated_again(tmp_path, told, odds):
+    touch_grasps.grasp_table(TASK, cache_dir=tmp_path)
+    (path,) = tmp_path.iterdir()
+    save_arrays(path, {"odds": odds.numpy()})
+    assert float(touch_grasps.grasp_table(TASK, cache_dir=tmp_path).odds.min()) == 1.0
+    assert len(told) == 2
+
+
+@pytest.mark.parametrize(
+    "other", [{"floor_friction": (1.5, 2.0)}, {"friction": (0.3, 0.6)}, {"mass_kg": (0.5, 0.6)}, {"half": (0.02, 0.08)}]
+)
+def test_each_task_has_its_own_table(tmp_path, told, other):
+    touch_grasps.grasp_table(TASK, cache_dir=tmp_path)
+    touch_grasps.grasp_table(replace(TASK, **other), cache_dir=tmp_path)
+    assert len(told) == len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_box_that_a_path_begins_inside_of_stays(generator):
+    """The engine would throw it metres away."""
+    path = poke(BOX, 0.3, depth=0.0)[None]
+    away = torch.tensor([[0.0, 0.0, 0.0], [0.01, 0.02, 0.4], [-0.03, 0.0, 1.2]], dtype=torch.float64)
+    start = path[0, :1] * torch.tensor([1.0, 1.0, 0.0])
+    inside = start + away
+    outside = torch.stack((BOX, start[0] + torch.tensor([0.0385, 0.0, 0.0])))  # the second by 1.5 mm less than touching
+    poses = torch.cat((inside, outside))
+    found = MujocoCarry(TASK, threads=1)(poses, path, TASK.fingers, TASK.outline, slides(5))
+    assert torch.equal(found.track[:3], inside[:, None].expand(3, 40, 3))
+    assert bool((found.distance[:3, 0] < 0).all())
+    steps = torch.cat((poses[:, None], found.track), 1).diff(dim=1)[..., :2].norm(dim=-1)
+    assert float(steps.max()) < 0.02
+    assert float((found.track[3, -1] - BOX)[:2].norm()) > 0.02
 
 
 def test_particles_in_the_engine_are_the_same_with_any_number_of_threads(generator):

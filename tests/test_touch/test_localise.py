@@ -1,15 +1,18 @@
 """The loop, closed on the quasi-static robot."""
 
+import math
 from dataclasses import replace
 
 import pytest
 import torch
 
 from rumi.touch.grasping import clearance_table
-from rumi.touch.localise import Toucher, localise, signals
+from rumi.touch.localise import Toucher, likeliest, localise, signals
 from rumi.touch.planar_robot import PlanarRobot
 from rumi.touch.records import calibration, figures_of, summarise, table
-from rumi.touch.settings import TouchSettings
+from rumi.touch.robot import Touched
+from rumi.touch.selection import choose
+from rumi.touch.settings import PokeSettings, TouchSettings
 from rumi.touch.task import TouchTask
 
 TASK = TouchTask(rates=(0.9, 0.05))
@@ -82,6 +85,51 @@ def test_a_decision_has_a_candidate_for_each_that_was_asked_for():
     assert choice.value.shape == (20,)
 
 
+def test_the_likeliest_particle_is_the_heaviest_with_its_copies_and_else_the_one_that_fits():
+    own = toucher()
+    belief = own.filter.initial(1, 50, generator=torch.Generator().manual_seed(0))
+
+    def found(weights=None, **changes):
+        log = torch.zeros(1, 50, dtype=torch.float64) if weights is None else weights
+        return likeliest(replace(belief, log_weights=log.log_softmax(-1), **changes), TASK.prior, own.support.metric)
+
+    heavy = torch.zeros(1, 50, dtype=torch.float64)
+    heavy[0, 17] = 1.0
+    assert found(heavy) == 17
+    # nine copies together weigh more than one that weighs twice as much as the others
+    heavy[0, 17] = math.log(2.0)
+    copies = belief.pose.clone()
+    copies[0, 30:39] = copies[0, 5]
+    assert found(heavy, pose=copies) == 5
+    # all alike: by the readings, and before there are any by the prior
+    fits = torch.zeros_like(heavy)
+    fits[0, 41] = 100.0
+    assert found(log_likelihood=fits) == 41
+    assert found() == int(TASK.prior.log_density(belief.start[0]).argmax())
+
+
+def test_the_reading_that_is_simulated_is_the_likeliest_particle_s(monkeypatch):
+    """However few are rolled out, and wherever in the belief it is."""
+    seen = []
+
+    def watched(method, rollouts, *others, **named):
+        seen.append(rollouts)
+        return choose(method, rollouts, *others, **named)
+
+    monkeypatch.setattr("rumi.touch.localise.choose", watched)
+    own = toucher(replace(SETTINGS, method="ml-observation", poke=PokeSettings(candidates=3, particles=20)))
+    belief = own.filter.initial(1, 200, generator=torch.Generator().manual_seed(0))
+    weights = torch.zeros(1, 200, dtype=torch.float64)
+    weights[0, 77] = 0.5  # too light to be sure to be drawn
+    belief = replace(belief, log_weights=weights.log_softmax(-1))
+    for seed in range(5):
+        own.decide(belief, generator=torch.Generator().manual_seed(seed))
+    for rollouts in seen:
+        assert torch.equal(rollouts.states[0, 0, rollouts.likeliest], belief.pose[0, 77])
+        torch.testing.assert_close(rollouts.log_weights.exp()[:20], torch.full((20,), 0.05, dtype=torch.float64))
+        assert float(rollouts.log_weights.exp().sum()) == pytest.approx(1.0)
+
+
 def test_a_robot_that_cannot_follow_all_paths_is_asked_for_those_it_can():
     class Picky(PlanarRobot):
         def feasible(self, paths):
@@ -115,6 +163,37 @@ def test_the_tables_say_what_the_runs_did():
 
 def test_signals_are_a_word():
     assert signals(torch.tensor([True, False, True])) == "101"
+
+
+def test_priors_are_the_default_box_s_to_the_last_digit_and_go_with_another():
+    usual = TouchSettings().filter
+    assert toucher().filter.settings.lever_m == usual.lever_m
+    assert toucher().filter.settings.friction == usual.friction
+    small = replace(TASK, half=(0.015, 0.04), friction=(0.3, 0.5))
+    own = toucher(task=small).filter.settings
+    assert own.lever_m == pytest.approx([0.5 * end for end in usual.lever_m])
+    # half as wide, about the same middle: 0.1 to 0.7 about 0.2 to 0.6
+    assert own.friction == pytest.approx((0.25, 0.55))
+    known = replace(SETTINGS, filter=replace(usual, friction=(0.4, 0.4)))
+    assert toucher(known, replace(TASK, friction=(0.5, 0.9))).filter.settings.friction == pytest.approx((0.7, 0.7))
+
+
+def test_a_step_of_a_likelihood_is_where_simulated_readings_have_it():
+    model = toucher(replace(SETTINGS, decay=None)).filter.model
+    found = model(torch.tensor([-1e-3, 1.9e-4, 2.1e-4, 1e-2], dtype=torch.float64))
+    torch.testing.assert_close(found, torch.tensor([0.9, 0.9, 0.05, 0.05], dtype=torch.float64))
+
+
+def test_a_poke_out_of_reach_is_no_evidence():
+    """Nothing moved, nothing was felt: all particles weigh what they did, also one that stands in the way."""
+
+    class Short(PlanarRobot):
+        def execute(self, path, go_on):
+            return Touched(path[:1], torch.zeros(0, dtype=torch.bool), None, "reach")
+
+    own = Toucher(TASK, replace(SETTINGS, actions=1), Short(TASK, TABLE), TABLE)
+    (step,) = localise(own, seed=2000).steps
+    assert torch.equal(step.belief[1], torch.zeros(200, dtype=torch.float64).log_softmax(-1))
 
 
 def test_readings_that_repeat_their_errors_count_for_less():

@@ -46,6 +46,20 @@ def test_variants_are_run_once_and_held_against_the_first(tmp_path, monkeypatch,
     assert "| quasi-static truth against | actions, paired |" in said
 
 
+def test_runs_of_older_code_are_not_counted_beside_the_same_of_newer(tmp_path, monkeypatch, capsys):
+    script, results = load("touch_ablations"), tmp_path / "ablations.jsonl"
+    steps = [{"readings": "01", "seconds": {"plan": 0.1}}]
+    for code, seed, lifted, actions in (("old", 2001, False, 9), ("old", 2002, True, 5), ("new", 2001, True, 3)):
+        asked = {"part": "touch-ablation", "variant": "default", "seed": seed, "code": code}
+        figures = {"lifted": lifted, "sure": True, "actions": actions, "believed": 0.95, "steps": steps}
+        script.Ledger(results).measure(asked | {"settings": script.VARIANTS["default"].digest}, lambda f=figures: f)
+    shown = ["touch_ablations.py", "show", "--variants", "default", "--seeds", "2000-2009", "--results", str(results)]
+    monkeypatch.setattr(sys, "argv", shown)
+    script.main()
+    said = capsys.readouterr().out
+    assert "| default | 2/2 = 1.00" in said and "| 4.0 (1.4) |" in said
+
+
 def test_variants_differ_in_what_they_change():
     script = load("touch_ablations")
     digests = [variant.digest for variant in script.VARIANTS.values()]

@@ -81,6 +81,22 @@ def test_the_likeliest_particle_alone_says_what_is_read(generator):
         assert int(step[c]) == 1 + max(range(4), key=gains.__getitem__)
 
 
+def test_a_particle_that_is_named_says_what_is_read_and_needs_no_weight(generator):
+    found = rollouts(generator)
+    other = int(found.log_weights.argmin())
+    beside = found._replace(
+        states=torch.cat((found.states, found.states[:, :, other, None]), 2),
+        probability=torch.cat((found.probability, found.probability[..., other, None]), 2),
+        touching=torch.cat((found.touching, found.touching[..., other, None]), 2),
+        log_weights=torch.nn.functional.pad(found.log_weights, (0, 1), value=-math.inf),
+        likeliest=len(found.log_weights),
+    )
+    named = likeliest_gain(found._replace(likeliest=other), SUPPORT, every=1)
+    for one, two in zip(named, likeliest_gain(beside, SUPPORT, every=1), strict=True):
+        torch.testing.assert_close(one, two)
+    assert not torch.allclose(named[0], likeliest_gain(found, SUPPORT, every=1)[0])
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_takes_its_best(method, generator):
     found = rollouts(generator)
@@ -95,6 +111,16 @@ def test_most_contact_is_the_touched_share_of_the_belief(generator):
     value = choose("max-contact", found, SUPPORT, generator=generator).value
     touched = found.touching.any(1).double()
     torch.testing.assert_close(value, touched @ found.log_weights.exp())
+
+
+def test_where_nothing_gains_a_candidate_that_was_drawn_like_any_is_carried_out_to_its_end(generator):
+    found = rollouts(generator)
+    spread = torch.linspace(1.0, 2.0, 5, dtype=torch.float64)[:, None, None] * found.states[:, :1]
+    found = found._replace(states=spread, probability=torch.full_like(found.probability, 0.1))
+    for method in ("entropy", "weights-only"):
+        choice = choose(method, found, SUPPORT, generator=generator)
+        assert choice.value.tolist() == [0.0] * 3
+        assert (choice.best, choice.steps.tolist()) == (0, [4] * 3)
 
 
 def test_a_bonus_for_funnels_counts_what_the_motion_alone_gathers(generator):
