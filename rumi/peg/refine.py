@@ -1,5 +1,6 @@
 """The second stage: where to touch next in the time there is, until the holes are known well enough."""
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -9,8 +10,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.belief.certainty import Aim, MassRule
+from rumi.belief.certainty import Aim, CovarianceRule, EntropyRule, MassRule
+from rumi.belief.entropy import NeighbourEntropy
 from rumi.belief.resampling import resample_systematic
+from rumi.belief.states import StateMetric
 from rumi.belief.static import StaticBelief, StaticFilter
 from rumi.belief.static_spaces import PlaneSpace
 from rumi.belief.touch_gain import NOTHING, TOUCH, rectangle_likelihood, touch_gain
@@ -199,6 +202,15 @@ def sure(belief: StaticBelief, every: RectangleTouches, aim: Aim, settings: PegS
         return False
     if settings.stop == "contacts":
         return sides_touched(belief.best, every) >= settings.sides
+    if settings.stop == "covariance":
+        spread = (settings.spread_m, settings.spread_m, math.radians(settings.spread_deg))
+        return CovarianceRule(spread, (None, None, math.pi)).holds(belief.states, belief.log_weights)
+    if settings.stop == "entropy":
+        # the block looks the same half a turn on: of twice its yaw, of which there is twice as much
+        states = belief.states * belief.states.new_tensor([1.0, 1.0, 2.0])
+        metric = StateMetric.planar(0.25 * settings.length_m)
+        rule = EntropyRule(NeighbourEntropy(metric), settings.most_nats + math.log(2.0))
+        return rule.holds(states, belief.log_weights)
     return aim.probability >= settings.probability
 
 

@@ -136,8 +136,11 @@ def test_a_point_a_start_inside_and_nothing():
 
 def ledge():
     """A plate with a step at x = 0.25 that a ball meets that comes along over it."""
-    corners = [torch.cartesian_prod(*[torch.tensor(pair, dtype=F64) for pair in zip(low, high, strict=True)])
-               for low, high in (((-0.1, -0.05, -0.02), (0.3, 0.05, 0.0)), ((0.25, -0.05, 0.0), (0.3, 0.05, 0.05)))]  # fmt: skip
+    blocks = (((-0.1, -0.05, -0.02), (0.3, 0.05, 0.0)), ((0.25, -0.05, 0.0), (0.3, 0.05, 0.05)))
+    corners = [
+        torch.cartesian_prod(*[torch.tensor(pair, dtype=F64) for pair in zip(low, high, strict=True)])
+        for low, high in blocks
+    ]
     faces = torch.tensor([(q[0], q[k], q[k + 1]) for q in QUADS for k in (1, 2)])
     return Triangles(torch.cat([part[faces] for part in corners]))
 
