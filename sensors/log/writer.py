@@ -163,10 +163,15 @@ class LogWriter:
         if stream not in self._streams:
             raise LogError(f"There is no stream {stream!r}; there are {', '.join(self._streams) or 'none'}")
         received = time.time_ns() if received_ns is None else received_ns
-        odd = self._odd(stream, stamp_ns or received, received)
+        stamp = stamp_ns or received
+        odd = self._odd(stream, stamp, received)
         odd |= Odd.UNSET if stamp_ns == 0 else Odd(0)
         table = self._streams[stream]
-        table.append({"stamp_ns": stamp_ns or received, "received_ns": received, "flag": odd.value, **values})
+        table.append({"stamp_ns": stamp, "received_ns": received, "flag": odd.value, **values})
+        if not odd & Odd.FUTURE:  # which later ones are not compared with
+            seen, latest = self._stamps[stream]
+            seen.add(stamp)
+            self._stamps[stream] = (seen, max(latest, stamp))
         for one in odd:
             self.odd[stream][one.name.lower()] = self.odd[stream].get(one.name.lower(), 0) + 1  # type: ignore[union-attr]
         if table.buffered_bytes > _FLUSH_BYTES or (self._live and time.monotonic() - self._flushed > 0.2):
@@ -175,16 +180,11 @@ class LogWriter:
 
     def _odd(self, stream: str, stamp: int, received: int) -> Odd:
         seen, latest = self._stamps[stream]
-        odd = Odd(0)
         if stamp > received + self._future_ns:
-            return Odd.FUTURE  # and is not what later ones are compared with
+            return Odd.FUTURE
         if stamp in seen:
-            odd |= Odd.DUPLICATE
-        elif stamp < latest:
-            odd |= Odd.LATE
-        seen.add(stamp)
-        self._stamps[stream] = (seen, max(latest, stamp))
-        return odd
+            return Odd.DUPLICATE
+        return Odd.LATE if stamp < latest else Odd(0)
 
     def reading(
         self, reading: Reading, *, control: object = None, truth: object = None, digest: bytes | None = None

@@ -180,6 +180,24 @@ def test_rows_that_do_not_fit_are_refused(tmp_path, values, message):
         assert len(log.stream("wrench").samples()) == 1
 
 
+@pytest.mark.parametrize("live", [True, False])
+def test_a_row_that_was_refused_leaves_no_trace(tmp_path, live):
+    """Neither in the rows after it, nor in what is said of the right row when it comes."""
+    right = {name: np.arange(2.0) for name in ("position", "velocity", "effort")}
+    with LogWriter(tmp_path / "log.h5", STREAMS if live else (), live=live) as log:
+        if not live:
+            log.add_stream(STREAMS[2])
+        for step in range(6):
+            if step == 2:
+                with pytest.raises(LogError, match="Expected effort to have shape"):
+                    log.append("joints", 2, 2, **{**right, "effort": np.zeros((1, 2))})
+            assert log.append("joints", step, step, **{**right, "position": np.full(2, float(step))}) & ~Odd.UNSET == 0
+    with Log(tmp_path / "log.h5") as log:
+        samples = log.stream("joints").samples()
+        assert [one.values["position"].tolist() for one in samples] == [[float(k)] * 2 for k in range(6)]
+        assert log.stream("joints").problems == []
+
+
 def test_numbers_that_do_not_fit_their_type_are_refused(tmp_path):
     with LogWriter(tmp_path / "log.h5", STREAMS) as log, pytest.raises(LogError, match="fit numbers of type u2"):
         log.append("depth", 1, 1, depth=np.full((2, 2), -3))
