@@ -138,13 +138,23 @@ class LogWriter:
     def _add(self, stream: StreamSpec) -> None:
         if stream.name in self._streams:
             raise LogError(f"There is a stream {stream.name} already")
-        group = self._file.create_group(f"streams/{stream.name}")
+        path = self._place(stream.name)
+        group = self._file.create_group(f"streams/{path}")
         group.attrs["kind"], group.attrs["frame"] = stream.kind, stream.frame
+        if path != stream.name:
+            group.attrs["stream_name"] = json.dumps(stream.name)
         for name, value in stream.about.items():
             group.attrs[name] = json.dumps(value)
         self._streams[stream.name] = TableWriter(group, (*STAMPS, *KINDS[stream.kind]), packed=not self._live)
         self._stamps[stream.name] = (set(), 0)
         self.odd[stream.name] = {}
+
+    def _place(self, name: str) -> str:
+        """Where a stream lies: by its name, but never in another stream, whose columns have names too."""
+        if not any(f"{a}/".startswith(f"{b}/") for one in self._streams for a, b in ((name, one), (one, name))):
+            return name
+        path = name.replace("%", "%25").replace("/", "%2F")
+        return f"{path}%2F" if path in self._file["streams"] else path
 
     def append(self, stream: str, stamp_ns: int, received_ns: int | None = None, /, **values: object) -> Odd:
         """Add a row to a stream, and say what is odd about its stamp.
