@@ -12,8 +12,9 @@ from rumi.belief.prior import PosePrior
 from rumi.cli import DONE, NOT_CONVERGED
 from rumi.errors import UsageError
 from rumi.fused.filter import FusedFilter
+from rumi.fused.finder import gripper_surface
 from rumi.fused.grasp import HandleTable
-from rumi.fused.parts import build_fused, gripper_surface
+from rumi.fused.parts import build_fused
 from rumi.fused.run import run_fused, total_nll
 from rumi.fused.settings import SENSORS, FusedSettings
 from rumi.fused_command import fused, sensors_of, thinking_of
