@@ -273,8 +273,11 @@ class Log:
             raise LogError(f"{self.path} has no stream {name!r}; it has {', '.join(sorted(self.streams)) or 'none'}")
         return self.streams[name]
 
-    def taken(self) -> list[Taken]:
+    def taken(self, kind: type[Reading] = Reading) -> list[Taken]:
         """What the run took in, step by step, up to the first row that is damaged; `problems` says if one was.
+
+        Args:
+            kind: of the readings.
 
         Raises:
             LogError: the readings are of a newer rumi, or are not there.
@@ -284,7 +287,7 @@ class Log:
         except DAMAGE:
             raise LogError(f"{self.path} is damaged: its readings are gone") from None
         table = Table(group)
-        known = {column.name for column in reading_columns("f4")}
+        known = {column.name for column in reading_columns("f4", kind)}
         if wrong := sorted({column.name for column in table.columns} - known):
             raise LogError(f"{self.path} has readings with {wrong[0]}, which this rumi does not know: update rumi")
         found: list[Taken] = []
@@ -292,7 +295,7 @@ class Log:
             if index != len(found):
                 break  # a belief cannot go on without what came in between
             try:
-                found.append(_taken(row))
+                found.append(_taken(row, kind))
             except ValueError as error:
                 raise LogError(f"{self.path} holds no usable reading at step {index}: {error}") from error
         if len(found) < len(table):
@@ -326,10 +329,10 @@ def _opened(path: Path) -> h5py.File:
         raise LogError(f"{path} is no HDF5 file, or is damaged at its head: {first}") from first
 
 
-def _taken(row: Row) -> Taken:
+def _taken(row: Row, kind: type[Reading]) -> Taken:
     control, truth, digest = (row.get(name) for name in ("control", "truth", "digest"))
     return Taken(
-        reading_of({name: value for name, value in row.items() if name.startswith("reading/")}),
+        reading_of({name: value for name, value in row.items() if name.startswith("reading/")}, kind),
         None if control is None else torch.from_numpy(control.copy()),
         None if truth is None else torch.from_numpy(truth.copy()),
         None if digest is None else digest.tobytes(),

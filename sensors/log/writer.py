@@ -80,6 +80,7 @@ class LogWriter:
         settings: of the run, as plain values; None where no run made the log.
         about: further texts by name: kept as they are.
         float_type: of the readings' numbers, `f4` or `f8`.
+        readings: their kind.
         live: whether the log grows in its place.
         future_s: seconds that a stamp may be later than the time of receipt.
 
@@ -95,6 +96,7 @@ class LogWriter:
         settings: Mapping[str, Any] | None = None,
         about: Mapping[str, str] | None = None,
         float_type: str = "f4",
+        readings: type[Reading] = Reading,
         live: bool = True,
         future_s: float = 1.0,
     ) -> None:
@@ -113,7 +115,8 @@ class LogWriter:
         for name, text in texts.items():
             self._file.create_dataset(f"about/{name}", data=np.frombuffer(text.encode(), np.uint8))
         self._end = self._file.create_dataset("end", (0,), "u1", maxshape=(None,), chunks=(_END_BYTES,))
-        self._readings = TableWriter(self._file.create_group("readings"), reading_columns(float_type), packed=not live)
+        columns = reading_columns(float_type, readings)
+        self._readings = TableWriter(self._file.create_group("readings"), columns, packed=not live)
         self._file.create_group("streams")
         self._streams: dict[str, TableWriter] = {}
         self._stamps: dict[str, tuple[set[int], int]] = {}
