@@ -25,11 +25,11 @@ from rumi.task import StepResult
 if TYPE_CHECKING:
     from sensors.log.reader import Log, Taken
 
-SENSED = (
-    *("sensors", "free_region_m", "handle_rad", "noise_free", "joints"),
-    *(f"wrist.{name}" for name in ("force_n", "moment_nm", "behind_m", "least_force_n", "friction", "most")),
+COUNTED = (
+    *("preset", "renewals", "fit_a_contact", "contacts", "steps", "signals", "spread_m"),
+    *("wrist.point_m", "wrist.normal_rad", "wrist.outlier"),
 )
-"""Settings that decide what was sensed: no replay can change them."""
+"""Settings of what readings count for, which a replay may change; all others decided what was sensed."""
 
 IDLE = ("budget_s", "thinking_s")
 """Settings of what was done when, which a replay does not use."""
@@ -90,7 +90,7 @@ def refuse_other_senses(before: FusedSettings, after: FusedSettings) -> None:
         UsageError: with the first of them.
     """
     for name in differing(before, after):
-        if any(name == sensed or name.startswith(f"{sensed}.") for sensed in SENSED):
+        if name not in IDLE and not any(name == counted or name.startswith(f"{counted}.") for counted in COUNTED):
             raise UsageError(f"Expected {name} as it was recorded, got another: a replay cannot change what was sensed")
 
 

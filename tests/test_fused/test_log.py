@@ -1,6 +1,6 @@
 """A recorded log gives the belief that the live run had, and with other settings another one."""
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from rumi.cli import BAD_INPUT, DONE, NOT_CONVERGED, main
 from rumi.errors import UsageError
 from rumi.fused.finder import build_finder
 from rumi.fused.grasp import HandleTable
-from rumi.fused.log import FusedLogRecorder, recorded, refuse_other_senses, replay_fused
+from rumi.fused.log import COUNTED, IDLE, FusedLogRecorder, recorded, refuse_other_senses, replay_fused
 from rumi.fused.parts import build_fused
 from rumi.fused.reading import FusedReading
 from rumi.fused.run import Outcome, run_fused
@@ -140,6 +140,13 @@ def test_settings_of_what_was_sensed_are_refused():
         with pytest.raises(UsageError, match="cannot change what was sensed"):
             refuse_other_senses(SETTINGS, changed)
     refuse_other_senses(SETTINGS, replace(SETTINGS, fit_a_contact=1.0, preset="default", budget_s=5.0))
+    names = {name for field in fields(FusedSettings) for name in (field.name, *_inner(field))}
+    assert {*COUNTED, *IDLE} <= names
+
+
+def _inner(field):
+    kind = type(getattr(SETTINGS, field.name))
+    return [f"{field.name}.{inner.name}" for inner in fields(kind)] if is_dataclass(kind) else []
 
 
 def test_logs_of_other_runs_are_told_apart(live, tmp_path):
