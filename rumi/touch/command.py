@@ -85,7 +85,11 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
     finally:
         toucher.robot.close()
     found = figures_of(run)
-    asked: dict[str, object] = {"settings": asdict(options.settings), "task": asdict(options.task), "robot": options.robot}
+    asked: dict[str, object] = {
+        "settings": asdict(options.settings),
+        "task": asdict(options.task),
+        "robot": options.robot,
+    }
     asked |= {"seed": options.seed} | ({} if options.budget is None else {"budget_s": options.budget})
     (folder / "settings.json").write_text(json.dumps(asked, indent=1))
     (folder / "result.json").write_text(json.dumps(found, indent=1))

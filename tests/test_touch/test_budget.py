@@ -25,7 +25,7 @@ class Slow(Toucher):
     """On a machine where candidates take 0.02 s to make and one takes 0.1 s to weigh, a second the first time."""
 
     def __init__(self, clock, method="sequence"):
-        super().__init__(TASK, TouchSettings(count=100, method=method), PlanarRobot(TASK, TABLE), TABLE)
+        super().__init__(TASK, TouchSettings(count=100, method=method, actions=1), PlanarRobot(TASK, TABLE), TABLE)
         self.clock, self.loaded = clock, []
 
     def candidates(self, belief, *, generator):
@@ -90,6 +90,7 @@ def test_the_command(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("rumi.sim.touch_grasps.grasp_table", lambda *a, **k: TABLE)
     monkeypatch.chdir(tmp_path)
     quick = ["run", "touch-box", "--robot", "planar", "--count", "60", "--actions", "1", "--no-figures"]
+    quick += ["--poke.candidates", "3", "--poke.particles", "20"]
     assert main([*quick, "--budget", "0.05", "--out", "own"]) in (cli.DONE, cli.NOT_CONVERGED)
     assert json.loads(Path("own/settings.json").read_text())["budget_s"] == 0.05
     for bad in ("0", "-1", "nan", "inf"):
