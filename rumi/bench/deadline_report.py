@@ -135,9 +135,12 @@ def draw(ledger: Ledger, out: Path, clock: str = "wall") -> list[Path]:
             for planner, row_of in zip(planners, panels, strict=True):
                 for budget, axis in zip(budgets, row_of, strict=True):
                     _histogram(real, planner, budget, axis)
-            for axis in panels[-1]:
-                axis.set_xlabel("milliseconds")
-                made.savefig(paths[1])
+            for column in zip(*panels, strict=True):
+                # of a budget that not all planners were given, the last one that was
+                lowest = [axis for axis in column if axis.has_data()][-1]
+                lowest.tick_params(labelbottom=True)
+                lowest.set_xlabel("milliseconds")
+            made.savefig(paths[1])
     return paths
 
 
@@ -149,6 +152,7 @@ def _histogram(rows: list[Row], planner: str, budget: float, axis: "Axes") -> No
     limit = 1e3 * (budget + tolerance_s(budget))
     late = sum(s > limit for s in took)
     top = 1.3 * limit
+    beyond = sum(s > top for s in took)
     axis.hist(
         [min(s, top) for s in took],
         bins=52,
@@ -162,7 +166,13 @@ def _histogram(rows: list[Row], planner: str, budget: float, axis: "Axes") -> No
     axis.set_ylim(bottom=0.8)
     axis.set_yticks([])
     axis.minorticks_off()
+    # the same for all of a column: budget, and where a decision counts as late
+    axis.set_xticks([0.0, 1e3 * budget, limit], ["0", f"{1e3 * budget:g}", f"\n{limit:g}"])
     axis.set_title(f"{planner}, {1e3 * budget:g} ms: {late} of {len(took)} late", fontsize=7.5)
+    if beyond:
+        # drawn in the last bar
+        words = f"{beyond} beyond,\nup to {max(took):.0f}"
+        axis.text(0.98, 0.93, words, transform=axis.transAxes, ha="right", va="top", fontsize=6.5)
 
 
 def _draw_late(rows: list[Row], axis: "Axes") -> None:

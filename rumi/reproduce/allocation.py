@@ -129,7 +129,7 @@ def draw_totals(records: Sequence[Record], path: Path) -> list[Path]:
             t_max = sorted(courses)
             centre, low, high = np.array([_mean(courses[t]) for t in t_max]).T
             least = _least(courses)
-            label = f"{_seconds(machine, courses)} s a candidate"
+            label = f"{_seconds(machine, courses)} s a candidate, {max(map(len, courses.values()))} poses"
             if least is not None:
                 best = t_max.index(least)
                 # in the legend: beside the star it may lie on another curve

@@ -24,6 +24,7 @@ _HELP = """Find a box by touch alone and lift it, in simulation.
     rumi run touch-box
     rumi run touch-box --method entropy --seed 3
     rumi run touch-box --push-model displacement --robot planar
+    rumi run touch-box --budget 0.1
     rumi run touch-box --task.rates 0.9 0.05 --task.correlation 0.5
 
 Ends with exit code 0 if the box was lifted, 1 if not."""
@@ -40,6 +41,7 @@ class TouchRunOptions:
         seed: of where the box stands and of all randomness.
         out: folder of the run; by default runs/touch-box-METHOD-ROBOT-sSEED, with a number where that is taken.
         figures: draw figures at the end.
+        budget: seconds for the choice of each poke: of the candidates as many are weighed as there is time for.
     """
 
     settings: Annotated[TouchSettings, tyro.conf.arg(name="")] = field(default_factory=TouchSettings)
@@ -48,11 +50,15 @@ class TouchRunOptions:
     seed: int = 0
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = True
+    budget: float | None = None
 
 
 def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
     """Carry out `rumi run touch-box`; `arguments` are those after the name."""
     options = tyro.cli(TouchRunOptions, prog=f"rumi run {NAME}", description=_HELP, args=arguments)
+    if options.budget is not None and not 0 < options.budget < math.inf:
+        raise UsageError(f"Expected --budget above 0 s and finite, got {options.budget}")
+    from rumi.touch.budget import BudgetedChoice
     from rumi.touch.localise import TouchStep, localise, signals
     from rumi.touch.make import make_toucher
     from rumi.touch.records import figures_of
@@ -74,12 +80,18 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
         _say(f"poke {count:2}: {readings:<{options.task.readings}}  lifted with {step.grasp.probability:.2f}")
 
     try:
-        run = localise(toucher, seed=options.seed, on_step=told)
+        decide = None if options.budget is None else BudgetedChoice(toucher, options.budget)
+        run = localise(toucher, seed=options.seed, on_step=told, decide=decide)
     finally:
         toucher.robot.close()
     found = figures_of(run)
-    asked = {"settings": asdict(options.settings), "task": asdict(options.task), "robot": options.robot}
-    (folder / "settings.json").write_text(json.dumps(asked | {"seed": options.seed}, indent=1))
+    asked: dict[str, object] = {
+        "settings": asdict(options.settings),
+        "task": asdict(options.task),
+        "robot": options.robot,
+    }
+    asked |= {"seed": options.seed} | ({} if options.budget is None else {"budget_s": options.budget})
+    (folder / "settings.json").write_text(json.dumps(asked, indent=1))
     (folder / "result.json").write_text(json.dumps(found, indent=1))
     if options.figures:
         from rumi.viz.touch import draw_run

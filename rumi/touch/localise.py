@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -79,6 +80,15 @@ class TouchRun:
     sure: bool
     truth: Float[Tensor, "3"]
     seconds: dict[str, float] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Decide(Protocol):
+    """Chooses among pokes."""
+
+    def __call__(self, belief: TouchBelief, *, generator: torch.Generator) -> tuple[Float[Tensor, "C K1 3"], Choice]:
+        """Candidates and the choice among them."""
+        ...
 
 
 class Toucher:
@@ -244,14 +254,18 @@ def likeliest(belief: TouchBelief, prior: PlanarPrior, metric: StateMetric) -> i
     return int(torch.where(heaviest, posterior, -math.inf).argmax())
 
 
-def localise(toucher: Toucher, *, seed: int, on_step: Callable[[TouchStep], None] | None = None) -> TouchRun:
+def localise(
+    toucher: Toucher, *, seed: int, on_step: Callable[[TouchStep], None] | None = None, decide: Decide | None = None
+) -> TouchRun:
     """Poke until a grasp is likely enough to succeed, or there have been enough pokes; then grasp.
 
     Args:
         toucher: how.
         seed: of the truth and of all randomness.
         on_step: called after every poke.
+        decide: chooses pokes, such as `rumi.touch.budget.BudgetedChoice`; the toucher itself by default.
     """
+    decide = decide or toucher.decide
     settings, robot = toucher.settings, toucher.robot
     clock = Clock()
     random = {name: split(seed, name) for name in ("initial", "filter", "plan")}
@@ -265,7 +279,7 @@ def localise(toucher: Toucher, *, seed: int, on_step: Callable[[TouchStep], None
     grasp = toucher.grasp(belief)
     while grasp.probability < settings.threshold and len(steps) < settings.actions:
         with clock("plan"):
-            paths, choice = toucher.decide(belief, generator=random["plan"])
+            paths, choice = decide(belief, generator=random["plan"])
             path = paths[choice.best, : int(choice.steps[choice.best]) + 1]
         with clock("watch"):
             go_on = toucher.watch(belief, path) if settings.stop_early else _always
