@@ -14,12 +14,15 @@ from rumi.baselines.ablations import info_only, reach_only
 from rumi.baselines.gpvr import GPVRPolicy
 from rumi.baselines.slide import SlidePolicy
 from rumi.belief.filter import PoseFilter
+from rumi.belief.motion import Predictor
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_motion import PushedMotion
 from rumi.config import Settings
+from rumi.dynamics.carry import carry, carry_along
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
 from rumi.planning.rummaging import RummagingPolicy
+from rumi.planning.rummaging_settings import RummagingSettings
 from rumi.planning.tool import Tool
 from rumi.planning.types import Policy
 from rumi.registration.descent import Search
@@ -99,7 +102,7 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     standing = 0.0 - float(model.exact.bounds[0, 2])
     pushed = None
     if following.motion in _PLANAR:
-        pushed = PushedMotion.of(model.sdf, spec.height_m - standing, tool.shape, settings.planner.quasi_static)
+        pushed = predictor_of(settings.planner, model, tool, spec.height_m, standing)
     return Rummager(
         model,
         PoseFilter(discrepancy, cast(Search, spec.search), following, prior, pushed).to(*to),
@@ -116,6 +119,26 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
     )
+
+
+def predictor_of(
+    planner: RummagingSettings, model: ObjectModel, tool: Tool, height_m: float, standing_m: float
+) -> Predictor:
+    """What says how far an object was pushed, where nothing measures it: the planner's push model.
+
+    Args:
+        planner: its settings.
+        model: the object.
+        tool: the gripper.
+        height_m: of the level tool.
+        standing_m: of the object's origin above the floor.
+    """
+    if planner.push_model == "mujoco":
+        from rumi.sim.engine_motion import EngineMotion
+
+        return EngineMotion(model, tool.shape, height_m, planner.engine)
+    carrier = carry_along if planner.push_model == "displacement" else carry
+    return PushedMotion.of(model.sdf, height_m - standing_m, tool.shape, planner.quasi_static, carrier)
 
 
 def _planar(spec: TaskSpec) -> bool:

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.dynamics.carry import Pusher, carry, unwrapped
+from rumi.dynamics.carry import Carrier, Pusher, carry, unwrapped
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.sliding import Sliding
@@ -19,7 +19,7 @@ from sensors.reading import Reading
 
 @dataclass(frozen=True)
 class PushedMotion:
-    """Motion of the best-fitting particle under the quasi-static push model, along the path that the tool reports.
+    """Motion of the best-fitting particle under a planar push model, along the path that the tool reports.
 
     An action in which nothing was felt moved nothing. Upright objects only.
 
@@ -28,16 +28,23 @@ class PushedMotion:
         pusher: the tool.
         sliding: how the object slides.
         substeps: parts of the way from one instant to the next.
+        carrier: the model, by default quasi-static; `carry_along` is the displacement model.
     """
 
     outline: GridOutline
     pusher: Pusher
     sliding: Sliding
     substeps: int = 1
+    carrier: Carrier = carry
 
     @classmethod
     def of(
-        cls, sdf: SDF, height_m: float, shape: GripperShape, settings: QuasiStaticSettings | None = None
+        cls,
+        sdf: SDF,
+        height_m: float,
+        shape: GripperShape,
+        settings: QuasiStaticSettings | None = None,
+        carrier: Carrier = carry,
     ) -> "PushedMotion":
         """For an object and a gripper.
 
@@ -46,6 +53,7 @@ class PushedMotion:
             height_m: of the tool, object frame.
             shape: of the gripper.
             settings: friction, limit surface and spacing of the gripper's points.
+            carrier: the model.
         """
         own, support = settings or QuasiStaticSettings(), support_of(sdf)
         like = support.centre
@@ -53,6 +61,7 @@ class PushedMotion:
             GridOutline.of_slice(sdf, height_m),
             Pusher(shape.outline(own.spacing_m).to(like)),
             Sliding(like, like.new_tensor(own.lever_ratio * support.spread), like.new_tensor(own.friction)),
+            carrier=carrier,
         )
 
     @torch.no_grad()
@@ -66,7 +75,7 @@ class PushedMotion:
         # the way to the first instant is not reported: what depth it left is worked off on the spot
         path = torch.cat((tool[..., :1, :], tool), -2).reshape(-1, instants + 1, 3)
         flat = start.reshape(-1, 3)
-        carried = carry(
+        carried = self.carrier(
             flat,
             unwrapped(path),
             Pusher(self.pusher.points.to(start), self.pusher.thickness),

@@ -99,6 +99,24 @@ def carry(
     return found
 
 
+def carry_along(
+    poses: Float[Tensor, "E 3"],
+    path: Float[Tensor, "#E K1 3"],
+    pusher: Pusher,
+    outline: Outline,
+    sliding: Sliding,
+    *,
+    substeps: int = 2,
+    passes: int = 2,
+) -> Carried:
+    """The displacement model: what is touched goes with the point that touches it, and never turns.
+
+    It is the limit of `carry` in which turning is resisted without end and the contact never slips.
+    """
+    stiff = Sliding(sliding.centre, torch.full_like(sliding.lever, 1e3), torch.full_like(sliding.friction, 1e3))
+    return carry(poses, path, pusher, outline, stiff, substeps=substeps, passes=passes)
+
+
 @backend.register("carry")
 def _carry(
     poses: Tensor, path: Tensor, pusher: Pusher, outline: Outline, sliding: Sliding, substeps: int, passes: int

@@ -30,6 +30,7 @@ from sensors.tactile import swept_points
 from sensors.tool_parts import box_tool, ellipsoid_tool, parts_contact
 
 _PALM = 2  # the part after the two pads
+_GUARD = 2  # mini steps of silence before a contact, and at an action's end, that free nothing: readings may be late
 
 
 class FusedTask(SensedTask):
@@ -69,15 +70,18 @@ class FusedTask(SensedTask):
         self._noise = WrenchNoise(wrist.force_n, wrist.moment_nm)
         joints = settings.joints.without_errors() if settings.noise_free else settings.joints
         self._joints = JointFeeler(spec.base, spec.height_m, joints) if "torques" in own else None
-        self._wrist_noise, self._from = torch.Generator(), torch.zeros(3)
+        self._wrist_noise, self._joint_noise, self._from = torch.Generator(), torch.Generator(), torch.zeros(3)
+        self._wrist_off = se3.identity().double()
 
     def reset(self, seed: int) -> StepResult:
         """Put the mug where the seed has it and return the first look; without a camera it shows nothing."""
         self.spec = replace(self._drawn, start=self.drawn(seed))
-        self._wrist_noise = split(seed, "wrist")
+        self._wrist_noise, self._joint_noise = split(seed, "wrist"), split(seed, "signals")
         if self._joints is not None:
             self._joints.seed(split(seed, "joints"))
-        return super().reset(seed)
+        result = super().reset(seed)
+        self._wrist_off = self._miscalibration(split(seed, "wrist calibration")).double()
+        return result
 
     def drawn(self, seed: int) -> tuple[float, float, float]:
         """(x, y, yaw) of the mug: normal about the mean within two deviations, its handle away from the camera."""
@@ -115,15 +119,18 @@ class FusedTask(SensedTask):
         silent = torch.zeros(len(tool_pose), dtype=torch.bool)
         touch, signals = WrenchTouch.none(), None
         if "wrench" in own:
-            touch, pushed = self._felt_by_wrist(felt, tool_pose)
+            arrived = self._arrived(len(tool_pose), self._wrist_noise)
+            touch, pushed = self._felt_by_wrist(felt, tool_pose, arrived)
             parts.append(Observation.of(touch.points, Semantics.SURFACE))
             instants.append(touch.instant)
-            in_contact, silent = in_contact | pushed, silent | ~pushed
+            in_contact, silent = in_contact | pushed, silent | (arrived & ~pushed)
         if self._joints is not None:
-            signals, known = self._joints.signals(felt, self._from)
+            signals, known = (self._delayed(one) for one in self._joints.signals(felt, self._from))
+            known = known & self._arrived(len(tool_pose), self._joint_noise)
+            signals = signals & known
             in_contact, silent = in_contact | signals, silent | (known & ~signals)
         # what one sensor feels, another's silence does not deny
-        free, instant = self._free(tool_pose, measured, silent & ~in_contact)
+        free, instant = self._free(tool_pose, measured, silent & ~_soon(in_contact))
         parts.append(free)
         instants.append(instant)
         return FusedReading(
@@ -145,11 +152,21 @@ class FusedTask(SensedTask):
         spread = (sensors.motion_noise_m, sensors.motion_noise_m, sensors.motion_noise_rad)
         return measured_motion(before, motion, noise * torch.tensor(spread, dtype=torch.float64)).float()
 
-    def _felt_by_wrist(self, felt: Felt, tool_pose: Float[Tensor, "K 4 4"]) -> tuple[WrenchTouch, Bool[Tensor, "K"]]:
+    def _arrived(self, count: int, generator: torch.Generator) -> Bool[Tensor, "K"]:
+        """Which mini steps' readings are not lost."""
+        return torch.rand(count, generator=generator) >= self.sensors.lost
+
+    def _delayed(self, rows: Tensor) -> Tensor:
+        """What arrives at each mini step: of some before, as late as readings are."""
+        return rows[(torch.arange(len(rows)) - self._late).clamp_min(0)]
+
+    def _felt_by_wrist(
+        self, felt: Felt, tool_pose: Float[Tensor, "K 4 4"], arrived: Bool[Tensor, "K"]
+    ) -> tuple[WrenchTouch, Bool[Tensor, "K"]]:
         """Touches by the mean wrenches of the mini steps, and where there was a force at all."""
         contact, part = self.wrist_contacts(felt)
-        pushed = contact.status != int(WrenchStatus.NONE)
-        good = contact.status == int(WrenchStatus.CONTACT)
+        pushed = arrived & (contact.status != int(WrenchStatus.NONE))
+        good = arrived & (contact.status == int(WrenchStatus.CONTACT))
         # nothing is narrow enough to come between the pads: a line of force through there is of a touch on each
         good &= ~((part == _PALM) & (contact.normal_s[:, 0] > 0.5))
         kept = self._strongest(good, contact.covariance.diagonal(dim1=-2, dim2=-1).sum(-1))
@@ -172,13 +189,14 @@ class FusedTask(SensedTask):
         mean = torch.stack([own[a:b].mean(0) for a, b in pairwise(ends)])
         scale = torch.tensor([wrist.force_n] * 3 + [wrist.moment_nm] * 3, dtype=torch.float64)
         scale *= not self.fused.noise_free
-        mean = mean + scale * torch.randn(mean.shape, generator=self._wrist_noise, dtype=torch.float64)
+        mean = self._delayed(mean) + scale * torch.randn(mean.shape, generator=self._wrist_noise, dtype=torch.float64)
         settings = WrenchSettings(least_force_n=wrist.least_force_n, friction=wrist.friction)
         return parts_contact(mean, self._parts, self._noise.covariance(), settings)
 
     def _tool_T_sensor(self) -> Float[Tensor, "4 4"]:
+        """Where the wrist's sensor is taken to be."""
         behind = torch.tensor([-self.fused.wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
-        return se3.make(torch.eye(3, dtype=torch.float64), behind)
+        return se3.make(torch.eye(3, dtype=torch.float64), behind) @ self._wrist_off
 
     def _strongest(self, good: Bool[Tensor, "K"], variance: Float[Tensor, "K"]) -> Tensor:
         """Instants of the surest touches in equal parts of the action's touches."""
@@ -209,3 +227,9 @@ class FusedTask(SensedTask):
             points.append(skin.points)
             instants.append(which[skin.instant])
         return Observation.of(torch.cat(points), Semantics.FREE), torch.cat(instants)
+
+
+def _soon(in_contact: Bool[Tensor, "K"]) -> Bool[Tensor, "K"]:
+    """Where something is touched then or a little later, as far as is known: nothing is of what comes after the end."""
+    later = torch.cat((in_contact, torch.ones(_GUARD, dtype=torch.bool)))
+    return torch.stack([later[k : k + len(in_contact)] for k in range(_GUARD + 1)]).any(0)

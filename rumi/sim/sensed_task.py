@@ -86,12 +86,12 @@ class SensedTask(SimTask):
     def reset(self, seed: int) -> StepResult:
         """Put everything at its start and return the first look; the seed draws noise and errors of calibration."""
         self._generator.manual_seed(seed)
-        self._off = self._miscalibration()
+        self._off = self._miscalibration(self._generator)
         self._believed = [
             Bubble.of(
                 _seen(bubble.rest, 0.0, self._generator).float(),
                 bubble.intrinsics.float(),
-                bubble.tool_T_camera.float() @ self._miscalibration(),
+                bubble.tool_T_camera.float() @ self._miscalibration(self._generator),
             )
             for bubble in self._bubbles
         ]
@@ -99,9 +99,9 @@ class SensedTask(SimTask):
         after = int(torch.randint(2**62, (), generator=self._generator))
         return super().reset(after)
 
-    def _miscalibration(self) -> Float[Tensor, "4 4"]:
+    def _miscalibration(self, generator: torch.Generator) -> Float[Tensor, "4 4"]:
         """taken_T_true of a sensor's frame."""
-        place, axis = torch.randn(2, 3, generator=self._generator)
+        place, axis = torch.randn(2, 3, generator=generator)
         place, axis = (torch.nn.functional.normalize(part, dim=0) for part in (place, axis))
         return se3.exp(torch.cat((self.sensors.calibration_m * place, self.sensors.calibration_rad * axis)))
 

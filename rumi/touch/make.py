@@ -5,12 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal, get_args
 
-import torch
-from jaxtyping import Float
-from torch import Tensor
-
-from rumi.dynamics.carry import Carried, Carrier, Pusher, carry
-from rumi.dynamics.sliding import Outline, Sliding
+from rumi.dynamics.carry import Carrier, carry, carry_along
 from rumi.errors import UsageError
 from rumi.touch.grasping import GraspTable
 from rumi.touch.localise import Toucher
@@ -81,21 +76,3 @@ def make_carrier(choice: TouchPush, task: TouchTask) -> Carrier:
 
         return MujocoCarry(task)
     raise UsageError(f"Expected a push model quasi-static, displacement or mujoco, got {choice!r}")
-
-
-def carry_along(
-    poses: Float[Tensor, "E 3"],
-    path: Float[Tensor, "#E K1 3"],
-    pusher: Pusher,
-    outline: Outline,
-    sliding: Sliding,
-    *,
-    substeps: int = 2,
-    passes: int = 2,
-) -> Carried:
-    """The displacement model: what is touched goes with the point that touches it, and never turns.
-
-    It is the limit of `carry` in which turning is resisted without end and the contact never slips.
-    """
-    stiff = Sliding(sliding.centre, torch.full_like(sliding.lever, 1e3), torch.full_like(sliding.friction, 1e3))
-    return carry(poses, path, pusher, outline, stiff, substeps=substeps, passes=passes)

@@ -7,17 +7,22 @@ import pytest
 import torch
 from torch import Tensor
 
+from rumi.assemble import predictor_of
 from rumi.belief.filter import FilterSettings, PoseFilter
 from rumi.belief.motion import object_motion, sticking_motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pushed_motion import PushedMotion
 from rumi.planning.gripper import GripperShape
+from rumi.planning.rummaging_settings import RummagingSettings
+from rumi.planning.tool import Tool
 from rumi.registration.descent import DescentSettings
 from rumi.sim.world import World
 from sdf import se3
 from sdf.grid_sdf import GridSDF
+from sdf.object_model import object_model
 from sdf.primitives import Mug
 from sdf.surface import sample_surface
+from sdf.symmetry import Symmetries
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
@@ -85,6 +90,37 @@ def test_it_is_nearer_to_the_simulator_than_sticking(pushed: PushedMotion, yaw: 
     assert float(metres) < 0.5 * float(se3.distance(stuck, after)[0])
 
 
+@pytest.mark.sim
+@pytest.mark.parametrize("yaw", [0.5, 2.0])
+def test_the_engine_is_near_and_the_displacement_model_never_turns(yaw: float) -> None:
+    pytest.importorskip("mujoco")
+    mug = object_model("mug", MUG, Symmetries.none(), spacing=0.004, points=20)
+    world = World(MUG, GripperShape(), HEIGHT, 0.004)
+    world.reset(torch.tensor([0.286, 0.0195, -0.01]), torch.tensor([0.4, 0.0, yaw]))
+    before = world.world_T_object()
+    track = world.move(straight().double(), 1.0, 0.1)
+    felt = reading(track.configuration.float())
+    off = {}
+    for name, choice in (("quasi-static", "auto"), ("displacement", "displacement"), ("engine", "mujoco")):
+        planner = RummagingSettings(push_model=choice)
+        predict = predictor_of(planner, mug, Tool(torch.tensor([[0.0, -0.5], [1.0, 0.5]])), HEIGHT, 0.0)
+        motion = predict(belief(yaw), felt)
+        assert motion.shape == felt.tool_pose.shape and motion.dtype == felt.tool_pose.dtype
+        still = predict(belief(yaw), reading(straight(), felt=False))
+        assert torch.equal(still, torch.eye(4).expand(20, 4, 4))
+        off[name] = float(se3.distance(motion[-1].double() @ before, track.world_T_object[-1])[0])
+        if name == "displacement":
+            torch.testing.assert_close(motion[..., :3, :3], torch.eye(3).expand(20, 3, 3), atol=1e-3, rtol=0)
+        else:
+            batch = predict(both(belief(yaw), belief(2.5)), reading(torch.stack((straight(), straight()))))
+            torch.testing.assert_close(batch[0], predict(belief(yaw), reading(straight())), atol=1e-6, rtol=0)
+    assert off["engine"] < 0.003 and max(off["engine"], off["quasi-static"]) < 0.5 * off["displacement"], off
+
+
+def both(*rows: PoseBelief) -> PoseBelief:
+    return PoseBelief(*(torch.stack([getattr(r, n) for r in rows]) for n in PoseBelief.__dataclass_fields__))
+
+
 def test_what_was_not_felt_did_not_move(pushed: PushedMotion) -> None:
     motion = pushed(belief(0.5), reading(straight(), felt=False))
     assert torch.equal(motion, torch.eye(4).expand(20, 4, 4))
@@ -94,9 +130,8 @@ def test_what_was_not_felt_did_not_move(pushed: PushedMotion) -> None:
 
 def test_a_batch_row_is_as_alone(pushed: PushedMotion) -> None:
     rows = [belief(0.5), belief(2.0)]
-    both = PoseBelief(*(torch.stack([getattr(r, n) for r in rows]) for n in PoseBelief.__dataclass_fields__))
     paths = torch.stack((straight(), straight(count=20) + torch.tensor([0.01, 0.0, 0.0])))
-    together = pushed(both, reading(paths))
+    together = pushed(both(*rows), reading(paths))
     for index, row in enumerate(rows):
         torch.testing.assert_close(together[index], pushed(row, reading(paths[index])), atol=1e-6, rtol=0)
 

@@ -1,6 +1,7 @@
 """What wrist and joints feel of a push, against what the simulator knows."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 from rumi.fused.settings import FusedSettings, task_of
 from rumi.planning.gripper_body import gripper_links
 from rumi.sim.felt_world import FeltWorld
-from rumi.sim.fused_task import FusedTask
+from rumi.sim.fused_task import FusedTask, _soon
 from rumi.sim.joint_torques import JointFeeler, JointSettings, LevelKinematics
 from rumi.sim.world import World
 from sdf import se3
@@ -96,15 +97,39 @@ def test_free_points_are_hardly_in_the_mug(pushed, mug):
 
 
 def test_sensors_agree_on_when_something_was_touched(pushed):
+    """All of them a mini step late, and some readings of the joints lost."""
     for result, felt, (contact, _) in pushed:
         ends = [0, *(felt.ends + 1)]
-        force = np.array([np.linalg.norm(felt.wrench[a:b, :3].mean(0)) for a, b in pairwise(ends)])
+        now = np.array([np.linalg.norm(felt.wrench[a:b, :3].mean(0)) for a, b in pairwise(ends)])
+        force = np.concatenate((now[:1], now[:-1]))
         told = contact.status.numpy() != int(WrenchStatus.NONE)
         assert (told[force > 1.3]).all() and not told[force < 0.7].any()
         # one of a touch's beginning may be missed
         lasting, none = (force > 1.0) & (np.roll(force, 1) > 1.0), (force == 0) & (np.roll(force, 1) == 0)
         signals = result.reading.signals.numpy()
-        assert lasting.sum() > 4 and signals[lasting].mean() > 0.7 and not signals[none].any()
+        assert lasting.sum() > 4 and signals[lasting].mean() > 0.6 and not signals[none].any()
+
+
+def test_readings_of_wrist_and_joints_are_lost_late_and_off(mug, tool):
+    """As images are; and silence just before a contact frees nothing, since the contact may have been there already."""
+    settings = FusedSettings(sensors=("wrench", "torques"))
+    noisy, clean = (FusedTask(replace(settings, noise_free=free), tool, mug) for free in (False, True))
+    off = []
+    for seed in range(1000, 1004):
+        noisy.reset(seed)
+        off.append(noisy._wrist_off)
+    shifts = torch.stack([each[:3, 3].norm() for each in off])
+    turns = torch.stack([se3.distance(each, se3.identity().double())[1] for each in off])
+    torch.testing.assert_close(shifts, torch.full_like(shifts, 0.002), atol=1e-6, rtol=0)
+    torch.testing.assert_close(turns, torch.full_like(turns, math.radians(1.0)), atol=1e-6, rtol=0)
+    kept = torch.stack([noisy._arrived(20, torch.Generator().manual_seed(seed)) for seed in range(200)]).float()
+    assert float(kept.mean()) == pytest.approx(0.9, abs=0.01)
+    rows = torch.arange(5)
+    assert noisy._delayed(rows).tolist() == [0, 0, 1, 2, 3] and clean._delayed(rows).tolist() == rows.tolist()
+    touched = torch.tensor([0, 0, 0, 1, 0, 0, 0, 0, 0, 0]).bool()
+    assert _soon(touched).int().tolist() == [0, 1, 1, 1, 0, 0, 0, 0, 1, 1], "nobody knows what comes after the end"
+    clean.reset(1000)
+    assert torch.equal(clean._wrist_off, se3.identity().double()) and bool(clean._arrived(20, torch.Generator()).all())
 
 
 def test_the_residual_is_the_contact_seen_through_the_filter(body, tool):
