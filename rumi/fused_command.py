@@ -1,5 +1,7 @@
 """The command `rumi run fused`."""
 
+import contextlib
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,8 +14,9 @@ from rumi.cli import DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.errors import UsageError
 
 if TYPE_CHECKING:
+    from rumi.fused.log import FusedLogRecorder
     from rumi.fused.run import Outcome
-    from rumi.fused.settings import SensorName
+    from rumi.fused.settings import FusedSettings, SensorName
 
 NAME = "fused"
 DESCRIPTION = "a mug seen once, then felt by bubbles, wrench and joint torques on one belief, and lifted by its handle"
@@ -25,6 +28,7 @@ _HELP = """Find a movable mug by a first view, soft bubbles, a wrench and joint 
     rumi run fused --sensors camera,wrench --seed 3
     rumi run fused --sensors bubbles --budget 30
     rumi run fused --thinking real
+    rumi run fused --record
 
 Time passes on the run's own clock: thinking takes what --thinking says, motion what it takes.
 Ends with exit code 0 if the mug was lifted, 1 if not."""
@@ -42,6 +46,7 @@ class FusedOptions:
         steps: actions at most.
         preset: of planner and belief, as of the other runs.
         noise_free: sensors without noise, loss, delay or wrong calibration.
+        record: write a log too, log.h5 in the run's folder, for `rumi replay`.
         out: folder of the run; by default runs/fused-SENSORS-sSEED, with a number where that is taken.
         figures: draw figures at the end.
     """
@@ -53,6 +58,7 @@ class FusedOptions:
     steps: int = 20
     preset: str = "fast"
     noise_free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    record: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = True
 
@@ -61,6 +67,7 @@ def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     """Carry out `rumi run fused`; `arguments` are those after the name."""
     options = tyro.cli(FusedOptions, prog=f"rumi run {NAME}", description=_HELP, args=arguments)
     from rumi.assemble import scene_sketch
+    from rumi.config import preset
     from rumi.fused.parts import build_fused
     from rumi.fused.run import run_fused
     from rumi.fused.settings import FusedSettings
@@ -79,6 +86,7 @@ def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     )
     if options.seed < 0:
         raise UsageError(f"Expected seed to be 0 or more, got {options.seed}")
+    preset(options.preset)  # refused before a folder is made
     folder = options.out
     if folder is None:
         first = folder = Path("runs") / f"{NAME}-{options.sensors.replace(',', '-')}-s{options.seed}"
@@ -89,18 +97,30 @@ def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     prepare_folder(folder)
     _say(f"{NAME} with {', '.join(settings.sensors)}, seed {options.seed}; writing to {folder}")
     _say("grasps are simulated once and kept (a minute at first)")
-    parts = build_fused(settings, cache_dir=cache_dir)
-    with RunRecorder(folder, {"task": NAME, "seed": options.seed, "fused": settings}) as recorder:
+    if note := short_of(settings):
+        _say(note)
+    try:
+        parts = build_fused(settings, cache_dir=cache_dir)
+    except Exception:
+        with contextlib.suppress(OSError):  # other files in it are the user's
+            folder.rmdir()
+        raise
+    with (
+        RunRecorder(folder, {"task": NAME, "seed": options.seed, "fused": settings}) as recorder,
+        _log(folder, options.seed, settings) if options.record else contextlib.nullcontext() as log,
+    ):
         recorder.scene(scene_sketch(parts.rummager))
         with Progress(NAME, settings.steps) as progress:
-            outcome = run_fused(parts, options.seed, both(recorder, progress))
+            outcome = run_fused(parts, options.seed, both(recorder, *([] if log is None else [log]), progress))
         parts.task.close()
         recorder.finish(outcome.found)
+        if log is not None:
+            log.finish(outcome.found)
     write_json(folder / "grasp.json", grasp_of(outcome))
     if options.figures and outcome.ended != "interrupted":
         _say("drawing figures")
         draw_figures(folder, folder / "figures", None)
-    sys.stdout.write(summary(outcome, folder))
+    sys.stdout.write(summary(outcome, folder, settings.budget_s))
     if outcome.ended == "interrupted":
         return INTERRUPTED
     return DONE if outcome.lifted else NOT_CONVERGED
@@ -135,7 +155,7 @@ def thinking_of(text: str) -> float | None:
         seconds = float(text)
     except ValueError:
         seconds = -1.0
-    if not seconds >= 0:
+    if not (seconds >= 0 and math.isfinite(seconds)):
         raise UsageError(f"Expected --thinking to be seconds, 0 or more, or real, got {text!r}")
     return seconds
 
@@ -147,7 +167,20 @@ def grasp_of(outcome: "Outcome") -> dict[str, Any]:
     return {name: found[name] for name in names}
 
 
-def summary(outcome: "Outcome", folder: Path) -> str:
+def short_of(settings: "FusedSettings") -> str | None:
+    """What to say where the time is up before the first look's belief and the grasp are done; None where it is not."""
+    from rumi.sim.handle_grasp import GRASP_S
+
+    least_s = (settings.thinking_s or 0.0) + GRASP_S
+    if settings.budget_s >= least_s:
+        return None
+    return (
+        f"a budget of {settings.budget_s:g} s is less than the {least_s:.1f} s that the first look's belief and the "
+        "grasp take: it looks, grasps at once, and is late"
+    )
+
+
+def summary(outcome: "Outcome", folder: Path, budget_s: float) -> str:
     """A few lines on how a run ended."""
     from rumi.progress import stages
     from rumi.run_command import ending
@@ -159,10 +192,20 @@ def summary(outcome: "Outcome", folder: Path) -> str:
     if outcome.grasp is not None:
         done = "lifted by its handle" if outcome.lifted else "not lifted"
         lines.append(f"grasp    {done}; believed {outcome.grasp.probability:.2f}")
-    lines.append(f"clock    {outcome.total_s:.0f} s of the budget; nll summed up {outcome.total_nll:.0f}")
+    late_s = outcome.total_s - budget_s
+    over = f", {late_s:.1f} too many" if late_s > 1e-6 else ""
+    lines.append(f"clock    {outcome.total_s:.0f} s of {budget_s:g}{over}; nll summed up {outcome.total_nll:.0f}")
     lines.append(f"seconds  {sum(found.timings_s.values()):.1f}: {stages(found.timings_s)}")
     lines.append(f"folder   {folder}")
     return "\n  ".join(lines) + "\n"
+
+
+def _log(folder: Path, seed: int, settings: "FusedSettings") -> "FusedLogRecorder":
+    from rumi.fused.log import FusedLogRecorder
+    from rumi.logbook import LOG
+    from rumi.recording import provenance
+
+    return FusedLogRecorder(folder / LOG, seed, settings, {"made_with": provenance()})
 
 
 def _say(text: str) -> None:

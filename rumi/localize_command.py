@@ -7,12 +7,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from rumi.cli import DONE
 from rumi.errors import UsageError
+
+_MUCH_BETTER = 5.0
+"""Nats from which on normals that are turned round are taken to be the right ones: a likelihood of 150 to 1."""
 
 
 @dataclass(frozen=True)
@@ -57,17 +60,28 @@ def localize(arguments: Sequence[str]) -> int:
         raise UsageError("Expected --center and --radius together, got one of them: a prior needs both")
     if options.clip and options.center is None:
         raise UsageError("Expected --center and --radius with --clip, got none: there is nothing to clip by")
-    if not (options.scale > 0 and options.points_scale > 0):
-        raise UsageError(f"Expected --scale and --points-scale above 0, got {options.scale}, {options.points_scale}")
+    if not all(math.isfinite(x) and x > 0 for x in (options.scale, options.points_scale)):
+        raise UsageError(
+            f"Expected --scale and --points-scale above 0 and finite, got {options.scale}, {options.points_scale}"
+        )
+    if options.center is not None and not all(map(math.isfinite, options.center)):
+        raise UsageError(f"Expected --center of three finite numbers, in metres, got {options.center}")
     if options.radius is not None and not all(math.isfinite(x) and x > 0 for x in options.radius):
         raise UsageError(
             f"Expected --radius above 0 along each axis, got {options.radius}: half of the edges of the box that the "
             "mesh's origin is in"
         )
-    if options.noise is not None and not options.noise > 0:
-        raise UsageError(f"Expected --noise above 0 m, got {options.noise}")
     if options.starts < 1:
         raise UsageError(f"Expected --starts of 1 or more, got {options.starts}")
+    if not 0 <= options.seed < 2**63:
+        raise UsageError(f"Expected --seed of 0 or more, below 2**63, got {options.seed}")
+    from rumi.registration.localize_settings import NOISE_M
+
+    if options.noise is not None and not NOISE_M[0] <= options.noise <= NOISE_M[1]:
+        raise UsageError(
+            f"Expected --noise above 0 m, from {NOISE_M[0]:g} to {NOISE_M[1]:g}, got {options.noise}: the distance "
+            "that touches are off by, or leave it out"
+        )
     from rumi.touch_files import read_contacts
 
     contacts = read_contacts(options.contacts, scale=options.points_scale)
@@ -78,7 +92,7 @@ def localize(arguments: Sequence[str]) -> int:
         )
     import torch
 
-    from rumi.registration.localize import LocalizeSettings, PositionPrior
+    from rumi.registration.localize import LocalizeSettings, PositionPrior, gain_of_turned_normals
     from rumi.registration.localize import localize as find
     from rumi.registration.touch_surface import TouchSurface
     from rumi.seeding import generator
@@ -95,15 +109,20 @@ def localize(arguments: Sequence[str]) -> int:
         mesh = load_mesh(options.mesh, scale=options.scale)
         surface = TouchSurface.of(mesh, None if options.symmetries else Symmetries.none())
         loaded = time.perf_counter()
+        normals = contacts.normals if options.normals else None
+        settings = LocalizeSettings(starts=options.starts, noise_m=options.noise)
         found = find(
             surface,
             contacts.points,
-            normals=contacts.normals if options.normals else None,
+            normals=normals,
             prior=prior,
             clip=options.clip,
-            settings=LocalizeSettings(starts=options.starts, noise_m=options.noise),
+            settings=settings,
             generator=generator(options.seed),
         )
+        nats = None
+        if normals is not None:
+            nats = gain_of_turned_normals(surface, contacts.points, normals, found, settings=settings)
     except MeshError as error:
         raise UsageError(str(error)) from None
     except ValueError as error:
@@ -111,9 +130,17 @@ def localize(arguments: Sequence[str]) -> int:
     finally:
         torch.set_num_threads(threads)
     seconds = {"mesh": loaded - began, "localize": time.perf_counter() - loaded}
+    inward = nats is not None and nats > _MUCH_BETTER
+    if inward:
+        sys.stderr.write(
+            f"rumi: the normals of {options.contacts} seem to point into the object: turned round they fit better, by "
+            f"{nats:.0f} nats; the poses below are wrong then. Give outward normals, or leave out --normals\n"
+        )
     if options.json:
-        about = {"mesh": str(options.mesh), "contacts": str(options.contacts), "seconds": seconds}
-        sys.stdout.write(json.dumps({**about, **found.to_dict()}) + "\n")
+        about: dict[str, Any] = {"mesh": str(options.mesh), "contacts": str(options.contacts), "seconds": seconds}
+        if nats is not None:
+            about |= {"normals_inward": inward, "turned_normals_gain_nats": nats}
+        sys.stdout.write(json.dumps({**about, **found.to_dict()}, allow_nan=False) + "\n")
     else:
         sys.stdout.write(f"{options.contacts} on {options.mesh}\n")
         sys.stdout.write("".join(f"  {line}\n" for line in found.text().splitlines()))

@@ -14,6 +14,7 @@ from rumi.errors import UsageError
 from rumi.plain import plain
 from rumi.records import RunResult, StepRecord
 from sensors.log.errors import LogError
+from sensors.reading import Reading
 
 LOG = "log.h5"
 """Name of the log within a run's folder."""
@@ -28,6 +29,7 @@ class LogRecorder:
         about: further plain values by name, such as the object's record and what the run is made with.
         dtype: of the readings' floating numbers.
         raw: streams that are known from the start, by name: kind, frame and further attributes.
+        readings: their kind.
 
     Raises:
         UsageError: the log cannot be written.
@@ -42,6 +44,7 @@ class LogRecorder:
         *,
         dtype: torch.dtype = torch.float32,
         raw: Mapping[str, tuple[str, str, Mapping[str, Any]]] | None = None,
+        readings: type[Reading] = Reading,
     ) -> None:
         from sensors.log.writer import LogWriter, StreamSpec
 
@@ -49,7 +52,9 @@ class LogRecorder:
         float_type = "f8" if dtype == torch.float64 else "f4"
         try:
             streams = [StreamSpec(name, *told) for name, told in (raw or {}).items()]
-            self._log = LogWriter(path, streams, settings=plain(settings), about=texts, float_type=float_type)
+            self._log = LogWriter(
+                path, streams, settings=plain(settings), about=texts, float_type=float_type, readings=readings
+            )
         except LogError as error:
             raise UsageError(str(error)) from error
 

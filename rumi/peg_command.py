@@ -13,6 +13,7 @@ from rumi.cli import DONE, NOT_CONVERGED
 from rumi.errors import UsageError
 from rumi.peg.run import PegRun, run_peg
 from rumi.peg.settings import PegSettings, Stop
+from rumi.recording import holds_run, prepare_folder
 
 NAME = "peg"
 DESCRIPTION = "a block with two holes on a table, found by touch under a deadline, and a peg put into it"
@@ -24,7 +25,8 @@ _HELP = """Find a block on a table by touch, deciding where to touch next in the
     rumi run peg --t-max 20 --stop contacts --seed 3
     rumi run peg --t-max 10 --evaluation real --set point_m=0.001 normal_deg=2
 
-Time passes on a simulated clock: thinking takes what --evaluation says, motion what its speed profile does."""
+Time passes on a simulated clock: thinking takes what --evaluation says, motion what its speed profile does. An option
+and --set that do not agree are refused."""
 
 
 @dataclass(frozen=True)
@@ -32,19 +34,21 @@ class PegOptions:
     """Options of `rumi run peg`.
 
     Attributes:
-        t_max: seconds for a decision and its motion together.
-        evaluation: seconds that weighing one candidate takes, or "real" for what it takes on this machine.
-        stop: "mass" stops where both holes are within 5 mm with a probability of 0.95, "contacts" after four contacts
-            on two sides, as the paper does.
+        t_max: seconds for a decision and its motion together; 10 unless --set gives t_max_s.
+        evaluation: seconds that weighing one candidate takes, or "real" for what choosing takes on this machine; 1
+            unless --set gives evaluation_s.
+        stop: "mass" (as it is unless --set gives stop) stops where both holes are within 5 mm with a probability of
+            0.95, "contacts" after four contacts on two sides, as the paper does, "covariance" where the pose's spread
+            is at most spread_m and spread_deg, "entropy" where its entropy is at most most_nats.
         seed: of the block's pose, the noise and the choices.
         set: other settings of the task, such as point_m=0.001; see rumi/peg/settings.py.
-        out: folder of the run; by default runs/peg-tT_MAX-STOP-sSEED.
+        out: folder of the run; by default runs/peg-tT_MAX-STOP-sSEED, with a number where that is taken.
         figures: draw contacts and time-line.
     """
 
-    t_max: float = 10.0
-    evaluation: str = "1"
-    stop: Stop = "mass"
+    t_max: float | None = None
+    evaluation: str | None = None
+    stop: Stop | None = None
     seed: int = 0
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SETTING=VALUE ...")] = ()
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
@@ -54,10 +58,12 @@ class PegOptions:
 def peg(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     """Carry out `rumi run peg`; nothing of it needs to be kept in a cache."""
     options = tyro.cli(PegOptions, prog="rumi run peg", description=_HELP, args=arguments)
+    if options.seed < 0:
+        raise UsageError(f"Expected --seed of 0 or more, got {options.seed}")
     settings = settings_of(options)
-    folder = options.out or Path("runs") / f"peg-t{options.t_max:g}-{options.stop}-s{options.seed}"
+    folder = options.out or _free(Path("runs") / f"peg-t{settings.t_max_s:g}-{settings.stop}-s{options.seed}")
+    prepare_folder(folder)
     run = run_peg(settings, options.seed)
-    folder.mkdir(parents=True, exist_ok=True)
     (folder / "result.json").write_text(json.dumps(record(run), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     if options.figures:
         draw(run, folder)
@@ -66,18 +72,38 @@ def peg(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
 
 
 def settings_of(options: PegOptions) -> PegSettings:
-    """The settings that are asked for.
+    """The settings that are asked for: those of --set, and of options where they are given.
 
     Raises:
-        UsageError: one cannot be.
+        UsageError: one cannot be, or an option and --set do not say the same.
     """
     from rumi.reproduce.peg import settings_of as parsed
 
-    try:
-        seconds = None if options.evaluation == "real" else float(options.evaluation)
-    except ValueError as error:
-        raise UsageError(f"Expected --evaluation to be seconds or real, got {options.evaluation!r}") from error
-    return replace(parsed(options.set), t_max_s=options.t_max, evaluation_s=seconds, stop=options.stop)
+    settings = parsed(options.set)
+    given: dict[str, Any] = {"t_max_s": options.t_max, "stop": options.stop}
+    given = {name: value for name, value in given.items() if value is not None}
+    if options.evaluation is not None:
+        try:
+            given["evaluation_s"] = None if options.evaluation == "real" else float(options.evaluation)
+        except ValueError as error:
+            raise UsageError(f"Expected --evaluation to be seconds or real, got {options.evaluation!r}") from error
+    flags = {"t_max_s": "--t-max", "stop": "--stop", "evaluation_s": "--evaluation"}
+    for name in given.keys() & {override.partition("=")[0] for override in options.set}:
+        if given[name] != getattr(settings, name):
+            raise UsageError(
+                f"Expected one value of {name}, got {given[name]} by {flags[name]} and {getattr(settings, name)} by "
+                "--set: leave one of them out"
+            )
+    return replace(settings, **given)
+
+
+def _free(folder: Path) -> Path:
+    """The folder, with a number where a run is in it."""
+    found, number = folder, 1
+    while holds_run(found):
+        number += 1
+        found = folder.with_name(f"{folder.name}-{number}")
+    return found
 
 
 def record(run: PegRun) -> dict[str, Any]:
@@ -139,8 +165,9 @@ def summary(run: PegRun, folder: Path) -> str:
     found = run.as_dict()
     place = "in the hole" if run.in_hole else "beside the hole"
     lines = [f"peg: {ended} after {found['touches']} touches, {place} by {found['off_mm']:.1f} mm from its middle"]
+    within = f"within {1e3 * run.settings.tolerance_m:g}"
     lines.append(
-        f"holes    off by {found['hole_error_mm']:.1f} mm at most; believed {found['probability']:.2f} within 5"
+        f"holes    off by {found['hole_error_mm']:.1f} mm at most; believed {found['probability']:.2f} {within}"
     )
     said = f"{found['search_s']:.0f} search, {found['thinking_s']:.0f} reasoning"
     lines.append(f"seconds  {found['total_s']:.0f}: {said}; {found['evaluated']} candidates weighed")

@@ -31,7 +31,8 @@ the one that it would have had on the same readings.
     rumi replay pushes.h5 --map other.toml
 
 All settings of `rumi run` are flags; the log's own are where they start from. What was done is recorded, so that those
-of the planner change nothing, and those of the task and the simulator are refused."""
+of the planner change nothing, and those of the task and the simulator are refused. The log of a fused
+run has settings of its own: rumi replay LOG --help."""
 
 _RECORDED = ("task", "simulator")
 _NO_EFFECT = ("method", "preset", "replan_every", "planner", "slide", "gpvr")
@@ -59,7 +60,10 @@ class ReplayOptions:
 def replay(arguments: Sequence[str], *, cache_dir: Path) -> int:
     """`rumi replay`: 0 if the belief became sure, 1 if not or if it is not the recorded one, 2 for bad input."""
     from rumi.flags import check_flags
+    from rumi.fused_replay_command import fused_log, replay_of_fused
 
+    if (path := fused_log(arguments)) is not None:
+        return replay_of_fused(arguments, path, cache_dir=cache_dir)
     check_flags(arguments, ("out", "map"), ("figures",))
     named = next((argument for argument in arguments if not argument.startswith("-")), None)
     if named is None:
@@ -117,8 +121,14 @@ def mapping_of_log(log: "Log", arguments: Sequence[str]) -> "BagMap | None":
 
 
 def recorded_settings(log: "Log", mapping: "BagMap | None") -> Settings:
-    """The settings of the run that made a log, or of the mapping of one that none made."""
+    """The settings of the run that made a log, or of the mapping of one that none made.
+
+    Raises:
+        UsageError: it is of a fused run, which has others.
+    """
     if mapping is None:
+        if (log.settings or {}).get("task") == "fused":
+            raise UsageError(f"{log.path} is of a fused run, whose settings are others: `rumi replay` reads it")
         return from_dict(log.settings or {})
     from rumi.bags.scene import settings_of
 
@@ -175,13 +185,20 @@ def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "Ba
     asked = [name for name in changed if name not in idle]
     sys.stdout.write(summary(done, len(taken), asked, options.out, settings.task))
     if not asked and False in done.same:
-        for line in _machines(log):
+        for line in machines(log):
             _say(line)
         return NOT_CONVERGED
     return DONE if done.result.stopped_by == "converged" else NOT_CONVERGED
 
 
-def summary(done: "Replayed", readings: int, changed: Sequence[str], out: Path | None, name: str) -> str:
+def summary(
+    done: "Replayed",
+    readings: int,
+    changed: Sequence[str],
+    out: Path | None,
+    name: str,
+    go_on: str = " (--stop.rule never goes on)",
+) -> str:
     """A few lines on a replay.
 
     Args:
@@ -190,6 +207,7 @@ def summary(done: "Replayed", readings: int, changed: Sequence[str], out: Path |
         changed: settings that are not the recorded ones and that matter.
         out: the folder that was written.
         name: of the task.
+        go_on: how to take in readings after the belief is sure.
     """
     from rumi.run_command import ending
 
@@ -197,7 +215,7 @@ def summary(done: "Replayed", readings: int, changed: Sequence[str], out: Path |
     used = len(done.same)
     lines = ending(result, name)
     if used < readings:
-        lines.append(f"readings {used} of {readings}: sure before the log's end (--stop.rule never goes on)")
+        lines.append(f"readings {used} of {readings}: sure before the log's end{go_on}")
     x, y, z = done.last.belief.mode()[:3, 3].tolist()
     yaw = math.degrees(float(torch.atan2(*done.last.belief.mode()[[1, 0], [0, 0]])))
     lines.append(f"likeliest at ({x:.4f}, {y:.4f}, {z:.4f}) m, x axis {yaw:.1f} degrees from the world's")
@@ -286,7 +304,7 @@ def _check_object(log: "Log", rummager: "Rummager") -> None:
         _say(f"{source.file} is not the mesh of the recorded run ({mesh.get('file')}): other beliefs will come of it")
 
 
-def _machines(log: "Log") -> list[str]:
+def machines(log: "Log") -> list[str]:
     """What this machine has other than the one that recorded a log, which may be why beliefs differ."""
     from rumi.recording import provenance
 

@@ -1,5 +1,6 @@
 """Files of points that were touched, and of their normals: CSV, OFF, PLY and NPZ."""
 
+import math
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -20,6 +21,8 @@ _PLY_TYPES = {
     "double": "f8", "float64": "f8",
 }  # fmt: skip
 _Arrays = tuple[np.ndarray, np.ndarray | None]
+_PLY_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+(,\d+)?([eE][-+]?\d+)?")
 _PLACE, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 
 
@@ -52,8 +55,8 @@ def read_contacts(path: str | Path, *, scale: float = 1.0) -> Contacts:
         raise UsageError(f"Expected contacts ending in {', '.join(SUFFIXES)}, got {path}")
     if not path.is_file():
         raise UsageError(f"Expected contacts in {path}, got {'a folder' if path.is_dir() else 'no such file'}")
-    if not scale > 0:
-        raise UsageError(f"Expected a scale of the points above 0, got {scale}")
+    if not (scale > 0 and math.isfinite(scale)):
+        raise UsageError(f"Expected a scale of the points above 0 and finite, got {scale}")
     try:
         if suffix in (".npz", ".npy"):
             points, normals = _arrays(path)
@@ -75,13 +78,25 @@ def _numbers(lines: list[str], first: int = 1) -> list[tuple[int, list[float]]]:
     """The numbers of each line that has something, with the line's number."""
     rows = []
     for number, line in enumerate(lines, first):
-        words = [word for word in re.split(r"[,;\s]+", line.partition("#")[0]) if word]
+        text = line.partition("#")[0]
+        words = [word for word in re.split(r"[,;\s]+", text) if word]
         if words:
+            if "," in text and _has_decimal_commas(text):
+                raise ValueError(
+                    f"line {number} seems to have decimal commas, where a comma is taken to part two numbers: "
+                    f"{line.strip()[:60]!r}; write decimal points, or a blank behind each comma that parts"
+                )
             try:
                 rows.append((number, [float(word) for word in words]))
             except ValueError:
                 raise ValueError(f"line {number} has something that is no number: {line.strip()[:60]!r}") from None
     return rows
+
+
+def _has_decimal_commas(text: str) -> bool:
+    """Whether commas stand within numbers that something else parts: 3 or 6 of them then."""
+    words = [word for word in re.split(r"[;\s]+", text) if word]
+    return len(words) in (3, 6) and all(_DECIMAL_COMMA.fullmatch(word) for word in words)
 
 
 def _split(rows: list[tuple[int, list[float]]], columns: list[str] | None = None) -> _Arrays:
@@ -137,8 +152,11 @@ def _off(text: str) -> _Arrays:
     rows = _numbers(lines)
     if not rows:
         raise ValueError("expected the number of points after OFF, got nothing")
-    count = int(rows[0][1][0])
-    if count < 0 or len(rows) - 1 < count:
+    said = rows[0][1][0]
+    if not (said >= 0 and said.is_integer()):
+        raise ValueError(f"expected the number of points after OFF, got {said:g}")
+    count = int(said)
+    if len(rows) - 1 < count:
         raise ValueError(f"expected the {count} points that its header says, got {len(rows) - 1}")
     if len(rows) - 1 > count and not (len(rows[0][1]) > 1 and rows[0][1][1] > 0):
         raise ValueError(f"expected the {count} points that its header says, got {len(rows) - 1}")
@@ -151,23 +169,31 @@ def _ply(data: bytes) -> _Arrays:
     lines = head.decode("ascii", errors="replace").splitlines()
     if not lines or lines[0].strip() != "ply" or not mark:
         raise ValueError("expected a PLY header")
-    form = next((line.split()[1] for line in lines if line.startswith("format")), "")
+    form = next((" ".join(line.split()[1:2]) for line in lines if line.startswith("format")), "")
+    if form not in ("ascii", *_PLY_ORDERS):
+        raise ValueError(f"expected the format of a PLY to be one of ascii, {', '.join(_PLY_ORDERS)}, got {form!r}")
     elements = [place for place, line in enumerate(lines) if line.startswith("element")]
-    if not elements or lines[elements[0]].split()[1] != "vertex":
+    first = lines[elements[0]].split() if elements else []
+    if first[1:2] != ["vertex"]:
         raise ValueError("expected vertices as its first element")
-    count = int(lines[elements[0]].split()[2])
+    if len(first) != 3 or not first[2].isdecimal():
+        raise ValueError(f"expected `element vertex` and a count of 0 or more, got {lines[elements[0]].strip()[:60]!r}")
+    count = int(first[2])
     end = elements[1] if len(elements) > 1 else len(lines)
     fields = [line.split() for line in lines[elements[0] + 1 : end] if line.startswith("property")]
-    if any(words[1] == "list" for words in fields):
-        raise ValueError("expected vertices without lists")
+    for words in fields:
+        if len(words) != 3 or words[1] not in _PLY_TYPES:
+            raise ValueError(
+                f"expected vertices of properties without lists, of types {', '.join(_PLY_TYPES)}, got "
+                f"{' '.join(words)[:60]!r}"
+            )
     body = body[body.index(b"\n") + 1 :] if b"\n" in body else b""
     if form == "ascii":
         rows = _numbers(body.decode("ascii", errors="replace").splitlines(), len(lines) + 2)[:count]
         if len(rows) < count:
             raise ValueError(f"expected the {count} vertices that its header says, got {len(rows)}")
         return _split(rows, [words[2] for words in fields])
-    order = {"binary_little_endian": "<", "binary_big_endian": ">"}[form]
-    kind = np.dtype([(words[2], order + _PLY_TYPES[words[1]]) for words in fields])
+    kind = np.dtype([(words[2], _PLY_ORDERS[form] + _PLY_TYPES[words[1]]) for words in fields])
     if len(body) < count * kind.itemsize:
         raise ValueError(f"expected the {count} vertices that its header says, got {len(body) // kind.itemsize}")
     table = np.frombuffer(body, dtype=kind, count=count)
@@ -175,12 +201,23 @@ def _ply(data: bytes) -> _Arrays:
 
 
 def _arrays(path: Path) -> _Arrays:
+    with path.open("rb") as file:
+        begins = file.read(6)
+    if not (begins.startswith(b"PK") or begins == b"\x93NUMPY"):
+        kind = "an archive of arrays, as numpy.savez writes it" if path.suffix.lower() == ".npz" else "a NumPy array"
+        raise ValueError(f"expected {kind}, and it is none")
     loaded = np.load(path, allow_pickle=False)
     if isinstance(loaded, np.ndarray):
-        table = np.asarray(loaded, dtype=float)
+        table = _real(loaded, "an array")
         return (table[:, :3], table[:, 3:]) if table.ndim == 2 and table.shape[1] == 6 else (table, None)
     with loaded:
         if "points" not in loaded:
             raise ValueError(f"expected an array `points`, found {', '.join(loaded) or 'none'}")
-        normals = np.array(loaded["normals"], dtype=float) if "normals" in loaded else None
-        return np.array(loaded["points"], dtype=float), normals
+        normals = _real(loaded["normals"], "`normals`") if "normals" in loaded else None
+        return _real(loaded["points"], "`points`"), normals
+
+
+def _real(array: np.ndarray, name: str) -> np.ndarray:
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"expected {name} of real numbers, got {array.dtype}")
+    return np.array(array, dtype=float)

@@ -22,6 +22,7 @@ from rumi.jsonlines import append_line, read_lines
 from rumi.metrics.intervals import wilson
 from rumi.registration.localize import localize
 from rumi.registration.touch_surface import TouchSurface
+from rumi.reproduce.code import bare
 from rumi.reproduce.seeds import seeds_of
 from rumi.seeding import generator
 from rumi.touch_files import read_contacts
@@ -156,10 +157,10 @@ def data() -> Path:
 
 
 def fingerprint() -> str:
-    """Of the code that the figures depend on."""
+    """Of the code that the figures depend on, without its comments."""
     digest = hashlib.sha256()
     for path in CODE:
-        digest.update(path.read_bytes())
+        digest.update(bare(path.read_text(encoding="utf-8")).encode())
     return digest.hexdigest()[:12]
 
 

@@ -12,7 +12,6 @@ from sdf.triangles import Triangles, nearest, winding_number
 
 TOLERANCE = 1e-4
 """Metres within which a ball touches a mesh."""
-_MOST_STEPS = 400
 
 
 class Sweep(NamedTuple):
@@ -103,7 +102,8 @@ def sweep_mesh(
     """First contact of a ball with a mesh at many poses, by steps as long as the way to the nearest triangle is free.
 
     The ball touches where it is nearer than `tolerance`; one that passes so close by touches too. A ball whose centre
-    is inside of a closed mesh at the start touches at once.
+    is inside of a closed mesh at the start touches at once. Steps are longer than the tolerance, so that each way comes
+    to an end; a ball that slides along a face takes the most of them.
 
     Args:
         world_T_object: poses of the mesh.
@@ -112,6 +112,9 @@ def sweep_mesh(
         end: of its way.
         radius: of the ball, metres; 0 for a point.
         tolerance: metres.
+
+    Raises:
+        ValueError: a pose or a way is not finite, or rounding at this size leaves nothing of a step.
     """
     check_shape("world_T_object", world_T_object, "(*b, 4, 4)", last=(4, 4))
     if not radius >= 0 or not tolerance > 0:
@@ -123,12 +126,12 @@ def sweep_mesh(
     begin, last = se3.apply(own, ends).unbind(1)
     way = (last - begin).norm(dim=-1)
     ray = (last - begin) / way.clamp_min(torch.finfo(way.dtype).tiny)[:, None]
+    if not bool((torch.isfinite(begin) & torch.isfinite(last)).all()):
+        raise ValueError("Expected finite poses and ways, got some with NaN or infinity: leave them out")
     gone = torch.zeros_like(way)
     touched = winding_number(begin, triangles) > 0.5
     moving = (~touched).nonzero()[:, 0]
-    for _ in range(_MOST_STEPS):
-        if not len(moving):
-            break
+    while len(moving):
         at = begin[moving] + gone[moving, None] * ray[moving]
         gap = (at - nearest(at, triangles).point).norm(dim=-1) - radius
         touched[moving] = gap <= tolerance
@@ -136,6 +139,11 @@ def sweep_mesh(
         # a step ends where the surface can be at the earliest
         step = torch.minimum(gone[moving] + gap.clamp_min(0.5 * tolerance), way[moving])
         going = ~(over | (gap <= tolerance))
+        if bool((going & (step <= gone[moving])).any()):
+            raise ValueError(
+                f"Expected ways on which {tolerance:g} m are a step, got one of {float(way.max()):g} m in {way.dtype}: "
+                "a greater tolerance, a shorter way or float64"
+            )
         gone[moving] = torch.where(going, step, gone[moving])
         moving = moving[going]
     gone = torch.where(touched, gone, way)

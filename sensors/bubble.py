@@ -87,11 +87,14 @@ class Bubble:
             tool_T_camera: (4, 4).
             unit: of the image.
             membrane: (H, W), the pixels that show it; None for all that are known.
+
+        Raises:
+            ValueError: no image, a membrane a metre away, which is another unit's, or a pose that is not finite.
         """
         check_shape("intrinsics", intrinsics, "(3, 3)", last=(3, 3))
         check_shape("tool_T_camera", tool_T_camera, "(4, 4)", last=(4, 4))
         check_finite("tool_T_camera", tool_T_camera)
-        rest = depth_metres(rest_depth, unit)
+        rest = _membrane(rest_depth, unit)
         seen = known(rest) if membrane is None else known(rest) & membrane
         rest = torch.where(seen, rest, torch.zeros_like(rest))
         rays = pixel_rays(rest.shape[0], rest.shape[1], intrinsics.to(rest))
@@ -131,12 +134,12 @@ def bubble_patch(
         settings: how.
 
     Raises:
-        ValueError: an image of another size than that at rest, or a pose that is not finite.
+        ValueError: an image of another size than that at rest, or in another unit, or a pose that is not finite.
     """
     settings = settings or BubbleSettings()
     check_shape("world_T_tool", world_T_tool, "(4, 4)", last=(4, 4))
     check_finite("world_T_tool", world_T_tool)
-    now = depth_metres(depth, settings.unit)
+    now = _membrane(depth, settings.unit)
     if now.shape != bubble.rest.shape:
         raise ValueError(
             f"Expected an image of the size of that at rest, {tuple(bubble.rest.shape)}, got {tuple(now.shape)}"
@@ -163,6 +166,21 @@ def bubble_patch(
     )
     return BubblePatch(observation, deformation, contact)
 
+
+def _membrane(depth: np.ndarray | Tensor, unit: Unit | float) -> Float[Tensor, "H W"]:
+    """The image in metres; refused where it can only be in another unit."""
+    metres = depth_metres(depth, unit)
+    some = metres[:: max(1, len(metres) // 64)]
+    some = some[known(some)]
+    if len(some) and float(some.median()) > _FARTHEST_M:
+        raise ValueError(
+            f"Expected a bubble's membrane within {_FARTHEST_M:g} m of the camera inside it, got a median depth of "
+            f"{float(some.median()):.3g} m: give unit 'mm', or the metres of one unit of the image"
+        )
+    return metres
+
+
+_FARTHEST_M = 1.0
 
 _LEAST_ALONG = math.cos(math.radians(80.0))
 """A membrane seen at more of a slant than this is taken to be at this slant: its normal is not known so well."""

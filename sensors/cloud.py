@@ -177,7 +177,7 @@ def pinhole_about(points: Float[Tensor, "M 3"], *, a_pixel: float = 4.0, most_px
         most_px: rows or columns at most.
 
     Raises:
-        ValueError: no point lies before the camera.
+        ValueError: no point lies before the camera, or all are aside of it.
     """
     ahead = points[torch.isfinite(points).all(-1) & (points[:, 2] > 1e-3)]
     if len(ahead) == 0:
@@ -185,6 +185,11 @@ def pinhole_about(points: Float[Tensor, "M 3"], *, a_pixel: float = 4.0, most_px
     flat = ahead[:, :2] / ahead[:, 2:]
     # what is seen at more than 75 degrees off the axis is left out
     flat = flat[(flat.abs() < math.tan(math.radians(75.0))).all(-1)]
+    if len(flat) == 0:
+        raise ValueError(
+            f"Expected points within 75 degrees of the camera's axis (z), got {len(ahead)} and all beyond: z points "
+            "forward in its frame; does world_T_camera look at them?"
+        )
     low, high = flat.amin(0), flat.amax(0)
     # a coarse image tells which part of the rectangle has points at all
     extent = (high - low).clamp_min(1e-4)

@@ -128,12 +128,16 @@ def wrench_contact(
         settings: when it counts as a touch.
 
     Raises:
-        ValueError: a wrench that is not finite.
+        ValueError: a wrench that is not finite, or of whole numbers.
     """
     # one wrench at a time comes at a kilohertz: what takes long is asked only where something is wrong
     if wrench.shape[-1:] != (6,) or covariance.shape != (6, 6):
         check_shape("wrench", wrench, "(*b, 6)", last=(6,))
         check_shape("covariance", covariance, "(6, 6)", last=(6, 6))
+    if not wrench.is_floating_point():
+        raise ValueError(
+            f"Expected wrench to be floating, got {wrench.dtype}: a point in whole metres is none; use .float()"
+        )
     if not math.isfinite(float(wrench.detach().sum())):
         check_finite("wrench", wrench)
     version = backend.dispatch("wrench_contact", wrench)

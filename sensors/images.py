@@ -53,6 +53,8 @@ def depth_metres(
         values = values[..., 0]
     if values.ndim != 2 or values.dtype.kind not in "uif":
         raise ValueError(f"Expected depth to be an image (H, W) of numbers, got {values.shape} of {values.dtype}")
+    if values.size == 0:
+        raise ValueError(f"Expected depth to be an image (H, W) with pixels, got {values.shape}")
     whole = values.dtype.kind in "ui"
     if isinstance(unit, str):
         if unit not in UNITS:

@@ -219,13 +219,26 @@ class TorqueThreshold:
     def above(
         cls, free: Float[Tensor, "*b J"], factor: float = 1.3, joints: int = 5, rest: Sequence[float] = ()
     ) -> Self:
-        """A threshold so many times the largest norm of residuals (*b, J) of motions without contact."""
+        """A threshold so many times the largest norm of residuals (*b, J) of motions without contact.
+
+        Raises:
+            ValueError: no residual, or one that is not finite.
+        """
+        if free.numel() == 0:
+            raise ValueError(f"Expected residuals of a motion without contact, got none, {tuple(free.shape)}")
         check_finite("free", free)
         own = cls(1.0, joints, tuple(rest))
         return replace(own, threshold_nm=factor * float(own.norm(free).amax()))
 
     def at_rest(self, residual: Float[Tensor, "K J"]) -> Self:
-        """The same with the rest taken from readings (K, J) at rest."""
+        """The same with the rest taken from readings (K, J) at rest.
+
+        Raises:
+            ValueError: no reading, or one that is not finite.
+        """
+        if len(residual) == 0:
+            raise ValueError(f"Expected residuals at rest, got none, {tuple(residual.shape)}")
+        check_finite("residual", residual)
         return replace(self, rest=tuple(residual.mean(0).tolist()))
 
     def norm(self, residual: Float[Tensor, "*b J"]) -> Float[Tensor, "*b"]:
@@ -237,5 +250,10 @@ class TorqueThreshold:
         return (residual - rest)[..., :count].norm(dim=-1)
 
     def contact(self, residual: Float[Tensor, "*b J"]) -> Bool[Tensor, "*b"]:
-        """Contact signals (*b)."""
+        """Contact signals (*b).
+
+        Raises:
+            ValueError: a residual that is not finite: it would read as a joint that felt nothing.
+        """
+        check_finite("residual", residual)
         return self.norm(residual) > self.threshold_nm

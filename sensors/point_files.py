@@ -1,7 +1,6 @@
 """Point clouds from files: PLY, PCD and NPZ, organised as an image or not."""
 
 import io
-import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +10,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from sdf import se3
+from sdf.cache import DAMAGED
 from sensors.images import depth_metres
 from sensors.pcd import read_pcd
 
@@ -40,7 +40,8 @@ def read_cloud(path: str | Path, *, scale: float = 1.0) -> Cloud:
     Args:
         path: .ply (ASCII or binary; needs trimesh), .pcd (ASCII, binary or compressed), or .npz with an array `points`
             (M, 3) or (H, W, 3) and perhaps `colors`, `normals` and `world_T_camera`, or with `depth` (H, W) and
-            `intrinsics` (3, 3) and perhaps `color` (H, W, 3) in place of points.
+            `intrinsics` (3, 3) and perhaps `color` (H, W, 3) in place of points. Colours are whole numbers from 0 to
+            255, or floating ones from 0 to 1.
         scale: metres that one unit of the file's points is; a depth image has its own rule (`images.depth_metres`).
 
     Raises:
@@ -57,8 +58,9 @@ def read_cloud(path: str | Path, *, scale: float = 1.0) -> Cloud:
     data = path.read_bytes()
     try:
         cloud = {".ply": _ply, ".pcd": _pcd, ".npz": _npz}[suffix](data)
-    except (ValueError, KeyError, IndexError, EOFError, OSError, zipfile.BadZipFile) as error:
-        raise ValueError(f"Expected a point cloud in {path}, could not read it: {error}") from error
+    except (*DAMAGED, IndexError, AttributeError) as error:  # all that readers raise of a byte that is another one
+        why = str(error) or type(error).__name__
+        raise ValueError(f"Expected a point cloud in {path}, could not read it: {why}") from error
     if cloud.points.shape[-1:] != (3,) or cloud.points.ndim not in (2, 3):
         raise ValueError(f"Expected points (M, 3) or (H, W, 3) in {path}, got {tuple(cloud.points.shape)}")
     for name in ("colors", "normals"):
@@ -89,7 +91,8 @@ def _ply(data: bytes) -> Cloud:
     points = torch.tensor(np.asarray(loaded.vertices), dtype=torch.float32)
     if len(points) == 0:
         raise ValueError("expected vertices, got none")
-    return Cloud(points, _columns(raw, ("red", "green", "blue"), torch.uint8), _columns(raw, ("nx", "ny", "nz")), None)
+    colors = _beside(raw, ("red", "green", "blue"))
+    return Cloud(points, None if colors is None else _bytes(colors), _columns(raw, ("nx", "ny", "nz")), None)
 
 
 def _pcd(data: bytes) -> Cloud:
@@ -120,36 +123,62 @@ def _npz(data: bytes) -> Cloud:
         arrays = {name: file[name] for name in file.files}
     viewpoint = None
     if "world_T_camera" in arrays:
-        viewpoint = torch.tensor(arrays["world_T_camera"], dtype=torch.float32)
+        viewpoint = _numbers(arrays["world_T_camera"], "world_T_camera")
         if tuple(viewpoint.shape) != (4, 4):
             raise ValueError(f"expected world_T_camera (4, 4), got {tuple(viewpoint.shape)}")
     if "points" in arrays:
-        points = torch.tensor(arrays["points"], dtype=torch.float32)
+        points = _numbers(arrays["points"], "points")
         colors, normals = arrays.get("colors"), arrays.get("normals")
     elif "depth" in arrays and "intrinsics" in arrays:
         from sensors.camera import pixel_rays
 
         depth = depth_metres(arrays["depth"])
-        rays = pixel_rays(depth.shape[0], depth.shape[1], torch.tensor(arrays["intrinsics"], dtype=torch.float32))
+        rays = pixel_rays(depth.shape[0], depth.shape[1], _numbers(arrays["intrinsics"], "intrinsics"))
         points = rays * torch.where((depth > 0) & torch.isfinite(depth), depth, torch.nan)[..., None]
         colors, normals = arrays.get("color"), None
     else:
         raise ValueError(f"expected arrays `points`, or `depth` and `intrinsics`, found {', '.join(arrays) or 'none'}")
     return Cloud(
         points,
-        None if colors is None else torch.tensor(colors.astype(np.uint8)),
-        None if normals is None else torch.tensor(normals, dtype=torch.float32),
+        None if colors is None else _bytes(colors),
+        None if normals is None else _numbers(normals, "normals"),
         viewpoint,
     )
 
 
-def _columns(
-    columns: dict[str, Any], names: tuple[str, ...], dtype: torch.dtype = torch.float32
-) -> Float[Tensor, "M 3"] | UInt8[Tensor, "M 3"] | None:
+def _numbers(array: np.ndarray, name: str) -> Float[Tensor, "..."]:
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"expected {name} to be numbers, got {array.dtype}")
+    return torch.tensor(array, dtype=torch.float32)
+
+
+def _bytes(colors: np.ndarray) -> UInt8[Tensor, "..."]:
+    """Colours as bytes: whole numbers up to 255 as they are, floating ones up to 1 as parts of it; NaN as 0."""
+    if colors.dtype.kind not in "fiu":
+        raise ValueError(f"expected colours to be numbers, got {colors.dtype}")
+    values = np.nan_to_num(colors.astype(np.float64), nan=0.0)
+    least, most = float(values.min(initial=0.0)), float(values.max(initial=0.0))
+    if colors.dtype.kind == "f" and least >= 0.0 and most <= 1.0:
+        values = np.rint(255.0 * values)
+    elif least < 0.0 or most > 255.0 or not (values == np.rint(values)).all():
+        raise ValueError(
+            "expected colours to be whole numbers from 0 to 255 or floating ones from 0 to 1, got "
+            f"{least:g} to {most:g} of {colors.dtype}"
+        )
+    return torch.from_numpy(values.astype(np.uint8))
+
+
+def _beside(columns: dict[str, Any], names: tuple[str, ...]) -> np.ndarray | None:
     """Columns of these names side by side; None where one is missing."""
     if not all(name in columns for name in names):
         return None
-    return torch.tensor(np.stack([np.asarray(columns[name]).reshape(-1) for name in names], -1), dtype=dtype)
+    return np.stack([np.asarray(columns[name]).reshape(-1) for name in names], -1)
+
+
+def _columns(columns: dict[str, Any], names: tuple[str, ...]) -> Float[Tensor, "M 3"] | None:
+    """The same in single precision."""
+    found = _beside(columns, names)
+    return None if found is None else torch.tensor(found, dtype=torch.float32)
 
 
 def _rotation(wxyz: tuple[float, ...]) -> Float[Tensor, "3 3"]:

@@ -103,6 +103,7 @@ def calibrate_load(wrench: Float[Tensor, "K 6"], world_R_sensor: Float[Tensor, "
     check_shape("wrench", wrench, "(K, 6)", last=(6,))
     check_shape("world_R_sensor", world_R_sensor, "(K, 3, 3)", last=(len(wrench), 3, 3))
     check_finite("wrench", wrench)
+    check_finite("world_R_sensor", world_R_sensor)
     pull = -GRAVITY * world_R_sensor.double()[:, 2, :]  # R^T (0, 0, -g)
     count, eye = len(pull), torch.eye(3, dtype=torch.float64, device=pull.device)
     still = eye.expand(count, 3, 3)

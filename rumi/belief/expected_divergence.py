@@ -14,9 +14,17 @@ def divergence(log_weights: Float[Tensor, "*#b N"], log_likelihood: Float[Tensor
     Args:
         log_weights: of the states, normalised or not.
         log_likelihood: of the reading at each state, up to a constant; may be -inf.
+
+    Raises:
+        ValueError: a weight or a likelihood is NaN or infinite, or no state has any weight.
     """
     joint = log_weights.log_softmax(-1) + log_likelihood
     evidence = joint.logsumexp(-1)
+    if bool((evidence.isnan() | (evidence == torch.inf)).any()):
+        raise ValueError(
+            "Expected log-weights of which one is finite and log-likelihoods that are finite or -inf, got NaN or inf: "
+            "are all states, readings and their noise finite, and the noise above 0?"
+        )
     possible = torch.isfinite(evidence)
     posterior = (joint - torch.where(possible, evidence, 0.0)[..., None]).exp()
     held = posterior > 0

@@ -39,7 +39,8 @@ class StaticSettings:
         jitter_m: least and greatest standard deviation of the moves that know nothing of the others, log-uniform.
         crossed: share of moves along the difference of two other particles, which fit whatever shape they fill.
         noise: standard deviation, per dimension of a step, that each update adds to the states; None for none, since
-            what is fixed does not move. With it there are no moves: old readings are of states that are no more.
+            what is fixed does not move. With it there are no moves: old readings are of states that are no more. The
+            prior goes on to count, once: each weight changes by how much likelier the new state is by it.
     """
 
     trigger: float = 0.5
@@ -155,7 +156,9 @@ class StaticFilter:
             raise DegenerateBeliefError(
                 "No particle explains the reading: more particles, or noise that fits the sensor"
             )
-        belief = StaticBelief(belief.states, log.log_softmax(-1), belief.log_target + told)
+        # with noise the states are new: all readings are held against them
+        target = belief.log_target + told if self.settings.noise is None else self.log_target(belief.states, every)
+        belief = StaticBelief(belief.states, log.log_softmax(-1), target)
         ess = belief.ess
         if ess >= self.settings.trigger * len(log):
             return belief, StaticInfo(ess, False, 0.0)
@@ -171,11 +174,9 @@ class StaticFilter:
     ) -> tuple[StaticBelief, StaticInfo]:
         """The same posterior by particles that Metropolis moves have set apart, at weights as they were."""
         states, target, taken = belief.states.clone(), belief.log_target.clone(), 0
-        # one half stands still while the other moves by its differences: so each move is exact
-        for half in (0, 1) * self.settings.moves:
+        # one half stands still while the other moves by its differences: so each move is exact; one alone has no other
+        for half in ((0, 1) if len(states) > 1 else (0,)) * self.settings.moves:
             own = slice(half, None, 2)
-            if len(states) < 2:
-                own = slice(None)
             proposed = self.space.stepped(states[own], self._steps(len(states[own]), states[1 - half :: 2], generator))
             there = self.log_target(proposed, every)
             chance = torch.rand(len(there), generator=generator, dtype=there.dtype).to(there.device)
@@ -198,9 +199,10 @@ class StaticFilter:
             draws = torch.randn(len(belief.states), self.space.dims, generator=generator, dtype=belief.states.dtype).to(
                 belief.states
             )
-            return replace(
-                belief, states=self.space.stepped(belief.states, draws * draws.new_tensor(self.settings.noise))
-            )
+            states = self.space.stepped(belief.states, draws * draws.new_tensor(self.settings.noise))
+            before, after = self.log_prior(belief.states), self.log_prior(states)
+            change = after - torch.where(before > -math.inf, before, 0.0)
+            return replace(belief, states=states, log_weights=belief.log_weights + change)
 
     def _steps(self, size: int, others: Float[Tensor, "M ..."], generator: torch.Generator) -> Float[Tensor, "N D"]:
         """Steps that are as likely as their opposites: jitter of any size, or differences of other particles."""

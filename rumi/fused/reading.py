@@ -1,6 +1,6 @@
 """What an action brings of all sensors: points, touches with their covariance, and contact signals."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -44,3 +44,10 @@ class FusedReading(Reading):
 
     wrench: WrenchTouch = field(default_factory=WrenchTouch.none)
     signals: Bool[Tensor, "K"] | None = None
+
+    @classmethod
+    def of(cls, reading: Reading) -> "FusedReading":
+        """The same with nothing else; the first view's has no more than points."""
+        if isinstance(reading, cls):
+            return reading
+        return cls(**{part.name: getattr(reading, part.name) for part in fields(Reading)})

@@ -6,26 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-import torch
-
-from rumi.belief.particles import PoseBelief
-from rumi.belief.renewal import challenge
 from rumi.clock import Clock
-from rumi.fused.evidence import FeltSoFar
-from rumi.fused.filter import FusedFilter
+from rumi.fused.follow import begin, belief_streams, follow
 from rumi.fused.grasp import Grasp, best_grasp
 from rumi.fused.parts import FusedParts
-from rumi.fused.reading import FusedReading
-from rumi.loop import first_belief
 from rumi.planning.types import Plan, Scene
 from rumi.records import RunResult, StepRecord
-from rumi.registration.initialise import initialise, view_starts
-from rumi.rummager import Rummager
 from rumi.scoring import observe, summarise
 from rumi.seeding import split
 from rumi.sim.handle_grasp import GRASP_S
-from sensors.observation import Observation
-from sensors.semantics import Semantics
 
 Ended = Literal["sure", "steps", "budget", "interrupted"]
 
@@ -82,8 +71,7 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
     """
     settings, task, rummager = parts.settings, parts.task, parts.rummager
     clock, history = Clock(), list[StepRecord]()
-    random = {name: split(seed, name) for name in ("initialise", "filter", "plan", "renewal")}
-    felt = FeltSoFar.nothing(rummager.model.sdf, settings, len(parts.surface))
+    random, planning = belief_streams(seed), split(seed, "plan")
     spent_s, updating_s, motion_s = 0.0, 0.0, task.settings.action_s + task.settings.hold_s
 
     def emit(record: StepRecord) -> StepRecord:
@@ -103,10 +91,9 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
             result = task.reset(seed)
         began = time.perf_counter()
         with clock("belief"):
-            belief, memory = first_belief(rummager, result.reading, generator=random["initialise"])
-            belief = _seen(rummager, belief, memory, generator=random["initialise"])
+            known = begin(parts.finder, result.reading, random=random)
         spent_s += thought(began)
-        last = emit(observe(rummager, clock, history, result, belief, memory))
+        last = emit(observe(rummager, clock, history, result, known.belief, known.memory))
         plan: Plan | None = None
         while not last.converged and last.step < settings.steps:
             left_s = settings.budget_s - spent_s - motion_s - updating_s - GRASP_S
@@ -120,37 +107,25 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
                     rummager.workspace,
                     rummager.tool,
                     result.reading.configuration,
-                    observed=memory,
+                    observed=known.memory,
                     reading=result.reading,
                 )
                 executed, allowed = min(last.step, 1), None if settings.thinking_s is not None else left_s
                 plan = rummager.policy.act(
-                    belief, scene, plan, executed=executed, budget_s=allowed, generator=random["plan"]
+                    known.belief, scene, plan, executed=executed, budget_s=allowed, generator=planning
                 )
             spent_s += motion_s + thought(began)
+            control = plan.controls[0]
             with clock("simulate"):
-                result = task.step(plan.controls[0])
-            began, reading = time.perf_counter(), result.reading
-            with clock("belief"):
-                assert isinstance(reading, FusedReading) and reading.object_motion is not None
-                felt = felt.joined(reading, reading.object_motion @ belief.world_T_attached, parts.surface, settings)
-                follow = _filter(rummager).with_evidence(felt)
-                belief, memory, info = follow(belief, memory, reading, generator=random["filter"])
-                located = last.contacts >= settings.renewals and bool(memory.of_class(Semantics.SURFACE).any())
-                if bool(reading.in_contact.any()) and not located:
-                    belief = challenge(follow, belief, memory, rummager.renewal, generator=random["renewal"])
-            done = (plan.controls[0], plan, bool(info.resampled))
-            last = observe(rummager, clock, history, result, belief, info.added, *done)
-            if last.converged:
-                with clock("belief"):
-                    belief = challenge(follow, belief, memory, rummager.renewal, generator=random["renewal"])
-                last = observe(rummager, clock, history, result, belief, info.added, *done)
+                result = task.step(control)
+            began = time.perf_counter()
+            known, last = follow(parts.finder, known, clock, history, result, control, plan, random=random)
             if settings.thinking_s is None:  # else it is part of the decision's time
                 updating_s = thought(began)
                 spent_s += updating_s
             emit(last)
         ended = "sure" if last.converged else ended
-        grasp = best_grasp(belief.world_T_object, belief.log_weights, parts.table)
+        grasp = best_grasp(known.belief.world_T_object, known.belief.log_weights, parts.table)
         lifted = parts.gripper.grasp(grasp.pose, task.world.world_T_object())
         spent_s += GRASP_S
     except KeyboardInterrupt:
@@ -166,20 +141,3 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
 def total_nll(nll: Sequence[float], steps: int) -> float:
     """Nll summed up over the first view and `steps` actions, the last one's for those that were not needed."""
     return math.fsum(nll) + nll[-1] * max(0, steps + 1 - len(nll))
-
-
-def _filter(rummager: Rummager) -> FusedFilter:
-    assert isinstance(rummager.filter, FusedFilter)
-    return rummager.filter
-
-
-def _seen(rummager: Rummager, belief: PoseBelief, memory: Observation, *, generator: torch.Generator) -> PoseBelief:
-    """All poses that a first view leaves, weighed by the prior too; the belief itself where nothing was seen."""
-    surface, own, follow = memory.points[memory.of_class(Semantics.SURFACE)], rummager.initialise, rummager.filter
-    if len(surface) == 0:
-        return belief
-    reach_m = float(rummager.model.surface_points[:, :2].norm(dim=-1).max())
-    starts = view_starts(surface, own.starts, reach_m, rummager.height_m, generator=generator)
-    peakiness = follow.settings.peakiness
-    found = initialise(follow.discrepancy, memory, starts, follow.search, peakiness, own, generator=generator)
-    return follow.weigh(found, found, memory, memory, torch.zeros((), dtype=torch.bool))

@@ -109,6 +109,10 @@ class FusedSettings:
         for name in ("budget_s", "spread_m"):
             if not getattr(self, name) > 0:
                 raise UsageError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if not math.isfinite(self.budget_s):
+            raise UsageError(f"Expected budget_s to be finite, got {self.budget_s}: give as many seconds as there are")
+        if self.thinking_s is not None and not (self.thinking_s >= 0 and math.isfinite(self.thinking_s)):
+            raise UsageError(f"Expected thinking_s to be 0 or more and finite, got {self.thinking_s}")
         if self.steps < 1:
             raise UsageError(f"Expected steps of 1 or more, got {self.steps}")
 

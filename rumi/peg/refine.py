@@ -1,20 +1,23 @@
 """The second stage: where to touch next in the time there is, until the holes are known well enough."""
 
+import math
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.belief.certainty import Aim, MassRule
+from rumi.belief.certainty import Aim, CovarianceRule, EntropyRule, MassRule
+from rumi.belief.entropy import NeighbourEntropy
 from rumi.belief.resampling import resample_systematic
+from rumi.belief.states import StateMetric
 from rumi.belief.static import StaticBelief, StaticFilter
 from rumi.belief.static_spaces import PlaneSpace
 from rumi.belief.touch_gain import NOTHING, TOUCH, rectangle_likelihood, touch_gain
-from rumi.clock import SimulatedClock
+from rumi.clock import Now, SimulatedClock
 from rumi.peg.moves import Motion, motions, outcomes
 from rumi.peg.search import free_ways
 from rumi.peg.settings import PegSettings
@@ -76,12 +79,14 @@ class Chooser:
         clock: that thinking advances.
         generator: of all draws.
         measured: work and seconds of the last evaluations, where they are measured.
+        making: seconds that each of the last candidates took to make, then.
     """
 
     settings: PegSettings
     clock: SimulatedClock
     generator: torch.Generator
     measured: list[tuple[float, float]]
+    making: list[float] = field(default_factory=list)
 
     def choose(self, belief: StaticBelief, tip: Float[Tensor, "3"], away: Float[Tensor, "2"] | None) -> Thought:
         """The motion to carry out next.
@@ -92,6 +97,9 @@ class Chooser:
             away: normal of the side that it rests against, None where it rests against none.
         """
         own = self.settings
+        if own.evaluation_s is None and not self.measured:
+            self._warmed(belief, tip, away)
+        watch = _Watch(self.clock, running=own.evaluation_s is None)
         work = float(own.readings * own.particles)
         index = self._configurations(belief)
 
@@ -101,18 +109,30 @@ class Chooser:
                 took = float(path_time(found[number].path, own.limits))
                 yield Candidate(found[number], took, work)
 
-        begun = self.clock()
+        # where real time counts, what was done so far is of the time that there is
+        before = watch() - watch.begun_s
+        made = _Timed(in_descending_posterior(belief.log_target[index], of_particle), watch)
         selection = select(
-            in_descending_posterior(belief.log_target[index], of_particle),
-            self._timed(self._gain(belief)),
-            own.t_max_s,
+            made,
+            self._stated(self._gain(belief)),
+            max(own.t_max_s - before, 0.0),
             evaluation=self._evaluation(),
+            generation=_bound_of(self.making),
             doublings=own.doublings,
-            now=self.clock,
+            now=watch,
         )
         if own.evaluation_s is None:
             self.measured = [*self.measured, *selection.measured][-_REMEMBERED:]
-        return Thought(selection, begun, self.clock())
+            self.making = [*self.making, *made.seconds][-_REMEMBERED:]
+        watch.stop()
+        return Thought(selection, watch.begun_s, self.clock())
+
+    def _warmed(self, belief: StaticBelief, tip: Float[Tensor, "3"], away: Float[Tensor, "2"] | None) -> None:
+        """Do all once, for nothing: what is compiled at its first use is no measure of the time that it takes."""
+        aside = replace(self, generator=torch.Generator().manual_seed(0))
+        index = int(aside._configurations(belief)[0])
+        found = motions(belief.states[index], tip, away, belief.states, belief.log_weights, self.settings)
+        aside._gain(belief)(found[0])
 
     def _configurations(self, belief: StaticBelief) -> Int[Tensor, "C"]:
         """The likeliest particle, and others drawn by weight: the next likeliest would be nearly the same."""
@@ -140,14 +160,15 @@ class Chooser:
 
         return gain
 
-    def _timed(self, gain: Callable[[Motion], float]) -> Callable[[Motion], float]:
-        """The same, whose time passes on the simulated clock: the stated one, or the machine's own."""
+    def _stated(self, gain: Callable[[Motion], float]) -> Callable[[Motion], float]:
+        """The same, whose stated time passes on the simulated clock; the machine's own passes by itself."""
         stated = self.settings.evaluation_s
+        if stated is None:
+            return gain
 
         def timed(motion: Motion) -> float:
-            begun = time.perf_counter()
             value = gain(motion)
-            self.clock.advance(time.perf_counter() - begun if stated is None else stated)
+            self.clock.advance(stated)
             return value
 
         return timed
@@ -159,6 +180,46 @@ class Chooser:
             return EvaluationTime.known(_FIRST_S)
         work, seconds = zip(*self.measured, strict=True)
         return EvaluationTime.fit(work, seconds)
+
+
+class _Watch:
+    """The simulated clock during a decision: as it stands, or, running, with all time that passes on this machine."""
+
+    def __init__(self, clock: SimulatedClock, *, running: bool) -> None:
+        self._clock, self._running = clock, running
+        self.begun_s, self._at = clock(), time.perf_counter()
+
+    def __call__(self) -> float:
+        """Seconds now."""
+        return self._clock() + (time.perf_counter() - self._at if self._running else 0.0)
+
+    def stop(self) -> None:
+        """Let the simulated clock know what time it is."""
+        if self._running:
+            self._clock.advance(time.perf_counter() - self._at)
+            self._running = False
+
+
+class _Timed:
+    """Candidates, and the seconds that each of them took to make."""
+
+    def __init__(self, source: Iterator[Candidate[Motion]], now: Now) -> None:
+        self._source, self._now = source, now
+        self.seconds: list[float] = []
+
+    def __iter__(self) -> Iterator[Candidate[Motion]]:
+        return self
+
+    def __next__(self) -> Candidate[Motion]:
+        begun = self._now()
+        candidate = next(self._source)
+        self.seconds.append(self._now() - begun)
+        return candidate
+
+
+def _bound_of(making: list[float]) -> EvaluationTime | None:
+    """How long the next candidate takes to make, as far as earlier ones tell; None where they are made in no time."""
+    return EvaluationTime.fit([1.0] * len(making), making) if making else None
 
 
 def sides_touched(pose: Float[Tensor, "3"], every: RectangleTouches) -> int:
@@ -199,6 +260,15 @@ def sure(belief: StaticBelief, every: RectangleTouches, aim: Aim, settings: PegS
         return False
     if settings.stop == "contacts":
         return sides_touched(belief.best, every) >= settings.sides
+    if settings.stop == "covariance":
+        spread = (settings.spread_m, settings.spread_m, math.radians(settings.spread_deg))
+        return CovarianceRule(spread, (None, None, math.pi)).holds(belief.states, belief.log_weights)
+    if settings.stop == "entropy":
+        # the block looks the same half a turn on: of twice its yaw, of which there is twice as much
+        states = belief.states * belief.states.new_tensor([1.0, 1.0, 2.0])
+        metric = StateMetric.planar(0.25 * settings.length_m)
+        rule = EntropyRule(NeighbourEntropy(metric), settings.most_nats + math.log(2.0))
+        return rule.holds(states, belief.log_weights)
     return aim.probability >= settings.probability
 
 

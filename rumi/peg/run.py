@@ -70,7 +70,7 @@ class PegRun:
         late = [thought.selection.late_s for thought in self.thoughts if thought.selection.candidate is not None]
         return {
             "in_hole": self.in_hole,
-            "right": self.hole_error_m < 0.005,
+            "right": self.hole_error_m < self.settings.tolerance_m,
             "off_mm": 1e3 * self.off_m,
             "hole_error_mm": 1e3 * self.hole_error_m,
             "middle_error_mm": 1e3 * self.middle_error_m,
@@ -155,7 +155,7 @@ def run_peg(settings: PegSettings, seed: int) -> PegRun:
     place = _better_hole(belief, aim, settings)
     lift = place.new_tensor([settings.lift_m])
     cell.follow(torch.stack((cell.tip, torch.cat((cell.tip[:2], lift)), torch.cat((place, lift)))))
-    in_hole, off = cell.insert(place, settings.height_m + settings.radius_m)
+    in_hole, off = cell.insert(place, settings.height_m + settings.radius_m, settings.tolerance_m)
     holes = settings.block.holes(truth)
     errors = [(aim.points - order).norm(dim=-1).max() for order in (holes, holes.flip(0))]
     return PegRun(

@@ -2,14 +2,15 @@
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self
 
 from rumi.errors import UsageError
+from rumi.peg.settings_checks import check, check_kinds
 from rumi.planning.motion_time import SpeedLimits
 from rumi.sim.touch_cell import Block
 from sensors.touch_likelihood import TouchNoise
 
-Stop = Literal["mass", "contacts"]
+Stop = Literal["mass", "contacts", "covariance", "entropy"]
 
 
 @dataclass(frozen=True)
@@ -22,10 +23,11 @@ class PegSettings:
             simulated clock, so that a run is the same on any machine. None for what it takes on this one, measured.
         update_s: seconds that the belief takes to follow a reading.
         stop: "mass" stops where both holes are within the tolerance of where they are thought to be with a
-            probability, "contacts" after four contacts on two sides, as the paper does.
+            probability, "contacts" after four contacts on two sides, as the paper does, "covariance" where the pose
+            spreads by `spread_m` and `spread_deg` at most, "entropy" where its differential entropy is low.
         probability: to stop at.
-        tolerance_m: of a hole.
-        contacts: on sides, before it may stop.
+        tolerance_m: of a hole: what is right, and in the hole, is measured by it too.
+        contacts: on sides, before it may stop, whatever the rule.
         sides: different ones of them, for the paper's stop.
         most_actions: after which the run ends as it is.
         point_m, normal_deg: noise of the sensor, and as the belief has it.
@@ -46,6 +48,8 @@ class PegSettings:
         table_m: size of the part of the table that the block's middle may be on.
         radius_m: of the ball.
         length_m, width_m, height_m, hole_m: of the block.
+        spread_m, spread_deg: standard deviations of the block's place and yaw that "covariance" stops at.
+        most_nats: differential entropy of (x, y, yaw), in metres and radians, that "entropy" stops at.
     """
 
     t_max_s: float = 10.0
@@ -80,24 +84,17 @@ class PegSettings:
     width_m: float = 0.1
     height_m: float = 0.06
     hole_m: float = 0.06
+    spread_m: float = 0.002
+    spread_deg: float = 1.5
+    most_nats: float = -12.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
-        if self.stop not in get_args(Stop):
-            raise ValueError(f"Expected stop to be one of {', '.join(get_args(Stop))}, got {self.stop!r}")
-        for name in ("t_max_s", "point_m", "normal_deg", "particles", "readings", "configurations", "most_actions"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        for name in ("evaluation_s", "update_s", "contacts", "sides", "retreat_m", "standoff_m", "beyond_m"):
-            if (getattr(self, name) or 0) < 0:
-                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
-        if self.lane_m > min(self.length_m, self.width_m) + 2.0 * self.radius_m:
-            raise ValueError(
-                f"Expected lanes at most the block's width and the ball's apart, or some blocks are never met: "
-                f"{min(self.length_m, self.width_m) + 2.0 * self.radius_m:g} m, got {self.lane_m:g}"
-            )
-        if self.lift_m <= self.height_m + self.radius_m:
-            raise ValueError(f"Expected lift_m above the block and the ball's radius, got {self.lift_m:g}")
+        """Refuse what cannot be.
+
+        Raises:
+            UsageError: which setting, what was expected and what came.
+        """
+        check(self)
 
     @property
     def block(self) -> Block:
@@ -118,12 +115,13 @@ class PegSettings:
         """The same with some settings changed.
 
         Raises:
-            UsageError: there is no such setting.
+            UsageError: there is no such setting, or it cannot be as it is given.
         """
         known = {field.name for field in fields(self)}
         for name in overrides:
             if name not in known:
                 raise UsageError(f"There is no setting {name!r} of peg; there are {', '.join(sorted(known))}")
+        check_kinds(type(self), overrides)
         return replace(self, **overrides)
 
     def as_dict(self) -> dict[str, Any]:

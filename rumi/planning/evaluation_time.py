@@ -52,6 +52,8 @@ class EvaluationTime:
         row of evaluations, each begun only where the bound leaves time for it, ends late with that probability at
         most: E[(T - bound)+] / E[T], the chance that the last one spans what is left. For times with a heavy tail this
         is more than the first asks for. With too few measurements for the level, it is twice the slowest.
+        Where some measurements are of no work, the line begins no lower than their mean, so that a margin can meet
+        both of them too.
 
         Args:
             work: of each measurement, in any unit, such as readings times particles.
@@ -70,12 +72,14 @@ class EvaluationTime:
             raise ValueError(f"Expected level between 0 and 1, got {level}")
         fixed, slope = _line(size, took)
         mean = fixed + slope * size
-        ratio = np.sort(took / np.where(mean > 0, mean, 1.0))
+        ratio = took / np.where(mean > 0, mean, 1.0)
+        order = np.argsort(ratio, kind="stable")
+        ratio, share = ratio[order], mean[order] / max(float(mean.max()), np.finfo(float).tiny)
         place = math.ceil((len(ratio) + 1) * level)
         if place > len(ratio):
             margin = _FEW * float(ratio[-1])
         else:
-            margin = max(float(ratio[place - 1]), _excess_margin(ratio, 1.0 - level))
+            margin = max(float(ratio[place - 1]), _excess_margin(ratio, share, 1.0 - level))
         return cls(fixed, slope, max(margin, 1.0), level, len(took))
 
     def mean(self, work: float = 1.0) -> float:
@@ -95,19 +99,33 @@ def _line(size: np.ndarray, took: np.ndarray) -> tuple[float, float]:
     fixed = float(took.mean() - slope * size.mean())
     if slope < 0:
         return float(took.mean()), 0.0
+    idle = took[size == 0]
+    if variance > 0 and len(idle) and fixed <= 0 < idle.mean():
+        # no margin is enough over a line that says that no work takes no time
+        fixed = float(idle.mean())
+        return fixed, max(float(size @ (took - fixed)) / float(size @ size), 0.0)
     if fixed < 0:
         return 0.0, float(size @ took) / float(size @ size)
     return fixed, slope
 
 
-def _excess_margin(ratio: np.ndarray, most: float) -> float:
-    """Least margin m at which E[(r - m)+] / E[r] is `most`, of sorted ratios."""
+def _excess_margin(ratio: np.ndarray, share: np.ndarray, most: float) -> float:
+    """Least margin m at which E[(T - m mean)+] / E[T] is `most`.
+
+    Args:
+        ratio: T over its mean, ascending.
+        share: those means, up to a constant: by it each ratio's excess is as many seconds.
+        most: see above.
+    """
+    if not share.any():
+        return 1.0
     # the excess at each ratio, from the largest down: a straight line between neighbours
-    above = np.concatenate((np.cumsum(ratio[::-1])[::-1][1:], [0.0]))
-    more = np.arange(len(ratio) - 1, -1, -1)
+    seconds = share * ratio
+    above = np.concatenate((np.cumsum(seconds[::-1])[::-1][1:], [0.0]))
+    more = np.concatenate((np.cumsum(share[::-1])[::-1][1:], [0.0]))
     excess = (above - more * ratio) / len(ratio)
-    allowed = most * float(ratio.mean())
+    allowed = most * float(seconds.mean())
     first = int(np.argmax(excess <= allowed))
     # between this one and the one before, excess falls by the share of ratios that lie above
-    rate = (len(ratio) - first) / len(ratio)
+    rate = (more[first] + share[first]) / len(ratio)
     return float(ratio[first] - (allowed - excess[first]) / rate)

@@ -3,6 +3,9 @@
 import math
 from dataclasses import dataclass
 
+NOISE_M = (1e-9, 1e3)
+"""Least and greatest noise of touches, metres: beyond these likelihoods are lost in rounding."""
+
 
 @dataclass(frozen=True)
 class LocalizeSettings:
@@ -17,8 +20,8 @@ class LocalizeSettings:
         polished: poses that go on.
         fine_points: points that those descend on, at most.
         fine: steps of that descent, on distances.
-        noise_m: how far touches are off, the scale of a Laplace distribution; by default what the best pose
-            leaves, and `least_noise_m` at least.
+        noise_m: how far touches are off, the scale of a Laplace distribution, within `NOISE_M`; by default what the
+            best pose leaves, and `least_noise_m` at least.
         least_noise_m: see there.
         normal_noise_rad: how far normals are off, a standard deviation (the paper's 6 degrees).
         mode_m, mode_rad: poses nearer to each other than both, up to the object's symmetries, are one mode.
@@ -50,7 +53,10 @@ class LocalizeSettings:
         for name in ("least_noise_m", "normal_noise_rad", "mode_m", "mode_rad"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if self.noise_m is not None and not self.noise_m > 0:
-            raise ValueError(f"Expected noise_m above 0, got {self.noise_m}")
+        least, most = NOISE_M
+        if not self.least_noise_m <= most:
+            raise ValueError(f"Expected least_noise_m of {most:g} m at most, got {self.least_noise_m}")
+        if self.noise_m is not None and not least <= self.noise_m <= most:
+            raise ValueError(f"Expected noise_m of {least:g} to {most:g} m, got {self.noise_m}")
         if not (0 <= self.from_prior <= 1 and 0 < self.plausible <= 1):
             raise ValueError(f"Expected from_prior in [0, 1] and plausible in (0, 1], got {self}")

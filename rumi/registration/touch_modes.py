@@ -172,7 +172,7 @@ def gather_modes(
     both = TouchFit("absolute", True, reach, noise, smooth_m=1e-12)
     likelihood = -touch_terms(surface, world_T_middle, points_w, normals_w, both).objective / noise
     order = likelihood.argsort(descending=True, stable=True)
-    order = order[likelihood[order] > likelihood[order[0]] + math.log(settings.plausible)]
+    order = order[likelihood[order] >= likelihood[order[0]] + math.log(settings.plausible)]
     modes = order[distinct(surface, world_T_middle[order], settings.mode_m, settings.mode_rad, len(order))]
     poses = world_T_middle[modes]
     information = touch_terms(surface, poses, points_w, normals_w, TouchFit("square", True, reach, noise)).hessian

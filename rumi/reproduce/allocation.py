@@ -82,7 +82,8 @@ def accuracy(records: Sequence[Record]) -> str:
 def totals(records: Sequence[Record]) -> str:
     """Total time to the accuracy that is asked for, by t_max and evaluation time, the least marked."""
     heads = ["s a candidate", "t_max, s", "runs", "total, s: mean", "median", "search", "reasoning", "touches"]
-    heads += ["candidates a decision", "sure", "both holes < 5 mm", "in a hole"]
+    heads += ["candidates a decision", "doublings a decision", "sure", "unsure at the most actions"]
+    heads += ["both holes < 5 mm", "in a hole"]
     rows = []
     for machine, courses in _machines(records).items():
         least = _least(courses)
@@ -92,7 +93,7 @@ def totals(records: Sequence[Record]) -> str:
             decisions = sum(numbers(own, "actions"))
             rows.append(
                 [
-                    f"{machine:g}",
+                    _seconds(machine, courses),
                     f"{t_max:g}",
                     str(len(own)),
                     f"**{cells}**" if t_max == least else cells,
@@ -101,7 +102,9 @@ def totals(records: Sequence[Record]) -> str:
                     f"{statistics.mean(numbers(own, 'thinking_s')):.0f}",
                     f"{statistics.mean(numbers(own, 'touches')):.1f}",
                     f"{sum(numbers(own, 'evaluated')) / max(1.0, decisions):.1f}",
+                    f"{sum(numbers(own, 'doublings')) / max(1.0, decisions):.2f}",
                     f"{_sure(own)}/{len(own)}",
+                    rate([record.figures["stopped_by"] == "actions" for record in own]),
                     rate(flags(own, "right")),
                     rate(flags(own, "in_hole")),
                 ]
@@ -110,7 +113,10 @@ def totals(records: Sequence[Record]) -> str:
 
 
 def draw_totals(records: Sequence[Record], path: Path) -> list[Path]:
-    """Total time over t_max for each evaluation time, with the least marked."""
+    """Total time over t_max for each evaluation time, the least marked, hollow where runs ended unsure.
+
+    A run that ends at the most actions would have taken longer to be sure: its total is a bound from below.
+    """
     from rumi.viz import style
 
     machines = _machines(records)
@@ -123,7 +129,7 @@ def draw_totals(records: Sequence[Record], path: Path) -> list[Path]:
             t_max = sorted(courses)
             centre, low, high = np.array([_mean(courses[t]) for t in t_max]).T
             least = _least(courses)
-            label = f"{machine:g} s a candidate"
+            label = f"{_seconds(machine, courses)} s a candidate"
             if least is not None:
                 best = t_max.index(least)
                 # in the legend: beside the star it may lie on another curve
@@ -131,13 +137,16 @@ def draw_totals(records: Sequence[Record], path: Path) -> list[Path]:
                 ax.plot(least, centre[best], marker="*", color=colour, ms=13, mec="white", zorder=4)
             ax.fill_between(t_max, low, high, color=colour, alpha=0.15, lw=0)
             ax.plot(t_max, centre, color=colour, lw=1.6, marker="o", ms=3.5, label=label)
+            bounds = [k for k, t in enumerate(t_max) if not _reached(courses[t])]
+            ax.plot([t_max[k] for k in bounds], centre[bounds], color=colour, lw=0, marker="o", ms=4.5, mfc="white")
         ax.set_xscale("log")
         ticks = sorted({t for courses in machines.values() for t in courses})
         ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
         ax.minorticks_off()
         ax.set_ylim(bottom=0)
         ax.set_xlabel("t_max: seconds for a decision and its motion")
-        ax.set_ylabel("total time until P >= 0.95, peg included [s]")
+        ax.set_ylabel("total time, peg included [s]")
+        ax.set_title("until P >= 0.95; hollow: more than 1 in 10 ended unsure, at the most actions", fontsize=8)
         ax.legend(loc="upper left")
         return [_saved(figure, path)]
 
@@ -164,13 +173,22 @@ def draw_runs(seed: int, folder: Path) -> list[Path]:
     return written
 
 
-def _machines(records: Sequence[Record]) -> dict[float, dict[float, list[Record]]]:
-    """Runs by evaluation time and t_max."""
-    found: dict[float, dict[float, list[Record]]] = {}
+def _machines(records: Sequence[Record]) -> dict[float | None, dict[float, list[Record]]]:
+    """Runs by evaluation time and t_max; None for what was measured."""
+    found: dict[float | None, dict[float, list[Record]]] = {}
     for settings, own in by_settings(records):
-        machine, t_max = float(settings.get("evaluation_s", 1.0)), float(settings["t_max_s"])  # type: ignore[arg-type]
-        found.setdefault(machine, {})[t_max] = own
+        machine = settings.get("evaluation_s", 1.0)
+        course = found.setdefault(None if machine is None else float(machine), {})  # type: ignore[arg-type]
+        course[float(settings["t_max_s"])] = own  # type: ignore[arg-type]
     return found
+
+
+def _seconds(machine: float | None, courses: dict[float, list[Record]]) -> str:
+    """Seconds that a candidate takes: as stated, or the median of what was measured."""
+    if machine is not None:
+        return f"{machine:g}"
+    took = [record.figures["evaluation_s"] for own in courses.values() for record in own]
+    return f"measured, {statistics.median([s for s in took if s is not None] or [0.0]):.2g}"
 
 
 def _sure(records: Sequence[Record]) -> int:
@@ -180,8 +198,13 @@ def _sure(records: Sequence[Record]) -> int:
 
 def _least(courses: dict[float, list[Record]]) -> float | None:
     """The t_max of the least mean total, among those at which nine of ten runs became sure."""
-    reached = [t for t, own in courses.items() if _sure(own) >= 0.9 * len(own)]
+    reached = [t for t, own in courses.items() if _reached(own)]
     return min(reached, key=lambda t: _mean(courses[t])[0], default=None)
+
+
+def _reached(records: Sequence[Record]) -> bool:
+    """Whether nine of ten runs became sure."""
+    return _sure(records) >= 0.9 * len(records)
 
 
 def _mean(records: Sequence[Record]) -> tuple[float, float, float]:

@@ -21,7 +21,7 @@ class Job:
     """One run, one closed loop of the toy of Figure 8, or one of the peg task.
 
     Attributes:
-        kind: "run", "toy" or "peg".
+        kind: "run", "toy", "peg", or "peg-real" where weighing candidates takes what it takes on this machine.
         task: its name; "toy" of the toy, "peg" of the peg task.
         method: its name; of the toy one of MPPI, SMPPI, KMPPI.
         preset: that the settings start from; empty for the toy.
@@ -128,6 +128,7 @@ KINDS = {
     "run": Kind(("rumi.reproduce.runs",), _run),
     "toy": Kind(("rumi.reproduce.toy",), _toy),
     "peg": Kind(("rumi.reproduce.peg",), _peg),
+    "peg-real": Kind(("rumi.reproduce.peg",), _peg),
 }
 """All kinds of work by name."""
 

@@ -50,7 +50,4 @@ def settings_of(overrides: Sequence[str]) -> PegSettings:
         except json.JSONDecodeError:
             value = text
         values[name] = tuple(value) if isinstance(value, list) else value
-    try:
-        return PegSettings().with_values(values)
-    except TypeError as error:
-        raise UsageError(f"A setting of peg has a value of another kind: {error}") from error
+    return PegSettings().with_values(values)

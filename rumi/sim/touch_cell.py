@@ -135,8 +135,8 @@ class TouchCell:
         nowhere = self.tip.new_zeros(2)
         return self._felt(NOTHING, nowhere, nowhere, free, path, begun)
 
-    def insert(self, at: Float[Tensor, "2"], low: float) -> tuple[bool, float]:
-        """Lower the ball over a place: whether it is over a hole as the paper has it, and how far it is off.
+    def insert(self, at: Float[Tensor, "2"], low: float, tolerance_m: float = 0.005) -> tuple[bool, float]:
+        """Lower the ball over a place: whether it is over a hole within a tolerance, and how far it is off.
 
         The ball of 25 mm goes down freely in a hole of 30 mm where it is off by 2.5 mm at most; the paper calls 5 mm
         good enough, where it meets the hole's rim at more than 53 degrees from below and slides in.
@@ -144,11 +144,12 @@ class TouchCell:
         Args:
             at: where it is lowered.
             low: height that it is lowered to.
+            tolerance_m: distance from a hole's middle that will do; by default the paper's.
         """
         off = float((self.block.holes(self.truth) - at).norm(dim=-1).min())
         drop = float(self.tip[2]) - low
         self.clock.advance(float(travel_time(self.tip.new_tensor(drop), self._limits)))
-        return off < 0.005, off
+        return off < tolerance_m, off
 
     def _level(self, start: Tensor, end: Tensor) -> tuple[int, float, Tensor, Tensor]:
         found = sweep_rectangle(self.truth, self.block.half(), start[:2], end[:2], self.radius)

@@ -91,16 +91,17 @@ KINDS: dict[str, tuple[Column, ...]] = {
 """Columns of each kind of raw stream."""
 
 
-def reading_columns(float_type: str) -> tuple[Column, ...]:
+def reading_columns(float_type: str, kind: type[Reading] = Reading) -> tuple[Column, ...]:
     """The columns of what a run takes in step by step: reading, control, truth, and a digest of the belief after it.
 
     Args:
         float_type: of floating numbers, `f4` or `f8`.
+        kind: of the readings; one with further fields has further columns.
     """
     return (
         *(
             dataclasses.replace(column, dtype=float_type) if column.dtype == "float" else column
-            for column in _of_dataclass(Reading, "reading/")
+            for column in _of_dataclass(kind, "reading/")
         ),
         Column("control", float_type, (), 1, optional=True, about="the action that led here, in [-1, 1]"),
         Column("truth", float_type, (4, 4), optional=True, about="true world_T_object, for metrics alone"),
@@ -114,13 +115,13 @@ def reading_values(reading: Reading) -> dict[str, object]:
     return dict(_flat(reading, "reading/"))
 
 
-def reading_of(values: Mapping[str, np.ndarray | None]) -> Reading:
-    """The reading of a row.
+def reading_of(values: Mapping[str, np.ndarray | None], kind: type[Reading] = Reading) -> Reading:
+    """The reading of a row, of a kind; fields that the row has no columns for have their defaults.
 
     Raises:
         ValueError: the row holds no reading.
     """
-    made: Reading = _built(Reading, values, "reading/")
+    made: Reading = _built(kind, values, "reading/")
     return made
 
 

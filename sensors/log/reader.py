@@ -16,7 +16,7 @@ from torch import Tensor
 from sensors.log.as_closed import AsClosed
 from sensors.log.columns import KINDS, STAMPS, reading_columns, reading_of
 from sensors.log.errors import LogError
-from sensors.log.table import Row, Table
+from sensors.log.table import DAMAGE, Row, Table
 from sensors.log.writer import FORMAT, SCHEMA, Odd
 from sensors.reading import Reading
 
@@ -68,12 +68,19 @@ class Stream:
 
     def __init__(self, name: str, group: h5py.Group) -> None:
         self.name = name
-        attrs = {key: group.attrs[key] for key in group.attrs}
+        try:
+            attrs = {key: group.attrs[key] for key in group.attrs}
+        except DAMAGE as error:
+            raise LogError(f"stream {name} is damaged at its head and left out: {error}") from None
         self.kind, self.frame = str(attrs.pop("kind", "")), str(attrs.pop("frame", ""))
         if self.kind not in KINDS:
             raise LogError(f"Stream {name} is of a kind that this rumi does not know, {self.kind!r}: update rumi")
         attrs.pop("columns", None)
-        self.about: dict[str, Any] = {key: json.loads(value) for key, value in attrs.items()}
+        try:
+            self.about: dict[str, Any] = {key: json.loads(value) for key, value in attrs.items()}
+            self.name = str(self.about.pop("stream_name", name))
+        except DAMAGE as error:
+            raise LogError(f"stream {name} has damaged attributes and is left out: {error}") from None
         self._table = Table(group)
         needed = {column.name for column in (*STAMPS, *KINDS[self.kind]) if not column.optional}
         if lacking := sorted(needed - {column.name for column in self._table.columns}):
@@ -82,6 +89,11 @@ class Stream:
 
     def __len__(self) -> int:
         return len(self._table)
+
+    @property
+    def parts(self) -> frozenset[str]:
+        """What lies in its group of its own."""
+        return frozenset(column.name.partition("/")[0] for column in self._table.columns)
 
     def stamps_ns(self) -> np.ndarray:
         """Stamps of the rows that `samples` gives, not checked and in the order in which they came; reads little.
@@ -94,9 +106,11 @@ class Stream:
 
     def _stamps(self) -> tuple[np.ndarray, np.ndarray]:
         try:
-            return self._table.unchecked("stamp_ns"), self._table.unchecked("flag")
-        except OSError as error:
+            stamps, flags = self._table.unchecked("stamp_ns"), self._table.unchecked("flag")
+        except DAMAGE as error:
             raise LogError(f"The stamps of stream {self.name} are damaged: {error}") from error
+        count = min(len(stamps), len(flags))  # the same but for damage
+        return stamps[:count], flags[:count]
 
     def as_recorded(self, start: int = 0, end: int | None = None) -> Iterator[Sample]:
         """All rows that can be read, in the order in which they came.
@@ -167,34 +181,68 @@ class Log:
                     f"{self.path} was written by a newer rumi (schema {schema}, this one reads {SCHEMA}): update rumi"
                 )
             self.schema = int(schema)
-            about = self._file.get("about")
-            self.texts = {name: _text(about[name]) for name in about} if about is not None else {}
-        except (OSError, KeyError, ValueError) as error:
+        except DAMAGE as error:
             if isinstance(error, LogError):
                 raise
             raise LogError(f"{self.path} is damaged at its head, and nothing of it can be read: {error}") from error
         self.problems: list[str] = []
+        self.texts, self._lost_texts = self._found_texts()
         try:
-            self._end: dict[str, Any] | None = json.loads(_text(self._file["end"]) or "null")
-        except (OSError, KeyError, ValueError):  # a kill may have caught it being written
+            end = json.loads(_text(self._file["end"]) or "null")
+            self._end: dict[str, Any] | None = end if isinstance(end, dict) else None
+        except DAMAGE:  # a kill may have caught it being written
             self._end = None
         if self._end is None:
             self.problems.append("the log was not finished: what had been written is there")
         self.streams = self._found_streams()
 
+    def _found_texts(self) -> tuple[dict[str, str], list[str]]:
+        """Texts by name, and the names of those that are damaged."""
+        found: dict[str, str] = {}
+        lost: list[str] = []
+        try:
+            if "about" not in self._file:
+                return found, lost
+            about = self._file["about"]
+            names = list(about)
+        except DAMAGE as error:
+            self.problems.append(f"the texts about the log are damaged: {error}")
+            return found, ["settings"]
+        for name in names:
+            try:
+                found[name] = _text(about[name])
+            except DAMAGE as error:
+                self.problems.append(f"the text about/{name} is damaged: {error}")
+                lost.append(name)
+        return found, lost
+
     def _found_streams(self) -> dict[str, Stream]:
         found: dict[str, Stream] = {}
-        groups: list[str] = []
         try:
-            self._file["streams"].visititems(lambda name, item: groups.append(name) if "kind" in item.attrs else None)
-        except (OSError, KeyError, RuntimeError) as error:
+            self._look_into(self._file["streams"], "", found)
+        except DAMAGE as error:
             self.problems.append(f"the streams cannot be listed: {error}")
-        for name in groups:
-            try:
-                found[name] = Stream(name, self._file[f"streams/{name}"])
-            except (LogError, OSError) as error:
-                self.problems.append(str(error))
         return found
+
+    def _look_into(
+        self, group: h5py.Group, prefix: str, found: dict[str, Stream], skip: frozenset[str] = frozenset()
+    ) -> None:
+        """The streams below a group; what is damaged costs no other one."""
+        for name in sorted(set(group) - skip):
+            path = prefix + name
+            try:
+                item = group[name]
+                if not isinstance(item, h5py.Group):
+                    continue
+                columns: frozenset[str] = frozenset()
+                if "kind" in item.attrs:
+                    stream = Stream(path, item)
+                    found[stream.name], columns = stream, stream.parts
+                self._look_into(item, f"{path}/", found, columns)
+            except LogError as error:
+                self.problems.append(str(error))
+            except DAMAGE as error:
+                self.problems.append(f"stream {path} is damaged and left out: {error}")
 
     @property
     def end(self) -> Mapping[str, Any] | None:
@@ -208,9 +256,11 @@ class Log:
         Raises:
             LogError: they are damaged.
         """
+        if "settings" in self._lost_texts:
+            raise LogError(f"{self.path} has damaged settings, without which its readings cannot be taken in")
         try:
             return dict(json.loads(self.texts["settings"])) if "settings" in self.texts else None
-        except ValueError as error:
+        except (ValueError, TypeError) as error:
             raise LogError(f"{self.path} has damaged settings: {error}") from error
 
     def stream(self, name: str) -> Stream:
@@ -223,17 +273,21 @@ class Log:
             raise LogError(f"{self.path} has no stream {name!r}; it has {', '.join(sorted(self.streams)) or 'none'}")
         return self.streams[name]
 
-    def taken(self) -> list[Taken]:
+    def taken(self, kind: type[Reading] = Reading) -> list[Taken]:
         """What the run took in, step by step, up to the first row that is damaged; `problems` says if one was.
+
+        Args:
+            kind: of the readings.
 
         Raises:
             LogError: the readings are of a newer rumi, or are not there.
         """
         try:
-            table = Table(self._file["readings"])
-        except KeyError:
+            group = self._file["readings"]
+        except DAMAGE:
             raise LogError(f"{self.path} is damaged: its readings are gone") from None
-        known = {column.name for column in reading_columns("f4")}
+        table = Table(group)
+        known = {column.name for column in reading_columns("f4", kind)}
         if wrong := sorted({column.name for column in table.columns} - known):
             raise LogError(f"{self.path} has readings with {wrong[0]}, which this rumi does not know: update rumi")
         found: list[Taken] = []
@@ -241,7 +295,7 @@ class Log:
             if index != len(found):
                 break  # a belief cannot go on without what came in between
             try:
-                found.append(_taken(row))
+                found.append(_taken(row, kind))
             except ValueError as error:
                 raise LogError(f"{self.path} holds no usable reading at step {index}: {error}") from error
         if len(found) < len(table):
@@ -267,18 +321,18 @@ def _opened(path: Path) -> h5py.File:
     """The file; one that grows, was killed or was cut short as if it had been closed."""
     try:
         return h5py.File(path, "r")
-    except (OSError, ValueError) as error:
+    except DAMAGE as error:
         first = error
     try:
         return h5py.File(AsClosed(path), "r")
-    except (OSError, ValueError):
+    except DAMAGE:
         raise LogError(f"{path} is no HDF5 file, or is damaged at its head: {first}") from first
 
 
-def _taken(row: Row) -> Taken:
+def _taken(row: Row, kind: type[Reading]) -> Taken:
     control, truth, digest = (row.get(name) for name in ("control", "truth", "digest"))
     return Taken(
-        reading_of({name: value for name, value in row.items() if name.startswith("reading/")}),
+        reading_of({name: value for name, value in row.items() if name.startswith("reading/")}, kind),
         None if control is None else torch.from_numpy(control.copy()),
         None if truth is None else torch.from_numpy(truth.copy()),
         None if digest is None else digest.tobytes(),

@@ -22,6 +22,19 @@ if TYPE_CHECKING:
 
 Row = dict[str, np.ndarray | None]
 
+DAMAGE = (
+    OSError,
+    KeyError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    IndexError,
+    OverflowError,
+    MemoryError,
+)
+"""What h5py raises where a file is damaged, or what is found there makes numpy raise."""
+
 CHECK = "row_crc32"
 """The dataset that is written last."""
 
@@ -69,15 +82,18 @@ class TableWriter:
         names = {column.name for column in self._columns}
         if wrong := sorted(set(values) - names):
             raise LogError(f"There is no column {wrong[0]!r}; there are {', '.join(sorted(names))}")
-        row: dict[str, np.ndarray] = {}
-        check = 0
+        # all of it before anything changes: a row that is refused leaves no trace
+        arrays: dict[str, np.ndarray] = {}
         for column in self._columns:
             value = values.get(column.name)
             if value is None and not column.optional:
                 raise LogError(f"Expected a value for {column.name}, got none")
-            given = value is not None
             empty = (0,) * column.variable + column.tail
-            array = column.array(value) if given else np.zeros(empty, column.dtype)
+            arrays[column.name] = np.zeros(empty, column.dtype) if value is None else column.array(value)
+        row: dict[str, np.ndarray] = {}
+        check = 0
+        for column in self._columns:
+            given, array = values.get(column.name) is not None, arrays[column.name]
             row[column.name] = array.reshape(-1, *column.tail) if column.variable else array[None]
             if column.variable:
                 self._ends[column.name] += len(row[column.name])
@@ -128,7 +144,8 @@ class Table:
                 if not isinstance(column.name, str) or column.variable not in (0, 1, 2):
                     raise ValueError(f"a column {column.name!r} of {column.variable!r} axes that vary")
             self._checks = group[CHECK]
-        except (KeyError, TypeError, ValueError, OSError) as error:
+            self._rows = int(self._checks.shape[0])
+        except DAMAGE as error:
             raise LogError(f"Expected {self.name} to be a table of a log, could not read it: {error}") from None
         self._sets: dict[str, Any] = {}
         for column in self.columns:
@@ -137,16 +154,18 @@ class Table:
             parts |= {f"{column.name}/shape": ""} if column.variable == 2 else {}
             parts |= {f"{column.name}/given": ""} if column.optional else {}
             for name, path in parts.items():
-                if (path or name) not in group:
+                try:
+                    self._sets[name] = made = group[path or name]
+                    made.shape, made.dtype  # noqa: B018  (raise where they are damaged)
+                except DAMAGE as error:
                     raise LogError(
-                        f"Expected {self.name} to hold {path or name}: the log is damaged, or of another kind"
-                    )
-                self._sets[name] = group[path or name]
+                        f"Expected {self.name} to hold {path or name}: the log is damaged, or of another kind ({error})"
+                    ) from None
         self.damaged: list[int] = []
 
     def __len__(self) -> int:
         """Number of rows that were written whole, damaged ones included."""
-        return int(self._checks.shape[0])
+        return self._rows
 
     def rows(self, start: int = 0, end: int | None = None) -> Iterator[tuple[int, Row]]:
         """The index and the values of each row, without those that are damaged: `damaged` lists these afterwards.
@@ -161,7 +180,7 @@ class Table:
             stop = min(self._block_end(at), last)
             try:
                 block = self._read(at, stop)
-            except (OSError, ValueError):
+            except DAMAGE:
                 block = None
             for index in range(at, stop):
                 row = None
@@ -170,7 +189,7 @@ class Table:
                 elif stop - at > 1:
                     try:
                         row = self._row(self._read(index, index + 1), 0)
-                    except (OSError, ValueError):
+                    except DAMAGE:
                         row = None
                 if row is None:
                     self.damaged.append(index)
@@ -198,7 +217,7 @@ class Table:
             return 1
         try:
             first, last = self._span(column, at, at + 1)
-        except (OSError, ValueError):
+        except DAMAGE:
             return 1
         return last - first
 
@@ -246,7 +265,7 @@ class Table:
                 check = _checksum(array, given, check)
                 row[column.name] = array if given else None
             return row if check == int(block[CHECK][index]) else None
-        except (ValueError, IndexError):
+        except DAMAGE:
             return None
 
 

@@ -80,6 +80,7 @@ class LogWriter:
         settings: of the run, as plain values; None where no run made the log.
         about: further texts by name: kept as they are.
         float_type: of the readings' numbers, `f4` or `f8`.
+        readings: their kind.
         live: whether the log grows in its place.
         future_s: seconds that a stamp may be later than the time of receipt.
 
@@ -95,6 +96,7 @@ class LogWriter:
         settings: Mapping[str, Any] | None = None,
         about: Mapping[str, str] | None = None,
         float_type: str = "f4",
+        readings: type[Reading] = Reading,
         live: bool = True,
         future_s: float = 1.0,
     ) -> None:
@@ -113,7 +115,8 @@ class LogWriter:
         for name, text in texts.items():
             self._file.create_dataset(f"about/{name}", data=np.frombuffer(text.encode(), np.uint8))
         self._end = self._file.create_dataset("end", (0,), "u1", maxshape=(None,), chunks=(_END_BYTES,))
-        self._readings = TableWriter(self._file.create_group("readings"), reading_columns(float_type), packed=not live)
+        columns = reading_columns(float_type, readings)
+        self._readings = TableWriter(self._file.create_group("readings"), columns, packed=not live)
         self._file.create_group("streams")
         self._streams: dict[str, TableWriter] = {}
         self._stamps: dict[str, tuple[set[int], int]] = {}
@@ -138,13 +141,23 @@ class LogWriter:
     def _add(self, stream: StreamSpec) -> None:
         if stream.name in self._streams:
             raise LogError(f"There is a stream {stream.name} already")
-        group = self._file.create_group(f"streams/{stream.name}")
+        path = self._place(stream.name)
+        group = self._file.create_group(f"streams/{path}")
         group.attrs["kind"], group.attrs["frame"] = stream.kind, stream.frame
+        if path != stream.name:
+            group.attrs["stream_name"] = json.dumps(stream.name)
         for name, value in stream.about.items():
             group.attrs[name] = json.dumps(value)
         self._streams[stream.name] = TableWriter(group, (*STAMPS, *KINDS[stream.kind]), packed=not self._live)
         self._stamps[stream.name] = (set(), 0)
         self.odd[stream.name] = {}
+
+    def _place(self, name: str) -> str:
+        """Where a stream lies: by its name, but never in another stream, whose columns have names too."""
+        if not any(f"{a}/".startswith(f"{b}/") for one in self._streams for a, b in ((name, one), (one, name))):
+            return name
+        path = name.replace("%", "%25").replace("/", "%2F")
+        return f"{path}%2F" if path in self._file["streams"] else path
 
     def append(self, stream: str, stamp_ns: int, received_ns: int | None = None, /, **values: object) -> Odd:
         """Add a row to a stream, and say what is odd about its stamp.
@@ -163,10 +176,15 @@ class LogWriter:
         if stream not in self._streams:
             raise LogError(f"There is no stream {stream!r}; there are {', '.join(self._streams) or 'none'}")
         received = time.time_ns() if received_ns is None else received_ns
-        odd = self._odd(stream, stamp_ns or received, received)
+        stamp = stamp_ns or received
+        odd = self._odd(stream, stamp, received)
         odd |= Odd.UNSET if stamp_ns == 0 else Odd(0)
         table = self._streams[stream]
-        table.append({"stamp_ns": stamp_ns or received, "received_ns": received, "flag": odd.value, **values})
+        table.append({"stamp_ns": stamp, "received_ns": received, "flag": odd.value, **values})
+        if not odd & Odd.FUTURE:  # which later ones are not compared with
+            seen, latest = self._stamps[stream]
+            seen.add(stamp)
+            self._stamps[stream] = (seen, max(latest, stamp))
         for one in odd:
             self.odd[stream][one.name.lower()] = self.odd[stream].get(one.name.lower(), 0) + 1  # type: ignore[union-attr]
         if table.buffered_bytes > _FLUSH_BYTES or (self._live and time.monotonic() - self._flushed > 0.2):
@@ -175,16 +193,11 @@ class LogWriter:
 
     def _odd(self, stream: str, stamp: int, received: int) -> Odd:
         seen, latest = self._stamps[stream]
-        odd = Odd(0)
         if stamp > received + self._future_ns:
-            return Odd.FUTURE  # and is not what later ones are compared with
+            return Odd.FUTURE
         if stamp in seen:
-            odd |= Odd.DUPLICATE
-        elif stamp < latest:
-            odd |= Odd.LATE
-        seen.add(stamp)
-        self._stamps[stream] = (seen, max(latest, stamp))
-        return odd
+            return Odd.DUPLICATE
+        return Odd.LATE if stamp < latest else Odd(0)
 
     def reading(
         self, reading: Reading, *, control: object = None, truth: object = None, digest: bytes | None = None

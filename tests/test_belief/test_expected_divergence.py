@@ -38,6 +38,20 @@ def test_weights_of_nothing_and_readings_of_nothing():
     assert float(divergence(log, torch.full((3,), -math.inf, dtype=F64))) == 0.0
 
 
+def test_what_is_no_number_is_refused():
+    log, even = torch.zeros(3, dtype=F64), torch.zeros(2, 3, dtype=F64)
+    for bad in (math.nan, math.inf):
+        likelihood = even.clone()
+        likelihood[1, 0] = bad
+        with pytest.raises(ValueError, match="got NaN or inf"):
+            divergence(log, likelihood)
+        with pytest.raises(ValueError, match="got NaN or inf"):
+            expected_divergence(log, likelihood)
+    for weights in (torch.full((3,), -math.inf, dtype=F64), torch.tensor([math.nan, 0.0, 0.0], dtype=F64)):
+        with pytest.raises(ValueError, match="log-weights of which one is finite"):
+            divergence(weights, even)
+
+
 def test_drawn_readings_give_the_mutual_information():
     """A Gaussian state read with Gaussian noise: 1/2 log(1 + spread^2 / noise^2)."""
     generator = torch.Generator().manual_seed(0)

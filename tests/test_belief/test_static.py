@@ -128,6 +128,61 @@ def test_nothing_is_predicted_unless_asked_for():
     assert account.skipped() == {"predictions": 0.0}
 
 
+def test_with_noise_the_prior_goes_on_to_count_once():
+    """Unread states that are jostled keep to their prior: within a square, and as a Gaussian."""
+    generator = torch.Generator().manual_seed(3)
+
+    class Nothing:
+        def log_likelihood(self, states):
+            return flat(states)
+
+    def square(states):
+        return torch.where((states.abs() <= 0.5).all(-1), 0.0, -math.inf).to(states)
+
+    follow = StaticFilter(PlaneSpace(None), square, StaticSettings(noise=(0.2, 0.2)))
+    belief = follow.start(torch.rand(500, 2, generator=generator, dtype=F64) - 0.5)
+    for _ in range(5):
+        belief, _ = follow.update(belief, Nothing(), Nothing(), generator=generator)
+        outside = (belief.states.abs() > 0.5).any(-1)
+        assert float(belief.log_weights.exp()[outside].sum()) == 0.0
+        assert torch.equal(belief.log_target, square(belief.states))
+        assert float(belief.log_weights.exp().sum()) == pytest.approx(1.0)
+    centre, wide = 0.1, 0.3
+    gauss = StaticFilter(
+        PlaneSpace(None), lambda s: -0.5 * ((s - centre) / wide).square().sum(-1), StaticSettings(noise=(0.1, 0.1))
+    )
+    belief = gauss.start(centre + wide * torch.randn(4000, 2, generator=generator, dtype=F64))
+    for _ in range(10):
+        belief, _ = gauss.update(belief, Nothing(), Nothing(), generator=generator)
+    weights = belief.log_weights.exp()[:, None]
+    mean = (weights * belief.states).sum(0)
+    spread = (weights * (belief.states - mean).square()).sum(0).sqrt()
+    # ten steps of 0.1 would have made it 0.44 wide, the prior counted in each of them 0.1
+    assert torch.allclose(mean, torch.full((2,), centre, dtype=F64), atol=0.03)
+    assert torch.allclose(spread, torch.full((2,), wide, dtype=F64), rtol=0.1)
+    reading = Gauss(torch.tensor([[0.2, 0.1]], dtype=F64), 0.1)
+    belief, _ = gauss.update(belief, reading, reading, generator=generator)
+    assert torch.allclose(belief.log_target, gauss.log_target(belief.states, reading))
+    assert torch.equal(belief.best, belief.states[gauss.log_target(belief.states, reading).argmax()])
+
+
+def test_one_particle_moves_as_often_as_others():
+    generator = torch.Generator().manual_seed(0)
+    asked = []
+
+    def log_prior(states):
+        asked.append(len(states))
+        return flat(states)
+
+    follow = StaticFilter(PlaneSpace(None), log_prior, StaticSettings(moves=6))
+    for count in (1, 2, 3):
+        belief = follow.start(torch.zeros(count, 2, dtype=F64))
+        asked.clear()
+        moved, info = follow.moved(belief, None, ess=1.0, generator=generator)
+        assert sum(asked) == 6 * count and info.accepted == 1.0
+        assert not bool((moved.states == 0).any())
+
+
 def test_a_mesh_in_six_dimensions_is_found():
     generator = torch.Generator().manual_seed(4)
     half = torch.tensor([0.03, 0.05, 0.08], dtype=F64)

@@ -12,11 +12,12 @@ from rumi.belief.prior import PosePrior
 from rumi.cli import DONE, NOT_CONVERGED
 from rumi.errors import UsageError
 from rumi.fused.filter import FusedFilter
+from rumi.fused.finder import gripper_surface
 from rumi.fused.grasp import HandleTable
-from rumi.fused.parts import build_fused, gripper_surface
+from rumi.fused.parts import build_fused
 from rumi.fused.run import run_fused, total_nll
 from rumi.fused.settings import SENSORS, FusedSettings
-from rumi.fused_command import fused, sensors_of, thinking_of
+from rumi.fused_command import fused, sensors_of, short_of, thinking_of
 from rumi.planning.gripper import GripperShape
 from rumi.registration.descent import DescentSettings
 from sdf import se3
@@ -155,15 +156,37 @@ def test_sensors_and_thinking_are_told_in_words():
     for wrong in ("eyes", "camera,", ""):
         with pytest.raises(UsageError, match="camera"):
             sensors_of(wrong)
-    for wrong in ("soon", "-1", "nan"):
+    for wrong in ("soon", "-1", "nan", "inf"):
         with pytest.raises(UsageError, match="thinking"):
             thinking_of(wrong)
 
 
-@pytest.mark.parametrize("wrong", [{"sensors": ()}, {"budget_s": 0.0}, {"steps": 0}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"sensors": ()},
+        {"steps": 0},
+        *({"budget_s": seconds} for seconds in (0.0, math.inf, math.nan)),
+        *({"thinking_s": seconds} for seconds in (-1.0, math.inf, math.nan)),
+    ],
+)
 def test_settings_that_cannot_be_are_refused(wrong):
     with pytest.raises(UsageError):
         FusedSettings(**wrong)
+
+
+def test_a_budget_that_the_first_look_and_the_grasp_exceed_is_told():
+    assert short_of(FusedSettings(budget_s=3.2)) is None
+    assert "less than the 3.1 s" in short_of(FusedSettings(budget_s=1.0))
+    assert "less than the 2.1 s" in short_of(FusedSettings(budget_s=1.0, thinking_s=None))
+
+
+def test_what_cannot_be_leaves_no_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for wrong in (["--preset", "nope"], ["--budget", "inf"], ["--thinking", "inf"], ["--seed", "-1"]):
+        with pytest.raises(UsageError):
+            fused([*wrong, "--out", "run"])
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.sim

@@ -1,17 +1,23 @@
 """The whole peg task, its command and its figures."""
 
 import json
+import math
 from dataclasses import replace
 from itertools import pairwise
 
 import pytest
+import torch
 
 from rumi import commands
+from rumi.belief.certainty import Aim
+from rumi.belief.static import StaticBelief
 from rumi.errors import UsageError
+from rumi.peg.refine import sure
 from rumi.peg.run import run_peg
 from rumi.peg.settings import PegSettings
 from rumi.peg_command import PegOptions, settings_of
 from rumi.sim.touch_cell import TOP
+from sensors.rectangle_touch import RectangleTouches
 
 QUICK = PegSettings(particles=200, search_particles=600, point_m=0.001, normal_deg=2.0)
 
@@ -56,6 +62,42 @@ def test_the_papers_stop():
     assert run.stopped_by == "sure" and run.as_dict()["touches"] >= 4
 
 
+def test_stops_by_spread_and_by_entropy():
+    """Both end sure, later where they ask for more, and the belief then is what they ask for."""
+    ends = {}
+    for stop, limits in (("covariance", ({"spread_m": 0.01, "spread_deg": 9.0}, {"spread_m": 0.0005})),
+                         ("entropy", ({"most_nats": -9.0}, {"most_nats": -16.0}))):  # fmt: skip
+        runs = [run_peg(replace(QUICK, stop=stop, contacts=1, most_actions=12, **limit), 1) for limit in limits]
+        assert [run.stopped_by for run in runs] == ["sure", "sure"]
+        assert len(runs[0].felt) < len(runs[1].felt)
+        ends[stop] = runs[1]
+    for run in ends.values():
+        assert run.as_dict()["right"]
+
+
+def test_the_entropy_of_the_block_knows_no_half_turns():
+    generator = torch.Generator().manual_seed(0)
+    spread = torch.tensor([0.002, 0.002, 0.03], dtype=torch.float64)
+    states = spread * torch.randn(400, 3, generator=generator, dtype=torch.float64)
+    turned = states + torch.tensor([0.0, 0.0, torch.pi]) * (torch.arange(400) % 2)[:, None]
+    flat = torch.zeros(400, dtype=torch.float64).log_softmax(-1)
+    # of a normal distribution, and half a nat to each side
+    nats = 1.5 * (1.0 + math.log(2.0 * math.pi)) + float(spread.log().sum())
+    nothing = RectangleTouches.none(QUICK.block.half(), QUICK.noise, QUICK.radius_m)
+    aim = Aim(torch.zeros(2, 2), 0.0, 0)
+    for poses in (states, turned):
+        belief = StaticBelief(poses, flat, flat)
+        held = [
+            sure(belief, nothing, aim, replace(QUICK, stop="entropy", contacts=0, most_nats=nats + off))
+            for off in (-0.3, 0.3)
+        ]
+        assert held == [False, True]
+        wide = replace(QUICK, stop="covariance", contacts=0, spread_m=0.0025, spread_deg=math.degrees(0.0375))
+        assert sure(belief, nothing, aim, wide)
+        assert not sure(belief, nothing, aim, replace(wide, spread_m=0.0015))
+        assert not sure(belief, nothing, aim, replace(wide, spread_deg=1.2))
+
+
 def test_the_command(tmp_path, capsys):
     folder = tmp_path / "run"
     arguments = ["peg", "--t-max", "10", "--seed", "3", "--out", str(folder)]
@@ -77,7 +119,7 @@ def test_what_cannot_be():
         (PegOptions(evaluation="quick"), "seconds or real"),
         (PegOptions(set=("colour=blue",)), "no setting 'colour'"),
         (PegOptions(set=("particles",)), "setting of peg and its value"),
-        (PegOptions(set=("particles=many",)), "another kind"),
+        (PegOptions(set=("particles=many",)), "particles to be a whole number"),
     ):
         with pytest.raises(UsageError, match=message):
             settings_of(options)

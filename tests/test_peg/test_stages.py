@@ -8,6 +8,7 @@ import torch
 
 from rumi.belief.touch_gain import NOTHING, TOUCH
 from rumi.clock import SimulatedClock
+from rumi.peg import refine
 from rumi.peg.moves import direct_ways, motions, outcomes, presses
 from rumi.peg.refine import Chooser, aim_of, block_filter, confirmed, evidence_of, probability_of, sides_touched
 from rumi.peg.run import random_pose
@@ -156,6 +157,40 @@ def test_a_decision_keeps_its_deadline_on_the_clock():
     measured = Chooser(PegSettings(particles=200, evaluation_s=None), clock, torch.Generator().manual_seed(0), [])
     assert measured.choose(belief, cell.tip, None).selection.evaluated > 12
     assert len(measured.measured) > 12
+
+
+def test_real_time_counts_the_making_of_candidates(monkeypatch):
+    """On a machine where twelve motions take 0.6 s to make, drawing particles 0.1 s and a gain 0.05 s."""
+    machine = SimulatedClock()
+    monkeypatch.setattr(refine.time, "perf_counter", machine)
+
+    def slow(what, seconds):
+        def done(*arguments, **options):
+            machine.advance(seconds)
+            return what(*arguments, **options)
+
+        return done
+
+    for name, seconds in (("motions", 0.6), ("resample_systematic", 0.1), ("touch_gain", 0.05)):
+        monkeypatch.setattr(refine, name, slow(getattr(refine, name), seconds))
+    cell, found, _, _, belief = stage_two(1)
+    clock = SimulatedClock(7.0)
+    settings = PegSettings(particles=200, evaluation_s=None, t_max_s=12.0)
+    chooser = Chooser(settings, clock, torch.Generator().manual_seed(0), [])
+    for number in range(6):
+        before, real = clock(), machine()
+        thought = chooser.choose(belief, cell.tip, found.felt[-1].normal)
+        selection = thought.selection
+        # what was done once before the first decision, for nothing, is of no decision
+        spent = machine() - real - (0.75 if number == 0 else 0.0)
+        assert thought.begun_s == before and thought.ended_s == clock() == pytest.approx(before + spent)
+        rounds = -(-selection.generated // 12)
+        assert spent == pytest.approx(0.1 + 0.6 * rounds + 0.05 * selection.evaluated)
+        # late by no more than the motions that it did not know of at first
+        assert selection.late_s <= (0.6 if number == 0 else 1e-9)
+        ended = thought.ended_s + selection.candidate.execution_s - thought.begun_s
+        assert ended - 12.0 == pytest.approx(selection.late_s)
+    assert max(chooser.making) == pytest.approx(0.6) and min(chooser.making) == 0.0
 
 
 def test_sure_by_other_particles():

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from rumi.clock import SimulatedClock
+from rumi.planning import anytime
 from rumi.planning.anytime import Candidate, Selection, in_descending_posterior, select
 from rumi.planning.evaluation_time import EvaluationTime
 
@@ -91,6 +92,29 @@ def test_too_little_time_is_doubled() -> None:
     # 3 and 6 s were too few for 9 s of motion and 1 s of thinking; nothing was made twice
     assert (made.doublings, made.t_max_s, made.generated, made.evaluated, made.skipped) == (2, 12.0, 2, 1, 1)
     assert made.late_s <= 0
+
+
+@pytest.mark.parametrize("kept", [1, 10, 10_000])
+def test_of_more_than_can_wait_the_quickest_are_kept(kept: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The only one that doubled time is enough for comes last, in the middle, or first."""
+    monkeypatch.setattr(anytime, "_KEPT", kept)
+    count = 2 * kept + 5
+    for place in (0, count // 2, count - 1):
+        pairs = [(50.0, 9.0)] * count
+        pairs[place] = (5.0, 3.0)
+        made, _ = choose(pairs, 3.0)
+        assert made.candidate is not None
+        assert (made.candidate.action, made.gain, made.doublings) == (place, 3.0, 1)
+        assert (made.generated, made.evaluated, made.skipped) == (count, 1, count - 1)
+
+
+def test_those_that_wait_are_tried_in_the_order_in_which_they_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(anytime, "_KEPT", 3)
+    pairs = [(8.0, 0.1), (60.0, 9.0), (6.0, 0.2), (70.0, 9.0), (9.0, 0.3), (80.0, 9.0), (90.0, 9.0)]
+    made, _ = choose(pairs, 7.0)
+    assert [event.execution_s for event in made.history] == [6.0]
+    made, _ = choose(pairs, 5.0, doublings=1)
+    assert [event.execution_s for event in made.history] == [8.0, 6.0]
 
 
 def test_doublings_are_capped() -> None:

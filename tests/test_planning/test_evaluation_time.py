@@ -65,6 +65,36 @@ def test_a_heavy_tail_asks_for_more_than_the_quantile() -> None:
     assert found.bound() > 200.0
 
 
+def test_no_work_takes_the_time_that_it_took() -> None:
+    """A line by least squares that falls below 0 at no work, where four in ten measurements are."""
+    work, seconds = [0.0, 0.0, 1.0, 2.0, 3.0] * 40, [0.01, 0.01, 0.5, 1.2, 2.0] * 40
+    for level in (0.9, 0.99):
+        found = EvaluationTime.fit(work, seconds, level)
+        assert 0.01 <= found.bound(0.0) <= 0.02
+        longer = sum(took > found.bound(size) for size, took in zip(work, seconds, strict=True))
+        assert longer <= (1 - level) * len(work)
+        assert found.bound(3.0) < 4.0
+    # nothing at no work, and a line through it
+    assert EvaluationTime.fit([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]).bound(0.0) == 0.0
+
+
+@pytest.mark.parametrize("name", NOISES)
+def test_rows_of_different_work_are_in_time_as_often_as_it_says(name: str) -> None:
+    """Work of nothing and up to ten, times with an error that grows with work: the last one spans what is left."""
+    random, level = np.random.default_rng(1), 0.9
+    single, spans = [], []
+    for _ in range(40):
+        work = random.choice([0.0, 0.1, 1.0, 10.0], 500)
+        found = EvaluationTime.fit(work, (0.01 + work) * NOISES[name](random, 500), level)
+        fresh = random.choice([0.0, 0.1, 1.0, 10.0], 4000)
+        took = (0.01 + fresh) * NOISES[name](random, 4000)
+        bound = found.margin * (found.fixed_s + found.per_work_s * fresh)
+        single.append(float((took > bound).mean()))
+        spans.append(float(np.maximum(took - bound, 0.0).sum() / took.sum()))
+    assert np.mean(single) <= 1 - level + 3 * np.std(single) / np.sqrt(40)
+    assert np.mean(spans) <= 1 - level + 3 * np.std(spans) / np.sqrt(40)
+
+
 def test_few_measurements_have_a_wide_bound() -> None:
     assert EvaluationTime.fit([1.0, 1.0], [1.0, 3.0], level=0.99).bound() == pytest.approx(6.0)
 

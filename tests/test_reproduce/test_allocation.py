@@ -18,7 +18,7 @@ def record(seed, overrides, **figures):
     whole = {
         "in_hole": True, "right": True, "off_mm": 2.0, "hole_error_mm": 3.0, "middle_error_mm": 2.0, "touches": 18,
         "probability": 0.96, "total_s": 100.0, "search_s": 30.0, "thinking_s": 20.0, "evaluated": 40, "actions": 10,
-        "stopped_by": "sure",
+        "stopped_by": "sure", "doublings": 5, "evaluation_s": 0.004,
     }  # fmt: skip
     curves = {"contact_s": [30.0 + seed, 40.0, 50.0, 60.0], "probability": [0.1, 0.9]}
     return Record("peg", "peg", "allocation", "", seed, tuple(overrides), whole | figures, {"wall_s": 1.0}, curves)
@@ -46,11 +46,11 @@ def test_the_settings_of_a_run():
 def test_experiments_share_what_they_have_in_common():
     selection = Selection(seeds=(0, 1))
     sizes = {name: len(work_of([name], selection)) for name in EXPERIMENTS if name.startswith("allocation")}
-    assert sizes == {"allocation-table1": 4, "allocation-accuracy": 8, "allocation-time": 40}
+    assert sizes == {"allocation-table1": 4, "allocation-accuracy": 8, "allocation-time": 60}
     every = work_of(sizes, selection)
-    assert len({job.id for job in every}) == 52 - 2 - 2  # 10 s with either stop is in two of them
+    assert len({job.id for job in every}) == 72 - 2 - 2  # 10 s with either stop is in two of them
     for job in every:
-        settings_of(job.overrides)
+        assert (settings_of(job.overrides).evaluation_s is None) == (job.kind == "peg-real")
 
 
 def test_table_1_beside_the_paper():
@@ -80,12 +80,17 @@ def test_the_least_is_marked(tmp_path):
     lines = allocation.totals(runs).splitlines()[2:]
     assert [("**" in line) for line in lines] == [False, True, False, False, False, True]
     assert lines[1].startswith("| 1 | 7 | 4 | **52 [") and lines[5].startswith("| 0.003 | 20 | 4 | **42 [")
-    assert "| 4.0 |" in lines[0]  # candidates a decision
+    assert "| 4.0 | 0.50 | 4/4 | 0/4 [" in lines[0]  # candidates and doublings a decision, sure, unsure
     (path,) = allocation.draw_totals(runs, tmp_path / "time.png")
     assert path.stat().st_size > 10_000
     # what never became sure did not take so little time to it
     unsure = [record(s, ("t_max_s=3",), total_s=9.0, stopped_by="actions") for s in range(4)]
     assert "**" in allocation.totals([*unsure, *runs[4:8]]) and "**" not in allocation.totals(unsure)
+    last = allocation.totals(unsure).splitlines()[-1]
+    assert "| 0/4 | 4/4 [" in last
+    assert allocation.draw_totals(unsure, tmp_path / "unsure.png")
+    real = [record(s, ("t_max_s=7", "evaluation_s=null")) for s in range(4)]
+    assert allocation.totals([*runs, *real]).splitlines()[-1].startswith("| measured, 0.004 | 7 | 4 | **100 [")
     assert allocation.draw_totals([], tmp_path / "none.png") == []
 
 

@@ -1,6 +1,7 @@
 """`rumi localize`, and the files of points it reads."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,15 @@ CORNERS = [[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.02, 0.1, 0.0], [0.03, 0.02, 0.0
 FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
 POINTS = np.array([[0.1, 0.2, 0.3], [1.0, 2.0, 3.0], [-4.0, 5e-1, 0.6], [0.5, 0.25, 0.125]])
 NORMALS = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1]])
+PLY = """ply
+format ascii 1.0
+element vertex COUNT
+property float x
+property float y
+property float z
+end_header
+0 0 0
+"""
 
 
 @pytest.fixture
@@ -60,6 +70,27 @@ def test_a_pose_comes_back(wedge, touched, capsys):
         assert (best["mean_normal_deg"] is not None) == (extra == ["--normals"])
 
 
+def test_normals_into_the_object_are_named(wedge, touched, tmp_path, capsys):
+    path, _ = touched
+    rows = [line.split(",") for line in Path(path).read_text().splitlines()[1:]]
+    for count in (48, 4):
+        inward = tmp_path / f"inward{count}.csv"
+        some = rows[:: len(rows) // count]
+        inward.write_text("\n".join(",".join(row[:3] + [str(-float(x)) for x in row[3:]]) for row in some) + "\n")
+        outward = tmp_path / f"outward{count}.csv"
+        outward.write_text("\n".join(",".join(row) for row in some) + "\n")
+        for file, wrong in ((inward, True), (outward, False)):
+            arguments = ["localize", wedge, str(file), "--starts", "200", "--no-symmetries"]
+            assert main([*arguments, "--normals", "--json"]) == cli.DONE
+            said = capsys.readouterr()
+            found = json.loads(said.out)
+            assert found["normals_inward"] is wrong and ("seem to point into the object" in said.err) is wrong
+            assert (found["turned_normals_gain_nats"] > 5.0) is wrong
+            assert main([*arguments, "--json"]) == cli.DONE
+            said = capsys.readouterr()
+            assert "normals_inward" not in json.loads(said.out) and "into the object" not in said.err
+
+
 def test_for_people(wedge, touched, capsys):
     assert main(["localize", wedge, touched[0], "--starts", "200"]) == cli.DONE
     said = capsys.readouterr()
@@ -75,7 +106,16 @@ def test_for_people(wedge, touched, capsys):
         (["--points-scale", "0"], "--points-scale above 0"),
         (["--points-scale", "1000"], "millimetres"),
         (["--scale", "1000"], "metres"),
+        (["--points-scale", "inf"], "--points-scale above 0 and finite"),
+        (["--points-scale", "nan"], "--points-scale above 0 and finite"),
+        (["--center", "nan", "0", "0", "--radius", "1", "1", "1"], "--center of three finite numbers"),
+        (["--seed", str(2**70)], "--seed of 0 or more"),
+        (["--seed", "-1"], "--seed of 0 or more"),
         (["--noise", "-1"], "--noise above 0"),
+        (["--noise", "0"], "--noise above 0"),
+        (["--noise", "nan"], "--noise above 0"),
+        (["--noise", "inf"], "--noise above 0"),
+        (["--noise", "1e-30", "--json"], "--noise above 0 m, from 1e-09"),
         (["--starts", "0"], "--starts of 1 or more"),
     ],
 )
@@ -95,7 +135,21 @@ def test_options_that_cannot_be(wedge, touched, arguments, words, capsys):
         ("four.csv", "0 0 0 1\n0 0 1 1\n", "3 numbers a line, or 6"),
         ("short.off", "OFF\n5 0 0\n0 0 0\n", "the 5 points that its header says, got 1"),
         ("long.off", "OFF\n1 0 0\n0 0 0\n0 0 1\n", "the 1 points that its header says, got 2"),
+        ("inf.off", "OFF\ninf 0 0\n0 0 0\n", "number of points after OFF, got inf"),
+        ("nan.off", "OFF\nnan 0 0\n0 0 0\n", "number of points after OFF, got nan"),
+        ("half.off", "OFF\n1.5 0 0\n0 0 0\n", "number of points after OFF, got 1.5"),
+        ("commas.csv", "0,01;0,02;0,03\n0,05;0,02;0\n", "line 1 seems to have decimal commas"),
+        ("commas.txt", "x y z\n0,01 -0,02 3e-2\n0,05 0,02 0\n", "line 2 seems to have decimal commas"),
+        ("commas.xyz", "0,01\t-0,02\t0,03\n", "line 1 seems to have decimal commas"),
         ("no.ply", "plynot\n", "PLY header"),
+        ("negative.ply", PLY.replace("COUNT", "-1"), "count of 0 or more, got 'element vertex -1'"),
+        ("uncounted.ply", PLY.replace("COUNT", ""), "count of 0 or more, got 'element vertex'"),
+        ("format.ply", PLY.replace("COUNT", "1").replace("ascii", "foo"), "one of ascii, binary_little_endian"),
+        ("none.ply", PLY.replace("COUNT", "1").replace("format ascii 1.0\n", ""), "format of a PLY to be one of"),
+        ("type.ply", PLY.replace("COUNT", "1").replace("float x", "half x"), "got 'property half x'"),
+        ("list.ply", PLY.replace("COUNT", "1").replace("float x", "list uchar int x"), "without lists"),
+        ("not.npz", "nope", "expected an archive of arrays"),
+        ("not.npy", "nope", "expected a NumPy array"),
         ("what.docx", "x", "ending in .csv"),
     ],
 )
@@ -104,6 +158,42 @@ def test_contacts_that_cannot_be(wedge, tmp_path, name, text, words, capsys):
     path.write_text(text)
     assert main(["localize", wedge, str(path), "--no-symmetries"]) == cli.BAD_INPUT
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (POINTS.astype(complex), "real numbers, got complex128"),
+        (POINTS.astype(str), "real numbers, got <U"),
+        (POINTS > 0, "real numbers, got bool"),
+        (POINTS.astype(object), "could not read them"),
+    ],
+)
+def test_arrays_that_are_no_points(wedge, tmp_path, points, words, capsys):
+    for name in ("a.npz", "a.npy"):
+        if name == "a.npz":
+            np.savez(tmp_path / name, points=points)
+        else:
+            np.save(tmp_path / name, points)
+        assert main(["localize", wedge, str(tmp_path / name), "--no-symmetries"]) == cli.BAD_INPUT
+        assert words in capsys.readouterr().err
+
+
+def test_commas_that_part_numbers(tmp_path):
+    path = tmp_path / "a.csv"
+    for text in ("1,2,3\n4,5,6\n", "1, 2, 3\n4, 5, 6\n", "1 2 3\n4 5 6\n", "1;2;3\n4;5;6\n", "1.0,2.0 3\n4,5 6.0\n"):
+        path.write_text(text)
+        assert read_contacts(path).points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    path.write_text("1,2,3 0,0,1\n4,5,6 0,0,1\n")
+    assert read_contacts(path).points.tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+@pytest.mark.parametrize("noise", ["1e-9", "1e3"])
+def test_any_noise_that_is_allowed_lists_modes(wedge, touched, noise, capsys):
+    arguments = ["localize", wedge, touched[0], "--no-symmetries", "--starts", "50", "--json", "--noise", noise]
+    assert main(arguments) == cli.DONE
+    found = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert found["modes"] and sum(mode["weight"] for mode in found["modes"]) == pytest.approx(1.0)
 
 
 def test_files_that_are_not_there(wedge, touched, tmp_path, capsys):

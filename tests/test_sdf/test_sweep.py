@@ -132,3 +132,40 @@ def test_a_point_a_start_inside_and_nothing():
     assert sweep_mesh(pose.expand(0, 4, 4), mesh, start, end, 0.01).hit.shape == (0,)
     with pytest.raises(ValueError, match="radius of 0 or more"):
         sweep_mesh(pose, mesh, start, end, -1.0)
+
+
+def ledge():
+    """A plate with a step at x = 0.25 that a ball meets that comes along over it."""
+    blocks = (((-0.1, -0.05, -0.02), (0.3, 0.05, 0.0)), ((0.25, -0.05, 0.0), (0.3, 0.05, 0.05)))
+    corners = [
+        torch.cartesian_prod(*[torch.tensor(pair, dtype=F64) for pair in zip(low, high, strict=True)])
+        for low, high in blocks
+    ]
+    faces = torch.tensor([(q[0], q[k], q[k + 1]) for q in QUADS for k in (1, 2)])
+    return Triangles(torch.cat([part[faces] for part in corners]))
+
+
+def test_a_ball_that_slides_along_a_face_for_long_gets_there():
+    heights = RADIUS + torch.tensor([3e-4, 5e-4, 1e-3, 2e-3, 5e-3], dtype=F64)
+    start = torch.stack((torch.zeros(5, dtype=F64), torch.zeros(5, dtype=F64), heights), -1)
+    end = start + torch.tensor([0.28, 0.0, 0.0], dtype=F64)
+    found = sweep_mesh(torch.eye(4, dtype=F64), ledge(), start, end, RADIUS)
+    assert bool(found.hit.all())
+    assert torch.allclose(found.distance, torch.tensor(0.25 - RADIUS, dtype=F64), atol=2e-4)
+    assert torch.allclose(found.normal, torch.tensor([-1.0, 0.0, 0.0], dtype=F64), atol=0.05)
+    # without the step in its way it gets to the end, free
+    short = sweep_mesh(torch.eye(4, dtype=F64), ledge(), start, start + 0.8 * (end - start), RADIUS)
+    assert not bool(short.hit.any()) and torch.allclose(short.distance, torch.tensor(0.224, dtype=F64))
+
+
+def test_a_way_that_does_not_end_is_refused():
+    pose, mesh = torch.eye(4, dtype=F64), box((0.1, 0.05, 0.2))
+    start = torch.tensor([0.5, 0.0, 0.0], dtype=F64)
+    for bad in (math.nan, math.inf):
+        with pytest.raises(ValueError, match="finite poses and ways"):
+            sweep_mesh(pose, mesh, start, torch.tensor([bad, 0.0, 0.0], dtype=F64), RADIUS)
+    # a nanometre is nothing to a float32 that has gone half a metre
+    generator = torch.Generator().manual_seed(0)
+    starts = 0.5 + torch.rand(50, 3, generator=generator)
+    with pytest.raises(ValueError, match="greater tolerance"):
+        sweep_mesh(torch.eye(4), Triangles(mesh.corners.float()), starts, torch.zeros(50, 3), 0.0, tolerance=1e-9)

@@ -121,6 +121,20 @@ def test_units_unknown_pixels_and_nothing_seen():
     assert len(blind.observation) == 0 and not bool(blind.contact.any())
 
 
+def test_millimetres_without_their_unit_are_refused():
+    """A membrane of 40, which no guard for cameras across a room refuses."""
+    pressed = pressed_bubble("box", height=40, width=50)
+    near, eye = 1e3 * pressed.rest * (40.0 / float(1e3 * pressed.rest.max())), se3.identity()
+    assert float(near.max()) == pytest.approx(40.0)
+    with pytest.raises(ValueError, match="unit 'mm'"):
+        Bubble.of(near, pressed.intrinsics, eye)
+    right = Bubble.of(near, pressed.intrinsics, eye, unit="mm")
+    assert float(right.rest.max()) == pytest.approx(0.04)
+    with pytest.raises(ValueError, match="unit 'mm'"):
+        bubble_patch(right, near, eye)
+    assert not bool(bubble_patch(right, near, eye, BubbleSettings(unit="mm")).contact.any())
+
+
 def test_wrong_images_and_settings_are_refused():
     pressed = pressed_bubble("box", height=40, width=50)
     with pytest.raises(ValueError, match="size of that at rest"):

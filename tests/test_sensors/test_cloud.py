@@ -114,6 +114,9 @@ def test_the_camera_about_a_cloud_has_points_in_its_pixels():
 def test_what_is_no_cloud_of_a_camera_is_refused():
     with pytest.raises(ValueError, match="z points forward"):
         cloud_observation(-torch.rand(50, 3), torch.eye(4), mask=torch.ones(50, dtype=torch.bool))
+    aside = torch.tensor([[1.0, 0.0, 0.1], [-1.0, 0.3, 0.2]])
+    with pytest.raises(ValueError, match="within 75 degrees"):
+        cloud_observation(aside, torch.eye(4), mask=torch.ones(2, dtype=torch.bool))
     random = torch.rand(20, 30, 3, generator=seeded())
     with pytest.raises(ValueError, match="pixels off"):
         cloud_observation(random, torch.eye(4), mask=torch.ones(20, 30, dtype=torch.bool))

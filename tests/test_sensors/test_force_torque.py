@@ -271,10 +271,12 @@ def test_versions_agree(shape: tuple[int, ...], dtype: torch.dtype, generator: t
         assert int((plain.status != fused.status).sum()) <= (0 if tight else 2)
 
 
-def test_what_is_no_wrench_is_refused() -> None:
+def test_what_is_no_wrench_is_refused(no_shape_check: None) -> None:
     covariance = WrenchNoise().covariance()
     with pytest.raises(ValueError, match="finite"):
         wrench_contact(torch.full((6,), torch.nan), ball(), covariance)
+    with pytest.raises(ValueError, match="floating"):
+        wrench_contact(torch.tensor([0, 0, -5, 0, 0, 0]), ball(), covariance)
     for settings in ({"least_force_n": 0.0}, {"friction": -1.0}, {"sigmas": 0.0}, {"twist_m": -0.1}):
         with pytest.raises(ValueError, match=next(iter(settings))):
             WrenchSettings(**settings)

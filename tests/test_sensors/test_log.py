@@ -180,6 +180,41 @@ def test_rows_that_do_not_fit_are_refused(tmp_path, values, message):
         assert len(log.stream("wrench").samples()) == 1
 
 
+@pytest.mark.parametrize("live", [True, False])
+def test_a_row_that_was_refused_leaves_no_trace(tmp_path, live):
+    """Neither in the rows after it, nor in what is said of the right row when it comes."""
+    right = {name: np.arange(2.0) for name in ("position", "velocity", "effort")}
+    with LogWriter(tmp_path / "log.h5", STREAMS if live else (), live=live) as log:
+        if not live:
+            log.add_stream(STREAMS[2])
+        for step in range(6):
+            if step == 2:
+                with pytest.raises(LogError, match="Expected effort to have shape"):
+                    log.append("joints", 2, 2, **{**right, "effort": np.zeros((1, 2))})
+            assert log.append("joints", step, step, **{**right, "position": np.full(2, float(step))}) & ~Odd.UNSET == 0
+    with Log(tmp_path / "log.h5") as log:
+        samples = log.stream("joints").samples()
+        assert [one.values["position"].tolist() for one in samples] == [[float(k)] * 2 for k in range(6)]
+        assert log.stream("joints").problems == []
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("live", [True, False])
+def test_streams_may_be_named_like_parts_of_others(tmp_path, live, turned):
+    streams = [StreamSpec("wrench", "wrench"), StreamSpec("wrench/force", "wrench"), StreamSpec("wrench/b/c", "wrench")]
+    streams = streams[::-1] if turned else streams
+    with LogWriter(tmp_path / "log.h5", streams if live else (), live=live) as log:
+        for step, stream in enumerate(streams, 1):
+            if not live:
+                log.add_stream(stream)
+            log.append(stream.name, step, step, force=np.full(3, step), torque=np.zeros(3))
+    with Log(tmp_path / "log.h5") as log:
+        assert sorted(log.streams) == ["wrench", "wrench/b/c", "wrench/force"]
+        for step, stream in enumerate(streams, 1):
+            assert log.stream(stream.name).name == stream.name and log.stream(stream.name).about == {}
+            assert log.stream(stream.name).samples()[0].values["force"][0] == step
+
+
 def test_numbers_that_do_not_fit_their_type_are_refused(tmp_path):
     with LogWriter(tmp_path / "log.h5", STREAMS) as log, pytest.raises(LogError, match="fit numbers of type u2"):
         log.append("depth", 1, 1, depth=np.full((2, 2), -3))
@@ -292,6 +327,80 @@ def test_damage_within_costs_the_rows_it_hits_alone(tmp_path, live):
             assert np.array_equal(sample.values["points"], expected)
         (problem,) = stream.problems
         assert f"{rows - len(samples)} row" in problem
+
+
+def header_of(path, name):
+    """Where an object's header lies in a file."""
+    with h5py.File(path) as file:
+        return h5py.h5o.get_info(file[name].id).addr
+
+
+def damaged_at(path, place):
+    data = bytearray(path.read_bytes())
+    data[place + 12] ^= 0x10
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("part", ["", "/force", "/row_crc32", "/stamp_ns"])
+def test_a_stream_that_is_damaged_at_its_head_costs_no_other_one(tmp_path, part):
+    path = tmp_path / "log.h5"
+    with LogWriter(path, [StreamSpec("arm/wrench", "wrench"), StreamSpec("arm/joints", "joints"), STREAMS[1]]) as log:
+        for step in range(1, 5):
+            for name in ("arm/wrench", "wrench"):
+                log.append(name, step, step, force=np.full(3, step), torque=np.zeros(3))
+        log.reading(READINGS[0])
+        log.finish({})
+    damaged_at(path, header_of(path, "streams/arm/wrench" + part))
+    with Log(path) as log:
+        assert sorted(log.streams) == ["arm/joints", "wrench"]
+        (problem,) = log.problems
+        assert "arm/wrench" in problem
+        assert len(log.stream("wrench").samples()) == 4
+        assert_same(log.taken()[0].reading, READINGS[0])
+
+
+@pytest.mark.parametrize("name", ["settings", "object"])
+def test_a_text_that_is_damaged_costs_no_other_part(tmp_path, name):
+    path = written(tmp_path / "log.h5", settings={"task": "mug-0"}, about={"object": "{}"})
+    damaged_at(path, header_of(path, f"about/{name}"))
+    with Log(path) as log:
+        assert any(f"about/{name} is damaged" in problem for problem in log.problems)
+        assert len(log.taken()) == len(READINGS)
+        if name == "settings":
+            with pytest.raises(LogError, match="damaged settings"):
+                assert log.settings
+        else:
+            assert log.settings == {"task": "mug-0"}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_flipped_bits_are_told_in_words(tmp_path, seed):
+    """Wherever they are: what comes is read, or refused as a log that is damaged."""
+    path = tmp_path / "log.h5"
+    with LogWriter(path, STREAMS) as log:
+        for step in range(1, 30):
+            log.append("wrench", step, step, force=np.full(3, step), torque=np.zeros(3))
+            log.append("depth", step, step, depth=np.full((2, 3), step))
+        log.reading(READINGS[0])
+        log.finish({})
+    whole, draw = path.read_bytes(), np.random.default_rng(seed)
+    refused = 0
+    for _ in range(15):
+        data = bytearray(whole)
+        for place in draw.integers(len(data), size=40):
+            data[place] ^= 1 << int(draw.integers(8))
+        path.write_bytes(data)
+        try:
+            with Log(path) as log:
+                for stream in log.streams.values():
+                    for one in stream.samples():
+                        numbers = [value for value in one.values.values() if value is not None]
+                        assert stream.kind == "joints" or (numbers[0] == one.stamp_ns).all()
+                    stream.stamps_ns()
+                log.taken()
+        except LogError:
+            refused += 1
+    assert refused < 15
 
 
 @pytest.mark.parametrize(

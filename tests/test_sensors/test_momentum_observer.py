@@ -145,6 +145,13 @@ def test_what_makes_no_sense_is_refused() -> None:
         TorqueThreshold(0.0)
     with pytest.raises(ValueError, match="joint"):
         TorqueThreshold(1.0, joints=0)
+    with pytest.raises(ValueError, match="finite"):
+        TorqueThreshold(1.0).contact(rows[:1] / 0)
+    with pytest.raises(ValueError, match="got none"):
+        TorqueThreshold.above(rows[:0])
+    with pytest.raises(ValueError, match="got none"):
+        TorqueThreshold(1.0).at_rest(rows[:0])
+    assert TorqueThreshold(1.0).contact(rows[:0]).shape == (0,)
 
 
 def test_a_row_a_stamp_is_asked_for(no_shape_check: None) -> None:

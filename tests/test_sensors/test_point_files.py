@@ -209,6 +209,59 @@ def test_npz_of_points_and_of_an_image(tmp_path):
     assert torch.allclose(cloud.points, expected, equal_nan=True) and tuple(cloud.colors.shape) == (2, 3, 3)
 
 
+@pytest.mark.parametrize("scale", [1, 255])
+def test_floating_colours_are_parts_of_one_or_whole_numbers(tmp_path, scale):
+    given = (COLORS / (255 / scale)).astype(np.float32)
+    np.savez(tmp_path / "points.npz", points=POINTS, colors=given)
+    assert np.array_equal(read_cloud(tmp_path / "points.npz").colors.numpy(), COLORS)
+
+
+def test_ply_with_floating_colours(tmp_path):
+    pytest.importorskip("trimesh")
+    names = [f"property {kind} {n}" for kind, ns in (("float", "xyz"), ("{}", ("red", "green", "blue"))) for n in ns]
+    text = "\n".join(
+        ["ply", "format ascii 1.0", "element vertex 2", *names, "end_header", "0 0 1 1 0 1", "0 1 1 0 0 {}", ""]
+    )
+    cloud = read_cloud(write(tmp_path, "parts.ply", text.format(*["float"] * 3, 0.5).encode()))
+    assert cloud.colors.tolist() == [[255, 0, 255], [0, 0, 128]]
+    cloud = read_cloud(write(tmp_path, "bytes.ply", text.format(*["uchar"] * 3, 1).encode()))
+    assert cloud.colors.tolist() == [[1, 0, 1], [0, 0, 1]], "bytes that are small are dark"
+
+
+@pytest.mark.parametrize(
+    "colors", [COLORS * 1.01, COLORS.astype(np.int16) - 1, COLORS.astype(np.uint16) * 257, COLORS > 9]
+)
+def test_colours_that_are_neither_are_refused(tmp_path, colors):
+    np.savez(tmp_path / "points.npz", points=POINTS, colors=colors)
+    with pytest.raises(ValueError, match="colours"):
+        read_cloud(tmp_path / "points.npz")
+
+
+@pytest.mark.parametrize("name", ["cloud.npz", "cloud.pcd", "cloud.ply"])
+def test_damage_is_told_as_such(tmp_path, name):
+    """A byte that is another one, anywhere: read, or refused in words, and nothing else."""
+    path, random = tmp_path / name, np.random.default_rng(1000)
+    if name.endswith("npz"):
+        np.savez_compressed(path, points=np.tile(POINTS, (50, 1)), colors=np.tile(COLORS, (50, 1)))
+    elif name.endswith("pcd"):
+        path.write_bytes(header("binary_compressed") + struct.pack("<II", len(lzf(columns())), 64) + lzf(columns()))
+    else:
+        pytest.importorskip("trimesh")
+        names = "".join(f"property float {n}\n" for n in "xyz")
+        start = f"ply\nformat binary_little_endian 1.0\nelement vertex 4\n{names}end_header\n"
+        path.write_bytes(start.encode() + POINTS.tobytes())
+    raw, refused = path.read_bytes(), 0
+    for _ in range(150):
+        damaged = bytearray(raw)
+        damaged[int(random.integers(len(raw)))] ^= int(random.integers(1, 256))
+        path.write_bytes(damaged)
+        try:
+            read_cloud(path)
+        except ValueError:
+            refused += 1
+    assert refused > 10
+
+
 def test_other_files_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"\.ply, \.pcd, \.npz"):
         read_cloud(tmp_path / "cloud.las")
@@ -217,6 +270,7 @@ def test_other_files_are_refused(tmp_path):
     for arrays, message in (
         ({"depths": np.zeros((2, 2))}, "found depths"),
         ({"points": np.zeros((4, 2))}, "got \\(4, 2\\)"),
+        ({"points": np.array([["a", "b", "c"]])}, "to be numbers"),
         ({"points": POINTS, "colors": COLORS[:2]}, "as many colors"),
         ({"points": POINTS, "world_T_camera": np.eye(3)}, "world_T_camera"),
     ):

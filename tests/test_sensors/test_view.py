@@ -94,6 +94,8 @@ def test_what_is_not_known_says_nothing():
     [
         (torch.full((4, 4), 700.0), {}, "median of 700"),
         (torch.zeros(4, 4, 3), {}, "image"),
+        (torch.zeros(0, 0), {}, "with pixels"),
+        (torch.zeros(0, 5), {}, "with pixels"),
         (torch.zeros(4, 4), {"unit": "cm"}, "auto, m, mm"),
         (torch.zeros(4, 4), {"unit": 0.0}, "above 0"),
     ],

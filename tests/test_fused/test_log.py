@@ -1,0 +1,153 @@
+"""A recorded log gives the belief that the live run had, and with other settings another one."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import torch
+
+pytest.importorskip("h5py")
+
+from rumi.cli import BAD_INPUT, DONE, NOT_CONVERGED, main
+from rumi.errors import UsageError
+from rumi.fused.finder import build_finder
+from rumi.fused.grasp import HandleTable
+from rumi.fused.log import FusedLogRecorder, recorded, refuse_other_senses, replay_fused
+from rumi.fused.parts import build_fused
+from rumi.fused.reading import FusedReading
+from rumi.fused.run import Outcome, run_fused
+from rumi.fused.settings import FusedSettings
+from rumi.logbook import LOG, LogRecorder, digest
+from rumi.progress import both
+from rumi.records import StepRecord
+from sensors.log.errors import LogError
+from sensors.log.reader import Log
+
+pytestmark = pytest.mark.sim
+
+SEED = 1001
+SETTINGS = FusedSettings(steps=3)
+
+
+class Live(NamedTuple):
+    """A short run with all sensors, of which the last action touches."""
+
+    folder: Path
+    steps: list[StepRecord]
+    outcome: Outcome
+
+
+@pytest.fixture(scope="module")
+def live(tool, tmp_path_factory):
+    folder, steps = tmp_path_factory.mktemp("fused"), []
+    table = HandleTable(torch.ones(9, 6, 13, dtype=torch.float64))
+    parts = build_fused(SETTINGS, tool=tool, table=table)
+    with FusedLogRecorder(folder / LOG, SEED, SETTINGS, {"made_with": {}}) as log:
+        outcome = run_fused(parts, SEED, both(log, steps.append))
+        log.finish(outcome.found)
+    last = steps[-1].reading
+    assert len(last.wrench.points) and bool(last.signals.any()) and steps[-1].contacts == 1
+    return Live(folder, steps, outcome)
+
+
+@pytest.fixture
+def as_command(tool, live, monkeypatch, capsys, tmp_path):
+    """`rumi replay`, with the gripper without the arm's reach, which no belief knows of."""
+    monkeypatch.setattr("rumi.fused.finder.make_tool", lambda *_, **__: tool)
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        return main(["replay", *map(str, arguments)]), capsys.readouterr()
+
+    return call
+
+
+def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
+    with Log(live.folder / LOG) as log:
+        seed, settings = recorded(log)
+        taken = log.taken(FusedReading)
+        assert log.problems == []
+    assert (seed, settings) == (SEED, SETTINGS)
+    steps = []
+    done = replay_fused(taken, build_finder(settings, tool=tool), seed=seed, on_step=steps.append)
+    assert done.same == [True] * 4
+    for ours, theirs in zip(steps, live.steps, strict=True):
+        assert digest(ours.belief) == digest(theirs.belief)
+        assert (ours.nll, ours.contacts, ours.converged) == (theirs.nll, theirs.contacts, theirs.converged)
+    assert replace(done.result, timings_s={}) == replace(live.outcome.found, timings_s={})
+
+
+def test_readings_come_back_whole(live):
+    with Log(live.folder / LOG) as log:
+        taken = log.taken(FusedReading)
+    assert taken[0].reading.signals is None and len(taken[0].reading.wrench.points) == 0
+    for one, step in zip(taken[1:], live.steps[1:], strict=True):
+        ours, theirs = one.reading, step.reading
+        assert torch.equal(ours.signals, theirs.signals)
+        for name in ("points", "normals", "point_sd", "normal_sd", "instant"):
+            a, b = getattr(ours.wrench, name), getattr(theirs.wrench, name)
+            assert a.dtype == b.dtype and torch.equal(a, b), name
+        assert torch.equal(ours.observation.points, theirs.observation.points)
+        assert torch.equal(one.control, step.control)
+
+
+def test_other_settings_give_another_belief_on_the_same_readings(live, as_command):
+    code, said = as_command(live.folder, "--wrist.outlier", "0.4", "--budget-s", "9", "--out", "what-if")
+    assert code in (DONE, NOT_CONVERGED)
+    assert "budget_s: no effect" in said.err
+    assert "differs from the recorded one from action 3 on (wrist.outlier changed)" in said.out
+    assert (Path("what-if") / "trace.npz").exists()
+    assert "as it was recorded" in as_command("--joints.gain", "3", live.folder)[1].err
+    code, said = as_command(live.folder, "--sensors", "camera")
+    assert code == BAD_INPUT and "Expected sensors as it was recorded" in said.err
+    assert main(["check", str(live.folder)]) == BAD_INPUT
+
+
+def test_the_same_settings_by_the_command(live, as_command):
+    _, said = as_command(live.folder / LOG)
+    assert "the recorded one, bit for bit, after each of 4 readings" in said.out
+
+
+def test_of_a_log_that_was_cut_short_the_start_is_replayed(live, as_command, tmp_path):
+    data = (live.folder / LOG).read_bytes()
+    (tmp_path / "cut.h5").write_bytes(data[: int(0.9 * len(data))])
+    code, said = as_command("cut.h5")
+    assert code == NOT_CONVERGED and "the log was not finished" in said.err
+    assert "reading 3 of 4 is damaged" in said.err
+    assert "the recorded one, bit for bit, after each of 3 readings" in said.out
+    (tmp_path / "cut.h5").write_bytes(data[:3000])
+    code, said = as_command("cut.h5")
+    assert code == BAD_INPUT and "cut.h5" in said.err
+
+
+def test_what_is_not_there_is_named(as_command, tool, tmp_path):
+    code, said = as_command("nothing.h5")
+    assert code == BAD_INPUT and "There is no log nothing.h5" in said.err
+    (tmp_path / "run").mkdir()
+    code, said = as_command("run")
+    assert code == BAD_INPUT and "was not recorded" in said.err
+    with pytest.raises(UsageError, match="nothing to replay"):
+        replay_fused([], build_finder(SETTINGS, tool=tool), seed=0)
+
+
+def test_settings_of_what_was_sensed_are_refused():
+    for changed in (
+        replace(SETTINGS, noise_free=True),
+        replace(SETTINGS, wrist=replace(SETTINGS.wrist, behind_m=0.2)),
+        replace(SETTINGS, joints=replace(SETTINGS.joints, threshold_nm=1.0)),
+    ):
+        with pytest.raises(UsageError, match="cannot change what was sensed"):
+            refuse_other_senses(SETTINGS, changed)
+    refuse_other_senses(SETTINGS, replace(SETTINGS, fit_a_contact=1.0, preset="default", budget_s=5.0))
+
+
+def test_logs_of_other_runs_are_told_apart(live, tmp_path):
+    """Those without the further columns hold fused readings too, with nothing in them; the other way is refused."""
+    with LogRecorder(tmp_path / "plain.h5", {"task": "mug-0"}) as log:
+        log(live.steps[0])
+    with Log(tmp_path / "plain.h5") as log:
+        assert recorded(log) is None
+        assert len(log.taken(FusedReading)[0].reading.wrench.points) == 0
+    with Log(live.folder / LOG) as log, pytest.raises(LogError, match="reading/signals, which this rumi"):
+        log.taken()
