@@ -60,9 +60,10 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
         raise UsageError(f"Expected --budget above 0 s and finite, got {options.budget}")
     from rumi.touch.budget import BudgetedChoice
     from rumi.touch.localise import TouchStep, localise, signals
-    from rumi.touch.make import make_toucher
+    from rumi.touch.make import check_robot, make_toucher
     from rumi.touch.records import figures_of
 
+    check_robot(options.task, options.robot)
     folder = options.out or _free(Path("runs") / f"{NAME}-{options.settings.method}-{options.robot}-s{options.seed}")
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):

@@ -36,13 +36,25 @@ def make_toucher(
     """
     from rumi.sim.touch_grasps import grasp_table
 
+    check_robot(task, robot)
     table = grasp_table(task, cache_dir=cache_dir)
     made = make_robot(task, robot, table, cache_dir=cache_dir)
     return Toucher(task, settings, made, table, make_carrier(settings.push_model, task))
 
 
+def check_robot(task: TouchTask, robot: Robot) -> None:
+    """Refuse a task that has what a robot would leave aside: rates of readings, for the arm."""
+    usual = TouchTask()
+    if robot == "arm" and (task.rates, task.correlation) != (usual.rates, usual.correlation):
+        raise UsageError(
+            "The arm feels by its own torques, whose rates are its own: leave out task.rates and task.correlation, or "
+            "choose --robot gripper or planar"
+        )
+
+
 def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: Path | None = None) -> TouchRobot:
     """The robot of a name; see `make_toucher`."""
+    check_robot(task, robot)
     if robot == "planar":
         from rumi.touch.planar_robot import PlanarRobot
 
@@ -54,12 +66,6 @@ def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: P
     if robot == "arm":
         if find_spec(_ARM) is None:
             raise UsageError("There is no arm under torque control here: choose --robot gripper or planar")
-        usual = TouchTask()
-        if (task.rates, task.correlation) != (usual.rates, usual.correlation):
-            raise UsageError(
-                "The arm feels by its own torques, which no rates are stated for: leave out task.rates and "
-                "task.correlation, or choose --robot gripper or planar"
-            )
         made: TouchRobot = importlib.import_module(_ARM).make_arm(task, cache_dir)
         return made
     raise UsageError(f"Expected a robot out of {', '.join(ROBOTS)}, got {robot!r}")

@@ -63,6 +63,7 @@ def test_figures_are_drawn():
 def test_what_cannot_be_is_refused(arguments, message, capsys):
     assert main(arguments) == cli.BAD_INPUT
     assert message in capsys.readouterr().err
+    assert not Path("runs").exists()
 
 
 def test_a_table_is_made_of_runs_that_are_done_once(capsys):
