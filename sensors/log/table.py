@@ -22,7 +22,17 @@ if TYPE_CHECKING:
 
 Row = dict[str, np.ndarray | None]
 
-DAMAGE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, IndexError, OverflowError, MemoryError)
+DAMAGE = (
+    OSError,
+    KeyError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    IndexError,
+    OverflowError,
+    MemoryError,
+)
 """What h5py raises where a file is damaged, or what is found there makes numpy raise."""
 
 CHECK = "row_crc32"
