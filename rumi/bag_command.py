@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from rumi.bags.bag import Imported
 
 
+_LONGEST_S = 1e9  # what a stamp of 64 bits has room for
+
+
 @dataclass(frozen=True)
 class ImportOptions:
     """Write a log of the raw streams in a ROS 2 bag; `rumi replay` then takes it in. No ROS is needed.
@@ -35,8 +38,8 @@ class ImportOptions:
 def import_bag(arguments: Sequence[str]) -> int:
     """`rumi import`: 0 if all that was asked for was read, 1 if some of it was lost, 2 for bad input."""
     options = tyro.cli(ImportOptions, prog="rumi import", args=arguments)
-    if not options.future >= 0:
-        raise UsageError(f"Expected --future of 0 s or more, got {options.future}")
+    if not 0 <= options.future <= _LONGEST_S:
+        raise UsageError(f"Expected --future of 0 s to {_LONGEST_S:.0e} s, got {options.future}")
     from rumi.bags.bag import import_bag as write_log
     from rumi.bags.mapping import read_mapping
 
@@ -52,7 +55,7 @@ def import_bag(arguments: Sequence[str]) -> int:
 
 def report(done: "Imported", path: Path) -> str:
     """What an import wrote, a line a stream."""
-    width = max(map(len, done.kinds))
+    width = max(map(len, done.kinds), default=0)
     lines = [f"{path}: {sum(done.rows.values())} rows of {len(done.kinds)} streams"]
     for name, kind in sorted(done.kinds.items()):
         odd = ", ".join(f"{count} {how}" for how, count in done.odd.get(name, {}).items())

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from sensors.log.reader import Taken
     from sensors.observation import Observation
 
+_SUFFIXES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
 _Six = tuple[float, float, float, float, float, float]
 
 
@@ -36,7 +37,7 @@ class CheckOptions:
         step: reading to draw; 0 is the first view.
         pose: of the object in the world with its floor at 0: x, y, z in metres, roll, pitch, yaw in degrees.
         map: mapping file of an imported recording, in place of its own.
-        out: the picture; by default check.png in the current folder.
+        out: the picture, or the folder for it; by default check.png in the current folder.
     """
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
@@ -49,6 +50,9 @@ class CheckOptions:
 def check(arguments: Sequence[str], *, cache_dir: Path) -> int:
     """`rumi check`: 0 where it could be drawn, 2 for bad input."""
     options = tyro.cli(CheckOptions, prog="rumi check", args=arguments)
+    if options.pose is not None and not all(map(math.isfinite, options.pose)):
+        raise UsageError(f"Expected --pose to be six numbers, got {' '.join(map(str, options.pose))}")
+    out = _picture(options.out)
     from rumi.bags.mapping import Fixed
     from rumi.misfit import misfit
     from rumi.replay_command import log_path, made_readings, mapping_of_log, recorded_settings, rummager_of
@@ -59,9 +63,11 @@ def check(arguments: Sequence[str], *, cache_dir: Path) -> int:
         from sensors.log.reader import Log
 
         with Log(log_path(options.log)) as log:
-            mapping = mapping_of_log(log, arguments)
+            mapping = mapping_of_log(log, options.map)
             settings = recorded_settings(log, mapping)
             taken = log.taken() if mapping is None else made_readings(log, mapping, settings)
+            for problem in log.problems:
+                sys.stderr.write(f"rumi: {problem}\n")
     except LogError as error:
         raise UsageError(str(error)) from error
     if not 0 <= options.step < len(taken):
@@ -76,13 +82,24 @@ def check(arguments: Sequence[str], *, cache_dir: Path) -> int:
     model = rummager.model.to("cpu", torch.float32)
     found = misfit(seen, pose, rummager.model.exact)
     title = f"{options.log}, reading {options.step}, at {whose}"
-    path = draw_overlay(seen, pose.float(), model, found, options.out, title=title)
+    path = draw_overlay(seen, pose.float(), model, found, out, title=title)
     x, y, z = pose[:3, 3].tolist()
     yaw = math.degrees(math.atan2(float(pose[1, 0]), float(pose[0, 0])))
     sys.stdout.write(f"{title}: ({x:.4f}, {y:.4f}, {z:.4f}) m, yaw {yaw:.1f} degrees\n")
     sys.stdout.write("".join(f"  {line}\n" for line in found.text().splitlines()))
     sys.stdout.write(f"  picture  {path}\n")
     return DONE
+
+
+def _picture(path: Path) -> Path:
+    """The file to write: a PNG, or another kind of picture that matplotlib writes, by its suffix."""
+    if path.is_dir():
+        return path / "check.png"
+    if path.suffix.lower() not in _SUFFIXES:
+        if path.suffix:
+            raise UsageError(f"Expected --out to end in {', '.join(_SUFFIXES)}, got {path}")
+        return path.with_name(f"{path.name}.png")
+    return path
 
 
 def at_the_end(taken: "Taken") -> "Observation":

@@ -1,6 +1,7 @@
 """The command `rumi replay`: a recorded log in the robot's place."""
 
-import itertools
+import contextlib
+import io
 import json
 import math
 import sys
@@ -34,6 +35,7 @@ All settings of `rumi run` are flags; the log's own are where they start from. W
 of the planner change nothing, and those of the task and the simulator are refused. The log of a fused
 run has settings of its own: rumi replay LOG --help."""
 
+_HELP_FLAGS = {"--help", "-h"}
 _RECORDED = ("task", "simulator")
 _NO_EFFECT = ("method", "preset", "replan_every", "planner", "slide", "gpvr")
 
@@ -65,19 +67,19 @@ def replay(arguments: Sequence[str], *, cache_dir: Path) -> int:
     if (path := fused_log(arguments)) is not None:
         return replay_of_fused(arguments, path, cache_dir=cache_dir)
     check_flags(arguments, ("out", "map"), ("figures",))
-    named = next((argument for argument in arguments if not argument.startswith("-")), None)
+    named, asked = _named(arguments)
     if named is None:
-        if "--help" in arguments or "-h" in arguments:
+        if _HELP_FLAGS & set(arguments):
             _parsed(arguments, Path("LOG"), Settings())
         raise UsageError("Which log? Give its file or its run's folder, as in `rumi replay runs/mug-0-rumi-default-s0`")
     from sensors.log.errors import LogError
 
-    path = log_path(Path(named))
+    path = log_path(named)
     try:
         from sensors.log.reader import Log
 
         with Log(path) as log:
-            mapping = mapping_of_log(log, arguments)
+            mapping = mapping_of_log(log, asked)
             recorded = recorded_settings(log, mapping)
             options = _parsed(arguments, path, recorded)
             return _replay(log, options, recorded, mapping, cache_dir)
@@ -98,14 +100,31 @@ def log_path(path: Path) -> Path:
     return path / LOG
 
 
-def mapping_of_log(log: "Log", arguments: Sequence[str]) -> "BagMap | None":
+def _named(arguments: Sequence[str]) -> tuple[Path | None, Path | None]:
+    """The log and the mapping file that a command line names, wherever they stand in it.
+
+    The settings start from the log's own, which are not known before it is found: here from those of no log.
+    """
+    bare = [argument for argument in arguments if argument not in _HELP_FLAGS]
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            options = tyro.cli(ReplayOptions, args=bare, default=ReplayOptions(Path(), Settings()))
+    except (SystemExit, ValueError):  # told once the log's settings are known
+        first = next((Path(argument) for argument in bare if not argument.startswith("-")), None)
+        return first, None
+    return (None if options.log == Path() and "." not in bare else options.log), options.map
+
+
+def mapping_of_log(log: "Log", asked: Path | None) -> "BagMap | None":
     """The mapping by which a log's raw streams are read; None where it holds a run's readings.
+
+    Args:
+        log: with raw streams, readings or both.
+        asked: file of a mapping in place of the log's own.
 
     Raises:
         UsageError: the log holds neither, or the mapping is wrong.
     """
-    asked = next((Path(b) for a, b in itertools.pairwise(arguments) if a == "--map"), None)
-    asked = next((Path(a.removeprefix("--map=")) for a in arguments if a.startswith("--map=")), asked)
     if log.settings is not None:
         if asked is None:
             return None

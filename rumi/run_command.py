@@ -115,7 +115,7 @@ def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
         if log is not None:
             log.finish(result)
             if (raw := getattr(task, "raw", None)) is not None:
-                (folder / "map.toml").write_text(raw.mapping(), encoding="utf-8")
+                (folder / "map.toml").write_text(raw.mapping(settings.object), encoding="utf-8")
     if options.figures and result.stopped_by != "interrupted":
         _say("drawing figures")
         draw_figures(folder, folder / "figures", None)

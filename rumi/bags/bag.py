@@ -154,24 +154,43 @@ def _rows(found: Found, told: Topic, store: Any, done: Imported) -> Iterator[Row
     if told.role not in roles:
         raise UsageError(f"Expected {found.topic} ({found.kind}) to be {' or '.join(roles)}, got {told.role}")
     try:
-        yield from list(convert(store.deserialize_cdr(found.data, found.kind), found.topic, told))
+        rows = convert(store.deserialize_cdr(found.data, found.kind), found.topic, told)
     except (KeyboardInterrupt, MemoryError):
         raise
     except Exception as error:  # damaged bytes may bring about any error when they are unpacked
-        count, first = done.lost.get(found.topic, (0, f"{found.topic}: {error}"))
-        done.lost[found.topic] = (count + 1, first)
+        _lost(done, found.topic, error)
+        return
+    while True:
+        try:
+            row = next(rows)
+        except StopIteration:
+            return
+        except (KeyboardInterrupt, MemoryError):
+            raise
+        except Exception as error:  # or when they are read
+            _lost(done, found.topic, error)
+            return
+        yield row
+
+
+def _lost(done: Imported, name: str, why: object) -> None:
+    count, first = done.lost.get(name, (0, f"{name}: {why}"))
+    done.lost[name] = (count + 1, first)
 
 
 def _add(log: LogWriter, row: RowOf, received_ns: int, done: Imported) -> None:
     name = row.stream.name
-    if name not in done.kinds:
-        log.add_stream(row.stream)
-        done.kinds[name] = row.stream.kind
-    elif done.kinds[name] != row.stream.kind:
-        count, first = done.lost.get(name, (0, f"{name}: changes from {done.kinds[name]} to {row.stream.kind}"))
-        done.lost[name] = (count + 1, first)
+    if done.kinds.get(name, row.stream.kind) != row.stream.kind:
+        _lost(done, name, f"changes from {done.kinds[name]} to {row.stream.kind}")
         return
-    log.append(name, row.stamp_ns, received_ns, **row.values)
+    try:
+        if name not in done.kinds:
+            log.add_stream(row.stream)
+            done.kinds[name] = row.stream.kind
+        log.append(name, row.stamp_ns, received_ns, **row.values)
+    except LogError as error:  # numbers that no column of its kind can hold
+        _lost(done, name, error)
+        return
     done.rows[name] += 1
 
 

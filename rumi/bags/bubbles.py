@@ -10,6 +10,7 @@ from torch import Tensor
 from rumi.bags.felt import AllFelt, Felt, tell_unknown
 from rumi.bags.frames import FrameTree
 from rumi.bags.mapping import BagMap
+from rumi.bags.span import Span
 from rumi.bags.streams import Lens, lens_of, lenses_of, unit_of
 from rumi.errors import UsageError
 from sdf import se3
@@ -22,7 +23,7 @@ _PART_NS = 10**9  # of a recording that is read at once
 
 
 def bubbles_felt(
-    log: Log, stream: Stream, mapping: BagMap, frames: FrameTree, start: int, found: AllFelt
+    log: Log, stream: Stream, mapping: BagMap, frames: FrameTree, span: Span, found: AllFelt
 ) -> list[Felt]:
     """Patches and free membrane of a stream of depth images from inside a bubble, whose frame is its camera's.
 
@@ -32,13 +33,13 @@ def bubbles_felt(
     if len(stream) == 0:
         return []
     late_ns, settings = round(mapping.bubble.late_s * 1e9), mapping.bubble.settings()
-    lens = lens_of(stream, lenses_of(log, mapping))
-    rest = _at_rest(stream, lens, start, start + round(mapping.actions.view_s * 1e9))
+    lens = lens_of(stream, lenses_of(log, mapping), mapping)
+    rest = _at_rest(stream, lens, span.start_ns, span.start_ns + round(mapping.actions.view_s * 1e9))
     # poses are asked for the camera itself, so that it is its own tool
     bubble = Bubble.of(rest, lens.intrinsics, se3.identity(), unit="m")
     felt: list[Felt] = []
     where: list[Bool[Tensor, "k"]] = []
-    for samples in _parts(stream):
+    for samples in _parts(stream, span.start_ns, span.read_ns + max(0, late_ns)):
         stamps = [one.stamp_ns - late_ns for one in samples]
         pose, there = frames.at(stream.frame, stamps)
         where.append(there)
@@ -53,7 +54,7 @@ def bubbles_felt(
             surface, free = (patch.observation.of_class(kind) for kind in (Semantics.SURFACE, Semantics.FREE))
             points = patch.observation.points
             felt.append(Felt(stamp, points[surface], bool(patch.contact.any()), points[free]))
-    tell_unknown(stream, torch.cat(where), found.problems)
+    tell_unknown(stream, torch.cat([torch.zeros(0, dtype=torch.bool), *where]), found.problems)
     touched = sum(one.touched for one in felt)
     found.notes.append(f"bubble {stream.name}: {touched} of {len(felt)} pictures show a touch")
     return felt
@@ -79,11 +80,12 @@ def _metres(stream: Stream, sample: Sample, lens: Lens) -> Float[Tensor, "H W"]:
     return undistorted(depth, lens.intrinsics, lens.distortion)
 
 
-def _parts(stream: Stream) -> Iterator[list[Sample]]:
-    """All samples, some at a time: pictures take memory."""
+def _parts(stream: Stream, begin: int, end: int) -> Iterator[list[Sample]]:
+    """All samples of a span, some at a time: pictures take memory."""
     stamps = np.sort(stream.stamps_ns())
+    stamps = stamps[(stamps >= begin) & (stamps <= end)]
     at = 0
     while at < len(stamps):
-        end = int(np.searchsorted(stamps, stamps[at] + _PART_NS))
-        yield stream.samples(int(stamps[at]), int(stamps[end - 1]))
-        at = end
+        after = int(np.searchsorted(stamps, stamps[at] + _PART_NS))
+        yield stream.samples(int(stamps[at]), int(stamps[after - 1]))
+        at = after

@@ -10,6 +10,7 @@ from torch import Tensor
 from rumi.bags.frames import FrameTree
 from rumi.bags.mapping import BagMap
 from rumi.bags.sensor_maps import WrenchMap
+from rumi.bags.span import Span
 from rumi.bags.streams import role_of
 from rumi.errors import UsageError
 from sdf import se3
@@ -59,14 +60,14 @@ class AllFelt:
     any: bool = False
 
 
-def all_felt(log: Log, mapping: BagMap, frames: FrameTree, start: int) -> AllFelt:
+def all_felt(log: Log, mapping: BagMap, frames: FrameTree, span: Span) -> AllFelt:
     """Of all streams with the roles felt, contact, bubble, wrench and torques.
 
     Args:
         log: with raw streams.
         mapping: what they mean.
         frames: where they were.
-        start: first time of the recording, ns.
+        span: what is used of the recording.
 
     Raises:
         UsageError: what is needed to read one is missing.
@@ -78,20 +79,20 @@ def all_felt(log: Log, mapping: BagMap, frames: FrameTree, start: int) -> AllFel
     for stream in log.streams.values():
         role = role_of(stream, mapping)
         if role == "felt":
-            mine = _points_felt(stream, frames, found.problems)
+            mine = _points_felt(stream, frames, span, found.problems)
         elif role == "contact":
             mine = [
                 Felt(one.stamp_ns, _none(), bool((one.values["touched"] != 0).any()))  # type: ignore[union-attr]
-                for one in stream.samples()
+                for one in stream.samples(span.start_ns, span.read_ns)
             ]
         elif role == "bubble":
-            mine = bubbles_felt(log, stream, mapping, frames, start, found)
+            mine = bubbles_felt(log, stream, mapping, frames, span, found)
         elif role == "wrench":
             if mapping.wrench is None:
                 raise UsageError(f"Expected a table [wrench] in the mapping for {stream.name}, found none")
-            mine = _wrenches_felt(stream, mapping, frames, start, found.wrenches, found.problems)
+            mine = _wrenches_felt(stream, mapping, frames, span, found.wrenches, found.problems)
         elif role == "torques":
-            mine = torques_felt(stream, mapping, start, found)
+            mine = torques_felt(stream, mapping, span, found)
         else:
             continue
         found.felt += mine
@@ -101,8 +102,8 @@ def all_felt(log: Log, mapping: BagMap, frames: FrameTree, start: int) -> AllFel
     return found
 
 
-def _points_felt(stream: Stream, frames: FrameTree, problems: list[str]) -> list[Felt]:
-    samples = stream.samples()
+def _points_felt(stream: Stream, frames: FrameTree, span: Span, problems: list[str]) -> list[Felt]:
+    samples = stream.samples(span.start_ns, span.read_ns)
     pose, known = frames.at(stream.frame, [one.stamp_ns for one in samples])
     found = []
     for one, world_T_frame, there in zip(samples, pose.float(), known.tolist(), strict=True):
@@ -118,14 +119,17 @@ def _wrenches_felt(
     stream: Stream,
     mapping: BagMap,
     frames: FrameTree,
-    start: int,
+    span: Span,
     counted: dict[str, int],
     problems: list[str],
 ) -> list[Felt]:
     """Touches of the wrenches of a stream; impossible wrenches are touches that nobody knows the place of."""
     told = mapping.wrench
     assert told is not None
-    samples = stream.samples()
+    every = stream.samples(span.start_ns, span.read_ns)
+    samples = [one for one in every if bool(torch.isfinite(_wrench_of(one)).all())]
+    if lost := len(every) - len(samples):
+        problems.append(f"stream {stream.name}: {lost} of {len(every)} wrenches are no numbers, and left out")
     if not samples:
         return []
     pose, known = frames.at(stream.frame, [one.stamp_ns for one in samples])
@@ -133,7 +137,8 @@ def _wrenches_felt(
     samples = [one for one, there in zip(samples, known.tolist(), strict=True) if there]
     pose = pose[known]
     wrench = torch.stack([_wrench_of(one) for one in samples]) if samples else torch.zeros(0, 6, dtype=torch.float64)
-    contact = read_wrenches(wrench, pose, _load(told, wrench, pose, samples, start), mapping)
+    load = _load(stream, told, wrench, pose, samples, span.start_ns, problems)
+    contact = read_wrenches(wrench, pose, load, mapping)
     for name in WrenchStatus:
         counted[name.name.lower()] = counted.get(name.name.lower(), 0) + int((contact.status == int(name)).sum())
     observation, index = wrench_observation(contact, pose)
@@ -157,14 +162,30 @@ def read_wrenches(
     return wrench_contact(left, told.tool(), noise.covariance(), settings)
 
 
-def _load(told: WrenchMap, wrench: Tensor, pose: Tensor, samples: Sequence[Sample], start: int) -> ToolLoad:
+def _load(
+    stream: Stream,
+    told: WrenchMap,
+    wrench: Tensor,
+    pose: Tensor,
+    samples: Sequence[Sample],
+    start: int,
+    problems: list[str],
+) -> ToolLoad:
+    """What hangs from the sensor, and its bias: by the first wrenches, where the mapping says so."""
     numbers = [torch.tensor(value, dtype=torch.float64) for value in (told.bias, told.mass_kg, told.mass_center_m)]
     load = ToolLoad(*numbers)
+    if told.tare_s <= 0 or not samples:
+        return load
+    late = samples[0].stamp_ns - start
+    if late > told.tare_s * 1e9:
+        problems.append(
+            f"stream {stream.name}: begins {late / 1e9:.1f} s after the start; its bias is taken from its own first "
+            f"{told.tare_s:g} s, in which nothing may touch"
+        )
+        start = samples[0].stamp_ns
     early = torch.tensor([one.stamp_ns <= start + told.tare_s * 1e9 for one in samples], dtype=torch.bool)
-    if told.tare_s > 0 and bool(early.any()):
-        signed = -wrench if told.reaction else wrench
-        load = load.tared(signed[early], pose[early, :3, :3])
-    return load
+    signed = -wrench if told.reaction else wrench
+    return load.tared(signed[early], pose[early, :3, :3])
 
 
 def _wrench_of(sample: Sample) -> Float[Tensor, "6"]:

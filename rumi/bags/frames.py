@@ -55,6 +55,9 @@ class FrameTree:
         world: the frame that poses are asked in, but for its origin.
         origin_w: (3,), metres in `world`, the origin of the poses that are given.
         longest_gap_s: over which poses are interpolated.
+
+    Attributes:
+        problems: what could not be used of a log.
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class FrameTree:
     ) -> None:
         self._edges, self.world = edges, world
         self._gap_ns = int(longest_gap_s * 1e9)
+        self.problems: list[str] = []
         self._rise = se3.identity(dtype=torch.float64)
         self._rise[:3, 3] = -torch.tensor(origin_w, dtype=torch.float64)
 
@@ -73,22 +77,44 @@ class FrameTree:
     def of_log(cls, log: Log, mapping: BagMap) -> "FrameTree":
         """The frames of a log's pose streams, with the mapping's fixed ones in the place of recorded ones."""
         edges: dict[str, Edge] = {}
+        problems: list[str] = []
         for stream in log.streams.values():
             if stream.kind != "pose":
                 continue
+            if lacking := {"child", "parent"} - set(stream.about):
+                raise UsageError(f"Expected stream {stream.name} to name its {min(lacking)} frame, found none")
             samples = stream.samples()
+            problems += stream.problems
             child, parent = str(stream.about["child"]), str(stream.about["parent"])
             if not samples:
                 continue
             poses = torch.stack([torch.tensor(sample.values["pose"]) for sample in samples])
             stamps = torch.tensor([sample.stamp_ns for sample in samples])
+            finite = torch.isfinite(poses).all(-1).all(-1)
+            if not bool(finite.all()):
+                problems.append(f"stream {stream.name}: {int((~finite).sum())} of {len(finite)} poses are no numbers")
+                poses, stamps = poses[finite], stamps[finite]
+            if len(poses) == 0:
+                continue
             if stream.about.get("static"):
                 stamps, poses = stamps[:0], poses[-1:]
             edges[child] = Edge(parent, stamps, poses)
         for one in mapping.fixed:
             edges[one.child] = Edge(one.parent, torch.zeros(0, dtype=torch.long), one.pose()[None])
         frames = mapping.frames
-        return cls(edges, frames.world, (*frames.origin_m, frames.floor_z_m), frames.longest_gap_s)
+        tree = cls(edges, frames.world, (*frames.origin_m, frames.floor_z_m), frames.longest_gap_s)
+        tree.problems = problems
+        return tree
+
+    @property
+    def gap_ns(self) -> int:
+        """Over which poses are interpolated."""
+        return self._gap_ns
+
+    def stamps(self, frame: str) -> list[Int[Tensor, "n"]]:
+        """Stamps of each moving part of what connects a frame to the world, rising."""
+        chain = {*self._chain(frame.strip("/")), *self._chain(self.world)}
+        return [edge.stamps_ns for name, edge in self._edges.items() if name in chain and len(edge.stamps_ns)]
 
     def at(
         self, frame: str, stamps_ns: Sequence[int] | Int[Tensor, "K"]

@@ -4,10 +4,11 @@ import math
 import tomllib
 import typing
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -36,13 +37,17 @@ class Topic:
             themselves).
         frame: in place of the messages' frame_id.
         camera: topic of a depth image's CameraInfo; of a bubble's too.
+        color: topic of the colour images that are of a depth image's pixels; needed where several could be.
         unit_m: metres that one unit of a depth image is; by default 0.001 for whole numbers and 1 for floating ones.
+        rectified: the lens's distortion has been taken out of a depth image (or a bubble's) already.
     """
 
     role: Role
     frame: str | None = None
     camera: str | None = None
+    color: str | None = None
     unit_m: float | None = None
+    rectified: bool = False
 
 
 @dataclass(frozen=True)
@@ -234,20 +239,34 @@ def mapping_of(text: str, name: str = "the mapping") -> BagMap:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{name} is no TOML: {error}") from error
-    schema = values.pop("schema", None)
-    if not isinstance(schema, int) or schema > SCHEMA:
+    if "schema" not in values:
+        raise UsageError(f"Expected schema = {SCHEMA} at the top of {name}, found none: add that line")
+    schema = values.pop("schema")
+    if not isinstance(schema, int) or isinstance(schema, bool) or schema < 1:
+        raise UsageError(f"Expected schema = {SCHEMA} in {name}, got {schema!r}")
+    if schema > SCHEMA:
         raise UsageError(f"Expected schema = {SCHEMA} in {name}, got {schema}: a newer one needs a newer rumi")
     known = {*_TABLES, "topics", "fixed", "settings"}
     if wrong := sorted(set(values) - known):
         raise UsageError(f"There is no table [{wrong[0]}] in a mapping; there are {', '.join(sorted(known))}")
     if lacking := [table for table in ("topics", "frames", "scene") if table not in values]:
         raise UsageError(f"Expected a table [{lacking[0]}] in {name}, found none")
+    for table in ("topics", "settings"):
+        if not isinstance(values.get(table, {}), Mapping):
+            raise UsageError(f"{name}: Expected {table} to be a table, [{table}], got {values[table]!r}")
+    if not isinstance(values.get("fixed", []), list):
+        raise UsageError(f"{name}: Expected fixed to be tables, each headed [[fixed]], got {values['fixed']!r}")
     try:
         made: dict[str, Any] = {
             key: dataclass_of(kind, values[key], f"{key}.") for key, kind in _TABLES.items() if key in values
         }
         topics = {topic: _topic(topic, value) for topic, value in values["topics"].items()}
         fixed = tuple(dataclass_of(Fixed, value, "fixed.") for value in values.get("fixed", ()))
+        for key, one in [*made.items(), *((f'topics."{topic}"', one) for topic, one in topics.items())]:
+            _check_finite(one, f"{key}.")
+        for one in fixed:
+            one.pose()
+            _check_finite(one, "fixed.")
     except ValueError as error:
         raise UsageError(f"{name}: {error}") from error
     return BagMap(topics=topics, fixed=fixed, settings=values.get("settings", {}), text=text, **made)
@@ -270,6 +289,14 @@ def pose_of(position: Sequence[float], quaternion_wxyz: Sequence[float]) -> Floa
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     return se3.make(torch.tensor(turn, dtype=torch.float64), numbers[:3])
+
+
+def _check_finite(table: Any, at: str) -> None:  # noqa: ANN401  (a table of any kind)
+    """Refuse numbers that are none; only `view.far_m` may be infinite."""
+    for name, value in asdict(table).items():
+        numbers = np.ravel([part for part in np.ravel(np.array(value, dtype=object)) if isinstance(part, float)])
+        if not np.isfinite(numbers.astype(float)).all() and (at + name, value) != ("view.far_m", math.inf):
+            raise ValueError(f"Expected {at}{name} to be finite, got {value}")
 
 
 def _topic(name: str, value: Any) -> Topic:  # noqa: ANN401  (read from TOML)

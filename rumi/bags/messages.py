@@ -91,7 +91,8 @@ def image(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: AN
         return
     whole = kind.kind == "u"
     unit = told.unit_m or (0.001 if whole else 1.0)
-    about = {"unit_m": unit, **({"camera": told.camera.strip("/")} if told.camera else {})}
+    about: dict[str, Any] = {"unit_m": unit, **({"camera": told.camera.strip("/")} if told.camera else {})}
+    about |= {"rectified": True} if told.rectified else {}
     spec = _spec(message, topic, told, "depth16" if whole else "depth", about)
     depth = array[..., 0].astype(array.dtype.newbyteorder("="))
     yield RowOf(spec, stamp_ns(message), {"depth": depth if whole else depth * np.float32(unit)})
@@ -99,18 +100,22 @@ def image(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: AN
 
 def camera_info(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
     """sensor_msgs/CameraInfo."""
-    spec = _spec(message, topic, told, "camera", {"distortion_model": str(message.distortion_model)})
+    intrinsics, distortion = np.asarray(message.k, float).reshape(3, 3), np.asarray(message.d, float)
+    projection = np.asarray(message.p, float)
+    _finite(intrinsics, distortion, projection)
+    about: dict[str, Any] = {"distortion_model": str(message.distortion_model), "projection": projection.tolist()}
     values: dict[str, object] = {
-        "intrinsics": np.asarray(message.k, float).reshape(3, 3),
-        "distortion": np.asarray(message.d, float),
+        "intrinsics": intrinsics,
+        "distortion": distortion,
         "size": np.array([message.height, message.width]),
     }
-    yield RowOf(spec, stamp_ns(message), values)
+    yield RowOf(_spec(message, topic, told, "camera", about), stamp_ns(message), values)
 
 
 def wrench(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
     """geometry_msgs/WrenchStamped."""
     force, torque = (np.array([part.x, part.y, part.z]) for part in (message.wrench.force, message.wrench.torque))
+    _finite(force, torque)
     yield RowOf(_spec(message, topic, told, "wrench"), stamp_ns(message), {"force": force, "torque": torque})
 
 
@@ -122,20 +127,31 @@ def joint_state(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # no
         given = np.asarray(getattr(message, name), float)
         if len(given) not in (0, len(names)):
             raise ValueError(f"expected {len(names)} of {name} or none, got {len(given)}")
+        if np.isinf(given).any():
+            raise ValueError(f"expected numbers of {name}, got some that are infinite")
         values[name] = given if len(given) else np.full(len(names), np.nan)
     yield RowOf(_spec(message, topic, told, "joints", {"names": names}), stamp_ns(message), dict(values))
 
 
 def transforms(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
-    """tf2_msgs/TFMessage: a stream for each pair of frames."""
+    """tf2_msgs/TFMessage: a stream for each pair of frames; one that is wrong costs no other one."""
     static = topic.rstrip("/").endswith("static")
+    wrong: list[str] = []
     for one in message.transforms:
         parent, child = str(one.header.frame_id).strip("/"), str(one.child_frame_id).strip("/")
         at, turn = one.transform.translation, one.transform.rotation
-        pose = pose_of((at.x, at.y, at.z), (turn.w, turn.x, turn.y, turn.z))
         about = {"topic": topic, "parent": parent, "child": child, "static": static}
-        name = f"tf/{parent.replace('/', '_')}/{child.replace('/', '_')}" + ("/static" if static else "")
+        name = f"tf/{_escaped(parent)}/{_escaped(child)}" + ("/static" if static else "")
+        try:
+            if not (parent and child):
+                raise ValueError("expected the names of two frames")
+            pose = pose_of((at.x, at.y, at.z), (turn.w, turn.x, turn.y, turn.z))
+        except ValueError as error:
+            wrong.append(f"{parent!r} to {child!r}: {error}")
+            continue
         yield RowOf(StreamSpec(name, "pose", parent, about), stamp_ns(one), {"pose": pose.numpy()})
+    if wrong:
+        raise ValueError(f"{len(wrong)} of {len(message.transforms)} transforms left out, {wrong[0]}")
 
 
 def flag(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
@@ -155,6 +171,17 @@ CONVERTERS: Mapping[str, tuple[tuple[str, ...], Convert]] = {
     "std_msgs/msg/UInt8MultiArray": (("contact",), flag),
 }
 """Roles that a message type can have, and what turns it into rows."""
+
+
+def _escaped(frame: str) -> str:
+    """A frame's name as one part of a stream's: different ones stay different."""
+    named = frame.replace("%", "%25").replace("/", "%2F")
+    return named.replace(".", "%2E") if not frame.strip(".") else named
+
+
+def _finite(*arrays: np.ndarray) -> None:
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise ValueError("expected numbers, got some that are none, or infinite")
 
 
 def _spec(

@@ -11,6 +11,7 @@ from torch import Tensor
 from rumi.bags.felt import Felt, all_felt
 from rumi.bags.frames import FrameTree
 from rumi.bags.mapping import BagMap
+from rumi.bags.span import reading_starts, span_of
 from rumi.bags.views import Views
 from rumi.errors import UsageError
 from rumi.planning.gripper import GripperShape
@@ -58,10 +59,11 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
         UsageError: a stream or a frame that is needed is missing.
     """
     frames = FrameTree.of_log(log, mapping)
-    start, end = _span(log, mapping)
+    span = span_of(log, mapping, frames)
+    start = span.start_ns
     views = Views(log, mapping, frames, generator(seed))
-    sensed = all_felt(log, mapping, frames, start)
-    felt, problems = sensed.felt, sensed.problems
+    sensed = all_felt(log, mapping, frames, span)
+    felt, problems = sensed.felt, [*frames.problems, *span.problems, *sensed.problems]
     if not (views.any or sensed.any):
         listed = ", ".join(sorted(f"{name} ({stream.kind})" for name, stream in log.streams.items())) or "none"
         raise UsageError(
@@ -74,7 +76,7 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
     cutter = _Cutter(mapping, frames, views, felt, body, start)
     taken = [cutter.first(seen, first_ns)]
     every = round(mapping.actions.every_s * 1e9)
-    for begin in range(first_ns, end - every // 2, every):
+    for begin in reading_starts(span, mapping, sensed.notes):
         reading = cutter.reading(begin, begin + every)
         if reading is None:
             at = (begin - start) / 1e9
@@ -83,7 +85,7 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
             )
         else:
             taken.append(reading)
-    return Made(taken, problems + views.problems, sensed.wrenches, sensed.notes)
+    return Made(taken, list(dict.fromkeys(problems + views.problems)), sensed.wrenches, sensed.notes)
 
 
 class _Cutter:
@@ -175,12 +177,3 @@ class _Cutter:
         stamp = (stamp_ns - self._start) / 1e9
         reading = Reading(observation, instant, pose, in_contact, None, torch.tensor(place), torch.zeros(()), stamp)
         return Taken(reading, None, None, None)
-
-
-def _span(log: Log, mapping: BagMap) -> tuple[int, int]:
-    """First and last time, ns, at which anything but fixed frames was recorded."""
-    recorded = [stream.stamps_ns() for stream in log.streams.values() if not stream.about.get("static")]
-    stamps = [int(at) for each in recorded if len(each) for at in (each.min(), each.max())]
-    if not stamps:
-        raise UsageError(f"Expected {log.path} to hold raw streams with anything in them, found none")
-    return min(stamps), max(stamps)

@@ -1,7 +1,9 @@
 """When the joint torques of a recording tell of a touch, and where its robot's body was."""
 
+import math
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -10,6 +12,7 @@ from rumi.bags.felt import AllFelt, Felt
 from rumi.bags.frames import FrameTree
 from rumi.bags.mapping import BagMap
 from rumi.bags.sensor_maps import RobotMap
+from rumi.bags.span import Span
 from rumi.bags.streams import role_of
 from rumi.errors import UsageError
 from sensors.log.reader import Log, Stream
@@ -17,7 +20,7 @@ from sensors.momentum_observer import MomentumObserver, TorqueThreshold, residua
 from sensors.robot_body import RobotBody
 
 
-def torques_felt(stream: Stream, mapping: BagMap, start: int, found: AllFelt) -> list[Felt]:
+def torques_felt(stream: Stream, mapping: BagMap, span: Span, found: AllFelt) -> list[Felt]:
     """Times at which the torques of a stream of joints, by the momentum observer, are a touch: nobody knows where.
 
     Raises:
@@ -32,12 +35,15 @@ def torques_felt(stream: Stream, mapping: BagMap, start: int, found: AllFelt) ->
         return []
     from rumi.sim.robot_dynamics import MujocoDynamics
 
-    names = [str(name) for name in stream.about["names"]]
+    names = [str(name) for name in stream.about.get("names", ())]
     asked = list(told.joints) or names
     if lacking := [name for name in asked if name not in names]:
         raise UsageError(f"Expected the joint {lacking[0]!r} in {stream.name}, which has {', '.join(names)}")
-    dynamics = MujocoDynamics.load(_text(robot), asked)
-    track = JointTrack(stream)
+    _text(robot)  # says which file cannot be read
+    # by its path: an MJCF's meshes lie beside it
+    dynamics = MujocoDynamics.load(Path(robot.file), asked)
+    track = JointTrack(stream, span)
+    found.problems += track.problems
     column = [names.index(name) for name in asked]
     values = {key: table[:, column] for key, table in track.tables.items()}
     for key, what in (("velocity", "velocities"), ("effort", "efforts: torques, N m")):
@@ -49,7 +55,7 @@ def torques_felt(stream: Stream, mapping: BagMap, start: int, found: AllFelt) ->
     stamps = track.stamps_ns[whole]
     if len(stamps) == 0:
         return []
-    seconds = (stamps - start).double() / 1e9
+    seconds = (stamps - span.start_ns).double() / 1e9
     residual = residuals(
         dynamics,
         seconds,
@@ -82,31 +88,51 @@ class JointTrack:
 
     Args:
         stream: of joints.
+        span: what is used of the recording; all by default.
 
     Attributes:
         names: of the joints.
         stamps_ns: (n), rising.
         tables: position, velocity and effort, each (n, J), NaN where it was not given.
+        problems: what could not be used.
+
+    Raises:
+        UsageError: the stream does not say which joints it is of.
     """
 
-    def __init__(self, stream: Stream) -> None:
-        samples = stream.samples()
+    def __init__(self, stream: Stream, span: Span | None = None) -> None:
+        if "names" not in stream.about:
+            raise UsageError(f"Expected stream {stream.name} to name its joints, found no names")
         self.names = tuple(str(name) for name in stream.about["names"])
+        every = stream.samples() if span is None else stream.samples(span.start_ns, span.read_ns)
+        tables = ("position", "velocity", "effort")
+        samples = [
+            one for one in every if all(np.asarray(one.values[key]).shape == (len(self.names),) for key in tables)
+        ]
+        self.problems: list[str] = []
+        if lost := len(every) - len(samples):
+            self.problems.append(
+                f"stream {stream.name}: {lost} of {len(every)} rows are not of its {len(self.names)} joints, left out"
+            )
         self.stamps_ns: Int[Tensor, "n"] = torch.tensor([one.stamp_ns for one in samples], dtype=torch.long)
         self.tables: dict[str, Float[Tensor, "n J"]] = {
-            key: torch.tensor([one.values[key].tolist() for one in samples], dtype=torch.float64)  # type: ignore[union-attr]
-            for key in ("position", "velocity", "effort")
+            key: torch.tensor([one.values[key].tolist() for one in samples], dtype=torch.float64).reshape(  # type: ignore[union-attr]
+                len(samples), len(self.names)
+            )
+            for key in tables
         }
 
     def position(self, stamp_ns: int, gap_ns: int) -> tuple[dict[str, float], Bool[Tensor, ""]]:
         """Positions by name at a time, between the rows about it, and whether these are near enough."""
+        if len(self.stamps_ns) == 0:
+            return {}, torch.tensor(False)
         after = int(torch.searchsorted(self.stamps_ns, stamp_ns).clamp_max(len(self.stamps_ns) - 1))
         before = max(0, after - 1) if int(self.stamps_ns[after]) > stamp_ns else after
         low, high = int(self.stamps_ns[before]), int(self.stamps_ns[after])
         part = min(1.0, max(0.0, (stamp_ns - low) / max(1, high - low)))
         near = torch.tensor(max(stamp_ns - low, high - stamp_ns) <= gap_ns)
         value = torch.lerp(self.tables["position"][before], self.tables["position"][after], part)
-        return {name: x for name, x in zip(self.names, value.tolist(), strict=True) if x == x}, near
+        return {name: x for name, x in zip(self.names, value.tolist(), strict=True) if math.isfinite(x)}, near
 
 
 class BodyTrack:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rumi.bags.frames import FrameTree
 from rumi.bags.mapping import BagMap
-from rumi.bags.streams import lens_of, lenses_of, role_of, unit_of
+from rumi.bags.streams import color_of, lens_of, lenses_of, role_of, unit_of
 from rumi.bags.torques import BodyTrack
 from rumi.errors import UsageError
 from rumi.planning.gripper import GripperShape
@@ -61,24 +61,27 @@ class Views:
         self.any = any(len(stream) for stream in self._streams)
 
     def between(self, begin_ns: int, end_ns: int, *, last: bool = False) -> Observation:
-        """What each camera saw of the object in a span of time; without `last` in the first picture that shows it.
+        """What each camera saw of the object in a span of time: in the first picture that shows it, or in the last.
 
-        Where pixels must persist (`view.persist_s`), pictures are taken in one after the other up to the first that
-        shows enough of them.
+        Where pixels must persist (`view.persist_s`), pictures are taken in one after the other: up to the first that
+        shows enough of them, or all.
         """
         found = [Observation.empty()]
         for stream in self._streams:
             mine = stream.samples(begin_ns, end_ns)
             self.problems += stream.problems
-            memory = None
+            memory, latest = None, None
             for one in reversed(mine) if last and self._settings.persist_s == 0 else mine:
                 view = self._view(stream, one, memory)
                 if view is None:
                     continue
                 memory = view.memory
                 if bool(view.observation.of_class(Semantics.SURFACE).any()):
-                    found.append(view.observation)
-                    break
+                    latest = view.observation
+                    if not last or self._settings.persist_s == 0:
+                        break
+            if latest is not None:
+                found.append(latest)
         return concatenate(found)
 
     def _view(self, stream: Stream, sample: Sample, memory: object) -> View | None:
@@ -131,7 +134,7 @@ class Views:
     def _depth(
         self, stream: Stream, sample: Sample, world_T_camera: Float[Tensor, "4 4"], common: dict[str, object]
     ) -> View:
-        lens = lens_of(stream, self._lenses)
+        lens = lens_of(stream, self._lenses, self._mapping)
         image = sample.values["depth"]
         assert image is not None
         settings = replace(self._settings, unit=unit_of(stream), distortion=lens.distortion)
@@ -140,16 +143,17 @@ class Views:
             lens.intrinsics,
             world_T_camera,
             settings,
-            color=self._color(sample),
+            color=self._color(stream, sample),
             **common,  # type: ignore[arg-type]
         )
 
-    def _color(self, sample: Sample) -> Tensor | None:
-        """The colour image nearest in time, if colours are asked for."""
+    def _color(self, stream: Stream, sample: Sample) -> Tensor | None:
+        """The colour image of its pixels that is nearest in time, if colours are asked for."""
         if self._settings.segmentation != "color":
             return None
+        colors = color_of(stream, self._colors, self._mapping)
         at = sample.stamp_ns
-        near = [one for stream in self._colors for one in stream.samples(at - _APART_NS, at + _APART_NS)]
+        near = [] if colors is None else colors.samples(at - _APART_NS, at + _APART_NS)
         if not near:
             return None
         return torch.tensor(min(near, key=lambda one: abs(one.stamp_ns - at)).values["color"])

@@ -1,7 +1,10 @@
 """What the sensors of a simulated robot gave, as raw streams for a log, and the mapping that reads them again."""
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +14,7 @@ from torch import Tensor
 
 from rumi.planning.gripper import GripperShape
 from rumi.sim.bubble_camera import BubbleCamera
+from rumi.sim.objects import ObjectSettings
 from rumi.sim.settings import SimSettings
 from rumi.sim.tasks import TaskSpec
 from sensors.camera import pinhole
@@ -126,8 +130,13 @@ class RawStreams:
         """Where the first view saw the object, grown."""
         self._region = region.clone()
 
-    def mapping(self) -> str:
-        """The mapping file (TOML) by which `rumi replay --map` reads the streams."""
+    def mapping(self, thing: ObjectSettings | None = None) -> str:
+        """The mapping file (TOML) by which `rumi replay --map` reads the streams.
+
+        Args:
+            thing: what the run was to find, where that was not the task's own object.
+        """
+        thing = ObjectSettings() if thing is None else thing
         sensors, shape = self._settings.sensors, self._shape
         topics = {}
         for _, _, about in self.kinds().values():
@@ -137,7 +146,7 @@ class RawStreams:
         grown = torch.tensor([-_GROWN_M, -_GROWN_M, 0.0])
         low, high = self._region[0] + grown, self._region[1] - grown
         low[2] = low[2].clamp_min(0.0)
-        kind = self._spec.name.partition("-")[0]
+        kind = "" if thing.mesh is not None else self._spec.name.partition("-")[0]
         every = (self._settings.mini_steps + (self._look_steps if sensors.looks else 0)) * self._mini_ns
         lines = [
             "schema = 1",
@@ -149,6 +158,7 @@ class RawStreams:
             f"within = [{_list(low)}, {_list(high)}]",
             f'search = "{self._spec.search}"',
             f"looks_again = {str(sensors.looks).lower()}\ntool_seen = true",
+            *_object(thing),
             "[tool]",
             f"palm_m = {list(shape.palm_m)}\npalm_front_m = {shape.palm_front_m}",
             f"pad_m = {list(shape.pad_m)}\npad_offset_m = {shape.pad_offset_m}",
@@ -170,6 +180,18 @@ class RawStreams:
         if self.sink is not None:
             plain = {key: value.numpy() if isinstance(value, Tensor) else value for key, value in values.items()}
             self.sink(name, stamp_ns, plain)
+
+
+def _object(thing: ObjectSettings) -> list[str]:
+    """The table [object] of what is not as it is by default."""
+    told = []
+    for part in fields(thing):
+        value = getattr(thing, part.name)
+        if value != part.default:
+            value = str(Path(value).resolve()) if part.name == "mesh" else value
+            text = json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)
+            told.append(f"{part.name} = {text}")
+    return ["[object]", *told] if told else []
 
 
 def _frames(parent: str, child: str, *, static: bool) -> dict[str, Any]:

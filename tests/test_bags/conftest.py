@@ -118,15 +118,22 @@ class BagMaker:
         self.add(topic, message, stamp)
 
     def tf(self, stamp, parent, child, pose, *, topic="/tf", received=None) -> None:
-        pose = torch.as_tensor(pose, dtype=torch.float64)
-        x, y, z, w = quaternion(pose[:3, :3])
-        at = self.types.Vector3(**dict(zip("xyz", pose[:3, 3].tolist(), strict=True)))
-        turn = self.types.Quaternion(x=x, y=y, z=z, w=w)
-        one = self.types.TransformStamped(
-            header=self.header(stamp, parent), child_frame_id=child,
-            transform=self.types.Transform(translation=at, rotation=turn),
-        )  # fmt: skip
-        self.add(topic, self.types.TFMessage(transforms=[one]), stamp if received is None else received)
+        self.tfs(stamp, [(parent, child, pose)], topic=topic, received=received)
+
+    def tfs(self, stamp, frames, *, topic="/tf", received=None) -> None:
+        """One message of several transforms: parent, child and pose of each."""
+        made = []
+        for parent, child, given in frames:
+            pose = torch.as_tensor(given, dtype=torch.float64)
+            x, y, z, w = quaternion(pose[:3, :3])
+            at = self.types.Vector3(**dict(zip("xyz", pose[:3, 3].tolist(), strict=True)))
+            turn = self.types.Quaternion(x=x, y=y, z=z, w=w)
+            one = self.types.TransformStamped(
+                header=self.header(stamp, parent), child_frame_id=child,
+                transform=self.types.Transform(translation=at, rotation=turn),
+            )  # fmt: skip
+            made.append(one)
+        self.add(topic, self.types.TFMessage(transforms=made), stamp if received is None else received)
 
     def wrench(self, topic, stamp, frame, wrench, *, received=None) -> None:
         force, torque = (

@@ -81,7 +81,7 @@ def test_every_kind_of_message(bags, tmp_path, mapping, mcap):
         assert kinds == {
             "cloud": "points", "depth": "depth16", "metres": "depth", "color": "color", "info": "camera",
             "wrench": "wrench", "joints": "joints", "touched": "contact", "tf/base/hand": "pose",
-            "tf/base/eye_left/static": "pose",
+            "tf/base/eye%2Fleft/static": "pose",
         }  # fmt: skip
         first, second = log.stream("cloud").samples()
         assert np.array_equal(first.values["points"], points, equal_nan=True)
@@ -206,6 +206,69 @@ def test_messages_that_make_no_sense_are_counted(bags, tmp_path, mapping):
     assert "expected an image of role depth, got the encoding rgb8" in done.lost["/metres"][1]
 
 
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_messages_of_no_numbers_are_counted(bags, tmp_path, mapping, number):
+    bad = np.full(6, number)
+    maker = bags.Maker(tmp_path / "bag")
+    for index in range(3):
+        at = bags.START + index
+        wrong = index == 1
+        maker.wrench("/wrench", at, "sensor", bad if wrong else np.zeros(6))
+        maker.camera_info("/info", at, "camera", np.full(9, number if wrong else 1.0), (5, 7))
+        maker.joints("/joints", at, ["a", "b"], [np.inf if wrong else 1.0, 2.0])
+        pose = torch.eye(4)
+        pose[0, 3] = number if wrong else 1.0
+        one, other = torch.eye(4), torch.eye(4)
+        maker.tfs(at, [("base", "arm", one), ("base", "hand", pose), ("base", "head", other)])
+    done = import_bag(maker.close(), mapping, tmp_path / "log.h5")
+    assert dict(done.rows) == {
+        "wrench": 2, "info": 2, "joints": 2, "tf/base/arm": 3, "tf/base/hand": 2, "tf/base/head": 3
+    }  # fmt: skip
+    assert {topic: count for topic, (count, _) in done.lost.items()} == {
+        "/wrench": 1, "/info": 1, "/joints": 1, "/tf": 1
+    }  # fmt: skip
+    assert "/wrench: expected numbers, got some that are none, or infinite" in done.lost["/wrench"][1]
+    assert "1 of 3 transforms left out, 'base' to 'hand'" in done.lost["/tf"][1]
+
+
+def test_numbers_that_no_column_holds_cost_their_message_alone(bags, tmp_path, mapping):
+    maker = bags.Maker(tmp_path / "bag")
+    for index in range(5):
+        height = 4_000_000_000 if index == 2 else 48
+        maker.camera_info("/info", bags.START + index, "camera", np.eye(3), (height, 64))
+    done = import_bag(maker.close(), mapping, tmp_path / "log.h5")
+    assert done.rows == {"info": 4}
+    assert done.lost["info"][0] == 1 and "Expected size to fit numbers of type i4" in done.lost["info"][1]
+    with Log(tmp_path / "log.h5") as log:
+        assert len(log.stream("info").samples()) == 4
+
+
+def test_frames_and_topics_with_like_names_stay_apart(bags, tmp_path):
+    text = ALL.replace('"/touched" = "contact"', '"/wrench/force" = "felt"')
+    children = ["cam/left", "cam_left", "cam%2Fleft", "left", "left/static", "."]
+    maker = bags.Maker(tmp_path / "bag")
+    for index, child in enumerate(children):
+        pose = torch.eye(4)
+        pose[0, 3] = float(index)
+        for topic in ("/tf", "/tf_static"):
+            maker.tf(bags.START + index, "base", child, pose, topic=topic)
+    maker.tf(bags.START, "base", "", torch.eye(4))
+    maker.wrench("/wrench", bags.START, "sensor", np.zeros(6))
+    maker.cloud("/wrench/force", bags.START, "base", np.ones((2, 3)))
+    done = import_bag(maker.close(), mapping_of(text), tmp_path / "log.h5")
+    assert set(done.lost) == {"/tf"} and "'base' to '': expected the names of two frames" in done.lost["/tf"][1]
+    with Log(tmp_path / "log.h5") as log:
+        assert log.problems == []
+        found = sorted(
+            (one.about["child"], one.about["static"], one.samples()[0].values["pose"][0, 3])
+            for one in log.streams.values()
+            if one.kind == "pose"
+        )
+        assert found == sorted((child, way, float(k)) for k, child in enumerate(children) for way in (False, True))
+        assert len(log.stream("wrench").samples()) == len(log.stream("wrench/force").samples()) == 1
+        assert log.stream("wrench/force").kind == "points"
+
+
 def test_topics_that_are_missing_are_named(bags, tmp_path, mapping):
     file = wrenches(bags, tmp_path / "bag", [0, 1])
     done = import_bag(file, mapping, tmp_path / "log.h5")
@@ -224,6 +287,15 @@ def test_a_type_that_does_not_suit_its_role_is_named(bags, tmp_path):
     with pytest.raises(UsageError, match=r"Expected /wrench .*WrenchStamped.* to be wrench, got cloud"):
         import_bag(file, wrong, tmp_path / "log.h5")
     assert not list(tmp_path.glob("log*"))
+
+
+def test_topics_have_to_be_a_table():
+    text = re.sub(r"\[topics\]\n.*\[frames\]", "[frames]", ALL, flags=re.DOTALL).replace(
+        "schema = 1", "schema = 1\ntopics = 3"
+    )
+    with pytest.raises(UsageError, match=r"Expected topics to be a table, \[topics\], got 3"):
+        mapping_of(text)
+    assert mapping_of(ALL + "[view]\nfar_m = inf\n").view.far_m == float("inf")
 
 
 def test_what_is_no_bag_is_named(tmp_path, mapping):
@@ -258,6 +330,9 @@ def test_the_command(bags, tmp_path, monkeypatch, capsys):
     assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == cli.DONE
     assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == cli.BAD_INPUT
     assert "few.h5 exists" in capsys.readouterr().err
+    for never in ("inf", "nan", "-1"):
+        assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--future", never]) == cli.BAD_INPUT
+        assert "Expected --future of 0 s to 1e+09 s" in capsys.readouterr().err
     assert main(["import", "bag/bag.mcap", "--map", "none.toml"]) == cli.BAD_INPUT
     assert "Cannot read the mapping none.toml" in capsys.readouterr().err
 
@@ -266,7 +341,19 @@ def test_the_command(bags, tmp_path, monkeypatch, capsys):
     ("change", "message"),
     [
         (("schema = 1", "schema = 2"), "Expected schema = 1 .*, got 2: a newer one needs a newer rumi"),
-        (("schema = 1", ""), "Expected schema = 1"),
+        (("schema = 1", "schema = '1'"), "Expected schema = 1 in the mapping, got '1'"),
+        (("schema = 1", ""), "Expected schema = 1 at the top of the mapping, found none: add that line"),
+        (("schema = 1", "schema = 1\nfixed = 3"), r"Expected fixed to be tables, each headed \[\[fixed\]\], got 3"),
+        (("schema = 1", "schema = 1\nsettings = 3"), r"Expected settings to be a table, \[settings\], got 3"),
+        (("[frames]", "[actions]\nview_s = inf\n[frames]"), "Expected actions.view_s to be finite, got inf"),
+        (("[frames]", "[actions]\nevery_s = inf\n[frames]"), "Expected actions.every_s to be finite, got inf"),
+        (("[1, 1, 1]]", "[1, inf, 1]]"), "Expected scene.within to be finite"),
+        (('tool = "hand"', 'tool = "hand"\norigin_m = [nan, 0.0]'), "Expected frames.origin_m to be finite"),
+        (("[frames]", '[fixed]\nparent = "a"\nchild = "b"\n[frames]'), "Expected fixed to be tables"),
+        (
+            ('"/cloud" = "cloud"', '"/cloud" = { role = "cloud", unit_m = nan }'),
+            r'topics\."/cloud"\.unit_m to be finite',
+        ),
         (("[scene]", "[scenery]"), r"no table \[scenery\]"),
         (('world = "base"', ""), "world"),
         (('"/cloud" = "cloud"', '"/cloud" = "clown"'), "clown"),

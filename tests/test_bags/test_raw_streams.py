@@ -1,6 +1,7 @@
 """What a simulated robot's sensors gave is kept with the run, and read again it is what the run took in."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -122,12 +123,30 @@ def test_a_recorded_run_can_be_read_by_its_map(tmp_path, monkeypatch, capsys):
     assert "no live run's to compare with" in said.out
 
 
+def test_the_map_of_a_run_with_a_mesh_names_the_mesh(tmp_path, monkeypatch):
+    from rumi.sim.objects import ObjectSettings
+    from rumi.sim.sensor_settings import SensorSettings
+    from rumi.sim.settings import SimSettings
+    from rumi.sim.tasks import TASKS, large_handled_mug, make_task, make_tool
+
+    monkeypatch.chdir(tmp_path)
+    spec = replace(TASKS["mug-0"], start=(0.45, 0.03, 0.6))
+    settings = SimSettings(sensors=SensorSettings("bubbles"))
+    task = make_task(spec, settings, tool=make_tool(spec, free_flying=True), model=large_handled_mug())
+    task.reset(0)
+    assert mapping_of(task.raw.mapping()).scene.builtin == "mug"
+    thing = ObjectSettings(mesh='a "box".stl', scale=0.001, upright=(0.0, 90.0, 0.0), mass_kg=0.4)
+    told = mapping_of(task.raw.mapping(thing))
+    assert told.scene.builtin is None
+    assert told.object == replace(thing, mesh=str(tmp_path / 'a "box".stl'))
+
+
 def test_only_what_has_raw_streams_may_be_read_by_a_map(tmp_path):
     from rumi.replay_command import mapping_of_log
 
     with LogRecorder(tmp_path / "log.h5", {}):
         pass
     with Log(tmp_path / "log.h5") as log:
-        assert mapping_of_log(log, []) is None
+        assert mapping_of_log(log, None) is None
         with pytest.raises(UsageError, match="no raw streams"):
-            mapping_of_log(log, ["--map", "some.toml"])
+            mapping_of_log(log, Path("some.toml"))

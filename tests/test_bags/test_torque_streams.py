@@ -100,6 +100,21 @@ def test_joint_torques_of_a_bag_tell_when_the_hand_was_pushed(torques):
     assert not touched[(ends < 0.7) | (ends > 1.15)].any()
 
 
+def test_a_model_whose_meshes_lie_beside_it(pushed_arm, torques, bags, tmp_path):
+    """As an MJCF's do, from wherever the replay is started."""
+    import trimesh
+
+    bag, model = pushed_arm
+    (tmp_path / "assets").mkdir()
+    trimesh.creation.box((0.01, 0.01, 0.01)).export(tmp_path / "assets" / "mark.stl")
+    text = model.read_text().replace("<worldbody>", '<worldbody><geom type="mesh" mesh="mark"/>', 1)
+    assert "<asset>" not in text or "<asset/>" not in text
+    mesh = '<asset><mesh name="mark" file="assets/mark.stl"/></asset>'
+    (tmp_path / "arm.xml").write_text(text.replace("<worldbody>", f"{mesh}<worldbody>", 1))
+    made = bags.readings_of(bag, told((bag, tmp_path / "arm.xml")), tmp_path / "log.h5")
+    assert made.notes == torques.notes
+
+
 def test_a_touch_that_nobody_knows_the_place_of_leaves_no_free_space(torques):
     made = torques
     for one in made.taken[1:]:

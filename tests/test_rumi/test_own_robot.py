@@ -119,7 +119,7 @@ def test_check_finds_a_camera_that_is_off(script, capsys, monkeypatch, tmp_path)
     assert Path("check.png").stat().st_size > 10_000
     assert main(["check", "good.h5", "--step", "99"]) == cli.BAD_INPUT
     assert "Expected --step 0 to" in capsys.readouterr().err
-    assert main(["check", "off.h5", *pose, "--out", "off.png"]) == cli.DONE
+    assert main(["check", "off.h5", *pose, "--out", "off"]) == cli.DONE
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "nearest" in line]
     shift = [float(word.strip("(,)")) for word in line.split("moved by ")[1].split()[:3]]
     assert abs(shift[0] + 10.0) < 0.5 and abs(shift[1]) < 0.5 and abs(shift[2]) < 0.5
@@ -135,6 +135,26 @@ def points_on(solid, count, generator):
         (slope,) = torch.autograd.grad(distance.sum(), points)
         points = (points - distance[:, None] * slope).detach()
     return points
+
+
+@pytest.mark.parametrize(
+    ("out", "written"),
+    [("folder", "folder/check.png"), ("pic", "pic.png"), ("a/b.svg", "a/b.svg"), ("a.b/pic", "a.b/pic.png")],
+)
+def test_check_names_the_picture_that_it_writes(out, written, monkeypatch, tmp_path):
+    from rumi.check_command import _picture
+
+    monkeypatch.chdir(tmp_path)
+    Path("folder").mkdir()
+    assert _picture(Path(out)) == Path(written)
+
+
+def test_check_refuses_what_it_cannot_draw(capsys):
+    pose = ["--pose", "0.5", "nan", "0", "0", "0", "0"]
+    assert main(["check", "none.h5", *pose]) == cli.BAD_INPUT
+    assert "Expected --pose to be six numbers, got 0.5 nan" in capsys.readouterr().err
+    assert main(["check", "none.h5", "--out", "pic.xyz"]) == cli.BAD_INPUT
+    assert "Expected --out to end in .png, .pdf" in capsys.readouterr().err
 
 
 def test_misfit_of_a_box_is_undone(generator):

@@ -16,7 +16,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.cli import main
 from rumi.logbook import digest
 from rumi.recording import load_run
-from rumi.replay_command import changes
+from rumi.replay_command import _named, changes
 
 pytest.importorskip("h5py")
 
@@ -141,6 +141,24 @@ def test_what_is_no_log_is_named(capsys, tmp_path):
         file["a"] = [1]
     assert main(["replay", "log.h5"]) == cli.BAD_INPUT
     assert "is no log of rumi" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "log", "told"),
+    [
+        (["log.h5", "--filter.peakiness", "1"], "log.h5", None),
+        (["--filter.peakiness", "1", "log.h5"], "log.h5", None),
+        (["--map", "m.toml", "log.h5"], "log.h5", "m.toml"),
+        (["--out", "run", "--map=m.toml", "log.h5", "--figures"], "log.h5", "m.toml"),
+        (["--figures", "log.h5"], "log.h5", None),
+        (["--filter.surface-spacing-m", "0.01", "--help", "log.h5"], "log.h5", None),
+        (["--out", "run"], None, None),
+        (["log.h5", "--seed", "no"], "log.h5", None),
+    ],
+)
+def test_the_log_may_stand_anywhere(arguments, log, told):
+    found = _named(arguments)
+    assert found == (None if log is None else Path(log), None if told is None else Path(told))
 
 
 def test_replay_has_help(capsys):
