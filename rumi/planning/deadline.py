@@ -15,6 +15,8 @@ _FORGET = 0.7
 """Share of a time that is held against a quicker one that came after it: a stall is forgotten in a few turns."""
 _LEAST_SAMPLES = 16
 _FIRST_SAMPLES = 32
+_SLOWER = 8
+"""By how much an iteration's samples may be slower than those of the one before (five times was seen)."""
 
 
 class Deadline:
@@ -109,10 +111,10 @@ class Deadline:
         few = min(_LEAST_SAMPLES, rest)
         if not self.knows("sample"):
             return min(_FIRST_SAMPLES, rest)
-        fits = self.affordable("sample", 2 * rest, 1.0)
+        fits = self.affordable("sample", _SLOWER * rest, 1.0)
         if fits < few:
             return few if first else 0
-        if first:
+        if first and fits < _SLOWER * rest:
             # an iteration's samples may take several times as long as those of the one before: more of them push
             return min(_FIRST_SAMPLES, fits, rest)
         # half of what fits: these may take longer than their like did, and the rest is looked at again
