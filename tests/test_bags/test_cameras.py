@@ -28,7 +28,7 @@ world = "base"
 tool = "base"
 [scene]
 builtin = "mug"
-within = [[-1, -1, 0], [1, 1, 2]]
+within = [[-0.2, -0.2, 0.4], [0.2, 0.2, 0.55]]
 [view]
 segmentation = "color"
 hue_deg = [200, 260]
