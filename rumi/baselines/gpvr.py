@@ -168,11 +168,14 @@ class GPVRPolicy(RummagingPolicy):
         kept = None if previous is None else previous.info.get("gp_hyperparameters")
         start = None if kept is None else Hyperparameters(*kept)
         deadline = deadline or Deadline(None, self.now)
+        trial = None
         if not deadline.open and not deadline.knows("gp_variance"):
             # to find out how long it takes
-            self._variance(belief, scene, fields, start, deadline, most=_FEW_POINTS, steps=1)
+            trial = self._variance(belief, scene, fields, start, deadline, most=_FEW_POINTS, steps=1)
         most, steps = self._points_in_time(deadline), self.gp.refit_steps
-        found, variance, count = self._variance(belief, scene, fields, start, deadline, most=most, steps=steps)
+        if trial is None or most != _FEW_POINTS:
+            trial = self._variance(belief, scene, fields, start, deadline, most=most, steps=steps)
+        found, variance, count = trial
         share = (variance / variance.amax()).to(fields.information)
         grid = scene.workspace.grid(share)
         whole = gathering(grid, scene.tool)
