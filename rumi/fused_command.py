@@ -72,7 +72,7 @@ def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     from rumi.fused.run import run_fused
     from rumi.fused.settings import FusedSettings
     from rumi.progress import Progress, both
-    from rumi.recording import RunRecorder, holds_run, prepare_folder, write_json
+    from rumi.recording import RunRecorder, free_folder, left_if_begun, prepare_folder, write_json
     from rumi.run_command import draw_figures
 
     thinking = thinking_of(options.thinking)
@@ -87,24 +87,15 @@ def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     if options.seed < 0:
         raise UsageError(f"Expected seed to be 0 or more, got {options.seed}")
     preset(options.preset)  # refused before a folder is made
-    folder = options.out
-    if folder is None:
-        first = folder = Path("runs") / f"{NAME}-{options.sensors.replace(',', '-')}-s{options.seed}"
-        number = 1
-        while holds_run(folder):
-            number += 1
-            folder = first.with_name(f"{first.name}-{number}")
+    named = f"{NAME}-{options.sensors.replace(',', '-')}-s{options.seed}"
+    folder = options.out or free_folder(Path("runs") / named)
     prepare_folder(folder)
     _say(f"{NAME} with {', '.join(settings.sensors)}, seed {options.seed}; writing to {folder}")
     _say("grasps are simulated once and kept (a minute at first)")
     if note := short_of(settings):
         _say(note)
-    try:
+    with left_if_begun(folder):
         parts = build_fused(settings, cache_dir=cache_dir)
-    except Exception:
-        with contextlib.suppress(OSError):  # other files in it are the user's
-            folder.rmdir()
-        raise
     with (
         RunRecorder(folder, {"task": NAME, "seed": options.seed, "fused": settings}) as recorder,
         _log(folder, options.seed, settings) if options.record else contextlib.nullcontext() as log,

@@ -13,7 +13,7 @@ from rumi.cli import DONE, NOT_CONVERGED
 from rumi.errors import UsageError
 from rumi.peg.run import PegRun, run_peg
 from rumi.peg.settings import PegSettings, Stop
-from rumi.recording import holds_run, prepare_folder
+from rumi.recording import free_folder, prepare_folder
 
 NAME = "peg"
 DESCRIPTION = "a block with two holes on a table, found by touch under a deadline, and a peg put into it"
@@ -61,7 +61,7 @@ def peg(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     if options.seed < 0:
         raise UsageError(f"Expected --seed of 0 or more, got {options.seed}")
     settings = settings_of(options)
-    folder = options.out or _free(Path("runs") / f"peg-t{settings.t_max_s:g}-{settings.stop}-s{options.seed}")
+    folder = options.out or free_folder(Path("runs") / f"peg-t{settings.t_max_s:g}-{settings.stop}-s{options.seed}")
     prepare_folder(folder)
     run = run_peg(settings, options.seed)
     (folder / "result.json").write_text(json.dumps(record(run), indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -95,15 +95,6 @@ def settings_of(options: PegOptions) -> PegSettings:
                 "--set: leave one of them out"
             )
     return replace(settings, **given)
-
-
-def _free(folder: Path) -> Path:
-    """The folder, with a number where a run is in it."""
-    found, number = folder, 1
-    while holds_run(found):
-        number += 1
-        found = folder.with_name(f"{folder.name}-{number}")
-    return found
 
 
 def record(run: PegRun) -> dict[str, Any]:

@@ -8,11 +8,12 @@ belief.npz      the last belief: poses (P, 4, 4) object to world, log_weights, s
 result.json     how the run ended; missing as long as it has not
 """
 
+import contextlib
 import json
 import os
 import platform
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from importlib import metadata
 from pathlib import Path
@@ -180,6 +181,26 @@ def _unwritable(folder: Path, error: OSError) -> UsageError:
 def holds_run(folder: Path | str) -> bool:
     """Whether a run was begun in this folder."""
     return any((Path(folder) / name).exists() for name in ("settings.json", "trace.npz", "result.json"))
+
+
+def free_folder(folder: Path) -> Path:
+    """The folder, with a number behind its name where a run is in it already."""
+    found, number = folder, 1
+    while holds_run(found):
+        number += 1
+        found = folder.with_name(f"{folder.name}-{number}")
+    return found
+
+
+@contextlib.contextmanager
+def left_if_begun(folder: Path) -> Iterator[None]:
+    """Take an empty folder away again where what is done in it first fails; other files in it are the user's."""
+    try:
+        yield
+    except Exception:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+        raise
 
 
 def write_json(path: Path, value: Any) -> None:  # noqa: ANN401  (whatever `plain` takes)

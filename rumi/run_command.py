@@ -19,7 +19,7 @@ from rumi.explain import Decisions, explain
 from rumi.flags import asked_preset, check_flags
 from rumi.logbook import LOG, LogRecorder
 from rumi.progress import Progress, both, stages
-from rumi.recording import RunRecorder, holds_run, load_run, prepare_folder, provenance, write_json
+from rumi.recording import RunRecorder, free_folder, left_if_begun, load_run, prepare_folder, provenance, write_json
 from rumi.records import RunResult
 from rumi.sim.sensor_settings import SensorKind, degraded
 from rumi.task import Task
@@ -89,12 +89,8 @@ def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
 
     if settings.object.mesh is not None:
         _say(f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)")
-    try:
+    with left_if_begun(folder):
         task, rummager = build(settings, cache_dir=cache_dir)
-    except Exception:
-        with contextlib.suppress(OSError):  # other files in it are the user's
-            folder.rmdir()
-        raise
     if settings.budget_s is not None:
         # to look through all that was loaded for garbage takes up to tenths of a second, in the midst of a plan
         gc.freeze()
@@ -177,11 +173,7 @@ def default_folder(settings: Settings, root: Path = Path("runs")) -> Path:
     """A folder of `root` that holds no run yet, named after the settings."""
     own = "" if settings.object.mesh is None else f"-{Path(settings.object.mesh).stem}"
     name = f"{settings.task}{own}-{settings.method}-{settings.preset}-s{settings.seed}"
-    folder, number = root / name, 1
-    while holds_run(folder):
-        number += 1
-        folder = root / f"{name}-{number}"
-    return folder
+    return free_folder(root / name)
 
 
 def summary(result: RunResult, folder: Path, name: str) -> str:

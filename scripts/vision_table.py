@@ -89,7 +89,11 @@ class Show:
 def errors(options: Errors) -> None:
     """Measure, a line a cell."""
     code = fingerprint()
-    done = {(x["way"], x["scene"], x["noise_mm"]) for x, _ in read_lines(options.out) if x.get("code") == code}
+    done = {
+        (x["way"], x["scene"], x["noise_mm"])
+        for x, _ in read_lines(options.out)
+        if "way" in x and x.get("code") == code
+    }
     for way, call in WAYS.items():
         for scene in SCENES:
             for noise in NOISES_MM:
