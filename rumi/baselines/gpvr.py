@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -16,6 +17,7 @@ from rumi.baselines.implicit_surface import (
     fit,
     labelled,
     library,
+    next_to_nodes,
     predictive_variance,
 )
 from rumi.belief.particles import PoseBelief
@@ -168,60 +170,59 @@ class GPVRPolicy(RummagingPolicy):
         kept = None if previous is None else previous.info.get("gp_hyperparameters")
         start = None if kept is None else Hyperparameters(*kept)
         deadline = deadline or Deadline(None, self.now)
-        trial = None
+        begun = deadline.now()
+        surface, free = self.observed(belief, scene, fields)
+        deadline.took("gp_points", 1.0, deadline.now() - begun)
+        made = None
         if not deadline.open and not deadline.knows("gp_variance"):
-            # to find out how long it takes
-            trial = self._variance(belief, scene, fields, start, deadline, most=_FEW_POINTS, steps=1)
-        most, steps = self._points_in_time(deadline), self.gp.refit_steps
-        if trial is None or most != _FEW_POINTS:
-            trial = self._variance(belief, scene, fields, start, deadline, most=most, steps=steps)
-        found, variance, count = trial
-        share = (variance / variance.amax()).to(fields.information)
+            # what there is for sure; it also tells how long the work takes, since a step is not slower than this
+            begun = deadline.now()
+            made = self._variance(labelled(surface, free, _FEW_POINTS), scene, start, deadline, fitted=False)
+            deadline.took("gp_step", _square(made.points, _STEP_FIXED), deadline.now() - begun)
+        most = self._points_in_time(deadline)
+        if made is None or most is None or most > _FEW_POINTS:
+            made = self._variance(labelled(surface, free, most), scene, start, deadline)
+        begun = deadline.now()
+        share = (made.variance / made.variance.amax()).to(fields.information)
         grid = scene.workspace.grid(share)
         whole = gathering(grid, scene.tool)
-        return Worth(
+        worth = Worth(
             VarianceCost(grid, scene.tool, self.gp.discount),
             lambda configurations, displacements: -whole(configurations, displacements),
             {"variance": share},
-            {"gp_hyperparameters": list(found), "gp_points": count},
+            {"gp_hyperparameters": list(made.found), "gp_points": made.points},
             {"information_cost": 1.0, "reachability_cost": 1.0},
         )
+        deadline.took("gp_cost", 1.0, deadline.now() - begun)
+        return worth
 
     def _variance(
-        self,
-        belief: PoseBelief,
-        scene: Scene,
-        fields: WorkspaceFields,
-        start: Hyperparameters | None,
-        deadline: Deadline,
-        *,
-        most: int | None,
-        steps: int,
-    ) -> tuple[Hyperparameters, Float[Tensor, "V"], int]:
-        """The fit to at most so many points, the variance on the lattice, and how many points there were."""
-        settings, begun = self.gp, deadline.now()
-        data = self.data(belief, scene, fields, most=most)
-        count, sorting_s = len(data.points), deadline.now() - begun
+        self, data: Labelled, scene: Scene, start: Hyperparameters | None, deadline: Deadline, *, fitted: bool = True
+    ) -> "_Fitted":
+        """Fit the process, in as many steps as there is time for, and look at its variance on the lattice."""
+        settings, count = self.gp, len(data.points)
+        work = _square(count, _STEP_FIXED)
+        in_time = deadline.open or deadline.expected("gp_step", work) <= _FIT_SHARE * deadline.left()
         found = fit(
             data,
             start,
-            steps=steps if deadline.has_time_for("gp_step", _square(count, _STEP_FIXED)) else 0,
+            steps=settings.refit_steps if fitted and in_time else 0,
             learning_rate=settings.learning_rate,
             tolerance=settings.tolerance,
             least_lengthscale_m=settings.least_lengthscale * settings.free_spacing * scene.workspace.spacing,
-            should_stop=None if deadline.open else _stopper(deadline, _square(count, _STEP_FIXED)),
+            should_stop=None if deadline.open else _stopper(deadline, work),
         )
         begun = deadline.now()
         variance = predictive_variance(data, found, scene.workspace.points)
-        deadline.took("gp_variance", _square(count, _VARIANCE_FIXED), deadline.now() - begun + sorting_s)
-        return found, variance, count
+        deadline.took("gp_variance", _square(count, _VARIANCE_FIXED), deadline.now() - begun)
+        return _Fitted(found, variance, count)
 
     def _points_in_time(self, deadline: Deadline) -> int | None:
         """How many points to fit the process to; None for all."""
         most = self.gp.max_points or None
         if deadline.open:
             return most
-        left, fits = max(deadline.left(), 0.0), math.inf
+        left, fits = max(deadline.left() - deadline.expected("gp_cost"), 0.0), math.inf
         for kind, share, fixed in (
             ("gp_variance", _VARIANCE_SHARE, _VARIANCE_FIXED),
             ("gp_step", _FIT_SHARE / _FIT_STEPS, _STEP_FIXED),
@@ -235,10 +236,21 @@ class GPVRPolicy(RummagingPolicy):
         return fits if most is None else min(fits, most)
 
     def _least_worth(self, deadline: Deadline) -> float:
-        return deadline.expected("gp_variance", _square(_FEW_POINTS, _VARIANCE_FIXED))
+        variance = deadline.expected("gp_variance", _square(_FEW_POINTS, _VARIANCE_FIXED))
+        return deadline.expected("gp_points") + variance + deadline.expected("gp_cost")
 
-    def data(self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields, *, most: int | None = None) -> Labelled:
-        """What the process is fitted to, `most` points if given, else as many as the settings say.
+    def data(self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields) -> Labelled:
+        """What the process is fitted to where there is time for it, as many points as the settings say.
+
+        Raises:
+            ValueError: the scene does not have the points observed so far.
+        """
+        return labelled(*self.observed(belief, scene, fields), self.gp.max_points or None)
+
+    def observed(
+        self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields
+    ) -> tuple[Float[Tensor, "S 3"], Float[Tensor, "F 3"]]:
+        """All surface points so far in the world, and free ones, of the belief too, next to the nodes of a lattice.
 
         Raises:
             ValueError: the scene does not have the points observed so far.
@@ -252,8 +264,7 @@ class GPVRPolicy(RummagingPolicy):
         surface = observed.points[observed.of_class(Semantics.SURFACE)]
         known = workspace.points[fields.semantics[..., 0] > settings.free_probability]
         free = torch.cat((observed.points[observed.of_class(Semantics.FREE)], known.to(surface)))
-        spacing = settings.free_spacing * workspace.spacing
-        return labelled(surface, free, spacing, most or settings.max_points or None, bounds=workspace.bounds)
+        return surface, next_to_nodes(free, settings.free_spacing * workspace.spacing, workspace.bounds)
 
     def _start(
         self, mppi: MPPI, previous: Plan | None, executed: int, generator: torch.Generator
@@ -261,6 +272,20 @@ class GPVRPolicy(RummagingPolicy):
         if not self.greedy:
             return super()._start(mppi, previous, executed, generator)
         return mppi.from_knots(torch.zeros(1, mppi.control_dim)), 1
+
+
+class _Fitted(NamedTuple):
+    """A process and what it is unsure of.
+
+    Attributes:
+        found: its hyperparameters.
+        variance: on the workspace's lattice.
+        points: that it was fitted to.
+    """
+
+    found: Hyperparameters
+    variance: Float[Tensor, "V"]
+    points: int
 
 
 def _square(count: int, fixed: int) -> float:

@@ -63,25 +63,15 @@ def library() -> ModuleType:
         ) from error
 
 
-def labelled(
-    surface: Float[Tensor, "S 3"],
-    free: Float[Tensor, "F 3"],
-    spacing: float,
-    most: int | None = None,
-    *,
-    bounds: Float[Tensor, "2 3"] | None = None,
-) -> Labelled:
-    """Data of surface and free points, free ones thinned and both capped.
+def labelled(surface: Float[Tensor, "S 3"], free: Float[Tensor, "F 3"], most: int | None = None) -> Labelled:
+    """Data of surface and free points.
 
     Args:
         surface: label 0.
-        free: label 1; next to each lattice node, one stays.
-        spacing: of that lattice, metres.
-        most: points in all; None keeps every one. Free points, which are thin already, come first, as long as surface
-            ones have a quarter; of each class those stay that are farthest from each other.
-        bounds: box whose borders the lattice is to cover, see `next_to_nodes`.
+        free: label 1, thin already (`next_to_nodes`).
+        most: points in all; None keeps every one. Free points come first, as long as surface ones have a quarter; of
+            each class those stay that are farthest from each other.
     """
-    free = next_to_nodes(free, spacing, bounds)
     if most is not None:
         surface = spread_out(surface, max(most - len(free), most // 4))
         free = spread_out(free, most - len(surface))
@@ -110,12 +100,12 @@ def next_to_nodes(
     # cells about the nodes, as a lattice of spacing 1 has them
     shifted = (points - low) / pitch + 0.5
     away = ((shifted - torch.floor(shifted) - 0.5) * pitch).norm(dim=-1)
-    order = torch.argsort(away, stable=True)
-    keys = lattice_keys(shifted, 1.0)[order]
-    by_cell = torch.argsort(keys, stable=True)
-    first = torch.ones_like(keys, dtype=torch.bool)
-    first[1:] = keys[by_cell][1:] != keys[by_cell][:-1]
-    return points[order[by_cell[first]]]
+    keys, cell = torch.unique(lattice_keys(shifted, 1.0), return_inverse=True)
+    least = away.new_full((len(keys),), torch.inf).scatter_reduce_(0, cell, away, "amin")
+    nearest = torch.nonzero(away == least[cell]).squeeze(-1)
+    # of points as near as each other, the first
+    first = nearest.new_full((len(keys),), len(points)).scatter_reduce_(0, cell[nearest], nearest, "amin")
+    return points[first]
 
 
 def spread_out(points: Float[Tensor, "N 3"], count: int) -> Float[Tensor, "M 3"]:

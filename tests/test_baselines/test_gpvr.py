@@ -1,14 +1,18 @@
 """GPVR: its cost against sums spelt out, its data against what was observed, its plans against where variance is."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
 from kmppi import MPPISettings
+from rumi.baselines import gpvr
 from rumi.baselines.gpvr import GPVRPolicy, GPVRSettings, VarianceCost
 from rumi.belief.particles import PoseBelief
+from rumi.clock import SimulatedClock
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.displacement import DisplacementSettings
 from rumi.fields.information import information_field
@@ -185,3 +189,51 @@ def test_refuses_what_has_no_meaning(scene: Scene) -> None:
             GPVRSettings(**wrong)
     with pytest.raises(ValueError, match=r"Expected scene\.observed"):
         act(replace(scene, observed=None))
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> SimulatedClock:
+    """Told of a process's work: 2 us a covariance for the variance and 1 us for a step, and 4 ms for a first step."""
+    clock = SimulatedClock()
+    variance, fit = gpvr.predictive_variance, gpvr.fit
+
+    def slow_variance(data: gpvr.Labelled, *rest: Any) -> Tensor:
+        clock.advance(2e-6 * len(data.points) ** 2)
+        return variance(data, *rest)
+
+    def slow_fit(data: gpvr.Labelled, *rest: Any, steps: int, should_stop: Callable[[], bool], **more: Any) -> Any:
+        def stop() -> bool:
+            clock.advance(1e-6 * len(data.points) ** 2)
+            return should_stop is not None and should_stop()
+
+        clock.advance(0.004 if steps else 0.0)
+        return fit(data, *rest, steps=steps, should_stop=stop, **more)
+
+    monkeypatch.setattr(gpvr, "predictive_variance", slow_variance)
+    monkeypatch.setattr(gpvr, "fit", slow_fit)
+    return clock
+
+
+@pytest.mark.parametrize("budget_s", [0.012, 0.02, 0.05, 0.1, 0.2])
+def test_the_process_is_fitted_in_time(scene: Scene, clock: SimulatedClock, budget_s: float) -> None:
+    """All of it is 126 points, 32 ms for their variance and 16 ms a step."""
+    policy = GPVRPolicy(PLANNER, GPVRSettings(max_points=200), now=clock)
+    plan, made = None, []
+    for _ in range(5):
+        begun, random = clock(), torch.Generator().manual_seed(0)
+        plan = policy.act(believed(), scene, plan, executed=1, budget_s=budget_s, generator=random)
+        assert clock() - begun <= budget_s
+        assert plan.info["samples"] > 0
+        made.append(plan.info["gp_points"])
+    assert min(made) >= 50
+    assert max(made) < 126 or budget_s == 0.2
+
+
+def test_without_time_for_a_fit_the_start_is_what_it_was(scene: Scene, clock: SimulatedClock) -> None:
+    policy, random = GPVRPolicy(PLANNER, GPVRSettings(max_points=200), now=clock), torch.Generator().manual_seed(0)
+    hurried = policy.act(believed(), scene, None, executed=1, budget_s=0.012, generator=random)
+    assert hurried.info["gp_hyperparameters"] == list(gpvr.Hyperparameters())
+    assert hurried.info["gp_points"] == 50
+    ample = policy.act(believed(), scene, None, executed=1, budget_s=60.0, generator=random)
+    assert ample.info["gp_points"] == 126
+    assert ample.info["gp_hyperparameters"] != list(gpvr.Hyperparameters())

@@ -225,8 +225,8 @@ def test_spread_out_points_cover_the_others() -> None:
 def test_cap_leaves_each_class_its_share(surface: int, free: int, expected: tuple[int, int]) -> None:
     """Free points here are far apart."""
     apart = torch.stack((torch.arange(float(free)), torch.zeros(free), torch.zeros(free)), -1) + 0.5
-    data = labelled(scattered(surface).float(), apart, 0.5, 100)
+    data = labelled(scattered(surface).float(), apart, 100)
     assert (int((data.labels == 0).sum()), int((data.labels == 1).sum())) == expected
     assert data.points.dtype == data.labels.dtype == torch.float64
-    whole = labelled(scattered(surface).float(), apart, 0.5, None)
+    whole = labelled(scattered(surface).float(), apart, None)
     assert len(whole.points) == surface + free
