@@ -173,14 +173,15 @@ class GPVRPolicy(RummagingPolicy):
         begun = deadline.now()
         surface, free = self.observed(belief, scene, fields)
         deadline.took("gp_points", 1.0, deadline.now() - begun)
-        made = None
+        made, few = None, self._few()
         if not deadline.open and not deadline.knows("gp_variance"):
             # what there is for sure; it also tells how long the work takes, since a step is not slower than this
             begun = deadline.now()
-            made = self._variance(labelled(surface, free, _FEW_POINTS), scene, start, deadline, fitted=False)
+            made = self._variance(labelled(surface, free, few), scene, start, deadline, fitted=False)
             deadline.took("gp_step", _square(made.points, _STEP_FIXED), deadline.now() - begun)
         most = self._points_in_time(deadline)
-        if made is None or most is None or most > _FEW_POINTS:
+        if made is None or most is None or most >= made.points:
+            most = None if most is None else max(most, few)
             made = self._variance(labelled(surface, free, most), scene, start, deadline)
         begun = deadline.now()
         share = (made.variance / made.variance.amax()).to(fields.information)
@@ -218,7 +219,7 @@ class GPVRPolicy(RummagingPolicy):
         return _Fitted(found, variance, count)
 
     def _points_in_time(self, deadline: Deadline) -> int | None:
-        """How many points to fit the process to; None for all."""
+        """How many points there is time for; None for all."""
         most = self.gp.max_points or None
         if deadline.open:
             return most
@@ -232,11 +233,13 @@ class GPVRPolicy(RummagingPolicy):
                 fits = min(fits, math.sqrt(max(share * left / each - fixed**2, 0.0)))
         if fits == math.inf:
             return most
-        fits = max(int(fits), _FEW_POINTS)
-        return fits if most is None else min(fits, most)
+        return int(fits) if most is None else min(int(fits), most)
+
+    def _few(self) -> int:
+        return min(_FEW_POINTS, self.gp.max_points or _FEW_POINTS)
 
     def _least_worth(self, deadline: Deadline) -> float:
-        variance = deadline.expected("gp_variance", _square(_FEW_POINTS, _VARIANCE_FIXED))
+        variance = deadline.expected("gp_variance", _square(self._few(), _VARIANCE_FIXED))
         return deadline.expected("gp_points") + variance + deadline.expected("gp_cost")
 
     def data(self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields) -> Labelled:
