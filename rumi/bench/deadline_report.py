@@ -16,6 +16,7 @@ Row = dict[str, Any]
 _NOISES = ("lognormal", "exponential", "stalls")
 _COLOURS = {"touch": style.CONTACT, "rumi": style.NLL, "gpvr": style.APC, "slide": style.QUIET}
 _OTHER = style.EXPECTED
+_HISTOGRAM_KEY = "solid line: the budget\ndotted: late from here on\nheights: logarithmic"
 
 
 def tolerance_s(budget_s: float) -> float:
@@ -119,7 +120,11 @@ def draw(ledger: Ledger, out: Path, clock: str = "wall") -> list[Path]:
     """
     out.mkdir(parents=True, exist_ok=True)
     real = [row for row in ledger.of("real") if row["clock"] == clock]
-    planners = list(dict.fromkeys(row["planner"] for row in real))
+    asked = {row["planner"]: set[float]() for row in real}
+    for row in real:
+        asked[row["planner"]].add(row["budget_s"])
+    # at the bottom those with budgets of their own, so that every column ends in a panel
+    planners = sorted(asked, key=lambda planner: len(asked[planner]))
     budgets = sorted({row["budget_s"] for row in real})
     paths = [out / "deadlines.png"]
     with style.figure(11.0, 3.4) as made:
@@ -136,10 +141,12 @@ def draw(ledger: Ledger, out: Path, clock: str = "wall") -> list[Path]:
                 for budget, axis in zip(budgets, row_of, strict=True):
                     _histogram(real, planner, budget, axis)
             for column in zip(*panels, strict=True):
-                # of a budget that not all planners were given, the last one that was
                 lowest = [axis for axis in column if axis.has_data()][-1]
                 lowest.tick_params(labelbottom=True)
                 lowest.set_xlabel("milliseconds")
+            first = panels[0][0]
+            if not first.has_data():
+                first.text(0.0, 1.0, _HISTOGRAM_KEY, transform=first.transAxes, va="top", fontsize=7)
             made.savefig(paths[1])
     return paths
 
