@@ -39,8 +39,11 @@ def _enforce_hints() -> None:
     finder.should_instrument = lambda module_name: wanted(module_name) and not module_name.endswith("_numba")
 
 
-# at once, not when pytest is configured: conftest files of folders below import the packages before that
-if "--no-shape-check" not in sys.argv:
+# at once, not when pytest is configured: conftest files of folders below import the packages before that; worker
+# processes of pytest-xdist have no command line, and know it from the environment
+if "--no-shape-check" in sys.argv:
+    os.environ["RUMI_NO_SHAPE_CHECK"] = "1"
+if not os.environ.get("RUMI_NO_SHAPE_CHECK"):
     early = sorted(name for name in sys.modules if name.split(".")[0] in PACKAGES)
     if early:
         raise RuntimeError(f"Expected no module of the packages before their hints are enforced, got {early}")
