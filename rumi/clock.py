@@ -1,7 +1,7 @@
 """Wall time by stage, and clocks that time is read from: the machine's or a simulated one."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 Now = Callable[[], float]
@@ -50,3 +50,8 @@ class Clock:
         """The seconds so far; starts again from nothing."""
         taken, self._seconds = self._seconds, {}
         return taken
+
+    def put_back(self, taken: Mapping[str, float]) -> None:
+        """Go on from what was taken: the same step is not over yet."""
+        for stage, seconds in taken.items():
+            self._seconds[stage] = self._seconds.get(stage, 0.0) + seconds

@@ -81,6 +81,7 @@ def rummage(
             done = (control, plan, bool(info.resampled))
             last = observe(rummager, clock, history, result, belief, info.added, *done)
             if last.converged and challenges:
+                clock.put_back(last.timings_s)
                 with clock("belief"):
                     belief = challenge(rummager.filter, belief, memory, rummager.renewal, generator=random["renewal"])
                 last = observe(rummager, clock, history, result, belief, info.added, *done)

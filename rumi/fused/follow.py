@@ -98,6 +98,7 @@ def follow(
     done = (control, plan, bool(info.resampled))
     record = observe(rummager, clock, history, result, belief, info.added, *done)
     if record.converged:
+        clock.put_back(record.timings_s)
         with clock("belief"):
             belief = challenge(fused, belief, memory, renewal, generator=generator)
         record = observe(rummager, clock, history, result, belief, info.added, *done)
