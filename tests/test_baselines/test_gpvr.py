@@ -101,6 +101,21 @@ def test_cost_sums_each_steps_own_cells(generator: torch.Generator) -> None:
     torch.testing.assert_close(VarianceCost(field, tool, beta)(rollouts), expected, atol=1e-4, rtol=1e-4)
 
 
+def test_golden_cost(golden: Callable[[str], dict[str, Any]]) -> None:
+    """Cells of a metre, so that the tool meets the two on whose border it is at each step."""
+    case = golden("rumi.eq37")
+    variance = torch.tensor(case["inputs"]["var"], dtype=torch.float64)
+    field = VoxelGrid(variance.reshape(6, 1, 1), torch.zeros(3), 1.0)
+    tool = Tool(torch.tensor([[0.0, -0.4], [0.8, 0.4]]), height_m=0.0)
+    middle = float(tool.info[:, 0].amin() + tool.info[:, 0].amax()) / 2
+    q = torch.zeros(1, 1, 4, 3, dtype=torch.float64)
+    q[0, 0, 1:, 0] = torch.tensor([0.5, 2.5, 4.5]) - middle
+    still = torch.zeros_like(q)
+    rollouts = PushRollouts(q, still, torch.zeros(1, 1, 3, dtype=torch.bool), 1.0, torch.zeros(1, 1, dtype=torch.long))
+    cost = VarianceCost(field, tool, case["inputs"]["beta"])(rollouts)
+    assert float(cost) == pytest.approx(case["expected"]["total"], abs=1e-9)
+
+
 def test_data_are_what_was_observed_and_what_is_free_for_sure(scene: Scene) -> None:
     policy, belief = GPVRPolicy(PLANNER, GPVRSettings(max_points=0)), believed()
     fields = information_field(

@@ -261,6 +261,16 @@ def test_a_row_of_a_batch_equals_the_scene_alone():
         torch.testing.assert_close(memory.points[row][memory.valid[row]], kept.points)
 
 
+@pytest.mark.parametrize(("percentile", "expected"), [(0.9, False), (1.0, True)])
+def test_one_particle_that_fits_badly_triggers_only_where_the_worst_counts(percentile, expected):
+    truth = planar(0.4, 0.0, 0.2)
+    poses = truth.expand(20, 4, 4).clone()
+    poses[7, 0, 3] += 0.05
+    filter_ = make(trigger=1.0, trigger_percentile=percentile)
+    _, _, info = run(filter_, PoseBelief.uniform(poses), EMPTY, reading(surface(truth, 200, 1)))
+    assert bool(info.resampled) is expected
+
+
 def test_the_same_seed_twice_gives_the_same_bytes():
     truth = planar(0.4, 0.0, 0.2)
     filter_ = make(trigger=0.5, translation_noise_m=0.003)

@@ -102,6 +102,20 @@ def test_challenge_brings_back_a_lost_truth(box, pose_filter, prior, generator):
     assert bool(right(box, belief.world_T_object, wrong).any())
 
 
+def test_challenge_keeps_what_is_plausible_only(box, pose_filter, prior, generator):
+    """Of particles and rivals, each cell's best pose stays where it weighs a share of the best one's, or goes."""
+    truth = lying_at(prior, 0, [0.42, 0.0, 0.0])
+    seen = felt(box, truth, [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+    far = lying_at(prior, 0, [0.45, 0.0, 0.3])
+    start = PoseBelief.uniform(torch.cat((truth.expand(99, 4, 4), far[None])))
+    for plausible in (0.02, 0.5):
+        settings = RenewalSettings(plausible=plausible)
+        belief = challenge(pose_filter, start, seen, settings, generator=torch.Generator().manual_seed(0))
+        weight = belief.log_weights - belief.log_weights.max()
+        assert float(weight.exp().min()) >= plausible * (1 - 1e-4)
+        assert not bool((belief.world_T_object == far).all(-1).all(-1).any())
+
+
 def test_challenge_leaves_a_belief_that_is_right(box, pose_filter, prior, generator):
     truth = lying_at(prior, 1, [0.42, 0.03, 0.5])
     surface = Observation.of(se3.apply(truth, box.surface_points), Semantics.SURFACE)

@@ -151,7 +151,15 @@ def test_pose_error_modulo_symmetry():
 
 @pytest.mark.parametrize(
     ("change", "expected"),
-    [({}, True), ({"expected_nll": 5.1}, False), ({"fit": 6.0}, False), ({"contacts": 0}, False), ({"apc": 9.0}, True)],
+    [
+        ({}, True),
+        ({"expected_nll": 5.1}, False),
+        ({"fit": 5.4}, True),  # half a unit for the one contact
+        ({"fit": 5.6}, False),
+        ({"fit": 5.6, "contacts": 2}, True),
+        ({"contacts": 0}, False),
+        ({"apc": 9.0}, True),
+    ],
 )
 def test_self_rule(change, expected):
     state = {"expected_nll": 4.0, "fit": 1.0, "apc": 0.001, "diagonal": 0.17, "contacts": 1} | change

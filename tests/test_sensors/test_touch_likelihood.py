@@ -106,6 +106,10 @@ def test_an_outlier_costs_so_much_and_no_more(box):
     on = torch.tensor([[0.03, 0.0, 0.0]], dtype=F64)
     own = float(touch_log_likelihoods(pose, on, None, box, noise))
     assert own == pytest.approx(math.log(0.9 + math.exp(wanted)))
+    # with a normal, also a chord of 0 to 2 that may be anything
+    normal = torch.tensor([[1.0, 0.0, 0.0]], dtype=F64)
+    wanted += math.log(math.sqrt(2.0 * math.pi) * noise.normal_rad / 2.0)
+    assert float(touch_log_likelihoods(pose, far, normal, box, noise)) == pytest.approx(wanted)
 
 
 def test_batches_and_none(box):
