@@ -16,9 +16,9 @@ from rumi.baselines.implicit_surface import (
     Labelled,
     fit,
     labelled,
-    library,
     next_to_nodes,
     predictive_variance,
+    prepare,
 )
 from rumi.belief.particles import PoseBelief
 from rumi.clock import Now
@@ -136,7 +136,7 @@ class GPVRPolicy(RummagingPolicy):
         greedy: bool = False,
         now: Now = time.perf_counter,
     ) -> None:
-        library()
+        prepare()
         settings = settings or RummagingSettings()
         if greedy:
             # the best of the samples about standing still
@@ -204,6 +204,8 @@ class GPVRPolicy(RummagingPolicy):
         settings, count = self.gp, len(data.points)
         work = _square(count, _STEP_FIXED)
         in_time = deadline.open or deadline.expected("gp_step", work) <= _FIT_SHARE * deadline.left()
+        if fitted and not in_time:
+            deadline.ease("gp_step")
         found = fit(
             data,
             start,

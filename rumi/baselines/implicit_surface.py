@@ -63,6 +63,15 @@ def library() -> ModuleType:
         ) from error
 
 
+def prepare() -> None:
+    """Load all that a fit needs, which takes seconds the first time: not in the midst of a plan.
+
+    Raises:
+        UsageError: the library is not installed.
+    """
+    fit(Labelled(torch.eye(2, 3, dtype=torch.float64), torch.arange(2.0, dtype=torch.float64)), steps=1)
+
+
 def labelled(surface: Float[Tensor, "S 3"], free: Float[Tensor, "F 3"], most: int | None = None) -> Labelled:
     """Data of surface and free points.
 

@@ -61,6 +61,11 @@ class Deadline:
         each = seconds / work
         self.pace[kind] = max(each, _FORGET * self.pace.get(kind, 0.0))
 
+    def ease(self, kind: str) -> None:
+        """Take work that there was no time for to be quicker the next time: else one stall could end it for good."""
+        if kind in self.pace:
+            self.pace[kind] *= _FORGET
+
     def eased(self) -> dict[str, float]:
         """The pace to go on with where nothing was done: were it kept, one stall could end all planning."""
         return {kind: _FORGET * seconds for kind, seconds in self.pace.items()}

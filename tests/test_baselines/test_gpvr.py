@@ -1,5 +1,7 @@
 """GPVR: its cost against sums spelt out, its data against what was observed, its plans against where variance is."""
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -252,3 +254,28 @@ def test_without_time_for_a_fit_the_start_is_what_it_was(scene: Scene, clock: Si
     ample = policy.act(believed(), scene, None, executed=1, budget_s=60.0, generator=random)
     assert ample.info["gp_points"] == 126
     assert ample.info["gp_hyperparameters"] != list(gpvr.Hyperparameters())
+
+
+def test_a_stall_of_a_fit_is_forgotten(scene: Scene, clock: SimulatedClock) -> None:
+    """A step that once took long leaves no time for any; without any nothing would tell that they are quick again."""
+    policy, random = GPVRPolicy(PLANNER, GPVRSettings(max_points=200), now=clock), torch.Generator().manual_seed(0)
+    plan = policy.act(believed(), scene, None, executed=1, budget_s=0.1, generator=random)
+    plan.info["pace"]["gp_step"] *= 1000.0
+    fitted = []
+    for _ in range(24):
+        before = plan.info["gp_hyperparameters"]
+        plan = policy.act(believed(), scene, plan, executed=1, budget_s=0.1, generator=random)
+        fitted.append(plan.info["gp_hyperparameters"] != before)
+    assert not any(fitted[:5])
+    assert any(fitted)
+
+
+def test_what_a_fit_needs_is_loaded_before_the_first_plan() -> None:
+    code = (
+        "import sys; from rumi.baselines.gpvr import GPVRPolicy; GPVRPolicy(); before = set(sys.modules)\n"
+        "import torch; from rumi.baselines import implicit_surface as surface\n"
+        "surface.fit(surface.Labelled(torch.eye(3).double(), torch.tensor([0.0, 1.0, 1.0]).double()), steps=2)\n"
+        "print(len(set(sys.modules) - before))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == 0
