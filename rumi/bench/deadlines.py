@@ -12,6 +12,7 @@ import torch
 
 from rumi.assemble import Parts, build
 from rumi.belief.particles import PoseBelief
+from rumi.belief.touch_belief import TouchBelief
 from rumi.bench.ledger import Figures, Ledger
 from rumi.bench.touch_choice import TouchChoice
 from rumi.clock import Now
@@ -25,6 +26,12 @@ from rumi.planning.motion_time import SpeedLimits
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.planning.types import Plan, Policy, Scene
 from rumi.seeding import split
+from rumi.touch.budget import BudgetedChoice
+from rumi.touch.localise import Toucher, localise
+from rumi.touch.make import make_toucher
+from rumi.touch.selection import Choice
+from rumi.touch.settings import TouchSettings
+from rumi.touch.task import TouchTask
 
 REAL_BUDGETS_S = (0.05, 0.2, 1.0)
 TOUCH_BUDGETS_S = (0.02, *REAL_BUDGETS_S)
@@ -141,6 +148,52 @@ def touch_decisions(budget_s: float, clock: str, piece: int) -> Figures:
     return {"took_s": took, "gains": gains, "evaluated": evaluated, "load": os.getloadavg()[0]}
 
 
+@dataclass(eq=False)
+class Pokes:
+    """What `rumi run touch-box` was asked along runs: beliefs to choose a poke for again.
+
+    Attributes:
+        seeds: of the runs.
+    """
+
+    seeds: tuple[int, ...] = (1001, 1002)
+
+    @cached_property
+    def toucher(self) -> Toucher:
+        """All of the run but its budget."""
+        return make_toucher(TouchTask(), TouchSettings(), "gripper", cache_dir=cache_folder())
+
+    @cached_property
+    def given(self) -> list[TouchBelief]:
+        """The beliefs, in order."""
+        given: list[TouchBelief] = []
+
+        def watched(belief: TouchBelief, *, generator: torch.Generator) -> tuple[torch.Tensor, Choice]:
+            given.append(belief)
+            return self.toucher.decide(belief, generator=generator)
+
+        for seed in self.seeds:
+            localise(self.toucher, seed=seed, decide=watched)
+        return given
+
+
+def poke_decisions(where: Pokes, budget_s: float, clock: str, piece: int) -> Figures:
+    """Choices of a poke of `touch-box`, one after the other: how long each took, and of how many candidates."""
+    now = _CLOCKS[clock]
+    random = split(piece, "deadlines")
+    choose = BudgetedChoice(where.toucher, budget_s, now)
+    choose(where.given[0], generator=random)
+    gc.freeze()  # as `rumi run` does
+    took, evaluated = [], []
+    for index in range(PIECE):
+        belief = where.given[(piece * PIECE + index) % len(where.given)]
+        begun = now()
+        _, choice = choose(belief, generator=random)
+        took.append(now() - begun)
+        evaluated.append(len(choice.value))
+    return {"took_s": took, "samples": evaluated, "load": os.getloadavg()[0]}
+
+
 def _measured(choice: TouchChoice, now: Now, count: int) -> tuple[list[float], list[float]]:
     """Work and seconds of some evaluations."""
     work, seconds = [], []
@@ -213,22 +266,27 @@ def measure_real(
     """Do what is missing of the real decisions, `pieces` of 50 for each planner and budget."""
     threads = torch.get_num_threads()
     for planner in planners:
-        where = None if planner == "touch" else Situations(task, planner)
+        work, of = _real_work(planner, task)
         for budget in TOUCH_BUDGETS_S if planner == "touch" else REAL_BUDGETS_S:
             for piece in range(pieces):
                 about = {"part": "real", "planner": planner, "budget_s": budget, "clock": clock, "piece": piece}
-                about |= {"threads": threads, "task": "touch" if where is None else task}
-                if where is None:
-                    yield ledger.measure(about, partial(touch_decisions, budget, clock, piece))
-                else:
-                    yield ledger.measure(about, partial(decisions, where, budget, clock, piece))
+                yield ledger.measure(about | {"threads": threads, "task": of}, partial(work, budget, clock, piece))
+
+
+def _real_work(planner: str, task: str) -> tuple[Callable[[float, str, int], Figures], str]:
+    """What measures a planner at a budget, and whose situations it is asked about."""
+    if planner == "touch":
+        return touch_decisions, "touch"
+    if planner == "pokes":
+        return partial(poke_decisions, Pokes()), "touch-box"
+    return partial(decisions, Situations(task, planner)), task
 
 
 def measure_value(ledger: Ledger, *, seeds: range, planners: tuple[str, ...], task: str = "mug-1") -> Iterator[bool]:
     """Do what is missing of what plans are worth by budget."""
     threads = torch.get_num_threads()
     for planner in planners:
-        if planner == "slide":
+        if planner in ("slide", "pokes"):
             continue
         where = None if planner == "touch" else Situations(task, planner)
         budgets: tuple[float | None, ...] = TOUCH_BUDGETS_S if where is None else (*REAL_BUDGETS_S, None)
@@ -244,5 +302,5 @@ def measure_value(ledger: Ledger, *, seeds: range, planners: tuple[str, ...], ta
                 yield ledger.measure(about, work)
 
 
-PLANNERS = ("touch", *METHODS)
-"""All that decide."""
+PLANNERS = ("touch", "pokes", *METHODS)
+"""All that decide: on the next touch, on a poke of `touch-box`, on a push."""

@@ -12,6 +12,11 @@ from rumi.bench.deadline_report import draw, tables, tolerance_s, values_by_budg
 from rumi.bench.deadline_simulation import BUDGETS_S, measure_simulated, simulated
 from rumi.bench.ledger import Ledger
 from rumi.bench.touch_choice import Poke, TouchChoice
+from rumi.touch.grasping import clearance_table
+from rumi.touch.localise import Toucher
+from rumi.touch.planar_robot import PlanarRobot
+from rumi.touch.settings import TouchSettings
+from rumi.touch.task import TouchTask
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "deadlines.py"
 
@@ -108,6 +113,17 @@ def test_a_study_in_small(small, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.sim
+def test_pokes_on_the_situations_of_runs(monkeypatch):
+    task, table = TouchTask(rates=(0.9, 0.05)), clearance_table(0.03, 0.08, 0.08)
+    toucher = Toucher(task, TouchSettings(count=100, actions=3), PlanarRobot(task, table), table)
+    monkeypatch.setattr(deadlines.Pokes, "toucher", toucher)
+    where = deadlines.Pokes(seeds=(1001,))
+    found = deadlines.poke_decisions(where, 30.0, "cpu", 0)
+    assert 1 <= len(where.given) <= 3
+    assert len(found["took_s"]) == deadlines.PIECE
+    assert found["samples"] == [20] * deadlines.PIECE
+
+
 def test_planners_on_the_situations_of_a_run(small):
     planners = ("slide", "rumi")
     assert all(deadlines.measure_real(small, clock="cpu", pieces=1, planners=planners))
