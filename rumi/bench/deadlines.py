@@ -267,7 +267,7 @@ def measure_real(
     threads = torch.get_num_threads()
     for planner in planners:
         work, of = _real_work(planner, task)
-        for budget in TOUCH_BUDGETS_S if planner == "touch" else REAL_BUDGETS_S:
+        for budget in TOUCH_BUDGETS_S if planner in ("touch", "pokes") else REAL_BUDGETS_S:
             for piece in range(pieces):
                 about = {"part": "real", "planner": planner, "budget_s": budget, "clock": clock, "piece": piece}
                 yield ledger.measure(about | {"threads": threads, "task": of}, partial(work, budget, clock, piece))
