@@ -33,7 +33,6 @@ from rumi.sketch import SceneSketch, sketch
 from rumi.task import StepResult, Task
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
-from sensors.reading import Reading
 
 _PLANAR = ("pushed", "corrected")  # motions by a model of upright objects and a level tool
 _OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
@@ -248,18 +247,5 @@ class Elsewhere:
         self.task.close()
 
     def _moved(self, result: StepResult) -> StepResult:
-        reading = result.reading
         truth = None if result.truth is None else result.truth.to(self.device, self.dtype)
-        return StepResult(
-            Reading(
-                reading.observation.to(self.device, self.dtype),
-                reading.instant.to(self.device),
-                reading.tool_pose.to(self.device, self.dtype),
-                reading.in_contact.to(self.device),
-                None if reading.object_motion is None else reading.object_motion.to(self.device, self.dtype),
-                reading.configuration.to(self.device, self.dtype),
-                reading.clipped.to(self.device, self.dtype),
-                reading.stamp,
-            ),
-            truth,
-        )
+        return StepResult(result.reading.to(self.device, self.dtype), truth)

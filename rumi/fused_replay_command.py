@@ -79,10 +79,10 @@ def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int
     from rumi.assemble import scene_sketch
     from rumi.fused.finder import build_finder
     from rumi.fused.log import IDLE, differing, recorded, refuse_other_senses, replay_fused
-    from rumi.fused.reading import FusedReading
     from rumi.progress import Progress, both
     from rumi.recording import RunRecorder, load_run, prepare_folder
     from rumi.replay_command import machines, summary
+    from sensors.felt_reading import FeltReading
 
     known = recorded(log)
     if known is None:
@@ -102,7 +102,7 @@ def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int
         prepare_folder(options.out)
     elif options.figures:
         raise UsageError("Expected --out DIR with --figures, got none: figures need a folder")
-    taken = log.taken(FusedReading)
+    taken = log.taken(FeltReading)
     for problem in log.problems:
         _say(problem)
     with Progress("fused", len(taken) - 1) as progress:

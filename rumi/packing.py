@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,8 @@ _NUMBERS = ("step", "expected_nll", "fit", "apc", "ess", "contacts", "resampled"
 _LIGHT = (bool, int, float, str, list, tuple, type(None))
 _POINTS = ("points", "semantics", "attached", "valid")
 _READING = ("instant", "tool_pose", "in_contact", "object_motion", "configuration", "clipped")
-_BELIEF = tuple(field.name for field in fields(PoseBelief))
+# what was felt is in the readings: a trace keeps what the belief came to
+_BELIEF = ("world_T_attached", "attached_T_object", "log_weights", "discrepancy")
 
 
 def numbers(step: StepRecord) -> dict[str, Any]:
@@ -79,7 +79,7 @@ def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, flo
             control=_get(members, f"{at}/control"),
             reading=_read_reading(members, f"{at}/reading", stamp),
             added=_read_points(members, f"{at}/added"),
-            belief=PoseBelief(*(_need(members, f"{at}/belief/{name}") for name in _BELIEF)),
+            belief=_read_belief(members, f"{at}/belief"),
             plan=plan,
             truth=_get(members, f"{at}/truth"),
             timings_s=timings_s.get(len(steps), {}),
@@ -161,6 +161,11 @@ def _read_reading(members: Mapping[str, Any], at: str, stamp: float) -> Reading:
         clipped=_need(members, f"{at}/clipped"),
         stamp=stamp,
     )
+
+
+def _read_belief(members: Mapping[str, Any], at: str) -> PoseBelief:
+    frame, poses, log_weights, discrepancy = (_need(members, f"{at}/{name}") for name in _BELIEF)
+    return PoseBelief(frame, poses, log_weights, discrepancy)
 
 
 def _read_plan(members: Mapping[str, Any], at: str, about: Mapping[str, Any]) -> Plan:

@@ -25,7 +25,6 @@ import tyro
 from rumi.commands import cache_folder
 from rumi.errors import DegenerateBeliefError
 from rumi.fused.parts import FusedParts, build_fused
-from rumi.fused.reading import FusedReading
 from rumi.fused.run import run_fused
 from rumi.fused.settings import SENSORS, FusedSettings, SensorName, task_of
 from rumi.jsonlines import append_line, read_lines
@@ -37,6 +36,7 @@ from rumi.sim.fused_task import FusedTask
 from rumi.sim.handle_grasp import HandleGripper
 from rumi.sim.tasks import make_tool
 from sdf import se3
+from sensors.felt_reading import FeltReading
 from sensors.semantics import Semantics
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -231,7 +231,7 @@ def senses(options: Senses) -> None:
         task.world.reset(torch.cat((place, angle[None])), torch.tensor(task.spec.start))
         result = task.step(torch.tensor([1.0, 0.0, 0.0]))
         reading, truth = result.reading, result.truth
-        assert isinstance(reading, FusedReading) and reading.signals is not None
+        assert isinstance(reading, FeltReading) and reading.signals is not None
         motion, felt = reading.object_motion, task.world.felt
         assert motion is not None and truth is not None and felt is not None
         now = se3.inverse(truth) @ motion[-1] @ se3.inverse(motion)

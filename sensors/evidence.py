@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Protocol, Self, runtime_checkable
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -23,6 +24,14 @@ class Evidence(Protocol):
 
     def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
         """The same evidence after the object moved by a known world motion."""
+        ...
+
+
+class KeptEvidence(Evidence, Protocol):
+    """Evidence that a belief keeps, and takes along."""
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
+        """On another device, in a floating dtype."""
         ...
 
 

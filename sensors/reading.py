@@ -1,7 +1,9 @@
 """What a robot's sensors report after one action."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, Self
 
+import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -54,3 +56,16 @@ class Reading:
                 f"Expected instant to be 0 to {instants - 1}, the instants of tool_pose, "
                 f"got {int(self.instant[wrong][0])}"
             )
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
+        """On another device, its floating numbers in another dtype."""
+        return replace(self, **{part.name: _moved(getattr(self, part.name), device, dtype) for part in fields(self)})
+
+
+def _moved(value: Any, device: torch.device | str | None, dtype: torch.dtype | None) -> Any:  # noqa: ANN401
+    """A tensor, or all that a dataclass has, elsewhere; other values as they are."""
+    if isinstance(value, Tensor):
+        return value.to(device=device, dtype=dtype if value.is_floating_point() else None)
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{part.name: _moved(getattr(value, part.name), device, dtype) for part in fields(value)})
+    return value

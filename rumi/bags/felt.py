@@ -14,7 +14,7 @@ from rumi.bags.span import Span
 from rumi.bags.streams import role_of
 from rumi.errors import UsageError
 from sdf import se3
-from sensors.force_evidence import wrench_observation
+from sensors.felt_reading import WrenchTouch
 from sensors.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus, wrench_contact
 from sensors.log.reader import Log, Sample, Stream
 from sensors.tool_load import ToolLoad
@@ -33,12 +33,16 @@ class Felt:
         points: (n, 3), of the object's surface, world; none where it is only known that it was touched.
         touched: whether it was.
         free: (m, 3), where nothing was felt, world.
+        touch: the same with a normal, by how sure both are, where that counts.
+        signal: whether it is a signal of joint torques that counts.
     """
 
     stamp_ns: int
     points: Float[Tensor, "n 3"]
     touched: bool
     free: Float[Tensor, "m 3"] = field(default_factory=_none)
+    touch: WrenchTouch | None = None
+    signal: bool = False
 
 
 @dataclass
@@ -141,10 +145,17 @@ def _wrenches_felt(
     contact = read_wrenches(wrench, pose, load, mapping)
     for name in WrenchStatus:
         counted[name.name.lower()] = counted.get(name.name.lower(), 0) + int((contact.status == int(name)).sum())
-    observation, index = wrench_observation(contact, pose)
-    points = dict(zip(index.tolist(), observation.points.float(), strict=True))
+    kept = (contact.status == int(WrenchStatus.CONTACT)).nonzero()[:, 0]
+    touches, place = WrenchTouch.of(contact, pose, kept), {k: n for n, k in enumerate(kept.tolist())}
+
+    def felt(k: int, stamp_ns: int, touched: bool) -> Felt:
+        if k not in place:
+            return Felt(stamp_ns, _none(), touched)
+        touch = touches.at(torch.tensor([place[k]]))
+        return Felt(stamp_ns, touch.points, touched, touch=touch if told.likelihood else None)
+
     return [
-        Felt(one.stamp_ns, points[k][None] if k in points else _none(), status != int(WrenchStatus.NONE))
+        felt(k, one.stamp_ns, status != int(WrenchStatus.NONE))
         for k, (one, status) in enumerate(zip(samples, contact.status.tolist(), strict=True))
     ]
 

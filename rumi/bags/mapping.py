@@ -204,6 +204,16 @@ class BagMap:
     settings: dict[str, Any] = field(default_factory=dict)
     text: str = ""
 
+    @property
+    def touches_count(self) -> bool:
+        """Whether wrenches' touches count with their normals, by how sure both are."""
+        return self.wrench is not None and self.wrench.likelihood
+
+    @property
+    def signals_count(self) -> bool:
+        """Whether joint torques' signals count as touches of some point of the gripper."""
+        return self.torques is not None and self.torques.likelihood
+
 
 _TABLES: dict[str, type] = {
     "frames": Frames,

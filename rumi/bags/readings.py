@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -16,6 +16,7 @@ from rumi.bags.views import Views
 from rumi.errors import UsageError
 from rumi.planning.gripper import GripperShape
 from rumi.seeding import generator
+from sensors.felt_reading import FeltReading, WrenchTouch, surest
 from sensors.log.reader import Log, Taken
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
@@ -145,7 +146,26 @@ class _Cutter:
         if self._mapping.scene.looks_again:
             observation.append(self._views.between(begin_ns, end_ns, last=True))
             instants.append(torch.full((len(observation[-1]),), count - 1))
-        return self._taken(concatenate(observation), torch.cat(instants), pose, in_contact, end_ns)
+        taken = self._taken(concatenate(observation), torch.cat(instants), pose, in_contact, end_ns)
+        if not (self._mapping.touches_count or self._mapping.signals_count):
+            return taken
+        signals: Tensor | None = None
+        if self._mapping.signals_count:
+            signals = torch.zeros(count, dtype=torch.bool)
+            signals[[k for one, k in zip(mine, at, strict=True) if one.signal]] = True
+        return replace(
+            taken, reading=replace(FeltReading.of(taken.reading), wrench=self._touches(mine, at), signals=signals)
+        )
+
+    def _touches(self, mine: Sequence[Felt], at: Sequence[int]) -> WrenchTouch:
+        """The touches of a reading that count with their normals."""
+        found = [replace(one.touch, instant=torch.tensor([k])) for one, k in zip(mine, at, strict=True) if one.touch]
+        if not found:
+            return WrenchTouch.none()
+        told = self._mapping.wrench
+        assert told is not None
+        every = WrenchTouch(*(torch.cat([getattr(one, part.name) for one in found]) for part in fields(WrenchTouch)))
+        return every.at(surest(every.point_sd.square(), told.most))
 
     def _swept(
         self, pose: Float[Tensor, "K 4 4"], in_contact: Bool[Tensor, "K"], points: Tensor, instant: Tensor

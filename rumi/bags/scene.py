@@ -9,6 +9,7 @@ from torch import Tensor
 
 from rumi.assemble import build_rummager
 from rumi.bags.mapping import BagMap
+from rumi.belief.felt import Feeling, SignalSettings
 from rumi.config import Settings, from_dict
 from rumi.errors import UsageError
 from rumi.planning.gripper import GripperShape
@@ -16,6 +17,7 @@ from rumi.planning.tool import Tool
 from rumi.rummager import Rummager
 from rumi.sim.objects import with_object
 from rumi.sim.tasks import PriorSpec, TaskSpec, large_handled_mug
+from sdf.base import SDF
 from sdf.drill import drill_model
 from sdf.object_model import box_model
 
@@ -71,4 +73,23 @@ def rummager_of_map(
     bounds = torch.tensor([low, high]) if spatial else torch.tensor(spec.bounds)
     tool = Tool(bounds, shape=GripperShape(**asdict(mapping.tool)), height_m=spec.height_m)
     planner = replace(settings.planner, push_model="displacement")
-    return build_rummager(spec, replace(settings, method="rumi", planner=planner), model, tool)
+    rummager = build_rummager(spec, replace(settings, method="rumi", planner=planner), model, tool)
+    feeling = feeling_of(mapping, rummager.filter.discrepancy.sdf)
+    return rummager if feeling is None else replace(rummager, filter=rummager.filter.feeling(feeling))
+
+
+def feeling_of(mapping: BagMap, sdf: SDF) -> Feeling | None:
+    """What a mapping has count beside points; None where nothing does.
+
+    Args:
+        mapping: of the recording.
+        sdf: of the object.
+    """
+    if not (mapping.touches_count or mapping.signals_count):
+        return None
+    signals = SignalSettings() if mapping.torques is None else mapping.torques.signals()
+    surface = GripperShape(**asdict(mapping.tool)).surface(signals.spacing_m).float()
+    if mapping.wrench is None:
+        return Feeling(sdf, surface, signals=signals)
+    told = mapping.wrench
+    return Feeling(sdf, surface, told.point_m, told.normal_rad, told.outlier, signals)

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.belief.felt import SignalSettings
 from rumi.errors import UsageError
 from sdf import se3, so3
 from sensors.bubble import BubbleSettings
@@ -40,6 +41,13 @@ class WrenchMap:
         reaction: the driver reports what the tool does to the world.
         force_n, moment_nm: standard deviations of the noise.
         least_force_n, friction: see `sensors.force_torque.WrenchSettings`.
+        likelihood: touches count with their normals too, by how sure both are (`rumi.belief.felt.TouchedSurface`).
+            Beside that a surface point weighs next to nothing; it is what the descent of poses follows.
+        most: touches that count so of a reading: the surest in as many parts of them; others are of the same places.
+        point_m: standard deviation of what moves a touched point beside the noise: the tool's shape, the arm's
+            calibration, how the object moved since.
+        normal_rad: the same of its normal.
+        outlier: share of touches that tell nothing.
     """
 
     radius_m: float | None = None
@@ -56,10 +64,22 @@ class WrenchMap:
     moment_nm: float = 0.005
     least_force_n: float = 1.0
     friction: float = 0.6
+    likelihood: bool = False
+    most: int = 3
+    point_m: float = 0.003
+    normal_rad: float = 0.3
+    outlier: float = 0.1
 
     def __post_init__(self) -> None:
         if (self.radius_m is None) == (self.mesh is None):
             raise ValueError("expected either radius_m, of a ball, or mesh, a file of another tool's shape")
+        if self.most < 1:
+            raise ValueError(f"expected most of 1 or more, got {self.most}")
+        for name in ("point_m", "normal_rad"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"expected {name} above 0, got {getattr(self, name)}")
+        if not 0 <= self.outlier < 1:
+            raise ValueError(f"expected outlier of 0 or more and below 1, got {self.outlier}")
 
     def tool(self) -> ToolSurface:
         """In the sensor's frame.
@@ -136,6 +156,8 @@ class TorqueMap:
         counted: how many of them count in the norm.
         gain: of the observer, 1/s.
         rest_s: seconds at the start, without contact, from which the rest is taken; 0 for a rest of 0.
+        likelihood: a signal counts as a touch of some point of the gripper (`rumi.belief.felt.TouchedSomewhere`).
+        true_positive, false_positive, decay, most, spacing_m: see `rumi.belief.felt.SignalSettings`.
     """
 
     threshold_nm: float
@@ -143,11 +165,22 @@ class TorqueMap:
     counted: int = 5
     gain: float = 25.0
     rest_s: float = 0.5
+    likelihood: bool = False
+    true_positive: float = 0.9
+    false_positive: float = 0.02
+    decay: float = 150.0
+    most: int = 2
+    spacing_m: float = 0.008
 
     def __post_init__(self) -> None:
+        self.signals()
         for name in ("threshold_nm", "gain"):
             value = getattr(self, name)
             if not (value > 0 and math.isfinite(value)):
                 raise ValueError(f"expected {name} above 0, got {value}")
         if self.counted < 1 or self.rest_s < 0:
             raise ValueError("expected at least 1 joint to count and rest_s of 0 or more")
+
+    def signals(self) -> SignalSettings:
+        """What they count for."""
+        return SignalSettings(self.true_positive, self.false_positive, self.decay, self.most, self.spacing_m)

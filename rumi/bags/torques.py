@@ -80,7 +80,7 @@ def torques_felt(stream: Stream, mapping: BagMap, span: Span, found: AllFelt) ->
         f"torques {stream.name}: {int(touched.sum())} of {len(touched)} samples beyond {told.threshold_nm:g} N m; the "
         f"most was {float(norm.amax()):.2f} N m"
     )
-    return [Felt(at, torch.zeros(0, 3), True) for at in stamps[touched].tolist()]
+    return [Felt(at, torch.zeros(0, 3), True, signal=told.likelihood) for at in stamps[touched].tolist()]
 
 
 class JointTrack:

@@ -1,9 +1,10 @@
 """The pose filter: predict, weigh, resample, optimise (RUMI, Algs 1-4 and 6)."""
 
+import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 import torch
 from jaxtyping import Bool, Float
@@ -19,9 +20,12 @@ from rumi.seeding import Generators, normal
 from sdf import savings, se3
 from sdf.check import check_near
 from sensors.discrepancy import Discrepancy
-from sensors.evidence import Evidence, in_attached_frame
+from sensors.evidence import Evidence, KeptEvidence, in_attached_frame
 from sensors.observation import Observation, attach, merge
 from sensors.reading import Reading
+
+Feel = Callable[[PoseBelief, Reading, Tensor], KeptEvidence | None]
+"""All that was felt, of a belief before a reading, the reading, and the object's world motion (*b, K, 4, 4) in it."""
 
 
 @dataclass(frozen=True)
@@ -111,12 +115,17 @@ class FilterInfo(NamedTuple):
 class PoseFilter(nn.Module):
     """Follows the readings with a particle belief; holds settings, never the belief.
 
+    What was felt that is no points (`PoseBelief.felt`) adds -log L / lambda to the discrepancies, as the prior does.
+    Eq 10 then gives all of it its own weight, exp(-lambda C) times L, in weighing, resampling and drawing anew, also at
+    every later step. The descent of poses follows the points alone.
+
     Args:
         discrepancy: C^ with the settings' scale and tolerance.
         search: "SE(2)" or "SE(3)".
         settings: how.
         prior: of the pose at the start; its part is added to the discrepancy, as if it were an observation.
         pushed: says how far the object was pushed; needed for the motions "pushed" and "corrected".
+        feel: makes evidence of what readings tell beside points; None where that is nothing.
     """
 
     lattice: Tensor
@@ -128,6 +137,7 @@ class PoseFilter(nn.Module):
         settings: FilterSettings,
         prior: PosePrior | None = None,
         pushed: Predictor | None = None,
+        feel: Feel | None = None,
     ) -> None:
         super().__init__()
         if search not in SEARCHES:
@@ -137,17 +147,18 @@ class PoseFilter(nn.Module):
         self.settings = settings
         self.prior = prior
         self.pushed = pushed
+        self.feel = feel
         lattice = (settings.free_spacing_m, settings.free_spacing_m, settings.surface_spacing_m)
         self.register_buffer("lattice", torch.tensor(lattice))
 
+    def feeling(self, feel: Feel) -> Self:
+        """The same filter, which makes evidence of readings in this way."""
+        other = copy.copy(self)
+        other.feel = feel
+        return other
+
     def forward(
-        self,
-        belief: PoseBelief,
-        memory: Observation,
-        reading: Reading,
-        extra: Sequence[Evidence] = (),
-        *,
-        generator: Generators,
+        self, belief: PoseBelief, memory: Observation, reading: Reading, *, generator: Generators
     ) -> tuple[PoseBelief, Observation, FilterInfo]:
         """One whole filter step.
 
@@ -155,7 +166,6 @@ class PoseFilter(nn.Module):
             belief: before the reading.
             memory: all points so far; attached ones in the object-attached frame.
             reading: what the action's sensors reported.
-            extra: further evidence on the pose after the action, added to the log-weights.
             generator: one, or one a scene.
 
         Returns:
@@ -172,13 +182,13 @@ class PoseFilter(nn.Module):
         frames = motion @ belief.world_T_attached[..., None, :, :]
         new = attach(reading.observation, reading.instant, frames)
         memory, added = merge(memory, new, self.lattice)
+        if self.feel is not None:
+            belief = replace(belief, felt=self.feel(belief, reading, motion))
         before = belief
         belief, moved = self.predict(belief, motion[..., -1, :, :], generator=generator)
         belief = self.weigh(belief, before, memory, added, moved)
         trigger_belief = belief if settings.weigh_before_resampling else replace(belief, log_weights=before.log_weights)
         belief, resampled = self.resample(belief, trigger_belief, memory, generator=generator)
-        for evidence in extra:
-            belief = belief.reweighted(belief.log_weights + evidence.log_likelihood(belief.world_T_object))
         return belief, memory, FilterInfo(moved, resampled, added)
 
     def predict(
@@ -233,12 +243,6 @@ class PoseFilter(nn.Module):
         level = se3.inverse(world_T_attached)[..., None, :, :] @ level
         return torch.where(tipped[..., None, None, None], level, poses)
 
-    def settled(
-        self, attached_T_object: Float[Tensor, "N 4 4"], here: Observation, *, generator: Generators
-    ) -> Float[Tensor, "N 4 4"]:
-        """Poses drawn anew, after their descent on points: as they are, since there is nothing else to follow."""
-        return attached_T_object
-
     def tipped(self, belief: PoseBelief) -> Bool[Tensor, "*b"]:
         """Whether the frame that rides with the object has tilted since the start; never without a prior."""
         upright = belief.world_T_attached[..., 2, 2]
@@ -250,14 +254,14 @@ class PoseFilter(nn.Module):
         """Weights by the discrepancy (Alg 2), of which only the new points' part is computed where it adds up.
 
         Where no particle moved in the attached frame and no point is fixed in the world, the discrepancy of the
-        old points carries over exactly (Eq 11 and move invariance).
+        old points carries over exactly (Eq 11 and move invariance); what is felt beside points may change without any.
         """
         same = belief.attached_T_object is before.attached_T_object or bool(
             (belief.attached_T_object == before.attached_T_object).all()
         )
         fixed = len(memory) > 0 and bool((memory.valid & ~memory.attached).any())
         with savings.work("old_points") as work:
-            if same and not fixed:
+            if same and not fixed and belief.felt is None:
                 total = belief.discrepancy + self.discrepancy(belief.attached_T_object, added)
                 work.count(len(added), len(memory))
             else:
@@ -266,19 +270,27 @@ class PoseFilter(nn.Module):
         return self._weighted(replace(belief, discrepancy=total), total - before.discrepancy)
 
     def total(self, belief: PoseBelief, memory: Observation) -> Float[Tensor, "*b N"]:
-        """Discrepancy of all observations, and the prior's part."""
-        return self.cost(belief.attached_T_object, in_attached_frame(memory, belief.world_T_attached))
+        """Discrepancy of all observations, and the part of prior and evidence."""
+        here = in_attached_frame(memory, belief.world_T_attached)
+        return self.cost(belief.attached_T_object, here, belief.felt)
 
-    def cost(self, attached_T_object: Float[Tensor, "*b N 4 4"], here: Observation) -> Float[Tensor, "*b N"]:
-        """Discrepancy of poses under points that are in the attached frame as well, and the prior's part."""
+    def cost(
+        self, attached_T_object: Float[Tensor, "*b N 4 4"], here: Observation, felt: Evidence | None
+    ) -> Float[Tensor, "*b N"]:
+        """Discrepancy of poses under points that are in the attached frame as well, and what prior and felt add."""
         total = self.discrepancy(attached_T_object, here)
-        return total if self.prior is None else total + self.prior_part(attached_T_object)
+        if self.prior is None and felt is None:
+            return total
+        return total + self.beside_points(attached_T_object, felt)
 
-    def prior_part(self, attached_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
-        """The discrepancy that the prior amounts to: the attached frame is the world's at the start."""
-        if self.prior is None:
-            return torch.zeros_like(attached_T_object[..., 0, 0])
-        return self.prior.nats(attached_T_object) / self.settings.peakiness
+    def beside_points(
+        self, attached_T_object: Float[Tensor, "*b N 4 4"], felt: Evidence | None
+    ) -> Float[Tensor, "*b N"]:
+        """The discrepancy that prior (the attached frame is the world's at the start) and evidence amount to."""
+        part = torch.zeros_like(attached_T_object[..., 0, 0])
+        if self.prior is not None:
+            part = self.prior.nats(attached_T_object) / self.settings.peakiness
+        return part if felt is None else part - felt.log_likelihood(attached_T_object) / self.settings.peakiness
 
     def _weighted(self, belief: PoseBelief, change: Float[Tensor, "*b N"]) -> PoseBelief:
         if not bool(torch.isfinite(belief.discrepancy).any(-1).all()):
@@ -301,7 +313,7 @@ class PoseFilter(nn.Module):
         fresh = replace(fresh, attached_T_object=self.perturb(fresh, generator=generator, rows=rows))
         here = in_attached_frame(memory, belief.world_T_attached)
         poses = self.descend(fresh, here, settings.descent)
-        total = self.cost(poses, here)
+        total = self.cost(poses, here, belief.felt)
         fresh = replace(fresh, attached_T_object=poses, discrepancy=total)
         if settings.weighing == "scratch" and settings.weigh_before_resampling:
             fresh = fresh.reweighted(boltzmann(total, settings.peakiness))

@@ -11,6 +11,7 @@ from torch import Tensor
 from rumi.errors import DegenerateBeliefError
 from sdf import se3
 from sdf.check import may_look
+from sensors.evidence import KeptEvidence
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
 CHUNK_BYTES = 64 * 2**20
@@ -38,12 +39,14 @@ class PoseBelief:
         attached_T_object: (*b, N, 4, 4), one pose a particle.
         log_weights: (*b, N), normalised: logsumexp is 0.
         discrepancy: (*b, N), of all observations so far (RUMI, Eq 3), metres times scale.
+        felt: what was felt so far that is no points, in the frame that rides with the object; None where nothing was.
     """
 
     world_T_attached: Float[Tensor, "*b 4 4"]
     attached_T_object: Float[Tensor, "*b N 4 4"]
     log_weights: Float[Tensor, "*b N"]
     discrepancy: Float[Tensor, "*b N"]
+    felt: KeptEvidence | None = None
 
     @classmethod
     def uniform(cls, world_T_object: Float[Tensor, "*b N 4 4"]) -> Self:
@@ -137,4 +140,11 @@ class PoseBelief:
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
         """Move to a device and a floating dtype."""
-        return type(self)(*(getattr(self, name).to(device=device, dtype=dtype) for name in self.__dataclass_fields__))
+        return replace(
+            self,
+            world_T_attached=self.world_T_attached.to(device=device, dtype=dtype),
+            attached_T_object=self.attached_T_object.to(device=device, dtype=dtype),
+            log_weights=self.log_weights.to(device=device, dtype=dtype),
+            discrepancy=self.discrepancy.to(device=device, dtype=dtype),
+            felt=None if self.felt is None else self.felt.to(device, dtype),
+        )

@@ -9,6 +9,7 @@ from torch import Tensor
 from rumi.belief.filter import PoseFilter
 from rumi.belief.particles import PoseBelief, boltzmann
 from rumi.belief.prior import PosePrior
+from rumi.belief.settling import settled
 from rumi.registration.archive import fill
 from rumi.registration.descent import DescentSettings
 from rumi.registration.register import RegisterSettings, pose_cells, register
@@ -87,15 +88,15 @@ def redraw(
         ),
         starts=prior.starts(settings.starts, generator=generator),
         search=pose_filter.search,
-        further=pose_filter.prior_part,
-        settled=lambda poses: pose_filter.settled(poses, here, generator=generator),
+        further=lambda poses: pose_filter.beside_points(poses, belief.felt),
+        settled=lambda poses: settled(pose_filter, poses, here, belief.felt, generator=generator),
         generator=generator,
     )
     renewed = _weighed(pose_filter, belief, found.frame_T_object, found.discrepancy)
     if not bool(pose_filter.tipped(belief)):
         return renewed
     poses = pose_filter.descend(renewed, here, settings.fine)
-    return _weighed(pose_filter, belief, poses, pose_filter.cost(poses, here))
+    return _weighed(pose_filter, belief, poses, pose_filter.cost(poses, here, belief.felt))
 
 
 def challenge(

@@ -7,20 +7,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief
+from rumi.belief.particles import PoseBelief, boltzmann
 from rumi.belief.renewal import challenge
 from rumi.clock import Clock
 from rumi.errors import UsageError
-from rumi.fused.evidence import FeltSoFar
 from rumi.fused.finder import Finder
-from rumi.fused.reading import FusedReading
 from rumi.loop import first_belief
 from rumi.planning.types import Plan
 from rumi.records import StepRecord
 from rumi.registration.initialise import initialise, view_starts
+from rumi.rummager import Rummager
 from rumi.scoring import observe
 from rumi.seeding import split
 from rumi.task import StepResult
+from sensors.felt_reading import FeltReading
 from sensors.observation import Observation
 from sensors.reading import Reading
 from sensors.semantics import Semantics
@@ -35,12 +35,10 @@ class Followed:
     Attributes:
         belief: where the mug may be.
         memory: points so far, in the frame that rides with it.
-        felt: what is no points, in the same frame.
     """
 
     belief: PoseBelief
     memory: Observation
-    felt: FeltSoFar
 
 
 def belief_streams(seed: int) -> Random:
@@ -51,9 +49,9 @@ def belief_streams(seed: int) -> Random:
 def begin(finder: Finder, reading: Reading, *, random: Random) -> Followed:
     """After the first view."""
     rummager, generator = finder.rummager, random["initialise"]
-    felt = FeltSoFar.nothing(rummager.model.sdf, finder.settings, len(finder.surface))
     belief, memory = first_belief(rummager, reading, generator=generator)
-    return Followed(_seen(finder, belief, memory, generator=generator), memory, felt)
+    belief = replace(_seen(rummager, belief, memory, generator=generator), felt=finder.feeling.nothing())
+    return Followed(belief, memory)
 
 
 def follow(
@@ -83,36 +81,33 @@ def follow(
         UsageError: a reading of another kind of run.
     """
     rummager, settings, reading, last = finder.rummager, finder.settings, result.reading, history[-1]
-    if not isinstance(reading, FusedReading) or reading.object_motion is None:
+    if not isinstance(reading, FeltReading) or reading.object_motion is None:
         raise UsageError(f"Expected readings of a fused run, with the object's motion, got a {type(reading).__name__}")
     renewal, generator = rummager.renewal, random["renewal"]
     with clock("belief"):
-        belief, memory = known.belief, known.memory
-        rides = reading.object_motion @ belief.world_T_attached
-        felt = known.felt.joined(reading, rides, finder.surface, settings)
-        fused = finder.filter.with_evidence(felt)
-        belief, memory, info = fused(belief, memory, reading, generator=random["filter"])
+        belief, memory, info = rummager.filter(known.belief, known.memory, reading, generator=random["filter"])
         located = last.contacts >= settings.renewals and bool(memory.of_class(Semantics.SURFACE).any())
         if bool(reading.in_contact.any()) and not located:
-            belief = challenge(fused, belief, memory, renewal, generator=generator)
+            belief = challenge(rummager.filter, belief, memory, renewal, generator=generator)
     done = (control, plan, bool(info.resampled))
     record = observe(rummager, clock, history, result, belief, info.added, *done)
     if record.converged:
         clock.put_back(record.timings_s)
         with clock("belief"):
-            belief = challenge(fused, belief, memory, renewal, generator=generator)
+            belief = challenge(rummager.filter, belief, memory, renewal, generator=generator)
         record = observe(rummager, clock, history, result, belief, info.added, *done)
-    return replace(known, belief=belief, memory=memory, felt=felt), record
+    return Followed(belief, memory), record
 
 
-def _seen(finder: Finder, belief: PoseBelief, memory: Observation, *, generator: torch.Generator) -> PoseBelief:
+def _seen(rummager: Rummager, belief: PoseBelief, memory: Observation, *, generator: torch.Generator) -> PoseBelief:
     """All poses that a first view leaves, weighed by the prior too; the belief itself where nothing was seen."""
-    rummager, fused = finder.rummager, finder.filter
+    pose_filter = rummager.filter
     surface, own = memory.points[memory.of_class(Semantics.SURFACE)], rummager.initialise
     if len(surface) == 0:
         return belief
     reach_m = float(rummager.model.surface_points[:, :2].norm(dim=-1).max())
     starts = view_starts(surface, own.starts, reach_m, rummager.height_m, generator=generator)
-    peakiness = fused.settings.peakiness
-    found = initialise(fused.discrepancy, memory, starts, fused.search, peakiness, own, generator=generator)
-    return fused.weigh(found, found, memory, memory, torch.zeros((), dtype=torch.bool))
+    peakiness = pose_filter.settings.peakiness
+    found = initialise(pose_filter.discrepancy, memory, starts, pose_filter.search, peakiness, own, generator=generator)
+    total = pose_filter.total(found, memory)
+    return replace(found, discrepancy=total).reweighted(boltzmann(total, peakiness))

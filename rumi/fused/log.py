@@ -13,7 +13,6 @@ from rumi.config import dataclass_of
 from rumi.errors import UsageError
 from rumi.fused.finder import Finder
 from rumi.fused.follow import begin, belief_streams, follow
-from rumi.fused.reading import FusedReading
 from rumi.fused.settings import FusedSettings
 from rumi.logbook import LogRecorder, digest
 from rumi.planning.types import Plan
@@ -21,6 +20,7 @@ from rumi.records import StepRecord
 from rumi.replay import Replayed
 from rumi.scoring import observe, summarise
 from rumi.task import StepResult
+from sensors.felt_reading import FeltReading
 
 if TYPE_CHECKING:
     from sensors.log.reader import Log, Taken
@@ -49,11 +49,11 @@ class FusedLogRecorder(LogRecorder):
         self, path: Path | str, seed: int, settings: FusedSettings, about: Mapping[str, Any] | None = None
     ) -> None:
         asked = {"task": "fused", "seed": seed, "fused": settings}
-        super().__init__(path, asked, about, readings=FusedReading)
+        super().__init__(path, asked, about, readings=FeltReading)
 
     def __call__(self, step: StepRecord) -> None:
         """Append a step; once this returns, a kill no longer loses it."""
-        super().__call__(replace(step, reading=FusedReading.of(step.reading)))
+        super().__call__(replace(step, reading=FeltReading.of(step.reading)))
 
 
 def recorded(log: "Log") -> tuple[int, FusedSettings] | None:

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
+from rumi.belief.felt import SignalSettings
 from rumi.errors import UsageError
 from rumi.sim.joint_torques import JointSettings
 from rumi.sim.tasks import PriorSpec, TaskSpec, large_handled_mug
@@ -40,25 +41,6 @@ class WristSettings:
     point_m: float = 0.003
     normal_rad: float = 0.3
     outlier: float = 0.1
-
-
-@dataclass(frozen=True)
-class SignalSettings:
-    """What the joints' signals count for.
-
-    Attributes:
-        true_positive: probability of a signal while the gripper touches.
-        false_positive: probability of one while it is far.
-        decay: with which the first falls off to the second with distance, 1/m.
-        most: signals of contact that count of an action: the first, and others evenly after it.
-        spacing_m: of the points on the gripper's surface.
-    """
-
-    true_positive: float = 0.9
-    false_positive: float = 0.02
-    decay: float = 150.0
-    most: int = 2
-    spacing_m: float = 0.008
 
 
 @dataclass(frozen=True)

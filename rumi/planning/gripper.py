@@ -116,6 +116,15 @@ class GripperShape:
         ).any(0)
         return torch.cat((palm[~covered], both[~self.in_palm(both) & ~hidden]))
 
+    def surface(self, spacing: float) -> Float[Tensor, "n 3"]:
+        """Points on pads and palm, about `spacing` metres apart; those of the palm that the pads cover are left in."""
+        sides = torch.tensor(self.palm_m, dtype=torch.float64)
+        axes = [torch.linspace(-0.5, 0.5, max(2, math.ceil(side / spacing) + 1), dtype=torch.float64) for side in sides]
+        lattice = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        palm = lattice[(lattice.abs() == 0.5).any(-1)] * sides
+        palm[:, 0] += self.palm_center_m
+        return torch.cat((self.pad_shell(spacing), palm))
+
     def pad_shell(self, spacing: float) -> Float[Tensor, "n 3"]:
         """Points on the pads' surface outside the palm, about `spacing` metres apart."""
         a, b, c = self.pad_m

@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.fused.reading import FusedReading, WrenchTouch
 from rumi.fused.settings import FusedSettings, task_of
 from rumi.planning.tool import Tool
 from rumi.seeding import split
@@ -23,6 +22,7 @@ from rumi.sim.world import Track
 from rumi.task import StepResult
 from sdf import se3
 from sdf.object_model import ObjectModel
+from sensors.felt_reading import FeltReading, WrenchTouch, surest
 from sensors.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
@@ -108,7 +108,7 @@ class FusedTask(SensedTask):
         self._region = self._region_of_prior()
         return Observation.empty()
 
-    def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> FusedReading:
+    def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> FeltReading:
         """All that was felt on the way."""
         felt, own = self.world.felt, self.fused.sensors
         assert felt is not None
@@ -133,7 +133,7 @@ class FusedTask(SensedTask):
         free, instant = self._free(tool_pose, measured, silent & ~_soon(in_contact))
         parts.append(free)
         instants.append(instant)
-        return FusedReading(
+        return FeltReading(
             concatenate(parts),
             torch.cat(instants),
             tool_pose,
@@ -169,12 +169,9 @@ class FusedTask(SensedTask):
         good = arrived & (contact.status == int(WrenchStatus.CONTACT))
         # nothing is narrow enough to come between the pads: a line of force through there is of a touch on each
         good &= ~((part == _PALM) & (contact.normal_s[:, 0] > 0.5))
-        kept = self._strongest(good, contact.covariance.diagonal(dim1=-2, dim2=-1).sum(-1))
-        world_T_sensor = tool_pose.double()[kept] @ self._tool_T_sensor()
-        points = se3.apply(world_T_sensor, contact.point_s[kept, None])[:, 0].float()
-        normals = -se3.rotate(world_T_sensor, contact.normal_s[kept, None])[:, 0].float()
-        sd = (0.5 * contact.covariance[kept].diagonal(dim1=-2, dim2=-1).sum(-1)).sqrt().float()
-        return WrenchTouch(points, normals, sd, contact.normal_sd_rad[kept].float(), kept), pushed
+        index, variance = good.nonzero()[:, 0], contact.covariance.diagonal(dim1=-2, dim2=-1).sum(-1)
+        kept = index[surest(variance[index], self.fused.wrist.most)]
+        return WrenchTouch.of(contact, tool_pose.double() @ self._tool_T_sensor(), kept), pushed
 
     def wrist_contacts(self, felt: Felt) -> tuple[WrenchContact, Tensor]:
         """Of the noisy mean wrench of each mini step, in the sensor's frame, and the parts that they are on."""
@@ -197,14 +194,6 @@ class FusedTask(SensedTask):
         """Where the wrist's sensor is taken to be."""
         behind = torch.tensor([-self.fused.wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
         return se3.make(torch.eye(3, dtype=torch.float64), behind) @ self._wrist_off
-
-    def _strongest(self, good: Bool[Tensor, "K"], variance: Float[Tensor, "K"]) -> Tensor:
-        """Instants of the surest touches in equal parts of the action's touches."""
-        index = good.nonzero()[:, 0]
-        if len(index) == 0:
-            return index
-        parts = index.tensor_split(min(self.fused.wrist.most, len(index)))
-        return torch.stack([part[variance[part].argmin()] for part in parts])
 
     def _free(
         self, tool_pose: Float[Tensor, "K 4 4"], measured: Float[Tensor, "K 4 4"], silent: Bool[Tensor, "K"]

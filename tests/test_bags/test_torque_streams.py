@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from rumi.bags.mapping import mapping_of
+from rumi.bags.scene import feeling_of, rummager_of_map, settings_of
+from rumi.belief.felt import SignalSettings
 from rumi.errors import UsageError
+from rumi.replay import replay
+from sensors.contact_model import robot_distance
 from sensors.semantics import Semantics
 
 pytestmark = pytest.mark.sim
@@ -100,6 +105,30 @@ def test_joint_torques_of_a_bag_tell_when_the_hand_was_pushed(torques):
     assert not touched[(ends < 0.7) | (ends > 1.15)].any()
 
 
+def test_signals_count_as_touches_of_some_point_of_the_gripper(pushed_arm, torques, bags, tmp_path):
+    """A box that may be anywhere nearby is at the gripper when its arm was pushed; a flag alone does not say so."""
+    text = told(pushed_arm).replace("prior_mean_m = [0.5, 0.0]", "prior_mean_m = [0.1, 0.0]\nprior_spread_m = 0.08")
+    text += "[settings]\nfilter.motion = 'sticking'\nstop.rule = 'never'\ninitialise = { particles = 80 }\n"
+    likely = text.replace("[torques]", "[torques]\nlikelihood = true\nmost = 3")
+    far = {}
+    for name, one in (("flags", text), ("signals", likely)):
+        mapping, made = mapping_of(one), bags.readings_of(pushed_arm[0], one, tmp_path / f"{name}.h5")
+        for ours, theirs in zip(made.taken[1:], torques.taken[1:], strict=True):
+            assert torch.equal(ours.reading.in_contact, theirs.reading.in_contact)
+            assert torch.equal(ours.reading.observation.points, theirs.reading.observation.points)
+            if name == "signals":
+                assert torch.equal(ours.reading.signals, ours.reading.in_contact)
+        places = torch.cat([taken.reading.tool_pose[:, :3, 3] for taken in made.taken])
+        rummager = rummager_of_map(mapping, settings_of(mapping), places)
+        belief = replay(made.taken, rummager, seed=1000).last.belief
+        feeling = feeling_of(mapping_of(likely), rummager.model.sdf)
+        assert feeling.signals == SignalSettings(most=3) and (rummager.filter.feel is None) == (name == "flags")
+        distance = robot_distance(rummager.model.sdf, belief.world_T_object, feeling.surface[None])[..., 0]
+        far[name] = float((belief.weights * distance.clamp_min(0.0)).sum())
+        assert (belief.felt is None) == (name == "flags")
+    assert far["signals"] < 0.5 * far["flags"], far
+
+
 def test_a_model_whose_meshes_lie_beside_it(pushed_arm, torques, bags, tmp_path):
     """As an MJCF's do, from wherever the replay is started."""
     import trimesh
@@ -131,6 +160,13 @@ def test_a_touch_that_nobody_knows_the_place_of_leaves_no_free_space(torques):
         ("arm.xml", "none.xml", "Cannot read robot.file .*none.xml"),
         ("[torques]\nthreshold_nm = 1.0", "[settings]", r"Expected tables \[torques\] and \[robot\]"),
         ("threshold_nm = 1.0", "threshold_nm = -1.0", "expected threshold_nm above 0"),
+        (
+            "threshold_nm = 1.0",
+            "threshold_nm = 1.0\ntrue_positive = 0.01",
+            "Expected true_positive above",
+        ),
+        ("threshold_nm = 1.0", "threshold_nm = 1.0\ndecay = 0.0", "Expected decay above 0"),
+        ("threshold_nm = 1.0", "threshold_nm = 1.0\nspacing_m = 0.0", "Expected spacing_m of 0.001 to 1"),
     ],
 )
 def test_what_torques_lack_is_named(pushed_arm, bags, tmp_path, old, new, message):

@@ -118,7 +118,8 @@ def test_the_engine_is_near_and_the_displacement_model_never_turns(yaw: float) -
 
 
 def both(*rows: PoseBelief) -> PoseBelief:
-    return PoseBelief(*(torch.stack([getattr(r, n) for r in rows]) for n in PoseBelief.__dataclass_fields__))
+    names = ("world_T_attached", "attached_T_object", "log_weights", "discrepancy")
+    return PoseBelief(*(torch.stack([getattr(r, n) for r in rows]) for n in names))
 
 
 def test_what_was_not_felt_did_not_move(pushed: PushedMotion) -> None:

@@ -15,12 +15,12 @@ from rumi.fused.finder import build_finder
 from rumi.fused.grasp import HandleTable
 from rumi.fused.log import COUNTED, IDLE, FusedLogRecorder, recorded, refuse_other_senses, replay_fused
 from rumi.fused.parts import build_fused
-from rumi.fused.reading import FusedReading
 from rumi.fused.run import Outcome, run_fused
 from rumi.fused.settings import FusedSettings
 from rumi.logbook import LOG, LogRecorder, digest
 from rumi.progress import both
 from rumi.records import StepRecord
+from sensors.felt_reading import FeltReading
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
 
@@ -66,7 +66,7 @@ def as_command(tool, live, monkeypatch, capsys, tmp_path):
 def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
     with Log(live.folder / LOG) as log:
         seed, settings = recorded(log)
-        taken = log.taken(FusedReading)
+        taken = log.taken(FeltReading)
         assert log.problems == []
     assert (seed, settings) == (SEED, SETTINGS)
     steps = []
@@ -80,7 +80,7 @@ def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
 
 def test_readings_come_back_whole(live):
     with Log(live.folder / LOG) as log:
-        taken = log.taken(FusedReading)
+        taken = log.taken(FeltReading)
     assert taken[0].reading.signals is None and len(taken[0].reading.wrench.points) == 0
     for one, step in zip(taken[1:], live.steps[1:], strict=True):
         ours, theirs = one.reading, step.reading
@@ -155,6 +155,6 @@ def test_logs_of_other_runs_are_told_apart(live, tmp_path):
         log(live.steps[0])
     with Log(tmp_path / "plain.h5") as log:
         assert recorded(log) is None
-        assert len(log.taken(FusedReading)[0].reading.wrench.points) == 0
+        assert len(log.taken(FeltReading)[0].reading.wrench.points) == 0
     with Log(live.folder / LOG) as log, pytest.raises(LogError, match="reading/signals, which this rumi"):
         log.taken()

@@ -1,113 +1,23 @@
 """The filter with further evidence, and whole short runs."""
 
 import math
-from dataclasses import dataclass, replace
 
 import pytest
 import torch
 
-from rumi.belief.filter import FilterSettings, PoseFilter
-from rumi.belief.particles import PoseBelief
-from rumi.belief.prior import PosePrior
 from rumi.cli import DONE, NOT_CONVERGED
 from rumi.errors import UsageError
-from rumi.fused.filter import FusedFilter
-from rumi.fused.finder import gripper_surface
 from rumi.fused.grasp import HandleTable
 from rumi.fused.parts import build_fused
 from rumi.fused.run import run_fused, total_nll
 from rumi.fused.settings import SENSORS, FusedSettings
 from rumi.fused_command import fused, sensors_of, short_of, thinking_of
 from rumi.planning.gripper import GripperShape
-from rumi.registration.descent import DescentSettings
-from sdf import se3
-from sensors.discrepancy import Discrepancy
-from sensors.observation import Observation
-from sensors.reading import Reading
-from sensors.semantics import Semantics
-
-
-@dataclass(frozen=True)
-class Leaning:
-    """Evidence that likes poses to the left, by so many nats a metre."""
-
-    slope: float = 3.0
-
-    def log_likelihood(self, world_T_object):
-        return -self.slope * world_T_object[..., 0, 3]
-
-    def moved(self, motion):
-        return self
-
-
-def plain_filter(mug):
-    settings = FilterSettings(trigger=math.inf, descent=DescentSettings(iterations=0))
-    prior = PosePrior.of((0.5, 0.0), 0.05, mug.sdf.bounds)
-    return PoseFilter(Discrepancy(mug.sdf, mug.radius), "SE(2)", settings, prior)
-
-
-def still_reading(points):
-    return Reading(
-        points,
-        torch.zeros(len(points), dtype=torch.long),
-        se3.identity((1,)),
-        torch.zeros(1, dtype=torch.bool),
-        se3.identity((1,)),
-        torch.zeros(3),
-        torch.zeros(()),
-    )
-
-
-def belief_of(plain):
-    """Weighed by the prior, as before anything is seen."""
-    planar = torch.tensor([[0.5, 0.0, 0.0], [0.52, 0.0, 0.5], [0.47, 0.03, 2.0], [0.5, 0.02, -1.0]])
-    belief = PoseBelief.uniform(se3.from_planar(planar))
-    return replace(belief, discrepancy=plain.total(belief, Observation.empty()))
-
-
-def test_evidence_counts_as_its_log_likelihood_beside_points_and_prior(mug):
-    """Weights of Eq 10 times the likelihood, for points that came before and for new ones."""
-    plain = plain_filter(mug)
-    points = Observation.of(torch.tensor([[0.46, 0.0, 0.05], [0.5, 0.041, 0.04]]), Semantics.SURFACE)
-    none, generator = Observation.empty(), torch.Generator()
-    belief, memory, _ = plain(belief_of(plain), none, still_reading(points), generator=generator)
-    own = FusedFilter.of(plain)
-    silent, _, _ = own(belief_of(plain), none, still_reading(points), generator=generator)
-    torch.testing.assert_close(silent.log_weights, belief.log_weights)
-    leaning = own.with_evidence(Leaning())
-    fused_belief, _, _ = leaning(belief_of(plain), none, still_reading(points), generator=generator)
-    change = Leaning().log_likelihood(belief.world_T_object)
-    torch.testing.assert_close(fused_belief.log_weights, (belief.log_weights + change).log_softmax(-1))
-    # evidence alone, without new points, changes weights too; and the filter that it was made from has none
-    later, _, _ = leaning(belief, memory, still_reading(none), generator=generator)
-    torch.testing.assert_close(later.log_weights, fused_belief.log_weights)
-    assert own.evidence is None
-
-
-def test_poses_drawn_anew_settle_by_what_points_do_not_tell(mug):
-    """Evidence moves those whose points do not hold them, and no pose comes to cost more."""
-    plain, generator = plain_filter(mug), torch.Generator()
-    here = Observation.of(torch.tensor([[0.459, 0.0, 0.05]]), Semantics.SURFACE)
-    poses = belief_of(plain).attached_T_object
-    assert FusedFilter.of(plain).settled(poses, here, generator=generator) is poses
-    strong = FusedFilter.of(plain).with_evidence(Leaning(3000.0))
-    settled = strong.settled(poses, here, generator=generator)
-    assert bool((strong.cost(settled, here) <= strong.cost(poses, here)).all())
-    left = poses[:, 0, 3] - settled[:, 0, 3]
-    assert float(left[0]) == pytest.approx(0.0, abs=0.003), "it touches the point already"
-    assert bool((left[1:] > 0.005).all())
-    assert float((settled[:, :3, 2] - poses[:, :3, 2]).abs().max()) < 1e-6, "upright as they were"
-
-
-def test_a_filter_without_a_prior_is_refused(mug):
-    plain = plain_filter(mug)
-    with pytest.raises(ValueError, match="prior"):
-        FusedFilter.of(PoseFilter(plain.discrepancy, "SE(2)", plain.settings))
 
 
 def test_the_surface_is_all_around_palm_and_pads():
     shape = GripperShape()
-    points = gripper_surface(shape, 0.008)
+    points = shape.surface(0.008)
     palm = shape.in_palm(points)
     low, high = points.amin(0), points.amax(0)
     torch.testing.assert_close(low[0], torch.tensor(shape.palm_front_m - shape.palm_m[0], dtype=torch.float64))

@@ -6,16 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.fused.evidence import FeltSoFar, TouchedSomewhere, TouchedSurface
-from rumi.fused.reading import FusedReading, WrenchTouch
-from rumi.fused.settings import FusedSettings, WristSettings
+from rumi.belief.felt import Feeling, TouchedSomewhere, TouchedSurface
 from sdf import se3
 from sdf.primitives import Sphere
 from sensors.contact_model import ContactModel
+from sensors.felt_reading import FeltReading, WrenchTouch
 from sensors.observation import Observation
 
 RADIUS = 0.04
-SETTINGS = FusedSettings(wrist=WristSettings(outlier=0.1))
 
 
 def ball():
@@ -37,7 +35,7 @@ def touched(points, outlier=0.1, point_sd=0.004, normal_sd=0.3):
 
 def reading(touch=None, signals=None, tools=3):
     touch = WrenchTouch.none() if touch is None else touch
-    return FusedReading(
+    return FeltReading(
         Observation.empty(),
         torch.zeros(0).long(),
         at(*[(0.01 * k, 0.02) for k in range(tools)]),
@@ -88,12 +86,13 @@ def test_log_likelihoods_of_sensors_and_of_actions_sum_up_in_any_order():
     by_wrench = reading(touches)
     by_joints = reading(signals=torch.tensor([False, True, True]))
     frames = at((0.0, 0.0), (0.01, 0.0), (0.02, 0.01))
-    nothing = FeltSoFar.nothing(ball(), SETTINGS, len(surface))
+    feeling = Feeling(ball(), surface)
+    nothing = feeling.nothing()
     poses = at((0.0, 0.0), (0.02, 0.0), (0.1, 0.05))
-    one = nothing.joined(by_wrench, frames, surface, SETTINGS)
-    other = nothing.joined(by_joints, frames, surface, SETTINGS)
-    both = one.joined(by_joints, frames, surface, SETTINGS)
-    reverse = other.joined(by_wrench, frames, surface, SETTINGS)
+    one = feeling.joined(nothing, by_wrench, frames)
+    other = feeling.joined(nothing, by_joints, frames)
+    both = feeling.joined(one, by_joints, frames)
+    reverse = feeling.joined(other, by_wrench, frames)
     expected = one.log_likelihood(poses) + other.log_likelihood(poses)
     torch.testing.assert_close(both.log_likelihood(poses), expected)
     torch.testing.assert_close(reverse.log_likelihood(poses), expected)
@@ -102,8 +101,9 @@ def test_log_likelihoods_of_sensors_and_of_actions_sum_up_in_any_order():
 
 def test_silent_sensors_add_nothing():
     surface, poses = torch.zeros(4, 3), at((0.0, 0.0), (0.3, 0.1))
-    nothing = FeltSoFar.nothing(ball(), SETTINGS, len(surface))
-    silent = nothing.joined(reading(signals=torch.zeros(3, dtype=torch.bool)), se3.identity((3,)), surface, SETTINGS)
+    feeling = Feeling(ball(), surface)
+    nothing = feeling.nothing()
+    silent = feeling.joined(nothing, reading(signals=torch.zeros(3, dtype=torch.bool)), se3.identity((3,)))
     assert torch.equal(silent.log_likelihood(poses), torch.zeros(2))
 
 
@@ -113,8 +113,9 @@ def test_what_was_felt_goes_with_the_object():
     points = torch.tensor([[RADIUS, 0.0, 0.0]])
     touch = WrenchTouch(points, points / RADIUS, torch.tensor([0.002]), torch.tensor([0.1]), torch.tensor([1]))
     signals = torch.tensor([False, True, False])
-    nothing = FeltSoFar.nothing(ball(), SETTINGS, len(surface))
-    still = nothing.joined(reading(touch, signals), se3.identity((3,)), surface, SETTINGS)
+    feeling = Feeling(ball(), surface)
+    nothing = feeling.nothing()
+    still = feeling.joined(nothing, reading(touch, signals), se3.identity((3,)))
     motion = se3.from_planar(torch.tensor([0.1, -0.05, 0.4]))
     poses = at((0.005, 0.002), (0.0, -0.01))
     # in the frame that rides with the object nothing changes: `world_T_attached` is the motion
@@ -123,7 +124,7 @@ def test_what_was_felt_goes_with_the_object():
         signals,
     )
     moved = replace(moved, tool_pose=motion @ moved.tool_pose)
-    carried = nothing.joined(moved, motion.expand(3, 4, 4), surface, SETTINGS)
+    carried = feeling.joined(nothing, moved, motion.expand(3, 4, 4))
     torch.testing.assert_close(carried.log_likelihood(poses), still.log_likelihood(poses), atol=1e-4, rtol=1e-4)
     after = still.moved(motion).log_likelihood(motion @ poses)
     torch.testing.assert_close(after, still.log_likelihood(poses), atol=1e-4, rtol=1e-4)
