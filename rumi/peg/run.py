@@ -11,7 +11,7 @@ from rumi.belief.certainty import Aim
 from rumi.belief.static import StaticBelief
 from rumi.belief.touch_gain import NOTHING, TOUCH
 from rumi.clock import SimulatedClock
-from rumi.peg.refine import Chooser, Thought, aim_of, block_filter, confirmed, evidence_of, sure
+from rumi.peg.refine import Chooser, Thought, aim_of, block_filter, confirmed, evidence_of, sure, updated
 from rumi.peg.search import joined, lanes, search
 from rumi.peg.settings import PegSettings
 from rumi.seeding import split
@@ -148,7 +148,7 @@ def run_peg(settings: PegSettings, seed: int) -> PegRun:
         done.append(last)
         new = evidence_of(last, settings)
         every = every.joined(new)
-        belief, _ = follow.update(belief, new, every, generator=draws)
+        belief = updated(belief, new, every, settings, generator=draws)
         clock.advance(settings.update_s)
         aim = aim_of(belief, settings)
         probabilities.append(aim.probability)

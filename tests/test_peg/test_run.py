@@ -43,6 +43,13 @@ def test_a_sharp_sensor_finds_the_hole():
         json.dumps(found, allow_nan=False)
 
 
+@pytest.mark.parametrize(("point_m", "normal_deg", "seed"), [(2e-4, 0.3, 6), (5e-5, 0.1, 0), (5e-5, 0.1, 1)])
+def test_a_nearly_exact_sensor_does_not_take_one_side_for_another(point_m, normal_deg, seed):
+    """Readings much more exact than particles are apart used to leave only the one that happened to fit."""
+    run = run_peg(PegSettings(point_m=point_m, normal_deg=normal_deg, evaluation_s=0.003), seed)
+    assert run.stopped_by == "sure" and run.hole_error_m < 0.001
+
+
 def test_the_same_seed_twice():
     first, second = (run_peg(QUICK, 7) for _ in range(2))
     assert first.as_dict() == second.as_dict()
