@@ -36,7 +36,8 @@ class PegRun:
         off_m: distance from the nearer hole there.
         hole_error_m: greatest distance of a hole from where it was thought to be.
         middle_error_m: of the middle between them.
-        stopped_by: "sure", "actions" or "stay", where nothing told anything in any time allowed.
+        stopped_by: "sure", "actions", "time" where there was none for any motion, or "stay" where nothing that there
+            was time to weigh would tell anything.
         total_s: on the clock, the peg included.
         probabilities: of both holes within the tolerance, after each reading since the first touch.
         contact_times_s: when each side was touched.
@@ -142,7 +143,7 @@ def run_peg(settings: PegSettings, seed: int) -> PegRun:
         thoughts.append(chooser.choose(belief, cell.tip, _away(last)))
         choice = thoughts[-1].selection.candidate
         if choice is None:
-            stopped_by = "stay"
+            stopped_by = "stay" if thoughts[-1].selection.evaluated else "time"
             break
         last = cell.follow(choice.action.path)
         done.append(last)
