@@ -152,10 +152,16 @@ def draw(run: PegRun, folder: Path) -> None:
 
 def summary(run: PegRun, folder: Path) -> str:
     """A few lines on how a run ended."""
-    ended = {"sure": "sure", "actions": "not sure", "stay": "nothing to do in the time allowed"}[run.stopped_by]
+    ended = {
+        "sure": "sure",
+        "actions": "not sure",
+        "time": "no time for any motion",
+        "stay": "nothing more that a touch would tell",
+    }[run.stopped_by]
     found = run.as_dict()
+    touches = f"{found['touches']} touch{'es' if found['touches'] != 1 else ''}"
     place = "in the hole" if run.in_hole else "beside the hole"
-    lines = [f"peg: {ended} after {found['touches']} touches, {place} by {found['off_mm']:.1f} mm from its middle"]
+    lines = [f"peg: {ended} after {touches}, {place} by {found['off_mm']:.1f} mm from its middle"]
     within = f"within {1e3 * run.settings.tolerance_m:g}"
     lines.append(
         f"holes    off by {found['hole_error_mm']:.1f} mm at most; believed {found['probability']:.2f} {within}"

@@ -102,7 +102,10 @@ def normal_equations(
     free_scale: float | Tensor = 10.0,
     alpha: float | Tensor = 0.0,
 ) -> NormalEquations:
-    """Objective, gradient and Gauss-Newton Hessian of every pose over all points (RUMI, Eqs 7-9)."""
+    """Objective, gradient and Gauss-Newton Hessian of every pose over all points (RUMI, Eqs 7-9).
+
+    For optimisers of one's own: registration sums terms of its own, over those points alone that count at a pose.
+    """
     numbers = [x for x in (free_scale, alpha) if isinstance(x, Tensor)]
     version = backend.dispatch("normal_equations", frame_T_object, points, *numbers, *sdf.buffers())
     return version(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)

@@ -142,39 +142,3 @@ def cluster_mask(
         away = np.hypot(centers[1:, 1] - pixel[0], centers[1:, 0] - pixel[1])
         chosen = 1 + int(np.where(sizes >= least_px, away, np.inf).argmin())
     return torch.from_numpy(labels == chosen)
-
-
-def cluster_points(
-    points: Float[Tensor, "M 3"], *, near: Float[Tensor, "3"] | None = None, gap_m: float = 0.01, least: int = 50
-) -> Bool[Tensor, "M"]:
-    """The largest cluster of points, or the one nearest to a place; none where all are too small.
-
-    Points whose cells, cubes of half of `gap_m`, are within two cells of each other hang together.
-
-    Args:
-        points: (M, 3), metres.
-        near: (3,), a place; None for the largest cluster.
-        gap_m: that parts clusters, about.
-        least: points that a cluster must have.
-    """
-    try:
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
-        from scipy.spatial import cKDTree
-    except ImportError as error:
-        raise ImportError("Clusters of points need SciPy: install it with pip install 'rumi[vision]'") from error
-    if len(points) == 0:
-        return torch.zeros(0, dtype=torch.bool)
-    cells, owner = torch.unique(torch.floor(points / (0.5 * gap_m)).long(), dim=0, return_inverse=True)
-    pairs = cKDTree(cells.numpy()).query_pairs(2.0, p=math.inf, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells),) * 2)
-    label = torch.from_numpy(connected_components(graph, directed=False)[1]).long()[owner]
-    sizes = torch.bincount(label)
-    large = sizes >= least
-    if not bool(large.any()):
-        return torch.zeros(len(points), dtype=torch.bool)
-    if near is None:
-        return label == int(sizes.argmax())
-    away = torch.full((len(sizes),), math.inf, dtype=points.dtype)
-    away = away.scatter_reduce(0, label, (points - near.to(points)).norm(dim=-1), "amin")
-    return label == int(away.masked_fill(~large, math.inf).argmin())

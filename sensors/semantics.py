@@ -72,7 +72,3 @@ class SemanticSensor(nn.Module):
     def forward(self, distance: Float[Tensor, "*b"]) -> Float[Tensor, "*b 3"]:
         """p(S | signed distance) (*b, 3)."""
         return semantics_probability(distance, self.sharpness, self.tolerance)
-
-    def log_surface(self, distance: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-        """Log p(surface | signed distance) (*b)."""
-        return log_surface_probability(distance, self.sharpness, self.tolerance)

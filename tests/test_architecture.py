@@ -2,6 +2,8 @@
 
 import ast
 import importlib
+import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -249,3 +251,22 @@ def test_shape_hints_are_enforced(request):
     se3 = importlib.import_module("sdf.se3")
     with pytest.raises(Exception, match="Type-check"):
         se3.from_planar("no tensor")
+
+
+def asked_for(case: str, source: str) -> bool:
+    """Whether a test file names a golden case, whole or as the beginning of an f-string and what it ends in."""
+    begins = re.findall(r'golden\(f"([^"{]*)\{\w+\}"\)', source)
+    return f'"{case}"' in source or any(
+        case.startswith(begin) and f'"{case.removeprefix(begin)}"' in source for begin in begins
+    )
+
+
+def test_every_golden_case_is_asked_for():
+    cases = json.loads((ROOT / "tests" / "fixtures" / "golden.json").read_text(encoding="utf-8"))["cases"]
+    files = [path.read_text(encoding="utf-8") for path in sources("tests")]
+    assert [case["id"] for case in cases if not any(asked_for(case["id"], source) for source in files)] == []
+
+
+def test_golden_cases_put_together_are_seen():
+    source = 'parametrize("end", ["x", "y"])\ndef test(golden, end):\n    golden(f"a.{end}"), golden("b")\n'
+    assert [asked_for(case, source) for case in ("a.x", "a.y", "b", "a.z", "c")] == [True] * 3 + [False] * 2

@@ -86,14 +86,6 @@ class Reach(nn.Module):
         position, rotation = _look_up(torch.stack((self.position, self.rotation)), place)
         return position + beyond, rotation
 
-    def residual_m(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b"]:
-        """Position error that inverse kinematics leaves, metres."""
-        return self.errors(q)[0]
-
-    def rotation_residual(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b"]:
-        """Rotation error that inverse kinematics leaves, radians."""
-        return self.errors(q)[1]
-
     @property
     def left(self) -> Float[Tensor, "*Z R Y"]:
         """Position error plus the metres that the rotation error counts as, at the table's nodes."""
@@ -115,14 +107,7 @@ class Reach(nn.Module):
         direction = torch.atan2(offset[..., 1], offset[..., 0])
         return offset.norm(dim=-1), _wrap(direction - self.base[2]), _wrap(q[..., -1] - direction)
 
-    def field(
-        self,
-        points_w: Float[Tensor, "*b 3"],
-        *,
-        yaws: Sequence[float] = YAWS_RAD,
-        rotation_scale: float = 0.1,
-        largest_error: float = 0.4,
-    ) -> Float[Tensor, "*b"]:
+    def field(self, points_w: Float[Tensor, "*b 3"], *, yaws: Sequence[float] = YAWS_RAD) -> Float[Tensor, "*b"]:
         """Reachability r(x) of points: the tool is sent there in each orientation (RUMI, Eq 30).
 
         The tool works at one height, so that z of the points plays no part.
@@ -130,10 +115,8 @@ class Reach(nn.Module):
         Args:
             points_w: (*b, 3), metres.
             yaws: orientations of the tool, radians from the arm's forward direction.
-            rotation_scale: metres that one radian counts as (alpha_R).
-            largest_error: metres of mean error at which reachability is 0 (e_m).
         """
-        return reachability(*self.errors(self._oriented(points_w, yaws)), rotation_scale, largest_error)
+        return reachability(*self.errors(self._oriented(points_w, yaws)), self.settings.rotation_scale_m)
 
     def share(self, points_w: Float[Tensor, "*b 3"], *, yaws: Sequence[float] = YAWS_RAD) -> Float[Tensor, "*b"]:
         """Share of the orientations in which the arm gets the tool to each point, between 0 and 1.

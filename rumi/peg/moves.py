@@ -36,12 +36,10 @@ class Motion:
     Attributes:
         path: (K, 3), metres, the tip's place first, each point a rest.
         direct: whether it stays low all along.
-        number: of the candidate among the twelve.
     """
 
     path: Float[Tensor, "K 3"]
     direct: bool
-    number: int
 
 
 def presses(pose: Float[Tensor, "3"], settings: PegSettings) -> Press:
@@ -94,7 +92,7 @@ def motions(
         else:
             over = [_at(tip[:2], lift), _at(standoff, lift), _at(standoff, low), _at(target, low)]
             path = [tip, *over]
-        found.append(Motion(torch.stack(path), bool(clear[number]), number))
+        found.append(Motion(torch.stack(path), bool(clear[number])))
     return found
 
 

@@ -14,8 +14,9 @@ from rumi.belief.certainty import Aim, CovarianceRule, EntropyRule, MassRule
 from rumi.belief.entropy import NeighbourEntropy
 from rumi.belief.resampling import resample_systematic
 from rumi.belief.states import StateMetric
-from rumi.belief.static import StaticBelief, StaticFilter
+from rumi.belief.static import StaticBelief, StaticFilter, StaticSettings
 from rumi.belief.static_spaces import PlaneSpace
+from rumi.belief.tempered import update_tempered
 from rumi.belief.touch_gain import NOTHING, TOUCH, rectangle_likelihood, touch_gain
 from rumi.clock import Now, SimulatedClock
 from rumi.peg.moves import Motion, motions, outcomes
@@ -42,7 +43,27 @@ def block_filter(settings: PegSettings) -> StaticFilter:
         on = (poses[..., :2].abs() <= 0.5 * size).all(-1)
         return torch.where(on, 0.0, -torch.inf).to(poses)
 
-    return StaticFilter(PlaneSpace(0.5 * settings.length_m), log_prior)
+    space = PlaneSpace(0.5 * settings.length_m)
+    if settings.power == 1.0:
+        return StaticFilter(space, log_prior)
+    lever = 0.5 * settings.length_m
+    least = 0.3 * min(settings.point_m, lever * settings.noise.normal_rad)
+    return StaticFilter(space, log_prior, StaticSettings(jitter_m=(min(least, 3e-4), 0.05)))
+
+
+def updated(
+    belief: StaticBelief,
+    new: RectangleTouches,
+    every: RectangleTouches,
+    settings: PegSettings,
+    *,
+    generator: torch.Generator,
+) -> StaticBelief:
+    """The belief after a reading; one more exact than particles are apart is let in little by little."""
+    follow = block_filter(settings)
+    if settings.power < 1.0:
+        return update_tempered(follow, belief, new, every, generator=generator)
+    return follow.update(belief, new, every, generator=generator)[0]
 
 
 def evidence_of(felt: Felt, settings: PegSettings) -> RectangleTouches:

@@ -11,7 +11,7 @@ from rumi.belief.certainty import Aim
 from rumi.belief.static import StaticBelief
 from rumi.belief.touch_gain import NOTHING, TOUCH
 from rumi.clock import SimulatedClock
-from rumi.peg.refine import Chooser, Thought, aim_of, block_filter, confirmed, evidence_of, sure
+from rumi.peg.refine import Chooser, Thought, aim_of, block_filter, confirmed, evidence_of, sure, updated
 from rumi.peg.search import joined, lanes, search
 from rumi.peg.settings import PegSettings
 from rumi.seeding import split
@@ -36,7 +36,8 @@ class PegRun:
         off_m: distance from the nearer hole there.
         hole_error_m: greatest distance of a hole from where it was thought to be.
         middle_error_m: of the middle between them.
-        stopped_by: "sure", "actions" or "stay", where nothing told anything in any time allowed.
+        stopped_by: "sure", "actions", "time" where there was none for any motion, or "stay" where nothing that there
+            was time to weigh would tell anything.
         total_s: on the clock, the peg included.
         probabilities: of both holes within the tolerance, after each reading since the first touch.
         contact_times_s: when each side was touched.
@@ -142,13 +143,13 @@ def run_peg(settings: PegSettings, seed: int) -> PegRun:
         thoughts.append(chooser.choose(belief, cell.tip, _away(last)))
         choice = thoughts[-1].selection.candidate
         if choice is None:
-            stopped_by = "stay"
+            stopped_by = "stay" if thoughts[-1].selection.evaluated else "time"
             break
         last = cell.follow(choice.action.path)
         done.append(last)
         new = evidence_of(last, settings)
         every = every.joined(new)
-        belief, _ = follow.update(belief, new, every, generator=draws)
+        belief = updated(belief, new, every, settings, generator=draws)
         clock.advance(settings.update_s)
         aim = aim_of(belief, settings)
         probabilities.append(aim.probability)

@@ -10,6 +10,7 @@ from torch import Tensor
 from rumi.belief.resampling import resample_systematic
 from rumi.belief.static import StaticBelief, StaticFilter, StaticSettings
 from rumi.belief.static_spaces import PlaneSpace
+from rumi.belief.tempered import Tempered, update_tempered
 from rumi.belief.touch_gain import NOTHING
 from rumi.peg.settings import PegSettings
 from rumi.sim.touch_cell import Felt, TouchCell
@@ -119,6 +120,7 @@ def joined(
     """The second stage's belief: the first's places with every yaw, weighed by what a rectangle would have felt.
 
     Where the first stage took a circle for the block, its likelihood is taken out again and the rectangle's put in.
+    That of a sensor more exact than these poses are apart is let in little by little.
 
     Args:
         found: the first stage.
@@ -130,18 +132,20 @@ def joined(
     index = resample_systematic(found.belief.log_weights, generator=generator)
     places = found.belief.states[index]
     count = len(places)
+    power = settings.power
     offset = torch.rand(count, _YAWS, generator=generator, dtype=places.dtype)
     yaw = (torch.arange(_YAWS, dtype=places.dtype) + offset) / _YAWS * math.pi - 0.5 * math.pi
     poses = torch.cat((places[:, None].expand(-1, _YAWS, -1), yaw[..., None]), -1).reshape(-1, 3)
-    rough = every.only_touches().log_likelihood(poses)
+    rough = power * every.only_touches().log_likelihood(poses)
     keep = rough > rough.max() - _NEGLIGIBLE
     poses = poses[keep]
     first = found.circle.log_likelihood(places)[:, None].expand(-1, _YAWS).reshape(-1)[keep]
-    log = every.log_likelihood(poses) - first
+    log = power * every.log_likelihood(poses) - first
     picked = _thinned(log, settings.particles, generator)
-    belief = follow.start(poses[picked], evidence=every)
-    belief, _ = follow.moved(belief, every, ess=float(len(poses)), generator=generator)
-    return belief
+    partly = Tempered(every, every, power) if power < 1.0 else every
+    belief = follow.start(poses[picked], evidence=partly)
+    belief, _ = follow.moved(belief, partly, ess=float(len(poses)), generator=generator)
+    return update_tempered(follow, belief, every, every, power=power, generator=generator)
 
 
 def _thinned(log_weights: Float[Tensor, "N"], count: int, generator: torch.Generator) -> Tensor:

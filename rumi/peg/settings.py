@@ -12,6 +12,9 @@ from sensors.touch_likelihood import TouchNoise
 
 Stop = Literal["mass", "contacts", "covariance", "entropy"]
 
+_APART_M, _APART_DEG = 1e-3, 2.0
+"""About how far the poses that the second stage begins with are apart."""
+
 
 @dataclass(frozen=True)
 class PegSettings:
@@ -105,6 +108,11 @@ class PegSettings:
     def noise(self) -> TouchNoise:
         """Of the sensor."""
         return TouchNoise(self.point_m, math.radians(self.normal_deg))
+
+    @property
+    def power(self) -> float:
+        """Of the likelihood where the stages meet: below 1 where the sensor is more exact than poses are apart."""
+        return min(1.0, (self.point_m / _APART_M) ** 2, (self.normal_deg / _APART_DEG) ** 2)
 
     @property
     def limits(self) -> SpeedLimits:

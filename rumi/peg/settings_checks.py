@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from rumi.peg.settings import PegSettings
 
 _ABOVE_0 = (
-    *("t_max_s", "tolerance_m", "most_actions", "point_m", "normal_deg", "particles", "search_particles", "readings"),
-    *("configurations", "speed_m_s", "acceleration_m_s2", "low_m", "lane_m", "radius_m", "length_m", "width_m"),
-    *("height_m", "spread_m", "spread_deg"),
+    *("t_max_s", "tolerance_m", "most_actions", "point_m", "normal_deg", "readings", "configurations", "speed_m_s"),
+    *("acceleration_m_s2", "low_m", "lane_m", "radius_m", "length_m", "width_m", "height_m", "spread_m", "spread_deg"),
 )
 _NOT_NEGATIVE = (
     *("evaluation_s", "update_s", "contacts", "sides", "doublings", "retreat_m", "standoff_m", "beyond_m", "hole_m"),
 )
+_FEWEST = {"particles": 100, "search_particles": 300}
+"""Fewer lose a side of the block sooner or later, and are sure of another."""
 
 
 def check(settings: "PegSettings") -> None:
@@ -33,6 +34,12 @@ def check(settings: "PegSettings") -> None:
     for name in _NOT_NEGATIVE:
         if (getattr(settings, name) or 0) < 0:
             raise UsageError(f"Expected {name} to be 0 or more, got {getattr(settings, name)}")
+    for name, fewest in _FEWEST.items():
+        if getattr(settings, name) < fewest:
+            raise UsageError(
+                f"Expected {name} of {fewest} or more, or the belief may be sure of what is wrong, got "
+                f"{getattr(settings, name)}"
+            )
     if not 0 < settings.probability < 1:
         raise UsageError(f"Expected probability between 0 and 1, got {settings.probability}")
     if not 0 <= settings.clear <= 1:

@@ -165,7 +165,7 @@ def gather_modes(
     volume and covariance come from the Fisher information of both at its best pose, and from next to nothing known
     before: a standard deviation of the diagonal for the place, of any angle for the turn.
     """
-    nearest = TouchFit("absolute", True, 0.0, smooth_m=1e-12)
+    nearest = TouchFit("absolute", True, 0.0, smooth_m=0.0)
     distance = touch_terms(surface, world_T_middle, points_w, None, nearest).objective / len(points_w)
     noise = settings.noise_m or max(settings.least_noise_m, float(distance.min()))
     reach = 0.0 if normals_w is None else noise / settings.normal_noise_rad

@@ -16,7 +16,7 @@ from sdf.triangles import closest_point
 # pairs of a pose and a point at once
 _PAIRS = 1 << 17
 # metres: nearer than this, the direction to the surface is the triangle's normal
-_ON = 1e-9
+_ON, _LEAST = 1e-9, 1e-12
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class TouchFit:
         exact: take the triangle that fits best rather than the one that the surface's table has.
         reach_m: sigma_p / sigma_n, by which normals count where there are some.
         noise_m: sigma_p, by which distances weigh against normals in the absolute loss.
-        smooth_m: the absolute loss is sqrt(d^2 + smooth^2).
+        smooth_m: the absolute loss is sqrt(d^2 + smooth^2); 0 for the distance itself, which has a kink.
     """
 
     loss: Literal["square", "absolute"] = "square"
@@ -99,7 +99,7 @@ def _terms_of(surface: TouchSurface, pose: Tensor, points: Tensor, normals: Tens
         weight, loss = torch.ones_like(distance), 0.5 * distance.square()
     else:
         loss = (distance.square() + fit.smooth_m**2).sqrt()
-        weight = 1.0 / loss
+        weight = 1.0 / loss.clamp_min(_LEAST)
     gradient = ((weight * distance)[..., None] * rows).sum(-2)
     hessian = (weight[..., None] * rows).mT @ rows
     objective = loss.sum(-1)

@@ -10,7 +10,7 @@ from sdf.touched_numba import search
 from sdf.tree_numba import closest
 
 _STACK = 64
-_ON = 1e-9
+_ON, _LEAST = 1e-9, 1e-12
 
 
 @bare
@@ -67,7 +67,7 @@ def _terms(
             weight, loss = 1.0, 0.5 * square
             if absolute:
                 loss = math.sqrt(square + smooth * smooth)
-                weight = 1.0 / loss
+                weight = 1.0 / max(loss, _LEAST)
             total += loss
             for i in range(6):
                 gradient[n, i] += weight * distance * row[i]

@@ -63,16 +63,6 @@ SECONDS = {
 }
 """Table VII: seconds a step, mean and standard deviation, on an RTX 4090, for mug 0 and box 0."""
 
-TOTALS = {
-    "successes": {"mug": (28, 14, 25, 9, 0), "drill": (26, 25, 19, 1, 16), "box": (25, 24, 22, 9, 11)},
-    "cumulative_nll": {
-        "mug": (3385, 4444, 4386, 5182, 7555),
-        "drill": (46204, 46790, 64499, 78979, 83739),
-        "box": (44776, 44898, 60568, 65655, 44285),
-    },
-}
-"""The totals as they are printed, by object, in the order of `METHODS`; the tests add the rows up."""
-
 
 def family(task: str) -> str:
     """The object of a task: what its name starts with, or the task's own name."""

@@ -185,10 +185,6 @@ class World:
         """Where the object is."""
         return self._object_poses(np.asarray(self.data.qpos)[None])[0]
 
-    def object_speed(self) -> float:
-        """Speed of the object's frame, m/s."""
-        return float(np.linalg.norm(self.data.joint("object").qvel[:3]))
-
     def cast(
         self,
         origin: Float[Tensor, "3"],

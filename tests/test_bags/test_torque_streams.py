@@ -137,7 +137,7 @@ def test_a_model_whose_meshes_lie_beside_it(pushed_arm, torques, bags, tmp_path)
     (tmp_path / "assets").mkdir()
     trimesh.creation.box((0.01, 0.01, 0.01)).export(tmp_path / "assets" / "mark.stl")
     text = model.read_text().replace("<worldbody>", '<worldbody><geom type="mesh" mesh="mark"/>', 1)
-    assert "<asset>" not in text or "<asset/>" not in text
+    assert "<asset" not in text  # the one of the mesh is all there will be
     mesh = '<asset><mesh name="mark" file="assets/mark.stl"/></asset>'
     (tmp_path / "arm.xml").write_text(text.replace("<worldbody>", f"{mesh}<worldbody>", 1))
     made = bags.readings_of(bag, told((bag, tmp_path / "arm.xml")), tmp_path / "log.h5")

@@ -154,7 +154,7 @@ def test_moves_with_the_base(table):
     there = Reach(table, SMALL, (0.3, -0.2, 0.7)).double()
     moved = se3.to_planar(se3.from_planar(torch.tensor([0.3, -0.2, 0.7], dtype=torch.float64)) @ se3.from_planar(q))
     torch.testing.assert_close(there.residual(moved), here.residual(q), atol=1e-6, rtol=0)
-    torch.testing.assert_close(there.rotation_residual(moved), here.rotation_residual(q), atol=1e-5, rtol=0)
+    torch.testing.assert_close(there.errors(moved)[1], here.errors(q)[1], atol=1e-5, rtol=0)
 
 
 def test_mirror_image(table):
@@ -175,7 +175,7 @@ def test_mirror_image_of_the_arm(arm):
 
 def test_beyond_table_and_sector(reach):
     far = torch.tensor([[BASE[0] + 3.0, BASE[1], BASE[2]]], dtype=torch.float64)
-    assert float(reach.residual_m(far)) > 1.5
+    assert float(reach.errors(far)[0]) > 1.5
     angle = BASE[2] + SECTOR_RAD + 0.3
     behind = torch.tensor(
         [[BASE[0] + 0.8 * math.cos(angle), BASE[1] + 0.8 * math.sin(angle), angle]], dtype=torch.float64
@@ -197,7 +197,8 @@ def test_field_against_a_loop(reach):
             total = 0.0
             for yaw in YAWS_RAD:
                 goal = torch.cat((points[i, j, :2], points.new_tensor([BASE[2] + yaw])))
-                total += float(reach.residual_m(goal)) + 0.1 * float(reach.rotation_residual(goal))
+                position, rotation = reach.errors(goal)
+                total += float(position) + 0.1 * float(rotation)
             assert float(field[i, j]) == pytest.approx(max(0.0, 0.4 - total / len(YAWS_RAD)) / 0.4, abs=1e-6)
     assert bool(((field >= 0) & (field <= 1)).all())
     # the farther out, the less reachable

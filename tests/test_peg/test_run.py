@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 import torch
@@ -12,10 +13,11 @@ from rumi import commands
 from rumi.belief.certainty import Aim
 from rumi.belief.static import StaticBelief
 from rumi.errors import UsageError
+from rumi.peg import refine
 from rumi.peg.refine import sure
 from rumi.peg.run import run_peg
 from rumi.peg.settings import PegSettings
-from rumi.peg_command import PegOptions, settings_of
+from rumi.peg_command import PegOptions, settings_of, summary
 from rumi.sim.touch_cell import TOP
 from sensors.rectangle_touch import RectangleTouches
 
@@ -43,6 +45,13 @@ def test_a_sharp_sensor_finds_the_hole():
         json.dumps(found, allow_nan=False)
 
 
+@pytest.mark.parametrize(("point_m", "normal_deg", "seed"), [(2e-4, 0.3, 6), (5e-5, 0.1, 0), (5e-5, 0.1, 1)])
+def test_a_nearly_exact_sensor_does_not_take_one_side_for_another(point_m, normal_deg, seed):
+    """Readings much more exact than particles are apart used to leave only the one that happened to fit."""
+    run = run_peg(PegSettings(point_m=point_m, normal_deg=normal_deg, evaluation_s=0.003), seed)
+    assert run.stopped_by == "sure" and run.hole_error_m < 0.001
+
+
 def test_the_same_seed_twice():
     first, second = (run_peg(QUICK, 7) for _ in range(2))
     assert first.as_dict() == second.as_dict()
@@ -52,9 +61,18 @@ def test_the_same_seed_twice():
 def test_it_ends_where_nothing_can_be_done():
     allowed = replace(QUICK, t_max_s=1.0, doublings=0)
     run = run_peg(allowed, 0)
-    assert run.stopped_by == "stay" and len(run.felt) == 0 and run.as_dict()["touches"] == 1
+    assert run.stopped_by == "time" and len(run.felt) == 0 and run.as_dict()["touches"] == 1
+    assert "peg: no time for any motion after 1 touch, " in summary(run, Path("runs"))
     few = run_peg(replace(QUICK, most_actions=1), 0)
     assert few.stopped_by == "actions" and len(few.felt) == 1
+    assert "peg: not sure after 2 touches, " in summary(few, Path("runs"))
+
+
+def test_it_ends_where_nothing_tells_anything(monkeypatch):
+    monkeypatch.setattr(refine, "touch_gain", lambda *_, **__: torch.zeros(()))
+    run = run_peg(QUICK, 0)
+    assert run.stopped_by == "stay" and run.thoughts[-1].selection.evaluated > 0
+    assert "nothing more that a touch would tell after 1 touch, " in summary(run, Path("runs"))
 
 
 def test_the_papers_stop():

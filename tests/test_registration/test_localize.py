@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from rumi.registration.localize import LocalizeSettings, PositionPrior, localize
-from rumi.registration.touch_modes import distinct
+from rumi.registration.touch_modes import distinct, gather_modes
 from rumi.registration.touch_surface import TouchSurface
 from rumi.registration.touch_terms import TouchFit, touch_terms
 from rumi.seeding import generator as seeded
@@ -257,6 +257,18 @@ def test_terms_are_the_derivatives(version, wedge, exact, loss, reach):
     assert bool((torch.linalg.eigvalsh(terms.hessian) > -1e-9).all())
 
 
+def test_a_distance_is_not_that_of_the_smoothed_loss(version, box):
+    """Points on the box: what is left is what rounding leaves of them."""
+    truth, points, _ = touches(box, 30)
+    pose = box.centred(truth)[None]
+    assert 0.0 <= float(gather_modes(box, pose, points, None, LocalizeSettings()).distance_m[0]) < 2e-15
+    on = box.triangles.corners[:, 0]
+    middle = torch.eye(4, dtype=F64)[None]
+    terms = touch_terms(box, middle, on, None, TouchFit("absolute", True, smooth_m=0.0))
+    assert float(terms.objective) == 0.0
+    assert all(bool(torch.isfinite(part).all()) for part in terms)
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 def test_versions_agree(dtype, box):
     if not fused.available():
@@ -270,6 +282,7 @@ def test_versions_agree(dtype, box):
         TouchFit("absolute", True),
         TouchFit("square", True, 0.04),
         TouchFit("absolute", False, 0.04),
+        TouchFit("absolute", True, smooth_m=0.0),
     ):
         for some in (poses, poses[:0]):
             results = []

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sensors.segmentation import Plane, cluster_mask, cluster_points, color_mask, fit_plane
+from sensors.segmentation import Plane, cluster_mask, color_mask, fit_plane
 
 pytest.importorskip("cv2")
 
@@ -97,16 +97,3 @@ def test_the_largest_patch_or_the_one_asked_for():
     assert cluster_mask(candidates, pixel=(5.0, 50.0), least_px=1).sum() == 1
     assert not bool(cluster_mask(candidates, least_px=1000).any())
     assert not bool(cluster_mask(torch.zeros(4, 4, dtype=torch.bool)).any())
-
-
-def test_clusters_of_points():
-    pytest.importorskip("scipy")
-    random = seeded()
-    large = 0.1 * torch.rand(3000, 3, generator=random)
-    small = 0.03 * torch.rand(300, 3, generator=random) + torch.tensor([0.2, 0.0, 0.0])
-    points = torch.cat((large, small, torch.tensor([[1.0, 1.0, 1.0]])))
-    assert cluster_points(points).nonzero()[:, 0].tolist() == list(range(3000))
-    near = cluster_points(points, near=torch.tensor([0.3, 0.0, 0.0]))
-    assert near.nonzero()[:, 0].tolist() == list(range(3000, 3300))
-    assert not bool(cluster_points(points, least=10_000).any())
-    assert len(cluster_points(torch.zeros(0, 3))) == 0
