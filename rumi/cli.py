@@ -59,7 +59,8 @@ examples:
   rumi plot runs/mug-0-rumi-default-s0 --steps 0 4 8
 
 `rumi run` ends with exit code 0 if the belief became sure by its own stopping rule, 1 if it did not, 2 for input
-that cannot be, and 130 after Ctrl-C, which leaves a readable run.
+that cannot be, and 130 after Ctrl-C. What was done until then is in the run's folder: a run to read, replay and plot;
+of touch-box settings and pokes; of peg, and of what was interrupted before its first view, nothing, and no folder.
 """
 
 

@@ -40,8 +40,57 @@ def test_figures_are_drawn():
     pytest.importorskip("matplotlib")
     main(["run", "touch-box", *QUICK, "--out", "own", "--seed", "2002"])
     assert {path.name for path in Path("own").iterdir()} == {
-        *("pokes.png", "sure.png", "result.json", "settings.json"),
+        *("pokes.png", "sure.png", "result.json", "settings.json", "steps.jsonl"),
     }
+
+
+@pytest.mark.parametrize("out", ["file", "file/run"])
+def test_a_folder_that_cannot_be_written_is_refused_before_the_run(out, monkeypatch, capsys):
+    monkeypatch.setattr("rumi.touch.make.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
+    Path("file").write_text("in the way")
+    assert main(["run", "touch-box", *QUICK, "--out", out]) == cli.BAD_INPUT
+    said = capsys.readouterr().err
+    assert f"Cannot write to the folder {out}" in said and "give another one" in said
+
+
+def test_a_folder_with_a_run_is_refused_and_other_files_stay(capsys):
+    Path("own").mkdir()
+    Path("own/notes.txt").write_text("mine")
+    assert main(["run", "touch-box", *QUICK, "--no-figures", "--out", "own"]) in (cli.DONE, cli.NOT_CONVERGED)
+    assert Path("own/notes.txt").read_text() == "mine"
+    before = Path("own/result.json").read_bytes()
+    assert main(["run", "touch-box", *QUICK, "--out", "own"]) == cli.BAD_INPUT
+    assert "own holds a run already" in capsys.readouterr().err
+    assert Path("own/result.json").read_bytes() == before
+
+
+def test_an_interrupt_leaves_the_pokes_that_were_done(monkeypatch, capsys):
+    from rumi.touch.planar_robot import PlanarRobot
+
+    execute, done = PlanarRobot.execute, []
+
+    def interrupt(self, *arguments):
+        if done:
+            raise KeyboardInterrupt
+        done.append(execute(self, *arguments))
+        return done[0]
+
+    monkeypatch.setattr(PlanarRobot, "execute", interrupt)
+    assert main(["run", "touch-box", *QUICK, "--seed", "2001", "--out", "own"]) == cli.INTERRUPTED
+    assert "1 poke done so far: see own" in capsys.readouterr().err
+    assert json.loads(Path("own/settings.json").read_text())["seed"] == 2001
+    (poke,) = (line for line, _ in read_lines(Path("own/steps.jsonl")))
+    assert len(poke["readings"]) == len(done[0].contact)
+    assert not Path("own/result.json").exists()
+
+
+def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
+    def interrupt(*arguments, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rumi.touch.make.make_toucher", interrupt)
+    assert main(["run", "touch-box", *QUICK]) == cli.INTERRUPTED
+    assert not list(Path("runs").iterdir())
 
 
 @pytest.mark.parametrize(
