@@ -21,6 +21,7 @@ from rumi.bench.timing import fitting_clock
 from rumi.cli import DONE, INTERRUPTED
 from rumi.errors import UsageError
 from rumi.progress import say
+from rumi.recording import make_folder
 
 QUICK, WHOLE = (1.0, 3), (6.0, 9)
 """Seconds for the rounds of a case, and rounds at least."""
@@ -103,6 +104,8 @@ def _check(options: BenchOptions) -> None:
         raise UsageError("--only and --against are about the cases: leave them out with --pareto and --scaling")
     if options.json is not None:
         history.check_writable(options.json)
+    if options.pareto or options.scaling:
+        make_folder(options.out)
 
 
 def _studies(options: BenchOptions) -> int:

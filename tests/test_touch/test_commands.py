@@ -105,11 +105,22 @@ def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
         (["run", "touch-box", "--robot", "arm", "--task.rates", "0.9", "0.05"], "The arm feels by its own torques"),
         (["run", "touch-box", "--robot", "arm", "--task.correlation", "0.5"], "The arm feels by its own torques"),
         (["reproduce", "touch-table9"], "There is no experiment 'touch-table9' of touch"),
+        (["reproduce", "touch-table1", "table5"], "There is no experiment 'table5' of touch"),
+        (["reproduce", "table5", "touch-table1"], "the touch-* experiments are given by themselves"),
+        (["reproduce", "--seeds", "2000", "--show", "touch-table1"], "holds no runs with these settings"),
+        (["reproduce", "table5", "--show", "--out", "touch-out"], f"There are no results in {Path('touch-out')}"),
+        (["reproduce", "table5", "--tasks", "touch-box"], "There is no task 'touch-box'"),
+        (["reproduce"], "touch-fig4"),
+        (["reproduce", "table9"], "by themselves touch-table1, touch-table2, touch-fig3, touch-fig4"),
+        (["reproduce", "touch-fig3", "--out", "file", "--results", "a.jsonl"], "Cannot write to the folder file"),
+        (["reproduce", "touch-table1", "--results", "."], "Cannot write .: it is a folder"),
         (["reproduce", "touch-table1", "--methods", "guess"], "There is no method 'guess'"),
         (["reproduce", "touch-table1", "--show"], "holds no runs with these settings"),
     ],
 )
-def test_what_cannot_be_is_refused(arguments, message, capsys):
+def test_what_cannot_be_is_refused(arguments, message, monkeypatch, capsys):
+    monkeypatch.setattr("rumi.reproduce.touch.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
+    Path("file").write_text("in the way")
     assert main(arguments) == cli.BAD_INPUT
     assert message in capsys.readouterr().err
     assert not Path("runs").exists()
