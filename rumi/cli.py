@@ -2,7 +2,8 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from rumi import __version__
 from rumi.errors import DegenerateBeliefError, UsageError
@@ -59,7 +60,8 @@ examples:
   rumi plot runs/mug-0-rumi-default-s0 --steps 0 4 8
 
 `rumi run` ends with exit code 0 if the belief became sure by its own stopping rule, 1 if it did not, 2 for input
-that cannot be, and 130 after Ctrl-C, which leaves a readable run.
+that cannot be, and 130 after Ctrl-C. What was done until then is in the run's folder: a run to read, replay and plot;
+of touch-box settings and pokes; of peg, and of what was interrupted before its first view, nothing, and no folder.
 """
 
 
@@ -73,14 +75,39 @@ def main(argv: Sequence[str] | None = None) -> int:
     if name == "--version":
         sys.stdout.write(f"rumi {__version__}\n")
         return DONE
-    try:
-        if name not in COMMANDS:
-            raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
-        from rumi import commands  # loads torch: only now, so that help is quick
+    return _guarded(lambda: _command(name, arguments[1:]))
 
-        return int(getattr(commands, HOMES.get(name, name))(arguments[1:]))
-    except SystemExit as end:  # of the parser, which has said why
-        return end.code if isinstance(end.code, int) else BAD_INPUT
+
+def script(work: Callable[[], object]) -> NoReturn:
+    """Carry out what a script does, and end as `rumi` does: the same words and exit codes for what goes wrong.
+
+    Args:
+        work: what to do; the exit code is 0 unless it raises, `SystemExit` among others.
+    """
+
+    def done() -> int:
+        work()
+        return DONE
+
+    sys.exit(_guarded(done))
+
+
+def _command(name: str, arguments: Sequence[str]) -> int:
+    if name not in COMMANDS:
+        raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
+    from rumi import commands  # loads torch: only now, so that help is quick
+
+    return int(getattr(commands, HOMES.get(name, name))(arguments))
+
+
+def _guarded(work: Callable[[], int]) -> int:
+    """The exit code of some work; what goes wrong is said in a line or two."""
+    try:
+        return work()
+    except SystemExit as end:  # of the parser, which has said why, or with words
+        if isinstance(end.code, str):
+            sys.stderr.write(f"rumi: {end.code}\n")
+        return DONE if end.code is None else end.code if isinstance(end.code, int) else BAD_INPUT
     except KeyboardInterrupt:
         sys.stderr.write("rumi: interrupted\n")
         return INTERRUPTED

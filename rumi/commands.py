@@ -134,11 +134,9 @@ def localize(arguments: Sequence[str]) -> int:
 
 def reproduce(arguments: Sequence[str]) -> int:
     """`rumi reproduce`: the paper's tables and figures."""
-    from rumi.reproduce import command
+    from rumi.reproduce import command, touch
 
-    if any(argument.startswith("touch-") for argument in arguments):
-        from rumi.reproduce import touch
-
+    if touch.asked_for(arguments):
         return touch.reproduce_touch(arguments, cache_dir=cache_folder())
     return command.reproduce(arguments, cache_dir=cache_folder())
 

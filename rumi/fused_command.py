@@ -12,6 +12,7 @@ import tyro
 
 from rumi.cli import DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.errors import UsageError
+from rumi.progress import Progress, both, say, stages
 
 if TYPE_CHECKING:
     from rumi.fused.log import FusedLogRecorder
@@ -71,7 +72,6 @@ def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     from rumi.fused.parts import build_fused
     from rumi.fused.run import run_fused
     from rumi.fused.settings import FusedSettings
-    from rumi.progress import Progress, both
     from rumi.recording import RunRecorder, free_folder, left_if_begun, prepare_folder, write_json
     from rumi.run_command import draw_figures
 
@@ -90,10 +90,10 @@ def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     named = f"{NAME}-{options.sensors.replace(',', '-')}-s{options.seed}"
     folder = options.out or free_folder(Path("runs") / named)
     prepare_folder(folder)
-    _say(f"{NAME} with {', '.join(settings.sensors)}, seed {options.seed}; writing to {folder}")
-    _say("grasps are simulated once and kept (a minute at first)")
+    say(f"{NAME} with {', '.join(settings.sensors)}, seed {options.seed}; writing to {folder}")
+    say("grasps are simulated once and kept (a minute at first)")
     if note := short_of(settings):
-        _say(note)
+        say(note)
     with left_if_begun(folder):
         parts = build_fused(settings, cache_dir=cache_dir)
     with (
@@ -109,7 +109,7 @@ def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
             log.finish(outcome.found)
     write_json(folder / "grasp.json", grasp_of(outcome))
     if options.figures and outcome.ended != "interrupted":
-        _say("drawing figures")
+        say("drawing figures")
         draw_figures(folder, folder / "figures", None)
     sys.stdout.write(summary(outcome, folder, settings.budget_s))
     if outcome.ended == "interrupted":
@@ -173,7 +173,6 @@ def short_of(settings: "FusedSettings") -> str | None:
 
 def summary(outcome: "Outcome", folder: Path, budget_s: float) -> str:
     """A few lines on how a run ended."""
-    from rumi.progress import stages
     from rumi.run_command import ending
 
     found = outcome.found
@@ -197,8 +196,3 @@ def _log(folder: Path, seed: int, settings: "FusedSettings") -> "FusedLogRecorde
     from rumi.recording import provenance
 
     return FusedLogRecorder(folder / LOG, seed, settings, {"made_with": provenance()})
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"rumi: {text}\n")
-    sys.stderr.flush()

@@ -12,6 +12,7 @@ from rumi.cli import DONE, NOT_CONVERGED
 from rumi.errors import UsageError
 from rumi.fused.settings import FusedSettings
 from rumi.logbook import LOG
+from rumi.progress import Progress, both, say
 
 if TYPE_CHECKING:
     from sensors.log.reader import Log
@@ -79,7 +80,6 @@ def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int
     from rumi.assemble import scene_sketch
     from rumi.fused.finder import build_finder
     from rumi.fused.log import IDLE, differing, recorded, refuse_other_senses, replay_fused
-    from rumi.progress import Progress, both
     from rumi.recording import RunRecorder, load_run, prepare_folder
     from rumi.replay_command import machines, summary
     from sensors.felt_reading import FeltReading
@@ -96,7 +96,7 @@ def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int
         raise UsageError(f"Expected seed to be 0 or more, got {options.seed}")
     changed = differing(before, settings) + (["seed"] if options.seed != seed else [])
     if idle := [name for name in changed if name in IDLE]:
-        _say(f"{', '.join(idle)}: no effect, since what was done is recorded")
+        say(f"{', '.join(idle)}: no effect, since what was done is recorded")
     finder = build_finder(settings, cache_dir=cache_dir)
     if options.out is not None:
         prepare_folder(options.out)
@@ -104,7 +104,7 @@ def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int
         raise UsageError("Expected --out DIR with --figures, got none: figures need a folder")
     taken = log.taken(FeltReading)
     for problem in log.problems:
-        _say(problem)
+        say(problem)
     with Progress("fused", len(taken) - 1) as progress:
         if options.out is None:
             done = replay_fused(taken, finder, seed=options.seed, on_step=progress)
@@ -122,11 +122,6 @@ def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int
     sys.stdout.write(summary(done, len(taken), mattering, options.out, "fused", go_on=""))
     if not mattering and False in done.same:
         for line in machines(log):
-            _say(line)
+            say(line)
         return NOT_CONVERGED
     return DONE if done.result.stopped_by == "converged" else NOT_CONVERGED
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"rumi: {text}\n")
-    sys.stderr.flush()

@@ -13,7 +13,7 @@ from rumi.cli import DONE, NOT_CONVERGED
 from rumi.errors import UsageError
 from rumi.peg.run import PegRun, run_peg
 from rumi.peg.settings import PegSettings, Stop
-from rumi.recording import free_folder, prepare_folder
+from rumi.recording import free_folder, left_if_begun, prepare_folder
 
 NAME = "peg"
 DESCRIPTION = "a block with two holes on a table, found by touch under a deadline, and a peg put into it"
@@ -63,7 +63,8 @@ def peg(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     settings = settings_of(options)
     folder = options.out or free_folder(Path("runs") / f"peg-t{settings.t_max_s:g}-{settings.stop}-s{options.seed}")
     prepare_folder(folder)
-    run = run_peg(settings, options.seed)
+    with left_if_begun(folder):
+        run = run_peg(settings, options.seed)
     (folder / "result.json").write_text(json.dumps(record(run), indent=1, allow_nan=False) + "\n", encoding="utf-8")
     if options.figures:
         draw(run, folder)

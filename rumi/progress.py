@@ -30,6 +30,12 @@ class Stream(Protocol):
         ...
 
 
+def say(text: str) -> None:
+    """A line for people, beside what a command gives."""
+    sys.stderr.write(f"rumi: {text}\n")
+    sys.stderr.flush()
+
+
 class Progress:
     """Shows each step: nll, apc, effective sample size and seconds by stage; use as a context manager.
 

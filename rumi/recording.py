@@ -158,10 +158,21 @@ def load_run(folder: Path | str) -> Run:
 
 
 def prepare_folder(folder: Path) -> None:
-    """Make the folder of a run, with its parents.
+    """Make the folder of a run, with its parents; other files may lie in it, and stay.
 
     Raises:
         UsageError: it cannot be written, or holds a run already.
+    """
+    make_folder(folder)
+    if holds_run(folder):
+        raise UsageError(f"{folder} holds a run already: give another folder, or remove this one")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, with its parents, and make sure that files can be written there.
+
+    Raises:
+        UsageError: they cannot.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -170,8 +181,6 @@ def prepare_folder(folder: Path) -> None:
         probe.unlink()
     except OSError as error:
         raise _unwritable(folder, error) from error
-    if holds_run(folder):
-        raise UsageError(f"{folder} holds a run already: give another folder, or remove this one")
 
 
 def _unwritable(folder: Path, error: OSError) -> UsageError:
@@ -194,10 +203,10 @@ def free_folder(folder: Path) -> Path:
 
 @contextlib.contextmanager
 def left_if_begun(folder: Path) -> Iterator[None]:
-    """Take an empty folder away again where what is done in it first fails; other files in it are the user's."""
+    """Take an empty folder away again where what is done first fails or is interrupted; files in it are kept."""
     try:
         yield
-    except Exception:
+    except BaseException:
         with contextlib.suppress(OSError):
             folder.rmdir()
         raise

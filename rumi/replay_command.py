@@ -17,6 +17,7 @@ from rumi.cli import DONE, NOT_CONVERGED
 from rumi.config import Settings, from_dict, to_dict
 from rumi.errors import UsageError
 from rumi.logbook import LOG
+from rumi.progress import Progress, both, say
 
 if TYPE_CHECKING:
     from rumi.bags.mapping import BagMap
@@ -164,7 +165,6 @@ def _parsed(arguments: Sequence[str], path: Path, start: Settings) -> ReplayOpti
 
 
 def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "BagMap | None", cache_dir: Path) -> int:
-    from rumi.progress import Progress, both
     from rumi.recording import RunRecorder, load_run, prepare_folder, write_json
     from rumi.replay import replay as take_in
 
@@ -175,10 +175,10 @@ def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "Ba
         raise UsageError("Expected --out DIR with --figures, got none: figures need a folder")
     changed = changes(to_dict(recorded), to_dict(settings))
     if idle := [name for name in changed if name.split(".")[0] in _NO_EFFECT]:
-        _say(f"{', '.join(idle)}: no effect, since what was done is recorded")
+        say(f"{', '.join(idle)}: no effect, since what was done is recorded")
     taken = log.taken() if mapping is None else made_readings(log, mapping, settings)
     for problem in log.problems:
-        _say(problem)
+        say(problem)
     if settings.steps is not None:
         taken = taken[: settings.steps + 1]
     rummager = rummager_of(settings, mapping, taken, cache_dir)
@@ -205,7 +205,7 @@ def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "Ba
     sys.stdout.write(summary(done, len(taken), asked, options.out, settings.task))
     if not asked and False in done.same:
         for line in machines(log):
-            _say(line)
+            say(line)
         return NOT_CONVERGED
     return DONE if done.result.stopped_by == "converged" else NOT_CONVERGED
 
@@ -273,11 +273,11 @@ def made_readings(log: "Log", mapping: "BagMap", settings: Settings) -> "list[Ta
 
     made = make_readings(log, mapping, seed=settings.seed)
     if made.wrenches:
-        _say("wrenches: " + ", ".join(f"{count} {name}" for name, count in made.wrenches.items() if count))
+        say("wrenches: " + ", ".join(f"{count} {name}" for name, count in made.wrenches.items() if count))
     for line in (*made.notes, *made.problems[:10]):
-        _say(line)
+        say(line)
     if len(made.problems) > 10:
-        _say(f"and {len(made.problems) - 10} more like these")
+        say(f"and {len(made.problems) - 10} more like these")
     return made.taken
 
 
@@ -320,7 +320,7 @@ def _check_object(log: "Log", rummager: "Rummager") -> None:
     mesh = json.loads(log.texts.get("object", "{}")).get("mesh")
     source = rummager.model.source
     if mesh is not None and source is not None and mesh.get("sha256") != source.sha256:
-        _say(f"{source.file} is not the mesh of the recorded run ({mesh.get('file')}): other beliefs will come of it")
+        say(f"{source.file} is not the mesh of the recorded run ({mesh.get('file')}): other beliefs will come of it")
 
 
 def machines(log: "Log") -> list[str]:
@@ -329,11 +329,6 @@ def machines(log: "Log") -> list[str]:
 
     now, then = provenance(), json.loads(log.texts.get("made_with", "{}"))
     return [f"recorded with {name} {_at(then, name)}, replayed with {_at(now, name)}" for name in changes(then, now)]
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"rumi: {text}\n")
-    sys.stderr.flush()
 
 
 def _at(values: Mapping[str, Any], name: str) -> Any:  # noqa: ANN401  (a plain value)

@@ -18,7 +18,7 @@ from rumi.errors import UsageError
 from rumi.explain import Decisions, explain
 from rumi.flags import asked_preset, check_flags
 from rumi.logbook import LOG, LogRecorder
-from rumi.progress import Progress, both, stages
+from rumi.progress import Progress, both, say, stages
 from rumi.recording import RunRecorder, free_folder, left_if_begun, load_run, prepare_folder, provenance, write_json
 from rumi.records import RunResult
 from rumi.sim.sensor_settings import SensorKind, degraded
@@ -79,16 +79,16 @@ def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
     if steps > spec.steps:
         raise UsageError(f"Expected steps to be at most the {spec.steps} of {spec.name}, got {steps}")
     device = settings.torch_device
-    folder = default_folder(settings) if options.out is None else options.out
-    prepare_folder(folder)
-    asked = f"{settings.task} with {settings.method} ({settings.preset}), seed {settings.seed}, on {device}"
-    _say(f"{asked}; writing to {folder}")
     from rumi.assemble import build, scene_sketch
     from rumi.loop import rummage
     from rumi.sim.objects import record
 
+    folder = default_folder(settings) if options.out is None else options.out
+    prepare_folder(folder)
+    asked = f"{settings.task} with {settings.method} ({settings.preset}), seed {settings.seed}, on {device}"
+    say(f"{asked}; writing to {folder}")
     if settings.object.mesh is not None:
-        _say(f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)")
+        say(f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)")
     with left_if_begun(folder):
         task, rummager = build(settings, cache_dir=cache_dir)
     if settings.budget_s is not None:
@@ -113,7 +113,7 @@ def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
             if (raw := getattr(task, "raw", None)) is not None:
                 (folder / "map.toml").write_text(raw.mapping(settings.object), encoding="utf-8")
     if options.figures and result.stopped_by != "interrupted":
-        _say("drawing figures")
+        say("drawing figures")
         draw_figures(folder, folder / "figures", None)
     sys.stdout.write(summary(result, folder, settings.task))
     if options.explain:
@@ -200,8 +200,3 @@ def draw_figures(folder: Path, out: Path, steps: Sequence[int] | None) -> list[P
     from rumi.viz.figures import make_figures
 
     return make_figures(load_run(folder), out, steps)
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"rumi: {text}\n")
-    sys.stderr.flush()

@@ -25,6 +25,7 @@ from rumi.bench.deadline_report import draw, tables
 from rumi.bench.deadline_simulation import measure_simulated
 from rumi.bench.deadlines import PLANNERS, measure_real, measure_value
 from rumi.bench.ledger import Ledger
+from rumi.cli import script
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -145,4 +146,4 @@ def carry_on(work: Iterator[bool], seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Command, description=__doc__))  # type: ignore[arg-type]
+    script(lambda: main(tyro.cli(Command, description=__doc__)))  # type: ignore[arg-type]

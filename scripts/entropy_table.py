@@ -16,6 +16,7 @@ from torch import Tensor
 
 from rumi.belief.entropy import Entropy, KernelEntropy, NeighbourEntropy, SharedSupport, SpatialEntropy
 from rumi.belief.states import StateMetric
+from rumi.cli import script
 
 
 @dataclass(frozen=True)
@@ -95,4 +96,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    script(main)

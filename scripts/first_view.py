@@ -16,7 +16,9 @@ import tyro
 from torch import Tensor
 
 from rumi.assemble import build
+from rumi.cli import script
 from rumi.config import preset
+from rumi.errors import UsageError
 from rumi.loop import first_belief
 from rumi.registration.descent import DescentSettings, descend
 from rumi.seeding import split
@@ -87,6 +89,8 @@ def judge(weight: Tensor, yaw_deg: Tensor) -> Judged:
 
 def main(options: Options) -> list[Judged]:
     """Sweep each task once, initialise it with every seed, print and draw; gives the worst of each task."""
+    if options.seeds < 1:
+        raise UsageError(f"Expected --seeds of 1 or more, got {options.seeds}")
     drawn, worst = [], []
     for name in options.tasks:
         parts = build(preset("default", task=name), cache_dir=options.cache)
@@ -142,4 +146,4 @@ def draw(drawn: list[tuple[str, Tensor, list[Tensor]]], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options, description=__doc__))
+    script(lambda: main(tyro.cli(Options, description=__doc__)))

@@ -11,7 +11,6 @@ Tune on seeds of 1000 and more.
 
 import hashlib
 import statistics
-import sys
 import time
 from dataclasses import dataclass
 from itertools import pairwise
@@ -22,6 +21,7 @@ import numpy as np
 import torch
 import tyro
 
+from rumi.cli import script
 from rumi.commands import cache_folder
 from rumi.errors import DegenerateBeliefError
 from rumi.fused.parts import FusedParts, build_fused
@@ -297,16 +297,13 @@ def _row(cells: tuple[str, ...]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run, show, draw or sense."""
     chosen = tyro.extras.subcommand_cli_from_dict(
         {"run": Run, "show": Show, "draw": Draw, "senses": Senses}, description=__doc__
     )
-    if isinstance(chosen, Run):
-        run(chosen)
-    elif isinstance(chosen, Show):
-        show(chosen)
-    elif isinstance(chosen, Senses):
-        senses(chosen)
-    else:
-        draw(chosen)
-    sys.exit(0)
+    {Run: run, Show: show, Draw: draw, Senses: senses}[type(chosen)](chosen)
+
+
+if __name__ == "__main__":
+    script(main)

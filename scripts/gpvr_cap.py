@@ -20,6 +20,7 @@ from rumi.assemble import build
 from rumi.baselines.gpvr import GPVRPolicy, GPVRSettings
 from rumi.baselines.implicit_surface import Hyperparameters, Labelled, fit, predictive_variance
 from rumi.belief.particles import PoseBelief
+from rumi.cli import script
 from rumi.config import preset
 from rumi.fields.information import information_field
 from rumi.loop import rummage
@@ -139,4 +140,4 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options, description=__doc__))
+    script(lambda: main(tyro.cli(Options, description=__doc__)))

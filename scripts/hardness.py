@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.assemble import build, reachability
+from rumi.cli import script
 from rumi.config import preset
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
@@ -139,4 +140,4 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options, description=__doc__))
+    script(lambda: main(tyro.cli(Options, description=__doc__)))

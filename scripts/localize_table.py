@@ -18,6 +18,7 @@ import torch
 import tyro
 from tqdm import tqdm
 
+from rumi.cli import script
 from rumi.jsonlines import append_line, read_lines
 from rumi.metrics.intervals import wilson
 from rumi.registration.localize import localize
@@ -164,6 +165,11 @@ def fingerprint() -> str:
     return digest.hexdigest()[:12]
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run or show."""
     options = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show}, description=__doc__)
-    run(options) if isinstance(options, Run) else show(options)
+    {Run: run, Show: show}[type(options)](options)
+
+
+if __name__ == "__main__":
+    script(main)

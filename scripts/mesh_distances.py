@@ -22,6 +22,7 @@ import tyro
 from rumi.bench import meshes
 from rumi.bench.machine import environment
 from rumi.bench.mug_mesh import damaged, mug_mesh
+from rumi.cli import script
 from sdf.base import SDF
 from sdf.build import from_mesh
 from sdf.mesh import TriangleMesh, load_mesh
@@ -293,6 +294,11 @@ def say(text: str) -> None:
     sys.stderr.flush()
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Measure or show."""
     chosen = tyro.extras.subcommand_cli_from_dict({"accuracy": Accuracy, "show": Show})
-    accuracy(chosen) if isinstance(chosen, Accuracy) else show(chosen)
+    {Accuracy: accuracy, Show: show}[type(chosen)](chosen)
+
+
+if __name__ == "__main__":
+    script(main)

@@ -18,6 +18,7 @@ import tyro
 
 from rumi.bench import drill
 from rumi.bench.mug_mesh import damaged, mug_mesh, write_obj
+from rumi.cli import script
 from rumi.reproduce.cells import flags, middle, numbers, rate, table
 from rumi.reproduce.command import seeds_of
 from rumi.reproduce.executors import on_this_machine
@@ -156,9 +157,14 @@ def _object(record: Record) -> str:
     return " ".join([name, *(value for value in record.overrides if not value.startswith("object.mesh="))])
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run or show; exit code 1 if a run failed."""
     options = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show}, description=__doc__)
     if isinstance(options, Show):
         show(options)
-    else:
-        sys.exit(1 if run(options) else 0)
+    elif run(options):
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    script(main)

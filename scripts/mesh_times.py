@@ -21,6 +21,7 @@ import tyro
 from mesh_distances import PADDING_M, RESULTS, keep, say
 
 from rumi.bench import meshes
+from rumi.cli import script
 from sdf.build import from_mesh
 from sdf.mesh import load_mesh
 from sdf.mesh_sdf import MeshSDF
@@ -134,4 +135,4 @@ def _quartered(vertices: torch.Tensor, faces: torch.Tensor) -> tuple[torch.Tenso
 
 
 if __name__ == "__main__":
-    timings(tyro.cli(Time, description=__doc__))
+    script(lambda: timings(tyro.cli(Time, description=__doc__)))

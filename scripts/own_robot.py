@@ -8,6 +8,7 @@ The page scripts/docs/own-robot.md goes through it step by step.
 """
 
 import argparse
+import math
 import time
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -18,10 +19,13 @@ from torch import Tensor
 
 from rumi.bags.mapping import BagMap, read_mapping
 from rumi.bags.scene import rummager_of_map, settings_of
-from rumi.logbook import digest
+from rumi.cli import script
+from rumi.errors import UsageError
+from rumi.logbook import LOG, digest
 from rumi.loop import rummage
 from rumi.planning.gripper import GripperShape
 from rumi.planning.tool import Tool
+from rumi.recording import prepare_folder
 from rumi.records import RunResult, StepRecord
 from rumi.sim.tasks import large_handled_mug
 from rumi.task import StepResult
@@ -80,6 +84,8 @@ class FakeDriver:
     """A mug that is screwed to the table, a camera with noise, and fingers that stop where they touch."""
 
     def __init__(self, world_T_mug: Tensor, *, noise_m: float = 0.001, camera_off_m: float = 0.0) -> None:
+        if not math.isfinite(camera_off_m):
+            raise UsageError(f"Expected --camera-off in metres, got {camera_off_m}")
         self.world_T_mug, self._noise_m = world_T_mug, noise_m
         self._mug, self._generator = large_handled_mug().exact, torch.Generator().manual_seed(0)
         self._tool = Tool(torch.tensor([[0.0, -0.5], [1.0, 0.5]]), height_m=0.045)
@@ -217,8 +223,10 @@ def main(out: Path, driver: Driver, *, seed: int = 0) -> tuple[RunResult, StepRe
     mapping = read_mapping(Path(__file__).with_suffix(".toml"))
     settings = settings_of(mapping)
     last: list[StepRecord] = []
-    out.mkdir(parents=True, exist_ok=True)
-    with LogWriter(out / "log.h5", STREAMS, about={"map": mapping.text}) as log:
+    prepare_folder(out)
+    if (out / LOG).exists():
+        raise UsageError(f"{out} holds a log already: give another folder, or remove it")
+    with LogWriter(out / LOG, STREAMS, about={"map": mapping.text}) as log:
         robot = OwnRobot(driver, mapping, log)
         rummager = rummager_of_map(mapping, settings, driver.home().world_T_tool[None, :3, 3])
         robot.tool = rummager.tool
@@ -236,10 +244,15 @@ def main(out: Path, driver: Driver, *, seed: int = 0) -> tuple[RunResult, StepRe
     return result, last[0]
 
 
-if __name__ == "__main__":
+def command() -> None:
+    """Rummage with the fake driver."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("own"), help="folder of the log")
     parser.add_argument("--camera-off", type=float, default=0.0, help="metres that the fake camera is off along x")
     asked = parser.parse_args()
     mug = se3.from_planar(torch.tensor([0.56, 0.03, 0.7]), float(-large_handled_mug().exact.bounds[0, 2]))
     main(asked.out, FakeDriver(mug, camera_off_m=asked.camera_off))
+
+
+if __name__ == "__main__":
+    script(command)

@@ -23,6 +23,7 @@ from tqdm import tqdm
 
 from rumi.assemble import build, build_rummager
 from rumi.bench.ledger import commit
+from rumi.cli import script
 from rumi.config import Settings, from_dict
 from rumi.dynamics.displacement import Hazard
 from rumi.dynamics.family import PushModels
@@ -298,7 +299,12 @@ def number(value: float, digits: int) -> str:
     return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run, show, or tell of a run's folder."""
     commands = {"run": Run, "show": Show, "folder": Folder}
     chosen = tyro.extras.subcommand_cli_from_dict(commands, description=__doc__)
     {Run: run, Show: show, Folder: folder}[type(chosen)](chosen)
+
+
+if __name__ == "__main__":
+    script(main)

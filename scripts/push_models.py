@@ -15,6 +15,7 @@ import tyro
 from torch import Tensor
 
 from rumi.assemble import workspace_of
+from rumi.cli import script
 from rumi.dynamics.family import EngineSettings, PushModels
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import information_field
@@ -145,4 +146,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    script(main)

@@ -18,6 +18,7 @@ import tyro
 
 from rumi.assemble import build
 from rumi.bench.ledger import Ledger
+from rumi.cli import script
 from rumi.commands import cache_folder
 from rumi.config import Settings, preset
 from rumi.dynamics.family import PushChoice
@@ -166,4 +167,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    script(main)

@@ -17,6 +17,7 @@ import torch
 import tyro
 
 from rumi.assemble import build
+from rumi.cli import script
 from rumi.config import from_dict, preset, to_dict
 from rumi.jsonlines import append_line, read_lines
 from rumi.logbook import LogRecorder
@@ -112,8 +113,13 @@ def main(options: Run) -> None:
                 print(json.dumps(found))
 
 
-if __name__ == "__main__":
+def command() -> None:
+    """Run or show."""
     asked = tyro.cli(Annotated[Run, tyro.conf.subcommand("run")] | Annotated[Show, tyro.conf.subcommand("show")])
     if isinstance(asked, Run):
         main(asked)
     print(table())
+
+
+if __name__ == "__main__":
+    script(command)

@@ -9,7 +9,6 @@ Tune on seeds of 1000 and more.
 
 import hashlib
 import statistics
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -20,6 +19,7 @@ import torch
 import tyro
 
 from rumi.assemble import build
+from rumi.cli import script
 from rumi.commands import cache_folder
 from rumi.config import preset
 from rumi.errors import DegenerateBeliefError
@@ -224,8 +224,12 @@ def stamp(name: str) -> str:
     return hashlib.sha256(repr(sorted(asdict(SENSORS[name]).items())).encode()).hexdigest()[:8]
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run, tell why, or show."""
     commands: dict[type, Callable[[Any], None]] = {Run: run, Why: why, Show: show}
     chosen = tyro.extras.subcommand_cli_from_dict({"run": Run, "why": Why, "show": Show}, description=__doc__)
     commands[type(chosen)](chosen)
-    sys.exit(0)
+
+
+if __name__ == "__main__":
+    script(main)

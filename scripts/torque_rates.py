@@ -26,6 +26,7 @@ import tyro
 from tqdm import tqdm
 
 from rumi.bench.timing import fitting_clock
+from rumi.cli import script
 from rumi.jsonlines import append_line, read_lines
 from rumi.metrics.intervals import wilson
 from rumi.reproduce.seeds import seeds_of
@@ -315,4 +316,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    script(main)

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from rumi.bench.ledger import Ledger
+from rumi.cli import script
 from rumi.commands import cache_folder
 from rumi.reproduce.code import code_hash
 from rumi.reproduce.seeds import seeds_of
@@ -219,4 +220,4 @@ def main() -> None:
 
 if __name__ == "__main__":
     assert asdict(TouchTask())["readings"] == round(_EVERY / TouchTask().spacing_m)
-    main()
+    script(main)

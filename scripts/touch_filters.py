@@ -14,6 +14,7 @@ from pathlib import Path
 import tyro
 
 from rumi.bench.touch_filters import PAPER, PushSetup, Variant, compare, markdown, wide
+from rumi.cli import script
 
 
 @dataclass(frozen=True)
@@ -69,4 +70,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    script(main)

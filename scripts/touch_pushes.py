@@ -11,6 +11,7 @@ import torch
 import tyro
 from torch import Tensor
 
+from rumi.cli import script
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
 from rumi.sim.touch_gripper import GripperRobot
@@ -73,4 +74,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    script(main)

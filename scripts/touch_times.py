@@ -12,6 +12,7 @@ from typing import get_args
 import torch
 import tyro
 
+from rumi.cli import script
 from rumi.seeding import split
 from rumi.touch.grasping import clearance_table
 from rumi.touch.localise import Toucher
@@ -66,4 +67,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    script(main)

@@ -21,6 +21,7 @@ import tyro
 from rumi.bench.known_scenes import SCENES, SceneView, pressed_bubble, scene_view, with_noise
 from rumi.bench.machine import environment
 from rumi.bench.timing import fitting_clock
+from rumi.cli import script
 from rumi.jsonlines import append_line, read_lines
 from sdf import se3
 from sdf.primitives import Capsule
@@ -295,7 +296,12 @@ def fingerprint() -> str:
     return digest.hexdigest()[:12]
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Measure or show."""
     kinds = {"errors": Errors, "times": Times, "show": Show}
     options = tyro.extras.subcommand_cli_from_dict(kinds, description=__doc__)
     {Errors: errors, Times: times, Show: show}[type(options)](options)
+
+
+if __name__ == "__main__":
+    script(main)

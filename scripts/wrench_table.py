@@ -15,6 +15,7 @@ import tyro
 from torch import Tensor
 
 from rumi.bench.timing import fitting_clock
+from rumi.cli import script
 from sdf.convex import hull
 from sdf.mesh import TriangleMesh
 from sensors.force_torque import WrenchNoise, WrenchSettings, WrenchStatus, wrench_contact
@@ -171,4 +172,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    script(main)

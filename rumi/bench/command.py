@@ -20,6 +20,8 @@ from rumi.bench.measure import Result, carry_out
 from rumi.bench.timing import fitting_clock
 from rumi.cli import DONE, INTERRUPTED
 from rumi.errors import UsageError
+from rumi.progress import say
+from rumi.recording import make_folder
 
 QUICK, WHOLE = (1.0, 3), (6.0, 9)
 """Seconds for the rounds of a case, and rounds at least."""
@@ -102,6 +104,8 @@ def _check(options: BenchOptions) -> None:
         raise UsageError("--only and --against are about the cases: leave them out with --pareto and --scaling")
     if options.json is not None:
         history.check_writable(options.json)
+    if options.pareto or options.scaling:
+        make_folder(options.out)
 
 
 def _studies(options: BenchOptions) -> int:
@@ -121,14 +125,14 @@ def _cases(options: BenchOptions, cache_dir: Path | None) -> int:
     setup = Setup(device, quick=options.quick, cache_dir=cache_dir, without_peers=peers.missing())
     machine = environment(device)
     if machine["load"] is not None and machine["load"] > BUSY:
-        _say(f"the machine is busy (load {machine['load']}): times may be too long")
+        say(f"the machine is busy (load {machine['load']}): times may be too long")
     if not options.markdown:
         sys.stdout.write(f"{table.about(machine)}\n{table.heading()}\n")
     results: list[Result] = []
     ended = DONE
     try:
         for name in options.only or [name for name in CASES if not (options.quick and name in SLOW)]:
-            _say(f"timing {name}")
+            say(f"timing {name}")
             result = _carry_out(name, setup)
             if result is not None:
                 results.append(result)
@@ -136,7 +140,7 @@ def _cases(options: BenchOptions, cache_dir: Path | None) -> int:
                     sys.stdout.write(table.section(result) + "\n")
                     sys.stdout.flush()
     except KeyboardInterrupt:
-        _say(f"interrupted; kept what was measured: {', '.join(r.name for r in results) or 'nothing'}")
+        say(f"interrupted; kept what was measured: {', '.join(r.name for r in results) or 'nothing'}")
         ended = INTERRUPTED
     if options.markdown:
         sys.stdout.write(table.markdown(results, machine))
@@ -157,7 +161,7 @@ def _carry_out(name: str, setup: Setup) -> Result | None:
     try:
         case: Case = CASES[name](setup)
     except ModuleNotFoundError as error:
-        _say(f"left out {name}: {error}")
+        say(f"left out {name}: {error}")
         return None
     budget, least = QUICK if setup.quick else WHOLE
     within = setup.device.type == "cpu" and not case.elsewhere
@@ -182,8 +186,3 @@ def _against(run: dict[str, object], before: Sequence[dict[str, object]]) -> boo
         sys.stdout.write(f"WORSE {change}\n")
     sys.stdout.write(f"{len(worse)} of {len(changes)} variants became worse by over 20 %\n")
     return bool(worse)
-
-
-def _say(message: str) -> None:
-    sys.stderr.write(f"rumi: {message}\n")
-    sys.stderr.flush()

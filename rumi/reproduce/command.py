@@ -15,6 +15,8 @@ from rumi.bench.history import check_writable
 from rumi.cli import DONE
 from rumi.config import METHODS
 from rumi.errors import UsageError
+from rumi.recording import make_folder
+from rumi.reproduce import touch
 from rumi.reproduce.executors import on_a_cluster, on_this_machine
 from rumi.reproduce.experiments import EXPERIMENTS, Selection, missing, valid_presets, valid_tasks, work_of
 from rumi.reproduce.jobs import Job
@@ -24,6 +26,7 @@ from rumi.reproduce.reports import Report, reports, write_page
 from rumi.reproduce.seeds import seeds_of
 from rumi.reproduce.worker import Errand, failures
 
+_TOUCH = ", ".join(touch.EXPERIMENTS)
 FAILED = 1
 """Exit code where a run ended in an error."""
 
@@ -37,7 +40,8 @@ _HELP = """Run the paper's experiments on this simulator, and print our figures 
     rumi reproduce table5 --show --results scripts/results/mugs.jsonl
 
 Runs are kept, one line each, and done once: give the command again to go on where it was stopped or killed. Several
-commands may work on one file at the same time. Experiments: {names}, all.
+commands may work on one file at the same time. Experiments: {names}, all;
+and by themselves, with options of their own such as --seconds (rumi reproduce touch-table1 --help): {touch}.
 
 Ends with exit code 1 if a run ended in an error, 2 for bad input, and 130 after Ctrl-C."""
 
@@ -97,18 +101,20 @@ def reproduce(arguments: Sequence[str], *, cache_dir: Path) -> int:
         cache_dir: folder that keeps what takes seconds to work out.
     """
     options = tyro.cli(
-        ReproduceOptions, prog="rumi reproduce", description=_HELP.format(names=", ".join(EXPERIMENTS)), args=arguments
+        ReproduceOptions,
+        prog="rumi reproduce",
+        description=_HELP.format(names=", ".join(EXPERIMENTS), touch=_TOUCH),
+        args=arguments,
     )
     names, selection = chosen(options)
     jobs = work_of(names, selection)
     for job in jobs:
         job.id  # noqa: B018  (says what is wrong with its settings before anything runs)
-    wrong: dict[str, str] = {}
-    if options.show:
-        records = _shown(options, jobs)
-    else:
-        records, wrong = _done(options, part(jobs, options.shard), jobs, cache_dir)
-    target = options.out / "figures" if options.markdown is None else options.markdown.with_suffix("")
+    own, wrong = part(jobs, options.shard), dict[str, str]()
+    records = _shown(options, jobs) if options.show else []
+    target = _checked(options)
+    if not options.show:
+        records, wrong = _done(options, own, jobs, cache_dir)
     found = reports(names, selection, records, target if options.figures else None, cache_dir)
     if options.markdown is not None:
         _say(write_page(options.markdown, found, records))
@@ -126,10 +132,12 @@ def chosen(options: ReproduceOptions) -> tuple[list[str], Selection]:
     Raises:
         UsageError: something that there is not; the message says what there is.
     """
-    known = (*EXPERIMENTS, "all")
+    there = f"there are {', '.join(EXPERIMENTS)}, all, and by themselves {_TOUCH}"
     if not options.experiments:
-        raise UsageError(f"Which experiment? There are {', '.join(known)}")
-    _among("experiment", options.experiments, known)
+        raise UsageError(f"Which experiment? T{there[1:]}")
+    for name in options.experiments:
+        if name not in (*EXPERIMENTS, "all"):
+            raise UsageError(f"There is no experiment {name!r}; {there}")
     _among("task", options.tasks, valid_tasks())
     _among("method", options.methods, METHODS)
     _among("preset", options.presets, valid_presets())
@@ -141,6 +149,7 @@ def chosen(options: ReproduceOptions) -> tuple[list[str], Selection]:
         raise UsageError("Figures need matplotlib and pillow: pip install 'rumi[plot]', or give --no-figures")
     if options.slurm and options.executor != "submitit":
         raise UsageError("--slurm is about --executor submitit: give both or none")
+    parameters_of(options.slurm)  # says what is wrong with them
     every = "all" in options.experiments
     names = [name for name in EXPERIMENTS if every or name in options.experiments]
     for name in list(names):
@@ -182,12 +191,30 @@ def parameters_of(pairs: Sequence[str]) -> dict[str, Any]:
     return found
 
 
+def _checked(options: ReproduceOptions) -> Path:
+    """The folder of the figures; all that is to be written is looked at, before hours of runs.
+
+    Raises:
+        UsageError: something cannot be written.
+    """
+    figures, page = options.out / "figures", options.markdown
+    if not options.show:
+        check_writable(options.path)
+    if page is not None:
+        check_writable(page)
+        figures = page.with_suffix("")
+        if options.figures and figures == page:
+            raise UsageError(f"Expected --markdown to have an ending, such as page.md, got {page}")
+    if options.figures:
+        make_folder(figures)
+    return figures
+
+
 def _done(
     options: ReproduceOptions, own: list[Job], jobs: Sequence[Job], cache_dir: Path
 ) -> tuple[list[Record], dict[str, str]]:
     """The results, after what was missing of one's own part is done; and what failed."""
     parameters = parameters_of(options.slurm)
-    check_writable(options.path)
     records = Records(options.path)
     wrong: dict[str, str] = {}
     if len(records.done(own)) < len(own):

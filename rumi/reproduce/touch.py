@@ -1,5 +1,6 @@
 """`rumi reproduce touch-...`: the tables and figures of the touch-only paper, beside the paper's own."""
 
+import itertools
 import os
 import sys
 from collections.abc import Sequence
@@ -9,9 +10,11 @@ from typing import Annotated
 
 import tyro
 
+from rumi.bench.history import check_writable
 from rumi.bench.ledger import Ledger
 from rumi.cli import DONE
 from rumi.errors import UsageError
+from rumi.recording import make_folder
 from rumi.reproduce.code import code_hash
 from rumi.reproduce.seeds import seeds_of
 from rumi.touch.make import Robot, make_toucher
@@ -22,6 +25,7 @@ from rumi.touch.task import TouchTask
 
 EXPERIMENTS = ("touch-table1", "touch-table2", "touch-fig3", "touch-fig4")
 PART = "touch-box"
+_FILES = ("--out", "--results", "--markdown")
 
 _HELP = """Run the touch-only paper's experiments on this simulator, and print our figures beside the paper's.
 
@@ -76,6 +80,13 @@ class TouchReproduceOptions:
         return self.out / "touch.jsonl" if self.results is None else self.results
 
 
+def asked_for(arguments: Sequence[str]) -> bool:
+    """Whether the experiments of a command line are these: the words before the first flag, or known names later."""
+    first = itertools.takewhile(lambda argument: not argument.startswith("-"), arguments)
+    later = (name for flag, name in itertools.pairwise(arguments) if flag not in _FILES)
+    return any(word.startswith("touch-") for word in first) or any(name in EXPERIMENTS for name in later)
+
+
 def reproduce_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
     """Carry out `rumi reproduce touch-...`."""
     options = tyro.cli(
@@ -86,10 +97,17 @@ def reproduce_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
     )
     for name in options.experiments:
         if name not in EXPERIMENTS:
-            raise UsageError(f"There is no experiment {name!r} of touch; there are {', '.join(EXPERIMENTS)}")
+            raise UsageError(
+                f"There is no experiment {name!r} of touch; there are {', '.join(EXPERIMENTS)}: "
+                "the touch-* experiments are given by themselves"
+            )
     for name in options.methods:
         if name not in METHODS:
             raise UsageError(f"There is no method {name!r}; there are {', '.join(METHODS)}")
+    if not options.show and {"touch-table1", "touch-fig3"} & set(options.experiments):
+        check_writable(options.path)
+    if {"touch-fig3", "touch-fig4"} & set(options.experiments):
+        make_folder(options.out)
     for name in options.experiments:
         _say(f"## {name}\n\n{_WORK[name](options, cache_dir)}\n")
     return DONE
@@ -172,7 +190,6 @@ def _fig3(options: TouchReproduceOptions, cache_dir: Path | None) -> str:
 
     groups = {name: own for name, own in run_all(options, cache_dir).items() if own}
     path = options.out / "touch-fig3.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
     text = draw_times(groups, path)
     return f"{text}\n\nfigure: {os.path.relpath(path)}"
 
@@ -181,7 +198,6 @@ def _fig4(options: TouchReproduceOptions, cache_dir: Path | None) -> str:
     from rumi.viz.touch_tables import draw_filters
 
     path = options.out / "touch-fig4.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
     draw_filters(path)
     return f"figure: {os.path.relpath(path)}"
 

@@ -20,6 +20,7 @@ from rumi.bench.ledger import commit, machine
 from rumi.cli import DONE, INTERRUPTED
 from rumi.errors import UsageError
 from rumi.plain import plain
+from rumi.progress import say
 from rumi.stress import exact, subjects
 from rumi.stress.sweep import SWEEPS, Outcome, Sweep, carry_out
 
@@ -98,11 +99,11 @@ def stress(arguments: Sequence[str]) -> int:
         sys.stdout.write("".join(f"{sweep.name}\n" for sweep in sweeps))
         return DONE
     if not exact.available():
-        _say("without mpmath some sweeps are left out: pip install 'rumi[stress]'")
+        say("without mpmath some sweeps are left out: pip install 'rumi[stress]'")
     began = time.perf_counter()
     found, ended = sweep_all(sweeps, options), DONE
     if len(found) < len(sweeps):
-        _say(f"interrupted; {len(found)} of {len(sweeps)} sweeps were begun")
+        say(f"interrupted; {len(found)} of {len(sweeps)} sweeps were begun")
         ended = INTERRUPTED
     sys.stdout.write(table(list(found.values()), show=options.show))
     if options.json is not None:
@@ -133,7 +134,7 @@ def _fuzz(options: StressOptions, count: int) -> int:
             sys.stdout.write(_fuzzed(found[-1]))
             sys.stdout.flush()
     except KeyboardInterrupt:
-        _say("interrupted")
+        say("interrupted")
     finally:
         logging.disable(logging.NOTSET)
     wrong = sum(len(fuzzed.wrong) for fuzzed in found)
@@ -266,8 +267,3 @@ def _progress(done: int, of: int, name: str) -> None:
         text = f"{done}/{of} {name}" if of else ""
         sys.stderr.write(f"\r{text:<70}" + ("" if of else "\r"))
         sys.stderr.flush()
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"rumi: {text}\n")
-    sys.stderr.flush()

@@ -1,6 +1,5 @@
 """`rumi run touch-box`: one run of touch alone, its folder and its figures."""
 
-import json
 import math
 import sys
 from collections.abc import Sequence
@@ -12,6 +11,9 @@ import tyro
 
 from rumi.cli import DONE, NOT_CONVERGED
 from rumi.errors import UsageError
+from rumi.jsonlines import append_line
+from rumi.progress import say
+from rumi.recording import free_folder, left_if_begun, prepare_folder, write_json
 from rumi.touch.make import Robot
 from rumi.touch.settings import TouchSettings
 from rumi.touch.task import TouchTask
@@ -61,44 +63,49 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
     from rumi.touch.budget import BudgetedChoice
     from rumi.touch.localise import TouchStep, localise, signals
     from rumi.touch.make import check_robot, make_toucher
-    from rumi.touch.records import figures_of
+    from rumi.touch.records import figures_of, step_of
 
     check_robot(options.task, options.robot)
-    folder = options.out or _free(Path("runs") / f"{NAME}-{options.settings.method}-{options.robot}-s{options.seed}")
-    folder.mkdir(parents=True, exist_ok=True)
-    if any(folder.iterdir()):
-        raise UsageError(f"Expected a folder without files in it, got {folder}: name another by --out")
-    _say(f"{NAME} with {options.settings.method}, {options.robot}, seed {options.seed}; writing to {folder}")
-    _say("grasps are simulated once and kept (a minute at first)")
-    toucher = make_toucher(options.task, options.settings, options.robot, cache_dir=cache_dir)
-    count = 0
-
-    def told(step: TouchStep) -> None:
-        nonlocal count
-        count += 1
-        empty = "out of reach" if step.touched.blocked is None else "blocked"
-        readings = signals(step.touched.contact) or empty
-        _say(f"poke {count:2}: {readings:<{options.task.readings}}  lifted with {step.grasp.probability:.2f}")
-
-    try:
-        decide = None if options.budget is None else BudgetedChoice(toucher, options.budget)
-        run = localise(toucher, seed=options.seed, on_step=told, decide=decide)
-    finally:
-        toucher.robot.close()
-    found = figures_of(run)
+    folder = options.out or free_folder(
+        Path("runs") / f"{NAME}-{options.settings.method}-{options.robot}-s{options.seed}"
+    )
+    prepare_folder(folder)
+    say(f"{NAME} with {options.settings.method}, {options.robot}, seed {options.seed}; writing to {folder}")
+    say("grasps are simulated once and kept (a minute at first)")
+    with left_if_begun(folder):
+        toucher = make_toucher(options.task, options.settings, options.robot, cache_dir=cache_dir)
     asked: dict[str, object] = {
         "settings": asdict(options.settings),
         "task": asdict(options.task),
         "robot": options.robot,
     }
     asked |= {"seed": options.seed} | ({} if options.budget is None else {"budget_s": options.budget})
-    (folder / "settings.json").write_text(json.dumps(asked, indent=1))
-    (folder / "result.json").write_text(json.dumps(found, indent=1))
+    write_json(folder / "settings.json", asked)
+    count = 0
+
+    def told(step: TouchStep) -> None:
+        nonlocal count
+        count += 1
+        append_line(folder / "steps.jsonl", step_of(step))
+        empty = "out of reach" if step.touched.blocked is None else "blocked"
+        readings = signals(step.touched.contact) or empty
+        say(f"poke {count:2}: {readings:<{options.task.readings}}  lifted with {step.grasp.probability:.2f}")
+
+    try:
+        decide = None if options.budget is None else BudgetedChoice(toucher, options.budget)
+        run = localise(toucher, seed=options.seed, on_step=told, decide=decide)
+    except KeyboardInterrupt:
+        say(f"{count} poke{'s' * (count != 1)} done so far: see {folder}")
+        raise
+    finally:
+        toucher.robot.close()
+    found = figures_of(run)
+    write_json(folder / "result.json", found)
     if options.figures:
         from rumi.viz.touch import draw_run
 
         for path in draw_run(run, toucher, folder):
-            _say(f"figure {path}")
+            say(f"figure {path}")
     ended = "sure" if run.sure else "not sure"
     sys.stdout.write(
         f"{NAME}: {ended} after {found['actions']} pokes, {'lifted' if run.lifted else 'not lifted'}\n"
@@ -109,16 +116,3 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
         f"  folder   {folder}\n"
     )
     return DONE if run.lifted else NOT_CONVERGED
-
-
-def _free(folder: Path) -> Path:
-    found, number = folder, 1
-    while found.exists():
-        number += 1
-        found = folder.with_name(f"{folder.name}-{number}")
-    return found
-
-
-def _say(text: str) -> None:
-    sys.stderr.write(f"rumi: {text}\n")
-    sys.stderr.flush()

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import torch
 
 from rumi.metrics.intervals import mcnemar, wilson
-from rumi.touch.localise import TouchRun, signals
+from rumi.touch.localise import TouchRun, TouchStep, signals
 from rumi.touch.settings import TouchSettings
 from rumi.touch.task import TouchTask
 
@@ -29,16 +29,6 @@ def figures_of(run: TouchRun) -> Line:
     """How a run ended, and each of its pokes."""
     apart = run.grasp.pose - run.truth
     turn = math.remainder(float(apart[2]), math.pi)
-    steps = [
-        {
-            "readings": signals(step.touched.contact),
-            "stopped": step.touched.stopped,
-            "probability": round(step.grasp.probability, 4),
-            "value": round(float(step.choice.value[step.choice.best]), 4),
-            "seconds": {name: round(value, 4) for name, value in step.seconds.items()},
-        }
-        for step in run.steps
-    ]
     return {
         "lifted": run.lifted,
         "sure": run.sure,
@@ -47,7 +37,18 @@ def figures_of(run: TouchRun) -> Line:
         "error_mm": round(1e3 * float(apart[:2].norm()), 1),
         "error_deg": round(math.degrees(abs(turn)), 1),
         "moved_mm": round(1e3 * float((run.truth - run.start)[:2].norm()), 1),
-        "steps": steps,
+        "steps": [step_of(step) for step in run.steps],
+    }
+
+
+def step_of(step: TouchStep) -> Line:
+    """A poke: what was felt, what was thought of it, and the seconds."""
+    return {
+        "readings": signals(step.touched.contact),
+        "stopped": step.touched.stopped,
+        "probability": round(step.grasp.probability, 4),
+        "value": round(float(step.choice.value[step.choice.best]), 4),
+        "seconds": {name: round(value, 4) for name, value in step.seconds.items()},
     }
 
 

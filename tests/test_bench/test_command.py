@@ -109,6 +109,8 @@ def test_what_is_not_installed_is_left_out(monkeypatch, capsys):
         (["--only", "field-mgu"], "There is no case 'field-mgu'; the cases are distance-mug, distance-box"),
         (["--json", "file/bench.json"], "Cannot write file/bench.json"),
         (["--json", "folder"], "Cannot write folder: it is a folder"),
+        (["--pareto", "--out", "file"], "Cannot write to the folder file"),
+        (["--scaling", "--out", "file/bench"], "Cannot write to the folder file/bench"),
         (["--against", "none.jsonl"], "Cannot read none.jsonl"),
         (["--threads", "0"], "Expected threads to be 1 or more, got 0"),
         (["--threads", "x"], "--threads"),
@@ -119,7 +121,8 @@ def test_what_is_not_installed_is_left_out(monkeypatch, capsys):
 def test_bad_input_is_named_before_anything_is_timed(arguments, message, capsys, monkeypatch):
     Path("file").write_text("in the way")
     Path("folder").mkdir()
-    monkeypatch.setattr(command, "_carry_out", lambda *a, **k: pytest.fail("timed"))
+    for work in ("_carry_out", "_studies"):
+        monkeypatch.setattr(command, work, lambda *a, **k: pytest.fail("timed"))
     assert main(["bench", *arguments]) == cli.BAD_INPUT
     said = capsys.readouterr()
     assert message in said.err

@@ -10,7 +10,7 @@ from rumi import cli
 from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.jsonlines import read_lines
-from rumi.reproduce import command, experiments, toy, worker
+from rumi.reproduce import command, experiments, touch, toy, worker
 from rumi.reproduce.jobs import KINDS, Kind
 from rumi.reproduce.live import LiveTable
 from rumi.reproduce.live import lines as live_lines
@@ -58,10 +58,15 @@ def quick(monkeypatch):
         (["table5", "--set", "planner.rolouts=3"], "Expected a setting and its value"),
         (["table5", "--set", "planner.rollouts=0"], "rollouts to be 1 or more"),
         (["fig8", "--results", "."], "Cannot write"),
+        (["fig8", "--markdown", "."], "Cannot write .: it is a folder"),
+        (["fig8", "--markdown", "file/page.md"], "Cannot write file/page.md"),
+        (["fig8", "--markdown", "page"], "Expected --markdown to have an ending, such as page.md, got page"),
+        (["fig8", "--out", "file", "--results", "runs.jsonl"], "Cannot write to the folder file/figures"),
         (["fig8", "--nonsense", "1"], "nonsense"),
     ],
 )
 def test_refuses(arguments, message, capsys, quick):
+    Path("file").write_text("in the way")
     assert main(["reproduce", *arguments]) == cli.BAD_INPUT
     said = capsys.readouterr()
     assert "Traceback" not in said.err
@@ -72,7 +77,15 @@ def test_refuses(arguments, message, capsys, quick):
 def test_help_names_the_experiments(capsys):
     assert main(["reproduce", "--help"]) == cli.DONE
     said = " ".join(capsys.readouterr().out.split())
-    for word in (*experiments.EXPERIMENTS, "--shard", "--executor", "--jobs", "submitit"):
+    for word in (
+        *experiments.EXPERIMENTS,
+        *touch.EXPERIMENTS,
+        "--seconds",
+        "--shard",
+        "--executor",
+        "--jobs",
+        "submitit",
+    ):
         assert word in said
 
 

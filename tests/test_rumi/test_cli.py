@@ -97,6 +97,24 @@ def test_an_interrupt_leaves_a_readable_run(monkeypatch, capsys):
     assert "interrupted after 1 action" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("arguments", "work"),
+    [
+        (["mug-0"], "rumi.assemble.build"),
+        (["fused", "--record"], "rumi.fused.parts.build_fused"),
+        (["peg"], "rumi.peg_command.run_peg"),
+    ],
+)
+def test_an_interrupt_before_there_is_a_result_leaves_no_folder(arguments, work, monkeypatch, capsys):
+    def interrupt(*arguments, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(work, interrupt)
+    assert main(["run", *arguments, "--out", "own"]) == cli.INTERRUPTED
+    assert capsys.readouterr().err.endswith("rumi: interrupted\n")
+    assert not Path("own").exists()
+
+
 @pytest.mark.sim
 def test_figures_are_drawn_and_drawn_again(capsys):
     assert main(["run", "mug-0", "--steps", "1", "--method", "reach-only", *SMALL]) == cli.NOT_CONVERGED

@@ -11,6 +11,7 @@ from rumi import cli
 from rumi.bags.mapping import read_mapping
 from rumi.bags.scene import rummager_of_map, settings_of
 from rumi.cli import main
+from rumi.errors import UsageError
 from rumi.misfit import misfit
 from rumi.replay import replay
 from rumi.sim.tasks import large_handled_mug
@@ -51,6 +52,19 @@ def test_it_finds_the_mug(found):
     pose = last.belief.mode()
     assert float((pose[:2, 3] - TRUTH[:2, 3]).norm()) < 0.005
     assert last.contacts > 0
+
+
+@pytest.mark.parametrize("taken", ["log.h5", "settings.json"])
+def test_a_folder_with_a_run_or_a_log_is_refused(script, taken, tmp_path):
+    (tmp_path / taken).write_text("of another run")
+    with pytest.raises(UsageError, match=r"holds a (run|log) already: give another folder"):
+        script.main(tmp_path, script.FakeDriver(TRUTH))
+    assert [path.name for path in tmp_path.iterdir()] == [taken]
+
+
+def test_a_camera_that_is_off_by_no_number_is_refused(script):
+    with pytest.raises(UsageError, match="Expected --camera-off in metres, got nan"):
+        script.FakeDriver(TRUTH, camera_off_m=float("nan"))
 
 
 def test_it_is_a_task(script, tmp_path):

@@ -1,12 +1,14 @@
 """The scripts, as a newcomer would run them; the README shows the first."""
 
 import importlib.util
+import runpy
 import sys
 from pathlib import Path
 
 import pytest
 
-from rumi import build, preset, rummage
+from rumi import build, cli, preset, rummage
+from rumi.errors import UsageError
 from rumi.sim.tasks import TASKS
 from sensors.semantics import Semantics
 
@@ -22,6 +24,54 @@ def load(path):
     sys.modules[path.stem] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (UsageError("no such seeds"), cli.BAD_INPUT, "rumi: no such seeds\n"),
+        (KeyboardInterrupt(), cli.INTERRUPTED, "rumi: interrupted\n"),
+        (SystemExit("no data"), cli.BAD_INPUT, "rumi: no data\n"),
+        (SystemExit(1), 1, ""),
+        (SystemExit(), cli.DONE, ""),
+        (None, cli.DONE, ""),
+    ],
+)
+def test_a_script_ends_as_the_command_does(error, code, message, capsys):
+    def work():
+        if error is not None:
+            raise error
+        return [1, 2]
+
+    with pytest.raises(SystemExit) as end:
+        cli.script(work)
+    assert end.value.code == code
+    assert capsys.readouterr().err == message
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        ("fused_table", ["run", "--seeds", "x"], "rumi: Expected seeds such as 0-9"),
+        ("gpvr_cap", ["--tasks", "nosuch"], "rumi: There is no task 'nosuch'"),
+        ("predicted_realised", ["folder", "missing"], "rumi: There is no run folder missing"),
+        ("first_view", ["--seeds", "0"], "rumi: Expected --seeds of 1 or more, got 0"),
+    ],
+)
+def test_what_a_script_cannot_do_is_said_in_a_line(name, arguments, message, monkeypatch, capsys):
+    path = ROOT / "scripts" / f"{name}.py"
+    monkeypatch.syspath_prepend(str(path.parent))
+    monkeypatch.setattr(sys, "argv", [str(path), *arguments])
+    with pytest.raises(SystemExit) as end:
+        runpy.run_path(str(path), run_name="__main__")
+    assert end.value.code == cli.BAD_INPUT
+    assert capsys.readouterr().err.startswith(message)
+
+
+# one is for people to read, and the other's results are kept under a hash of all that is in it
+@pytest.mark.parametrize("path", sorted(set(SCRIPT.parent.glob("*.py")) - {SCRIPT, SCRIPT.parent / "open3d_table.py"}))
+def test_every_script_ends_so(path):
+    assert "    script(" in path.read_text().split('if __name__ == "__main__":\n')[1]
 
 
 def test_the_script_runs(capsys, tmp_path):

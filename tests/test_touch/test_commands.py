@@ -40,8 +40,57 @@ def test_figures_are_drawn():
     pytest.importorskip("matplotlib")
     main(["run", "touch-box", *QUICK, "--out", "own", "--seed", "2002"])
     assert {path.name for path in Path("own").iterdir()} == {
-        *("pokes.png", "sure.png", "result.json", "settings.json"),
+        *("pokes.png", "sure.png", "result.json", "settings.json", "steps.jsonl"),
     }
+
+
+@pytest.mark.parametrize("out", ["file", "file/run"])
+def test_a_folder_that_cannot_be_written_is_refused_before_the_run(out, monkeypatch, capsys):
+    monkeypatch.setattr("rumi.touch.make.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
+    Path("file").write_text("in the way")
+    assert main(["run", "touch-box", *QUICK, "--out", out]) == cli.BAD_INPUT
+    said = capsys.readouterr().err
+    assert f"Cannot write to the folder {out}" in said and "give another one" in said
+
+
+def test_a_folder_with_a_run_is_refused_and_other_files_stay(capsys):
+    Path("own").mkdir()
+    Path("own/notes.txt").write_text("mine")
+    assert main(["run", "touch-box", *QUICK, "--no-figures", "--out", "own"]) in (cli.DONE, cli.NOT_CONVERGED)
+    assert Path("own/notes.txt").read_text() == "mine"
+    before = Path("own/result.json").read_bytes()
+    assert main(["run", "touch-box", *QUICK, "--out", "own"]) == cli.BAD_INPUT
+    assert "own holds a run already" in capsys.readouterr().err
+    assert Path("own/result.json").read_bytes() == before
+
+
+def test_an_interrupt_leaves_the_pokes_that_were_done(monkeypatch, capsys):
+    from rumi.touch.planar_robot import PlanarRobot
+
+    execute, done = PlanarRobot.execute, []
+
+    def interrupt(self, *arguments):
+        if done:
+            raise KeyboardInterrupt
+        done.append(execute(self, *arguments))
+        return done[0]
+
+    monkeypatch.setattr(PlanarRobot, "execute", interrupt)
+    assert main(["run", "touch-box", *QUICK, "--seed", "2001", "--out", "own"]) == cli.INTERRUPTED
+    assert "1 poke done so far: see own" in capsys.readouterr().err
+    assert json.loads(Path("own/settings.json").read_text())["seed"] == 2001
+    (poke,) = (line for line, _ in read_lines(Path("own/steps.jsonl")))
+    assert len(poke["readings"]) == len(done[0].contact)
+    assert not Path("own/result.json").exists()
+
+
+def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
+    def interrupt(*arguments, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rumi.touch.make.make_toucher", interrupt)
+    assert main(["run", "touch-box", *QUICK]) == cli.INTERRUPTED
+    assert not list(Path("runs").iterdir())
 
 
 @pytest.mark.parametrize(
@@ -56,11 +105,22 @@ def test_figures_are_drawn():
         (["run", "touch-box", "--robot", "arm", "--task.rates", "0.9", "0.05"], "The arm feels by its own torques"),
         (["run", "touch-box", "--robot", "arm", "--task.correlation", "0.5"], "The arm feels by its own torques"),
         (["reproduce", "touch-table9"], "There is no experiment 'touch-table9' of touch"),
+        (["reproduce", "touch-table1", "table5"], "There is no experiment 'table5' of touch"),
+        (["reproduce", "table5", "touch-table1"], "the touch-* experiments are given by themselves"),
+        (["reproduce", "--seeds", "2000", "--show", "touch-table1"], "holds no runs with these settings"),
+        (["reproduce", "table5", "--show", "--out", "touch-out"], f"There are no results in {Path('touch-out')}"),
+        (["reproduce", "table5", "--tasks", "touch-box"], "There is no task 'touch-box'"),
+        (["reproduce"], "touch-fig4"),
+        (["reproduce", "table9"], "by themselves touch-table1, touch-table2, touch-fig3, touch-fig4"),
+        (["reproduce", "touch-fig3", "--out", "file", "--results", "a.jsonl"], "Cannot write to the folder file"),
+        (["reproduce", "touch-table1", "--results", "."], "Cannot write .: it is a folder"),
         (["reproduce", "touch-table1", "--methods", "guess"], "There is no method 'guess'"),
         (["reproduce", "touch-table1", "--show"], "holds no runs with these settings"),
     ],
 )
-def test_what_cannot_be_is_refused(arguments, message, capsys):
+def test_what_cannot_be_is_refused(arguments, message, monkeypatch, capsys):
+    monkeypatch.setattr("rumi.reproduce.touch.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
+    Path("file").write_text("in the way")
     assert main(arguments) == cli.BAD_INPUT
     assert message in capsys.readouterr().err
     assert not Path("runs").exists()
