@@ -1,5 +1,6 @@
 """What every signed distance function is: a callable on object-frame points."""
 
+from contextlib import nullcontext
 from typing import NamedTuple
 
 import torch
@@ -37,14 +38,25 @@ class SDF(nn.Module):
         raise NotImplementedError  # abstract: every member has one
 
     def forward(self, points_o: Float[Tensor, "*b 3"]) -> SDFQuery:
-        """Signed distance and outward gradient of object-frame points (*b, 3)."""
-        points = points_o if points_o.requires_grad else points_o.detach().requires_grad_()
-        with torch.enable_grad():
+        """Signed distance and outward gradient of object-frame points (*b, 3).
+
+        Where grad is enabled, autograd goes through both to the points and to the member's own tensors.
+        """
+        graph = torch.is_grad_enabled() and any(t.requires_grad for t in (points_o, *self.tensors()))
+        # a gradient is needed in inference mode too, and there no tensor has any
+        mode = torch.inference_mode(False) if torch.is_inference_mode_enabled() else nullcontext()
+        with mode, torch.enable_grad():
+            if graph and points_o.requires_grad:
+                points = points_o
+            else:
+                points = (points_o.clone() if points_o.is_inference() else points_o).detach().requires_grad_()
             distance = self.distance(points)
-            (gradient,) = torch.autograd.grad(distance.sum(), points, create_graph=points_o.requires_grad)
-        if not points_o.requires_grad:
-            distance = distance.detach()
-        return SDFQuery(distance, gradient)
+            (gradient,) = torch.autograd.grad(distance.sum(), points, create_graph=graph)
+        return SDFQuery(distance if graph else distance.detach(), gradient)
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """All tensors that a look-up draws on, trained or not."""
+        return (*self.buffers(), *self.parameters())
 
     @property
     def diagonal(self) -> float:
