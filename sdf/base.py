@@ -1,7 +1,8 @@
 """What every signed distance function is: a callable on object-frame points."""
 
+import math
 from contextlib import nullcontext
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -62,3 +63,35 @@ class SDF(nn.Module):
     def diagonal(self) -> float:
         """Length of the bounding box's diagonal, metres (the papers' l_c)."""
         return float((self.bounds[1] - self.bounds[0]).norm())
+
+
+class Sized(SDF):
+    """An SDF with numbers that are no tensors: its state carries them, and fits only a member that has the same."""
+
+    numbers: ClassVar[tuple[str, ...]]
+    """Names of the attributes, each a number or a tuple of numbers."""
+
+    def get_extra_state(self) -> dict[str, list[float]]:
+        """The numbers, for `state_dict`."""
+        return {name: self._numbers(name) for name in self.numbers}
+
+    def set_extra_state(self, state: dict[str, list[float]]) -> None:
+        """Refuse the state of another size or lattice; tensors of equal shapes have been loaded by then.
+
+        Raises:
+            ValueError: with the number that differs.
+        """
+        for name in self.numbers:
+            own, loaded = self._numbers(name), state.get(name, [])
+            alike = len(own) == len(loaded) and all(
+                math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9) for a, b in zip(own, loaded, strict=True)
+            )
+            if not alike:
+                raise ValueError(
+                    f"Expected the state of a {type(self).__name__} with {name} {own}, got {loaded}: make one with the "
+                    "same numbers to load it into"
+                )
+
+    def _numbers(self, name: str) -> list[float]:
+        value = getattr(self, name)
+        return [float(x) for x in value] if isinstance(value, tuple) else [float(value)]

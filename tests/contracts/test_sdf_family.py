@@ -1,5 +1,6 @@
 """What holds for every signed distance function, tabulated or exact."""
 
+import io
 import itertools
 import math
 from collections.abc import Callable
@@ -278,3 +279,33 @@ def test_autograd_reaches_a_members_own_parameters(generator):
     assert float(slope.abs().min()) > 1.0
     with torch.no_grad():
         assert not sdf(points).gradient.requires_grad
+
+
+def test_state_goes_into_one_of_the_same_numbers(member):
+    entry, sdf = member
+    stored = io.BytesIO()
+    torch.save(sdf.state_dict(), stored)
+    stored.seek(0)
+    other = entry.make()
+    other.load_state_dict(torch.load(stored, weights_only=True))
+    inside = torch.tensor([entry.inside], dtype=torch.float64)
+    assert torch.equal(other.distance(inside), sdf.distance(inside))
+
+
+def ball(x: float, spacing: float = 0.01) -> GridSDF:
+    place = se3.make(torch.eye(3), torch.tensor([x, 0.0, 0.0]))
+    return GridSDF.from_sdf(Placed(Sphere(0.05), place), spacing, outer=0.0)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "name"),
+    [
+        (lambda: ball(0.0), lambda: ball(0.1), "GridSDF with origin"),
+        (lambda: Sphere(0.1), lambda: Sphere(0.2), "Sphere with radius"),
+        (lambda: Capsule((0, 0, 0), (1, 1, 0), 0.1), lambda: Capsule((0, 1, 0), (1, 0, 0), 0.1), "Capsule with a"),
+        (Mug, lambda: Mug(wall=0.003), "(Cup|TorusArc) with"),
+    ],
+)
+def test_state_of_another_size_or_place_is_refused(one, other, name):
+    with pytest.raises(ValueError, match=f"Expected the state of a {name}"):
+        other().load_state_dict(one().state_dict())
