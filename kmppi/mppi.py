@@ -52,10 +52,16 @@ class MPPI:
         self._shifts: dict[int, Tensor] = {}
 
     def from_knots(self, knots: Float[Tensor, "S A"]) -> ControlPlan:
-        """The plan of given control points (S, A), bounded."""
+        """The plan of given control points (S, A), bounded.
+
+        Raises:
+            ValueError: they have another shape, or are not finite.
+        """
         expected = (self.parameterization.knots, self.control_dim)
         if tuple(knots.shape) != expected:
             raise ValueError(f"Expected knots to have shape (S, A) = {expected}, got {tuple(knots.shape)}")
+        if not bool(torch.isfinite(knots).all()):
+            raise ValueError(f"Expected finite knots, got {knots[~torch.isfinite(knots)][0].item()} among them")
         bounded = self._bound_knots(knots.to(self.device, self.dtype))
         return ControlPlan(bounded, self.controls(bounded))
 
@@ -71,9 +77,9 @@ class MPPI:
         return self._bound(torch.einsum("hs,...sa->...ha", self._matrix, knots))
 
     def shift(self, plan: ControlPlan, executed: int) -> ControlPlan:
-        """The same plan, `executed` controls later; what lies past its end goes to zero (RUMI, IV-G).
+        """The same plan, `executed` controls later (RUMI, IV-G), as the parameterization says (its `shift_matrix`).
 
-        Knots are moved along their curve, `K(Hv + n, Hv) K(Hv, Hv)^-1`, not rolled.
+        MPPI appends zeros and SMPPI holds the last control; KMPPI moves knots along their curve, which decays to zero.
 
         Raises:
             ValueError: `executed` is negative.

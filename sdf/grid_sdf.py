@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf.base import SDF, SDFQuery
+from sdf.base import SDF, SDFQuery, Sized
 from sdf.check import check_shape, keep_within_reach, may_look
 from sdf.lattice import Lattice, lattice_about
 from sdf.lookup import interpolate, interpolate_with_slopes
@@ -18,7 +18,7 @@ _TINY = 1e-30
 _EDGE = 1e-2
 
 
-class GridSDF(SDF):
+class GridSDF(Sized):
     """Trilinear interpolation between distances at the nodes of a lattice, finite and continuous everywhere.
 
     The lattice is fine around the object and, where asked, goes on with a few wide cells on every side, node by
@@ -43,6 +43,7 @@ class GridSDF(SDF):
     """
 
     values: Float[Tensor, "X Y Z"]
+    numbers = ("origin", "spacing", "outer", "outer_spacing", "inset")
 
     def __init__(
         self,

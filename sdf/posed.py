@@ -9,7 +9,7 @@ from torch import Tensor
 
 from sdf import backend, fused, se3
 from sdf.base import SDF, SDFQuery
-from sdf.check import check_shape, may_look
+from sdf.check import FAR, check_shape, may_look
 from sdf.grid_fused import takes
 from sdf.grid_sdf import GridSDF
 
@@ -40,7 +40,7 @@ def posed_distance(
     """
     _check(world_T_object, points_w)
     world_T_object, points_w = about_first(world_T_object, points_w)
-    version = backend.dispatch("posed_distance", world_T_object, points_w, *sdf.buffers())
+    version = backend.dispatch("posed_distance", world_T_object, points_w, *sdf.tensors())
     return version(sdf, world_T_object, points_w)
 
 
@@ -48,7 +48,7 @@ def posed_query(sdf: SDF, world_T_object: Float[Tensor, "*#b N 4 4"], points_w: 
     """The same with the gradient (*b, N, M, 3) in each object frame."""
     _check(world_T_object, points_w)
     world_T_object, points_w = about_first(world_T_object, points_w)
-    version = backend.dispatch("posed_query", world_T_object, points_w, *sdf.buffers())
+    version = backend.dispatch("posed_query", world_T_object, points_w, *sdf.tensors())
     return version(sdf, world_T_object, points_w)
 
 
@@ -108,6 +108,11 @@ def _by_blocks(
     point_step = max(1, min(points, _BLOCK // max(scenes, 1)))
     pose_step = max(1, _BLOCK // max(scenes * point_step, 1))
     object_T_world = se3.inverse(world_T_object)[..., :3, :].movedim(-2, 0)
+    # a point that is not finite would give each pose a slope of 0 times NaN
+    sound = None
+    if torch.is_grad_enabled() and world_T_object.requires_grad:
+        sound = points_w.isfinite().all(-1)
+        points_w = points_w.where(sound[..., None], torch.zeros_like(points_w))
     homogeneous = torch.cat((points_w, torch.ones_like(points_w[..., :1])), dim=-1).mT
     rows = []
     for first in range(0, max(poses, 1), pose_step):
@@ -116,6 +121,8 @@ def _by_blocks(
         for start in range(0, max(points, 1), point_step):
             # coordinate planes (3, *b, n, m), each contiguous, seen as points (*b, n, m, 3)
             planes = transforms @ homogeneous[..., start : start + point_step]
+            if sound is not None:
+                planes = planes.where(sound[..., None, start : start + point_step], planes.new_full((), FAR))
             row.append(look_up(planes.movedim(0, -1)))
         rows.append([torch.cat(parts, dim=-1) if len(row) > 1 else parts[0] for parts in zip(*row, strict=True)])
     return [torch.cat(parts, dim=-2) if len(rows) > 1 else parts[0] for parts in zip(*rows, strict=True)]

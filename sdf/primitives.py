@@ -10,16 +10,18 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from sdf import se3
-from sdf.base import SDF
+from sdf.base import SDF, Sized
 from sdf.check import FAR, check_shape, keep_within_reach
 
 
-class Sphere(SDF):
+class Sphere(Sized):
     """Ball about the origin.
 
     Args:
         radius: metres.
     """
+
+    numbers = ("radius",)
 
     def __init__(self, radius: float) -> None:
         radius = _positive("radius", radius)
@@ -31,12 +33,14 @@ class Sphere(SDF):
         return safe_norm(object_points(points_o)) - self.radius
 
 
-class Box(SDF):
+class Box(Sized):
     """Axis-aligned box about the origin.
 
     Args:
         half_extents: three half edge lengths, metres.
     """
+
+    numbers = ("half_extents",)
 
     def __init__(self, half_extents: Sequence[float]) -> None:
         half = tuple(_positive("half_extents", float(h)) for h in half_extents)
@@ -51,13 +55,15 @@ class Box(SDF):
         return rectangle(points.abs() - points.new_tensor(self.half_extents))
 
 
-class Cylinder(SDF):
+class Cylinder(Sized):
     """Upright cylinder about the origin, its axis along z.
 
     Args:
         radius: metres.
         half_height: metres.
     """
+
+    numbers = ("radius", "half_height")
 
     def __init__(self, radius: float, half_height: float) -> None:
         super().__init__(_box((-radius, -radius, -half_height), (radius, radius, half_height)))
@@ -72,7 +78,7 @@ class Cylinder(SDF):
         return rectangle(torch.stack((across, along), dim=-1))
 
 
-class Capsule(SDF):
+class Capsule(Sized):
     """Points within a radius of a segment.
 
     Args:
@@ -80,6 +86,8 @@ class Capsule(SDF):
         b: the other end; may equal `a`.
         radius: metres.
     """
+
+    numbers = ("a", "b", "radius")
 
     def __init__(self, a: Sequence[float], b: Sequence[float], radius: float) -> None:
         _positive("radius", radius)
@@ -101,7 +109,7 @@ class Capsule(SDF):
         return safe_norm(offset - along.clamp(0.0, 1.0)[..., None] * axis) - self.radius
 
 
-class TorusArc(SDF):
+class TorusArc(Sized):
     """Round tube along an arc of a circle in the plane y = 0, its ends rounded.
 
     Args:
@@ -110,6 +118,8 @@ class TorusArc(SDF):
         tube_radius: of the tube, metres, less than the ring's.
         half_angle: radians in (0, pi], the arc reaches so far to each side of +x.
     """
+
+    numbers = ("center", "half_angle", "ring_radius", "tube_radius")
 
     def __init__(self, center: Sequence[float], ring_radius: float, tube_radius: float, half_angle: float) -> None:
         if not 0 < half_angle <= math.pi:
@@ -141,7 +151,7 @@ class TorusArc(SDF):
         return torch.where(beyond, end, ring) - self.tube_radius
 
 
-class Cup(SDF):
+class Cup(Sized):
     """Open cup: a cylinder about z that stands on z = 0, hollowed from the top down to its base.
 
     Args:
@@ -150,6 +160,8 @@ class Cup(SDF):
         wall: thickness of the wall, metres.
         base: thickness of the bottom, metres.
     """
+
+    numbers = ("outer_radius", "height", "wall", "base")
 
     def __init__(self, outer_radius: float, height: float, wall: float, base: float) -> None:
         if not 0 < wall < outer_radius < FAR or not 0 < base < height < FAR:

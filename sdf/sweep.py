@@ -83,7 +83,8 @@ def nearest_on_rectangle(
     apart = points_o - clamped
     size = apart.norm(dim=-1)
     depth = half - points_o.abs()
-    side = torch.nn.functional.one_hot(depth.argmin(-1), 2).to(points_o) * torch.where(points_o < 0, -1.0, 1.0)
+    towards = torch.where(points_o < 0, -1.0, 1.0).to(points_o)
+    side = torch.nn.functional.one_hot(depth.argmin(-1), 2).to(points_o) * towards
     inside = size == 0
     foot = torch.where(inside[..., None], torch.where(side != 0, side * half, points_o), clamped)
     normal = torch.where(inside[..., None], side, apart / size.clamp_min(torch.finfo(size.dtype).tiny)[..., None])
@@ -183,7 +184,7 @@ def _ray(
     # where the ray begins within the grown rectangle, it begins beside a rounded corner
     enter = torch.where(met, enter.clamp_min(0.0), 0.0)
     at = begin + enter[..., None] * ray
-    corner = half * torch.where(at < 0, -1.0, 1.0)
+    corner = half * torch.where(at < 0, -1.0, 1.0).to(at)
     beyond = (at.abs() > half).all(-1)
     face = torch.nn.functional.one_hot(axis, 2).to(ray) * -torch.sign(ray)
     # |begin + t ray - corner| = radius, the first root

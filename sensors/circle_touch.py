@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sdf.check import check_finite
+
 
 def width_share(distance: Float[Tensor, "*b"], half: Float[Tensor, "2"]) -> Float[Tensor, "*b"]:
     """Share of yaws (*b) at which a rectangle reaches less far than a distance from its middle, to one given side.
@@ -52,10 +54,14 @@ class CircleTouches:
 
     def with_way(self, start_w: Float[Tensor, "2"], end_w: Float[Tensor, "2"]) -> Self:
         """A way more on which nothing was met."""
+        check_finite("start_w", start_w)
+        check_finite("end_w", end_w)
         return replace(self, ways_w=torch.cat((self.ways_w, torch.stack((start_w, end_w))[None])))
 
     def with_touch(self, point_w: Float[Tensor, "2"], normal_w: Float[Tensor, "2"]) -> Self:
         """A touch more."""
+        check_finite("point_w", point_w)
+        check_finite("normal_w", normal_w)
         points, normals = torch.cat((self.points_w, point_w[None])), torch.cat((self.normals_w, normal_w[None]))
         return replace(self, points_w=points, normals_w=normals)
 

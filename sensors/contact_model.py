@@ -37,7 +37,12 @@ def proximity_probability(
         false_positive: probability far away.
         decay: fall-off, 1/m.
     """
-    return false_positive + (true_positive - false_positive) * torch.exp(-decay * distance.clamp_min(0.0))
+    return false_positive + (true_positive - false_positive) * torch.exp(-decay * _away(distance))
+
+
+def _away(distance: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """At least 0, and finite: infinitely far away, a slope to the decay would be 0 times infinity."""
+    return distance.clamp(0.0, torch.finfo(distance.dtype).max)
 
 
 def touching_probability(
@@ -118,7 +123,7 @@ class ContactModel(nn.Module):
         if not self.smooth:
             tolerance = self.tolerance.to(distance)
             return torch.where(distance <= tolerance, missed, (1.0 - self.false_positive).to(distance))
-        return missed - gap * torch.expm1(-self.decay.to(distance) * distance.clamp_min(0.0))
+        return missed - gap * torch.expm1(-self.decay.to(distance) * _away(distance))
 
 
 def robot_distance(

@@ -107,7 +107,7 @@ def normal_equations(
     For optimisers of one's own: registration sums terms of its own, over those points alone that count at a pose.
     """
     numbers = [x for x in (free_scale, alpha) if isinstance(x, Tensor)]
-    version = backend.dispatch("normal_equations", frame_T_object, points, *numbers, *sdf.buffers())
+    version = backend.dispatch("normal_equations", frame_T_object, points, *numbers, *sdf.tensors())
     return version(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)
 
 
@@ -122,7 +122,7 @@ def tangent_gradient(
 ) -> tuple[Float[Tensor, "*b N"], Float[Tensor, "*b N 6"]]:
     """The objective and gradient of `normal_equations` alone, for descents of first order."""
     numbers = [x for x in (free_scale, alpha) if isinstance(x, Tensor)]
-    version = backend.dispatch("tangent_gradient", frame_T_object, points, *numbers, *sdf.buffers())
+    version = backend.dispatch("tangent_gradient", frame_T_object, points, *numbers, *sdf.tensors())
     return version(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)
 
 
@@ -140,6 +140,7 @@ def _normal_equations(
     shape, semantics = query.distance.shape, semantics[..., None, :]
     residual, weight = residuals(query.distance, semantics, free_scale, alpha)
     weight = weight * valid[..., None, :]
+    points = points.masked_fill(~valid[..., None], 0.0)  # padding may be no number
     rows = tangent_rows(frame_T_object, points[..., None, :, :].expand(*shape, 3), query.gradient)
     active = weight * ((semantics == Semantics.SURFACE) | (residual != 0))
     weighted = rows * active[..., None]
@@ -167,6 +168,7 @@ def _tangent_gradient(
     # plane by plane, as the gradient is kept, it is one product with the points and a one for the force itself
     rotation, origin = frame_T_object[..., :3, :3], frame_T_object[..., :3, 3]
     middle = origin.detach().mean(-2, keepdim=True)
+    points = points.masked_fill(~valid[..., None], 0.0)  # padding may be no number
     arms = torch.cat((points - middle, torch.ones_like(points[..., :1])), dim=-1)
     pulled = pull * query.gradient.movedim(-1, 0)
     wrench = rotation @ (pulled @ arms).movedim(0, -2)

@@ -48,7 +48,7 @@ class Persistence:
     @classmethod
     def start(cls, height: int, width: int) -> Self:
         """Nothing was seen yet."""
-        none, times = torch.zeros(0), torch.zeros(0, dtype=torch.float64)
+        none, times = torch.zeros(0, dtype=torch.float32), torch.zeros(0, dtype=torch.float64)
         return cls((height, width), torch.zeros(0, dtype=torch.long), none, none, times, times, -math.inf)
 
     def seen(
@@ -115,7 +115,7 @@ class Persistence:
             stamp,
         )
         lasting = stamp - since >= 0.99 * window_s
-        shown, mask = torch.zeros(depth.numel()), torch.zeros(depth.numel(), dtype=torch.bool)
+        shown, mask = torch.zeros_like(depth.reshape(-1)), torch.zeros(depth.numel(), dtype=torch.bool)
         mask[now] = lasting
         shown[now[lasting]] = mean[lasting]
         return state, Seen(mask.reshape(self.shape), shown.reshape(self.shape))

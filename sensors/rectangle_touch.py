@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf import backend, fused
+from sdf.check import check_finite
 from sdf.sweep import nearest_on_rectangle, turned
 from sensors.touch_likelihood import TouchNoise, box_face_log_likelihoods
 
@@ -171,15 +172,20 @@ class RectangleTouches:
 
     def with_touch(self, point_w: Float[Tensor, "2"], normal_w: Float[Tensor, "2"]) -> Self:
         """A touch of a side more."""
+        check_finite("point_w", point_w)
+        check_finite("normal_w", normal_w)
         points, normals = torch.cat((self.points_w, point_w[None])), torch.cat((self.normals_w, normal_w[None]))
         return replace(self, points_w=points, normals_w=normals)
 
     def with_top(self, over_w: Float[Tensor, "2"]) -> Self:
         """A touch of the top more."""
+        check_finite("over_w", over_w)
         return replace(self, over_w=torch.cat((self.over_w, over_w[None])))
 
     def with_way(self, start_w: Float[Tensor, "2"], end_w: Float[Tensor, "2"]) -> Self:
         """A way more on which nothing was met."""
+        check_finite("start_w", start_w)
+        check_finite("end_w", end_w)
         return replace(self, ways_w=torch.cat((self.ways_w, torch.stack((start_w, end_w))[None])))
 
     def only_touches(self) -> Self:

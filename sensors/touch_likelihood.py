@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf import se3
-from sdf.check import check_shape
+from sdf.check import check_finite, check_shape, may_look
 from sdf.touched import touched_face
 from sdf.triangles import Triangles
 
@@ -76,8 +76,15 @@ def touch_log_likelihoods(
         normals_w: outward, unit; None where they are not known, then the nearest face counts.
         triangles: of the object, in its own frame, facing outward.
         noise: of the touches.
+
+    Raises:
+        ValueError: a shape does not fit, or a point or normal is not finite.
     """
     check_shape("points_w", points_w, "(K, 3)")
+    if may_look():
+        check_finite("points_w", points_w)
+        if normals_w is not None:
+            check_finite("normals_w", normals_w)
     noise = noise or TouchNoise()
     rotation, place = world_T_object[..., None, :3, :3], world_T_object[..., None, :3, 3]
     own = (rotation.mT @ (points_w - place)[..., None])[..., 0]

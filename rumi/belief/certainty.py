@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.entropy import Entropy
+from rumi.belief.states import check_weights
 from sdf.check import check_shape
 
 _MOST_TARGETS = 4  # whose orders are all tried
@@ -25,7 +26,11 @@ def covariance(
         log_weights: normalised or not.
         periods: after which a dimension repeats, None for one that does not: 2 pi for an angle, pi for that of an
             object that looks the same half a turn on. Such a dimension is centred at its circular mean.
+
+    Raises:
+        ValueError: see `rumi.belief.states.check_weights`.
     """
+    check_weights(log_weights)
     weights = log_weights.softmax(-1)
     mean = weights @ states
     away = states - mean
@@ -137,12 +142,16 @@ class MassRule:
         Args:
             targets: where each particle has them, metres.
             log_weights: of the particles, normalised or not.
+
+        Raises:
+            ValueError: no particles or targets, or weights as `rumi.belief.states.check_weights` refuses them.
         """
         count, kinds = targets.shape[:2]
         if count == 0 or kinds == 0:
             raise ValueError(f"Expected at least one particle and one target, got shape {tuple(targets.shape)}")
         if self.which == "all" and self.alike and kinds > _MOST_TARGETS:
             raise ValueError(f"Expected at most {_MOST_TARGETS} targets that are alike, got {kinds}: set alike=False")
+        check_weights(log_weights)
         weights = log_weights.softmax(-1)
         likeliest = torch.argsort(log_weights, descending=True, stable=True)[: self.tries]
         orders = self._orders(targets)

@@ -36,7 +36,9 @@ def weights_entropy(log_weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b"]:
     """
     check_weights(log_weights)
     log = log_weights.log_softmax(-1)
-    return -torch.where(log > -math.inf, log.exp() * log, torch.zeros_like(log)).sum(-1)
+    held = log > -math.inf
+    safe = torch.where(held, log, 0.0)  # or autograd would take the slope of 0 log 0
+    return -torch.where(held, safe.exp() * safe, 0.0).sum(-1)
 
 
 class Support(NamedTuple):

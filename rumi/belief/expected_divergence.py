@@ -26,8 +26,12 @@ def divergence(log_weights: Float[Tensor, "*#b N"], log_likelihood: Float[Tensor
             "are all states, readings and their noise finite, and the noise above 0?"
         )
     possible = torch.isfinite(evidence)
+    if joint.requires_grad:
+        # a sum of nothing but exp(-inf) has no slope
+        joint = torch.where(possible[..., None], joint, 0.0)
+        evidence = torch.where(possible, joint.logsumexp(-1), -torch.inf)
     posterior = (joint - torch.where(possible, evidence, 0.0)[..., None]).exp()
-    held = posterior > 0
+    held = (posterior > 0) & possible[..., None]
     mean = torch.where(held, posterior * torch.where(held, log_likelihood, 0.0), 0.0).sum(-1)
     return torch.where(possible, mean - torch.where(possible, evidence, 0.0), 0.0).clamp_min(0.0)
 

@@ -97,7 +97,7 @@ def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"],
     lead = weights.new_full(weights.shape, 0.0).scatter_add(-1, leader, weights.exp())
     own = torch.arange(leader.shape[-1], device=leader.device)
     first = (leader == own) & (weights > -math.inf)
-    log = torch.where(first, lead.log(), torch.full_like(lead, -math.inf))
+    log = torch.where(first, torch.where(first, lead, 1.0).log(), -math.inf)
     shape = states.shape[:-1]
     return Merged(log.view(shape), first.view(shape), first.sum(-1).view(shape[:-1]))
 
@@ -203,7 +203,7 @@ def _nearest(
         valid = first[part] & others.any(-1)
         sides[part] = torch.where(valid[..., None], high - low, 0.0)
         farthest = torch.where(others, near.values, torch.zeros_like(near.values)).amax(-1)
-        distance[part] = torch.where(valid, farthest.sqrt(), 0.0)
+        distance[part] = torch.where(valid, torch.where(valid, farthest, 1.0).sqrt(), 0.0)
         held = weights[part, None, :].expand(-1, size, -1).gather(2, near.indices)
         mass[part] = torch.where(valid, torch.where(others, held, 0.0).sum(-1), 0.0)
     return sides, distance, mass

@@ -10,7 +10,7 @@ from torch import Tensor
 from rumi.dynamics.outline import GridOutline, RectangleOutline
 from rumi.dynamics.sliding import Outline, Sliding, push, rotated
 from sdf import backend, fused
-from sdf.check import check_shape
+from sdf.check import check_finite, check_shape, may_look
 
 
 class Pusher(NamedTuple):
@@ -90,9 +90,15 @@ def carry(
         sliding: of each object.
         substeps: equal parts of the way from one instant to the next.
         passes: contacts that are settled in a part, at most.
+
+    Raises:
+        ValueError: a shape does not fit, or a pose or the path is not finite.
     """
     check_shape("poses", poses, "(E, 3)", last=(3,))
     check_shape("path", path, "(#E, K1, 3)", last=(3,))
+    if may_look():
+        check_finite("poses", poses)
+        check_finite("path", path)
     sliding = sliding.expand(len(poses))
     version = backend.dispatch("carry", poses, path, pusher.points, *sliding)
     found: Carried = version(poses, path, pusher, outline, sliding, substeps, passes)

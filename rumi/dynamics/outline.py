@@ -35,7 +35,7 @@ class RectangleOutline:
         length = outside.norm(dim=-1, keepdim=True)
         nearest = torch.nn.functional.one_hot(excess.argmax(-1), 2).to(points_o)
         away = torch.where(length > 0, outside / length.clamp_min(1e-12), nearest)
-        return OutlineQuery(distance, away * torch.where(points_o < 0, -1.0, 1.0))
+        return OutlineQuery(distance, away * torch.where(points_o < 0, -1.0, 1.0).to(away))
 
 
 @dataclass(frozen=True, eq=False)

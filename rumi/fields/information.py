@@ -9,9 +9,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from rumi.belief.states import check_weights
 from sdf import backend, fused, savings
 from sdf.base import SDF
-from sdf.check import check_shape
+from sdf.check import check_finite, check_shape, may_look
 from sdf.grid_fused import takes
 from sdf.posed import about_first, posed_distance
 
@@ -172,9 +173,16 @@ def information_field(
         points_w: (V, 3), the same for every scene of a batch.
         settings: see there.
         parameters: override single settings by floats or tensors (gradients reach tensors).
+
+    Raises:
+        ValueError: a shape does not fit, a pose is not finite, or weights as `check_weights` refuses them.
     """
     check_shape("world_T_object", world_T_object, "(*b, N, 4, 4)", last=(4, 4))
     check_shape("points_w", points_w, "(V, 3)", last=(3,))
+    check_weights(log_weights)
+    # one such pose would hide the object from all points, whatever its weight
+    if may_look():
+        check_finite("world_T_object", world_T_object)
     settings = settings or InformationSettings()
     values: dict[str, Any] = {f.name: getattr(settings, f.name) for f in fields(settings)} | parameters
     tail = values.pop("tail")
@@ -185,7 +193,7 @@ def information_field(
     near = near_object(sdf, world_T_object, points_w, reach)  # (*b, V)
     world_T_object, points_w = about_first(world_T_object, points_w)
     tensors = (value for value in values.values() if isinstance(value, Tensor))
-    version = backend.dispatch("information_field", world_T_object, log_weights, points_w, *sdf.buffers(), *tensors)
+    version = backend.dispatch("information_field", world_T_object, log_weights, points_w, *sdf.tensors(), *tensors)
     with savings.work("workspace_points") as work:
         if savings.kept():
             work.count(int(near.sum()), near.numel())
@@ -257,7 +265,7 @@ class InformationField(nn.Module):
         self.settings = settings or InformationSettings()
         self._names = ("peakiness", "free_scale", "tolerance", "sharpness", "surface_tolerance")
         for name in self._names:
-            tensor = torch.tensor(float(getattr(self.settings, name)))
+            tensor = torch.tensor(float(getattr(self.settings, name)), dtype=torch.float64)
             if trainable and name != "tolerance":
                 self.register_parameter(name, nn.Parameter(tensor))
             else:

@@ -39,7 +39,7 @@ def expected_normal(
     if where is None:
         shape = (*world_T_object.shape[:-3], len(points_w))
         where = torch.ones(shape, dtype=torch.bool, device=points_w.device)
-    version = backend.dispatch("expected_normal", world_T_object, log_weights, points_w, *sdf.buffers())
+    version = backend.dispatch("expected_normal", world_T_object, log_weights, points_w, *sdf.tensors())
     with savings.work("normals") as work:
         if savings.kept():
             work.count(int(where.sum()), where.numel())

@@ -75,7 +75,7 @@ def self_agreement(
         tolerance: of the sensor model, m.
     """
     pose, points = belief.attached_T_object, surface_points_o.to(belief.attached_T_object)
-    version = backend.dispatch("self_agreement", pose, belief.log_weights, points, *sdf.buffers())
+    version = backend.dispatch("self_agreement", pose, belief.log_weights, points, *sdf.tensors())
     nll, apc = version(pose, belief.log_weights, points, sdf, sharpness, tolerance)
     scale = nll_points / max(len(points), 1)
     return SelfAgreement((belief.weights * nll).sum(-1) * scale, apc)

@@ -122,7 +122,7 @@ class ReachabilityCost:
         origin = self._information.origin
         x, y = values.nonzero().unbind(-1)
         held, spacing = values[x, y], self._information.spacing
-        from_pivot = torch.stack((x, y), -1) * spacing + origin[:2] - pivot
+        from_pivot = torch.stack((x, y), -1).to(values) * spacing + origin[:2] - pivot
         cos, sin = math.cos(turn), math.sin(turn)
         way = from_pivot @ from_pivot.new_tensor([[cos, sin], [-sin, cos]])
         node = (way + pivot - origin[:2]) / spacing

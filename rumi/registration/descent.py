@@ -158,7 +158,7 @@ def violable_pairs(
     if not bool(hinged.any()):
         return empty
     distance = posed_distance(discrepancy.sdf, frame_T_object, near.points)
-    sign = torch.where(near.semantics == Semantics.FREE, 1.0, -1.0)
+    sign = torch.where(near.semantics == Semantics.FREE, 1.0, -1.0).to(distance)
     chosen = hinged[..., None, :] & (sign[..., None, :] * distance < margin_m)
     rows = chosen.reshape(-1, chosen.shape[-1]).nonzero()
     count = frame_T_object.shape[-3]

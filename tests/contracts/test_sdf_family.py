@@ -1,5 +1,6 @@
 """What holds for every signed distance function, tabulated or exact."""
 
+import io
 import itertools
 import math
 from collections.abc import Callable
@@ -234,3 +235,77 @@ def test_mug_distance_equals_that_to_the_nearest_point_of_a_dense_surface(genera
     depth = -exact[~outside]
     assert (depth <= brute[~outside] + 1e-9).all()
     assert (brute[~outside] - depth < 0.5e-3).double().mean() > 0.9
+
+
+def test_inference_mode_and_its_tensors(member, generator):
+    _, sdf = member
+    points = around(sdf, 0.1, 20, generator)
+    expected = sdf(points)
+    with torch.inference_mode():
+        made = points * 1.0
+        found = sdf(made)
+    for query in (found, sdf(made)):
+        assert torch.equal(query.distance, expected.distance)
+        assert torch.equal(query.gradient, expected.gradient)
+
+
+def test_without_grad_no_graph_is_kept(member, generator):
+    _, sdf = member
+    points = around(sdf, 0.1, 20, generator).requires_grad_()
+    with torch.no_grad():
+        query = sdf(points)
+    assert not query.distance.requires_grad and not query.gradient.requires_grad
+
+
+class Learnt(SDF):
+    """An SDF whose own numbers are trained."""
+
+    def __init__(self) -> None:
+        super().__init__(torch.tensor([[-1.0] * 3, [1.0] * 3], dtype=torch.float64))
+        self.stretch = torch.nn.Parameter(torch.tensor([1.0, 2.0, 0.5], dtype=torch.float64))
+
+    def distance(self, points_o: torch.Tensor) -> torch.Tensor:
+        return (points_o * self.stretch).norm(dim=-1) - 0.5
+
+
+def test_autograd_reaches_a_members_own_parameters(generator):
+    """So that a loss on the slope's length, which a true distance has 1, can be trained on."""
+    sdf = Learnt()
+    points = around(sdf, 0.0, 50, generator)
+    query = sdf(points)
+    (slope,) = torch.autograd.grad((query.gradient.norm(dim=-1) - 1).square().mean(), sdf.stretch, retain_graph=True)
+    assert float(slope.abs().max()) > 0.01
+    (slope,) = torch.autograd.grad(query.distance.sum(), sdf.stretch)
+    assert float(slope.abs().min()) > 1.0
+    with torch.no_grad():
+        assert not sdf(points).gradient.requires_grad
+
+
+def test_state_goes_into_one_of_the_same_numbers(member):
+    entry, sdf = member
+    stored = io.BytesIO()
+    torch.save(sdf.state_dict(), stored)
+    stored.seek(0)
+    other = entry.make()
+    other.load_state_dict(torch.load(stored, weights_only=True))
+    inside = torch.tensor([entry.inside], dtype=torch.float64)
+    assert torch.equal(other.distance(inside), sdf.distance(inside))
+
+
+def ball(x: float, spacing: float = 0.01) -> GridSDF:
+    place = se3.make(torch.eye(3), torch.tensor([x, 0.0, 0.0]))
+    return GridSDF.from_sdf(Placed(Sphere(0.05), place), spacing, outer=0.0)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "name"),
+    [
+        (lambda: ball(0.0), lambda: ball(0.1), "GridSDF with origin"),
+        (lambda: Sphere(0.1), lambda: Sphere(0.2), "Sphere with radius"),
+        (lambda: Capsule((0, 0, 0), (1, 1, 0), 0.1), lambda: Capsule((0, 1, 0), (1, 0, 0), 0.1), "Capsule with a"),
+        (Mug, lambda: Mug(wall=0.003), "(Cup|TorusArc) with"),
+    ],
+)
+def test_state_of_another_size_or_place_is_refused(one, other, name):
+    with pytest.raises(ValueError, match=f"Expected the state of a {name}"):
+        other().load_state_dict(one().state_dict())

@@ -363,3 +363,30 @@ def test_neighbours_of_next_to_no_weight_share_what_is_left(dtype: torch.dtype) 
     pairs = [estimate(states, torch.tensor([0.0, log_weight], dtype=dtype)) for log_weight in (-30.0, -80.0, -600.0)]
     wanted = 2 * math.log(0.5) + math.log(math.pi) - math.log(1e-6)
     assert [float(found) for found in pairs] == pytest.approx([wanted] * 3, abs=1e-3)
+
+
+@pytest.mark.parametrize("choice", get_args(EntropyChoice))
+@pytest.mark.parametrize("case", ["a weight of nothing", "duplicates", "alone"])
+@pytest.mark.parametrize("version", ["torch"], indirect=True)
+def test_slopes_are_numbers(choice: EntropyChoice, case: str, generator: torch.Generator) -> None:
+    states, log_weights = torch.rand(8, 3, generator=generator, **DOUBLE), torch.randn(8, generator=generator, **DOUBLE)
+    if case == "a weight of nothing":
+        log_weights[2] = -math.inf
+    elif case == "duplicates":
+        states[1] = states[0]
+    else:
+        states, log_weights = states[:1], log_weights[:1]
+    inputs = states.requires_grad_(), log_weights.requires_grad_()
+    value = make_entropy(choice, SharedSupport(PLANAR))(*inputs)
+    for slope in torch.autograd.grad(value, inputs, allow_unused=True):
+        assert slope is None or bool(slope.isfinite().all())
+
+
+@pytest.mark.parametrize("version", ["torch"], indirect=True)
+def test_the_slope_of_a_weight_of_nothing_is_that_of_the_others() -> None:
+    log_weights = torch.tensor([0.3, -math.inf, 1.2, 0.0], **DOUBLE).requires_grad_()
+    (slope,) = torch.autograd.grad(weights_entropy(log_weights), log_weights)
+    few = log_weights.detach()[[0, 2, 3]].requires_grad_()
+    (expected,) = torch.autograd.grad(weights_entropy(few), few)
+    torch.testing.assert_close(slope[[0, 2, 3]], expected)
+    assert float(slope[1]) == 0.0

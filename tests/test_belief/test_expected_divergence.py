@@ -88,3 +88,21 @@ def test_a_miss_is_a_reading_too():
 def test_a_state_too_few(no_shape_check):
     with pytest.raises(ValueError, match="each of the 3 states, got 4"):
         expected_divergence(torch.zeros(3), torch.zeros(2, 4))
+
+
+def test_a_reading_that_nothing_explains_has_no_slope():
+    generator = torch.Generator().manual_seed(0)
+    likelihood = torch.randn(4, 3, generator=generator, dtype=F64)
+    likelihood[0], likelihood[2, 1] = -math.inf, -math.inf
+    inputs = torch.randn(3, generator=generator, dtype=F64).requires_grad_(), likelihood.requires_grad_()
+    found = divergence(inputs[0], inputs[1])
+    with torch.no_grad():
+        assert torch.equal(divergence(*inputs), found)
+    slopes = torch.autograd.grad(found.sum(), inputs, retain_graph=True)
+    rest = torch.autograd.grad(divergence(inputs[0], inputs[1][1:]).sum(), inputs)
+    for slope, expected in zip(slopes, rest, strict=True):
+        assert bool(slope.isfinite().all())
+        torch.testing.assert_close(slope, expected)
+    (slope,) = torch.autograd.grad(expected_divergence(*inputs, torch.zeros(4, dtype=F64)), inputs[0])
+    assert bool(slope.isfinite().all())
+    assert float(slope.abs().max()) > 0

@@ -138,3 +138,15 @@ def test_two_threads_carry_as_one_does(each: bool, generator: torch.Generator) -
         torch.set_num_threads(before)
     assert torch.equal(found[0].track, found[1].track)
     assert torch.equal(found[0].distance, found[1].distance)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_what_is_nowhere_is_refused(bad: float, generator: torch.Generator) -> None:
+    poses, sliding = objects(generator, 3)
+    path = straight()
+    path[0, 4, 1] = bad
+    with pytest.raises(ValueError, match="Expected path to be finite"):
+        carry(poses, path, finger("disc"), BOX, sliding)
+    poses[1, 2] = bad
+    with pytest.raises(ValueError, match="Expected poses to be finite"):
+        carry(poses, straight(), finger("disc"), BOX, sliding)

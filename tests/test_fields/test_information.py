@@ -274,7 +274,7 @@ def test_module_has_its_numbers_in_its_state_and_trains_them(mug: SDF, beliefs: 
     poses, log_weights = beliefs()
     fixed = InformationField(mug, InformationSettings(tail=0.0)).double()
     plain = information_field(mug, poses, log_weights, points, fixed.settings)
-    close(fixed(poses, log_weights, points), plain, atol=1e-7)  # buffers start as float32
+    close(fixed(poses, log_weights, points), plain, atol=1e-12)
     assert {"sharpness", "surface_tolerance", "peakiness", "free_scale", "tolerance"} <= set(fixed.state_dict())
     assert not list(fixed.parameters())
     trained = InformationField(Sphere(0.06).double(), InformationSettings("surrogate"), trainable=True).double()
@@ -429,3 +429,19 @@ def test_scenes_far_apart_are_as_right_as_alone(beliefs, generator):
         alone = information_field(table, poses[scene], log_weights[scene], points)
         torch.testing.assert_close(both.information[scene], alone.information)
         torch.testing.assert_close(both.semantics[scene], alone.semantics)
+
+
+def test_the_modules_numbers_are_the_settings_to_the_last_digit() -> None:
+    module = InformationField(Sphere(0.06), InformationSettings(surface_tolerance=0.003))
+    assert module.surface_tolerance.item() == 0.003
+
+
+def test_refuses_beliefs_that_are_none(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
+    poses, log_weights = beliefs()
+    with pytest.raises(ValueError, match="Expected one state or more"):
+        information_field(mug, poses[:0], log_weights[:0], points)
+    with pytest.raises(ValueError, match="Expected a finite log-weight"):
+        information_field(mug, poses, torch.full_like(log_weights, -math.inf), points)
+    poses[2, 0, 3], log_weights[2] = math.nan, -math.inf
+    with pytest.raises(ValueError, match="Expected world_T_object to be finite"):
+        information_field(mug, poses, log_weights, points)

@@ -351,3 +351,14 @@ def test_change_cost_weighs_what_it_says(knots):
     objective = MPPI(settings(knots=knots), 2, torch.float64).plan(start, jumpy, generator=seeded(1))
     torch.testing.assert_close(own[0].knots, objective[0].knots)
     assert_same(own[1].costs, base(own[1].controls))
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_knots_that_are_no_numbers_are_refused(bad):
+    mppi = MPPI(settings(), 3)
+    knots = torch.zeros(4, 3)
+    knots[1, 2] = bad
+    with pytest.raises(ValueError, match=f"Expected finite knots, got {bad}"):
+        mppi.from_knots(knots)
+    with pytest.raises(ValueError, match="Expected finite knots"):
+        mppi.plan(ControlPlan(knots, torch.zeros(7, 3)), lambda c: torch.zeros(len(c)), generator=seeded())

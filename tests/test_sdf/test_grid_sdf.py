@@ -176,7 +176,7 @@ def test_not_finite_is_far_and_never_nan(grid, dtype):
 
 
 def test_state_and_dtype(mug, grid):
-    assert set(grid.state_dict()) == {"values", "bounds"}
+    assert set(grid.state_dict()) == {"values", "bounds", "_extra_state"}
     twice = GridSDF.from_sdf(Mug(), outer=0.0).to(torch.float64)
     assert twice.distance(torch.zeros(1, 3, dtype=torch.float64)).dtype == torch.float64
     assert grid.distance(torch.zeros(1, 3, dtype=torch.float64)).dtype == torch.float64

@@ -230,3 +230,29 @@ def test_a_first_pose_that_is_nowhere_leaves_the_others_right(shape, bad, genera
     wanted = posed_distance(shape, poses[1:], points)
     poses[0, :3, 3] = bad
     torch.testing.assert_close(posed_distance(shape, poses, points)[1:], wanted)
+
+
+@only_plain
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_padding_that_is_not_finite_has_no_slope(shape, bad, generator):
+    poses, points = scene(generator)
+    points[2, 1] = bad
+    good = [0, 1, 3, 4, 5, 6]
+    slopes = []
+    for cloud in (points, points[good]):
+        moved, seen = poses.clone().requires_grad_(), cloud.clone().requires_grad_()
+        distance = posed_distance(shape, moved, seen)
+        slopes.append(torch.autograd.grad(distance.sum(), (moved, seen)))
+    assert (posed_distance(shape, poses.clone().requires_grad_(), points)[:, 2] > 1e5).all()
+    torch.testing.assert_close(slopes[0][0], slopes[1][0], atol=1e-12, rtol=0)
+    torch.testing.assert_close(slopes[0][1][good], slopes[1][1], atol=1e-12, rtol=0)
+    assert not slopes[0][1][2].any()
+
+
+def test_inference_mode(shape, generator):
+    poses, points = scene(generator)
+    expected = posed_query(shape, poses, points)
+    with torch.inference_mode():
+        found = posed_query(shape, poses, points)
+    torch.testing.assert_close(found.distance, expected.distance, atol=0, rtol=0)
+    torch.testing.assert_close(found.gradient, expected.gradient, atol=0, rtol=0)

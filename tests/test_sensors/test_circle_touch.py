@@ -55,3 +55,14 @@ def test_no_true_place_is_ruled_out():
         touch = CircleTouches.none(HALF, RADIUS, 0.005).with_touch(felt.point[k], felt.normal[k])
         assert float(touch.log_likelihood(poses[k : k + 1, :2])) > -1e-12
     assert int(felt.hit.sum()) > 40
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_touches_and_ways_that_are_no_numbers_are_refused(bad: float) -> None:
+    half = torch.tensor([0.05, 0.03], dtype=torch.float64)
+    felt, nowhere = CircleTouches.none(half, 0.01, 0.005), torch.tensor([0.0, bad], dtype=torch.float64)
+    for pair in ((half, nowhere), (nowhere, half)):
+        with pytest.raises(ValueError, match="_w to be finite"):
+            felt.with_touch(*pair)
+        with pytest.raises(ValueError, match="_w to be finite"):
+            felt.with_way(*pair)

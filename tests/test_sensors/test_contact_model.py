@@ -166,3 +166,15 @@ def test_silence_at_touch_is_told_from_silence_near_it_in_float32(rate: float) -
 def test_silence_of_the_binary_model() -> None:
     found = ContactModel(0.9, 0.1, None).log_likelihood(torch.tensor([0.0, 1.0]), torch.zeros(2, dtype=torch.bool))
     torch.testing.assert_close(found, torch.tensor([0.1, 0.9]).log())
+
+
+def test_what_is_infinitely_far_trains_nothing_to_nan() -> None:
+    distance = torch.tensor([math.inf, 0.001], dtype=F64)
+    for contact in (True, False):
+        model = ContactModel(trainable=True)
+        told = model.log_likelihood(distance, torch.tensor([contact] * 2))
+        told.sum().backward()
+        gradients = {name: p.grad for name, p in model.named_parameters() if name != "tolerance"}
+        assert all(g is not None and bool(g.isfinite()) for g in gradients.values()), gradients
+        nothing = 0.1 if contact else 0.9
+        assert told[0].item() == pytest.approx(math.log(nothing))

@@ -236,3 +236,22 @@ def test_chunks_of_poses_change_nothing(monkeypatch: pytest.MonkeyPatch, generat
     assert poses_at_once(poses, 40) == 3
     torch.testing.assert_close(module(poses, seen), whole, atol=1e-12, rtol=0)
     assert module(poses[:, :0], seen).shape == (2, 0)
+
+
+def test_padding_that_is_no_number_changes_nothing():
+    poses, observation = random_scene(6)
+    valid = torch.rand(observation.valid.shape, generator=torch.Generator().manual_seed(0)) < 0.7
+    points = observation.points.masked_fill(~valid[..., None], torch.nan)
+    grid = GridSDF.from_sdf(Box((0.1, 0.15, 0.08)), 0.02).double()
+    given = [(grid, poses, x, observation.semantics, valid) for x in (observation.points, points)]
+    for function in (normal_equations, tangent_gradient):
+        for wanted, found in zip(*(function(*arguments) for arguments in given), strict=True):
+            torch.testing.assert_close(found, wanted, atol=1e-12, rtol=1e-12)
+    module = Discrepancy(grid, 0.2).double()
+    slopes = []
+    for x in (observation.points, points):
+        moved = poses.clone().requires_grad_()
+        with backend.force("torch"):
+            module(moved, Observation(x, observation.semantics, observation.attached, valid)).sum().backward()
+        slopes.append(moved.grad)
+    torch.testing.assert_close(slopes[1], slopes[0], atol=1e-12, rtol=1e-12)

@@ -165,3 +165,16 @@ def test_versions_agree(dtype):
             assert torch.allclose(clear, quick_clear, atol=1e-6 if loose else 1e-12)
     batched = rectangle_log_likelihoods(poses.expand(2, 60, 3), points, normals, half, NOISE)
     assert torch.allclose(batched[1], rectangle_log_likelihoods(poses, points, normals, half, NOISE), atol=2e-2)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_touches_and_ways_that_are_no_numbers_are_refused(bad: float) -> None:
+    half = torch.tensor([0.05, 0.03], dtype=torch.float64)
+    felt, nowhere = RectangleTouches.none(half, TouchNoise(), 0.01), torch.tensor([0.0, bad], dtype=torch.float64)
+    for pair in ((half, nowhere), (nowhere, half)):
+        with pytest.raises(ValueError, match="_w to be finite"):
+            felt.with_touch(*pair)
+        with pytest.raises(ValueError, match="_w to be finite"):
+            felt.with_way(*pair)
+    with pytest.raises(ValueError, match="over_w to be finite"):
+        felt.with_top(nowhere)

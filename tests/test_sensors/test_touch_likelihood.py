@@ -141,3 +141,15 @@ def test_noise_that_cannot_be(change):
 def test_a_box_in_four_dimensions():
     with pytest.raises(ValueError, match="2 or 3"):
         box_face_log_likelihoods(torch.zeros(1, 4), None, torch.ones(4), TouchNoise())
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_touches_that_are_no_numbers_are_refused(bad: float) -> None:
+    corners = 0.1 * torch.tensor([[[0.0, 0, 0], [0, 1, 0], [1, 0, 0]]], dtype=torch.float64)
+    points = torch.zeros(2, 3, dtype=torch.float64)
+    points[1, 0] = bad
+    pose = se3.identity((1,), dtype=torch.float64)
+    with pytest.raises(ValueError, match="Expected points_w to be finite"):
+        touch_log_likelihoods(pose, points, None, Triangles(corners))
+    with pytest.raises(ValueError, match="Expected normals_w to be finite"):
+        touch_log_likelihoods(pose, points.nan_to_num(0.0, 0.0), points, Triangles(corners))

@@ -1,6 +1,7 @@
 """Distances: tables and formulas far away, on cell faces, at thin walls; one object at many poses; discrepancies."""
 
 import math
+from collections.abc import Callable
 from functools import cache, partial
 
 import torch
@@ -102,7 +103,7 @@ def _of_numbers(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
 
 # closed forms
 
-_PRIMITIVES = {
+_PRIMITIVES: dict[str, Callable[[], SDF]] = {
     "sphere": lambda: Sphere(0.04),
     "box": lambda: Box((0.03, 0.08, 0.105)),
     "sheet": lambda: Box((0.0002, 0.1, 0.1)),
