@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from sensors.observation import Observation
 
 _SUFFIXES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
-_Six = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class CheckOptions:
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     step: int = 0
-    pose: Annotated[_Six | None, tyro.conf.arg(metavar="X Y Z ROLL PITCH YAW")] = None
+    pose: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X Y Z ROLL PITCH YAW")] = ()
     map: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     out: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("check.png")
 
@@ -50,8 +49,9 @@ class CheckOptions:
 def check(arguments: Sequence[str], *, cache_dir: Path) -> int:
     """`rumi check`: 0 where it could be drawn, 2 for bad input."""
     options = tyro.cli(CheckOptions, prog="rumi check", args=arguments)
-    if options.pose is not None and not all(map(math.isfinite, options.pose)):
-        raise UsageError(f"Expected --pose to be six numbers, got {' '.join(map(str, options.pose))}")
+    six = len(options.pose) == 6 and all(map(math.isfinite, options.pose))
+    if not six and (options.pose or "--pose" in arguments):
+        raise UsageError(f"Expected --pose to be six numbers, got {' '.join(map(str, options.pose)) or 'none'}")
     out = _picture(options.out)
     from rumi.bags.mapping import Fixed
     from rumi.misfit import misfit
@@ -70,12 +70,14 @@ def check(arguments: Sequence[str], *, cache_dir: Path) -> int:
                 sys.stderr.write(f"rumi: {problem}\n")
     except LogError as error:
         raise UsageError(str(error)) from error
+    if not taken:
+        raise UsageError("Expected a log with a first reading at least, got none: there is nothing to draw")
     if not 0 <= options.step < len(taken):
         raise UsageError(f"Expected --step 0 to {len(taken) - 1}, the readings of {options.log}, got {options.step}")
     rummager = rummager_of(settings, mapping, taken, cache_dir)
-    if options.pose is not None:
-        at, turn = options.pose[:3], options.pose[3:]
-        pose, whose = Fixed("", "", at, turn).pose(), "the pose that was given"
+    if options.pose:
+        x, y, z, roll, pitch, yaw = options.pose
+        pose, whose = Fixed("", "", (x, y, z), (roll, pitch, yaw)).pose(), "the pose that was given"
     else:
         pose, whose = _likeliest(taken[: options.step + 1], rummager, settings.seed), "the belief's likeliest pose"
     seen = at_the_end(taken[options.step])

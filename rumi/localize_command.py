@@ -96,7 +96,7 @@ def localize(arguments: Sequence[str]) -> int:
     from rumi.registration.localize import localize as find
     from rumi.registration.touch_surface import TouchSurface
     from rumi.seeding import generator
-    from sdf.mesh import MeshError, load_mesh
+    from sdf.mesh import MeshError, check_size, load_mesh
     from sdf.symmetry import Symmetries
 
     began, threads = time.perf_counter(), torch.get_num_threads()
@@ -107,6 +107,7 @@ def localize(arguments: Sequence[str]) -> int:
         # tensors are small, and threads that wait for each other lose much where the cores are shared
         torch.set_num_threads(1)
         mesh = load_mesh(options.mesh, scale=options.scale)
+        check_size(mesh, options.scale)
         surface = TouchSurface.of(mesh, None if options.symmetries else Symmetries.none())
         loaded = time.perf_counter()
         normals = contacts.normals if options.normals else None

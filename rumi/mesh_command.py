@@ -48,7 +48,7 @@ def mesh(arguments: Sequence[str]) -> int:
         if len(loaded.faces) > _MANY:
             sys.stderr.write(f"rumi: looking at {len(loaded.faces)} faces: some {len(loaded.faces) // _MANY * 4} s\n")
             sys.stderr.flush()
-        found = report(loaded, spacing=options.spacing)
+        found = report(loaded, spacing=options.spacing, scale=options.scale)
         symmetry = mesh_symmetries(MeshSDF(loaded)).words() if found.usable else None
     except MeshError as error:
         raise UsageError(str(error)) from None

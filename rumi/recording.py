@@ -235,7 +235,7 @@ def write_belief(path: Path, belief: PoseBelief, *, stamp: float, frame: str = "
 
 def provenance() -> dict[str, Any]:
     """Versions, threads and the commit that a run is made with; the same for the same installation."""
-    versions = {name: _version(name) for name in ("rumi", "torch", "numpy", "mujoco-core", "pytorch-kinematics")}
+    versions = {name: version_of(name) for name in ("rumi", "torch", "numpy", "mujoco-core", "pytorch-kinematics")}
     return {
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
@@ -246,7 +246,8 @@ def provenance() -> dict[str, Any]:
     }
 
 
-def _version(name: str) -> str | None:
+def version_of(name: str) -> str | None:
+    """The version of an installed package; None where it is not."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

@@ -19,7 +19,7 @@ SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
 SMALLEST_M, LARGEST_M = 0.003, 5.0
 """Diagonals of the meshes that are taken for what they say."""
 
-_UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "kilometres": 1000.0}
+_UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "metres": 1.0, "kilometres": 1000.0}
 # of the diagonal: vertices that agree to this are one; three coordinates of so many bits fit one integer
 _MERGE_BITS = 21
 
@@ -104,6 +104,11 @@ def load_mesh(path: str | Path, *, scale: float = 1.0) -> TriangleMesh:
         raise MeshError(f"Expected a mesh in {path}, got {what}")
     if path.stat().st_size == 0:
         raise MeshError(f"Expected a mesh in {path}, got an empty file")
+    try:
+        with path.open("rb"):
+            pass
+    except OSError as error:
+        raise MeshError(f"Cannot read {path}: {error.strerror or error}") from error
     vertices, faces = _read(path)
     try:
         mesh = TriangleMesh(torch.from_numpy(vertices), torch.from_numpy(faces))
@@ -112,8 +117,12 @@ def load_mesh(path: str | Path, *, scale: float = 1.0) -> TriangleMesh:
     return merged(mesh).scaled(scale)
 
 
-def check_size(mesh: TriangleMesh) -> None:
+def check_size(mesh: TriangleMesh, scale: float = 1.0) -> None:
     """Refuse a mesh that is no object of a table-top in metres.
+
+    Args:
+        mesh: in metres, as far as is known.
+        scale: by which it was read from its file.
 
     Raises:
         MeshError: with the scale that would make it one.
@@ -121,7 +130,7 @@ def check_size(mesh: TriangleMesh) -> None:
     size = mesh.diagonal
     if SMALLEST_M <= size <= LARGEST_M:
         return
-    fits = [f"{name} ({scale:g})" for name, scale in _UNITS.items() if 0.01 <= scale * size <= 1.0]
+    fits = [f"{name} ({unit:g})" for name, unit in _UNITS.items() if 0.01 <= unit * size / scale <= 1.0]
     guess = f"it looks as if it were in {' or '.join(fits)}" if fits else "what unit is it in?"
     raise MeshError(
         f"Expected a mesh in metres between {SMALLEST_M:g} and {LARGEST_M:g} m across, got {size:.4g} m: {guess}; "

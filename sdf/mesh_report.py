@@ -15,6 +15,8 @@ from sdf.walls import thinnest_wall
 ERROR, WARNING, NOTE = "error", "warning", "note"
 # metres: sizes beyond which a mesh is taken, with a question
 _SMALL_M, _LARGE_M = 0.02, 1.5
+# from the origin, beyond which nothing more is looked at
+_FAR_M = 1000.0
 
 
 @dataclass(frozen=True)
@@ -99,19 +101,23 @@ class MeshReport:
         return "\n".join(lines) + "\n"
 
 
-def report(mesh: TriangleMesh, *, spacing: float | None = None, padding: float = 0.02) -> MeshReport:
+def report(
+    mesh: TriangleMesh, *, spacing: float | None = None, padding: float = 0.02, scale: float = 1.0
+) -> MeshReport:
     """Look a mesh over.
 
     Args:
         mesh: as it came.
         spacing: of the table, metres, if it is given.
         padding: of the table, metres.
+        scale: by which it was read from its file.
     """
     findings = []
+    far = float(mesh.bounds.abs().max()) > _FAR_M
     try:
-        check_size(mesh)
+        check_size(mesh, scale)
     except MeshError as error:
-        findings.append(Finding(ERROR if spacing is None else WARNING, str(error)))
+        findings.append(Finding(ERROR if spacing is None or far else WARNING, str(error)))
     else:
         if not _SMALL_M <= mesh.diagonal <= _LARGE_M:
             findings.append(Finding(WARNING, f"{mesh.diagonal:.3g} m across: are the units metres? (--scale)"))
@@ -124,9 +130,9 @@ def report(mesh: TriangleMesh, *, spacing: float | None = None, padding: float =
     chosen: float | None = None
     nodes: tuple[int, ...] = ()
     if shape is not None:
-        wall = thinnest_wall(shape.repair.surface, mesh.diagonal)
+        wall = None if far else thinnest_wall(shape.repair.surface, mesh.diagonal)
         findings += _findings(shape.repair)
-        if all(finding.level != ERROR for finding in findings):
+        if wall is not None and all(finding.level != ERROR for finding in findings):
             chosen = choose_spacing(shape, padding) if spacing is None else spacing
             nodes = tuple(len(axis) for axis in lattice_about(mesh.bounds, chosen, padding).axes)
             findings += _wall_findings(wall, chosen)

@@ -146,6 +146,8 @@ def read(path: Path) -> list[dict[str, Any]]:
         raise UsageError(
             f"Cannot read {path}: {error.strerror or error}; `rumi bench --json FILE` makes one"
         ) from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} holds no results of `rumi bench`: it is no text ({error})") from error
     runs: list[dict[str, Any]] = []
     whole = [content] if path.suffix != ".jsonl" else content.splitlines()
     for number, line in enumerate(whole, 1):

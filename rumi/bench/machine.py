@@ -3,14 +3,13 @@
 import os
 import platform
 import time
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from rumi.bench.timing import fitting_clock
-from rumi.recording import provenance
+from rumi.recording import provenance, version_of
 
 PACKAGES = ("numba", "pytorch-volumetric", "chsel", "pytorch-mppi", "open3d", "ribs")
 BUSY = 0.5
@@ -21,7 +20,7 @@ def environment(device: torch.device) -> dict[str, Any]:
     """Processor, cores, load, device, versions, threads and commit, ready for JSON."""
     made_with = provenance()
     versions = {name: version for name, version in made_with["versions"].items() if version is not None}
-    versions |= {name: found for name in PACKAGES if (found := _version(name)) is not None}
+    versions |= {name: found for name in PACKAGES if (found := version_of(name)) is not None}
     return {
         "processor": processor(),
         "cores": cores(),
@@ -51,10 +50,3 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _version(name: str) -> str | None:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None

@@ -212,6 +212,11 @@ class Log:
 def _opened(path: Path) -> h5py.File:
     """The file; one that grows, was killed or was cut short as if it had been closed."""
     try:
+        with path.open("rb"):
+            pass
+    except OSError as error:
+        raise LogError(f"Cannot read {path}: {error.strerror or error}") from error
+    try:
         return h5py.File(path, "r")
     except DAMAGE as error:
         first = error

@@ -121,6 +121,13 @@ def test_what_is_no_result_is_refused(content, message, tmp_path):
         history.read(path)
 
 
+def test_a_file_that_is_no_text_is_named(tmp_path):
+    path = tmp_path / "bench.csv"
+    path.write_bytes(b"\xff\xfe\x00\x80")
+    with pytest.raises(UsageError, match=r"bench\.csv.*no text"):
+        history.read(path)
+
+
 def test_a_missing_file_says_how_to_make_one(tmp_path):
     with pytest.raises(UsageError, match="rumi bench --json"):
         history.read(tmp_path / "none.jsonl")

@@ -56,6 +56,11 @@ def test_millimetres(box, capsys):
     assert main(["mesh", path]) == cli.BAD_INPUT
     assert "millimetres (0.001)" in capsys.readouterr().out
     assert main(["mesh", path, "--scale", "0.001"]) == cli.DONE
+    capsys.readouterr()
+    assert main(["mesh", path, "--scale", "1000"]) == cli.BAD_INPUT
+    assert "in millimetres (0.001)" in capsys.readouterr().out
+    assert main(["mesh", box(unit=0.001), "--scale", "1000"]) == cli.BAD_INPUT
+    assert "in metres (1)" in capsys.readouterr().out
 
 
 def test_no_volume(box, capsys):

@@ -11,6 +11,7 @@ from rumi import cli
 from rumi.bags.mapping import read_mapping
 from rumi.bags.scene import rummager_of_map, settings_of
 from rumi.cli import main
+from rumi.config import preset, to_dict
 from rumi.errors import UsageError
 from rumi.misfit import misfit
 from rumi.replay import replay
@@ -151,6 +152,15 @@ def points_on(solid, count, generator):
     return points
 
 
+def test_check_of_a_log_without_a_reading_says_so(script, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    settings = to_dict(preset("default", task="mug-0"))
+    with script.LogWriter(tmp_path / "log.h5", settings=settings):
+        pass
+    assert main(["check", "log.h5"]) == cli.BAD_INPUT
+    assert "Expected a log with a first reading at least, got none: there is nothing to draw" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("out", "written"),
     [("folder", "folder/check.png"), ("pic", "pic.png"), ("a/b.svg", "a/b.svg"), ("a.b/pic", "a.b/pic.png")],
@@ -167,6 +177,10 @@ def test_check_refuses_what_it_cannot_draw(capsys):
     pose = ["--pose", "0.5", "nan", "0", "0", "0", "0"]
     assert main(["check", "none.h5", *pose]) == cli.BAD_INPUT
     assert "Expected --pose to be six numbers, got 0.5 nan" in capsys.readouterr().err
+    assert main(["check", "none.h5", "--pose", "0.5", "1"]) == cli.BAD_INPUT
+    assert "Expected --pose to be six numbers, got 0.5 1.0" in capsys.readouterr().err
+    assert main(["check", "none.h5", "--pose"]) == cli.BAD_INPUT
+    assert "Expected --pose to be six numbers, got none" in capsys.readouterr().err
     assert main(["check", "none.h5", "--out", "pic.xyz"]) == cli.BAD_INPUT
     assert "Expected --out to end in .png, .pdf" in capsys.readouterr().err
 

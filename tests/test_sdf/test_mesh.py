@@ -1,6 +1,7 @@
 """Reading meshes, and what is no mesh."""
 
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -105,6 +106,17 @@ def test_a_folder_is_refused(tmp_path):
         load_mesh(tmp_path / "mesh.obj")
 
 
+def test_a_file_that_may_not_be_read_is_named(shapes, tmp_path, monkeypatch):
+    path = write(shapes.box(), tmp_path / "box.off")
+
+    def closed(self, *arguments, **named):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "open", closed)
+    with pytest.raises(MeshError, match=r"Cannot read .*box\.off: Permission denied"):
+        load_mesh(path)
+
+
 def test_arrays_are_checked():
     vertices = torch.eye(3)
     with pytest.raises(MeshError, match="vertices 0 to 2"):
@@ -128,6 +140,17 @@ def test_wrong_units_are_suspected(shapes, scale, words):
     mesh = shapes.box((0.04, 0.04, 0.06)).scaled(scale)
     with pytest.raises(MeshError, match="--scale") as caught:
         check_size(mesh)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"), [(1000.0, "metres (1)"), (1.0, "millimetres (0.001)"), (1e9, "metres (1)")]
+)
+def test_a_scale_that_was_given_counts_in_the_guess(shapes, scale, words):
+    unit = 1.0 if words == "metres (1)" else 0.001
+    mesh = shapes.box((0.04, 0.04, 0.06)).scaled(scale / unit)
+    with pytest.raises(MeshError) as caught:
+        check_size(mesh, scale)
     assert words in str(caught.value)
 
 

@@ -434,6 +434,18 @@ def test_what_is_no_log_is_named(tmp_path):
         Log(tmp_path / "other.h5")
 
 
+def test_a_log_that_may_not_be_read_is_named(tmp_path, monkeypatch):
+    with h5py.File(tmp_path / "log.h5", "w"):
+        pass
+
+    def closed(self, *arguments, **named):
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.setattr(Path, "open", closed)
+    with pytest.raises(LogError, match=r"Cannot read .*log\.h5: Permission denied"):
+        Log(tmp_path / "log.h5")
+
+
 def test_a_newer_log_is_refused(tmp_path):
     path = written(tmp_path / "log.h5")
     with h5py.File(path, "r+") as file:
