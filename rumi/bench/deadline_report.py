@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 Row = dict[str, Any]
 _NOISES = ("lognormal", "exponential", "stalls")
-_COLOURS = {"touch": style.CONTACT, "rumi": style.NLL, "gpvr": style.APC, "slide": style.QUIET}
+_COLOURS = {"touch": style.CONTACT, "rumi": style.NLL, "gpvr": style.APC, "slide": style.QUIET, "reach-only": style.INK}
 _OTHER = style.EXPECTED
 _HISTOGRAM_KEY = "solid line: the budget\ndotted: late from here on\nheights: logarithmic"
 
