@@ -13,7 +13,6 @@ import math
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
 
 import torch
 import tyro
@@ -22,6 +21,7 @@ from torch import Tensor
 from rumi.bags.mapping import mapping_of
 from rumi.bags.readings import make_readings
 from rumi.bags.scene import rummager_of_map, settings_of
+from rumi.cli import script
 from rumi.jsonlines import append_line, read_lines
 from rumi.recording import provenance
 from rumi.replay import replay
@@ -271,11 +271,16 @@ def _moved(push_m: float) -> str:
 def _spread(values: list[float]) -> str:
     ordered = sorted(values)
     middle = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
-    return f"{middle:.1f} ({ordered[0]:.1f} to {ordered[-1]:.1f})"
+    return f"{middle:.1f} ({ordered[0] + 0.0:.1f} to {ordered[-1]:.1f})"
 
 
-if __name__ == "__main__":
-    asked = tyro.cli(Annotated[Run, tyro.conf.subcommand("run")] | Annotated[Show, tyro.conf.subcommand("show")])
+def main() -> None:
+    """Run or show."""
+    asked = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show}, description=__doc__)
     if isinstance(asked, Run):
         run(asked)
     show()
+
+
+if __name__ == "__main__":
+    script(main)
