@@ -5,25 +5,19 @@ it ends as if it had never been killed.
 """
 
 import itertools
-import json
 import shutil
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-import torch
 
 from rumi.cli import DONE, NOT_CONVERGED
-from rumi.errors import UsageError
-from rumi.jsonlines import read_lines
-from rumi.logbook import LOG
-from rumi.recording import Run, load_run
-from rumi.records import StepRecord
+from rumi.recording import load_run
+from rumi.stress.killed_checks import arrays, check_log, check_run, check_same, digests, results
 from rumi.stress.kills import Killed
 from rumi.stress.processes import Command, Commands
-from sdf.cache import load_arrays
 
 TASK = "mug-0"
 QUICK = {
@@ -86,7 +80,7 @@ class RunKind:
             self._begin("first").finish((NOT_CONVERGED,))
         self._seconds = self._begin("whole").finish((NOT_CONVERGED,))
         self.whole = load_run(folder / "whole")
-        self.taken = _taken(folder / "whole") if record else None
+        self.taken = digests(folder / "whole") if record else None
 
     def _begin(self, name: str) -> Command:
         return self._commands.begin([*self._arguments, "--out", name], self._folder, name, cache=self._cache)
@@ -120,7 +114,7 @@ class CacheKind:
     def __init__(self, commands: Commands, folder: Path) -> None:
         self._commands, self._folder, self._cache = commands, folder, folder / "cache"
         self._seconds = self._begin("whole", folder / "whole-cache").finish((NOT_CONVERGED,))
-        self._whole = {path.name: _arrays(path) for path in (folder / "whole-cache").glob("*.npz")}
+        self._whole = {path.name: arrays(path) for path in (folder / "whole-cache").glob("*.npz")}
         self._run = load_run(folder / "whole")
 
     def _begin(self, name: str, cache: Path) -> Command:
@@ -139,7 +133,7 @@ class CacheKind:
 
     def _check(self) -> None:
         for path in self._cache.glob("*.npz"):
-            found, whole = _arrays(path), self._whole.get(path.name, {})
+            found, whole = arrays(path), self._whole.get(path.name, {})
             if found.keys() != whole.keys() or any(not np.array_equal(found[name], whole[name]) for name in whole):
                 raise AssertionError(f"{path.name} is not what an undisturbed command keeps")
 
@@ -166,7 +160,7 @@ class ReproduceKind:
         self._commands, self._folder, self._cache, self._rounds = commands, folder, cache, 0
         whole = self._begin("whole", "whole")
         self._seconds = whole.finish((DONE,))
-        self._table, self._whole = whole.out.read_text(), _results(folder / "whole")
+        self._table, self._whole = whole.out.read_text(), results(folder / "whole")
 
     def _begin(self, name: str, out: str) -> Command:
         return self._commands.begin([*REPRODUCE, "--out", out], self._folder, name, cache=self._cache)
@@ -184,8 +178,8 @@ class ReproduceKind:
         after = path.read_bytes() if path.exists() else b""
         if not after.startswith(before):
             raise AssertionError("what was in the file of results is not there any more")
-        found = _results(self._folder / self._out)
-        _same(found, {identity: self._whole.get(identity) for identity in found})
+        found = results(self._folder / self._out)
+        check_same(found, {identity: self._whole.get(identity) for identity in found})
         if len(found) == len(self._whole):
             self.end()
             self._rounds += 1
@@ -195,7 +189,7 @@ class ReproduceKind:
         """Given once more, the command prints the table that an undisturbed one prints."""
         last = self._begin("last", self._out)
         last.finish((DONE,))
-        _same(_results(self._folder / self._out), self._whole)
+        check_same(results(self._folder / self._out), self._whole)
         if last.out.read_text() != self._table:
             raise AssertionError("the table is not that of an undisturbed command")
 
@@ -269,84 +263,3 @@ def _turn(kind: Kind, name: str, random: np.random.Generator, number: int, found
 def _moment(random: np.random.Generator, seconds: float) -> float:
     """Seconds of computing after which to kill."""
     return seconds * float(random.uniform(0.0, 1.0))
-
-
-def check_run(folder: Path, said: int, whole: Run) -> None:
-    """A run's folder holds all steps that were said, and no step or result that the undisturbed run has not."""
-    for name in ("object.json", "settings.json"):
-        if (folder / name).exists():
-            json.loads((folder / name).read_text())
-    belief = folder / "belief.npz"
-    if belief.exists() and load_arrays(belief, ("poses", "log_weights", "stamp", "frame")) is None:
-        raise AssertionError("half a belief was believed")
-    try:
-        run = load_run(folder)
-    except UsageError as error:
-        if said or (folder / "result.json").exists():
-            raise AssertionError(f"a run that had {said} steps cannot be read: {error}") from error
-        return
-    if not said <= len(run.steps) <= len(whole.steps):
-        raise AssertionError(f"of {said} steps {len(run.steps)} are left")
-    for mine, right in zip(run.steps, whole.steps, strict=False):
-        if not _same_step(mine, right):
-            raise AssertionError(f"step {mine.step} is not that of the undisturbed run")
-    if run.result is not None and whole.result is not None:
-        figures = [{**result.as_dict(), "timings_s": None} for result in (run.result, whole.result)]
-        if figures[0] != figures[1]:
-            raise AssertionError("the result is not that of the undisturbed run")
-
-
-def _same_step(a: StepRecord, b: StepRecord) -> bool:
-    """Whether two steps are the same, bit for bit."""
-    pairs = [(a.belief.world_T_object, b.belief.world_T_object), (a.belief.log_weights, b.belief.log_weights)]
-    pairs.append((a.reading.observation.points, b.reading.observation.points))
-    if (a.control is None) != (b.control is None):
-        return False
-    if a.control is not None and b.control is not None:
-        pairs.append((a.control, b.control))
-    return a.step == b.step and all(torch.equal(x, y) for x, y in pairs)
-
-
-def _taken(folder: Path) -> list[bytes | None]:
-    from sensors.log.reader import Log
-
-    with Log(folder / LOG) as log:
-        return [taken.digest for taken in log.taken()]
-
-
-def check_log(folder: Path, said: int, whole: Sequence[bytes | None]) -> None:
-    """A log holds the readings of all steps that were said, with the beliefs of the undisturbed run."""
-    if not (folder / LOG).exists():
-        found: list[bytes | None] = []
-    else:
-        try:
-            found = _taken(folder)
-        except ValueError as error:
-            if said:
-                raise AssertionError(f"a log of {said} readings cannot be read: {error}") from error
-            return
-    if len(found) < said or found != list(whole[: len(found)]):
-        raise AssertionError(f"of {said} readings {len(found)} are left, or they are others")
-
-
-def _arrays(path: Path) -> dict[str, Any]:
-    with np.load(path, allow_pickle=False) as stored:
-        return dict(stored)
-
-
-def _results(folder: Path) -> dict[str, dict[str, Any]]:
-    """What is kept of each run, timings apart, by its id.
-
-    Raises:
-        AssertionError: one is there twice.
-    """
-    lines = [line for line, _ in read_lines(folder / "runs.jsonl")]
-    found = {line["id"]: {name: line[name] for name in ("figures", "curves", "method", "seed")} for line in lines}
-    if len(found) != len(lines):
-        raise AssertionError("a result is there twice")
-    return found
-
-
-def _same(found: dict[str, Any], wanted: dict[str, Any]) -> None:
-    if found != wanted:
-        raise AssertionError("the results are not those of an undisturbed command")

@@ -21,7 +21,7 @@ from rumi.jsonlines import append_line, read_lines
 from rumi.recording import RunRecorder, load_run, write_json
 from rumi.sim.settings import SimSettings
 from rumi.sim.tasks import find_task, make_tool
-from rumi.stress import killed_commands, kills
+from rumi.stress import killed_checks, killed_commands, kills
 from rumi.stress.killed_commands import kill_commands
 from rumi.stress.kills import kill_many
 from rumi.stress.made_run import made_steps
@@ -195,24 +195,24 @@ def test_a_command_that_ends_before_its_moment_counts_for_none(commands, cache, 
 def test_steps_that_are_lost_or_others_are_missed(kind, tmp_path):
     whole = tmp_path / "whole"
     shutil.copytree(kind.whole.folder, whole)
-    killed_commands.check_run(whole, 4, kind.whole)
-    killed_commands.check_log(whole, 4, kind.taken)
+    killed_checks.check_run(whole, 4, kind.whole)
+    killed_checks.check_log(whole, 4, kind.taken)
     with pytest.raises(AssertionError, match="of 5 steps 4 are left"):
-        killed_commands.check_run(whole, 5, kind.whole)
+        killed_checks.check_run(whole, 5, kind.whole)
     with pytest.raises(AssertionError, match="of 5 readings 4 are left"):
-        killed_commands.check_log(whole, 5, kind.taken)
+        killed_checks.check_log(whole, 5, kind.taken)
     with pytest.raises(AssertionError, match="or they are others"):
-        killed_commands.check_log(whole, 4, kind.taken[1:])
+        killed_checks.check_log(whole, 4, kind.taken[1:])
     steps = kind.whole.steps
     other = replace(kind.whole, steps=[steps[1], *steps[1:]])
     with pytest.raises(AssertionError, match="step 0 is not that"):
-        killed_commands.check_run(whole, 0, other)
+        killed_checks.check_run(whole, 0, other)
     trace = whole / "trace.npz"
     trace.write_bytes(trace.read_bytes()[: trace.stat().st_size // 2])
     (whole / "result.json").unlink()
-    killed_commands.check_run(whole, 0, kind.whole)
+    killed_checks.check_run(whole, 0, kind.whole)
     with pytest.raises(AssertionError, match="of 4 steps"):
-        killed_commands.check_run(whole, 4, kind.whole)
+        killed_checks.check_run(whole, 4, kind.whole)
 
 
 @pytest.mark.sim
@@ -224,8 +224,8 @@ def test_a_command_on_a_full_disk_says_so_and_leaves_its_steps(kind, commands, c
     said = command.err.read_text()
     assert "File too large" in said
     steps = sum(line.startswith(("first view:", "action ")) for line in said.splitlines())
-    killed_commands.check_run(tmp_path / "run", steps, kind.whole)
-    killed_commands.check_log(tmp_path / "run", steps, kind.taken)
+    killed_checks.check_run(tmp_path / "run", steps, kind.whole)
+    killed_checks.check_log(tmp_path / "run", steps, kind.taken)
 
 
 @pytest.mark.sim
