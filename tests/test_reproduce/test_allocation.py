@@ -53,6 +53,13 @@ def test_experiments_share_what_they_have_in_common():
         assert (settings_of(job.overrides).evaluation_s is None) == (job.kind == "peg-real")
 
 
+def test_the_tolerance_of_a_table_is_that_of_its_runs():
+    usual, tight = record(0, ("t_max_s=10",)), record(0, ("t_max_s=10", "tolerance_m=0.0025"))
+    assert "| both holes < 5 mm |" in allocation.accuracy([usual])
+    assert "| both holes < 2.5 mm |" in allocation.accuracy([tight])
+    assert "| both holes in tolerance |" in allocation.times([usual, tight])
+
+
 def test_table_1_beside_the_paper():
     runs = [record(s, (f"t_max_s={t}", "stop=contacts"), total_s=60.0 + t + s) for s in range(3) for t in (10, 20)]
     text = allocation.times(runs)
