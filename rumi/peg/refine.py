@@ -52,6 +52,7 @@ def block_filter(settings: PegSettings) -> StaticFilter:
 
 
 def updated(
+    follow: StaticFilter,
     belief: StaticBelief,
     new: RectangleTouches,
     every: RectangleTouches,
@@ -60,7 +61,6 @@ def updated(
     generator: torch.Generator,
 ) -> StaticBelief:
     """The belief after a reading; one more exact than particles are apart is let in little by little."""
-    follow = block_filter(settings)
     if settings.power < 1.0:
         return update_tempered(follow, belief, new, every, generator=generator)
     return follow.update(belief, new, every, generator=generator)[0]

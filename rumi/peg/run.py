@@ -149,7 +149,7 @@ def run_peg(settings: PegSettings, seed: int) -> PegRun:
         done.append(last)
         new = evidence_of(last, settings)
         every = every.joined(new)
-        belief = updated(belief, new, every, settings, generator=draws)
+        belief = updated(follow, belief, new, every, settings, generator=draws)
         clock.advance(settings.update_s)
         aim = aim_of(belief, settings)
         probabilities.append(aim.probability)
