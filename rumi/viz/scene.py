@@ -112,11 +112,12 @@ def draw_reach(reach: np.ndarray, origin: Sequence[float], spacing: float, ax: "
         axes[0][x], axes[1][y], part.T, levels=REACH_LEVELS, colors=style.QUIET, linewidths=0.8, zorder=1
     )
     lines.set(linestyle=(0, (1, 1.6)))
-    bottom, top = limits[1]
-    # words near the lower edge, out of the way of what happens
-    wanted = bottom + 0.1 * (top - bottom)
+    (left, right), (bottom, top) = limits
+    # words near the lower edge, out of the way of what happens, where none is cut off
+    wanted, inset = bottom + 0.1 * (top - bottom), 0.03 * (right - left)
     found = [line for group in lines.allsegs for line in group if len(line)]
     places = [line[np.abs(line[:, 1] - wanted).argmin()] for line in found]
+    places = [place for place in places if left + inset < place[0] < right - inset]
     ax.clabel(lines, fmt="r = %g", fontsize=7, colors=style.QUIET, inline_spacing=3, manual=places)
     return ax
 
