@@ -95,7 +95,7 @@ def script(work: Callable[[], object]) -> NoReturn:
 def _command(name: str, arguments: Sequence[str]) -> int:
     if name not in COMMANDS:
         raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
-    from rumi import commands  # loads torch: only now, so that help is quick
+    from rumi.commands import table as commands  # loads torch: only now, so that help is quick
 
     return int(getattr(commands, HOMES.get(name, name))(arguments))
 

@@ -9,14 +9,14 @@ pytest.importorskip("mujoco")
 
 from rumi import cli
 from rumi.cli import main
-from rumi.jsonlines import read_lines
-from rumi.touch.grasping import clearance_table
+from rumi.runs.jsonlines import read_lines
+from rumi.tasks.grasp_table import clearance_table
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch, tmp_path):
     """The grasps' table is simulated elsewhere; runs write where nothing else is."""
-    monkeypatch.setattr("rumi.sim.touch_grasps.grasp_table", lambda *a, **k: clearance_table(0.03, 0.08, 0.08))
+    monkeypatch.setattr("rumi.tasks.touch_box.grasps.grasp_table", lambda *a, **k: clearance_table(0.03, 0.08, 0.08))
     monkeypatch.setenv("RUMI_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
 
@@ -46,7 +46,7 @@ def test_figures_are_drawn():
 
 @pytest.mark.parametrize("out", ["file", "file/run"])
 def test_a_folder_that_cannot_be_written_is_refused_before_the_run(out, monkeypatch, capsys):
-    monkeypatch.setattr("rumi.touch.make.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
+    monkeypatch.setattr("rumi.tasks.touch_box.build.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
     Path("file").write_text("in the way")
     assert main(["run", "touch-box", *QUICK, "--out", out]) == cli.BAD_INPUT
     said = capsys.readouterr().err
@@ -65,7 +65,7 @@ def test_a_folder_with_a_run_is_refused_and_other_files_stay(capsys):
 
 
 def test_an_interrupt_leaves_the_pokes_that_were_done(monkeypatch, capsys):
-    from rumi.touch.planar_robot import PlanarRobot
+    from rumi.tasks.touch_box.planar_robot import PlanarRobot
 
     execute, done = PlanarRobot.execute, []
 
@@ -88,7 +88,7 @@ def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
     def interrupt(*arguments, **named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("rumi.touch.make.make_toucher", interrupt)
+    monkeypatch.setattr("rumi.tasks.touch_box.build.make_toucher", interrupt)
     assert main(["run", "touch-box", *QUICK]) == cli.INTERRUPTED
     assert not list(Path("runs").iterdir())
 
@@ -119,7 +119,7 @@ def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
     ],
 )
 def test_what_cannot_be_is_refused(arguments, message, monkeypatch, capsys):
-    monkeypatch.setattr("rumi.reproduce.touch.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
+    monkeypatch.setattr("scripts.reproduce.touch.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
     Path("file").write_text("in the way")
     assert main(arguments) == cli.BAD_INPUT
     assert message in capsys.readouterr().err
