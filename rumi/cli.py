@@ -7,8 +7,7 @@ from typing import NoReturn
 
 from rumi import __version__
 from rumi.errors import DegenerateBeliefError, UsageError
-
-DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED
 
 COMMANDS = ("tasks", "run", "replay", "import", "check", "plot", "bench", "mesh", "localize", "reproduce", "stress")
 HOMES = {"import": "import_bag"}

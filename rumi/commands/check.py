@@ -12,8 +12,8 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.cli import DONE
 from rumi.errors import UsageError
+from rumi.exit_codes import DONE
 from sdf import se3
 
 if TYPE_CHECKING:

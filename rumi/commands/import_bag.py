@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from rumi.cli import DONE, NOT_CONVERGED
 from rumi.errors import UsageError
+from rumi.exit_codes import DONE, NOT_CONVERGED
 
 if TYPE_CHECKING:
     from rumi.rosbag.bag import Imported

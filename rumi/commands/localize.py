@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from rumi.cli import DONE
 from rumi.errors import UsageError
+from rumi.exit_codes import DONE
 
 _MUCH_BETTER = 5.0
 """Nats from which on normals that are turned round are taken to be the right ones: a likelihood of 150 to 1."""

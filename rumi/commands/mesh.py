@@ -9,8 +9,8 @@ from typing import Annotated
 
 import tyro
 
-from rumi.cli import BAD_INPUT, DONE
 from rumi.errors import UsageError
+from rumi.exit_codes import BAD_INPUT, DONE
 
 _MANY = 200_000
 """Faces from which on it takes long enough to say so."""

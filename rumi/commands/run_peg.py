@@ -9,8 +9,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from rumi.cli import DONE, NOT_CONVERGED
 from rumi.errors import UsageError
+from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.folder import free_folder, left_if_begun, prepare_folder
 from rumi.tasks.peg.agent import PegRun, run_peg
 from rumi.tasks.peg.settings import PegSettings, Stop

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import tyro
 
-from rumi.cli import DONE, NOT_CONVERGED
 from rumi.commands.progress import say
 from rumi.errors import UsageError
+from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.folder import free_folder, left_if_begun, prepare_folder, write_json
 from rumi.runs.jsonlines import append_line
 from rumi.tasks.touch_box.build import Robot

@@ -11,8 +11,8 @@ from typing import Annotated, NamedTuple
 
 import tyro
 
-from rumi.cli import DONE
 from rumi.errors import UsageError
+from rumi.exit_codes import DONE
 
 
 @dataclass(frozen=True)

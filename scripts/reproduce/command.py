@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from rumi.bench.history import check_writable
-from rumi.cli import DONE
 from rumi.errors import UsageError
+from rumi.exit_codes import DONE
 from rumi.runs.folder import make_folder
 from rumi.tasks.rummage.settings import METHODS
 from scripts.reproduce import touch

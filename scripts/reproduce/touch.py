@@ -11,8 +11,8 @@ from typing import Annotated
 import tyro
 
 from rumi.bench.history import check_writable
-from rumi.cli import DONE
 from rumi.errors import UsageError
+from rumi.exit_codes import DONE
 from rumi.runs.folder import make_folder
 from rumi.tasks.touch_box.build import Robot, make_toucher
 from rumi.tasks.touch_box.report import Line, calibration, digest, figures_of, table

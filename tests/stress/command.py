@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from rumi.cli import DONE, INTERRUPTED
 from rumi.commands.progress import say
 from rumi.errors import UsageError
+from rumi.exit_codes import DONE, INTERRUPTED
 from rumi.runs.plain import plain
 from scripts.bench.ledger import commit, machine
 from tests.stress import exact, subjects

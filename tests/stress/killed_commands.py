@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from rumi.cli import DONE, NOT_CONVERGED
+from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.folder import load_run
 from tests.stress.killed_checks import arrays, check_log, check_run, check_same, digests, results
 from tests.stress.kills import Killed

@@ -9,9 +9,10 @@ import torch
 
 pytest.importorskip("h5py")
 
-from rumi.cli import BAD_INPUT, DONE, NOT_CONVERGED, main
+from rumi.cli import main
 from rumi.commands.progress import both
 from rumi.errors import UsageError
+from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.records import StepRecord
 from rumi.runs.logbook import LOG, LogRecorder, digest
 from rumi.tasks.handle.build import build_fused

@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from rumi.cli import DONE, NOT_CONVERGED
 from rumi.commands.run_handle import fused, sensors_of, short_of, thinking_of
 from rumi.errors import UsageError
+from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.robot.gripper import GripperShape
 from rumi.tasks.handle.build import build_fused
 from rumi.tasks.handle.grasp import HandleTable

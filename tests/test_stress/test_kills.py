@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.robot import reach_table
@@ -220,7 +220,7 @@ def test_steps_that_are_lost_or_others_are_missed(kind, tmp_path):
 def test_a_command_on_a_full_disk_says_so_and_leaves_its_steps(kind, commands, cache, tmp_path, grow):
     asked = [*killed_commands.RUN, "--record", "--out", "run"]
     command = commands.begin(asked, tmp_path, "run", cache=cache, grow=grow)
-    command.finish((cli.BAD_INPUT,))
+    command.finish((exit_codes.BAD_INPUT,))
     said = command.err.read_text()
     assert "File too large" in said
     steps = sum(line.startswith(("first view:", "action ")) for line in said.splitlines())

@@ -10,8 +10,9 @@ from typing import Any
 
 from torch import Tensor
 
-from rumi.cli import BAD_INPUT, COMMANDS, DONE, NOT_CONVERGED, main
+from rumi.cli import COMMANDS, main
 from rumi.commands.run import parse_run
+from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, setting_names, to_dict
 from tests.stress.fuzz.draw import WILD, Draw, choice, number
 from tests.stress.fuzz.files import damaged, originals
