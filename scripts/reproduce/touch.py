@@ -19,9 +19,9 @@ from rumi.tasks.touch_box.report import Line, calibration, digest, figures_of, t
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import METHODS
 from rumi.tasks.touch_box.settings import TouchPush, TouchSettings
-from scripts.bench.ledger import Ledger
-from scripts.reproduce.code import code_hash
+from scripts.reproduce.code import code_of
 from scripts.reproduce.seeds import seeds_of
+from scripts.store import Store
 
 EXPERIMENTS = ("touch-table1", "touch-table2", "touch-fig3", "touch-fig4")
 PART = "touch-box"
@@ -129,8 +129,8 @@ def run_all(options: TouchReproduceOptions, cache_dir: Path | None) -> dict[str,
 
     from rumi.tasks.touch_box.agent import localise
 
-    begun, ledger, columns = time.monotonic(), Ledger(options.path), _columns(options)
-    code = code_hash(("rumi.tasks.touch_box.build",))
+    begun, store, columns = time.monotonic(), Store(options.path), _columns(options)
+    code = code_of(PART)
     if not options.show:
         for seed in seeds_of(options.seeds):
             for name, settings in columns.items():
@@ -153,13 +153,13 @@ def run_all(options: TouchReproduceOptions, cache_dir: Path | None) -> dict[str,
                     finally:
                         toucher.robot.close()
 
-                if ledger.measure(asked, work):
+                if store.measure(asked, work):
                     sys.stderr.write(f"rumi: seed {seed}, {name}\n")
     groups: dict[str, list[Line]] = {}
     seeds = set(seeds_of(options.seeds))
     for name, settings in columns.items():
         wanted = digest(options.task, settings, options.robot)
-        own = [line for line in ledger.of(PART) if line["settings"] == wanted and line["seed"] in seeds]
+        own = [line for line in store.of(PART) if line["settings"] == wanted and line["seed"] in seeds]
         if not options.show:
             own = [line for line in own if line["code"] == code]
         groups[name] = list({line["seed"]: line for line in own}.values())

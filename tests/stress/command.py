@@ -20,7 +20,7 @@ from rumi.commands.progress import say
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, INTERRUPTED
 from rumi.runs.plain import plain
-from scripts.bench.ledger import commit, machine
+from scripts.store import commit, machine
 from tests.stress import exact, subjects
 from tests.stress.sweep import SWEEPS, Outcome, Sweep, carry_out
 

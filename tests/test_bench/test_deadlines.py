@@ -15,8 +15,8 @@ from rumi.tasks.touch_box.settings import TouchSettings
 from scripts.bench import deadline_simulation, deadlines
 from scripts.bench.deadline_report import draw, tables, tolerance_s, values_by_budget
 from scripts.bench.deadline_simulation import BUDGETS_S, measure_simulated, simulated
-from scripts.bench.ledger import Ledger
 from scripts.bench.touch_choice import Poke, TouchChoice
+from scripts.store import Store
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "deadlines.py"
 
@@ -87,16 +87,16 @@ def test_likelier_particles_are_aimed_at_first(choice):
 
 
 @pytest.fixture
-def small(tmp_path, monkeypatch) -> Ledger:
+def small(tmp_path, monkeypatch) -> Store:
     monkeypatch.setattr(deadlines, "PIECE", 3)
     monkeypatch.setattr(deadlines, "REAL_BUDGETS_S", (0.05,))
     monkeypatch.setattr(deadlines, "TOUCH_BUDGETS_S", (0.05,))
-    return Ledger(tmp_path / "deadlines.jsonl")
+    return Store(tmp_path / "deadlines.jsonl")
 
 
 def test_a_study_in_small(small, tmp_path):
     assert list(deadlines.measure_real(small, clock="cpu", pieces=1, planners=("touch",))) == [True]
-    again = Ledger(small.path)
+    again = Store(small.path)
     assert list(deadlines.measure_real(again, clock="cpu", pieces=1, planners=("touch",))) == [False]
     list(measure_simulated(small, decisions=30))
     list(deadlines.measure_value(small, seeds=range(1000, 1001), planners=("touch",)))

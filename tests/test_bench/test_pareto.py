@@ -6,11 +6,11 @@ import torch
 from rumi.tasks.rummage.settings import PRESETS, preset
 from scripts.bench import pareto_figures
 from scripts.bench.estimates import Estimate, belief_estimates, field_estimates
-from scripts.bench.ledger import Ledger
 from scripts.bench.nearest import NearestGrid
 from scripts.bench.pareto_figures import Dot, draw, front
 from scripts.bench.plans import PlanSettings, plan_settings
 from scripts.bench.runs import run_settings
+from scripts.store import Store
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Sphere
 
@@ -65,46 +65,46 @@ def test_nearest_look_up_is_the_value_of_the_nearest_node():
     assert float(off.mean()) > 1e-4
 
 
-def fill(ledger):
+def fill(store):
     """What a study might have found, by hand."""
     where = {"situation": "mug-1/view", "points": "x", "threads": 1}
     for particles, error, seconds in ((30, 0.02, 0.002), (100, 0.01, 0.004), (1000, 0.012, 0.05)):
         own = vars(Estimate(particles=particles))
         for seed, more in ((1000, 0.001), (1001, -0.001)):
             figures = {"information_mean": error + more}
-            ledger.measure({"part": "field", **where, "seed": seed, **own}, lambda f=figures: f)
-        ledger.measure({"part": "field-time", **where, **own}, lambda s=seconds: {"seconds": s, "plain_seconds": s})
+            store.measure({"part": "field", **where, "seed": seed, **own}, lambda f=figures: f)
+        store.measure({"part": "field-time", **where, **own}, lambda s=seconds: {"seconds": s, "plain_seconds": s})
         shares = {"total_variation": 0.5, "total_variation_yaw": 0.1}
-        ledger.measure({"part": "belief", **where, "seed": 1000, **own}, lambda f=shares: f)
+        store.measure({"part": "belief", **where, "seed": 1000, **own}, lambda f=shares: f)
     for seed, least in ((1000, -2.0), (1001, -1.5)):
         about = {"situation": "mug-1/view", "seed": seed}
-        ledger.measure({"part": "best-plan", **about}, lambda c=least: {"least": c, "still": -1.0})
+        store.measure({"part": "best-plan", **about}, lambda c=least: {"least": c, "still": -1.0})
         for samples, cost in ((50, -1.1), (500, -1.6)):
             own = vars(PlanSettings(samples=samples))
-            ledger.measure({"part": "plan", **about, **own}, lambda c=cost: {"cost": c})
+            store.measure({"part": "plan", **about, **own}, lambda c=cost: {"cost": c})
     for samples, seconds in ((50, 0.01), (500, 0.1)):
         own = vars(PlanSettings(samples=samples))
-        ledger.measure({"part": "plan-time", **where, **own}, lambda s=seconds: {"first_s": s, "pass_s": s})
+        store.measure({"part": "plan-time", **where, **own}, lambda s=seconds: {"first_s": s, "pass_s": s})
     run = {"task": "mug-0", "preset": "default", "seed": 1000, "steps": None}
-    ledger.measure({"part": "run", **run}, lambda: {"right": True, "actions": 10, "seconds": 3.0, "processor_s": 2.5})
+    store.measure({"part": "run", **run}, lambda: {"right": True, "actions": 10, "seconds": 3.0, "processor_s": 2.5})
 
 
 def test_errors_and_times_are_brought_together(tmp_path):
-    ledger = Ledger(tmp_path / "a.jsonl")
-    fill(ledger)
-    fields = {dot.settings["particles"]: dot for dot in pareto_figures.field_dots(ledger)}
+    store = Store(tmp_path / "a.jsonl")
+    fill(store)
+    fields = {dot.settings["particles"]: dot for dot in pareto_figures.field_dots(store)}
     assert fields[100].error == pytest.approx(0.01)
     assert fields[1000].seconds == 0.05
     assert [dot.settings["particles"] for dot in front(fields.values())] == [30, 100]
-    plans = {dot.settings["samples"]: dot for dot in pareto_figures.plan_dots(ledger)}
+    plans = {dot.settings["samples"]: dot for dot in pareto_figures.plan_dots(store)}
     # the second belief's best plan is one of those that were compared
     assert plans[50].error == pytest.approx(0.5 * (0.9 + 0.5 / 0.6))
     assert plans[500].error == pytest.approx(0.5 * (0.4 + 0.0))
 
 
 def test_figures_are_drawn_of_much_and_of_nothing(tmp_path):
-    ledger = Ledger(tmp_path / "a.jsonl")
-    (empty,) = draw(ledger, tmp_path / "empty")
-    fill(ledger)
-    (path,) = draw(ledger, tmp_path / "full")
+    store = Store(tmp_path / "a.jsonl")
+    (empty,) = draw(store, tmp_path / "empty")
+    fill(store)
+    (path,) = draw(store, tmp_path / "full")
     assert path.stat().st_size > empty.stat().st_size > 1000

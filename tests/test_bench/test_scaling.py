@@ -4,10 +4,10 @@ import pytest
 
 from scripts.bench import scaling_study as scaling
 from scripts.bench import scaling_work
-from scripts.bench.ledger import Ledger
 from scripts.bench.scaling_figure import draw
 from scripts.bench.scaling_study import measure_apart
 from scripts.bench.scaling_work import SIZES, WORK, Size
+from scripts.store import Store
 
 pytestmark = pytest.mark.usefixtures("at_home")
 
@@ -51,9 +51,9 @@ def test_a_series_ends_where_a_size_does_not_end_well(tmp_path, monkeypatch):
 
     monkeypatch.setattr(scaling, "measure_apart", instead)
     monkeypatch.setattr(scaling, "WORK", {"posed_query": scaling_work.WORK["posed_query"]})
-    ledger = Ledger(tmp_path / "a.jsonl")
-    assert list(scaling.measure(ledger, quick=False)) == [True, True, True]
+    store = Store(tmp_path / "a.jsonl")
+    assert list(scaling.measure(store, quick=False)) == [True, True, True]
     assert asked == [10, 100, 1000]
-    assert list(scaling.measure(ledger, quick=False)) == [False, False, False]
-    (path,) = draw(ledger, tmp_path)
+    assert list(scaling.measure(store, quick=False)) == [False, False, False]
+    (path,) = draw(store, tmp_path)
     assert path.stat().st_size > 1000

@@ -11,7 +11,7 @@ from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.runs.jsonlines import read_lines
 from scripts.reproduce import command, experiments, touch, toy, worker
-from scripts.reproduce.jobs import KINDS, Kind
+from scripts.reproduce.jobs import KINDS
 from scripts.reproduce.live import LiveTable
 from scripts.reproduce.live import lines as live_lines
 from scripts.reproduce.records import Records
@@ -35,7 +35,7 @@ def quick(monkeypatch):
         curves = {name: [float(job.seed), 1.0] for name in ("path_x", "path_y", "plan_x", "plan_y")}
         return {"figures": figures, "timings": {"wall_s": 0.5}, "curves": curves}
 
-    monkeypatch.setitem(KINDS, "toy", Kind(("scripts.reproduce.toy",), carry_out))
+    monkeypatch.setitem(KINDS, "toy", carry_out)
     return calls
 
 
@@ -104,7 +104,7 @@ def test_what_is_done_is_not_done_again(capsys, quick):
 
 def test_other_code_does_it_again(monkeypatch, quick):
     assert main([*FEW]) == cli.DONE
-    monkeypatch.setattr("scripts.reproduce.jobs.code_hash", lambda roots: "another")
+    monkeypatch.setattr("scripts.reproduce.jobs.code_of", lambda kind: "another")
     assert main([*FEW]) == cli.DONE
     assert len(quick) == 12
 
@@ -126,9 +126,9 @@ def test_an_error_is_no_result_and_is_tried_again(capsys, monkeypatch, quick):
         seen.append(job.seed)
         if (job.method, job.seed) == ("SMPPI", 1001):
             raise RuntimeError("out of luck")
-        return good.carry_out(job, cache_dir)
+        return good(job, cache_dir)
 
-    monkeypatch.setitem(KINDS, "toy", Kind(good.roots, bad))
+    monkeypatch.setitem(KINDS, "toy", bad)
     assert main([*FEW]) == command.FAILED
     assert "rumi: toy, SMPPI, seed 1001 failed: RuntimeError: out of luck" in capsys.readouterr().err
     assert len(seen) == 6 and len(Records(Path("runs/reproduce/runs.jsonl")).every) == 5
@@ -145,9 +145,9 @@ def test_a_missing_package_ends_it(capsys, monkeypatch, quick):
     def lacking(job, cache_dir):
         if job.method == "SMPPI":
             raise ModuleNotFoundError("No module named 'trimesh'", name="trimesh")
-        return good.carry_out(job, cache_dir)
+        return good(job, cache_dir)
 
-    monkeypatch.setitem(KINDS, "toy", Kind(good.roots, lacking))
+    monkeypatch.setitem(KINDS, "toy", lacking)
     assert main([*FEW]) == cli.BAD_INPUT
     assert "pip install 'rumi[mesh]'" in capsys.readouterr().err
     assert quick == [("MPPI", 1000)]
@@ -176,9 +176,9 @@ def test_an_interrupt_keeps_what_is_done(capsys, monkeypatch, quick):
     def interrupted(job, cache_dir):
         if len(quick) == 4:
             raise KeyboardInterrupt
-        return good.carry_out(job, cache_dir)
+        return good(job, cache_dir)
 
-    monkeypatch.setitem(KINDS, "toy", Kind(good.roots, interrupted))
+    monkeypatch.setitem(KINDS, "toy", interrupted)
     assert main([*FEW]) == cli.INTERRUPTED
     assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 4
     monkeypatch.setitem(KINDS, "toy", good)

@@ -65,7 +65,7 @@ def test_a_mesh_counts_by_what_is_in_it(tmp_path):
 
 def test_the_name_is_of_the_code(monkeypatch):
     before = job().id
-    monkeypatch.setattr("scripts.reproduce.jobs.code_hash", lambda roots: "another")
+    monkeypatch.setattr("scripts.reproduce.jobs.code_of", lambda kind: "another")
     assert job().id != before
 
 

@@ -22,7 +22,7 @@ def toy(seed, method="KMPPI"):
 def test_a_result_comes_back(tmp_path):
     records = Records(tmp_path / "a.jsonl")
     assert records.done([toy(1), toy(2)]) == []
-    records.add(toy(2), RESULT)
+    records.keep(toy(2), RESULT)
     records.refresh()
     (found,) = records.done([toy(1), toy(2)])
     assert (found.figures, found.timings, found.curves) == tuple(RESULT.values())
@@ -33,8 +33,8 @@ def test_a_result_comes_back(tmp_path):
 
 def test_the_first_of_two_counts(tmp_path):
     records = Records(tmp_path / "a.jsonl")
-    records.add(toy(1), RESULT)
-    records.add(toy(1), RESULT | {"figures": {"cost": 9.0}})
+    records.keep(toy(1), RESULT)
+    records.keep(toy(1), RESULT | {"figures": {"cost": 9.0}})
     records.refresh()
     assert [record.figures["cost"] for record in records.every] == [1.5]
 
@@ -43,14 +43,14 @@ def test_lines_of_something_else_are_passed_over(tmp_path):
     path = tmp_path / "a.jsonl"
     append_line(path, {"settings": {"part": "run"}, "figures": {}})
     append_line(path, line_of(toy(1), RESULT) | {"schema": 99})
-    Records(path).add(toy(1), RESULT)
+    Records(path).keep(toy(1), RESULT)
     assert len(Records(path).every) == 1
 
 
 def test_the_newest_code_is_the_last_lines(tmp_path):
     path = tmp_path / "a.jsonl"
     for code, cost in (("old", 1.0), ("new", 2.0), ("new", 3.0)):
-        line = line_of(toy(1), RESULT) | {"code": code, "id": f"{code}{cost}", "kind": "run", "figures": {"cost": cost}}
+        line = line_of(toy(1), RESULT) | {"code": code, "settings": str(cost), "kind": "run", "figures": {"cost": cost}}
         append_line(path, line)
     records = Records(path)
     assert [record.figures["cost"] for record in records.newest()] == [3.0]
