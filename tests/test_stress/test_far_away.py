@@ -22,7 +22,7 @@ from sensors.reading import Reading
 from sensors.semantics import Semantics
 from sensors.vision.camera import depth_observation, pinhole
 from sensors.vision.cloud import cloud_observation
-from sensors.vision.view import ViewSettings, view_observation
+from sensors.vision.view import Image, ViewSettings, view_observation
 
 F64 = torch.float64
 MAP = torch.tensor([412_345.678, 5_812_345.25, 37.5], dtype=F64)
@@ -71,7 +71,7 @@ def test_a_camera():
         depth_observation(depth, intrinsics, pose, mask)
     settings = ViewSettings(segmentation="mask", edges=None, cluster=False)
     with pytest.raises(ValueError, match=REFUSED):
-        view_observation(depth, intrinsics, pose, settings, mask=mask)
+        view_observation(Image(depth, intrinsics, mask=mask), pose, settings)
     with pytest.raises(ValueError, match=REFUSED):
         cloud_observation(torch.rand(90, 3), pose, settings, mask=torch.ones(90, dtype=torch.bool))
     seen = depth_observation(depth.double(), intrinsics.double(), pose, mask)
