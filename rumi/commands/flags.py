@@ -5,7 +5,8 @@ import textwrap
 from collections.abc import Sequence
 
 from rumi.errors import UsageError
-from rumi.tasks.rummage.settings import setting_names
+from rumi.runs.json_settings import setting_names
+from rumi.tasks.rummage.settings import Settings
 
 
 def asked_preset(arguments: Sequence[str]) -> str:
@@ -26,7 +27,7 @@ def check_flags(arguments: Sequence[str], options: Sequence[str], on_off: Sequen
         options: of the command, beside the settings.
         on_off: those that take no value.
     """
-    names = [name.replace("_", "-") for name in setting_names() if name != "task"] + [*options]
+    names = [name.replace("_", "-") for name in setting_names(Settings) if name != "task"] + [*options]
     switches = {f"{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in [*names, *on_off])}
     known = {"help", *on_off, *names, *switches}
     for argument in arguments:

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import torch
 import tyro
 
-from rumi.commands.progress import Progress, both, say
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.logbook import LOG
+from rumi.runs.progress import Progress, both, say
 from rumi.tasks.rummage.settings import Settings, from_dict, to_dict
 
 if TYPE_CHECKING:

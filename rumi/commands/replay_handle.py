@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from rumi.commands.progress import Progress, both, say
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.logbook import LOG
+from rumi.runs.progress import Progress, both, say
 from rumi.tasks.handle.settings import FusedSettings
 
 if TYPE_CHECKING:

@@ -13,13 +13,13 @@ import tyro
 from rumi.belief.motion import Motion
 from rumi.commands.explain import Decisions, explain
 from rumi.commands.flags import asked_preset, check_flags
-from rumi.commands.progress import Progress, both, say, stages
 from rumi.dynamics.registry import PushChoice
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.records import RunResult
 from rumi.runs.folder import RunRecorder, free_folder, left_if_begun, load_run, prepare_folder, provenance, write_json
 from rumi.runs.logbook import LOG, LogRecorder
+from rumi.runs.progress import Progress, both, say, stages
 from rumi.sim.sensor_settings import SensorKind, degraded
 from rumi.task import Task
 from rumi.tasks.rummage.settings import Settings, preset, to_dict

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from rumi.commands.progress import Progress, both, say, stages
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, INTERRUPTED, NOT_CONVERGED
+from rumi.runs.progress import Progress, both, say, stages
 
 if TYPE_CHECKING:
     from rumi.tasks.handle.log import FusedLogRecorder

@@ -9,11 +9,11 @@ from typing import Annotated
 
 import tyro
 
-from rumi.commands.progress import say
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.folder import free_folder, left_if_begun, prepare_folder, write_json
 from rumi.runs.jsonlines import append_line
+from rumi.runs.progress import say
 from rumi.tasks.touch_box.build import Robot
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings

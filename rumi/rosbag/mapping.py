@@ -15,8 +15,8 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.rosbag.sensor_maps import BubbleMap, RobotMap, TorqueMap, Vector, WrenchMap, placed
+from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.rummage.objects import ObjectSettings
-from rumi.tasks.rummage.settings import dataclass_of
 from sdf import se3
 
 SCHEMA = 1

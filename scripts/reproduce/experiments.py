@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
+from rumi.runs.json_settings import setting_names
 from rumi.tasks.rummage.scenes import TASKS
-from rumi.tasks.rummage.settings import METHODS, PRESETS, setting_names
+from rumi.tasks.rummage.settings import METHODS, PRESETS, Settings
 from scripts.reproduce import paper
 from scripts.reproduce.jobs import TOY_METHODS, Job
 
@@ -137,7 +138,7 @@ EXPERIMENTS: dict[str, Callable[[Selection], list[Job]]] = {
 
 def missing(name: str) -> str:
     """Why an experiment cannot be done here, or nothing."""
-    if name == "displacement" and DISPLACEMENT not in setting_names():
+    if name == "displacement" and DISPLACEMENT not in setting_names(Settings):
         return f"there is no setting {DISPLACEMENT}"
     return ""
 

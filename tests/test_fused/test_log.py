@@ -10,11 +10,11 @@ import torch
 pytest.importorskip("h5py")
 
 from rumi.cli import main
-from rumi.commands.progress import both
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.records import StepRecord
 from rumi.runs.logbook import LOG, LogRecorder, digest
+from rumi.runs.progress import both
 from rumi.tasks.handle.build import build_fused
 from rumi.tasks.handle.finder import build_finder
 from rumi.tasks.handle.grasp import HandleTable

@@ -11,10 +11,10 @@ import pytest
 from rumi import __version__, cli
 from rumi.cli import main
 from rumi.commands import run as run_command
-from rumi.commands.progress import Progress, line
 from rumi.commands.table import table as commands
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.runs.folder import load_run
+from rumi.runs.progress import Progress, line
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import TASKS
 from rumi.tasks.rummage.settings import preset

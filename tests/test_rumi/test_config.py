@@ -7,7 +7,8 @@ import torch
 
 from rumi.errors import UsageError
 from rumi.information.stop_rule import StopSettings
-from rumi.tasks.rummage.settings import METHODS, PRESETS, Settings, from_dict, preset, setting_names, to_dict
+from rumi.runs.json_settings import setting_names
+from rumi.tasks.rummage.settings import METHODS, PRESETS, Settings, from_dict, preset, to_dict
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -55,7 +56,7 @@ def test_paper_preset_is_table_iv():
 
 
 def test_names_of_nested_settings():
-    names = setting_names()
+    names = setting_names(Settings)
     assert {"seed", "filter.trigger", "planner.mppi.samples", "filter.descent.method"} <= set(names)
     assert len(names) == len(set(names))
 

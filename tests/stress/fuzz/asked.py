@@ -13,7 +13,8 @@ from torch import Tensor
 from rumi.cli import COMMANDS, main
 from rumi.commands.run import parse_run
 from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
-from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, setting_names, to_dict
+from rumi.runs.json_settings import setting_names
+from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 from tests.stress.fuzz.draw import WILD, Draw, choice, number
 from tests.stress.fuzz.files import damaged, originals
 
@@ -42,7 +43,7 @@ def _settings(draw: Draw) -> Iterable[Tensor]:
     return ()
 
 
-_NAMES = setting_names()
+_NAMES = setting_names(Settings)
 _WORDS = (
     "",
     "mug-0",
