@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import torch
 import tyro
@@ -13,6 +13,7 @@ from rumi.belief.reinitialise import RenewalSettings
 from rumi.errors import UsageError
 from rumi.information.stop_rule import StopSettings
 from rumi.planning.gpvr import GPVRSettings
+from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingSettings
 from rumi.planning.slide import SlideSettings
 from rumi.registration.descent import DescentSettings
@@ -21,9 +22,7 @@ from rumi.runs.plain import plain
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.objects import ObjectSettings
 
-Method = Literal["rumi", "info-only", "reach-only", "slide", "gpvr", "gpvr-greedy"]
 Preset = Literal["default", "fast", "paper"]
-METHODS: tuple[str, ...] = get_args(Method)
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class Settings:
     """
 
     task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="(required)")] = "mug-0"
-    method: Method = "rumi"
+    method: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(POLICIES) + "}")] = "rumi"
     preset: Preset = "default"
     seed: int = 0
     steps: int | None = None
@@ -74,7 +73,7 @@ class Settings:
     object: Annotated[ObjectSettings, tyro.conf.arg(name="")] = field(default_factory=ObjectSettings)
 
     def __post_init__(self) -> None:
-        for name, valid in (("method", METHODS), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
+        for name, valid in (("method", tuple(POLICIES)), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
             if getattr(self, name) not in valid:
                 raise UsageError(f"There is no {name} {getattr(self, name)!r}; there are {', '.join(valid)}")
         if self.seed < 0:
