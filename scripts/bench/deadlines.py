@@ -12,8 +12,8 @@ import torch
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.touch_belief import TouchBelief
+from rumi.cache import cache_folder
 from rumi.clock import Now
-from rumi.commands.table import cache_folder
 from rumi.fields.information import information_field
 from rumi.loop import rummage
 from rumi.planning.anytime import select

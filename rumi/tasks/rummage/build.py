@@ -148,8 +148,8 @@ def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
         return
     upright = spec.search == "SE(2)"
     for name, value, other in (
-        ("push-model", settings.planner.push_model, "displacement or mujoco" if upright else "displacement"),
-        ("motion", settings.filter.motion, "measured, sticking or estimated"),
+        ("planner.push-model", settings.planner.push_model, "displacement or mujoco" if upright else "displacement"),
+        ("filter.motion", settings.filter.motion, "measured, sticking or estimated"),
     ):
         if value == "mujoco" and upright:
             continue

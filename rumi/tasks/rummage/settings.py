@@ -53,15 +53,15 @@ class Settings:
         object: the object to find, where that is not the task's own.
     """
 
-    task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="(required)")] = "mug-0"
+    task: Annotated[str, tyro.conf.Suppress] = "mug-0"
     method: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(POLICIES) + "}")] = "rumi"
-    preset: Preset = "default"
+    preset: Annotated[Preset, tyro.conf.Suppress] = "default"
     seed: int = 0
     steps: int | None = None
     device: Literal["cpu", "cuda"] = "cpu"
     dtype: Literal["float32", "float64"] = "float32"
     replan_every: int = 1
-    budget_s: Annotated[float | None, tyro.conf.arg(name="budget", metavar="SECONDS")] = None
+    budget_s: Annotated[float | None, tyro.conf.arg(name="plan-budget-s", metavar="SECONDS")] = None
     filter: FilterSettings = field(default_factory=FilterSettings)
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
     renewal: RenewalSettings = field(default_factory=RenewalSettings)
