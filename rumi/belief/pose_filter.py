@@ -11,12 +11,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from rumi.belief.motion import MOTIONS, Motion, Predictor, object_motion
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.belief.prior import PosePrior
 from rumi.errors import DegenerateBeliefError
 from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
 from rumi.resampling import resample_systematic
 from rumi.seeding import Generators, normal
+from rumi.weights import boltzmann
 from sdf import se3
 from sdf import skipped_work as savings
 from sdf.check import check_near

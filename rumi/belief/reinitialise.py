@@ -6,13 +6,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.settling import settled
 from rumi.registration.archive import fill
 from rumi.registration.descent import DescentSettings
 from rumi.registration.register import RegisterSettings, pose_cells, register
+from rumi.weights import boltzmann
 from sensors.evidence import in_attached_frame
 from sensors.observation import Observation
 

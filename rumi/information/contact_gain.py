@@ -68,12 +68,12 @@ def touch_gain(
     check_shape("log_weights", log_weights, "(N,)", last=(size,))
     if (readings is not None or noise is not None) and generator is None:
         raise ValueError("Drawn readings need a generator")
-    if readings is None:
+    if readings is None or generator is None:
         kind, point, normal, reading_weights = *outcomes, log_weights
     else:
         if readings < 1:
             raise ValueError(f"Expected one reading or more, got {readings}")
-        index = _drawn(log_weights, readings, generator)
+        index = resample_systematic(log_weights, readings, generator=generator)
         kind, point, normal = outcomes.kind[..., index], outcomes.point[..., index, :], outcomes.normal[..., index, :]
         reading_weights = log_weights.new_zeros(readings)
     if noise is not None:
@@ -157,16 +157,3 @@ def mesh_touch_gain(
         noise=noise if sampled else None,
         generator=generator,
     )
-
-
-def _drawn(log_weights: Float[Tensor, "N"], count: int, generator: torch.Generator | None) -> Int[Tensor, "M"]:
-    """States by weight, as evenly as can be."""
-    if generator is None:
-        raise ValueError("Drawn readings need a generator")
-    size = len(log_weights)
-    if count == size:
-        return resample_systematic(log_weights, generator=generator)
-    weights = log_weights.double().softmax(-1).cumsum(-1)
-    offset = torch.rand((), generator=generator, dtype=torch.float64)
-    comb = (torch.arange(count, dtype=torch.float64) + offset) / count * weights[-1]
-    return torch.searchsorted(weights, comb, right=True).clamp_max(size - 1)

@@ -12,7 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.information.neighbours import Merged, StateMetric, check_weights, merged, neighbours
+from rumi.information.neighbours import Merged, StateMetric, merged, neighbours
+from rumi.weights import check_weights
 from sdf.check import check_shape
 
 EntropyChoice = Literal["spatial", "kernel", "neighbour", "weights"]
@@ -32,7 +33,7 @@ def weights_entropy(log_weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b"]:
     """-sum w log w of weights that need not be normalised; 0 log 0 is 0. At most log N.
 
     Raises:
-        ValueError: see `rumi.information.neighbours.check_weights`.
+        ValueError: see `rumi.weights.check_weights`.
     """
     check_weights(log_weights)
     log = log_weights.log_softmax(-1)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.information.entropy import Entropy
-from rumi.information.neighbours import check_weights
+from rumi.weights import check_weights
 from sdf.check import check_shape
 
 _MOST_TARGETS = 4  # whose orders are all tried
@@ -28,7 +28,7 @@ def covariance(
             object that looks the same half a turn on. Such a dimension is centred at its circular mean.
 
     Raises:
-        ValueError: see `rumi.information.neighbours.check_weights`.
+        ValueError: see `rumi.weights.check_weights`.
     """
     check_weights(log_weights)
     weights = log_weights.softmax(-1)
@@ -144,7 +144,7 @@ class MassRule:
             log_weights: of the particles, normalised or not.
 
         Raises:
-            ValueError: no particles or targets, or weights as `rumi.information.neighbours.check_weights` refuses them.
+            ValueError: no particles or targets, or weights as `rumi.weights.check_weights` refuses them.
         """
         count, kinds = targets.shape[:2]
         if count == 0 or kinds == 0:

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.initialise import initialise, view_starts
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.belief.reinitialise import challenge
 from rumi.clock import Clock
 from rumi.errors import UsageError
@@ -20,6 +20,7 @@ from rumi.task import StepResult
 from rumi.tasks.handle.finder import Finder
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.scoring import observe
+from rumi.weights import boltzmann
 from sensors.contact_reading import FeltReading
 from sensors.observation import Observation
 from sensors.reading import Reading
