@@ -14,6 +14,7 @@ from rumi.weights import check_weights
 from sdf import backend
 from sdf import compiled as fused
 from sdf.check import check_finite, may_look
+from sdf.so3 import wrap
 
 # bytes of pairwise differences that are held at once
 _BYTES = 64 << 20
@@ -61,7 +62,7 @@ class StateMetric:
         raw = a - b
         if not any(self.angles):
             return raw
-        wrapped = torch.remainder(raw + math.pi, 2.0 * math.pi) - math.pi
+        wrapped = wrap(raw)
         return torch.where(torch.tensor(self.angles, device=raw.device), wrapped, raw)
 
     def whitened(self, differences: Float[Tensor, "*b D"]) -> Float[Tensor, "*b D"]:

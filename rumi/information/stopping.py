@@ -12,6 +12,7 @@ from torch import Tensor
 from rumi.information.entropy import Entropy
 from rumi.weights import check_weights
 from sdf.check import check_shape
+from sdf.so3 import wrap
 
 _MOST_TARGETS = 4  # whose orders are all tried
 
@@ -39,7 +40,7 @@ def covariance(
             turns = states[:, dim] * (2.0 * math.pi / period)
             centre = torch.atan2(weights @ turns.sin(), weights @ turns.cos()) * (period / (2.0 * math.pi))
             apart = states[:, dim] - centre
-            away[:, dim] = torch.remainder(apart + period / 2.0, period) - period / 2.0
+            away[:, dim] = wrap(apart, period)
     return away.mT @ (weights[:, None] * away)
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from rumi.dynamics.sliding import rotated
 from rumi.resampling import systematic
+from sdf.so3 import wrap
 
 _WITNESSES, _FINAL = 100, 8  # particles by which grasps are told apart at first, and grasps that are judged by all
 _CROWD = 0.5  # of the table's ends: poses this near to a candidate make up its local mean
@@ -65,7 +66,7 @@ def relative(
 ) -> tuple[Float[Tensor, "*b 2"], Float[Tensor, "*b"]]:
     """Offset and yaw of a box in the frame in which it is taken to stand; the yaw to the nearest half turn."""
     apart = rotated(box[..., :2] - grasp[..., :2], -grasp[..., 2])
-    yaw = torch.remainder(box[..., 2] - grasp[..., 2] + 0.5 * math.pi, math.pi) - 0.5 * math.pi
+    yaw = wrap(box[..., 2] - grasp[..., 2], math.pi)
     return apart, yaw
 
 
