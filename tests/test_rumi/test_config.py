@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.information.stop_rule import StopSettings
+from rumi.information.stopping import StopSettings
 from rumi.tasks.rummage.settings import METHODS, PRESETS, Settings, from_dict, preset, setting_names, to_dict
 
 

@@ -9,7 +9,7 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.reinitialise import RenewalSettings
 from rumi.fields.workspace import Workspace
-from rumi.information.stop_rule import StopSettings
+from rumi.information.stopping import StopSettings
 from rumi.loop import rummage
 from rumi.records import StepRecord
 from rumi.registration.descent import DescentSettings
