@@ -12,7 +12,7 @@ from rumi.errors import DegenerateBeliefError
 from rumi.weights import effective_sample_size, equal_weights, normalise
 from sdf import se3
 from sdf.check import may_look
-from sensors.evidence import KeptEvidence
+from sensors.evidence import EvidenceSet
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
 CHUNK_BYTES = 64 * 2**20
@@ -31,14 +31,14 @@ class PoseBelief:
         attached_T_object: (*b, N, 4, 4), one pose a particle.
         log_weights: (*b, N), normalised: logsumexp is 0.
         discrepancy: (*b, N), of all observations so far (RUMI, Eq 3), metres times scale.
-        felt: what was felt so far that is no points, in the frame that rides with the object; None where nothing was.
+        evidence: of all that was sensed so far but points, in the frame that rides with the object; None without any.
     """
 
     world_T_attached: Float[Tensor, "*b 4 4"]
     attached_T_object: Float[Tensor, "*b N 4 4"]
     log_weights: Float[Tensor, "*b N"]
     discrepancy: Float[Tensor, "*b N"]
-    felt: KeptEvidence | None = None
+    evidence: EvidenceSet | None = None
 
     @classmethod
     def uniform(cls, world_T_object: Float[Tensor, "*b N 4 4"]) -> Self:
@@ -135,5 +135,5 @@ class PoseBelief:
             attached_T_object=self.attached_T_object.to(device=device, dtype=dtype),
             log_weights=self.log_weights.to(device=device, dtype=dtype),
             discrepancy=self.discrepancy.to(device=device, dtype=dtype),
-            felt=None if self.felt is None else self.felt.to(device, dtype),
+            evidence=None if self.evidence is None else self.evidence.to(device, dtype),
         )

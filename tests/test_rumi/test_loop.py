@@ -49,7 +49,7 @@ def test_a_step_after_which_poses_were_drawn_anew_keeps_all_its_seconds() -> Non
     task = LogTask(taken)
     rummager = Rummager(
         box,
-        PoseFilter(Discrepancy(box.sdf, box.radius), "SE(3)", FilterSettings(descent=QUICK), prior),
+        PoseFilter(FilterSettings(descent=QUICK), [Discrepancy(box.sdf, box.radius)], "SE(3)", prior),
         LogPolicy(task, [torch.zeros(3)] * 2),
         Workspace.from_bounds(BOUNDS, 0.05, planar_height=0.02),
         Tool(BOUNDS[:, :2]),
