@@ -58,7 +58,7 @@ def replay_handle(log: "Log", arguments: Sequence[str], cache_dir: Path | None) 
     from rumi.tasks.handle.finder import build_finder
     from rumi.tasks.handle.log import IDLE, differing, recorded, refuse_other_senses, replay_fused
     from rumi.tasks.rummage.build import scene_sketch
-    from sensors.contact_reading import FeltReading
+    from sensors.contact_reading import ContactReading
 
     known = recorded(log)
     if known is None:
@@ -78,7 +78,7 @@ def replay_handle(log: "Log", arguments: Sequence[str], cache_dir: Path | None) 
         prepare_folder(options.out)
     elif options.figures:
         raise UsageError("Expected --out DIR with --figures, got none: figures need a folder")
-    taken = log.taken(FeltReading)
+    taken = log.taken(ContactReading)
     for problem in log.problems:
         say(problem)
     with Progress("handle", len(taken) - 1, describe) as progress:

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from rumi.errors import UsageError
-from rumi.tasks.peg.agent import run_peg
 from rumi.runs.json_settings import dataclass_of
+from rumi.tasks.peg.agent import run_peg
 from rumi.tasks.peg.settings import PegSettings
 
 _LIST = "contact_s"

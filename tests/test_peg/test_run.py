@@ -14,8 +14,8 @@ from rumi.information.stopping import Aim
 from rumi.tasks.peg import selection as refine
 from rumi.tasks.peg.agent import run_peg
 from rumi.tasks.peg.cell import TOP
-from rumi.tasks.peg.selection import sure
 from rumi.tasks.peg.entry import summary
+from rumi.tasks.peg.selection import sure
 from rumi.tasks.peg.settings import PegSettings
 from sensors.touch.rectangle_touch import RectangleTouches
 

@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 
 from rumi import __version__, cli
-from rumi.cli import COMMANDS, main
 from rumi.cache import cache_folder
+from rumi.cli import COMMANDS, main
 from rumi.commands.run import parse
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.runs.folder import load_run
 from rumi.runs.progress import Progress
 from rumi.sim.sensor_settings import degraded
-from rumi.tasks.rummage.build import build
 from rumi.tasks.registry import TASKS
+from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.entry import describe
 from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
@@ -249,7 +249,9 @@ def test_flags_reach_the_settings():
     assert not settings.planner.mppi.include_nominal
     assert settings_of("mug-0") == preset()
     assert settings_of("mug-0", "--plan-budget-s", "0.05") == preset(budget_s=0.05)
-    peg = settings_of("peg", "--preset=paper", "--action-budget-s", "20", "--evaluation-s", "None", "--table-m", "1", "2")
+    peg = settings_of(
+        "peg", "--preset=paper", "--action-budget-s", "20", "--evaluation-s", "None", "--table-m", "1", "2"
+    )
     assert (peg.settings.stop, peg.settings.t_max_s, peg.settings.evaluation_s) == ("contacts", 20.0, None)
     assert peg.settings.table_m == (1.0, 2.0)
     handle = settings_of("handle", "--sensors", "wrench,camera", "--run-budget-s", "30", "--wrist.outlier", "0.2")
@@ -289,9 +291,9 @@ def test_what_no_flag_stands_for_any_more_is_refused_with_what_to_write(capsys):
 
 
 def test_labels_are_folders():
-    assert [TASKS[name].label(settings_of(name, "--seed", "2")) for name in ("mug-0", "touch-box", "peg", "handle")] == [
-        *("mug-0-rumi-default-s2", "touch-box-sequence-gripper-s2", "peg-t10-mass-s2", "handle-all-s2")
-    ]
+    assert [
+        TASKS[name].label(settings_of(name, "--seed", "2")) for name in ("mug-0", "touch-box", "peg", "handle")
+    ] == [*("mug-0-rumi-default-s2", "touch-box-sequence-gripper-s2", "peg-t10-mass-s2", "handle-all-s2")]
 
 
 def test_cache_folder(monkeypatch):

@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.belief.contact_evidence import SignalSettings
+from rumi.belief.evidence import make_evidence
 from rumi.belief.motion import Predictor
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
@@ -30,6 +32,7 @@ from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_task, make_tool
 from rumi.tasks.rummage.settings import Settings
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
+from sensors.evidence import EvidenceModel
 
 _PLANAR = ("pushed", "corrected")  # motions by a model of upright objects and a level tool
 _OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
@@ -99,9 +102,13 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     pushed = None
     if following.motion in _PLANAR:
         pushed = predictor_of(settings.planner, model, tool, spec.height_m, standing)
+    further: tuple[EvidenceModel, ...] = ()
+    if following.evidence:
+        surface = tool.shape.surface(SignalSettings().spacing_m).to(*to)
+        further = make_evidence(following.evidence, model.sdf, surface)
     return Rummager(
         model,
-        PoseFilter(discrepancy, cast(Search, spec.search), following, prior, pushed).to(*to),
+        PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed).to(*to),
         make_policy(settings, reachability(tool, workspace)),
         workspace,
         tool,

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.clock import Clock
-from rumi.information.stop_rule import StopEvidence, converged
+from rumi.information.stopping import StopEvidence, converged
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
 from rumi.planning.policy import Plan

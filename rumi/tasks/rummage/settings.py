@@ -11,7 +11,7 @@ from rumi.belief.initialise import InitialiseSettings
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.reinitialise import RenewalSettings
 from rumi.errors import UsageError
-from rumi.information.stop_rule import StopSettings
+from rumi.information.stopping import StopSettings
 from rumi.planning.gpvr import GPVRSettings
 from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingSettings
