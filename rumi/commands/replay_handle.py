@@ -79,8 +79,9 @@ def replay_of_fused(arguments: Sequence[str], path: Path, *, cache_dir: Path | N
 def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int:
     from rumi.commands.replay import machines, summary
     from rumi.runs.folder import RunRecorder, load_run, prepare_folder
-    from rumi.tasks.handle.finder import build_finder
-    from rumi.tasks.handle.log import IDLE, differing, recorded, refuse_other_senses, replay_fused
+    from rumi.runs.replay import replay
+    from rumi.tasks.handle.agent import build_agent
+    from rumi.tasks.handle.log import IDLE, differing, recorded, refuse_other_senses
     from rumi.tasks.rummage.build import scene_sketch
     from sensors.contact_reading import FeltReading
 
@@ -97,22 +98,22 @@ def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int
     changed = differing(before, settings) + (["seed"] if options.seed != seed else [])
     if idle := [name for name in changed if name in IDLE]:
         say(f"{', '.join(idle)}: no effect, since what was done is recorded")
-    finder = build_finder(settings, cache_dir=cache_dir)
+    agent = build_agent(settings, cache_dir=cache_dir)
     if options.out is not None:
         prepare_folder(options.out)
     elif options.figures:
         raise UsageError("Expected --out DIR with --figures, got none: figures need a folder")
-    taken = log.taken(FeltReading)
+    taken = log.taken(FeltReading)[: settings.steps + 1]
     for problem in log.problems:
         say(problem)
     with Progress("fused", len(taken) - 1) as progress:
         if options.out is None:
-            done = replay_fused(taken, finder, seed=options.seed, on_step=progress)
+            done = replay(taken, agent, seed=options.seed, on_step=progress)
         else:
             asked = {"task": "fused", "seed": options.seed, "fused": settings}
             with RunRecorder(options.out, asked) as recorder:
-                recorder.scene(scene_sketch(finder.rummager))
-                done = replay_fused(taken, finder, seed=options.seed, on_step=both(recorder, progress))
+                recorder.scene(scene_sketch(agent.rummager))
+                done = replay(taken, agent, seed=options.seed, on_step=both(recorder, progress))
                 recorder.finish(done.result)
     if options.figures and options.out is not None:
         from rumi.viz.figures import make_figures
@@ -124,4 +125,4 @@ def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int
         for line in machines(log):
             say(line)
         return NOT_CONVERGED
-    return DONE if done.result.stopped_by == "converged" else NOT_CONVERGED
+    return DONE if done.result.stopped_by == "sure" else NOT_CONVERGED

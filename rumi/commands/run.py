@@ -79,7 +79,7 @@ def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
     if steps > spec.steps:
         raise UsageError(f"Expected steps to be at most the {spec.steps} of {spec.name}, got {steps}")
     device = settings.torch_device
-    from rumi.loop import rummage
+    from rumi import loop
     from rumi.tasks.rummage.build import build, scene_sketch
     from rumi.tasks.rummage.objects import record
 
@@ -104,7 +104,7 @@ def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
         try:
             with Progress(settings.task, steps) as progress:
                 on_step = both(recorder, *([] if log is None else [log]), progress, Decisions(account))
-                result = rummage(task, rummager, seed=settings.seed, steps=steps, on_step=on_step)
+                result = loop.run(task, rummager, seed=settings.seed, steps=steps, on_step=on_step)
         finally:
             task.close()
         recorder.finish(result)
@@ -118,7 +118,7 @@ def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
     sys.stdout.write(summary(result, folder, settings.task))
     if options.explain:
         sys.stdout.write(explain(account))
-    return {"converged": DONE, "steps": NOT_CONVERGED, "interrupted": INTERRUPTED}[result.stopped_by]
+    return {"sure": DONE, "interrupted": INTERRUPTED}.get(result.stopped_by, NOT_CONVERGED)
 
 
 def _log(
@@ -186,7 +186,7 @@ def summary(result: RunResult, folder: Path, name: str) -> str:
 
 def ending(result: RunResult, name: str) -> list[str]:
     """The lines on what a run came to know."""
-    ended = {"converged": "sure", "steps": "not sure", "interrupted": "interrupted"}[result.stopped_by]
+    ended = {"steps": "not sure", "budget": "out of time"}.get(result.stopped_by, result.stopped_by)
     judged = {True: ", and right", False: ", and wrong", None: ""}[result.right]
     lines = [f"{name}: {ended} after {result.steps} actions, {result.contacts} of them in contact{judged}"]
     if result.position_error_mm is not None and result.rotation_error_deg is not None:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -15,8 +15,8 @@ from rumi.errors import UsageError
 from rumi.exit_codes import DONE, INTERRUPTED, NOT_CONVERGED
 
 if TYPE_CHECKING:
+    from rumi.tasks.handle.agent import HandleResult
     from rumi.tasks.handle.log import FusedLogRecorder
-    from rumi.tasks.handle.run import Outcome
     from rumi.tasks.handle.settings import FusedSettings, SensorName
 
 NAME = "fused"
@@ -67,10 +67,10 @@ class FusedOptions:
 def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     """Carry out `rumi run fused`; `arguments` are those after the name."""
     options = tyro.cli(FusedOptions, prog=f"rumi run {NAME}", description=_HELP, args=arguments)
+    from rumi import loop
     from rumi.commands.run import draw_figures
-    from rumi.runs.folder import RunRecorder, free_folder, left_if_begun, prepare_folder, write_json
+    from rumi.runs.folder import RunRecorder, free_folder, left_if_begun, prepare_folder
     from rumi.tasks.handle.build import build_fused
-    from rumi.tasks.handle.run import run_fused
     from rumi.tasks.handle.settings import FusedSettings
     from rumi.tasks.rummage.build import scene_sketch
     from rumi.tasks.rummage.settings import preset
@@ -100,19 +100,20 @@ def fused(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
         RunRecorder(folder, {"task": NAME, "seed": options.seed, "fused": settings}) as recorder,
         _log(folder, options.seed, settings) if options.record else contextlib.nullcontext() as log,
     ):
-        recorder.scene(scene_sketch(parts.rummager))
+        recorder.scene(scene_sketch(parts.agent.rummager))
         with Progress(NAME, settings.steps) as progress:
-            outcome = run_fused(parts, options.seed, both(recorder, *([] if log is None else [log]), progress))
+            outcome = loop.run(
+                *parts, seed=options.seed, on_step=both(recorder, *([] if log is None else [log]), progress)
+            )
         parts.task.close()
-        recorder.finish(outcome.found)
+        recorder.finish(outcome)
         if log is not None:
-            log.finish(outcome.found)
-    write_json(folder / "grasp.json", grasp_of(outcome))
-    if options.figures and outcome.ended != "interrupted":
+            log.finish(outcome)
+    if options.figures and outcome.stopped_by != "interrupted":
         say("drawing figures")
         draw_figures(folder, folder / "figures", None)
     sys.stdout.write(summary(outcome, folder, settings.budget_s))
-    if outcome.ended == "interrupted":
+    if outcome.stopped_by == "interrupted":
         return INTERRUPTED
     return DONE if outcome.lifted else NOT_CONVERGED
 
@@ -151,13 +152,6 @@ def thinking_of(text: str) -> float | None:
     return seconds
 
 
-def grasp_of(outcome: "Outcome") -> dict[str, Any]:
-    """What is told of a run beside its result: grasp, time, and the sum of nll."""
-    names = ("ended", "lifted", "believed", "grasp", "total_nll", "total_s")
-    found = outcome.as_dict()
-    return {name: found[name] for name in names}
-
-
 def short_of(settings: "FusedSettings") -> str | None:
     """What to say where the time is up before the first look's belief and the grasp are done; None where it is not."""
     from rumi.tasks.handle.gripper import GRASP_S
@@ -171,21 +165,18 @@ def short_of(settings: "FusedSettings") -> str | None:
     )
 
 
-def summary(outcome: "Outcome", folder: Path, budget_s: float) -> str:
+def summary(outcome: "HandleResult", folder: Path, budget_s: float) -> str:
     """A few lines on how a run ended."""
     from rumi.commands.run import ending
 
-    found = outcome.found
-    lines = ending(found, NAME)
-    if outcome.ended == "budget":
-        lines[0] = lines[0].replace("not sure", "out of time", 1)
-    if outcome.grasp is not None:
+    lines = ending(outcome, NAME)
+    if outcome.believed is not None:
         done = "lifted by its handle" if outcome.lifted else "not lifted"
-        lines.append(f"grasp    {done}; believed {outcome.grasp.probability:.2f}")
+        lines.append(f"grasp    {done}; believed {outcome.believed:.2f}")
     late_s = outcome.total_s - budget_s
     over = f", {late_s:.1f} too many" if late_s > 1e-6 else ""
     lines.append(f"clock    {outcome.total_s:.0f} s of {budget_s:g}{over}; nll summed up {outcome.total_nll:.0f}")
-    lines.append(f"seconds  {sum(found.timings_s.values()):.1f}: {stages(found.timings_s)}")
+    lines.append(f"seconds  {sum(outcome.timings_s.values()):.1f}: {stages(outcome.timings_s)}")
     lines.append(f"folder   {folder}")
     return "\n  ".join(lines) + "\n"
 

@@ -9,10 +9,12 @@ from typing import Annotated, Any
 
 import tyro
 
+from rumi import loop
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.folder import free_folder, left_if_begun, prepare_folder
-from rumi.tasks.peg.agent import PegRun, run_peg
+from rumi.tasks.peg.agent import build_peg
+from rumi.tasks.peg.records import PegRun
 from rumi.tasks.peg.settings import PegSettings, Stop
 
 NAME = "peg"
@@ -64,8 +66,10 @@ def peg(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     folder = options.out or free_folder(Path("runs") / f"peg-t{settings.t_max_s:g}-{settings.stop}-s{options.seed}")
     prepare_folder(folder)
     with left_if_begun(folder):
-        run = run_peg(settings, options.seed)
-    (folder / "result.json").write_text(json.dumps(record(run), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        run = loop.run(*build_peg(settings), seed=options.seed)
+    (folder / "result.json").write_text(
+        json.dumps(record(run, options.seed), indent=1, allow_nan=False) + "\n", encoding="utf-8"
+    )
     if options.figures:
         draw(run, folder)
     sys.stdout.write(summary(run, folder))
@@ -98,7 +102,7 @@ def settings_of(options: PegOptions) -> PegSettings:
     return replace(settings, **given)
 
 
-def record(run: PegRun) -> dict[str, Any]:
+def record(run: PegRun, seed: int) -> dict[str, Any]:
     """A run as plain values: how it ended, its settings, and every motion."""
     motions = [
         {
@@ -123,9 +127,9 @@ def record(run: PegRun) -> dict[str, Any]:
         for thought in run.thoughts
     ]
     return {
-        "seed": run.seed,
+        "seed": seed,
         "truth": run.truth.tolist(),
-        "holes_m": run.aim.points.tolist(),
+        "holes_m": None if run.aim is None else run.aim.points.tolist(),
         **run.as_dict(),
         "settings": run.settings.as_dict(),
         "motions": motions,
@@ -153,12 +157,10 @@ def draw(run: PegRun, folder: Path) -> None:
 
 def summary(run: PegRun, folder: Path) -> str:
     """A few lines on how a run ended."""
-    ended = {
-        "sure": "sure",
-        "actions": "not sure",
-        "time": "no time for any motion",
-        "stay": "nothing more that a touch would tell",
-    }[run.stopped_by]
+    ended: str = "not sure" if run.stopped_by == "steps" else run.stopped_by
+    if run.stopped_by == "nothing to do":
+        weighed = run.thoughts[-1].selection.evaluated
+        ended = "nothing more that a touch would tell" if weighed else "no time for any motion"
     found = run.as_dict()
     touches = f"{found['touches']} touch{'es' if found['touches'] != 1 else ''}"
     place = "in the hole" if run.in_hole else "beside the hole"

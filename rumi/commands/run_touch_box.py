@@ -11,7 +11,7 @@ import tyro
 
 from rumi.commands.progress import say
 from rumi.errors import UsageError
-from rumi.exit_codes import DONE, NOT_CONVERGED
+from rumi.exit_codes import DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.runs.folder import free_folder, left_if_begun, prepare_folder, write_json
 from rumi.runs.jsonlines import append_line
 from rumi.tasks.touch_box.build import Robot
@@ -60,9 +60,10 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
     options = tyro.cli(TouchRunOptions, prog=f"rumi run {NAME}", description=_HELP, args=arguments)
     if options.budget is not None and not 0 < options.budget < math.inf:
         raise UsageError(f"Expected --budget above 0 s and finite, got {options.budget}")
-    from rumi.tasks.touch_box.agent import TouchStep, localise, signals
+    from rumi import loop
     from rumi.tasks.touch_box.budget import BudgetedChoice
-    from rumi.tasks.touch_box.build import check_robot, make_toucher
+    from rumi.tasks.touch_box.build import build_touch_box, check_robot
+    from rumi.tasks.touch_box.records import TouchStep, signals
     from rumi.tasks.touch_box.report import figures_of, step_of
 
     check_robot(options.task, options.robot)
@@ -73,7 +74,7 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
     say(f"{NAME} with {options.settings.method}, {options.robot}, seed {options.seed}; writing to {folder}")
     say("grasps are simulated once and kept (a minute at first)")
     with left_if_begun(folder):
-        toucher = make_toucher(options.task, options.settings, options.robot, cache_dir=cache_dir)
+        task, agent = build_touch_box(options.task, options.settings, options.robot, cache_dir=cache_dir)
     asked: dict[str, object] = {
         "settings": asdict(options.settings),
         "task": asdict(options.task),
@@ -85,6 +86,8 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
 
     def told(step: TouchStep) -> None:
         nonlocal count
+        if step.touched is None:
+            return
         count += 1
         append_line(folder / "steps.jsonl", step_of(step))
         empty = "out of reach" if step.touched.blocked is None else "blocked"
@@ -92,27 +95,27 @@ def run_touch(arguments: Sequence[str], *, cache_dir: Path | None) -> int:
         say(f"poke {count:2}: {readings:<{options.task.readings}}  lifted with {step.grasp.probability:.2f}")
 
     try:
-        decide = None if options.budget is None else BudgetedChoice(toucher, options.budget)
-        run = localise(toucher, seed=options.seed, on_step=told, decide=decide)
-    except KeyboardInterrupt:
-        say(f"{count} poke{'s' * (count != 1)} done so far: see {folder}")
-        raise
+        if options.budget is not None:
+            agent.chooser = BudgetedChoice(agent, options.budget)
+        run = loop.run(task, agent, seed=options.seed, on_step=told)
     finally:
-        toucher.robot.close()
+        task.close()
     found = figures_of(run)
     write_json(folder / "result.json", found)
     if options.figures:
         from rumi.tasks.touch_box.figures import draw_run
 
-        for path in draw_run(run, toucher, folder):
+        for path in draw_run(run, options.task, options.settings.threshold, folder):
             say(f"figure {path}")
-    ended = "sure" if run.sure else "not sure"
+    ended = "not sure" if run.stopped_by == "steps" else run.stopped_by
     sys.stdout.write(
         f"{NAME}: {ended} after {found['actions']} pokes, {'lifted' if run.lifted else 'not lifted'}\n"
         f"  grasp    believed {found['believed']:.2f}; off by {found['error_mm']:.1f} mm and "
         f"{found['error_deg']:.1f} degrees\n"
-        f"  seconds  {math.fsum(run.seconds.values()):.1f}: "
-        f"{', '.join(f'{name} {value:.1f}' for name, value in run.seconds.items())}\n"
+        f"  seconds  {math.fsum(run.timings_s.values()):.1f}: "
+        f"{', '.join(f'{name} {value:.1f}' for name, value in run.timings_s.items())}\n"
         f"  folder   {folder}\n"
     )
+    if run.stopped_by == "interrupted":
+        return INTERRUPTED
     return DONE if run.lifted else NOT_CONVERGED

@@ -81,7 +81,7 @@ def test_the_same_seed_gives_the_same_files_and_never_overwrites():
 def test_exit_code_when_sure():
     always = ("--stop.expected-nll", "1e9", "--stop.fit", "1e9", "--stop.contacts", "0")
     assert run_small(*always) == cli.DONE
-    assert load_run("runs/mug-0-rumi-default-s0").result.stopped_by == "converged"
+    assert load_run("runs/mug-0-rumi-default-s0").result.stopped_by == "sure"
 
 
 @pytest.mark.sim
@@ -104,7 +104,7 @@ def test_an_interrupt_leaves_a_readable_run(monkeypatch, capsys):
     [
         (["mug-0"], "rumi.tasks.rummage.build.build"),
         (["fused", "--record"], "rumi.tasks.handle.build.build_fused"),
-        (["peg"], "rumi.commands.run_peg.run_peg"),
+        (["peg"], "rumi.commands.run_peg.build_peg"),
     ],
 )
 def test_an_interrupt_before_there_is_a_result_leaves_no_folder(arguments, work, monkeypatch, capsys):
