@@ -23,8 +23,8 @@ import tyro
 
 from rumi import loop
 from rumi.agent import Parts
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.errors import DegenerateBeliefError
 from rumi.metrics.intervals import wilson
 from rumi.runs.folder import provenance

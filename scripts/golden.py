@@ -50,7 +50,7 @@ from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import Method
 from rumi.tasks.touch_box.settings import TouchSettings
-from sdf.mesh import TriangleMesh
+from sdf.mesh.mesh import TriangleMesh
 from sensors.log.reader import Log
 
 DIGESTS = Path(__file__).resolve().parent.parent / "tests" / "golden" / "digests.json"

@@ -17,8 +17,8 @@ from typing import Any, Literal, cast
 import tyro
 
 from rumi import loop
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.dynamics.registry import PushChoice
 from rumi.errors import DegenerateBeliefError
 from rumi.metrics.intervals import wilson

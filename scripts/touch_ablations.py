@@ -17,8 +17,8 @@ import tyro
 
 from rumi import loop
 from rumi.agent import Parts
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.gripper_robot import GripperRobot

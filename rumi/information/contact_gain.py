@@ -10,10 +10,9 @@ from torch import Tensor
 from rumi.information.expected_divergence import expected_divergence, with_kinds
 from rumi.resampling import resample_systematic
 from sdf.check import check_shape
-from sdf.mesh.triangles import Triangles
-from sdf.sweep import Sweep, sweep_mesh
+from sdf.sweep import Sweep
 from sensors.touch.rectangle_touch import rectangle_log_likelihoods
-from sensors.touch.touch_likelihood import TouchNoise, touch_log_likelihoods
+from sensors.touch.touch_likelihood import TouchNoise
 
 NOTHING, TOUCH = 0, 1
 """Kinds of outcome: no contact, and a contact with a point and a normal; others are told by their kind alone."""
@@ -108,55 +107,6 @@ def rectangle_likelihood(poses: Float[Tensor, "N 3"], half: Float[Tensor, "2"], 
         return rectangle_log_likelihoods(poses, points, normals, half, noise)
 
     return likelihood
-
-
-def mesh_likelihood(world_T_object: Float[Tensor, "N 4 4"], triangles: Triangles, noise: TouchNoise) -> TouchLikelihood:
-    """Of touches of any mesh at poses in SE(3)."""
-
-    def likelihood(points: Tensor, normals: Tensor) -> Tensor:
-        flat = touch_log_likelihoods(world_T_object, points.reshape(-1, 3), normals.reshape(-1, 3), triangles, noise)
-        return flat.mT.reshape(*points.shape[:-1], len(world_T_object))
-
-    return likelihood
-
-
-def mesh_touch_gain(
-    world_T_object: Float[Tensor, "N 4 4"],
-    log_weights: Float[Tensor, "N"],
-    triangles: Triangles,
-    start: Float[Tensor, "*b 3"],
-    end: Float[Tensor, "*b 3"],
-    radius: float,
-    noise: TouchNoise,
-    *,
-    readings: int | None = None,
-    sampled: bool = False,
-    generator: torch.Generator | None = None,
-) -> Float[Tensor, "*b"]:
-    """What straight motions of a ball are expected to tell of where a mesh is, nats.
-
-    Args:
-        world_T_object: poses of the particles.
-        log_weights: of them.
-        triangles: of the mesh.
-        start: of the ball's centre, outside of the object.
-        end: of its way; the ball stops where it touches.
-        radius: of the ball, metres.
-        noise: of the touches.
-        readings: as of `touch_gain`.
-        sampled: whether readings are drawn with noise.
-        generator: of the draws.
-    """
-    sweep = sweep_mesh(world_T_object, triangles, start[..., None, :], end[..., None, :], radius)
-    likelihood = mesh_likelihood(world_T_object, triangles, noise)
-    return touch_gain(
-        log_weights,
-        Outcomes.of(sweep),
-        likelihood,
-        readings=readings,
-        noise=noise if sampled else None,
-        generator=generator,
-    )
 
 
 def _drawn(log_weights: Float[Tensor, "N"], count: int, generator: torch.Generator | None) -> Int[Tensor, "M"]:

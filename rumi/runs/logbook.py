@@ -9,8 +9,8 @@ from typing import Any, Self
 import torch
 
 from rumi.errors import UsageError
-from rumi.runs.plain import plain
 from rumi.records import RunResult, StepRecord
+from rumi.runs.plain import plain
 from rumi.runs.replay import digest
 from sensors.log.errors import LogError
 from sensors.reading import Reading

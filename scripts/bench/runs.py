@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from rumi import loop
-from rumi.commands.table import cache_folder
+from rumi.cache import cache_folder
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import PRESETS, preset

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from rumi.errors import UsageError
 from rumi.records import StepRecord
+from rumi.runs.json_settings import dataclass_of
 from rumi.runs.logbook import LogRecorder
 from rumi.tasks.handle.settings import FusedSettings
-from rumi.tasks.rummage.settings import dataclass_of
 from sensors.contact_reading import FeltReading
 
 if TYPE_CHECKING:
@@ -53,12 +53,13 @@ def recorded(log: "Log") -> tuple[int, FusedSettings] | None:
         UsageError: the settings are none of this rumi.
     """
     settings = log.settings or {}
-    if settings.get("task") != "fused" or "fused" not in settings:
+    name = settings.get("task")
+    if name not in ("handle", "fused") or name not in settings:  # the name before
         return None
     seed = settings.get("seed")
     if not isinstance(seed, int) or isinstance(seed, bool):
         raise UsageError(f"Expected seed in the settings of {log.path} to be a whole number, got {seed!r}")
-    return seed, dataclass_of(FusedSettings, settings["fused"])
+    return seed, dataclass_of(FusedSettings, settings[name])
 
 
 def differing(before: Any, after: Any, prefix: str = "") -> list[str]:  # noqa: ANN401  (settings of any kind)

@@ -14,7 +14,7 @@ from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import RenewalSettings, challenge, prior_belief, redraw
 from rumi.clock import Clock
 from rumi.fields.workspace import Workspace
-from rumi.information.stop_rule import StopSettings, converged
+from rumi.information.stop_rule import StopEvidence, StopSettings, converged
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
 from rumi.planning.policy import Plan, Policy, Scene
@@ -222,9 +222,7 @@ def evaluate_step(
         ess=float(belief.ess()),
         contacts=contacts,
         resampled=resampled,
-        converged=converged(
-            rummager.stop_rule, expected_nll=expected, fit=fit, apc=apc, diagonal=model.diagonal, contacts=contacts
-        ),
+        converged=converged(rummager.stop_rule, StopEvidence(expected, fit, apc, model.diagonal, contacts)),
         truth=result.truth,
         nll=nll,
         timings_s=clock.take(),
