@@ -6,7 +6,7 @@ import torch
 
 from rumi.belief.initialise import initialise, view_starts
 from rumi.belief.particles import PoseBelief
-from rumi.belief.reinitialise import challenge, prior_belief, redraw
+from rumi.belief.reinitialise import prior_belief, redraw, verify
 from rumi.clock import Clock
 from rumi.planning.policy import Plan, Scene
 from rumi.records import RunResult, StepRecord
@@ -83,7 +83,7 @@ def rummage(
             if last.converged and challenges:
                 clock.put_back(last.timings_s)
                 with clock("belief"):
-                    belief = challenge(rummager.filter, belief, memory, rummager.renewal, generator=random["renewal"])
+                    belief = verify(rummager.filter, belief, memory, rummager.renewal, generator=random["renewal"])
                 last = observe(rummager, clock, history, result, belief, info.added, *done)
             emit(last)
         if last.converged:

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from rumi.belief.particles import PoseBelief
-from rumi.belief.touch_belief import TouchBelief
+from rumi.belief.trajectory_belief import TrajectoryBelief
 from rumi.clock import Now
 from rumi.commands.table import cache_folder
 from rumi.fields.information import information_field
@@ -164,11 +164,11 @@ class Pokes:
         return make_toucher(TouchTask(), TouchSettings(), "gripper", cache_dir=cache_folder())
 
     @cached_property
-    def given(self) -> list[TouchBelief]:
+    def given(self) -> list[TrajectoryBelief]:
         """The beliefs, in order."""
-        given: list[TouchBelief] = []
+        given: list[TrajectoryBelief] = []
 
-        def watched(belief: TouchBelief, *, generator: torch.Generator) -> tuple[torch.Tensor, Choice]:
+        def watched(belief: TrajectoryBelief, *, generator: torch.Generator) -> tuple[torch.Tensor, Choice]:
             given.append(belief)
             return self.toucher.decide(belief, generator=generator)
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rumi.belief.initialise import initialise, view_starts
 from rumi.belief.particles import PoseBelief
-from rumi.belief.reinitialise import challenge
+from rumi.belief.reinitialise import verify
 from rumi.clock import Clock
 from rumi.errors import UsageError
 from rumi.loop import first_belief
@@ -90,13 +90,13 @@ def follow(
         belief, memory, info = rummager.filter(known.belief, known.memory, reading, generator=random["filter"])
         located = last.contacts >= settings.renewals and bool(memory.of_class(Semantics.SURFACE).any())
         if bool(reading.in_contact.any()) and not located:
-            belief = challenge(rummager.filter, belief, memory, renewal, generator=generator)
+            belief = verify(rummager.filter, belief, memory, renewal, generator=generator)
     done = (control, plan, bool(info.resampled))
     record = observe(rummager, clock, history, result, belief, info.added, *done)
     if record.converged:
         clock.put_back(record.timings_s)
         with clock("belief"):
-            belief = challenge(rummager.filter, belief, memory, renewal, generator=generator)
+            belief = verify(rummager.filter, belief, memory, renewal, generator=generator)
         record = observe(rummager, clock, history, result, belief, info.added, *done)
     return Followed(belief, memory), record
 

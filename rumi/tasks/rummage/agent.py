@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from rumi.belief.initialise import InitialiseSettings
 from rumi.belief.pose_filter import PoseFilter
-from rumi.belief.reinitialise import RenewalSettings
+from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopSettings
 from rumi.planning.policy import Policy
@@ -38,7 +38,7 @@ class Rummager:
     workspace: Workspace
     tool: Tool
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
-    renewal: RenewalSettings = field(default_factory=RenewalSettings)
+    renewal: ReinitialiseSettings = field(default_factory=ReinitialiseSettings)
     stop: StopSettings = field(default_factory=StopSettings)
     height_m: float = 0.0
     replan_every: int = 1
