@@ -21,8 +21,8 @@ import numpy as np
 import torch
 import tyro
 
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.errors import DegenerateBeliefError
 from rumi.metrics.intervals import wilson
 from rumi.runs.folder import provenance

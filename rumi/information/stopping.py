@@ -5,6 +5,7 @@ By its covariance, its entropy, the mass of target points within a tolerance, or
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -12,7 +13,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.errors import UsageError
 from rumi.information.entropy import Entropy
+from rumi.registry import Table
 from rumi.weights import check_weights
 from sdf.check import check_shape
 from sdf.so3 import wrap
@@ -196,6 +199,24 @@ class MassRule:
         return (guesses[:, None, None] - orders).norm(dim=-1).amax(-1)
 
 
+class StopEvidence(NamedTuple):
+    """What a rule may stop by; nothing of the truth.
+
+    Attributes:
+        expected_nll: that the belief expects of itself, nats.
+        fit: least discrepancy of a particle.
+        apc: average pairwise chamfer distance of the particles, metres (RUMI, Eq 33).
+        diagonal: of the object's bounding box, metres.
+        contacts: actions so far that touched the object.
+    """
+
+    expected_nll: float
+    fit: float
+    apc: float
+    diagonal: float
+    contacts: int
+
+
 @dataclass(frozen=True)
 class StopSettings:
     """The stopping rule; it never sees the truth.
@@ -212,7 +233,7 @@ class StopSettings:
         apc_ratio: beta_t.
     """
 
-    rule: Literal["self", "apc", "never"] = "self"
+    rule: str = "self"
     expected_nll: float = 5.0
     fit: float = 5.0
     fit_a_contact: float = 0.5
@@ -221,26 +242,27 @@ class StopSettings:
 
     def __post_init__(self) -> None:
         """Refuse unknown rules."""
-        if self.rule not in ("self", "apc", "never"):
-            raise ValueError(f"Expected stop rule self, apc or never, got {self.rule!r}")
+        if self.rule not in STOP_RULES:
+            raise UsageError(f"There is no stop rule {self.rule!r}; there are {', '.join(STOP_RULES)}")
 
 
-def converged(
-    settings: StopSettings, *, expected_nll: float, fit: float, apc: float, diagonal: float, contacts: int
-) -> bool:
-    """Whether the rule holds.
+StopRule = Callable[[StopSettings, StopEvidence], bool]
+"""Whether the belief is sure enough to stop."""
 
-    Args:
-        settings: the rule.
-        expected_nll: of the belief, nats.
-        fit: least discrepancy of a particle.
-        apc: metres.
-        diagonal: of the object's bounding box, metres.
-        contacts: actions so far that touched the object.
-    """
-    if settings.rule == "apc":
-        return apc < settings.apc_ratio * diagonal
-    if settings.rule == "self":
-        fits = fit < settings.fit + settings.fit_a_contact * contacts
-        return expected_nll < settings.expected_nll and fits and contacts >= settings.contacts
-    return False
+STOP_RULES: Table[StopRule] = Table("stop rule", "rumi.stop_rules")
+"""All rules by name."""
+
+
+def _self_consistent(settings: StopSettings, now: StopEvidence) -> bool:
+    fits = now.fit < settings.fit + settings.fit_a_contact * now.contacts
+    return now.expected_nll < settings.expected_nll and fits and now.contacts >= settings.contacts
+
+
+STOP_RULES.add("self", _self_consistent)
+STOP_RULES.add("apc", lambda settings, now: now.apc < settings.apc_ratio * now.diagonal)
+STOP_RULES.add("never", lambda settings, now: False)
+
+
+def converged(settings: StopSettings, now: StopEvidence) -> bool:
+    """Whether the rule of some settings holds."""
+    return STOP_RULES[settings.rule](settings, now)

@@ -14,15 +14,12 @@ from rumi.robot.tool import Tool
 from rumi.rosbag.mapping import BagMap
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build_rummager
-from rumi.tasks.rummage.objects import with_object
-from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec, large_handled_mug
+from rumi.tasks.rummage.objects import OBJECTS, with_object
+from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec
 from rumi.tasks.rummage.settings import Settings, from_dict
 from sdf.base import SDF
-from sdf.drill import drill_model
-from sdf.object_model import box_model
 from sensors.evidence import EvidenceModel
 
-_BUILTIN = {"mug": large_handled_mug, "box": box_model, "drill": drill_model}
 _MARGIN = 0.1  # metres about where the object and the tool are, for the workspace
 
 
@@ -58,7 +55,7 @@ def rummager_of_map(
     spec = TaskSpec(
         "recording",
         "a recording",
-        _BUILTIN[scene.builtin or "mug"],
+        OBJECTS[scene.builtin or "mug"],
         (0.0, 0.0, 0.0),
         prior=None if scene.prior_mean_m is None else PriorSpec(scene.prior_mean_m, scene.prior_spread_m),
         bounds=((low[0], low[1]), (high[0], high[1])),

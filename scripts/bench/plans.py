@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kmppi import MPPI, MPPISettings
 from rumi.belief.particles import PoseBelief
-from rumi.commands.table import cache_folder
+from rumi.cache import cache_folder
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings
 from rumi.dynamics.tool_lookup import world_height

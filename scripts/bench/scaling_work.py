@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
-from rumi.commands.table import cache_folder
+from rumi.cache import cache_folder
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import DisplacementModel
 from rumi.dynamics.tool_lookup import world_height

@@ -12,7 +12,7 @@ from torch import Tensor
 from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
-from rumi.commands.table import cache_folder
+from rumi.cache import cache_folder
 from rumi.registration.descent import Search
 from rumi.seeding import split
 from rumi.sim.settings import SimSettings

@@ -21,7 +21,6 @@ F64 = torch.float64
 HALF = torch.tensor([0.1, 0.05], dtype=F64)
 NOISE = TouchNoise()
 RADIUS = 0.0125
-QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 
 
 # every test of this file holds for the plain and for the fused version

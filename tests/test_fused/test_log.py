@@ -10,11 +10,11 @@ import torch
 pytest.importorskip("h5py")
 
 from rumi.cli import main
-from rumi.commands.progress import both
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.records import StepRecord
 from rumi.runs.logbook import LOG, LogRecorder, digest
+from rumi.runs.progress import both
 from rumi.tasks.handle.build import build_fused
 from rumi.tasks.handle.finder import build_finder
 from rumi.tasks.handle.grasp import HandleTable
@@ -94,7 +94,7 @@ def test_readings_come_back_whole(live):
 
 
 def test_other_settings_give_another_belief_on_the_same_readings(live, as_command):
-    code, said = as_command(live.folder, "--wrist.outlier", "0.4", "--budget-s", "9", "--out", "what-if")
+    code, said = as_command(live.folder, "--wrist.outlier", "0.4", "--run-budget-s", "9", "--out", "what-if")
     assert code in (DONE, NOT_CONVERGED)
     assert "budget_s: no effect" in said.err
     assert "differs from the recorded one from action 3 on (wrist.outlier changed)" in said.out

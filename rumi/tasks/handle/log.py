@@ -12,6 +12,7 @@ from rumi.clock import Clock
 from rumi.errors import UsageError
 from rumi.planning.policy import Plan
 from rumi.records import StepRecord
+from rumi.runs.json_settings import dataclass_of
 from rumi.runs.logbook import LogRecorder, digest
 from rumi.runs.replay import Replayed
 from rumi.task import StepResult
@@ -19,7 +20,6 @@ from rumi.tasks.handle.agent import begin, belief_streams, follow
 from rumi.tasks.handle.finder import Finder
 from rumi.tasks.handle.settings import FusedSettings
 from rumi.tasks.rummage.scoring import observe, summarise
-from rumi.tasks.rummage.settings import dataclass_of
 from sensors.contact_reading import ContactReading
 
 if TYPE_CHECKING:

@@ -19,12 +19,9 @@ from rumi.belief.pushed_motion import PushedMotion
 from rumi.dynamics.along_path import carry, carry_along
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
-from rumi.planning.ablations import info_only, reach_only
-from rumi.planning.gpvr import GPVRPolicy
 from rumi.planning.policy import Policy
-from rumi.planning.rummaging import RummagingPolicy
+from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging_settings import RummagingSettings
-from rumi.planning.slide import SlidePolicy
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
 from rumi.runs.sketch import SceneSketch, sketch
@@ -158,8 +155,8 @@ def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
         return
     upright = spec.search == "SE(2)"
     for name, value, other in (
-        ("push-model", settings.planner.push_model, "displacement or mujoco" if upright else "displacement"),
-        ("motion", settings.filter.motion, "measured, sticking or estimated"),
+        ("planner.push-model", settings.planner.push_model, "displacement or mujoco" if upright else "displacement"),
+        ("filter.motion", settings.filter.motion, "measured, sticking or estimated"),
     ):
         if value == "mujoco" and upright:
             continue
@@ -201,15 +198,7 @@ def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
     """
     if settings.planner.push_model == "mujoco":
         import rumi.sim.push_model  # noqa: F401  (enters the push model)
-    if settings.method == "info-only":
-        return info_only(settings.planner)
-    if settings.method == "reach-only":
-        return reach_only(reach, settings.planner)
-    if settings.method == "slide":
-        return SlidePolicy(settings.slide)
-    if settings.method in ("gpvr", "gpvr-greedy"):
-        return GPVRPolicy(settings.planner, settings.gpvr, greedy=settings.method == "gpvr-greedy")
-    return RummagingPolicy(reach, settings.planner)
+    return POLICIES[settings.method](settings, reach)
 
 
 def scene_sketch(rummager: Rummager) -> SceneSketch:
