@@ -14,7 +14,7 @@ import torch
 from rumi import loop
 from rumi.agent import Parts
 from rumi.belief.particles import PoseBelief
-from rumi.belief.touch_belief import TouchBelief
+from rumi.belief.trajectory_belief import TrajectoryBelief
 from rumi.cache import cache_folder
 from rumi.clock import Now
 from rumi.fields.information import information_field
@@ -170,11 +170,11 @@ class Pokes:
         return build_touch_box(TouchTask(), TouchSettings(), "gripper", cache_dir=cache_folder())
 
     @cached_property
-    def given(self) -> list[TouchBelief]:
+    def given(self) -> list[TrajectoryBelief]:
         """The beliefs, in order."""
-        given: list[TouchBelief] = []
+        given: list[TrajectoryBelief] = []
 
-        def watched(belief: TouchBelief, *, generator: torch.Generator) -> tuple[torch.Tensor, Choice]:
+        def watched(belief: TrajectoryBelief, *, generator: torch.Generator) -> tuple[torch.Tensor, Choice]:
             given.append(belief)
             return self.parts.agent.decide(belief, generator=generator)
 

@@ -15,7 +15,7 @@ from rumi.agent import StopReason
 from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel
 from rumi.belief.initialise import initialise, view_starts
 from rumi.belief.particles import PoseBelief
-from rumi.belief.reinitialise import challenge
+from rumi.belief.reinitialise import verify
 from rumi.clock import Clock
 from rumi.errors import UsageError
 from rumi.records import RunResult
@@ -142,13 +142,13 @@ class HandleAgent:
             belief, memory, info = rummager.filter(last.belief, state.memory, reading, generator=state.random["filter"])
             located = last.contacts >= settings.renewals and bool(memory.of_class(Semantics.SURFACE).any())
             if bool(reading.in_contact.any()) and not located:
-                belief = challenge(rummager.filter, belief, memory, renewal, generator=generator)
+                belief = verify(rummager.filter, belief, memory, renewal, generator=generator)
         done = (control, state.plan, bool(info.resampled))
         record = evaluate_step(rummager, clock, state.history, result, belief, info.added, *done)
         if record.converged:
             clock.put_back(record.timings_s)
             with clock("belief"):
-                belief = challenge(rummager.filter, belief, memory, renewal, generator=generator)
+                belief = verify(rummager.filter, belief, memory, renewal, generator=generator)
             record = evaluate_step(rummager, clock, state.history, result, belief, info.added, *done)
         # where it is stated, it is part of the decision's time
         updating_s = self._thought(began) if settings.thinking_s is None else 0.0

@@ -11,7 +11,7 @@ from rumi.agent import StopReason
 from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
-from rumi.belief.reinitialise import RenewalSettings, challenge, prior_belief, redraw
+from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw, verify
 from rumi.clock import Clock
 from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopEvidence, StopSettings, converged
@@ -79,7 +79,7 @@ class Rummager:
     workspace: Workspace
     tool: Tool
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
-    renewal: RenewalSettings = field(default_factory=RenewalSettings)
+    renewal: ReinitialiseSettings = field(default_factory=ReinitialiseSettings)
     stop_rule: StopSettings = field(default_factory=StopSettings)
     height_m: float = 0.0
     replan_every: int = 1
@@ -135,7 +135,7 @@ class Rummager:
         if record.converged and unseen and self.renewal.challenge:
             clock.put_back(record.timings_s)
             with clock("belief"):
-                belief = challenge(self.filter, belief, memory, self.renewal, generator=random["renewal"])
+                belief = verify(self.filter, belief, memory, self.renewal, generator=random["renewal"])
             record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
         return replace(
             state,
