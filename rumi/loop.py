@@ -8,7 +8,7 @@ from rumi.belief.initialise import initialise, view_starts
 from rumi.belief.particles import PoseBelief
 from rumi.belief.reinitialise import challenge, prior_belief, redraw
 from rumi.clock import Clock
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.records import RunResult, StepRecord
 from rumi.seeding import split
 from rumi.task import Task
@@ -59,13 +59,15 @@ def rummage(
         if rummager.budget_s is not None and not last.converged and steps > 0:
             with clock("warm_up"):
                 scene = Scene(*place, result.reading.configuration, observed=memory, reading=result.reading)
-                rummager.policy.act(belief, scene, None, executed=0, budget_s=0.0, generator=split(seed, "warm_up"))
+                rummager.policy.act(PlanRequest(belief, scene, budget_s=0.0, generator=split(seed, "warm_up")))
         while not last.converged and last.step < steps:
             if plan is None or surprised or executed >= min(rummager.replan_every, len(plan.controls)):
                 scene = Scene(*place, result.reading.configuration, observed=memory, reading=result.reading)
                 with clock("plan"):
                     plan = rummager.policy.act(
-                        belief, scene, plan, executed=executed, budget_s=rummager.budget_s, generator=random["plan"]
+                        PlanRequest(
+                            belief, scene, plan, executed=executed, budget_s=rummager.budget_s, generator=random["plan"]
+                        )
                     )
                 executed = 0
             control = plan.controls[executed]

@@ -21,7 +21,7 @@ from rumi.fields.information import (
 )
 from rumi.planning.objective import TrajectoryCost
 from rumi.planning.plan_budget import Deadline
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging_settings import SUITED, RummagingSettings, Suited
 from rumi.planning.worth import Worth, gathered_by_action, gathering
 from sdf import skipped_work as savings
@@ -64,16 +64,7 @@ class RummagingPolicy:
         self.push_models = PushModels(own.push_model, own.push, own.quasi_static, own.engine)
 
     @torch.no_grad()
-    def act(
-        self,
-        belief: PoseBelief,
-        scene: Scene,
-        previous: Plan | None,
-        *,
-        executed: int,
-        budget_s: float | None,
-        generator: torch.Generator,
-    ) -> Plan:
+    def act(self, request: PlanRequest) -> Plan:
         """Plan from the belief; see `rumi.planning.policy.Policy`.
 
         A first plan starts from noise and takes the warm-up iterations; a later one starts from the previous plan,
@@ -84,8 +75,10 @@ class RummagingPolicy:
         of each, the plan is the previous one, later. Only a first plan is made with a few of each all the same. How
         long things take is known from the plan before (`info["pace"]`), of a first plan from a view of a few particles.
         """
+        belief, scene, previous = request.belief, request.scene, request.previous
+        executed, generator = request.executed, request.generator
         with savings.account() as work:
-            deadline = Deadline(budget_s, self.now, None if previous is None else previous.info.get("pace"))
+            deadline = Deadline(request.budget_s, self.now, None if previous is None else previous.info.get("pace"))
             watch = _Stopwatch(self.now)
             configuration = scene.configuration.to(scene.workspace.points)
             count = self.suited(belief, scene).rollouts

@@ -13,7 +13,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
 from rumi.runs.logbook import digest
 from rumi.loop import rummage
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.records import RunResult, StepRecord
 from rumi.tasks.rummage.agent import Rummager
 from rumi.task import StepResult, Task
@@ -88,19 +88,11 @@ class LogPolicy:
     def __init__(self, task: LogTask, controls: Sequence[Float[Tensor, "A"]]) -> None:
         self._task, self._controls = task, controls
 
-    def act(
-        self,
-        belief: PoseBelief,
-        scene: Scene,
-        previous: Plan | None,
-        *,
-        executed: int,
-        budget_s: float | None,
-        generator: torch.Generator,
-    ) -> Plan:
+    def act(self, request: PlanRequest) -> Plan:
         """The action that was carried out next."""
-        control = self._controls[self._task.step_at].to(scene.configuration)
-        return Plan(control[None], scene.configuration[None].expand(2, -1))
+        configuration = request.scene.configuration
+        control = self._controls[self._task.step_at].to(configuration)
+        return Plan(control[None], configuration[None].expand(2, -1))
 
 
 def replay(

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
 
 import torch
 
@@ -18,7 +17,7 @@ from rumi.fields.information import information_field
 from rumi.loop import rummage
 from rumi.planning.anytime import select
 from rumi.planning.evaluation_time import EvaluationTime
-from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.robot.motion_time import SpeedLimits
 from rumi.seeding import split
@@ -87,9 +86,9 @@ class _Watched:
         self.policy = policy
         self.given: list[tuple[PoseBelief, Scene]] = []
 
-    def act(self, belief: PoseBelief, scene: Scene, previous: Plan | None, **rest: Any) -> Plan:  # noqa: ANN401
-        self.given.append((belief, scene))
-        return self.policy.act(belief, scene, previous, **rest)
+    def act(self, request: PlanRequest) -> Plan:
+        self.given.append((request.belief, request.scene))
+        return self.policy.act(request)
 
 
 def decisions(where: Situations, budget_s: float, clock: str, piece: int) -> Figures:
@@ -102,7 +101,7 @@ def decisions(where: Situations, budget_s: float, clock: str, piece: int) -> Fig
     plan: Plan | None = None
     # compiled code is loaded, and the processor is awake
     for belief, scene in where.given[:2]:
-        plan = policy.act(belief, scene, plan, executed=1, budget_s=budget_s, generator=random)
+        plan = policy.act(PlanRequest(belief, scene, plan, executed=1, budget_s=budget_s, generator=random))
     gc.freeze()  # as `rumi run` does
     took, first, kept, samples = [], [], 0, []
     for index in range(PIECE):
@@ -110,7 +109,7 @@ def decisions(where: Situations, budget_s: float, clock: str, piece: int) -> Fig
         if (piece * PIECE + index) % len(where.given) == 0:
             plan = None
         begun = now()
-        plan_of = policy.act(belief, scene, plan, executed=1, budget_s=budget_s, generator=random)
+        plan_of = policy.act(PlanRequest(belief, scene, plan, executed=1, budget_s=budget_s, generator=random))
         took.append(now() - begun)
         first.append(plan is None)
         plan = plan_of
@@ -223,9 +222,9 @@ def value_found(where: Situations, budget_s: float | None, seed: int) -> Figures
     policy = where.policy("cpu")
     assert isinstance(policy, RummagingPolicy)
     values, still = [], []
-    policy.act(*where.given[0], None, executed=0, budget_s=0.0, generator=split(seed, "warm"))
+    policy.act(PlanRequest(*where.given[0], budget_s=0.0, generator=split(seed, "warm")))
     for belief, scene in where.given:
-        made = policy.act(belief, scene, None, executed=0, budget_s=budget_s, generator=split(seed, "plan"))
+        made = policy.act(PlanRequest(belief, scene, budget_s=budget_s, generator=split(seed, "plan")))
         judge = _judge(policy, belief, scene)
         both = torch.stack((made.controls, torch.zeros_like(made.controls)))
         cost = judge(both)

@@ -16,7 +16,7 @@ from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings
 from rumi.dynamics.tool_lookup import world_height
 from rumi.fields.information import information_field
 from rumi.planning.objective import TrajectoryCost
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging import SUITED, RummagingPolicy, RummagingSettings
 from rumi.robot.reach import Reach
 from rumi.robot.reach_table import ReachSettings
@@ -144,7 +144,7 @@ class PlanBench:
 
         def act(previous: Plan | None) -> Plan:
             noise = split(seed, "plan")
-            return policy.act(belief, scene, previous, executed=0, budget_s=None, generator=noise)
+            return policy.act(PlanRequest(belief, scene, previous, generator=noise))
 
         return act
 

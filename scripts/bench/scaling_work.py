@@ -21,7 +21,7 @@ from rumi.fields.normal import expected_normal
 from rumi.fields.workspace import Workspace
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.planning.costs import information_cost
-from rumi.planning.policy import Scene
+from rumi.planning.policy import PlanRequest, Scene
 from rumi.planning.reach_cost import ReachabilityCost
 from rumi.planning.rummaging import SUITED, RummagingPolicy, RummagingSettings
 from rumi.registration.descent import DescentSettings, descend
@@ -200,7 +200,7 @@ def _plan(size: Size) -> Work:
     reach = tool().reach
     assert reach is not None
     policy = RummagingPolicy(reach.field(where.points), replace(base, mppi=replace(mppi, warmup_iterations=2)))
-    return lambda: policy.act(held, scene, None, executed=0, budget_s=None, generator=split(0, "plan"))
+    return lambda: policy.act(PlanRequest(held, scene, generator=split(0, "plan")))
 
 
 WORK: dict[str, tuple[Callable[[Size], Work], tuple[Axis, ...]]] = {

@@ -15,7 +15,7 @@ from rumi.dynamics.displacement import DisplacementSettings
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.workspace import Workspace
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.records import StepRecord
 from rumi.robot.tool import Tool
@@ -178,7 +178,7 @@ def test_predicts_what_the_planner_predicted(mug: ObjectModel, workspace: Worksp
     near = torch.tensor([0.4, 0.1, -1.57])
     scene = Scene(mug, workspace, tool, near)
     random = torch.Generator().manual_seed(0)
-    plan = RummagingPolicy(None, settings).act(belief(), scene, None, executed=0, budget_s=None, generator=random)
+    plan = RummagingPolicy(None, settings).act(PlanRequest(belief(), scene, generator=random))
     told = from_plan([record(0, belief(), near), record(1, belief(), near, plan=plan)], 1)
     assert told is not None
     situation = Situation(record(0, belief(), near), mug, workspace, tool)

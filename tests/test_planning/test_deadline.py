@@ -14,7 +14,7 @@ from rumi.clock import SimulatedClock
 from rumi.dynamics.displacement import DisplacementSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.plan_budget import Deadline
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.robot.tool import Tool
 from sdf import se3
@@ -86,7 +86,7 @@ def act(
     """A plan, and the seconds it took."""
     begun = clock()
     random = torch.Generator().manual_seed(0)
-    made = policy.act(belief(), scene, previous, executed=1, budget_s=budget_s, generator=random)
+    made = policy.act(PlanRequest(belief(), scene, previous, executed=1, budget_s=budget_s, generator=random))
     return made, clock() - begun
 
 

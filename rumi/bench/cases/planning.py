@@ -13,7 +13,7 @@ from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
 from rumi.dynamics.registry import PushChoice
 from rumi.loop import first_belief, rummage
-from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.records import StepRecord
 from rumi.seeding import split
@@ -30,7 +30,7 @@ def _pass(
 ) -> Callable[[], tuple[Tensor, Plan]]:
     def run() -> tuple[Tensor, Plan]:
         random = split(_SEED, "bench/plan")
-        plan = policy.act(belief, scene, previous, executed=executed, budget_s=None, generator=random)
+        plan = policy.act(PlanRequest(belief, scene, previous, executed=executed, generator=random))
         return plan.controls, plan
 
     return run
@@ -39,7 +39,7 @@ def _pass(
 def _case(
     title: str, setup: Setup, policy: Policy, belief: PoseBelief, scene: Scene, targets: tuple[Target, ...]
 ) -> Case:
-    first = policy.act(belief, scene, None, executed=0, budget_s=None, generator=split(_SEED, "bench/first"))
+    first = policy.act(PlanRequest(belief, scene, generator=split(_SEED, "bench/first")))
     run = _pass(policy, belief, scene, first, 3)
     plan = run()[1]
     passes = [plan.timings_s] + [run()[1].timings_s for _ in range(0 if setup.tiny else 3)]

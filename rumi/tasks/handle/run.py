@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from rumi.clock import Clock
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.records import RunResult, StepRecord
 from rumi.seeding import split
 from rumi.tasks.handle.agent import begin, belief_streams, follow
@@ -112,7 +112,7 @@ def run_fused(parts: FusedParts, seed: int, on_step: Callable[[StepRecord], None
                 )
                 executed, allowed = min(last.step, 1), None if settings.thinking_s is not None else left_s
                 plan = rummager.policy.act(
-                    known.belief, scene, plan, executed=executed, budget_s=allowed, generator=planning
+                    PlanRequest(known.belief, scene, plan, executed=executed, budget_s=allowed, generator=planning)
                 )
             spent_s += motion_s + thought(began)
             control = plan.controls[0]
