@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from rumi.dynamics.sliding import rotated
+
 
 class Paths(NamedTuple):
     """What the robot and the object do in some rollouts, after each of H actions.
@@ -98,3 +100,31 @@ class PushModel(Protocol):
     def likely(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) that is shown as the plan: what happens more likely than not."""
         ...
+
+
+def rigid_motions(
+    start: Float[Tensor, "E 3"], track: Float[Tensor, "E T 3"], pivot: Float[Tensor, "2"]
+) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
+    """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones."""
+    turn = track[..., 2] - start[:, None, 2]
+    arm = (pivot - start[:, :2])[:, None].expand(-1, track.shape[1], 2)
+    shift = track[..., :2] - start[:, None, :2] + rotated(arm, turn) - arm
+    still = (track == start[:, None]).all(-1, keepdim=True)
+    return torch.cat((torch.where(still, 0.0, shift), torch.zeros_like(shift[..., :1])), -1), turn
+
+
+def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
+    """Indices of the yaws in the middles of `count` equal shares of the weight, counted from opposite their mean."""
+    mean = torch.atan2(weights @ yaw.sin(), weights @ yaw.cos())
+    turned = torch.remainder(yaw - mean + torch.pi, 2.0 * torch.pi)
+    order = turned.sort(stable=True).indices
+    below = weights[order].cumsum(0)
+    middles = (torch.arange(count, dtype=below.dtype, device=below.device) + 0.5) / count
+    return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(yaw) - 1)]
+
+
+def twins(contact: Tensor) -> Int[Tensor, "K M"]:
+    """The first rollout that touches nothing for those that touch nothing, else the rollout itself."""
+    untouched = ~contact.any(-1)
+    own = torch.arange(contact.shape[1], device=contact.device).expand(untouched.shape)
+    return torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)

@@ -128,11 +128,12 @@ class DisplacementModel:
             self.bound = ContactBound(probability, centres.to(self.points), float(radius))
 
     @cached_property
-    def fused(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
+    def compiled(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
         """`rollout_drawn` in one kernel; made once a model, at its first use."""
-        from rumi.dynamics.displacement_fused import FusedPush
+        from rumi.dynamics.displacement_numba import CompiledPush
 
-        return FusedPush(self)
+        kernel: Callable[[Tensor, Tensor, Tensor], PushRollouts] = CompiledPush(self, TIE)
+        return kernel
 
     def draw(
         self, samples: int, rollouts: int, horizon: int, *, generator: torch.Generator
@@ -345,4 +346,4 @@ def _rollouts_numba(
     if min(x, y) == 1 or (z > 1) != model.tool.spatial:
         # points of several heights in a plane, or a field constant along an axis: the plain version knows how
         return model._rollouts(configuration, controls, uniforms)
-    return model.fused(configuration, controls, uniforms)
+    return model.compiled(configuration, controls, uniforms)

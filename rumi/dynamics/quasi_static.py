@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.base import PushRollouts
+from rumi.dynamics.base import PushRollouts, representatives, rigid_motions, twins
 from rumi.dynamics.outline import GridOutline, Support
-from rumi.dynamics.sliding import Sliding, push, rotated
+from rumi.dynamics.sliding import Sliding, push
 from rumi.robot.tool import Tool
 from sdf import backend, se3
 from sdf import compiled as fused
@@ -93,11 +93,12 @@ class QuasiStaticModel:
         self.reach = float(self.points.norm(dim=-1).max()) + self.outline.radius
 
     @cached_property
-    def fused(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
+    def compiled(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
         """`rollout_poses` in one kernel; made once a model, at its first use."""
-        from rumi.dynamics.quasi_static_fused import FusedPush
+        from rumi.dynamics.quasi_static_numba import CompiledPush
 
-        return FusedPush(self)
+        kernel: Callable[[Tensor, Tensor, Tensor], PushRollouts] = CompiledPush(self)
+        return kernel
 
     def representatives(self, count: int) -> Float[Tensor, "count 3"]:
         """Poses in the middles of `count` equal shares of the belief, in the order of their yaws."""
@@ -187,37 +188,9 @@ class QuasiStaticModel:
         return rigid_motions(start, track, self.pivot)
 
 
-def rigid_motions(
-    start: Float[Tensor, "E 3"], track: Float[Tensor, "E T 3"], pivot: Float[Tensor, "2"]
-) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
-    """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones."""
-    turn = track[..., 2] - start[:, None, 2]
-    arm = (pivot - start[:, :2])[:, None].expand(-1, track.shape[1], 2)
-    shift = track[..., :2] - start[:, None, :2] + rotated(arm, turn) - arm
-    still = (track == start[:, None]).all(-1, keepdim=True)
-    return torch.cat((torch.where(still, 0.0, shift), torch.zeros_like(shift[..., :1])), -1), turn
-
-
-def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
-    """Indices of the yaws in the middles of `count` equal shares of the weight, counted from opposite their mean."""
-    mean = torch.atan2(weights @ yaw.sin(), weights @ yaw.cos())
-    turned = torch.remainder(yaw - mean + torch.pi, 2.0 * torch.pi)
-    order = turned.sort(stable=True).indices
-    below = weights[order].cumsum(0)
-    middles = (torch.arange(count, dtype=below.dtype, device=below.device) + 0.5) / count
-    return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(yaw) - 1)]
-
-
-def twins(contact: Tensor) -> Int[Tensor, "K M"]:
-    """The first rollout that touches nothing for those that touch nothing, else the rollout itself."""
-    untouched = ~contact.any(-1)
-    own = torch.arange(contact.shape[1], device=contact.device).expand(untouched.shape)
-    return torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
-
-
 backend.register("quasi_static_rollouts")(QuasiStaticModel._rollouts)
 
 
 @backend.register("quasi_static_rollouts", "numba", fused.supports)
 def _rollouts_numba(model: QuasiStaticModel, configuration: Tensor, controls: Tensor, poses: Tensor) -> PushRollouts:
-    return model.fused(configuration, controls, poses)
+    return model.compiled(configuration, controls, poses)

@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.dynamics.base import PushRollouts
-from rumi.dynamics.quasi_static import representatives, rigid_motions, twins
+from rumi.dynamics.base import PushRollouts, representatives, rigid_motions, twins
 from rumi.dynamics.registry import ENGINES, EngineSettings
 from rumi.robot.tool import Tool
 from rumi.sim.settings import PhysicsSettings
