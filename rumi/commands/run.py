@@ -14,7 +14,6 @@ from rumi.belief.motion import Motion
 from rumi.commands.explain import Decisions, explain
 from rumi.commands.flags import asked_preset, check_flags
 from rumi.commands.progress import Progress, both, say, stages
-from rumi.dynamics.registry import PushChoice
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.records import RunResult
@@ -58,7 +57,7 @@ class RunOptions:
 
     settings: Annotated[Settings, tyro.conf.arg(name="")]
     motion: Motion | None = None
-    push_model: PushChoice | None = None
+    push_model: str | None = None
     sensor: SensorKind | None = None
     degraded: bool = False
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None

@@ -350,7 +350,7 @@ def _spread(values, widths, margin, result):
 spread = Kernel(_spread, fast=True)
 
 
-class CompiledPush:
+class CompiledRollouts:
     """The compiled version of `rollout_drawn`, for a tool that moves in a plane or in space.
 
     Skipped, with the same result: points of discs that cannot hold the greatest contact probability; and all of a

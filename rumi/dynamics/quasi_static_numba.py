@@ -188,7 +188,7 @@ def _push_rollouts(controls, action_scale, arm, path, poses, body, outline, numb
 _push_rollouts_kernel = Kernel(_push_rollouts)
 
 
-class CompiledPush:
+class CompiledRollouts:
     """The compiled version of `rollout_poses`.
 
     Skipped besides, with the same result: groups of the tool's points that are too far from the object to hold the

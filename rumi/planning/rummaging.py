@@ -12,7 +12,7 @@ from kmppi import MPPI, ControlPlan, Rollouts
 from rumi.belief.particles import PoseBelief
 from rumi.belief.thinning import thinned
 from rumi.clock import Now
-from rumi.dynamics.base import PushModel, PushRollouts
+from rumi.dynamics.base import PushDefaults, PushRollouts, RolloutModel
 from rumi.dynamics.registry import PushModels
 from rumi.dynamics.tool_lookup import world_height
 from rumi.fields.information import (
@@ -22,11 +22,11 @@ from rumi.fields.information import (
 from rumi.planning.objective import TrajectoryCost
 from rumi.planning.plan_budget import Deadline
 from rumi.planning.policy import Plan, PlanRequest, Scene
-from rumi.planning.rummaging_settings import SUITED, RummagingSettings, Suited
+from rumi.planning.rummaging_settings import RummagingSettings
 from rumi.planning.worth import Worth, gathered_by_action, gathering
 from sdf import skipped_work as savings
 
-__all__ = ["SUITED", "RummagingPolicy", "RummagingSettings", "Suited"]
+__all__ = ["RummagingPolicy", "RummagingSettings"]
 
 # control sequences that are rolled out at once: the memory for more is not needed
 _SAMPLES = 4096
@@ -60,8 +60,7 @@ class RummagingPolicy:
         self.now = now
         self.settings = settings or RummagingSettings()
         self.reachability = reachability
-        own = self.settings
-        self.push_models = PushModels(own.push_model, own.push, own.quasi_static, own.engine)
+        self.push_models = PushModels(self.settings)
 
     @torch.no_grad()
     def act(self, request: PlanRequest) -> Plan:
@@ -175,13 +174,13 @@ class RummagingPolicy:
 
     def _fields(
         self, belief: PoseBelief, scene: Scene, deadline: Deadline, watch: "_Stopwatch"
-    ) -> tuple[WorkspaceFields, PushModel]:
+    ) -> tuple[WorkspaceFields, RolloutModel]:
         workspace, sdf = scene.workspace, scene.model.sdf
         poses, log_weights = belief.world_T_object, belief.log_weights
         begun = deadline.now()
         fields = information_field(sdf, poses, log_weights, workspace.points, self.settings.information)
         watch.lap("fields")
-        model = self.push_models.of_belief(scene.model, poses, log_weights, scene.tool, workspace, fields)
+        model = self.push_models.rollouts(scene.model, poses, log_weights, scene.tool, workspace, fields)
         watch.lap("push_model")
         deadline.took("view", len(log_weights) + _VIEW_FIXED, deadline.now() - begun)
         return fields, model
@@ -212,7 +211,7 @@ class RummagingPolicy:
         kept = {name: value for name, value in previous.info.items() if name.startswith("gp_")}
         return Plan(start.controls, path, warm_start=start, fields=previous.fields, info=kept | info)
 
-    def suited(self, belief: PoseBelief, scene: Scene) -> Suited:
+    def suited(self, belief: PoseBelief, scene: Scene) -> PushDefaults:
         """What is set, or else suits the push model of a scene."""
         return self.settings.suited(self.push_models.chosen(belief.world_T_object, scene.tool))
 
@@ -282,7 +281,7 @@ class _View(NamedTuple):
 
     particles: int
     fields: WorkspaceFields
-    model: PushModel
+    model: RolloutModel
     worth: Worth
 
 

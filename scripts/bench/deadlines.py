@@ -236,7 +236,7 @@ def value_found(where: Situations, budget_s: float | None, seed: int) -> Figures
 def _judge(policy: RummagingPolicy, belief: PoseBelief, scene: Scene) -> Callable[[torch.Tensor], torch.Tensor]:
     poses, log_weights = belief.world_T_object, belief.log_weights
     fields = information_field(scene.model.sdf, poses, log_weights, scene.workspace.points, policy.settings.information)
-    model = policy.push_models.of_belief(scene.model, poses, log_weights, scene.tool, scene.workspace, fields)
+    model = policy.push_models.rollouts(scene.model, poses, log_weights, scene.tool, scene.workspace, fields)
     worth = policy.worth(belief, scene, fields, None)
     configuration = scene.configuration.to(fields.information)
 

@@ -156,7 +156,7 @@ class Situation:
         """
         fields, field = self._fields(information)
         belief = self.before.belief
-        model = push.of_belief(self.model, belief.world_T_object, belief.log_weights, self.tool, self.workspace, fields)
+        model = push.rollouts(self.model, belief.world_T_object, belief.log_weights, self.tool, self.workspace, fields)
         start, controls = self.before.reading.configuration.to(fields.information), control[None].to(fields.information)
         if rollouts == 0:
             done = model.likely(start, controls)

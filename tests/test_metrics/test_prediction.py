@@ -12,7 +12,7 @@ from kmppi import MPPISettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.dynamics.displacement import DisplacementSettings
-from rumi.dynamics.registry import PushModels
+from rumi.dynamics.registry import PushModels, PushSettings
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.workspace import Workspace
 from rumi.planning.policy import Plan, PlanRequest, Scene
@@ -182,7 +182,7 @@ def test_predicts_what_the_planner_predicted(mug: ObjectModel, workspace: Worksp
     told = from_plan([record(0, belief(), near), record(1, belief(), near, plan=plan)], 1)
     assert told is not None
     situation = Situation(record(0, belief(), near), mug, workspace, tool)
-    push = PushModels(displacement=settings.push)
+    push = PushModels(PushSettings("displacement", push=settings.push))
     asked = situation.predict(plan.controls[0], settings.information, push)
     assert asked.information == pytest.approx(told.information, rel=1e-5)
     assert asked.displacement_m == pytest.approx(told.displacement_m, abs=1e-6)
@@ -191,7 +191,7 @@ def test_predicts_what_the_planner_predicted(mug: ObjectModel, workspace: Worksp
     mean = situation.predict(plan.controls[0], settings.information, push, rollouts=20, generator=random)
     assert 0.2 * asked.information < mean.information < 5 * asked.information
     # and another member of the family can be asked as well
-    other = situation.predict(plan.controls[0], settings.information, PushModels("quasi-static"))
+    other = situation.predict(plan.controls[0], settings.information, PushModels(PushSettings("quasi-static")))
     assert math.isfinite(other.information)
     with pytest.raises(ValueError, match="Expected a generator"):
         situation.predict(plan.controls[0], settings.information, push, rollouts=2)

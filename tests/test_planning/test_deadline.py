@@ -72,11 +72,11 @@ def slow_policy(
     policy = RummagingPolicy(None, replace(SETTINGS, reachability_scale=0.0), now=clock)
     made = policy.push_models.of_belief
 
-    def of_belief(model: Any, poses: Tensor, *rest: Any) -> Any:
+    def rollouts(model: Any, poses: Tensor, *rest: Any) -> Any:
         clock.advance(len(poses) * particle_s)
         return Slow(made(model, poses, *rest), clock, sample_s, finish_s)
 
-    policy.push_models.of_belief = of_belief  # type: ignore[method-assign]
+    policy.push_models.of_belief = rollouts  # type: ignore[method-assign]
     return policy
 
 

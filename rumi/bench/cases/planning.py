@@ -11,7 +11,6 @@ from rumi.belief.particles import PoseBelief
 from rumi.bench.case import Case, Setup, Target, case, largest_difference
 from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
-from rumi.dynamics.registry import PushChoice
 from rumi.loop import first_belief, rummage
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
@@ -70,7 +69,7 @@ def plan_mug_pushed(setup: Setup) -> Case:
     return _mug(setup, "quasi-static")
 
 
-def _mug(setup: Setup, push_model: PushChoice) -> Case:
+def _mug(setup: Setup, push_model: str) -> Case:
     if setup.tiny:
         return _made_up(setup, mug_scene(setup), "made up", (), push_model)
     settings = preset("default", task="mug-0", seed=_SEED, device=setup.device.type)
@@ -118,7 +117,7 @@ def _made_up(
     scene: FieldScene,
     what: str,
     targets: tuple[Target, ...],
-    push_model: PushChoice = "displacement",
+    push_model: str = "displacement",
 ) -> Case:
     settings, tool = replace(preset("default").planner, push_model=push_model), bench_tool(setup)
     if setup.tiny:

@@ -5,13 +5,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal, get_args
 
-from rumi.dynamics.along_path import Carrier, carry, carry_along
+from rumi.dynamics.along_path import PathPush
+from rumi.dynamics.registry import push_model
 from rumi.errors import UsageError
 from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.touch_box.agent import Toucher
+from rumi.tasks.touch_box.mujoco_scene import path_scene
 from rumi.tasks.touch_box.robot import TouchRobot
 from rumi.tasks.touch_box.scene import TouchTask
-from rumi.tasks.touch_box.settings import TouchPush, TouchSettings
+from rumi.tasks.touch_box.settings import TouchSettings
 
 Robot = Literal["gripper", "arm", "planar"]
 ROBOTS: tuple[str, ...] = get_args(Robot)
@@ -39,7 +41,7 @@ def make_toucher(
     check_robot(task, robot)
     table = grasp_table(task, cache_dir=cache_dir)
     made = make_robot(task, robot, table, cache_dir=cache_dir)
-    return Toucher(task, settings, made, table, make_carrier(settings.push_model, task))
+    return Toucher(task, settings, made, table, make_path_push(settings.push_model, task))
 
 
 def check_robot(task: TouchTask, robot: Robot) -> None:
@@ -71,14 +73,10 @@ def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: P
     raise UsageError(f"Expected a robot out of {', '.join(ROBOTS)}, got {robot!r}")
 
 
-def make_carrier(choice: TouchPush, task: TouchTask) -> Carrier:
-    """How a tool moves boxes, by name."""
-    if choice == "quasi-static":
-        return carry
-    if choice == "displacement":
-        return carry_along
-    if choice == "mujoco":
-        from rumi.tasks.touch_box.mujoco_push import MujocoCarry
+def make_path_push(name: str, task: TouchTask) -> PathPush:
+    """How a tool moves boxes, by a push model's name.
 
-        return MujocoCarry(task)
-    raise UsageError(f"Expected a push model quasi-static, displacement or mujoco, got {choice!r}")
+    Raises:
+        UsageError: there is no such push model, or it does not push along paths.
+    """
+    return push_model(name, "path").path(lambda: path_scene(task))
