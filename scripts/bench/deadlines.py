@@ -16,7 +16,7 @@ from rumi.commands.table import cache_folder
 from rumi.fields.information import information_field
 from rumi.loop import rummage
 from rumi.planning.anytime import select
-from rumi.planning.evaluation_time import EvaluationTime
+from rumi.planning.duration_model import DurationModel
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.robot.motion_time import SpeedLimits
@@ -127,7 +127,7 @@ def touch_decisions(budget_s: float, clock: str, piece: int) -> Figures:
     making = _making(TouchChoice.drawn(1000, limits=_FAST), now, 1200)
     for index in range(PIECE):
         choice = TouchChoice.drawn(1000 + piece * PIECE + index, limits=_FAST)
-        evaluation = EvaluationTime.fit(work[-_MEASURED:], seconds[-_MEASURED:], 0.99)
+        evaluation = DurationModel.fit(work[-_MEASURED:], seconds[-_MEASURED:], 0.99)
         begun = now()
         made = select(
             choice.candidates(),
@@ -204,14 +204,14 @@ def _measured(choice: TouchChoice, now: Now, count: int) -> tuple[list[float], l
     return work, seconds
 
 
-def _making(choice: TouchChoice, now: Now, count: int) -> EvaluationTime:
+def _making(choice: TouchChoice, now: Now, count: int) -> DurationModel:
     """How long the next candidate takes to come."""
     seconds, source = [], choice.candidates()
     for _ in range(count):
         begun = now()
         next(source)
         seconds.append(now() - begun)
-    return EvaluationTime.fit([1.0] * count, seconds, 0.99)
+    return DurationModel.fit([1.0] * count, seconds, 0.99)
 
 
 def value_found(where: Situations, budget_s: float | None, seed: int) -> Figures:
@@ -237,12 +237,12 @@ def _judge(policy: RummagingPolicy, belief: PoseBelief, scene: Scene) -> Callabl
     poses, log_weights = belief.world_T_object, belief.log_weights
     fields = information_field(scene.model.sdf, poses, log_weights, scene.workspace.points, policy.settings.information)
     model = policy.push_models.rollouts(scene.model, poses, log_weights, scene.tool, scene.workspace, fields)
-    worth = policy.worth(belief, scene, fields, None)
+    objective = policy.objective(belief, scene, fields, None)
     configuration = scene.configuration.to(fields.information)
 
     def judge(controls: torch.Tensor) -> torch.Tensor:
         random = split(0, "judge")
-        return worth.cost(model.rollout(configuration, controls, rollouts=_JUDGE_ROLLOUTS, generator=random))
+        return objective.cost(model.rollout(configuration, controls, rollouts=_JUDGE_ROLLOUTS, generator=random))
 
     return judge
 
@@ -250,7 +250,7 @@ def _judge(policy: RummagingPolicy, belief: PoseBelief, scene: Scene) -> Callabl
 def touch_value(budget_s: float, seed: int) -> Figures:
     """What choices of the next touch find, on the processor's clock: the same ones at every budget."""
     now = _CLOCKS["cpu"]
-    evaluation = EvaluationTime.fit(*_measured(TouchChoice.drawn(seed, limits=_FAST), now, 100), 0.99)
+    evaluation = DurationModel.fit(*_measured(TouchChoice.drawn(seed, limits=_FAST), now, 100), 0.99)
     values = []
     for index in range(20):
         choice = TouchChoice.drawn(seed + 1000 * index, limits=_FAST)

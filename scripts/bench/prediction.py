@@ -20,7 +20,7 @@ from rumi.belief.pose_filter import PoseFilter
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.workspace import Workspace
-from rumi.planning.worth import gathering
+from rumi.planning.objective import gathering
 from rumi.records import StepRecord
 from rumi.robot.tool import Tool
 from scripts.reproduce.correlation import spearman

@@ -11,8 +11,8 @@ from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import DisplacementRollouts, DisplacementSettings, Hazard
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
+from rumi.robot.reach import SpatialReach
 from rumi.robot.reach_table import ReachTable
-from rumi.robot.spatial_reach import SpatialReach
 from rumi.robot.tool import Tool
 from sdf import backend, se3
 from sdf.drill import Drill

@@ -12,9 +12,8 @@ from rumi.dynamics.displacement import DisplacementSettings
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import InformationSettings
 from rumi.fields.workspace import Workspace
-from rumi.planning.ablations import info_only, reach_only
 from rumi.planning.policy import Plan, PlanRequest, Scene
-from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, info_only, reach_only
 from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model

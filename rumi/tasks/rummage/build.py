@@ -16,10 +16,9 @@ from rumi.belief.pushed_motion import PushedMotion
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
-from rumi.planning.ablations import info_only, reach_only
 from rumi.planning.gpvr import GPVRPolicy
 from rumi.planning.policy import Policy
-from rumi.planning.rummaging import RummagingPolicy
+from rumi.planning.rummaging import RummagingPolicy, info_only, reach_only
 from rumi.planning.slide import SlidePolicy
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
