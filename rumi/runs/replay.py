@@ -9,14 +9,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
-from rumi.runs.logbook import digest
 from rumi.loop import rummage
-from rumi.planning.policy import Plan, PlanRequest, Scene
+from rumi.planning.policy import Plan, PlanRequest
 from rumi.records import RunResult, StepRecord
-from rumi.tasks.rummage.agent import Rummager
+from rumi.runs.logbook import digest
 from rumi.task import StepResult, Task
+from rumi.tasks.rummage.agent import Rummager
 
 if TYPE_CHECKING:
     from sensors.log.reader import Taken

@@ -31,7 +31,8 @@ SIMULATED = ("mujoco",)
 HALF = (0.04, 0.06, 0.05)
 HEIGHT = 0.045
 TASK = TouchTask()
-BLUR_M = {"displacement": 0.015}  # rollouts meet a belief's contact field, which begins before the surface
+# rollouts of the one meet a belief's contact field, which begins before the surface; the other's motion takes a second
+TOLERANCE_M = {"displacement": 0.015, "mujoco": 0.01}
 SETTINGS = PushSettings(engine=EngineSettings(time_step_s=0.004, threads=1))
 MIRROR = torch.tensor([1.0, -1.0, -1.0])
 START = torch.tensor([0.28, 0.0, 0.0])
@@ -96,7 +97,8 @@ class Case(NamedTuple):
         count = len(self.poses)
         sliding = Sliding(torch.zeros(count, 2), torch.full((count,), 0.05), torch.full((count,), 0.4))
         own = Sliding(*(part.to(self.poses) for part in sliding))
-        outcome = push(self.poses, self.path, TASK.fingers, TASK.outline, own)
+        fingers = TASK.fingers._replace(points=TASK.fingers.points.to(self.poses))
+        outcome = push(self.poses, self.path, fingers, TASK.outline, own)
         assert outcome.track.dtype == outcome.distance.dtype == self.poses.dtype
         assert bool(outcome.distance.isfinite().all())
         return outcome.track
@@ -246,7 +248,7 @@ def test_all_uses_say_the_same_of_a_push(name: str, box: ObjectModel) -> None:
         outline = GridOutline.of_slice(box.sdf, HEIGHT - HALF[2])
         ends["path"] = member(name, "path").path()(POSE[None], fine, pusher, outline, sliding).track[0, -1, :2]
     for use, end in ends.items():
-        assert float((end - ends["rollouts"]).norm()) < BLUR_M.get(name, 4e-3), use
+        assert float((end - ends["rollouts"]).norm()) < TOLERANCE_M.get(name, 4e-3), use
 
 
 def test_a_use_that_a_model_lacks_is_refused_when_a_run_is_built(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
