@@ -11,7 +11,7 @@ from rumi.dynamics.outline import GridOutline, RectangleOutline
 from rumi.dynamics.sliding import Outline, Sliding, push, rotated
 from sdf import backend
 from sdf import compiled as fused
-from sdf.check import check_finite, check_shape, may_look
+from sdf.check import check_finite, check_shape, is_eager
 
 
 class Pusher(NamedTuple):
@@ -97,7 +97,7 @@ def carry(
     """
     check_shape("poses", poses, "(E, 3)", last=(3,))
     check_shape("path", path, "(#E, K1, 3)", last=(3,))
-    if may_look():
+    if is_eager():
         check_finite("poses", poses)
         check_finite("path", path)
     sliding = sliding.expand(len(poses))

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from sdf import backend
 from sdf import compiled as fused
-from sdf.check import check_finite, may_look
+from sdf.check import check_finite, is_eager
 
 # bytes of pairwise differences that are held at once
 _BYTES = 64 << 20
@@ -89,7 +89,7 @@ def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"],
         ValueError: no states, some that are not finite, or weights as `check_weights` refuses them.
     """
     check_weights(log_weights)
-    if may_look():
+    if is_eager():
         check_finite("states", states)
     log_weights = log_weights.expand(states.shape[:-1]).log_softmax(-1)
     flat, weights = states.reshape(-1, *states.shape[-2:]), log_weights.reshape(-1, states.shape[-2])
@@ -111,7 +111,7 @@ def check_weights(log_weights: Float[Tensor, "*b N"]) -> None:
     """
     if log_weights.shape[-1] == 0:
         raise ValueError(f"Expected one state or more in each set, got log_weights {tuple(log_weights.shape)}")
-    if not may_look() or log_weights.numel() == 0:
+    if not is_eager() or log_weights.numel() == 0:
         return
     top = log_weights.detach().amax(-1)
     if not bool(torch.isfinite(top).all()):
