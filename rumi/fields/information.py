@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from rumi.information.neighbours import check_weights
+from rumi.weights import check_weights
 from sdf import backend
 from sdf import compiled as fused
 from sdf import skipped_work as savings

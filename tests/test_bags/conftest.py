@@ -208,9 +208,9 @@ class Recorded:
 
 def pushes(steps: int = 5):
     """A simulated robot that goes to a mug and pushes it a little: its task, first result and results."""
-    from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
 
-    spec = replace(TASKS["mug-0"], start=(0.55, 0.03, 0.6))
+    spec = replace(SCENES["mug-0"], start=(0.55, 0.03, 0.6))
     task = make_task(spec, tool=make_tool(spec, free_flying=True), model=large_handled_mug())
     first = task.reset(0)
     controls = torch.tensor([[1.0, 0.3, 0.0], [1.0, 0.1, 0.0], [0.9, 0.0, 0.0], [0.6, 0.0, 0.0], [0.2, 0.0, 0.0]])
