@@ -9,8 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from kmppi import MPPI, ControlPlan, Rollouts
-from rumi.belief.particles import PoseBelief
-from rumi.belief.thinning import thinned
+from rumi.belief.particles import PoseBelief, subsample
 from rumi.clock import Now
 from rumi.dynamics.base import PushModel, PushRollouts
 from rumi.dynamics.registry import PushModels
@@ -168,11 +167,11 @@ class RummagingPolicy:
         whole, used = len(belief.log_weights), belief
         sure = deadline.open or deadline.knows("view")
         if not sure:
-            used = thinned(belief, _FEW)
+            used = subsample(belief, _FEW)
             fields, model = self._fields(used, scene, deadline, watch)
         count = deadline.affordable("view", whole + _VIEW_FIXED, _VIEW_SHARE) - _VIEW_FIXED
         if sure or (used is not belief and (count > 2 * _FEW or count == whole)):
-            used = thinned(belief, max(count, _FEW))
+            used = subsample(belief, max(count, _FEW))
             fields, model = self._fields(used, scene, deadline, watch)
         begun = deadline.now()
         worth = self.worth(used, scene, fields, previous, deadline)
