@@ -8,15 +8,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rumi.assemble import build
-    from rumi.config import preset
     from rumi.loop import rummage
-    from rumi.recording import load_run
+    from rumi.runs.folder import load_run
+    from rumi.tasks.rummage.build import build
+    from rumi.tasks.rummage.settings import preset
 
 __version__ = "0.1.0"
 __all__ = ["build", "load_run", "preset", "rummage"]
 
-_HOMES = {"build": "rumi.assemble", "preset": "rumi.config", "rummage": "rumi.loop", "load_run": "rumi.recording"}
+_HOMES = {
+    "build": "rumi.tasks.rummage.build",
+    "preset": "rumi.tasks.rummage.settings",
+    "rummage": "rumi.loop",
+    "load_run": "rumi.runs.folder",
+}
 
 
 def __getattr__(name: str) -> object:

@@ -7,8 +7,7 @@ from typing import NoReturn
 
 from rumi import __version__
 from rumi.errors import DegenerateBeliefError, UsageError
-
-DONE, NOT_CONVERGED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED
 
 COMMANDS = ("tasks", "run", "replay", "import", "check", "plot", "bench", "mesh", "localize", "reproduce", "stress")
 HOMES = {"import": "import_bag"}
@@ -95,7 +94,7 @@ def script(work: Callable[[], object]) -> NoReturn:
 def _command(name: str, arguments: Sequence[str]) -> int:
     if name not in COMMANDS:
         raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
-    from rumi import commands  # loads torch: only now, so that help is quick
+    from rumi.commands import table as commands  # loads torch: only now, so that help is quick
 
     return int(getattr(commands, HOMES.get(name, name))(arguments))
 

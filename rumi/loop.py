@@ -4,16 +4,16 @@ from collections.abc import Callable
 
 import torch
 
+from rumi.belief.initialise import initialise, view_starts
 from rumi.belief.particles import PoseBelief
-from rumi.belief.renewal import challenge, prior_belief, redraw
+from rumi.belief.reinitialise import challenge, prior_belief, redraw
 from rumi.clock import Clock
-from rumi.planning.types import Plan, Scene
+from rumi.planning.policy import Plan, Scene
 from rumi.records import RunResult, StepRecord
-from rumi.registration.initialise import initialise, view_starts
-from rumi.rummager import Rummager
-from rumi.scoring import observe, summarise
 from rumi.seeding import split
 from rumi.task import Task
+from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.scoring import observe, summarise
 from sensors.observation import Observation, merge
 from sensors.reading import Reading
 from sensors.semantics import Semantics

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.planning.types import Plan
+from rumi.planning.policy import Plan
 from sensors.observation import Observation
 from sensors.reading import Reading
 

@@ -21,11 +21,11 @@ from typing import Annotated, Literal
 import torch
 import tyro
 
-from rumi.bench.deadline_report import draw, tables
-from rumi.bench.deadline_simulation import measure_simulated
-from rumi.bench.deadlines import PLANNERS, measure_real, measure_value
-from rumi.bench.ledger import Ledger
 from rumi.cli import script
+from scripts.bench.deadline_report import draw, tables
+from scripts.bench.deadline_simulation import measure_simulated
+from scripts.bench.deadlines import PLANNERS, measure_real, measure_value
+from scripts.bench.ledger import Ledger
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -14,9 +14,9 @@ import torch
 import tyro
 from torch import Tensor
 
-from rumi.belief.entropy import Entropy, KernelEntropy, NeighbourEntropy, SharedSupport, SpatialEntropy
-from rumi.belief.states import StateMetric
 from rumi.cli import script
+from rumi.information.entropy import Entropy, KernelEntropy, NeighbourEntropy, SharedSupport, SpatialEntropy
+from rumi.information.neighbours import StateMetric
 
 
 @dataclass(frozen=True)

@@ -18,14 +18,14 @@ import torch
 import tyro
 from torch import Tensor
 
-from rumi.bags.mapping import mapping_of
-from rumi.bags.readings import make_readings
-from rumi.bags.scene import rummager_of_map, settings_of
 from rumi.cli import script
-from rumi.jsonlines import append_line, read_lines
-from rumi.recording import provenance
-from rumi.replay import replay
-from rumi.sim.tasks import large_handled_mug
+from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.readings import make_readings
+from rumi.rosbag.scene import rummager_of_map, settings_of
+from rumi.runs.folder import provenance
+from rumi.runs.jsonlines import append_line, read_lines
+from rumi.runs.replay import replay
+from rumi.tasks.rummage.scenes import large_handled_mug
 from sdf import se3
 from sdf.object_model import ObjectModel, box_model
 from sensors.log.reader import Log

@@ -15,13 +15,13 @@ import torch
 import tyro
 from torch import Tensor
 
-from rumi.assemble import build
 from rumi.cli import script
-from rumi.config import preset
 from rumi.errors import UsageError
 from rumi.loop import first_belief
 from rumi.registration.descent import DescentSettings, descend
 from rumi.seeding import split
+from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.settings import preset
 from sdf import se3
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, merge

@@ -22,21 +22,21 @@ import torch
 import tyro
 
 from rumi.cli import script
-from rumi.commands import cache_folder
+from rumi.commands.table import cache_folder
 from rumi.errors import DegenerateBeliefError
-from rumi.fused.parts import FusedParts, build_fused
-from rumi.fused.run import run_fused
-from rumi.fused.settings import SENSORS, FusedSettings, SensorName, task_of
-from rumi.jsonlines import append_line, read_lines
 from rumi.metrics.intervals import wilson
-from rumi.recording import provenance
-from rumi.reproduce.seeds import seeds_of
+from rumi.runs.folder import provenance
+from rumi.runs.jsonlines import append_line, read_lines
 from rumi.seeding import split
-from rumi.sim.fused_task import FusedTask
-from rumi.sim.handle_grasp import HandleGripper
-from rumi.sim.tasks import make_tool
+from rumi.tasks.handle.build import FusedParts, build_fused
+from rumi.tasks.handle.gripper import HandleGripper
+from rumi.tasks.handle.run import run_fused
+from rumi.tasks.handle.settings import SENSORS, FusedSettings, SensorName, task_of
+from rumi.tasks.handle.simulated import FusedTask
+from rumi.tasks.rummage.scenes import make_tool
+from scripts.reproduce.seeds import seeds_of
 from sdf import se3
-from sensors.felt_reading import FeltReading
+from sensors.contact_reading import FeltReading
 from sensors.semantics import Semantics
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -16,16 +16,16 @@ import numpy as np
 import torch
 import tyro
 
-from rumi.assemble import build
-from rumi.baselines.gpvr import GPVRPolicy, GPVRSettings
-from rumi.baselines.implicit_surface import Hyperparameters, Labelled, fit, predictive_variance
 from rumi.belief.particles import PoseBelief
 from rumi.cli import script
-from rumi.config import preset
 from rumi.fields.information import information_field
 from rumi.loop import rummage
-from rumi.metrics.correlation import spearman
-from rumi.planning.types import Plan, Scene
+from rumi.planning.gpvr import GPVRPolicy, GPVRSettings
+from rumi.planning.implicit_surface import Hyperparameters, Labelled, fit, predictive_variance
+from rumi.planning.policy import Plan, Scene
+from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.settings import preset
+from scripts.reproduce.correlation import spearman
 
 
 @dataclass(frozen=True)

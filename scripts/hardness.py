@@ -18,16 +18,16 @@ import tyro
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.assemble import build, reachability
 from rumi.cli import script
-from rumi.config import preset
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
 from rumi.loop import first_belief
 from rumi.metrics.likelihood import negative_log_likelihood
-from rumi.planning.tool import Tool
+from rumi.robot.tool import Tool
 from rumi.seeding import split
-from rumi.sim.tasks import TASKS, find_task
+from rumi.tasks.rummage.build import build, reachability
+from rumi.tasks.rummage.scenes import TASKS, find_task
+from rumi.tasks.rummage.settings import preset
 from sdf import se3, so3
 from sdf.object_model import ObjectModel
 

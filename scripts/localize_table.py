@@ -19,14 +19,14 @@ import tyro
 from tqdm import tqdm
 
 from rumi.cli import script
-from rumi.jsonlines import append_line, read_lines
+from rumi.commands.contact_files import read_contacts
 from rumi.metrics.intervals import wilson
-from rumi.registration.localize import localize
+from rumi.registration.from_contacts import localize
 from rumi.registration.touch_surface import TouchSurface
-from rumi.reproduce.code import bare
-from rumi.reproduce.seeds import seeds_of
+from rumi.runs.jsonlines import append_line, read_lines
 from rumi.seeding import generator
-from rumi.touch_files import read_contacts
+from scripts.reproduce.code import bare
+from scripts.reproduce.seeds import seeds_of
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "localize.jsonl"

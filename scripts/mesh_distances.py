@@ -19,17 +19,17 @@ import numpy as np
 import torch
 import tyro
 
-from rumi.bench import meshes
 from rumi.bench.machine import environment
-from rumi.bench.mug_mesh import damaged, mug_mesh
 from rumi.cli import script
+from scripts.bench import meshes
+from scripts.bench.mug_mesh import damaged, mug_mesh
 from sdf.base import SDF
-from sdf.build import from_mesh
-from sdf.mesh import TriangleMesh, load_mesh
-from sdf.mesh_sdf import MeshSDF
+from sdf.mesh.build import from_mesh
+from sdf.mesh.mesh import TriangleMesh, load_mesh
+from sdf.mesh.mesh_sdf import MeshSDF
+from sdf.mesh.triangles import Triangles
 from sdf.primitives import Mug
 from sdf.surface import sample_triangles
-from sdf.triangles import Triangles
 
 RESULTS = Path(__file__).resolve().parent / "results" / "mesh_distances.jsonl"
 SPACINGS_MM = (1.0, 2.0, 3.0, 5.0)

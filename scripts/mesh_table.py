@@ -17,16 +17,16 @@ from pathlib import Path
 import tyro
 
 from rumi.bench import drill
-from rumi.bench.mug_mesh import damaged, mug_mesh, write_obj
 from rumi.cli import script
-from rumi.reproduce.cells import flags, middle, numbers, rate, table
-from rumi.reproduce.command import seeds_of
-from rumi.reproduce.executors import on_this_machine
-from rumi.reproduce.jobs import Job
-from rumi.reproduce.records import Record, Records
-from rumi.reproduce.worker import Errand, failures
-from rumi.sim.tasks import large_handled_mug
-from sdf.mesh import TriangleMesh, load_mesh
+from rumi.tasks.rummage.scenes import large_handled_mug
+from scripts.bench.mug_mesh import damaged, mug_mesh, write_obj
+from scripts.reproduce.cells import flags, middle, numbers, rate, table
+from scripts.reproduce.command import seeds_of
+from scripts.reproduce.executors import on_this_machine
+from scripts.reproduce.jobs import Job
+from scripts.reproduce.records import Record, Records
+from scripts.reproduce.worker import Errand, failures
+from sdf.mesh.mesh import TriangleMesh, load_mesh
 from sdf.primitives import Mug
 
 OUT = Path(__file__).resolve().parent / "results" / "meshes.jsonl"

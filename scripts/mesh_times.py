@@ -20,11 +20,11 @@ import torch
 import tyro
 from mesh_distances import PADDING_M, RESULTS, keep, say
 
-from rumi.bench import meshes
 from rumi.cli import script
-from sdf.build import from_mesh
-from sdf.mesh import load_mesh
-from sdf.mesh_sdf import MeshSDF
+from scripts.bench import meshes
+from sdf.mesh.build import from_mesh
+from sdf.mesh.mesh import load_mesh
+from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.primitives import Mug
 
 

@@ -22,13 +22,13 @@ import numpy as np
 import torch
 import tyro
 
-from rumi.bench.known_scenes import SCENES, SceneView, scene_view, with_noise
-from rumi.jsonlines import append_line, read_lines
+from rumi.runs.jsonlines import append_line, read_lines
+from scripts.bench.known_scenes import SCENES, SceneView, scene_view, with_noise
 from sdf import se3
-from sensors.camera import pixel_points
-from sensors.cloud import cloud_observation
 from sensors.semantics import Semantics
-from sensors.view import ViewSettings
+from sensors.vision.camera import pixel_points
+from sensors.vision.cloud import cloud_observation
+from sensors.vision.view import ViewSettings
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "open3d.jsonl"

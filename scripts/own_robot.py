@@ -17,26 +17,26 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rumi.bags.mapping import BagMap, read_mapping
-from rumi.bags.scene import rummager_of_map, settings_of
 from rumi.cli import script
 from rumi.errors import UsageError
-from rumi.logbook import LOG, digest
 from rumi.loop import rummage
-from rumi.planning.gripper import GripperShape
-from rumi.planning.tool import Tool
-from rumi.recording import prepare_folder
 from rumi.records import RunResult, StepRecord
-from rumi.sim.tasks import large_handled_mug
+from rumi.robot.gripper import GripperShape
+from rumi.robot.tool import Tool
+from rumi.rosbag.mapping import BagMap, read_mapping
+from rumi.rosbag.scene import rummager_of_map, settings_of
+from rumi.runs.folder import prepare_folder
+from rumi.runs.logbook import LOG, digest
 from rumi.task import StepResult
+from rumi.tasks.rummage.scenes import large_handled_mug
 from sdf import se3
-from sensors.camera import look_at, pinhole, pixel_rays
 from sensors.log.writer import LogWriter, StreamSpec
 from sensors.observation import Observation
 from sensors.reading import Reading
 from sensors.semantics import Semantics
-from sensors.tactile import InstantPoints, swept_points, tactile_observation
-from sensors.view import ViewSettings, view_observation
+from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation
+from sensors.vision.camera import look_at, pinhole, pixel_rays
+from sensors.vision.view import ViewSettings, view_observation
 
 STREAMS = [
     StreamSpec("depth", "depth16", "camera", {"topic": "depth", "unit_m": 0.001, "camera": "camera"}),

@@ -21,16 +21,22 @@ import torch
 import tyro
 from tqdm import tqdm
 
-from rumi.assemble import build, build_rummager
-from rumi.bench.ledger import commit
 from rumi.cli import script
-from rumi.config import Settings, from_dict
 from rumi.dynamics.displacement import Hazard
-from rumi.dynamics.family import PushModels
+from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationMode
-from rumi.jsonlines import append_line, read_lines
 from rumi.loop import rummage
-from rumi.metrics.prediction import (
+from rumi.planning.rummaging import SUITED
+from rumi.records import StepRecord
+from rumi.runs.folder import load_run
+from rumi.runs.jsonlines import append_line, read_lines
+from rumi.seeding import split
+from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.build import build, build_rummager
+from rumi.tasks.rummage.scenes import find_task, make_tool
+from rumi.tasks.rummage.settings import Settings, from_dict
+from scripts.bench.ledger import commit
+from scripts.bench.prediction import (
     Situation,
     actions,
     agreement,
@@ -40,15 +46,9 @@ from rumi.metrics.prediction import (
     realised_of,
     run_spearman,
 )
-from rumi.planning.rummaging import SUITED
-from rumi.recording import load_run
-from rumi.records import StepRecord
-from rumi.reproduce.code import code_hash
-from rumi.reproduce.command import seeds_of
-from rumi.reproduce.jobs import Job
-from rumi.rummager import Rummager
-from rumi.seeding import split
-from rumi.sim.tasks import find_task, make_tool
+from scripts.reproduce.code import code_hash
+from scripts.reproduce.command import seeds_of
+from scripts.reproduce.jobs import Job
 
 RESULTS = Path(__file__).resolve().parent / "results" / "prediction.jsonl"
 TASKS = ("mug-0", "mug-1", "mug-2")
@@ -163,7 +163,7 @@ def one_run(settings: Settings) -> list[dict[str, Any]]:
 def run(options: Run) -> None:
     """Do what is missing, and append each run as it ends."""
     torch.set_num_threads(1)
-    code, here = code_hash(("rumi.assemble", "rumi.loop", "rumi.metrics.prediction")), commit()
+    code, here = code_hash(("rumi.tasks.rummage.build", "rumi.loop", "scripts.bench.prediction")), commit()
     done = {(r["task"], r["column"], r["seed"], r["settings"], r["code"]) for r, _ in read_lines(options.out)}
     jobs = [
         Job("run", task, *column.split("/"), seed, options.set)

@@ -14,15 +14,15 @@ import torch
 import tyro
 from torch import Tensor
 
-from rumi.assemble import workspace_of
+import rumi.sim.push_model  # noqa: F401  (enters the push model)
 from rumi.cli import script
-from rumi.dynamics.family import EngineSettings, PushModels
 from rumi.dynamics.quasi_static import QuasiStaticSettings
+from rumi.dynamics.registry import EngineSettings, PushModels
 from rumi.fields.information import information_field
-from rumi.planning.tool import Tool
-from rumi.sim import batch_push  # noqa: F401  (enters the push model)
-from rumi.sim.tasks import TASKS
+from rumi.robot.tool import Tool
 from rumi.sim.world import World
+from rumi.tasks.rummage.build import workspace_of
+from rumi.tasks.rummage.scenes import TASKS
 from sdf import se3
 from sdf.object_model import ObjectModel
 

@@ -16,18 +16,18 @@ from typing import Any, Literal, cast
 
 import tyro
 
-from rumi.assemble import build
-from rumi.bench.ledger import Ledger
 from rumi.cli import script
-from rumi.commands import cache_folder
-from rumi.config import Settings, preset
-from rumi.dynamics.family import PushChoice
+from rumi.commands.table import cache_folder
+from rumi.dynamics.registry import PushChoice
 from rumi.errors import DegenerateBeliefError
 from rumi.loop import rummage
 from rumi.metrics.intervals import wilson
-from rumi.reproduce.code import code_hash
-from rumi.reproduce.seeds import seeds_of
-from rumi.sim.tasks import find_task
+from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.scenes import find_task
+from rumi.tasks.rummage.settings import Settings, preset
+from scripts.bench.ledger import Ledger
+from scripts.reproduce.code import code_hash
+from scripts.reproduce.seeds import seeds_of
 
 RESULTS = Path(__file__).resolve().parent / "results" / "push_runs.jsonl"
 PART = "push-run"
@@ -97,7 +97,7 @@ def carry_out(settings: Settings) -> dict[str, Any]:
 def run(options: Options) -> None:
     """All runs that the file does not hold."""
     begun, ledger = time.monotonic(), Ledger(options.results)
-    code = code_hash(("rumi.assemble", "rumi.loop"))
+    code = code_hash(("rumi.tasks.rummage.build", "rumi.loop"))
     for seed in seeds_of(options.seeds):
         for task in options.tasks:
             for model in options.models:

@@ -16,15 +16,15 @@ from typing import Annotated
 import torch
 import tyro
 
-from rumi.assemble import build
 from rumi.cli import script
-from rumi.config import from_dict, preset, to_dict
-from rumi.jsonlines import append_line, read_lines
-from rumi.logbook import LogRecorder
+from rumi.commands.replay import rummager_of
 from rumi.loop import rummage
-from rumi.recording import provenance
-from rumi.replay import replay
-from rumi.replay_command import rummager_of
+from rumi.runs.folder import provenance
+from rumi.runs.jsonlines import append_line, read_lines
+from rumi.runs.logbook import LogRecorder
+from rumi.runs.replay import replay
+from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.settings import from_dict, preset, to_dict
 from sensors.log.reader import Log
 
 RESULTS = Path(__file__).parent / "results" / "replays.jsonl"

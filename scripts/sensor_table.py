@@ -18,18 +18,18 @@ from typing import Any
 import torch
 import tyro
 
-from rumi.assemble import build
 from rumi.cli import script
-from rumi.commands import cache_folder
-from rumi.config import preset
+from rumi.commands.table import cache_folder
 from rumi.errors import DegenerateBeliefError
-from rumi.jsonlines import append_line, read_lines
 from rumi.loop import rummage
 from rumi.metrics.intervals import wilson
-from rumi.recording import provenance
-from rumi.reproduce.seeds import seeds_of
+from rumi.runs.folder import provenance
+from rumi.runs.jsonlines import append_line, read_lines
 from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
-from rumi.sim.tasks import find_task
+from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.scenes import find_task
+from rumi.tasks.rummage.settings import preset
+from scripts.reproduce.seeds import seeds_of
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "sensors.jsonl"

@@ -27,11 +27,11 @@ from tqdm import tqdm
 
 from rumi.bench.timing import fitting_clock
 from rumi.cli import script
-from rumi.jsonlines import append_line, read_lines
 from rumi.metrics.intervals import wilson
-from rumi.reproduce.seeds import seeds_of
+from rumi.runs.jsonlines import append_line, read_lines
 from rumi.sim.arm_motion import joint_path
 from rumi.sim.torque_arm import TorqueArm, TorqueSettings
+from scripts.reproduce.seeds import seeds_of
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "torque_rates.jsonl"
@@ -43,7 +43,7 @@ CODE = [
         "rumi/sim/arm_scene.py",
         "rumi/sim/torque_arm.py",
         "rumi/sim/robot_dynamics.py",
-        "sensors/momentum_observer.py",
+        "sensors/force/momentum_observer.py",
     )
 ]
 Case = Literal["usual", "raw", "motor", "friction"]

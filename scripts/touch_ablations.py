@@ -15,18 +15,18 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from rumi.bench.ledger import Ledger
 from rumi.cli import script
-from rumi.commands import cache_folder
-from rumi.reproduce.code import code_hash
-from rumi.reproduce.seeds import seeds_of
-from rumi.sim.touch_gripper import GripperRobot
-from rumi.sim.touch_scene import GripperPhysics
-from rumi.touch.localise import Toucher, localise
-from rumi.touch.make import Robot, make_toucher
-from rumi.touch.records import calibration, digest, figures_of, table
-from rumi.touch.settings import TouchSettings
-from rumi.touch.task import TouchTask
+from rumi.commands.table import cache_folder
+from rumi.tasks.touch_box.agent import Toucher, localise
+from rumi.tasks.touch_box.build import Robot, make_toucher
+from rumi.tasks.touch_box.gripper_robot import GripperRobot
+from rumi.tasks.touch_box.mujoco_scene import GripperPhysics
+from rumi.tasks.touch_box.report import calibration, digest, figures_of, table
+from rumi.tasks.touch_box.scene import TouchTask
+from rumi.tasks.touch_box.settings import TouchSettings
+from scripts.bench.ledger import Ledger
+from scripts.reproduce.code import code_hash
+from scripts.reproduce.seeds import seeds_of
 
 RESULTS = Path(__file__).resolve().parent / "results" / "touch_ablations.jsonl"
 _FILTER = TouchSettings().filter
@@ -170,7 +170,7 @@ class Options:
 
 def run(options: Options, names: Sequence[str]) -> None:
     """All runs that the file does not hold."""
-    begun, ledger, code = time.monotonic(), Ledger(options.results), code_hash(("rumi.touch.make",))
+    begun, ledger, code = time.monotonic(), Ledger(options.results), code_hash(("rumi.tasks.touch_box.build",))
     for seed in seeds_of(options.seeds):
         for name in names:
             if time.monotonic() - begun > options.seconds:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import tyro
 
-from rumi.bench.touch_filters import PAPER, PushSetup, Variant, compare, markdown, wide
 from rumi.cli import script
+from scripts.bench.touch_filters import PAPER, PushSetup, Variant, compare, markdown, wide
 
 
 @dataclass(frozen=True)

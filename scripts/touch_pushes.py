@@ -14,10 +14,10 @@ from torch import Tensor
 from rumi.cli import script
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
-from rumi.sim.touch_gripper import GripperRobot
-from rumi.touch.make import make_carrier
-from rumi.touch.settings import TOUCH_PUSHES
-from rumi.touch.task import TouchTask, draw_truth
+from rumi.tasks.touch_box.build import make_carrier
+from rumi.tasks.touch_box.gripper_robot import GripperRobot
+from rumi.tasks.touch_box.scene import TouchTask, draw_truth
+from rumi.tasks.touch_box.settings import TOUCH_PUSHES
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,13 @@ import tyro
 
 from rumi.cli import script
 from rumi.seeding import split
-from rumi.touch.grasping import clearance_table
-from rumi.touch.localise import Toucher
-from rumi.touch.make import make_carrier
-from rumi.touch.planar_robot import PlanarRobot
-from rumi.touch.selection import Method
-from rumi.touch.settings import TouchSettings
-from rumi.touch.task import TouchTask
+from rumi.tasks.grasp_table import clearance_table
+from rumi.tasks.touch_box.agent import Toucher
+from rumi.tasks.touch_box.build import make_carrier
+from rumi.tasks.touch_box.planar_robot import PlanarRobot
+from rumi.tasks.touch_box.scene import TouchTask
+from rumi.tasks.touch_box.selection import Method
+from rumi.tasks.touch_box.settings import TouchSettings
 
 
 @dataclass(frozen=True)

@@ -18,20 +18,20 @@ from typing import Any
 import torch
 import tyro
 
-from rumi.bench.known_scenes import SCENES, SceneView, pressed_bubble, scene_view, with_noise
 from rumi.bench.machine import environment
 from rumi.bench.timing import fitting_clock
 from rumi.cli import script
-from rumi.jsonlines import append_line, read_lines
+from rumi.runs.jsonlines import append_line, read_lines
+from scripts.bench.known_scenes import SCENES, SceneView, pressed_bubble, scene_view, with_noise
 from sdf import se3
 from sdf.primitives import Capsule
-from sensors.bubble import Bubble, bubble_patch
-from sensors.camera import pixel_points
-from sensors.cloud import cloud_observation
 from sensors.observation import Observation
-from sensors.robot_body import RobotBody
 from sensors.semantics import Semantics
-from sensors.view import ViewSettings, view_observation
+from sensors.touch.bubble import Bubble, bubble_patch
+from sensors.vision.camera import pixel_points
+from sensors.vision.cloud import cloud_observation
+from sensors.vision.robot_body import RobotBody
+from sensors.vision.view import ViewSettings, view_observation
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "vision.jsonl"

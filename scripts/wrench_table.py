@@ -16,10 +16,10 @@ from torch import Tensor
 
 from rumi.bench.timing import fitting_clock
 from rumi.cli import script
-from sdf.convex import hull
-from sdf.mesh import TriangleMesh
-from sensors.force_torque import WrenchNoise, WrenchSettings, WrenchStatus, wrench_contact
-from sensors.tool_surface import ConvexTool, SphereTool, ToolSurface
+from sdf.mesh.convex import hull
+from sdf.mesh.mesh import TriangleMesh
+from sensors.force.force_torque import WrenchNoise, WrenchSettings, WrenchStatus, wrench_contact
+from sensors.force.tool_surface import ConvexTool, SphereTool, ToolSurface
 
 RADIUS = 0.0125
 NOISES = ((0.02, 0.0005), (0.05, 0.001), (0.1, 0.005))

@@ -15,7 +15,7 @@ tensor([0.0300])
 >>> query.gradient.round(decimals=3)
 tensor([[1., 0., 0.]])
 
-A mesh of triangles becomes such a table in one line, whatever is wrong with it (`sdf.build` says more):
+A mesh of triangles becomes such a table in one line, whatever is wrong with it (`sdf.mesh.build` says more):
 
     table = sdf.from_mesh("mug.obj", scale=0.001, cache_dir="cache")
 
@@ -32,7 +32,7 @@ tensor([[-0.0300],
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sdf.build import from_mesh
+    from sdf.mesh.build import from_mesh
 
 __all__ = ["from_mesh"]
 
@@ -40,7 +40,7 @@ __all__ = ["from_mesh"]
 def __getattr__(name: str) -> Any:  # noqa: ANN401  (whatever is asked for)
     """Load what meshes need only when it is asked for."""
     if name == "from_mesh":
-        from sdf.build import from_mesh
+        from sdf.mesh.build import from_mesh
 
         return from_mesh
     raise AttributeError(f"module 'sdf' has no attribute {name!r}")

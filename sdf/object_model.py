@@ -11,12 +11,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf.base import SDF
-from sdf.build import from_mesh
-from sdf.fill import Progress
-from sdf.find_symmetry import mesh_symmetries
 from sdf.grid_sdf import GridSDF
-from sdf.mesh import TriangleMesh, load_mesh
-from sdf.mesh_sdf import MeshSDF
+from sdf.mesh.build import from_mesh
+from sdf.mesh.fill import Progress
+from sdf.mesh.find_symmetry import mesh_symmetries
+from sdf.mesh.mesh import TriangleMesh, load_mesh
+from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Mug
 from sdf.surface import sample_surface, sample_triangles
 from sdf.symmetry import Symmetries
@@ -69,8 +69,8 @@ class ObjectModel:
     def judge(self) -> SDF:
         """What metrics look up: the exact SDF where that is a formula; a mesh's costs too much to ask at every step.
 
-        The table is off by a few tenths of a millimetre near the surface (`sdf.build`), where the metrics' tolerance is
-        millimetres.
+        The table is off by a few tenths of a millimetre near the surface (`sdf.mesh.build`), where the metrics'
+        tolerance is millimetres.
         """
         return self.sdf if isinstance(self.exact, MeshSDF) else self.exact
 
@@ -175,7 +175,7 @@ def mesh_model(
         progress: called with what is done and how much of it, from 0 to 1.
 
     Raises:
-        sdf.mesh.MeshError: if the mesh cannot be used.
+        sdf.mesh.mesh.MeshError: if the mesh cannot be used.
     """
     if isinstance(source, str | Path):
         mesh, name = load_mesh(source, scale=scale), name or Path(source).stem

@@ -7,7 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import backend, fused, se3
+from sdf import backend, se3
+from sdf import compiled as fused
 from sdf.base import SDF, SDFQuery
 from sdf.check import FAR, check_shape, may_look
 from sdf.grid_fused import takes

@@ -6,7 +6,7 @@ coordinate, a row of them for each scene: row `which[scene]`.
 
 from numba import prange
 
-from sdf.fused import Kernel
+from sdf.compiled import Kernel
 from sdf.grid_numba import (
     at,
     block,

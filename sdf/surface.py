@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf.base import SDF
-from sdf.triangles import Triangles, area_vectors
+from sdf.mesh.triangles import Triangles, area_vectors
 from sdf.voxel_grid import lattice_keys
 
 _SHELL = 3e-4

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.check import check_shape
-from sdf.triangles import Triangles, nearest, winding_number
+from sdf.mesh.triangles import Triangles, nearest, winding_number
 
 TOLERANCE = 1e-4
 """Metres within which a ball touches a mesh."""

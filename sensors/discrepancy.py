@@ -7,7 +7,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from sdf import backend, fused, se3
+from sdf import backend, se3
+from sdf import compiled as fused
 from sdf.base import SDF
 from sdf.posed import posed_distance, posed_query
 from sdf.so3 import vee

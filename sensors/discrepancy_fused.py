@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sdf import savings
+from sdf import skipped_work as savings
 from sdf.base import SDF
 from sdf.grid_fused import Arrays, grid_arguments
 from sdf.grid_fused import takes as grid_takes

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import prange
 
-from sdf.fused import Kernel
+from sdf.compiled import Kernel
 from sdf.grid_numba import at, block, exact, fast, lattice_of, value, value_and_gradient
 from sensors.tiles_numba import local, near_points
 

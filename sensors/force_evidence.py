@@ -7,12 +7,12 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.base import SDF
-from sdf.triangles import Triangles
-from sensors.contact_model import ContactModel, ContactReadings
-from sensors.force_torque import WrenchContact, WrenchStatus
+from sdf.mesh.triangles import Triangles
+from sensors.force.force_torque import WrenchContact, WrenchStatus
 from sensors.observation import Observation
 from sensors.semantics import Semantics
-from sensors.touch_likelihood import Touches, TouchNoise
+from sensors.touch.contact_model import ContactModel, ContactReadings
+from sensors.touch.touch_likelihood import Touches, TouchNoise
 
 
 def wrench_touches(
@@ -87,7 +87,7 @@ def torque_readings(
     """Contact signals of joint torques as evidence: the whole arm feels, so that its points should be of all links.
 
     Args:
-        contact: (*b, K), signals (`sensors.momentum_observer.TorqueThreshold`).
+        contact: (*b, K), signals (`sensors.force.momentum_observer.TorqueThreshold`).
         points_w: (*b, K, M, 3), points on the robot's surface at each instant, metres.
         sdf: of the object.
         model: rates of the signal, as measured for this arm; the paper's by default.

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import prange
 
-from sdf.fused import Kernel
+from sdf.compiled import Kernel
 from sdf.grid_numba import at, block, exact, fast, put, value
 
 # small boxes along an axis of a large one

@@ -75,7 +75,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(params=["torch", "numba"])
 def version(request: pytest.FixtureRequest) -> Iterator[str]:
     """The plain versions of hot operations, then the fused ones; a file all of whose tests are for both asks for it."""
-    from sdf import backend, fused
+    from sdf import backend
+    from sdf import compiled as fused
 
     if request.param == "numba" and not fused.available():
         pytest.skip("without numba")

@@ -7,11 +7,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.dynamics.carry import Carrier, Pusher, carry, unwrapped
+from rumi.dynamics.along_path import Carrier, Pusher, carry, unwrapped
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.sliding import Sliding
-from rumi.planning.gripper import GripperShape
+from rumi.robot.gripper import GripperShape
 from sdf import se3
 from sdf.base import SDF
 from sensors.reading import Reading

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.filter import PoseFilter
+from rumi.belief.pose_filter import PoseFilter
 from rumi.registration.descent import retract
 from rumi.registration.register import thinned
 from rumi.seeding import Generators, normal

@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.resampling import resample_systematic
-from rumi.belief.static import StateEvidence, StaticBelief, StaticFilter
+from rumi.belief.static_filter import StateEvidence, StaticBelief, StaticFilter
 from rumi.errors import DegenerateBeliefError
+from rumi.resampling import resample_systematic
 
 _KEPT = 0.5
 """Share of the effective sample size that is left after each rise of the power."""

@@ -9,7 +9,8 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from sdf import backend, fused
+from sdf import backend
+from sdf import compiled as fused
 
 By = Literal["rumi", "peer", "naive"]
 

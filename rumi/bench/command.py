@@ -18,10 +18,10 @@ from rumi.bench.case import CASES, SLOW, Case, Setup, threads
 from rumi.bench.machine import BUSY, environment
 from rumi.bench.measure import Result, carry_out
 from rumi.bench.timing import fitting_clock
-from rumi.cli import DONE, INTERRUPTED
+from rumi.commands.progress import say
 from rumi.errors import UsageError
-from rumi.progress import say
-from rumi.recording import make_folder
+from rumi.exit_codes import DONE, INTERRUPTED
+from rumi.runs.folder import make_folder
 
 QUICK, WHOLE = (1.0, 3), (6.0, 9)
 """Seconds for the rounds of a case, and rounds at least."""

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from sdf import se3, so3
 from sdf.base import SDF
-from sdf.build import from_mesh
-from sdf.mesh import load_mesh
+from sdf.mesh.build import from_mesh
+from sdf.mesh.mesh import load_mesh
 from sdf.object_model import ObjectModel
 from sdf.posed import posed_distance
 from sdf.symmetry import Symmetries

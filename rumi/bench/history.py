@@ -8,8 +8,8 @@ from typing import Any
 
 from rumi.bench.measure import Result
 from rumi.errors import UsageError
-from rumi.plain import plain
-from rumi.recording import write_json
+from rumi.runs.folder import write_json
+from rumi.runs.plain import plain
 
 SCHEMA = 1
 WORSE = 1.2

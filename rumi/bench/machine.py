@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from rumi.bench.timing import fitting_clock
-from rumi.recording import provenance, version_of
+from rumi.runs.folder import provenance, version_of
 
 PACKAGES = ("numba", "pytorch-volumetric", "chsel", "pytorch-mppi", "open3d", "ribs")
 BUSY = 0.5

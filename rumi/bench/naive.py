@@ -8,8 +8,8 @@ from torch import Tensor
 
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import TIE, DisplacementSettings
-from rumi.dynamics.planar import TiedField, placement, planar_features, world_height
-from rumi.planning.tool import Tool
+from rumi.dynamics.tool_lookup import TiedField, placement, planar_features, world_height
+from rumi.robot.tool import Tool
 from sdf.voxel_grid import VoxelGrid
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from rumi.bench.case import Setup
 from rumi.fields.workspace import Workspace
 from rumi.seeding import split
-from rumi.sim.tasks import large_handled_mug
+from rumi.tasks.rummage.scenes import large_handled_mug
 from sdf import se3, so3
 from sdf.object_model import ObjectModel, box_model
 from sdf.primitives import Mug

@@ -8,11 +8,12 @@ import torch.nn.functional as nnf
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.planar import TiedField
+from rumi.dynamics.tool_lookup import TiedField
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.normal import expected_normal
 from rumi.fields.workspace import Workspace
-from sdf import backend, fused
+from sdf import backend
+from sdf import compiled as fused
 from sdf.base import SDF
 from sdf.voxel_grid import VoxelGrid
 

@@ -2,7 +2,7 @@
 
 from numba import prange
 
-from sdf.fused import Kernel
+from sdf.compiled import Kernel
 
 
 def _spread(values, widths, margin, result):

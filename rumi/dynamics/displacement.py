@@ -12,9 +12,11 @@ from torch import Tensor
 
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactBound, ContactField
-from rumi.dynamics.planar import TiedField, at_height, planar_features, world_height
-from rumi.planning.tool import Tool
-from sdf import backend, fused, savings
+from rumi.dynamics.tool_lookup import TiedField, at_height, planar_features, world_height
+from rumi.robot.tool import Tool
+from sdf import backend
+from sdf import compiled as fused
+from sdf import skipped_work as savings
 from sdf.check import check_shape
 
 Hazard = Literal["per_rollout", "per_step", "per_mini_step"]

@@ -9,8 +9,8 @@ import math
 import numpy as np
 from numba import prange
 
-from rumi.planning.tool_numba import residual, step_within
-from sdf.fused import Kernel, bare
+from rumi.robot.tool_numba import residual, step_within
+from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
 
 # columns of a group's state

@@ -11,8 +11,10 @@ from torch import Tensor
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.outline import GridOutline, Support
 from rumi.dynamics.sliding import Sliding, push, rotated
-from rumi.planning.tool import Tool
-from sdf import backend, fused, savings, se3
+from rumi.robot.tool import Tool
+from sdf import backend, se3
+from sdf import compiled as fused
+from sdf import skipped_work as savings
 from sdf.check import check_shape
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from numba import prange
 
 from rumi.dynamics.sliding_numba import settled, slope, value
-from rumi.planning.tool_numba import residual, step_within
-from sdf.fused import Kernel, bare
+from rumi.robot.tool_numba import residual, step_within
+from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
 
 

@@ -2,7 +2,7 @@
 
 import math
 
-from sdf.fused import bare
+from sdf.compiled import bare
 
 _WEDGED = 0.1
 

@@ -9,8 +9,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from rumi.belief.states import check_weights
-from sdf import backend, fused, savings
+from rumi.information.neighbours import check_weights
+from sdf import backend
+from sdf import compiled as fused
+from sdf import skipped_work as savings
 from sdf.base import SDF
 from sdf.check import check_finite, check_shape, may_look
 from sdf.grid_fused import takes

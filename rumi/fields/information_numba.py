@@ -7,7 +7,7 @@ from llvmlite import ir
 from numba import prange, types
 from numba.extending import intrinsic, overload
 
-from sdf.fused import Kernel
+from sdf.compiled import Kernel
 from sdf.grid_numba import block, fast, lattice_of, layer_value, put, value
 from sdf.posed_numba import placed_from, placed_upright_from
 

@@ -6,7 +6,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sdf import backend, fused, savings
+from sdf import backend
+from sdf import compiled as fused
+from sdf import skipped_work as savings
 from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.grid_fused import takes

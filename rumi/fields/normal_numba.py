@@ -2,7 +2,7 @@
 
 from numba import prange
 
-from sdf.fused import Kernel
+from sdf.compiled import Kernel
 from sdf.grid_numba import at, lattice_of, layer_value_and_gradient, value_and_gradient
 from sdf.posed_numba import placed_from, placed_upright_from
 

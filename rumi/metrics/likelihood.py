@@ -7,7 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from sdf import backend, fused, se3
+from sdf import backend, se3
+from sdf import compiled as fused
 from sdf.base import SDF
 from sdf.posed import posed_distance
 from sensors.semantics import log_surface_probability

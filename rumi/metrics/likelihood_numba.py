@@ -8,7 +8,7 @@ from numba import prange
 from numba.core import types
 from numba.extending import intrinsic
 
-from sdf.fused import Kernel
+from sdf.compiled import Kernel
 from sdf.grid_numba import at, block, exact, fast, lattice_of, put, value
 
 _LOG2_E = 1.0 / math.log(2.0)

@@ -8,8 +8,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from rumi.dynamics.planar import placement, planar_features
-from sdf import backend, fused
+from rumi.dynamics.tool_lookup import placement, planar_features
+from sdf import backend
+from sdf import compiled as fused
 from sdf.voxel_grid import VoxelGrid
 
 # rollouts whose marks are kept at once: few enough for the processor's cache

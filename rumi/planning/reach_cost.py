@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from rumi.dynamics.planar import FieldSampler
+from rumi.dynamics.tool_lookup import FieldSampler
 from sdf.check import check_shape
 from sdf.voxel_grid import VoxelGrid
 

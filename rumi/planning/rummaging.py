@@ -13,18 +13,18 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.thinning import thinned
 from rumi.clock import Now
 from rumi.dynamics.base import PushModel, PushRollouts
-from rumi.dynamics.family import PushModels
-from rumi.dynamics.planar import world_height
+from rumi.dynamics.registry import PushModels
+from rumi.dynamics.tool_lookup import world_height
 from rumi.fields.information import (
     WorkspaceFields,
     information_field,
 )
-from rumi.planning.deadline import Deadline
+from rumi.planning.objective import TrajectoryCost
+from rumi.planning.plan_budget import Deadline
+from rumi.planning.policy import Plan, Scene
 from rumi.planning.rummaging_settings import SUITED, RummagingSettings, Suited
-from rumi.planning.trajectory_cost import TrajectoryCost
-from rumi.planning.types import Plan, Scene
 from rumi.planning.worth import Worth, gathered_by_action, gathering
-from sdf import savings
+from sdf import skipped_work as savings
 
 __all__ = ["SUITED", "RummagingPolicy", "RummagingSettings", "Suited"]
 
@@ -74,7 +74,7 @@ class RummagingPolicy:
         budget_s: float | None,
         generator: torch.Generator,
     ) -> Plan:
-        """Plan from the belief; see `rumi.planning.types.Policy`.
+        """Plan from the belief; see `rumi.planning.policy.Policy`.
 
         A first plan starts from noise and takes the warm-up iterations; a later one starts from the previous plan,
         `executed` controls further on.

@@ -6,8 +6,8 @@ from typing import NamedTuple, Self
 
 from kmppi import MPPISettings
 from rumi.dynamics.displacement import DisplacementSettings
-from rumi.dynamics.family import PUSH_MODELS, EngineSettings, PushChoice
 from rumi.dynamics.quasi_static import QuasiStaticSettings
+from rumi.dynamics.registry import PUSH_MODELS, EngineSettings, PushChoice
 from rumi.fields.information import InformationSettings
 
 

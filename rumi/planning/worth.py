@@ -9,9 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.dynamics.base import PushRollouts
-from rumi.dynamics.planar import world_height
+from rumi.dynamics.tool_lookup import world_height
 from rumi.planning.costs import InformationCost
-from rumi.planning.tool import Tool
+from rumi.robot.tool import Tool
 from sdf.voxel_grid import VoxelGrid
 
 Gathered = Callable[[Float[Tensor, "R H Q"], Float[Tensor, "R H 3"]], Float[Tensor, "R"]]

@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from sdf import backend, fused, se3, so3
+from sdf import backend, se3, so3
+from sdf import compiled as fused
 from sdf.posed import posed_distance, posed_query
 from sensors.discrepancy import Discrepancy, poses_at_once, residuals
 from sensors.observation import Observation

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import prange
 
-from sdf.fused import Kernel
+from sdf.compiled import Kernel
 from sdf.grid_numba import at, exact, fast, lattice_of, put, value
 from sensors.discrepancy_numba import gather, placed, terms_of, to_frame
 from sensors.tiles_numba import local, near_points

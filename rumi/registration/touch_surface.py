@@ -8,13 +8,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sdf import se3
-from sdf.build import from_mesh
-from sdf.find_symmetry import find_symmetries
-from sdf.mesh import MeshError, TriangleMesh, check_size, load_mesh
-from sdf.mesh_sdf import MeshSDF
+from sdf.mesh.build import from_mesh
+from sdf.mesh.find_symmetry import find_symmetries
+from sdf.mesh.mesh import MeshError, TriangleMesh, check_size, load_mesh
+from sdf.mesh.mesh_sdf import MeshSDF
+from sdf.mesh.triangles import Triangles, area_vectors, nearest
 from sdf.surface import sample_triangles
 from sdf.symmetry import Symmetries
-from sdf.triangles import Triangles, area_vectors, nearest
 
 _CELLS = 40  # along the longest side of the table
 _MARGIN = 0.25  # of the diagonal, that the table goes beyond the mesh
@@ -56,8 +56,8 @@ class TouchSurface:
             symmetries: in the mesh's own frame; found on the surface by default, to 1 % of the diagonal.
 
         Raises:
-            sdf.mesh.MeshError: no mesh, one without faces that have an area, or one of a size that no object in metres
-                has.
+            sdf.mesh.mesh.MeshError: no mesh, one without faces that have an area, or one of a size that no object
+                in metres has.
         """
         if isinstance(source, TouchSurface):
             return source

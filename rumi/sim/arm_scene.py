@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from rumi.errors import UsageError
-from rumi.fields.arm import ArmGeometry
+from rumi.robot.arm import ArmGeometry
 
 ARM_JOINTS = tuple(f"joint_{index + 1}" for index in range(7))
 FINGERS = ("left", "right")

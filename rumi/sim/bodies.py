@@ -16,9 +16,9 @@ from rumi.errors import UsageError
 from rumi.sim.settings import PhysicsSettings
 from sdf import se3
 from sdf.base import SDF
-from sdf.convex import ConvexSettings, convex_pieces, hull
-from sdf.mesh import TriangleMesh
-from sdf.mesh_sdf import MeshSDF
+from sdf.mesh.convex import ConvexSettings, convex_pieces, hull
+from sdf.mesh.mesh import TriangleMesh
+from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Capsule, Cup, Cylinder, Mug, Placed, Sphere, TorusArc, Union
 from sdf.solid import Solid, solid
 

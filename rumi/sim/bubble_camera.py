@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.planning.gripper import GripperShape
+from rumi.robot.gripper import GripperShape
 from sdf import se3
-from sensors.camera import pinhole, pixel_rays
+from sensors.vision.camera import pinhole, pixel_rays
 
 _HEIGHT, _WIDTH = 72, 96
 _FIELD_RAD = math.radians(120.0)

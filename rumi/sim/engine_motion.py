@@ -5,9 +5,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.dynamics.carry import unwrapped
-from rumi.dynamics.family import EngineSettings
-from rumi.planning.gripper import GripperShape
+from rumi.dynamics.along_path import unwrapped
+from rumi.dynamics.registry import EngineSettings
+from rumi.robot.gripper import GripperShape
 from rumi.sim.settings import PhysicsSettings
 from rumi.sim.world import World
 from sdf import se3

@@ -17,13 +17,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.fields.reach_table import STARTS
+from rumi.robot.reach_table import STARTS
 from rumi.sim.arm_motion import ArmKinematics, joint_path
 from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, _arm, _hand
 from rumi.sim.felt_world import Felt
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.world import _import_mujoco
-from sensors.momentum_observer import MomentumObserver, TorqueThreshold, residuals
+from sensors.force.momentum_observer import MomentumObserver, TorqueThreshold, residuals
 
 _KNOT_S = 0.05  # from one solution of the inverse kinematics to the next
 _STILL_S = 0.3  # of standing before an action, by the end of which the observer's rest is taken

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.sim.world import _import_mujoco
-from sensors.momentum_observer import DynamicsTerms
+from sensors.force.momentum_observer import DynamicsTerms
 
 
 class MujocoDynamics:
-    """A `sensors.momentum_observer.RobotDynamics`; float64.
+    """A `sensors.force.momentum_observer.RobotDynamics`; float64.
 
     Dry friction (MuJoCo's frictionloss) is no part of the bias: it shows in the residual. Damping, springs and gravity
     compensation are. Contacts and limits are left out.

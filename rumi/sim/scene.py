@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.planning.gripper import GripperShape
+from rumi.robot.gripper import GripperShape
 from rumi.sim.bodies import Body, Piece
 from rumi.sim.settings import PhysicsSettings
 from sdf import so3
-from sdf.mesh import TriangleMesh
+from sdf.mesh.mesh import TriangleMesh
 
 # who collides with whom: the floor with what it bears of the object, the gripper with what it pushes
 _FLOOR, _SHELL = 1, 2

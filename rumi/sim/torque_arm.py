@@ -16,7 +16,7 @@ from rumi.sim.arm_motion import ArmKinematics, JointPath
 from rumi.sim.arm_scene import ARM_JOINTS, FINGERS, ArmPhysics, arm_xml, scene_xml
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.world import _import_mujoco
-from sensors.momentum_observer import DynamicsTerms, MomentumObserver, TorqueThreshold, external_torque
+from sensors.force.momentum_observer import DynamicsTerms, MomentumObserver, TorqueThreshold, external_torque
 
 _BATCH = 10  # samples that the observer takes in at once, after which the force limit is looked at
 _WINDOW = 5  # such batches that are one row of a calibration

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.planning.gripper import GripperShape
+from rumi.robot.gripper import GripperShape
 from rumi.sim.bodies import Body, body_of
 from rumi.sim.scene import RAY_GROUPS, scene_model
 from rumi.sim.settings import PhysicsSettings

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rumi.records import StepRecord
-from rumi.sketch import SceneSketch
+from rumi.runs.sketch import SceneSketch
 from rumi.viz import style
 from rumi.viz.curves import nll_curve
 from rumi.viz.scene import Extent, information_at, interesting, legend_entries, scene_from_above

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rumi.errors import UsageError
-from rumi.recording import Run
-from rumi.sketch import SceneSketch
+from rumi.runs.folder import Run
+from rumi.runs.sketch import SceneSketch
 from rumi.viz import style
 from rumi.viz.animation import animate
 from rumi.viz.curves import apc_curve, nll_curve, touched

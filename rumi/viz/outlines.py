@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.sketch import OutlineMap, SceneSketch
+from rumi.runs.sketch import OutlineMap, SceneSketch
 from sdf import se3
 
 

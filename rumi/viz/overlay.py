@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.misfit import GROSS_M, Misfit
+from rumi.metrics.alignment import GROSS_M, Misfit
 from rumi.viz import style
 from sdf import se3
 from sdf.object_model import ObjectModel

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from rumi.records import StepRecord
-from rumi.sketch import SceneSketch
+from rumi.runs.sketch import SceneSketch
 from rumi.viz import style
 from rumi.viz.curves import touched
 from rumi.viz.outlines import bounding_box, heaviest, object_outline, object_section, placed

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rumi import build, preset, rummage
-from rumi.dynamics.carry import Pusher, carry
+from rumi.dynamics.along_path import Pusher, carry
 from rumi.dynamics.outline import RectangleOutline
 from rumi.dynamics.sliding import Sliding
 from rumi.fields.workspace import Workspace
@@ -18,7 +18,7 @@ from sdf.primitives import Box
 from sdf.sweep import nearest_on_rectangle, sweep_rectangle
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
-from sensors.persistence import Persistence
+from sensors.vision.persistence import Persistence
 
 DTYPES = (torch.float32, torch.float64)
 

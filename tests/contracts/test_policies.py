@@ -11,16 +11,16 @@ import torch
 from torch import Tensor
 
 from kmppi import MPPISettings
-from rumi.assemble import make_policy
-from rumi.baselines.gpvr import GPVRSettings
 from rumi.belief.particles import PoseBelief
-from rumi.config import METHODS, Settings
 from rumi.dynamics.displacement import DisplacementSettings
 from rumi.fields.workspace import Workspace
-from rumi.plain import plain
+from rumi.planning.gpvr import GPVRSettings
+from rumi.planning.policy import Plan, Policy, Scene
 from rumi.planning.rummaging import RummagingSettings
-from rumi.planning.tool import Tool
-from rumi.planning.types import Plan, Policy, Scene
+from rumi.robot.tool import Tool
+from rumi.runs.plain import plain
+from rumi.tasks.rummage.build import make_policy
+from rumi.tasks.rummage.settings import METHODS, Settings
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug

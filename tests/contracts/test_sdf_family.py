@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from rumi.bench.meshes import box
+from scripts.bench.meshes import box
 from sdf import se3, so3
 from sdf.base import SDF
 from sdf.drill import Drill
 from sdf.grid_sdf import GridSDF
-from sdf.mesh_sdf import MeshSDF
+from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Capsule, Cup, Cylinder, Mug, Placed, Sphere, TorusArc, Union
 from sdf.surface import sample_surface
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.bags.bag import import_bag
-from rumi.bags.mapping import mapping_of
-from rumi.bags.readings import Made, make_readings
+from rumi.rosbag.bag import import_bag
+from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.readings import Made, make_readings
 from sdf import se3, so3
-from sensors.camera import look_at, pinhole, pixel_rays
 from sensors.log.reader import Log
 from sensors.semantics import Semantics
+from sensors.vision.camera import look_at, pinhole, pixel_rays
 
 pytest.importorskip("rosbags")
 pytest.importorskip("h5py")
@@ -208,7 +208,7 @@ class Recorded:
 
 def pushes(steps: int = 5):
     """A simulated robot that goes to a mug and pushes it a little: its task, first result and results."""
-    from rumi.sim.tasks import TASKS, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_task, make_tool
 
     spec = replace(TASKS["mug-0"], start=(0.55, 0.03, 0.6))
     task = make_task(spec, tool=make_tool(spec, free_flying=True), model=large_handled_mug())

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.bags.mapping import mapping_of
-from rumi.bags.readings import make_readings
-from rumi.bags.torques import JointTrack
 from rumi.errors import UsageError
+from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.readings import make_readings
+from rumi.rosbag.torques import JointTrack
 from sensors.log.reader import Log
 from sensors.log.writer import LogWriter, StreamSpec
 

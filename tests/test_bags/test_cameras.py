@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.bags.frames import FrameTree
-from rumi.bags.mapping import mapping_of
-from rumi.bags.streams import lens_of, lenses_of
-from rumi.bags.views import Views
 from rumi.errors import UsageError
+from rumi.rosbag.frames import FrameTree
+from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.streams import lens_of, lenses_of
+from rumi.rosbag.views import Views
 from sensors.log.reader import Log
 from sensors.log.writer import LogWriter, StreamSpec
 from sensors.semantics import Semantics

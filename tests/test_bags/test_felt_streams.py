@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.assemble import Elsewhere
-from rumi.bags.bag import import_bag
-from rumi.bags.mapping import mapping_of
-from rumi.bags.readings import make_readings
-from rumi.bags.scene import rummager_of_map, settings_of
 from rumi.errors import UsageError
-from rumi.replay import replay
-from sensors.felt_reading import FeltReading
+from rumi.rosbag.bag import import_bag
+from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.readings import make_readings
+from rumi.rosbag.scene import rummager_of_map, settings_of
+from rumi.runs.replay import replay
+from rumi.tasks.rummage.build import Elsewhere
+from sensors.contact_reading import FeltReading
 from sensors.log.reader import Log
 from sensors.reading import Reading
 from sensors.semantics import Semantics

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from rumi import cli
-from rumi.bags.bag import import_bag
-from rumi.bags.mapping import mapping_of
 from rumi.cli import main
 from rumi.errors import UsageError
+from rumi.rosbag.bag import import_bag
+from rumi.rosbag.mapping import mapping_of
 from sensors.log.reader import Log
 from sensors.log.writer import Odd
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi.bags.mapping import mapping_of
-from rumi.bags.readings import make_readings
 from rumi.cli import main
 from rumi.errors import UsageError
-from rumi.logbook import LogRecorder
+from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.readings import make_readings
+from rumi.runs.logbook import LogRecorder
 from sdf import se3
 from sensors.log.reader import Log
 from sensors.semantics import Semantics
@@ -27,7 +27,7 @@ def pushed(sensors, path, lost=0):
     The camera's first pictures are lost, as many as told.
     """
     from rumi.sim.settings import SimSettings
-    from rumi.sim.tasks import TASKS, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_task, make_tool
 
     mug = large_handled_mug()
     spec = replace(TASKS["mug-0"], start=(0.45, 0.03, 0.6))
@@ -124,10 +124,10 @@ def test_a_recorded_run_can_be_read_by_its_map(tmp_path, monkeypatch, capsys):
 
 
 def test_the_map_of_a_run_with_a_mesh_names_the_mesh(tmp_path, monkeypatch):
-    from rumi.sim.objects import ObjectSettings
     from rumi.sim.sensor_settings import SensorSettings
     from rumi.sim.settings import SimSettings
-    from rumi.sim.tasks import TASKS, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.objects import ObjectSettings
+    from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_task, make_tool
 
     monkeypatch.chdir(tmp_path)
     spec = replace(TASKS["mug-0"], start=(0.45, 0.03, 0.6))
@@ -142,7 +142,7 @@ def test_the_map_of_a_run_with_a_mesh_names_the_mesh(tmp_path, monkeypatch):
 
 
 def test_only_what_has_raw_streams_may_be_read_by_a_map(tmp_path):
-    from rumi.replay_command import mapping_of_log
+    from rumi.commands.replay import mapping_of_log
 
     with LogRecorder(tmp_path / "log.h5", {}):
         pass

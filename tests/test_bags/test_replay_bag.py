@@ -4,15 +4,15 @@ import pytest
 import torch
 
 from rumi import cli
-from rumi.bags.bag import import_bag
-from rumi.bags.frames import Edge, FrameTree
-from rumi.bags.mapping import mapping_of
-from rumi.bags.readings import make_readings
-from rumi.bags.scene import rummager_of_map, settings_of
 from rumi.cli import main
 from rumi.errors import UsageError
-from rumi.recording import load_run
-from rumi.replay import replay
+from rumi.rosbag.bag import import_bag
+from rumi.rosbag.frames import Edge, FrameTree
+from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.readings import make_readings
+from rumi.rosbag.scene import rummager_of_map, settings_of
+from rumi.runs.folder import load_run
+from rumi.runs.replay import replay
 from sdf import se3
 from sensors.log.reader import Log
 from sensors.semantics import Semantics
@@ -39,7 +39,7 @@ def places(taken):
 
 
 def signed(points, pose):
-    from rumi.sim.tasks import large_handled_mug
+    from rumi.tasks.rummage.scenes import large_handled_mug
 
     return large_handled_mug().exact.distance(se3.apply(se3.inverse(pose), points).double())
 

@@ -5,12 +5,12 @@ import math
 import pytest
 import torch
 
-from rumi.bags.bag import import_bag
-from rumi.bags.mapping import mapping_of
 from rumi.errors import UsageError
-from sensors.camera import look_at, pinhole, pixel_rays
+from rumi.rosbag.bag import import_bag
+from rumi.rosbag.mapping import mapping_of
 from sensors.log.reader import Log
 from sensors.semantics import Semantics
+from sensors.vision.camera import look_at, pinhole, pixel_rays
 
 pytestmark = pytest.mark.sim
 
@@ -101,7 +101,7 @@ def test_a_picture_without_joints_is_left_out(slider_seen, bags, tmp_path):
 
 
 def test_joints_are_interpolated(bags, tmp_path):
-    from rumi.bags.torques import JointTrack
+    from rumi.rosbag.torques import JointTrack
 
     maker = bags.Maker(tmp_path / "bag")
     for step in range(3):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.bags.mapping import mapping_of
-from rumi.bags.scene import feeling_of, rummager_of_map, settings_of
-from rumi.belief.felt import SignalSettings
+from rumi.belief.contact_evidence import SignalSettings
 from rumi.errors import UsageError
-from rumi.replay import replay
-from sensors.contact_model import robot_distance
+from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.scene import feeling_of, rummager_of_map, settings_of
+from rumi.runs.replay import replay
 from sensors.semantics import Semantics
+from sensors.touch.contact_model import robot_distance
 
 pytestmark = pytest.mark.sim
 

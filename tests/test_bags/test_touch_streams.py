@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.bags.mapping import mapping_of
 from rumi.errors import UsageError
-from sensors.bubble import bubble_patch
+from rumi.rosbag.mapping import mapping_of
 from sensors.semantics import Semantics
+from sensors.touch.bubble import bubble_patch
 
 pytestmark = pytest.mark.sim
 
@@ -37,10 +37,10 @@ def felt_run(bags, tmp_path_factory):
     """A bag of what the bubbles' cameras of a simulated robot took, and the readings that the live robot had."""
     from dataclasses import replace
 
-    import rumi.sim.sensed_task as module
+    import rumi.tasks.rummage.sensed as module
     from rumi.sim.sensor_settings import SensorSettings
     from rumi.sim.settings import SimSettings
-    from rumi.sim.tasks import TASKS, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_task, make_tool
 
     taken = []
     read = module.bubble_patch

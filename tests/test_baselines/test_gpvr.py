@@ -11,17 +11,17 @@ import torch
 from torch import Tensor
 
 from kmppi import MPPISettings
-from rumi.baselines import gpvr
-from rumi.baselines.gpvr import GPVRPolicy, GPVRSettings, VarianceCost
 from rumi.belief.particles import PoseBelief
 from rumi.clock import SimulatedClock
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.displacement import DisplacementSettings
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
+from rumi.planning import gpvr
+from rumi.planning.gpvr import GPVRPolicy, GPVRSettings, VarianceCost
+from rumi.planning.policy import Plan, Scene
 from rumi.planning.rummaging import RummagingSettings
-from rumi.planning.tool import Tool
-from rumi.planning.types import Plan, Scene
+from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
@@ -272,8 +272,8 @@ def test_a_stall_of_a_fit_is_forgotten(scene: Scene, clock: SimulatedClock) -> N
 
 def test_what_a_fit_needs_is_loaded_before_the_first_plan() -> None:
     code = (
-        "import sys; from rumi.baselines.gpvr import GPVRPolicy; GPVRPolicy(); before = set(sys.modules)\n"
-        "import torch; from rumi.baselines import implicit_surface as surface\n"
+        "import sys; from rumi.planning.gpvr import GPVRPolicy; GPVRPolicy(); before = set(sys.modules)\n"
+        "import torch; from rumi.planning import implicit_surface as surface\n"
         "surface.fit(surface.Labelled(torch.eye(3).double(), torch.tensor([0.0, 1.0, 1.0]).double()), steps=2)\n"
         "print(len(set(sys.modules) - before))"
     )

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rumi.baselines.implicit_surface import (
+from rumi.errors import UsageError
+from rumi.planning.implicit_surface import (
     Hyperparameters,
     Labelled,
     fit,
@@ -20,7 +21,6 @@ from rumi.baselines.implicit_surface import (
     predictive_variance,
     spread_out,
 )
-from rumi.errors import UsageError
 
 needs_library = pytest.mark.skipif(importlib.util.find_spec("gpytorch") is None, reason="needs gpytorch")
 SOME = Hyperparameters(0.08, 0.3, 0.002, 0.7)
@@ -70,7 +70,7 @@ def test_variance_is_that_of_the_dense_process(h: Hyperparameters) -> None:
 def test_variance_is_the_librarys() -> None:
     import gpytorch
 
-    from rumi.baselines.implicit_surface import _exactly, _model
+    from rumi.planning.implicit_surface import _exactly, _model
 
     data, at = ball(), scattered(50)
     with torch.no_grad(), _exactly(gpytorch):

@@ -7,11 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.baselines.slide import CLOCKWISE, COUNTER_CLOCKWISE, SlidePolicy, SlideSettings, estimated_centre
 from rumi.belief.particles import PoseBelief
 from rumi.fields.workspace import Workspace
-from rumi.planning.tool import Tool
-from rumi.planning.types import Plan, Scene
+from rumi.planning.policy import Plan, Scene
+from rumi.planning.slide import CLOCKWISE, COUNTER_CLOCKWISE, SlidePolicy, SlideSettings, estimated_centre
+from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Cylinder

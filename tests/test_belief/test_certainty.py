@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from rumi.belief.certainty import CovarianceRule, EntropyRule, MassRule, covariance
-from rumi.belief.entropy import SharedSupport, SpatialEntropy
-from rumi.belief.states import StateMetric
+from rumi.information.entropy import SharedSupport, SpatialEntropy
+from rumi.information.neighbours import StateMetric
+from rumi.information.stopping import CovarianceRule, EntropyRule, MassRule, covariance
 
 
 def gaussian(count: int = 20000, spread: tuple[float, ...] = (0.01, 0.02, 0.1)) -> torch.Tensor:

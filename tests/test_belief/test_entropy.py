@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rumi.belief.entropy import (
+from rumi.information.entropy import (
     Entropy,
     EntropyChoice,
     KernelEntropy,
@@ -21,7 +21,7 @@ from rumi.belief.entropy import (
     make_entropy,
     weights_entropy,
 )
-from rumi.belief.states import StateMetric, merged, neighbours
+from rumi.information.neighbours import StateMetric, merged, neighbours
 from sdf import backend
 
 DOUBLE = {"dtype": torch.float64}

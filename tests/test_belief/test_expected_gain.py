@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rumi.belief.entropy import SharedSupport, weights_entropy
-from rumi.belief.expected_gain import binary_outcome, channel_capacity, expected_gain
-from rumi.belief.states import StateMetric
+from rumi.information.binary_gain import binary_outcome, channel_capacity, expected_gain
+from rumi.information.entropy import SharedSupport, weights_entropy
+from rumi.information.neighbours import StateMetric
 
 DOUBLE = {"dtype": torch.float64}
 SUPPORT = SharedSupport(StateMetric.euclidean(2))

@@ -6,12 +6,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.belief.felt import Feeling, TouchedSomewhere, TouchedSurface
+from rumi.belief.contact_evidence import Feeling, TouchedSomewhere, TouchedSurface
 from sdf import se3
 from sdf.primitives import Sphere
-from sensors.contact_model import ContactModel
-from sensors.felt_reading import FeltReading, WrenchTouch
+from sensors.contact_reading import FeltReading, WrenchTouch
 from sensors.observation import Observation
+from sensors.touch.contact_model import ContactModel
 
 RADIUS = 0.04
 

@@ -6,18 +6,18 @@ from dataclasses import dataclass, fields, replace
 import pytest
 import torch
 
-from rumi.belief.felt import Feeling, FeltSoFar
-from rumi.belief.filter import FilterSettings, PoseFilter
+from rumi.belief.contact_evidence import Feeling, FeltSoFar
 from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.renewal import RenewalSettings, challenge, redraw
+from rumi.belief.reinitialise import RenewalSettings, challenge, redraw
 from rumi.belief.settling import settled
 from rumi.registration.descent import DescentSettings
 from sdf import se3
 from sdf.primitives import Box
+from sensors.contact_reading import FeltReading, WrenchTouch
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import in_attached_frame
-from sensors.felt_reading import FeltReading, WrenchTouch
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.belief.filter import FilterSettings, PoseFilter
 from rumi.belief.motion import object_motion, slip_motion, sticking_motion
 from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.registration.descent import DescentSettings
 from sdf import se3
 from sdf.posed import posed_distance

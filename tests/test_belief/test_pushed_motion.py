@@ -7,16 +7,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.assemble import predictor_of
-from rumi.belief.filter import FilterSettings, PoseFilter
 from rumi.belief.motion import object_motion, sticking_motion
 from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.pushed_motion import PushedMotion
-from rumi.planning.gripper import GripperShape
 from rumi.planning.rummaging_settings import RummagingSettings
-from rumi.planning.tool import Tool
 from rumi.registration.descent import DescentSettings
+from rumi.robot.gripper import GripperShape
+from rumi.robot.tool import Tool
 from rumi.sim.world import World
+from rumi.tasks.rummage.build import predictor_of
 from sdf import se3
 from sdf.grid_sdf import GridSDF
 from sdf.object_model import object_model

@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.belief.filter import FilterSettings, PoseFilter
 from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.renewal import RenewalSettings, challenge, prior_belief, redraw
+from rumi.belief.reinitialise import RenewalSettings, challenge, prior_belief, redraw
 from rumi.metrics.pose_error import pose_error
 from sdf import se3, so3
 from sdf.object_model import box_model

@@ -9,13 +9,13 @@ import torch
 from torch import Tensor
 
 from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay import TouchFilter
 from rumi.belief.replay_settings import ReplaySettings
 from rumi.belief.touch_belief import TouchAction, TouchBelief, joined
-from rumi.dynamics.carry import Carried, Pusher
+from rumi.belief.trajectory_filter import TouchFilter
+from rumi.dynamics.along_path import Carried, Pusher
 from rumi.dynamics.outline import RectangleOutline
 from sdf import backend
-from sensors.contact_model import ContactModel
+from sensors.touch.contact_model import ContactModel
 
 DOUBLE = {"dtype": torch.float64}
 

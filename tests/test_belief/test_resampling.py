@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from rumi.belief.resampling import resample_systematic, systematic
+from rumi.resampling import resample_systematic, systematic
 
 F64 = torch.float64
 

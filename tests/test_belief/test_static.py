@@ -7,13 +7,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.belief.static import StaticFilter, StaticSettings
-from rumi.belief.static_spaces import PlaneSpace, PoseSpace
+from rumi.belief.state_space import PlaneSpace, PoseSpace
+from rumi.belief.static_filter import StaticFilter, StaticSettings
 from rumi.errors import DegenerateBeliefError
-from sdf import savings, se3
-from sdf.triangles import Triangles
-from sensors.rectangle_touch import RectangleTouches
-from sensors.touch_likelihood import Touches, TouchNoise
+from sdf import se3
+from sdf import skipped_work as savings
+from sdf.mesh.triangles import Triangles
+from sensors.touch.rectangle_touch import RectangleTouches
+from sensors.touch.touch_likelihood import Touches, TouchNoise
 
 F64 = torch.float64
 SPACES = {"place": PlaneSpace(None), "plane": PlaneSpace(0.1), "pose": PoseSpace(0.1)}

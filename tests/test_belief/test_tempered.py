@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from rumi.belief.static import StaticFilter, StaticSettings
-from rumi.belief.static_spaces import PlaneSpace
+from rumi.belief.state_space import PlaneSpace
+from rumi.belief.static_filter import StaticFilter, StaticSettings
 from rumi.belief.tempered import Tempered, update_tempered
 from rumi.errors import DegenerateBeliefError
 

@@ -5,12 +5,12 @@ import math
 import pytest
 import torch
 
-from rumi.belief.expected_divergence import with_kinds, with_misses
-from rumi.belief.touch_gain import Outcomes, mesh_touch_gain, noisy, rectangle_likelihood, touch_gain
+from rumi.information.contact_gain import Outcomes, mesh_touch_gain, noisy, rectangle_likelihood, touch_gain
+from rumi.information.expected_divergence import with_kinds, with_misses
 from sdf import se3
+from sdf.mesh.triangles import Triangles
 from sdf.sweep import sweep_rectangle
-from sdf.triangles import Triangles
-from sensors.touch_likelihood import TouchNoise
+from sensors.touch.touch_likelihood import TouchNoise
 
 F64 = torch.float64
 HALF = torch.tensor([0.1, 0.05], dtype=F64)

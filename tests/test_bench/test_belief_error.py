@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from rumi.bench.belief_error import EDGES, CoarseReference
+from scripts.bench.belief_error import EDGES, CoarseReference
 
 F64 = torch.float64
 

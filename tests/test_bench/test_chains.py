@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from rumi.bench.chains import (
+from scripts.bench.chains import (
     ChainSettings,
     coordinates,
     effective_size,

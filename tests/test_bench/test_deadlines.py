@@ -7,16 +7,16 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi.bench import deadline_simulation, deadlines
-from rumi.bench.deadline_report import draw, tables, tolerance_s, values_by_budget
-from rumi.bench.deadline_simulation import BUDGETS_S, measure_simulated, simulated
-from rumi.bench.ledger import Ledger
-from rumi.bench.touch_choice import Poke, TouchChoice
-from rumi.touch.grasping import clearance_table
-from rumi.touch.localise import Toucher
-from rumi.touch.planar_robot import PlanarRobot
-from rumi.touch.settings import TouchSettings
-from rumi.touch.task import TouchTask
+from rumi.tasks.grasp_table import clearance_table
+from rumi.tasks.touch_box.agent import Toucher
+from rumi.tasks.touch_box.planar_robot import PlanarRobot
+from rumi.tasks.touch_box.scene import TouchTask
+from rumi.tasks.touch_box.settings import TouchSettings
+from scripts.bench import deadline_simulation, deadlines
+from scripts.bench.deadline_report import draw, tables, tolerance_s, values_by_budget
+from scripts.bench.deadline_simulation import BUDGETS_S, measure_simulated, simulated
+from scripts.bench.ledger import Ledger
+from scripts.bench.touch_choice import Poke, TouchChoice
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "deadlines.py"
 

@@ -4,7 +4,7 @@ import json
 
 import torch
 
-from rumi.bench.ledger import Ledger, median_seconds
+from scripts.bench.ledger import Ledger, median_seconds
 
 
 def test_a_measurement_is_done_once(tmp_path):

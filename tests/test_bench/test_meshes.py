@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi.bench import meshes
-from rumi.bench.mug_mesh import mug_mesh
-from sdf.mesh_sdf import MeshSDF
+from scripts.bench import meshes
+from scripts.bench.mug_mesh import mug_mesh
+from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Cup, Mug
 
 pytest.importorskip("scipy")

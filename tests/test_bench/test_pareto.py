@@ -3,14 +3,14 @@
 import pytest
 import torch
 
-from rumi.bench import pareto_figures
-from rumi.bench.estimates import Estimate, belief_estimates, field_estimates
-from rumi.bench.ledger import Ledger
-from rumi.bench.nearest import NearestGrid
-from rumi.bench.pareto_figures import Dot, draw, front
-from rumi.bench.plans import PlanSettings, plan_settings
-from rumi.bench.runs import run_settings
-from rumi.config import PRESETS, preset
+from rumi.tasks.rummage.settings import PRESETS, preset
+from scripts.bench import pareto_figures
+from scripts.bench.estimates import Estimate, belief_estimates, field_estimates
+from scripts.bench.ledger import Ledger
+from scripts.bench.nearest import NearestGrid
+from scripts.bench.pareto_figures import Dot, draw, front
+from scripts.bench.plans import PlanSettings, plan_settings
+from scripts.bench.runs import run_settings
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Sphere
 

@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from rumi.bench.posteriors import stand_ins
-from rumi.bench.reference import boltzmann, grid_posterior
+from scripts.bench.posteriors import stand_ins
+from scripts.bench.reference import boltzmann, grid_posterior
 from sdf import backend, se3
 from sdf.primitives import Box, Mug
 from sensors.discrepancy import Discrepancy

@@ -2,11 +2,12 @@
 
 import pytest
 
-from rumi.bench import scaling, scaling_work
-from rumi.bench.ledger import Ledger
-from rumi.bench.scaling import measure_apart
-from rumi.bench.scaling_figure import draw
-from rumi.bench.scaling_work import SIZES, WORK, Size
+from scripts.bench import scaling_study as scaling
+from scripts.bench import scaling_work
+from scripts.bench.ledger import Ledger
+from scripts.bench.scaling_figure import draw
+from scripts.bench.scaling_study import measure_apart
+from scripts.bench.scaling_work import SIZES, WORK, Size
 
 pytestmark = pytest.mark.usefixtures("at_home")
 

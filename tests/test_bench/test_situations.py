@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from rumi.bench import pareto
-from rumi.bench.situations import STAGES, follow, situation
+from scripts.bench import pareto
+from scripts.bench.situations import STAGES, follow, situation
 from sdf import se3
 from sdf.grid_sdf import GridSDF
 from sensors.semantics import Semantics

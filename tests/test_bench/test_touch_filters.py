@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from rumi.belief.touch_belief import TouchBelief
-from rumi.bench.touch_filters import PushSetup, compare, score, truth_of, wide
 from rumi.seeding import split
+from scripts.bench.touch_filters import PushSetup, compare, score, truth_of, wide
 
 SMALL = PushSetup(readings=20)
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "touch_filters.py"

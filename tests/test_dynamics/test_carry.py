@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.dynamics.carry import Carried, Pusher, carry, distance_to
+from rumi.dynamics.along_path import Carried, Pusher, carry, distance_to
 from rumi.dynamics.outline import GridOutline, RectangleOutline
 from rumi.dynamics.sliding import Outline, OutlineQuery, Sliding, push
 from sdf import backend

@@ -11,10 +11,10 @@ from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings, Hazard
 from rumi.fields.information import information_field
-from rumi.fields.reach_table import ReachTable
-from rumi.fields.reachability import Reach
 from rumi.fields.workspace import Workspace
-from rumi.planning.tool import Tool
+from rumi.robot.reach import Reach
+from rumi.robot.reach_table import ReachTable
+from rumi.robot.tool import Tool
 from sdf import backend, se3
 from sdf.base import SDF
 from sdf.primitives import Mug, Sphere

@@ -10,10 +10,10 @@ from torch import Tensor
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings, Hazard
 from rumi.fields.information import information_field
-from rumi.fields.reach_table import ReachTable
-from rumi.fields.spatial_reach import SpatialReach
 from rumi.fields.workspace import Workspace
-from rumi.planning.tool import Tool
+from rumi.robot.reach_table import ReachTable
+from rumi.robot.spatial_reach import SpatialReach
+from rumi.robot.tool import Tool
 from sdf import backend, se3
 from sdf.drill import Drill
 from sdf.primitives import Box

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from rumi.dynamics.contact import ContactBound
-from rumi.dynamics.planar import FieldSampler, TiedField, at_height, placement, planar_features
+from rumi.dynamics.tool_lookup import FieldSampler, TiedField, at_height, placement, planar_features
 from sdf import backend
 from sdf.voxel_grid import VoxelGrid
 

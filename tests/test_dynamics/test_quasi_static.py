@@ -6,15 +6,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.dynamics.family import PushModels, stands
 from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.quasi_static import QuasiStaticModel, QuasiStaticSettings, representatives
+from rumi.dynamics.registry import PushModels, stands
 from rumi.dynamics.sliding import push, rotated
 from rumi.fields.information import information_field
-from rumi.fields.reach_table import ReachTable
-from rumi.fields.reachability import Reach
 from rumi.fields.workspace import Workspace
-from rumi.planning.tool import Tool
+from rumi.robot.reach import Reach
+from rumi.robot.reach_table import ReachTable
+from rumi.robot.tool import Tool
 from sdf import backend, se3, so3
 from sdf.object_model import object_model
 from sdf.primitives import Mug

@@ -5,7 +5,7 @@ import pytest
 from numba import prange
 
 from rumi.fields.information_numba import _exp_minus, _log
-from sdf.fused import Kernel
+from sdf.compiled import Kernel
 
 
 def _both(u, x, exponential, logarithm):

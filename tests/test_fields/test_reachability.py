@@ -9,10 +9,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rumi.fields import reach_table as reach_table_module
-from rumi.fields.arm import Arm, ArmGeometry
-from rumi.fields.reach_table import SECTOR_RAD, ReachSettings, ReachTable, reach_table, solve_table, table_shape
-from rumi.fields.reachability import YAWS_RAD, Reach, reachability
+from rumi.robot import reach_table as reach_table_module
+from rumi.robot.arm import Arm, ArmGeometry
+from rumi.robot.reach import YAWS_RAD, Reach, reachability
+from rumi.robot.reach_table import SECTOR_RAD, ReachSettings, ReachTable, reach_table, solve_table, table_shape
 from sdf import se3, so3
 
 pytest.importorskip("pytorch_kinematics")

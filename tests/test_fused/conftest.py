@@ -5,9 +5,9 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("cv2")
 
-from rumi.fused.settings import FusedSettings, task_of
 from rumi.sim.bodies import body_of
-from rumi.sim.tasks import large_handled_mug, make_tool
+from rumi.tasks.handle.settings import FusedSettings, task_of
+from rumi.tasks.rummage.scenes import large_handled_mug, make_tool
 
 
 @pytest.fixture(scope="session")

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.fused.grasp import HandleTable, best_grasp
-from rumi.fused.settings import FusedSettings, task_of
-from rumi.sim.handle_grasp import HandleGripper
+from rumi.tasks.handle.grasp import HandleTable, best_grasp
+from rumi.tasks.handle.gripper import HandleGripper
+from rumi.tasks.handle.settings import FusedSettings, task_of
 from sdf import se3
 from sdf.primitives import Sphere
 

@@ -9,18 +9,19 @@ import torch
 
 pytest.importorskip("h5py")
 
-from rumi.cli import BAD_INPUT, DONE, NOT_CONVERGED, main
+from rumi.cli import main
+from rumi.commands.progress import both
 from rumi.errors import UsageError
-from rumi.fused.finder import build_finder
-from rumi.fused.grasp import HandleTable
-from rumi.fused.log import COUNTED, IDLE, FusedLogRecorder, recorded, refuse_other_senses, replay_fused
-from rumi.fused.parts import build_fused
-from rumi.fused.run import Outcome, run_fused
-from rumi.fused.settings import FusedSettings
-from rumi.logbook import LOG, LogRecorder, digest
-from rumi.progress import both
+from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.records import StepRecord
-from sensors.felt_reading import FeltReading
+from rumi.runs.logbook import LOG, LogRecorder, digest
+from rumi.tasks.handle.build import build_fused
+from rumi.tasks.handle.finder import build_finder
+from rumi.tasks.handle.grasp import HandleTable
+from rumi.tasks.handle.log import COUNTED, IDLE, FusedLogRecorder, recorded, refuse_other_senses, replay_fused
+from rumi.tasks.handle.run import Outcome, run_fused
+from rumi.tasks.handle.settings import FusedSettings
+from sensors.contact_reading import FeltReading
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
 
@@ -54,7 +55,7 @@ def live(tool, tmp_path_factory):
 @pytest.fixture
 def as_command(tool, live, monkeypatch, capsys, tmp_path):
     """`rumi replay`, with the gripper without the arm's reach, which no belief knows of."""
-    monkeypatch.setattr("rumi.fused.finder.make_tool", lambda *_, **__: tool)
+    monkeypatch.setattr("rumi.tasks.handle.finder.make_tool", lambda *_, **__: tool)
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments):

@@ -5,14 +5,14 @@ import math
 import pytest
 import torch
 
-from rumi.cli import DONE, NOT_CONVERGED
+from rumi.commands.run_handle import fused, sensors_of, short_of, thinking_of
 from rumi.errors import UsageError
-from rumi.fused.grasp import HandleTable
-from rumi.fused.parts import build_fused
-from rumi.fused.run import run_fused, total_nll
-from rumi.fused.settings import SENSORS, FusedSettings
-from rumi.fused_command import fused, sensors_of, short_of, thinking_of
-from rumi.planning.gripper import GripperShape
+from rumi.exit_codes import DONE, NOT_CONVERGED
+from rumi.robot.gripper import GripperShape
+from rumi.tasks.handle.build import build_fused
+from rumi.tasks.handle.grasp import HandleTable
+from rumi.tasks.handle.run import run_fused, total_nll
+from rumi.tasks.handle.settings import SENSORS, FusedSettings
 
 
 def test_the_surface_is_all_around_palm_and_pads():
@@ -107,6 +107,6 @@ def test_the_command_leaves_a_run_that_can_be_drawn_again(tmp_path, capsys):
     said = capsys.readouterr().out
     assert code in (DONE, NOT_CONVERGED) and ("not lifted" in said) == (code == NOT_CONVERGED)
     assert {"result.json", "grasp.json", "settings.json", "trace.npz", "figures"} <= {p.name for p in out.iterdir()}
-    from rumi.run_command import draw_figures
+    from rumi.commands.run import draw_figures
 
     assert draw_figures(out, tmp_path / "again", None)

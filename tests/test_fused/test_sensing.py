@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.fused.settings import FusedSettings, task_of
-from rumi.planning.gripper_body import gripper_links
+from rumi.robot.gripper_body import gripper_links
 from rumi.sim.felt_world import FeltWorld
-from rumi.sim.fused_task import FusedTask, _soon
 from rumi.sim.joint_torques import JointFeeler, JointSettings, LevelKinematics
 from rumi.sim.world import World
+from rumi.tasks.handle.settings import FusedSettings, task_of
+from rumi.tasks.handle.simulated import FusedTask, _soon
 from sdf import se3
-from sensors.force_torque import WrenchStatus
+from sensors.force.force_torque import WrenchStatus
 from sensors.semantics import Semantics
 
 pytestmark = pytest.mark.sim

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from rumi.metrics.correlation import pearson, ranks, run_correlation, spearman
+from scripts.reproduce.correlation import pearson, ranks, run_correlation, spearman
 
 
 def test_pearson_by_hand():

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from rumi.belief.particles import PoseBelief
+from rumi.information.stop_rule import StopSettings, converged
 from rumi.metrics import likelihood
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
-from rumi.stopping import StopSettings, converged
 from sdf import backend, se3
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Box

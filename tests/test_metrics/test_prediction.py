@@ -9,13 +9,17 @@ import torch
 from torch import Tensor
 
 from kmppi import MPPISettings
-from rumi.belief.filter import FilterSettings, PoseFilter
 from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.dynamics.displacement import DisplacementSettings
-from rumi.dynamics.family import PushModels
+from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.workspace import Workspace
-from rumi.metrics.prediction import (
+from rumi.planning.policy import Plan, Scene
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
+from rumi.records import StepRecord
+from rumi.robot.tool import Tool
+from scripts.bench.prediction import (
     Predicted,
     Realised,
     Situation,
@@ -26,10 +30,6 @@ from rumi.metrics.prediction import (
     realised,
     run_spearman,
 )
-from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
-from rumi.planning.tool import Tool
-from rumi.planning.types import Plan, Scene
-from rumi.records import StepRecord
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug

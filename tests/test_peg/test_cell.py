@@ -5,11 +5,11 @@ import math
 import pytest
 import torch
 
-from rumi.belief.touch_gain import NOTHING, TOUCH
 from rumi.clock import SimulatedClock
-from rumi.planning.motion_time import SpeedLimits, path_time, travel_time
-from rumi.sim.touch_cell import TOP, Block, TouchCell, time_to
-from sensors.touch_likelihood import TouchNoise
+from rumi.information.contact_gain import NOTHING, TOUCH
+from rumi.robot.motion_time import SpeedLimits, path_time, travel_time
+from rumi.tasks.peg.cell import TOP, Block, TouchCell, time_to
+from sensors.touch.touch_likelihood import TouchNoise
 
 F64 = torch.float64
 RADIUS = 0.0125

@@ -9,17 +9,17 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi import commands
-from rumi.belief.certainty import Aim
-from rumi.belief.static import StaticBelief
+from rumi.belief.static_filter import StaticBelief
+from rumi.commands.run_peg import PegOptions, settings_of, summary
+from rumi.commands.table import table as commands
 from rumi.errors import UsageError
-from rumi.peg import refine
-from rumi.peg.refine import sure
-from rumi.peg.run import run_peg
-from rumi.peg.settings import PegSettings
-from rumi.peg_command import PegOptions, settings_of, summary
-from rumi.sim.touch_cell import TOP
-from sensors.rectangle_touch import RectangleTouches
+from rumi.information.stopping import Aim
+from rumi.tasks.peg import selection as refine
+from rumi.tasks.peg.agent import run_peg
+from rumi.tasks.peg.cell import TOP
+from rumi.tasks.peg.selection import sure
+from rumi.tasks.peg.settings import PegSettings
+from sensors.touch.rectangle_touch import RectangleTouches
 
 QUICK = PegSettings(particles=200, search_particles=600, point_m=0.001, normal_deg=2.0)
 

@@ -7,9 +7,9 @@ import pytest
 
 from rumi import cli
 from rumi.cli import main
+from rumi.commands.run_peg import PegOptions, settings_of
 from rumi.errors import UsageError
-from rumi.peg.settings import PegSettings
-from rumi.peg_command import PegOptions, settings_of
+from rumi.tasks.peg.settings import PegSettings
 
 QUICK = ["particles=100", "search_particles=300", "point_m=0.001", "normal_deg=2", "most_actions=3"]
 
@@ -105,7 +105,7 @@ def test_a_folder_that_has_a_run_is_left_alone(tmp_path, monkeypatch, capsys):
 
 
 def test_the_tolerance_of_a_hole_counts():
-    from rumi.peg.run import run_peg
+    from rumi.tasks.peg.agent import run_peg
 
     sharp = {"particles": 200, "search_particles": 600, "point_m": 0.001, "normal_deg": 2.0, "most_actions": 3}
     wide = run_peg(PegSettings(**sharp), 0)

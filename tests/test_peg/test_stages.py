@@ -6,17 +6,25 @@ from itertools import pairwise
 import pytest
 import torch
 
-from rumi.belief.touch_gain import NOTHING, TOUCH
 from rumi.clock import SimulatedClock
-from rumi.peg import refine
-from rumi.peg.moves import direct_ways, motions, outcomes, presses
-from rumi.peg.refine import Chooser, aim_of, block_filter, confirmed, evidence_of, probability_of, sides_touched
-from rumi.peg.run import random_pose
-from rumi.peg.search import free_ways, joined, lanes, search
-from rumi.peg.settings import PegSettings
-from rumi.sim.touch_cell import TOP, TouchCell
+from rumi.information.contact_gain import NOTHING, TOUCH
+from rumi.tasks.peg import selection as refine
+from rumi.tasks.peg.agent import random_pose
+from rumi.tasks.peg.cell import TOP, TouchCell
+from rumi.tasks.peg.moves import direct_ways, motions, outcomes, presses
+from rumi.tasks.peg.search import free_ways, joined, lanes, search
+from rumi.tasks.peg.selection import (
+    Chooser,
+    aim_of,
+    block_filter,
+    confirmed,
+    evidence_of,
+    probability_of,
+    sides_touched,
+)
+from rumi.tasks.peg.settings import PegSettings
 from sdf.sweep import sweep_rectangle
-from sensors.rectangle_touch import RectangleTouches, way_clearances
+from sensors.touch.rectangle_touch import RectangleTouches, way_clearances
 
 F64 = torch.float64
 SETTINGS = PegSettings(particles=200, search_particles=600)

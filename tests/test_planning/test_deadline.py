@@ -13,10 +13,10 @@ from rumi.belief.particles import PoseBelief
 from rumi.clock import SimulatedClock
 from rumi.dynamics.displacement import DisplacementSettings
 from rumi.fields.workspace import Workspace
-from rumi.planning.deadline import Deadline
+from rumi.planning.plan_budget import Deadline
+from rumi.planning.policy import Plan, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
-from rumi.planning.tool import Tool
-from rumi.planning.types import Plan, Scene
+from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.object_model import object_model
 from sdf.primitives import Mug

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rumi.planning.motion_time import SpeedLimits, path_time, poke_time, travel_time
+from rumi.robot.motion_time import SpeedLimits, path_time, poke_time, travel_time
 
 LIMITS = SpeedLimits(0.25, 0.5)
 POSITIVE = st.floats(0.01, 2.0)

@@ -7,15 +7,15 @@ import torch
 from torch import Tensor
 
 from kmppi import MPPI, MPPISettings
-from rumi.baselines.ablations import info_only, reach_only
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement import DisplacementSettings
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import InformationSettings
 from rumi.fields.workspace import Workspace
+from rumi.planning.ablations import info_only, reach_only
+from rumi.planning.policy import Plan, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
-from rumi.planning.tool import Tool
-from rumi.planning.types import Plan, Scene
+from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug

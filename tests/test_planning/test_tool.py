@@ -6,10 +6,10 @@ import math
 import pytest
 import torch
 
-from rumi.fields.reach_table import ReachSettings, ReachTable, table_shape
-from rumi.fields.reachability import Reach
-from rumi.planning.gripper import GripperShape
-from rumi.planning.tool import Tool
+from rumi.robot.gripper import GripperShape
+from rumi.robot.reach import Reach
+from rumi.robot.reach_table import ReachSettings, ReachTable, table_shape
+from rumi.robot.tool import Tool
 from sdf import backend
 
 BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)

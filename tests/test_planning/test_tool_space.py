@@ -5,10 +5,10 @@ import math
 import pytest
 import torch
 
-from rumi.fields.reach_table import ReachSettings, ReachTable, table_shape
-from rumi.fields.spatial_reach import SpatialReach
-from rumi.planning.gripper import GripperShape
-from rumi.planning.tool import Tool
+from rumi.robot.gripper import GripperShape
+from rumi.robot.reach_table import ReachSettings, ReachTable, table_shape
+from rumi.robot.spatial_reach import SpatialReach
+from rumi.robot.tool import Tool
 from sdf import se3
 
 BOUNDS = torch.tensor([[0.0, -0.4, 0.03], [0.8, 0.4, 0.2]], dtype=torch.float64)

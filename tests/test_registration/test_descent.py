@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
 from rumi.registration.archive import fill, orientation_bins
 from rumi.registration.descent import DescentSettings, _surface_terms, descend, gauss_newton, retract, violable_pairs
-from rumi.registration.initialise import InitialiseSettings, initialise, view_starts
 from sdf import backend, se3, so3
 from sdf.grid_sdf import GridSDF
 from sdf.object_model import mug_model

@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi.registration.localize import LocalizeSettings, PositionPrior, localize
-from rumi.registration.touch_modes import distinct, gather_modes
+from rumi.registration.contact_modes import distinct, gather_modes
+from rumi.registration.contact_terms import TouchFit, touch_terms
+from rumi.registration.from_contacts import LocalizeSettings, PositionPrior, localize
 from rumi.registration.touch_surface import TouchSurface
-from rumi.registration.touch_terms import TouchFit, touch_terms
 from rumi.seeding import generator as seeded
-from sdf import backend, fused, se3, so3
-from sdf.mesh import MeshError, TriangleMesh
+from sdf import backend, se3, so3
+from sdf import compiled as fused
+from sdf.mesh.mesh import MeshError, TriangleMesh
 from sdf.surface import sample_triangles
 from sdf.symmetry import Symmetries
 
@@ -323,7 +324,7 @@ def test_distinct_counts_what_looks_the_same_once(box):
     ],
 )
 def test_recorded_touches(name, mesh, floor):
-    from rumi.touch_files import read_contacts
+    from rumi.commands.contact_files import read_contacts
 
     pytest.importorskip("trimesh")
     folder = Path(os.environ["RUMI_DATA"]) / "icub_touch"

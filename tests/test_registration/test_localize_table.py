@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from sdf.mesh.triangles import Triangles
 from sdf.surface import sample_triangles
-from sdf.triangles import Triangles
 
 pytest.importorskip("trimesh")
 pytest.importorskip("scipy")

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from rumi.reproduce.records import Record
+from scripts.reproduce.records import Record
 
 
 def make(task: str = "mug-0", method: str = "rumi", seed: int = 0, *, nll: tuple[float, ...], **changes) -> Record:

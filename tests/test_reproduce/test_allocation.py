@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 from rumi.errors import UsageError
-from rumi.reproduce import allocation
-from rumi.reproduce.experiments import EXPERIMENTS, Selection, work_of
-from rumi.reproduce.peg import carry_out, settings_of
-from rumi.reproduce.records import Record, Records
-from rumi.reproduce.reports import reports
+from scripts.reproduce import allocation
+from scripts.reproduce.experiments import EXPERIMENTS, Selection, work_of
+from scripts.reproduce.peg import carry_out, settings_of
+from scripts.reproduce.records import Record, Records
+from scripts.reproduce.reports import reports
 
 QUICK = ("t_max_s=10", "particles=150", "search_particles=400", "point_m=0.001", "normal_deg=2")
 

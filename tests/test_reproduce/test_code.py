@@ -2,9 +2,9 @@
 
 import pytest
 
-from rumi.reproduce import code
-from rumi.reproduce.code import bare, code_hash, imported, reached
-from rumi.reproduce.jobs import KINDS
+from scripts.reproduce import code
+from scripts.reproduce.code import bare, code_hash, imported, reached
+from scripts.reproduce.jobs import KINDS
 
 SOURCE = '''"""Module."""
 import os  # for paths
@@ -53,24 +53,26 @@ def test_a_run_depends_on_the_algorithm_and_not_on_what_shows_it():
     found = reached(KINDS["run"].roots)
     assert {
         "rumi.loop",
-        "rumi.belief.filter",
+        "rumi.belief.pose_filter",
         "rumi.planning.costs_numba",
-        "rumi.sim.task",
+        "rumi.tasks.rummage.simulated",
         "kmppi.mppi",
         "sdf.se3",
     } <= found
-    assert "rumi.reproduce.runs" in found
+    assert "scripts.reproduce.runs" in found
     shown = (
         "rumi.viz",
         "rumi.bench",
         "rumi.cli",
-        "rumi.commands",
-        "rumi.run_command",
-        "rumi.recording",
-        "rumi.explain",
-        "rumi.config",
+        "rumi.commands.table",
+        "rumi.commands.run",
+        "rumi.runs.folder",
+        "rumi.commands.explain",
+        "rumi.tasks.rummage.settings",
     )
-    assert not [name for name in found if name.startswith((*shown, "rumi.reproduce.tables", "rumi.reproduce.toy"))]
+    assert not [
+        name for name in found if name.startswith((*shown, "scripts.reproduce.tables", "scripts.reproduce.toy"))
+    ]
     toy = reached(KINDS["toy"].roots)
     assert "kmppi.parameterization" in toy and "rumi.loop" not in toy
 

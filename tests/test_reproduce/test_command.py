@@ -9,13 +9,13 @@ import pytest
 from rumi import cli
 from rumi.cli import main
 from rumi.errors import UsageError
-from rumi.jsonlines import read_lines
-from rumi.reproduce import command, experiments, touch, toy, worker
-from rumi.reproduce.jobs import KINDS, Kind
-from rumi.reproduce.live import LiveTable
-from rumi.reproduce.live import lines as live_lines
-from rumi.reproduce.records import Records
-from rumi.reproduce.worker import Errand
+from rumi.runs.jsonlines import read_lines
+from scripts.reproduce import command, experiments, touch, toy, worker
+from scripts.reproduce.jobs import KINDS, Kind
+from scripts.reproduce.live import LiveTable
+from scripts.reproduce.live import lines as live_lines
+from scripts.reproduce.records import Records
+from scripts.reproduce.worker import Errand
 
 pytestmark = pytest.mark.usefixtures("at_home")
 
@@ -35,7 +35,7 @@ def quick(monkeypatch):
         curves = {name: [float(job.seed), 1.0] for name in ("path_x", "path_y", "plan_x", "plan_y")}
         return {"figures": figures, "timings": {"wall_s": 0.5}, "curves": curves}
 
-    monkeypatch.setitem(KINDS, "toy", Kind(("rumi.reproduce.toy",), carry_out))
+    monkeypatch.setitem(KINDS, "toy", Kind(("scripts.reproduce.toy",), carry_out))
     return calls
 
 
@@ -104,7 +104,7 @@ def test_what_is_done_is_not_done_again(capsys, quick):
 
 def test_other_code_does_it_again(monkeypatch, quick):
     assert main([*FEW]) == cli.DONE
-    monkeypatch.setattr("rumi.reproduce.jobs.code_hash", lambda roots: "another")
+    monkeypatch.setattr("scripts.reproduce.jobs.code_hash", lambda roots: "another")
     assert main([*FEW]) == cli.DONE
     assert len(quick) == 12
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from rumi.config import preset, to_dict
 from rumi.errors import UsageError
-from rumi.reproduce.command import part, seeds_of
-from rumi.reproduce.experiments import EXPERIMENTS, HORIZON_BEFORE, HORIZONS, PARTICLES_BEFORE, Selection, work_of
-from rumi.reproduce.jobs import Job, overridden
-from rumi.sim.tasks import TASKS
+from rumi.tasks.rummage.scenes import TASKS
+from rumi.tasks.rummage.settings import preset, to_dict
+from scripts.reproduce.command import part, seeds_of
+from scripts.reproduce.experiments import EXPERIMENTS, HORIZON_BEFORE, HORIZONS, PARTICLES_BEFORE, Selection, work_of
+from scripts.reproduce.jobs import Job, overridden
 
 
 def job(**changes):
@@ -65,7 +65,7 @@ def test_a_mesh_counts_by_what_is_in_it(tmp_path):
 
 def test_the_name_is_of_the_code(monkeypatch):
     before = job().id
-    monkeypatch.setattr("rumi.reproduce.jobs.code_hash", lambda roots: "another")
+    monkeypatch.setattr("scripts.reproduce.jobs.code_hash", lambda roots: "another")
     assert job().id != before
 
 

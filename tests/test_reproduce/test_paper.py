@@ -2,7 +2,7 @@
 
 import pytest
 
-from rumi.reproduce import paper
+from scripts.reproduce import paper
 
 TOTALS = {
     "successes": {"mug": (28, 14, 25, 9, 0), "drill": (26, 25, 19, 1, 16), "box": (25, 24, 22, 9, 11)},

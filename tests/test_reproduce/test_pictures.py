@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi.reproduce import pictures
+from scripts.reproduce import pictures
 
 
 def test_a_field_is_seen_from_above():

@@ -12,8 +12,8 @@ import pytest
 
 from rumi import cli
 from rumi.cli import main
-from rumi.jsonlines import read_lines
-from rumi.reproduce.records import Records
+from rumi.runs.jsonlines import read_lines
+from scripts.reproduce.records import Records
 
 pytestmark = pytest.mark.usefixtures("at_home")
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 from rumi.errors import UsageError
-from rumi.jsonlines import append_line
-from rumi.reproduce.experiments import Selection
-from rumi.reproduce.jobs import Job
-from rumi.reproduce.records import Records, key_of, line_of, record_of
-from rumi.reproduce.reports import of_experiment, summary
+from rumi.runs.jsonlines import append_line
+from scripts.reproduce.experiments import Selection
+from scripts.reproduce.jobs import Job
+from scripts.reproduce.records import Records, key_of, line_of, record_of
+from scripts.reproduce.reports import of_experiment, summary
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = {"figures": {"cost": 1.5}, "timings": {"wall_s": 0.1}, "curves": {"path_x": [1.0]}}

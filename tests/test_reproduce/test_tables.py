@@ -3,9 +3,9 @@
 import pytest
 
 from rumi.metrics.intervals import wilson
-from rumi.reproduce import cells, studies, tables
-from rumi.reproduce.experiments import Selection
-from rumi.reproduce.reports import of_experiment, provenance, reports, summary, write_page
+from scripts.reproduce import cells, studies, tables
+from scripts.reproduce.experiments import Selection
+from scripts.reproduce.reports import of_experiment, provenance, reports, summary, write_page
 
 
 def rows_of(text):

@@ -5,7 +5,7 @@ import statistics
 import pytest
 import torch
 
-from rumi.reproduce import toy
+from scripts.reproduce import toy
 
 
 def test_the_map_and_the_step():

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.fields.workspace import Workspace
-from rumi.planning.gripper import GripperShape
-from rumi.planning.types import Plan
+from rumi.planning.policy import Plan
 from rumi.records import RunResult, StepRecord
-from rumi.sketch import SceneSketch, sketch
+from rumi.robot.gripper import GripperShape
+from rumi.runs.sketch import SceneSketch, sketch
 from sdf import se3
 from sdf.object_model import mug_model
 from sensors.observation import Observation, concatenate

@@ -8,14 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from rumi import __version__, cli, commands, run_command
-from rumi.assemble import build
+from rumi import __version__, cli
 from rumi.cli import main
-from rumi.config import preset
+from rumi.commands import run as run_command
+from rumi.commands.progress import Progress, line
+from rumi.commands.table import table as commands
 from rumi.errors import DegenerateBeliefError, UsageError
-from rumi.progress import Progress, line
-from rumi.recording import load_run
-from rumi.sim.tasks import TASKS
+from rumi.runs.folder import load_run
+from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.scenes import TASKS
+from rumi.tasks.rummage.settings import preset
 
 pytestmark = pytest.mark.usefixtures("at_home")
 
@@ -100,9 +102,9 @@ def test_an_interrupt_leaves_a_readable_run(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "work"),
     [
-        (["mug-0"], "rumi.assemble.build"),
-        (["fused", "--record"], "rumi.fused.parts.build_fused"),
-        (["peg"], "rumi.peg_command.run_peg"),
+        (["mug-0"], "rumi.tasks.rummage.build.build"),
+        (["fused", "--record"], "rumi.tasks.handle.build.build_fused"),
+        (["peg"], "rumi.commands.run_peg.run_peg"),
     ],
 )
 def test_an_interrupt_before_there_is_a_result_leaves_no_folder(arguments, work, monkeypatch, capsys):

@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.config import METHODS, PRESETS, Settings, from_dict, preset, setting_names, to_dict
 from rumi.errors import UsageError
-from rumi.stopping import StopSettings
+from rumi.information.stop_rule import StopSettings
+from rumi.tasks.rummage.settings import METHODS, PRESETS, Settings, from_dict, preset, setting_names, to_dict
 
 
 @pytest.mark.parametrize("name", PRESETS)

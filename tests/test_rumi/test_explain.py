@@ -3,8 +3,8 @@
 import pytest
 
 from rumi.cli import main
-from rumi.explain import explain
-from sdf.savings import Account, Work
+from rumi.commands.explain import explain
+from sdf.skipped_work import Account, Work
 
 
 def test_says_how_much_was_done_of_how_much_and_what_that_saved() -> None:

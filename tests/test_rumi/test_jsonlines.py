@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from rumi.jsonlines import Claims, append_line, read_lines
+from rumi.runs.jsonlines import Claims, append_line, read_lines
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="locks of files are POSIX's")
 
@@ -48,7 +48,7 @@ def test_numbers_that_json_has_not_are_refused(tmp_path):
 @POSIX
 def test_processes_do_not_mix_their_lines(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from rumi.jsonlines import append_line\n"
+        "import sys; from pathlib import Path; from rumi.runs.jsonlines import append_line\n"
         "for k in range(60): append_line(Path(sys.argv[1]), {'who': sys.argv[2], 'k': k, 'fill': 'x' * 9000})"
     )
     path = tmp_path / "a.jsonl"
@@ -61,7 +61,7 @@ def test_processes_do_not_mix_their_lines(tmp_path):
 @POSIX
 def test_a_claim_ends_with_its_process(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from rumi.jsonlines import Claims\n"
+        "import sys; from pathlib import Path; from rumi.runs.jsonlines import Claims\n"
         "claims = Claims(Path(sys.argv[1])); print(claims.take('00ab' * 4), claims.take('ffff' * 4), flush=True)\n"
         "sys.stdin.readline(); claims.leave('ffff' * 4); print('left', flush=True); sys.stdin.readline()"
     )

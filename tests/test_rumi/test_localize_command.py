@@ -9,8 +9,8 @@ import torch
 
 from rumi import cli
 from rumi.cli import main
+from rumi.commands.contact_files import read_contacts
 from rumi.errors import UsageError
-from rumi.touch_files import read_contacts
 from sdf import se3, so3
 
 pytest.importorskip("trimesh")

@@ -4,18 +4,18 @@ from dataclasses import replace
 
 import torch
 
-from rumi.belief.filter import FilterSettings, PoseFilter
+from rumi.belief.initialise import InitialiseSettings
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.renewal import RenewalSettings
+from rumi.belief.reinitialise import RenewalSettings
 from rumi.fields.workspace import Workspace
+from rumi.information.stop_rule import StopSettings
 from rumi.loop import rummage
-from rumi.planning.tool import Tool
 from rumi.records import StepRecord
 from rumi.registration.descent import DescentSettings
-from rumi.registration.initialise import InitialiseSettings
-from rumi.replay import LogPolicy, LogTask
-from rumi.rummager import Rummager
-from rumi.stopping import StopSettings
+from rumi.robot.tool import Tool
+from rumi.runs.replay import LogPolicy, LogTask
+from rumi.tasks.rummage.agent import Rummager
 from sdf import se3
 from sdf.object_model import box_model
 from sensors.discrepancy import Discrepancy

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from rumi import cli
-from rumi.bench.mug_mesh import mug_mesh, write_obj
 from rumi.cli import main
-from rumi.config import from_dict, setting_names
-from rumi.recording import load_run
+from rumi.runs.folder import load_run
+from rumi.tasks.rummage.settings import from_dict, setting_names
+from scripts.bench.mug_mesh import mug_mesh, write_obj
 from sdf.primitives import Mug
 
 for package in ("trimesh", "scipy", "networkx"):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rumi.bench.mug_mesh import mug_mesh, write_obj
+from scripts.bench.mug_mesh import mug_mesh, write_obj
 from sdf.primitives import Mug
 
 for package in ("trimesh", "scipy", "networkx"):

@@ -8,15 +8,15 @@ import pytest
 import torch
 
 from rumi import cli
-from rumi.bags.mapping import read_mapping
-from rumi.bags.scene import rummager_of_map, settings_of
 from rumi.cli import main
-from rumi.config import preset, to_dict
 from rumi.errors import UsageError
-from rumi.misfit import misfit
-from rumi.replay import replay
-from rumi.sim.tasks import large_handled_mug
+from rumi.metrics.alignment import misfit
+from rumi.rosbag.mapping import read_mapping
+from rumi.rosbag.scene import rummager_of_map, settings_of
+from rumi.runs.replay import replay
 from rumi.task import Task
+from rumi.tasks.rummage.scenes import large_handled_mug
+from rumi.tasks.rummage.settings import preset, to_dict
 from sdf import se3
 from sdf.primitives import Box, Sphere
 from sensors.observation import Observation, concatenate
@@ -166,7 +166,7 @@ def test_check_of_a_log_without_a_reading_says_so(script, capsys, monkeypatch, t
     [("folder", "folder/check.png"), ("pic", "pic.png"), ("a/b.svg", "a/b.svg"), ("a.b/pic", "a.b/pic.png")],
 )
 def test_check_names_the_picture_that_it_writes(out, written, monkeypatch, tmp_path):
-    from rumi.check_command import _picture
+    from rumi.commands.check import _picture
 
     monkeypatch.chdir(tmp_path)
     Path("folder").mkdir()

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.plain import plain
-from rumi.recording import SCHEMA, RunRecorder, holds_run, load_run, write_json
-from rumi.trace import TraceWriter, read_trace
+from rumi.runs.folder import SCHEMA, RunRecorder, holds_run, load_run, write_json
+from rumi.runs.plain import plain
+from rumi.runs.trace import TraceWriter, read_trace
 
 SETTINGS = {"task": "mug-0", "seed": 3, "stop": {"fit": float("inf")}}
 

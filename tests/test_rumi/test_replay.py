@@ -14,9 +14,9 @@ import torch
 from rumi import cli
 from rumi.belief.particles import PoseBelief
 from rumi.cli import main
-from rumi.logbook import digest
-from rumi.recording import load_run
-from rumi.replay_command import _named, changes
+from rumi.commands.replay import _named, changes
+from rumi.runs.folder import load_run
+from rumi.runs.logbook import digest
 
 pytest.importorskip("h5py")
 

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from rumi.config import preset
 from rumi.errors import DegenerateBeliefError
-from rumi.reproduce import runs
+from rumi.tasks.rummage.settings import preset
+from scripts.reproduce import runs
 
 
 @pytest.fixture

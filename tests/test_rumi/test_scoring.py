@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi import scoring
-from rumi.belief.filter import FilterSettings, PoseFilter
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.fields.workspace import Workspace
 from rumi.metrics.likelihood import self_agreement
 from rumi.planning.rummaging import RummagingPolicy
-from rumi.planning.tool import Tool
-from rumi.rummager import Rummager
+from rumi.robot.tool import Tool
+from rumi.tasks.rummage import scoring
+from rumi.tasks.rummage.agent import Rummager
 from sdf.object_model import mug_model
 from sensors.discrepancy import Discrepancy
 

@@ -9,7 +9,7 @@ import pytest
 
 from rumi import build, cli, preset, rummage
 from rumi.errors import UsageError
-from rumi.sim.tasks import TASKS
+from rumi.tasks.rummage.scenes import TASKS
 from sensors.semantics import Semantics
 
 ROOT = Path(__file__).resolve().parents[2]

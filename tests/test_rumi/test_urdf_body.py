@@ -8,7 +8,7 @@ import torch
 pytest.importorskip("pytorch_kinematics")
 
 from rumi.errors import UsageError
-from rumi.urdf_body import UrdfBody
+from rumi.robot.urdf import UrdfBody
 from sdf import se3
 
 ROBOT = """

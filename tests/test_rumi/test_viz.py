@@ -7,8 +7,8 @@ import torch
 from PIL import Image
 
 from rumi.errors import UsageError
-from rumi.recording import RunRecorder, load_run
-from rumi.sketch import outline_of_points
+from rumi.runs.folder import RunRecorder, load_run
+from rumi.runs.sketch import outline_of_points
 from rumi.viz import style
 from rumi.viz.curves import apc_curve, nll_curve
 from rumi.viz.figures import heading, make_figures, telling_steps

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from sdf.mesh import TriangleMesh
+from sdf.mesh.mesh import TriangleMesh
 
 
 class Shapes:

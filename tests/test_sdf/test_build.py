@@ -10,18 +10,18 @@ import pytest
 import torch
 
 import sdf
-import sdf.build
-from sdf.build import choose_spacing, from_mesh
-from sdf.fill import inside_nodes, unsigned_distances
+import sdf.mesh.build
 from sdf.grid_sdf import GridSDF
 from sdf.lattice import lattice_about
-from sdf.mesh import MeshError, TriangleMesh
-from sdf.mesh_sdf import MeshSDF
+from sdf.mesh.build import choose_spacing, from_mesh
+from sdf.mesh.fill import inside_nodes, unsigned_distances
+from sdf.mesh.mesh import MeshError, TriangleMesh
+from sdf.mesh.mesh_sdf import MeshSDF
+from sdf.mesh.triangles import Triangles
+from sdf.mesh.walls import thinnest_wall
 from sdf.object_model import mesh_model
 from sdf.primitives import Box, Sphere
 from sdf.surface import sample_triangles
-from sdf.triangles import Triangles
-from sdf.walls import thinnest_wall
 
 pytest.importorskip("scipy")
 
@@ -95,7 +95,7 @@ def test_spacing_follows_the_thinnest_wall(shapes):
     tray = shapes.box((0.05, 0.05, 0.0009))
     assert thinnest_wall(Triangles(tray.corners), tray.diagonal) == pytest.approx(0.0018, rel=0.01)
     assert choose_spacing(MeshSDF(tray)) == pytest.approx(0.0009, rel=0.01)
-    assert choose_spacing(MeshSDF(shapes.box())) == sdf.build.SPACING_M
+    assert choose_spacing(MeshSDF(shapes.box())) == sdf.mesh.build.SPACING_M
     # a shape without opposite sides has no wall; a small one has smaller steps
     tetrahedron = shapes.tetrahedron(0.04)
     assert thinnest_wall(Triangles(tetrahedron.corners), tetrahedron.diagonal) is None
@@ -139,8 +139,8 @@ def test_the_cache_saves_the_work(shapes, tmp_path, monkeypatch):
     copy = tmp_path / "another name.obj"
     copy.write_bytes(path.read_bytes())
     with monkeypatch.context() as patch:
-        patch.setattr(sdf.build, "_build", forbidden)
-        patch.setattr(sdf.build, "load_mesh", forbidden)
+        patch.setattr(sdf.mesh.build, "_build", forbidden)
+        patch.setattr(sdf.mesh.build, "load_mesh", forbidden)
         for again in (path, copy):
             table = from_mesh(again, spacing=0.005, cache_dir=str(kept))
             assert torch.equal(table.values, first.values) and torch.equal(table.bounds, first.bounds)
@@ -149,7 +149,7 @@ def test_the_cache_saves_the_work(shapes, tmp_path, monkeypatch):
         for other in ({"padding": 0.03}, {"scale": 0.9}, {"spacing": 0.006}, {"band": 0.01}):
             with pytest.raises(AssertionError, match="again"):
                 from_mesh(path, cache_dir=kept, **{"spacing": 0.005, **other})
-        patch.setattr(sdf.build, "VERSION", -1)
+        patch.setattr(sdf.mesh.build, "VERSION", -1)
         with pytest.raises(AssertionError, match="again"):
             from_mesh(path, spacing=0.005, cache_dir=kept)
     path.write_text(path.read_text().replace("0.05", "0.06"))
@@ -160,7 +160,7 @@ def test_the_cache_saves_the_work(shapes, tmp_path, monkeypatch):
 
 def test_meshes_in_memory_are_kept_by_what_they_hold(shapes, tmp_path, monkeypatch):
     from_mesh(shapes.box(), spacing=0.005, cache_dir=tmp_path)
-    monkeypatch.setattr(sdf.build, "_build", forbidden)
+    monkeypatch.setattr(sdf.mesh.build, "_build", forbidden)
     from_mesh(shapes.box(), spacing=0.005, cache_dir=tmp_path)
     from_mesh(MeshSDF(shapes.box()), spacing=0.005, cache_dir=tmp_path)
     with pytest.raises(AssertionError, match="again"):

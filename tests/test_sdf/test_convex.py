@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from sdf import convex
-from sdf.convex import ConvexSettings, convex_pieces, hull
-from sdf.mesh import MeshError, TriangleMesh
-from sdf.repair import enclosed_volume
-from sdf.rest import center_of_mass
+from sdf.mesh.convex import ConvexSettings, convex_pieces, hull
+from sdf.mesh.mesh import MeshError, TriangleMesh, convex
+from sdf.mesh.repair import enclosed_volume
+from sdf.mesh.rest import center_of_mass
 
 pytest.importorskip("scipy")
 needs_coacd = pytest.mark.skipif(importlib.util.find_spec("coacd") is None, reason="needs coacd")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from sdf import fused
+from sdf import compiled as fused
 
 
 def _squares(values, result):
@@ -45,7 +45,7 @@ def test_code_of_a_changed_building_block_is_not_taken_from_what_is_kept(tmp_pat
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "kept"))
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "user_numba.py").write_text(
-        "from part_numba import part\nfrom sdf.fused import Kernel\n\n\n"
+        "from part_numba import part\nfrom sdf.compiled import Kernel\n\n\n"
         "def _fill(result):\n    result[0] = part()\n\n\nfill = Kernel(_fill)\n"
     )
     found = []

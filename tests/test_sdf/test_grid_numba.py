@@ -6,7 +6,7 @@ import pytest
 import torch
 from numba import prange
 
-from sdf.fused import Kernel
+from sdf.compiled import Kernel
 from sdf.grid_fused import grid_arguments, layer_arguments
 from sdf.grid_numba import lattice_of, layer_value, layer_value_and_gradient, value, value_and_gradient
 from sdf.grid_sdf import GridSDF

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from sdf.mesh import MeshError, TriangleMesh, check_size, load_mesh, merged
+from sdf.mesh.mesh import MeshError, TriangleMesh, check_size, load_mesh, merged
 
 trimesh = pytest.importorskip("trimesh")
 

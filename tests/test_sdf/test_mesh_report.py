@@ -5,8 +5,8 @@ import json
 import pytest
 import torch
 
-from sdf.mesh import TriangleMesh
-from sdf.mesh_report import report
+from sdf.mesh.mesh import TriangleMesh
+from sdf.mesh.mesh_report import report
 
 pytest.importorskip("scipy")
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from sdf.mesh import MeshError, TriangleMesh
-from sdf.mesh_sdf import MeshSDF
-from sdf.openings import close_openings, open_rings
+from sdf.mesh.mesh import MeshError, TriangleMesh
+from sdf.mesh.mesh_sdf import MeshSDF
+from sdf.mesh.openings import close_openings, open_rings
+from sdf.mesh.repair import enclosed_volume, repaired
 from sdf.primitives import Box
-from sdf.repair import enclosed_volume, repaired
 
 pytest.importorskip("scipy")
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sdf import se3, so3
-from sdf.rest import center_of_mass, resting_poses, turn_to_z, upright
+from sdf.mesh.rest import center_of_mass, resting_poses, turn_to_z, upright
 
 pytest.importorskip("trimesh")
 pytest.importorskip("networkx")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sdf.savings import Work, account, work
+from sdf.skipped_work import Work, account, work
 
 
 def do(done: float, whole: float, name: str = "points") -> None:

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from sdf import se3
+from sdf.mesh.triangles import Triangles
 from sdf.sweep import nearest_on_rectangle, sweep_mesh, sweep_rectangle, turned
-from sdf.triangles import Triangles
 
 F64 = torch.float64
 HALF = torch.tensor([0.1, 0.05], dtype=F64)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from rumi.metrics.pose_error import pose_error
 from sdf import se3, so3
-from sdf.find_symmetry import find_symmetries, mesh_symmetries
 from sdf.grid_sdf import GridSDF
-from sdf.mesh_sdf import MeshSDF
+from sdf.mesh.find_symmetry import find_symmetries, mesh_symmetries
+from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Capsule, Cup, Cylinder, Mug, Placed, Sphere, Union
 from sdf.surface import sample_surface
 from sdf.symmetry import Symmetries, about, closure

@@ -3,9 +3,10 @@
 import pytest
 import torch
 
-from sdf import backend, fused
-from sdf.touched import touched_face
-from sdf.triangles import Triangles, closest_point, nearest
+from sdf import backend
+from sdf import compiled as fused
+from sdf.mesh.touched import touched_face
+from sdf.mesh.triangles import Triangles, closest_point, nearest
 
 
 def triangles(count=60, dtype=torch.float64):

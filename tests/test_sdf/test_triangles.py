@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from sdf import backend
+from sdf.mesh.tree import build_tree, split_long
+from sdf.mesh.triangles import Triangles, area_vectors, nearest, solid_angle, winding_number
 from sdf.primitives import Box
-from sdf.tree import build_tree, split_long
-from sdf.triangles import Triangles, area_vectors, nearest, solid_angle, winding_number
 
 # every test of this file holds for the plain and for the fused version
 pytestmark = pytest.mark.usefixtures("version")

@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.bench.known_scenes import SCENES, pressed_bubble, with_noise
+from scripts.bench.known_scenes import SCENES, pressed_bubble, with_noise
 from sdf import se3
-from sensors.bubble import Bubble, BubbleSettings, bubble_patch
 from sensors.semantics import Semantics
+from sensors.touch.bubble import Bubble, BubbleSettings, bubble_patch
 
 pytest.importorskip("cv2")
 

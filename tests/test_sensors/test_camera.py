@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from sdf import se3
 from sdf.primitives import Box, Sphere
-from sensors.camera import depth_observation, depth_shown, lattice_points, look_at, pinhole, pixel_rays
 from sensors.semantics import Semantics
+from sensors.vision.camera import depth_observation, depth_shown, lattice_points, look_at, pinhole, pixel_rays
 
 HEIGHT, WIDTH = 60, 80
 EYE, TARGET = (-0.25, 0.05, 0.30), (0.40, 0.0, 0.04)

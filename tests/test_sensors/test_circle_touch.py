@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from sdf.sweep import sweep_rectangle
-from sensors.circle_touch import CircleTouches, width_share
+from sensors.touch.circle_touch import CircleTouches, width_share
 
 F64 = torch.float64
 HALF = torch.tensor([0.1, 0.05], dtype=F64)

@@ -3,12 +3,12 @@
 import pytest
 import torch
 
-from rumi.bench.known_scenes import SCENES, scene_view, with_noise
+from scripts.bench.known_scenes import SCENES, scene_view, with_noise
 from sdf import se3
-from sensors.camera import pixel_points
-from sensors.cloud import cloud_observation, organised_intrinsics, pinhole_about
 from sensors.semantics import Semantics
-from sensors.view import ViewSettings, view_observation
+from sensors.vision.camera import pixel_points
+from sensors.vision.cloud import cloud_observation, organised_intrinsics, pinhole_about
+from sensors.vision.view import ViewSettings, view_observation
 
 pytest.importorskip("cv2")
 

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.primitives import Box, Sphere
-from sensors.contact_model import (
+from sensors.evidence import Evidence
+from sensors.touch.contact_model import (
     ContactFreeSweep,
     ContactModel,
     ContactReadings,
@@ -18,7 +19,6 @@ from sensors.contact_model import (
     robot_distance,
     touching_probability,
 )
-from sensors.evidence import Evidence
 
 F64 = torch.float64
 BALL = Sphere(0.05).double()

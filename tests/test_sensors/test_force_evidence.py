@@ -6,16 +6,16 @@ import pytest
 import torch
 
 from sdf import se3
-from sdf.convex import hull
-from sdf.mesh import TriangleMesh
+from sdf.mesh.convex import hull
+from sdf.mesh.mesh import TriangleMesh
+from sdf.mesh.triangles import Triangles
 from sdf.primitives import Sphere
-from sdf.triangles import Triangles
-from sensors.contact_model import ContactModel
 from sensors.evidence import Evidence
+from sensors.force.force_torque import WrenchContact, WrenchNoise, WrenchStatus, wrench_contact
+from sensors.force.tool_surface import SphereTool
 from sensors.force_evidence import signal_weight, torque_readings, wrench_observation, wrench_touches
-from sensors.force_torque import WrenchContact, WrenchNoise, WrenchStatus, wrench_contact
 from sensors.semantics import Semantics
-from sensors.tool_surface import SphereTool
+from sensors.touch.contact_model import ContactModel
 
 F64 = torch.float64
 HALF = torch.tensor([0.03, 0.08, 0.05], dtype=F64)

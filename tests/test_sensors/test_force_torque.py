@@ -9,17 +9,17 @@ import torch
 from torch import Tensor
 
 from sdf import backend
-from sdf.convex import hull
-from sdf.mesh import MeshError, TriangleMesh
+from sdf.mesh.convex import hull
+from sdf.mesh.mesh import MeshError, TriangleMesh
 from sdf.primitives import Box
-from sensors.force_torque import (
+from sensors.force.force_torque import (
     WrenchContact,
     WrenchNoise,
     WrenchSettings,
     WrenchStatus,
     wrench_contact,
 )
-from sensors.tool_surface import ConvexTool, SphereTool, ToolSurface
+from sensors.force.tool_surface import ConvexTool, SphereTool, ToolSurface
 
 F64 = torch.float64
 RADIUS = 0.0125

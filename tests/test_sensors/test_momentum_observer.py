@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from sensors.momentum_observer import (
+from sensors.force.momentum_observer import (
     DynamicsTerms,
     MomentumObserver,
     RobotDynamics,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from sensors.camera import pinhole, pixel_rays
-from sensors.pcd import lzf_decompressed, read_pcd
-from sensors.point_files import read_cloud
+from sensors.vision.camera import pinhole, pixel_rays
+from sensors.vision.pcd import lzf_decompressed, read_pcd
+from sensors.vision.point_files import read_cloud
 
 POINTS = np.array([[0.1, 0.2, 0.3], [-1.0, 2.0, 0.5], [0.0, 0.0, np.nan], [4.0, 5.0, 6.0]], dtype=np.float32)
 COLORS = np.array([[255, 0, 1], [2, 250, 3], [4, 5, 240], [10, 20, 30]], dtype=np.uint8)

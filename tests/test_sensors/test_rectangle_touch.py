@@ -5,10 +5,11 @@ import math
 import pytest
 import torch
 
-from sdf import backend, fused
+from sdf import backend
+from sdf import compiled as fused
 from sdf.sweep import nearest_on_rectangle, sweep_rectangle, turned
-from sensors.rectangle_touch import RectangleTouches, rectangle_log_likelihoods, way_clearance, way_clearances
-from sensors.touch_likelihood import TouchNoise
+from sensors.touch.rectangle_touch import RectangleTouches, rectangle_log_likelihoods, way_clearance, way_clearances
+from sensors.touch.touch_likelihood import TouchNoise
 
 F64 = torch.float64
 HALF = torch.tensor([0.1, 0.05], dtype=F64)

@@ -5,7 +5,7 @@ import torch
 
 from sdf import se3
 from sdf.primitives import Box, Capsule, Sphere
-from sensors.robot_body import RobotBody
+from sensors.vision.robot_body import RobotBody
 
 
 def test_points_near_any_link_are_found_as_by_distance_alone():

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sensors.segmentation import Plane, cluster_mask, color_mask, fit_plane
+from sensors.vision.segmentation import Plane, cluster_mask, color_mask, fit_plane
 
 pytest.importorskip("cv2")
 

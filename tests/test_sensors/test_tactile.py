@@ -7,7 +7,7 @@ import torch
 
 from sdf import se3
 from sensors.semantics import Semantics
-from sensors.tactile import InstantPoints, swept_points, tactile_observation, touched_points
+from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
 
 REGION = torch.tensor([[0.0, -0.1, 0.0], [0.2, 0.1, 0.08]], dtype=torch.float64)
 

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from sdf import so3
-from sensors.tool_load import GRAVITY, ToolLoad, calibrate_load
+from sensors.force.tool_load import GRAVITY, ToolLoad, calibrate_load
 
 F64 = torch.float64
 LOAD = ToolLoad(

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from sensors.force_torque import WrenchNoise, WrenchStatus
-from sensors.tool_parts import box_tool, ellipsoid_tool, parts_contact
+from sensors.force.force_torque import WrenchNoise, WrenchStatus
+from sensors.force.tool_parts import box_tool, ellipsoid_tool, parts_contact
 
 NOISE = WrenchNoise(0.01, 0.0002).covariance()
 AXES = (0.035, 0.018, 0.022)

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from sdf import se3, so3
-from sdf.triangles import Triangles
+from sdf.mesh.triangles import Triangles
 from sensors.evidence import Evidence
-from sensors.touch_likelihood import (
+from sensors.touch.touch_likelihood import (
     Touches,
     TouchNoise,
     box_face_log_likelihoods,

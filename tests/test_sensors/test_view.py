@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.bench.known_scenes import SCENES, scene_view, with_noise
+from scripts.bench.known_scenes import SCENES, scene_view, with_noise
 from sdf import se3
 from sdf.primitives import Capsule
-from sensors.camera import free_lattice, free_points, lattice_points
-from sensors.depth_filters import EdgeSettings, nearest_about, reliable
-from sensors.images import depth_metres, undistorted
-from sensors.persistence import Persistence
-from sensors.robot_body import RobotBody
 from sensors.semantics import Semantics
-from sensors.view import ViewSettings, view_observation
+from sensors.vision.camera import free_lattice, free_points, lattice_points
+from sensors.vision.depth_filters import EdgeSettings, nearest_about, reliable
+from sensors.vision.images import depth_metres, undistorted
+from sensors.vision.persistence import Persistence
+from sensors.vision.robot_body import RobotBody
+from sensors.vision.view import ViewSettings, view_observation
 
 pytest.importorskip("cv2")
 
@@ -160,8 +160,8 @@ def test_the_robot_is_cut_out_of_the_object(scene):
     """A finger before the object, in its mask: its points are none of the object's, what is behind it is not free."""
     finger = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.06), 0.008)
     world_T_finger = se3.make(torch.eye(3), torch.tensor([0.25, 0.0, 0.07]))
-    from rumi.bench.known_scenes import traced
-    from sensors.camera import pixel_rays
+    from scripts.bench.known_scenes import traced
+    from sensors.vision.camera import pixel_rays
 
     eye, turn = scene.world_T_camera[:3, 3].double(), scene.world_T_camera[:3, :3].double()
     ways = pixel_rays(HEIGHT, WIDTH, scene.intrinsics.double()).reshape(-1, 3) @ turn.mT

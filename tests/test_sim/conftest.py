@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("pytorch_kinematics")
 
-from rumi.sim.tasks import TASKS, large_handled_mug, make_tool
+from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_tool
 
 
 @pytest.fixture(scope="session")

@@ -10,17 +10,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.assemble import build
-from rumi.config import preset
 from rumi.dynamics.base import PushModel
-from rumi.dynamics.family import ENGINES, EngineSettings, PushModels
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.quasi_static import QuasiStaticModel
+from rumi.dynamics.registry import ENGINES, EngineSettings, PushModels
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
-from rumi.planning.tool import Tool
-from rumi.sim.batch_push import MujocoPush
+from rumi.robot.tool import Tool
+from rumi.sim.push_model import MujocoPush
 from rumi.sim.world import World
+from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.settings import preset
 from sdf import se3, so3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.bench.mug_mesh import mug_mesh
 from rumi.errors import UsageError
-from rumi.planning.gripper import GripperShape
+from rumi.robot.gripper import GripperShape
 from rumi.sim.bodies import body_of, pieces
 from rumi.sim.settings import PhysicsSettings
 from rumi.sim.world import World
+from scripts.bench.mug_mesh import mug_mesh
 from sdf import se3, so3
 from sdf.grid_sdf import GridSDF
-from sdf.mesh import TriangleMesh
-from sdf.mesh_sdf import MeshSDF
+from sdf.mesh.mesh import TriangleMesh
+from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Capsule, Cup, Cylinder, Mug, Placed, Sphere, TorusArc, Union
 
 pytest.importorskip("scipy")

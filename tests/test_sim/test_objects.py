@@ -7,14 +7,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.assemble import build
-from rumi.bench.mug_mesh import mug_mesh, write_obj
-from rumi.config import preset
 from rumi.errors import UsageError
-from rumi.sim.objects import ObjectSettings, own_model, record, with_object
-from rumi.sim.tasks import TASKS
+from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.objects import ObjectSettings, own_model, record, with_object
+from rumi.tasks.rummage.scenes import TASKS
+from rumi.tasks.rummage.settings import preset
+from scripts.bench.mug_mesh import mug_mesh, write_obj
 from sdf import se3, so3
-from sdf.mesh import TriangleMesh
+from sdf.mesh.mesh import TriangleMesh
 from sdf.primitives import Mug
 
 pytest.importorskip("trimesh")

@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from rumi.jsonlines import append_line, read_lines
+from rumi.runs.jsonlines import append_line, read_lines
 
 pytestmark = pytest.mark.sim
 

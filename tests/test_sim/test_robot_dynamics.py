@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from sensors.momentum_observer import MomentumObserver
+from sensors.force.momentum_observer import MomentumObserver
 
 pytestmark = pytest.mark.sim
 mujoco = pytest.importorskip("mujoco")

@@ -8,19 +8,19 @@ import torch
 
 pytest.importorskip("cv2")
 
-from rumi.assemble import build_rummager
-from rumi.config import from_dict, preset, to_dict
+from rumi.commands.run import parse_run
 from rumi.errors import UsageError
-from rumi.planning.gripper import GripperShape
-from rumi.planning.gripper_body import Ellipsoid, gripper_links
-from rumi.run_command import parse_run
+from rumi.robot.gripper import GripperShape
+from rumi.robot.gripper_body import Ellipsoid, gripper_links
 from rumi.sim.bubble_camera import BubbleCamera
 from rumi.sim.sensor_settings import SensorSettings, degraded
 from rumi.sim.settings import SimSettings
-from rumi.sim.tasks import TASKS, make_task
+from rumi.tasks.rummage.build import build_rummager
+from rumi.tasks.rummage.scenes import TASKS, make_task
+from rumi.tasks.rummage.settings import from_dict, preset, to_dict
 from sdf import se3
-from sensors.bubble import Bubble, BubbleSettings, bubble_patch
 from sensors.semantics import Semantics
+from sensors.touch.bubble import Bubble, BubbleSettings, bubble_patch
 
 pytestmark = pytest.mark.sim
 
@@ -87,7 +87,7 @@ def test_wrong_calibration_stays_for_a_run_and_is_as_large_as_said(arm_tool, mug
     task.reset(1001)
     assert not torch.equal(task._off, first)
     # about the workspace its middle is off by the shift alone; about the sensor by 12 mm more or less
-    from sensors.camera import look_at
+    from sensors.vision.camera import look_at
 
     camera = task.spec.camera
     target = torch.tensor(camera.target).double()

@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.assemble import build_rummager
-from rumi.config import preset
 from rumi.errors import UsageError
 from rumi.loop import rummage
-from rumi.planning.gripper import GripperShape
+from rumi.robot.gripper import GripperShape
 from rumi.sim.settings import PhysicsSettings, SimSettings
-from rumi.sim.tasks import TASKS, find_task, make_task, make_tool
 from rumi.sim.world import World
+from rumi.tasks.rummage.build import build_rummager
+from rumi.tasks.rummage.scenes import TASKS, find_task, make_task, make_tool
+from rumi.tasks.rummage.settings import preset
 from sdf import se3
 from sdf.drill import Drill, drill_model
 from sdf.object_model import box_model

@@ -8,7 +8,7 @@ import torch
 
 from rumi.errors import UsageError
 from rumi.sim.settings import SimSettings
-from rumi.sim.tasks import TASKS, make_task
+from rumi.tasks.rummage.scenes import TASKS, make_task
 from sdf import se3
 from sensors.observation import attach
 from sensors.semantics import Semantics

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.fields.arm import ArmGeometry
+from rumi.robot.arm import ArmGeometry
 from rumi.sim.settings import SimSettings
-from rumi.sim.tasks import TASKS, find_task, make_task, make_tool
+from rumi.tasks.rummage.scenes import TASKS, find_task, make_task, make_tool
 from sdf import se3
 from sensors.semantics import Semantics
 
@@ -194,7 +194,7 @@ def test_tool_of_a_task(tmp_path):
 
 
 def test_reach_is_kept_on_disk(cache, arm_tool, monkeypatch):
-    from rumi.fields import reach_table
+    from rumi.robot import reach_table
 
     monkeypatch.setattr(reach_table, "solve_table", lambda settings: pytest.fail("solved again"))
     again = make_tool(TASKS["mug-1"], cache_dir=cache)
@@ -202,7 +202,8 @@ def test_reach_is_kept_on_disk(cache, arm_tool, monkeypatch):
 
 
 def test_tasks_load_no_simulator():
-    code = "import sys, rumi.sim.tasks; print([m for m in ('mujoco', 'pytorch_kinematics') if m in sys.modules])"
+    code = "import sys, rumi.tasks.rummage.scenes\n"
+    code += "print([m for m in ('mujoco', 'pytorch_kinematics') if m in sys.modules])"
     assert (
         subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2]

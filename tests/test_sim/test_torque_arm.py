@@ -10,7 +10,7 @@ import torch
 pytestmark = pytest.mark.sim
 pytest.importorskip("mujoco")
 from rumi.errors import UsageError  # noqa: E402
-from rumi.fields.arm import Arm, ArmGeometry  # noqa: E402
+from rumi.robot.arm import Arm, ArmGeometry  # noqa: E402
 from rumi.sim.arm_motion import ArmKinematics, joint_path  # noqa: E402
 from rumi.sim.arm_scene import ArmPhysics  # noqa: E402
 from rumi.sim.torque_arm import TorqueArm, TorqueSettings  # noqa: E402

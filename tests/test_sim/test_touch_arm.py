@@ -10,9 +10,9 @@ from torch import Tensor
 pytestmark = pytest.mark.sim
 pytest.importorskip("mujoco")
 from rumi.sim.torque_arm import Felt, TorqueSettings  # noqa: E402
-from rumi.sim.touch_arm import ArmRobot, make_arm  # noqa: E402
-from rumi.touch.robot import Touched, TouchRobot  # noqa: E402
-from rumi.touch.task import BoxTruth, TouchTask  # noqa: E402
+from rumi.tasks.touch_box.arm_robot import ArmRobot, make_arm  # noqa: E402
+from rumi.tasks.touch_box.robot import Touched, TouchRobot  # noqa: E402
+from rumi.tasks.touch_box.scene import BoxTruth, TouchTask  # noqa: E402
 
 F64 = torch.float64
 TASK = TouchTask()

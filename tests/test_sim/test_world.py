@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.planning.gripper import GripperShape
+from rumi.robot.gripper import GripperShape
 from rumi.sim.bodies import pieces
 from rumi.sim.settings import PhysicsSettings
 from rumi.sim.world import World

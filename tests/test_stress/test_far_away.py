@@ -5,26 +5,26 @@ import re
 import pytest
 import torch
 
-from rumi.belief.filter import FilterSettings, PoseFilter
 from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.fields.workspace import Workspace
-from rumi.registration.localize import LocalizeSettings, localize
+from rumi.registration.from_contacts import LocalizeSettings, localize
 from rumi.registration.register import RegisterSettings, register
 from rumi.registration.touch_surface import TouchSurface
 from sdf import se3
 from sdf.check import ROUNDING_M, check_near
 from sdf.grid_sdf import GridSDF
-from sdf.mesh import TriangleMesh
+from sdf.mesh.mesh import TriangleMesh
 from sdf.posed import posed_distance
 from sdf.primitives import Box
 from sdf.recentred import Recentred
-from sensors.camera import depth_observation, pinhole
-from sensors.cloud import cloud_observation
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
 from sensors.semantics import Semantics
-from sensors.view import ViewSettings, view_observation
+from sensors.vision.camera import depth_observation, pinhole
+from sensors.vision.cloud import cloud_observation
+from sensors.vision.view import ViewSettings, view_observation
 
 F64 = torch.float64
 MAP = torch.tensor([412_345.678, 5_812_345.25, 37.5], dtype=F64)

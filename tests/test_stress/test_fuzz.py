@@ -10,11 +10,11 @@ import torch
 from hypothesis import strategies as st
 
 from rumi.cli import main
-from rumi.stress.fuzz.draw import Given, Seeded, number, tensor
-from rumi.stress.fuzz.files import Bomb, damaged, originals, pickled
-from rumi.stress.fuzz.recordings import WHOLE
-from rumi.stress.fuzz.run import PickleLoadedError, many, no_pickles, one
-from rumi.stress.fuzz.targets import TARGETS
+from tests.stress.fuzz.draw import Given, Seeded, number, tensor
+from tests.stress.fuzz.files import Bomb, damaged, originals, pickled
+from tests.stress.fuzz.recordings import WHOLE
+from tests.stress.fuzz.run import PickleLoadedError, many, no_pickles, one
+from tests.stress.fuzz.targets import TARGETS
 
 warnings.filterwarnings("ignore", module="numpy")
 pytestmark = pytest.mark.usefixtures("no_shape_check")

@@ -12,21 +12,21 @@ import numpy as np
 import pytest
 import torch
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
-from rumi.fields import reach_table
-from rumi.fields.reach_table import ReachSettings, ReachTable
-from rumi.jsonlines import append_line, read_lines
-from rumi.recording import RunRecorder, load_run, write_json
+from rumi.robot import reach_table
+from rumi.robot.reach_table import ReachSettings, ReachTable
+from rumi.runs.folder import RunRecorder, load_run, write_json
+from rumi.runs.jsonlines import append_line, read_lines
 from rumi.sim.settings import SimSettings
-from rumi.sim.tasks import find_task, make_tool
-from rumi.stress import killed_checks, killed_commands, kills
-from rumi.stress.killed_commands import kill_commands
-from rumi.stress.kills import kill_many
-from rumi.stress.made_run import made_steps
-from rumi.stress.processes import Commands
+from rumi.tasks.rummage.scenes import find_task, make_tool
 from sdf.cache import keep_arrays, load_arrays, save_arrays
+from tests.stress import killed_checks, killed_commands, kills
+from tests.stress.killed_commands import kill_commands
+from tests.stress.kills import kill_many
+from tests.stress.made_run import made_steps
+from tests.stress.processes import Commands
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signal")
 
@@ -220,7 +220,7 @@ def test_steps_that_are_lost_or_others_are_missed(kind, tmp_path):
 def test_a_command_on_a_full_disk_says_so_and_leaves_its_steps(kind, commands, cache, tmp_path, grow):
     asked = [*killed_commands.RUN, "--record", "--out", "run"]
     command = commands.begin(asked, tmp_path, "run", cache=cache, grow=grow)
-    command.finish((cli.BAD_INPUT,))
+    command.finish((exit_codes.BAD_INPUT,))
     said = command.err.read_text()
     assert "File too large" in said
     steps = sum(line.startswith(("first view:", "action ")) for line in said.splitlines())

@@ -1,7 +1,7 @@
 """A belief over many readings."""
 
 from rumi.cli import main
-from rumi.stress.long_run import long_run
+from tests.stress.long_run import long_run
 
 
 def test_two_hundred_readings_stay_with_the_truth():

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from rumi.cli import main
-from rumi.stress import exact, subjects
-from rumi.stress.on_device import on_device, sweeps_there
-from rumi.stress.sweep import SWEEPS, Sweep, carry_out, register
 from sdf import se3, so3
+from tests.stress import exact, subjects
+from tests.stress.on_device import on_device, sweeps_there
+from tests.stress.sweep import SWEEPS, Sweep, carry_out, register
 
 subjects.load()
 QUICK = [name for name, sweep in SWEEPS.items() if not sweep.slow and "compositions" not in name]

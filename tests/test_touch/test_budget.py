@@ -10,12 +10,12 @@ from rumi import cli
 from rumi.cli import main
 from rumi.clock import SimulatedClock
 from rumi.errors import UsageError
-from rumi.touch.budget import BudgetedChoice
-from rumi.touch.grasping import clearance_table
-from rumi.touch.localise import Toucher, localise
-from rumi.touch.planar_robot import PlanarRobot
-from rumi.touch.settings import TouchSettings
-from rumi.touch.task import TouchTask
+from rumi.tasks.grasp_table import clearance_table
+from rumi.tasks.touch_box.agent import Toucher, localise
+from rumi.tasks.touch_box.budget import BudgetedChoice
+from rumi.tasks.touch_box.planar_robot import PlanarRobot
+from rumi.tasks.touch_box.scene import TouchTask
+from rumi.tasks.touch_box.settings import TouchSettings
 
 TASK = TouchTask(rates=(0.9, 0.05))
 TABLE = clearance_table(0.03, 0.08, 0.08)
@@ -87,7 +87,7 @@ def test_a_run_within_a_time():
 
 def test_the_command(monkeypatch, tmp_path, capsys):
     pytest.importorskip("mujoco")
-    monkeypatch.setattr("rumi.sim.touch_grasps.grasp_table", lambda *a, **k: TABLE)
+    monkeypatch.setattr("rumi.tasks.touch_box.grasps.grasp_table", lambda *a, **k: TABLE)
     monkeypatch.chdir(tmp_path)
     quick = ["run", "touch-box", "--robot", "planar", "--count", "60", "--actions", "1", "--no-figures"]
     quick += ["--poke.candidates", "3", "--poke.particles", "20"]

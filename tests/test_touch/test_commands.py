@@ -7,16 +7,16 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from rumi import cli
 from rumi.cli import main
-from rumi.jsonlines import read_lines
-from rumi.touch.grasping import clearance_table
+from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
+from rumi.runs.jsonlines import read_lines
+from rumi.tasks.grasp_table import clearance_table
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch, tmp_path):
     """The grasps' table is simulated elsewhere; runs write where nothing else is."""
-    monkeypatch.setattr("rumi.sim.touch_grasps.grasp_table", lambda *a, **k: clearance_table(0.03, 0.08, 0.08))
+    monkeypatch.setattr("rumi.tasks.touch_box.grasps.grasp_table", lambda *a, **k: clearance_table(0.03, 0.08, 0.08))
     monkeypatch.setenv("RUMI_CACHE", str(tmp_path / "cache"))
     monkeypatch.chdir(tmp_path)
 
@@ -27,7 +27,7 @@ QUICK = ["--robot", "planar", "--count", "100", "--actions", "2", "--task.rates"
 def test_a_run_leaves_its_folder(capsys):
     code = main(["run", "touch-box", *QUICK, "--seed", "2001", "--push-model", "displacement"])
     result = json.loads(Path("runs/touch-box-sequence-planar-s2001/result.json").read_text())
-    assert code == (cli.DONE if result["lifted"] else cli.NOT_CONVERGED)
+    assert code == (DONE if result["lifted"] else NOT_CONVERGED)
     assert result["actions"] == len(result["steps"]) <= 2
     settings = json.loads(Path("runs/touch-box-sequence-planar-s2001/settings.json").read_text())
     assert settings["task"]["rates"] == [0.9, 0.05]
@@ -46,9 +46,9 @@ def test_figures_are_drawn():
 
 @pytest.mark.parametrize("out", ["file", "file/run"])
 def test_a_folder_that_cannot_be_written_is_refused_before_the_run(out, monkeypatch, capsys):
-    monkeypatch.setattr("rumi.touch.make.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
+    monkeypatch.setattr("rumi.tasks.touch_box.build.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
     Path("file").write_text("in the way")
-    assert main(["run", "touch-box", *QUICK, "--out", out]) == cli.BAD_INPUT
+    assert main(["run", "touch-box", *QUICK, "--out", out]) == BAD_INPUT
     said = capsys.readouterr().err
     assert f"Cannot write to the folder {out}" in said and "give another one" in said
 
@@ -56,16 +56,19 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_run(out, monkeypa
 def test_a_folder_with_a_run_is_refused_and_other_files_stay(capsys):
     Path("own").mkdir()
     Path("own/notes.txt").write_text("mine")
-    assert main(["run", "touch-box", *QUICK, "--no-figures", "--out", "own"]) in (cli.DONE, cli.NOT_CONVERGED)
+    assert main(["run", "touch-box", *QUICK, "--no-figures", "--out", "own"]) in (
+        DONE,
+        NOT_CONVERGED,
+    )
     assert Path("own/notes.txt").read_text() == "mine"
     before = Path("own/result.json").read_bytes()
-    assert main(["run", "touch-box", *QUICK, "--out", "own"]) == cli.BAD_INPUT
+    assert main(["run", "touch-box", *QUICK, "--out", "own"]) == BAD_INPUT
     assert "own holds a run already" in capsys.readouterr().err
     assert Path("own/result.json").read_bytes() == before
 
 
 def test_an_interrupt_leaves_the_pokes_that_were_done(monkeypatch, capsys):
-    from rumi.touch.planar_robot import PlanarRobot
+    from rumi.tasks.touch_box.planar_robot import PlanarRobot
 
     execute, done = PlanarRobot.execute, []
 
@@ -76,7 +79,7 @@ def test_an_interrupt_leaves_the_pokes_that_were_done(monkeypatch, capsys):
         return done[0]
 
     monkeypatch.setattr(PlanarRobot, "execute", interrupt)
-    assert main(["run", "touch-box", *QUICK, "--seed", "2001", "--out", "own"]) == cli.INTERRUPTED
+    assert main(["run", "touch-box", *QUICK, "--seed", "2001", "--out", "own"]) == INTERRUPTED
     assert "1 poke done so far: see own" in capsys.readouterr().err
     assert json.loads(Path("own/settings.json").read_text())["seed"] == 2001
     (poke,) = (line for line, _ in read_lines(Path("own/steps.jsonl")))
@@ -88,8 +91,8 @@ def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
     def interrupt(*arguments, **named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("rumi.touch.make.make_toucher", interrupt)
-    assert main(["run", "touch-box", *QUICK]) == cli.INTERRUPTED
+    monkeypatch.setattr("rumi.tasks.touch_box.build.make_toucher", interrupt)
+    assert main(["run", "touch-box", *QUICK]) == INTERRUPTED
     assert not list(Path("runs").iterdir())
 
 
@@ -119,9 +122,9 @@ def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
     ],
 )
 def test_what_cannot_be_is_refused(arguments, message, monkeypatch, capsys):
-    monkeypatch.setattr("rumi.reproduce.touch.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
+    monkeypatch.setattr("scripts.reproduce.touch.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
     Path("file").write_text("in the way")
-    assert main(arguments) == cli.BAD_INPUT
+    assert main(arguments) == BAD_INPUT
     assert message in capsys.readouterr().err
     assert not Path("runs").exists()
 
@@ -130,22 +133,22 @@ def test_a_table_is_made_of_runs_that_are_done_once(capsys):
     pytest.importorskip("matplotlib")
     asked = ["--methods", "max-contact", "uninformed", "--seeds", "2000-2001", "--robot", "planar"]
     asked += ["--settings.count", "100", "--settings.actions", "2"]
-    assert main(["reproduce", "touch-table1", *asked]) == cli.DONE
+    assert main(["reproduce", "touch-table1", *asked]) == DONE
     lines = [line for line, _ in read_lines(Path("runs/reproduce/touch.jsonl"))]
     assert len(lines) == 4
     first = capsys.readouterr().out
     assert "| max-contact |" in first and "| uninformed |" in first and "believed at the grasp" in first
-    assert main(["reproduce", "touch-table1", "touch-fig3", *asked, "--show"]) == cli.DONE
+    assert main(["reproduce", "touch-table1", "touch-fig3", *asked, "--show"]) == DONE
     shown = capsys.readouterr().out
     assert first.strip() in shown
     assert "Median seconds a poke: whole poke" in shown
-    assert main(["reproduce", "touch-table1", *asked]) == cli.DONE
+    assert main(["reproduce", "touch-table1", *asked]) == DONE
     assert len(list(read_lines(Path("runs/reproduce/touch.jsonl")))) == 4
 
 
 def test_other_tables_and_figures(capsys):
     pytest.importorskip("matplotlib")
-    assert main(["reproduce", "touch-table2", "touch-fig4", "--runs", "4"]) == cli.DONE
+    assert main(["reproduce", "touch-table2", "touch-fig4", "--runs", "4"]) == DONE
     said = capsys.readouterr().out
     assert "| smooth+replay |" in said and "0.018 (position)" in said
     assert Path("runs/reproduce/touch-fig4.png").stat().st_size > 10_000

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from rumi.touch.grasping import GraspTable, best_grasp, clearance_table, relative
+from rumi.tasks.grasp_table import GraspTable, best_grasp, clearance_table, relative
 
 TABLE = clearance_table(0.03, 0.08, 0.08)
 

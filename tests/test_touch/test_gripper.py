@@ -8,13 +8,13 @@ import torch
 
 pytest.importorskip("mujoco")
 
-from rumi.dynamics.carry import carry
+from rumi.dynamics.along_path import carry
 from rumi.dynamics.sliding import Sliding
-from rumi.sim import touch_grasps
-from rumi.sim.touch_carry import MujocoCarry
-from rumi.sim.touch_gripper import GripperRobot
-from rumi.touch.robot import TouchRobot
-from rumi.touch.task import BoxTruth, TouchTask
+from rumi.tasks.touch_box import grasps as touch_grasps
+from rumi.tasks.touch_box.gripper_robot import GripperRobot
+from rumi.tasks.touch_box.mujoco_push import MujocoCarry
+from rumi.tasks.touch_box.robot import TouchRobot
+from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
 from sdf.cache import save_arrays
 
 TASK = TouchTask(rates=(1.0, 0.0))

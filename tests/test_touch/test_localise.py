@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.touch.grasping import clearance_table
-from rumi.touch.localise import Toucher, likeliest, localise, signals
-from rumi.touch.planar_robot import PlanarRobot
-from rumi.touch.records import calibration, figures_of, summarise, table
-from rumi.touch.robot import Touched
-from rumi.touch.selection import choose
-from rumi.touch.settings import PokeSettings, TouchSettings
-from rumi.touch.task import TouchTask
+from rumi.tasks.grasp_table import clearance_table
+from rumi.tasks.touch_box.agent import Toucher, likeliest, localise, signals
+from rumi.tasks.touch_box.planar_robot import PlanarRobot
+from rumi.tasks.touch_box.report import calibration, figures_of, summarise, table
+from rumi.tasks.touch_box.robot import Touched
+from rumi.tasks.touch_box.scene import TouchTask
+from rumi.tasks.touch_box.selection import choose
+from rumi.tasks.touch_box.settings import PokeSettings, TouchSettings
 
 TASK = TouchTask(rates=(0.9, 0.05))
 TABLE = clearance_table(0.03, 0.08, 0.08)
@@ -71,7 +71,7 @@ def test_a_poke_ends_where_the_belief_expects_contact():
 
 
 def own_truth():
-    from rumi.touch.task import BoxTruth
+    from rumi.tasks.touch_box.scene import BoxTruth
 
     return BoxTruth(torch.tensor([0.4, 0.0, 0.0], dtype=torch.float64), 0.4, 0.4, 0.5)
 
@@ -116,7 +116,7 @@ def test_the_reading_that_is_simulated_is_the_likeliest_particle_s(monkeypatch):
         seen.append(rollouts)
         return choose(method, rollouts, *others, **named)
 
-    monkeypatch.setattr("rumi.touch.localise.choose", watched)
+    monkeypatch.setattr("rumi.tasks.touch_box.agent.choose", watched)
     own = toucher(replace(SETTINGS, method="ml-observation", poke=PokeSettings(candidates=3, particles=20)))
     belief = own.filter.initial(1, 200, generator=torch.Generator().manual_seed(0))
     weights = torch.zeros(1, 200, dtype=torch.float64)

@@ -5,10 +5,10 @@ import math
 import pytest
 import torch
 
-from rumi.dynamics.carry import distance_to
+from rumi.dynamics.along_path import distance_to
 from rumi.dynamics.sliding import rotated
-from rumi.touch.pokes import clamped_spline, evenly, pokes
-from rumi.touch.task import TouchTask
+from rumi.tasks.touch_box.candidates import clamped_spline, evenly, pokes
+from rumi.tasks.touch_box.scene import TouchTask
 
 
 def drawn(generator, count=20, **changes):

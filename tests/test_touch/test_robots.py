@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.touch.grasping import clearance_table
-from rumi.touch.planar_robot import PlanarRobot
-from rumi.touch.robot import Readings, TouchRobot
-from rumi.touch.settings import PokeSettings, TouchSettings
-from rumi.touch.task import BoxTruth, TouchTask, draw_truth, mean_distance
+from rumi.tasks.grasp_table import clearance_table
+from rumi.tasks.touch_box.planar_robot import PlanarRobot
+from rumi.tasks.touch_box.robot import Readings, TouchRobot
+from rumi.tasks.touch_box.scene import BoxTruth, TouchTask, draw_truth, mean_distance
+from rumi.tasks.touch_box.settings import PokeSettings, TouchSettings
 
 SHARP = TouchTask(rates=(1.0, 0.0))
 TABLE = clearance_table(0.03, 0.08, 0.08)

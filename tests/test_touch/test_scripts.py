@@ -8,15 +8,15 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from rumi.jsonlines import read_lines
-from rumi.sim.touch_gripper import GripperRobot
-from rumi.touch.grasping import clearance_table
+from rumi.runs.jsonlines import read_lines
+from rumi.tasks.grasp_table import clearance_table
+from rumi.tasks.touch_box.gripper_robot import GripperRobot
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch, tmp_path):
     """The grasps' table is simulated elsewhere."""
-    monkeypatch.setattr("rumi.sim.touch_grasps.grasp_table", lambda *a, **k: clearance_table(0.03, 0.08, 0.08))
+    monkeypatch.setattr("rumi.tasks.touch_box.grasps.grasp_table", lambda *a, **k: clearance_table(0.03, 0.08, 0.08))
     monkeypatch.setenv("RUMI_CACHE", str(tmp_path))
 
 

@@ -6,10 +6,17 @@ import math
 import pytest
 import torch
 
-from rumi.belief.entropy import SharedSupport
-from rumi.belief.expected_gain import channel_capacity
-from rumi.belief.states import StateMetric
-from rumi.touch.selection import METHODS, Rollouts, choose, expects_contact, likeliest_gain, sequence_information
+from rumi.information.binary_gain import channel_capacity
+from rumi.information.entropy import SharedSupport
+from rumi.information.neighbours import StateMetric
+from rumi.tasks.touch_box.selection import (
+    METHODS,
+    Rollouts,
+    choose,
+    expects_contact,
+    likeliest_gain,
+    sequence_information,
+)
 
 SUPPORT = SharedSupport(StateMetric.planar(0.06), floor=1e-4)
 

@@ -7,19 +7,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.assemble import build, reachability
 from rumi.belief.particles import PoseBelief
 from rumi.bench.case import Case, Setup, Target, case, largest_difference
 from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
-from rumi.config import preset
-from rumi.dynamics.family import PushChoice
+from rumi.dynamics.registry import PushChoice
 from rumi.loop import first_belief, rummage
+from rumi.planning.policy import Plan, Policy, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
-from rumi.planning.types import Plan, Policy, Scene
 from rumi.records import StepRecord
 from rumi.seeding import split
 from rumi.task import StepResult
+from rumi.tasks.rummage.build import build, reachability
+from rumi.tasks.rummage.settings import preset
 from sensors.reading import Reading
 
 _SEED = 0

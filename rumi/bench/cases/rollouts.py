@@ -15,9 +15,9 @@ from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import DisplacementModel
 from rumi.fields.information import information_field
-from rumi.planning.tool import Tool
+from rumi.robot.tool import Tool
 from rumi.seeding import split
-from rumi.sim.tasks import find_task, make_tool
+from rumi.tasks.rummage.scenes import find_task, make_tool
 from sdf.voxel_grid import VoxelGrid
 
 ROLLOUTS = 5

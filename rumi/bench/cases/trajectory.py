@@ -6,7 +6,7 @@ from torch import Tensor
 from rumi.bench import naive, peers
 from rumi.bench.case import Case, Setup, Target, Variant, case, largest_difference
 from rumi.bench.cases.rollouts import push_scene
-from rumi.dynamics.planar import world_height
+from rumi.dynamics.tool_lookup import world_height
 from rumi.planning.costs import information_cost
 from sdf import se3
 

@@ -1,0 +1,331 @@
+"""The pose filter: predict, weigh, resample, optimise (RUMI, Algs 1-4 and 6)."""
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple, Self
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from rumi.belief.motion import MOTIONS, Motion, Predictor, object_motion
+from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.prior import PosePrior
+from rumi.errors import DegenerateBeliefError
+from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
+from rumi.resampling import resample_systematic
+from rumi.seeding import Generators, normal
+from sdf import se3
+from sdf import skipped_work as savings
+from sdf.check import check_near
+from sensors.discrepancy import Discrepancy
+from sensors.evidence import Evidence, KeptEvidence, in_attached_frame
+from sensors.observation import Observation, attach, merge
+from sensors.reading import Reading
+
+Feel = Callable[[PoseBelief, Reading, Tensor], KeptEvidence | None]
+"""All that was felt, of a belief before a reading, the reading, and the object's world motion (*b, K, 4, 4) in it."""
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """How the belief follows the readings.
+
+    Attributes:
+        peakiness: lambda, nats per metre of discrepancy (Eq 10).
+        free_scale: C of free and occupied points (Eqs 4, 5), for the lattice `free_spacing_m`.
+        tolerance_m: violation that a free or occupied point is allowed.
+        free_spacing_m, surface_spacing_m: lattice that keeps one point a cell (Alg 6).
+        motion: "measured" by a slip sensor, "sticking" to the tool, "pushed" as a quasi-static model has it,
+            "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way.
+        unmeasured: what "measured" becomes on a task that has no slip sensor; "pushed" and "corrected" are for
+            upright objects and a level tool, and "estimated" elsewhere.
+        translation_noise_m, rotation_noise_rad: standard deviations of the process noise, drawn on every move
+            and after every resampling (Alg 3); in SE(2) along x, y and yaw. By default the 1 mm and 1 degree of a
+            usual slip sensor: 3 mm throws particles across a 4 mm wall, to where the seen side fits the inner one.
+        trigger: discrepancy l_r above which the belief is resampled (Alg 1, line 16).
+        trigger_percentile: of the particles' discrepancies, compared with the trigger; 1 is the paper's maximum.
+        weighing: "scratch" weighs by all observations each time, after an optimiser has moved the particles
+            (it is then a heuristic as in the paper: particles resampled by a likelihood and weighed by it again
+            count it twice); "incremental" weighs by the change since the last resampling, which does not count
+            twice, for a filter without optimiser (`descent.iterations` 0).
+        weigh_before_resampling: False is the order of the paper's Alg 1, whose resampling has not seen the new
+            data and whose weights after it are all 1/P.
+        descent: the optimiser after resampling (Alg 4).
+        lies_flat: the object is known to lie flat on the floor at the start, so that in the frame that rides with it
+            poses keep their height and tilt even where all may be searched; only with a prior, which has these.
+        level_within_rad: tilt of that frame beyond which poses are optimised along the world's floor as well: errors of
+            the measured motion, which are level in the world, are then not level in the frame; only with a prior.
+        still_m, still_rad: motions below these are no move: no noise, discrepancies carry over.
+    """
+
+    peakiness: float = 2.0
+    free_scale: float = 80.0
+    tolerance_m: float = 0.001
+    free_spacing_m: float = 0.005
+    surface_spacing_m: float = 0.002
+    motion: Motion = "measured"
+    unmeasured: Motion = "corrected"
+    translation_noise_m: float = 0.001
+    rotation_noise_rad: float = 0.0175
+    trigger: float = 5.0
+    trigger_percentile: float = 0.95
+    weighing: Literal["scratch", "incremental"] = "scratch"
+    weigh_before_resampling: bool = True
+    descent: DescentSettings = field(default_factory=DescentSettings)
+    lies_flat: bool = True
+    level_within_rad: float = 0.1
+    still_m: float = 1e-4
+    still_rad: float = 1e-3
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        for name in ("motion", "unmeasured"):
+            if getattr(self, name) not in MOTIONS:
+                raise ValueError(f"Expected {name} to be one of {', '.join(MOTIONS)}, got {getattr(self, name)!r}")
+        if self.unmeasured == "measured":
+            raise ValueError("Expected unmeasured to be a motion that needs no slip sensor, got 'measured'")
+        if self.weighing not in ("scratch", "incremental"):
+            raise ValueError(f"Expected weighing scratch or incremental, got {self.weighing!r}")
+        for name in ("peakiness", "free_spacing_m", "surface_spacing_m"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        for name in ("free_scale", "tolerance_m", "translation_noise_m", "rotation_noise_rad", "still_m", "still_rad"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
+        if not 0 < self.trigger_percentile <= 1:
+            raise ValueError(f"Expected trigger_percentile in (0, 1], got {self.trigger_percentile}")
+
+
+class FilterInfo(NamedTuple):
+    """What a filter step did.
+
+    Attributes:
+        moved: (*b), whether the object moved.
+        resampled: (*b), whether the belief was resampled.
+        added: the points that were new.
+    """
+
+    moved: Bool[Tensor, "*b"]
+    resampled: Bool[Tensor, "*b"]
+    added: Observation
+
+
+class PoseFilter(nn.Module):
+    """Follows the readings with a particle belief; holds settings, never the belief.
+
+    What was felt that is no points (`PoseBelief.felt`) adds -log L / lambda to the discrepancies, as the prior does.
+    Eq 10 then gives all of it its own weight, exp(-lambda C) times L, in weighing, resampling and drawing anew, also at
+    every later step. The descent of poses follows the points alone.
+
+    Args:
+        discrepancy: C^ with the settings' scale and tolerance.
+        search: "SE(2)" or "SE(3)".
+        settings: how.
+        prior: of the pose at the start; its part is added to the discrepancy, as if it were an observation.
+        pushed: says how far the object was pushed; needed for the motions "pushed" and "corrected".
+        feel: makes evidence of what readings tell beside points; None where that is nothing.
+    """
+
+    lattice: Tensor
+
+    def __init__(
+        self,
+        discrepancy: Discrepancy,
+        search: Search,
+        settings: FilterSettings,
+        prior: PosePrior | None = None,
+        pushed: Predictor | None = None,
+        feel: Feel | None = None,
+    ) -> None:
+        super().__init__()
+        if search not in SEARCHES:
+            raise ValueError(f"Expected search to be one of {', '.join(SEARCHES)}, got {search!r}")
+        self.discrepancy = discrepancy
+        self.search: Search = "SE(2)" if prior is not None and settings.lies_flat else search
+        self.settings = settings
+        self.prior = prior
+        self.pushed = pushed
+        self.feel = feel
+        lattice = (settings.free_spacing_m, settings.free_spacing_m, settings.surface_spacing_m)
+        self.register_buffer("lattice", torch.tensor(lattice))
+
+    def feeling(self, feel: Feel) -> Self:
+        """The same filter, which makes evidence of readings in this way."""
+        other = copy.copy(self)
+        other.feel = feel
+        return other
+
+    def forward(
+        self, belief: PoseBelief, memory: Observation, reading: Reading, *, generator: Generators
+    ) -> tuple[PoseBelief, Observation, FilterInfo]:
+        """One whole filter step.
+
+        Args:
+            belief: before the reading.
+            memory: all points so far; attached ones in the object-attached frame.
+            reading: what the action's sensors reported.
+            generator: one, or one a scene.
+
+        Returns:
+            the belief after, the memory after, and what was done.
+
+        Raises:
+            ValueError: the world's origin is so far that rounding moves the object (`sdf.check.check_near`).
+        """
+        settings = self.settings
+        check_near("the belief's poses", belief.attached_T_object[..., :3, 3])
+        motion = object_motion(
+            settings.motion, belief, reading, self.discrepancy, self.search, settings.descent, self.pushed
+        )
+        frames = motion @ belief.world_T_attached[..., None, :, :]
+        new = attach(reading.observation, reading.instant, frames)
+        memory, added = merge(memory, new, self.lattice)
+        if self.feel is not None:
+            belief = replace(belief, felt=self.feel(belief, reading, motion))
+        before = belief
+        belief, moved = self.predict(belief, motion[..., -1, :, :], generator=generator)
+        belief = self.weigh(belief, before, memory, added, moved)
+        trigger_belief = belief if settings.weigh_before_resampling else replace(belief, log_weights=before.log_weights)
+        belief, resampled = self.resample(belief, trigger_belief, memory, generator=generator)
+        return belief, memory, FilterInfo(moved, resampled, added)
+
+    def predict(
+        self, belief: PoseBelief, motion: Float[Tensor, "*b 4 4"], *, generator: Generators
+    ) -> tuple[PoseBelief, Bool[Tensor, "*b"]]:
+        """Move the attached frame by the motion, and add process noise where it is a move (Alg 1, lines 12-14).
+
+        Particles and points ride in the attached frame: `T_i <- dT_sigma T_i M^-1` for all particles, where the
+        paper's `dT T_i` would move each along its own axes.
+        """
+        identity = se3.identity(motion.shape[:-2], dtype=motion.dtype, device=motion.device)
+        shift, turn = se3.distance(motion, identity)
+        # a motion about a far origin shifts nearby points: measure it at the object
+        at_object = belief.mean()
+        shift = torch.minimum(shift, (motion @ at_object - at_object)[..., :3, 3].norm(dim=-1))
+        moved = (shift > self.settings.still_m) | (turn > self.settings.still_rad)
+        belief = belief.moved(motion)
+        poses = self.perturb(belief, generator=generator, rows=moved)
+        return replace(belief, attached_T_object=poses), moved
+
+    def perturb(
+        self, belief: PoseBelief, *, generator: Generators, rows: Bool[Tensor, "*b"]
+    ) -> Float[Tensor, "*b N 4 4"]:
+        """Poses with process noise about each object's origin in the scenes `rows` (Alg 3; sigmas are deviations).
+
+        Level noise is that of the world where a prior lets objects tip, and otherwise of the frame that rides along.
+        """
+        poses = belief.attached_T_object
+        shift, turn = self.settings.translation_noise_m, self.settings.rotation_noise_rad
+        if (shift == 0 and turn == 0) or not bool(rows.any()):
+            return poses
+        sigma = [shift, shift, turn] if self.search == "SE(2)" else [shift] * 3 + [turn] * 3
+        shape = (*poses.shape[:-2], len(sigma))
+        noise = normal(shape, generator=generator, dtype=poses.dtype, device=poses.device)
+        noise = noise * torch.tensor(sigma, dtype=poses.dtype, device=poses.device)
+        if self.prior is None:
+            moved = se3.renormalised(retract(poses, noise, self.search))
+            return torch.where(rows[..., None, None, None], moved, poses)
+        back = se3.inverse(belief.world_T_attached)[..., None, :, :]
+        moved = se3.renormalised(back @ retract(belief.world_T_object, noise, self.search))
+        return torch.where(rows[..., None, None, None], moved, poses)
+
+    def descend(self, belief: PoseBelief, here: Observation, settings: DescentSettings) -> Float[Tensor, "*b N 4 4"]:
+        """Poses optimised on points that are in the attached frame as well (Alg 4)."""
+        poses = descend(self.discrepancy, belief.attached_T_object, here, self.search, settings)
+        tipped = self.tipped(belief)
+        if self.search == "SE(3)" or not bool(tipped.any()):
+            return poses
+        world_T_attached = belief.world_T_attached
+        there = replace(here, points=se3.apply(world_T_attached, here.points))
+        level = descend(self.discrepancy, world_T_attached[..., None, :, :] @ poses, there, "SE(2)", settings)
+        level = se3.inverse(world_T_attached)[..., None, :, :] @ level
+        return torch.where(tipped[..., None, None, None], level, poses)
+
+    def tipped(self, belief: PoseBelief) -> Bool[Tensor, "*b"]:
+        """Whether the frame that rides with the object has tilted since the start; never without a prior."""
+        upright = belief.world_T_attached[..., 2, 2]
+        return (upright < math.cos(self.settings.level_within_rad)) & (self.prior is not None)
+
+    def weigh(
+        self, belief: PoseBelief, before: PoseBelief, memory: Observation, added: Observation, moved: Bool[Tensor, "*b"]
+    ) -> PoseBelief:
+        """Weights by the discrepancy (Alg 2), of which only the new points' part is computed where it adds up.
+
+        Where no particle moved in the attached frame and no point is fixed in the world, the discrepancy of the
+        old points carries over exactly (Eq 11 and move invariance); what is felt beside points may change without any.
+        """
+        same = belief.attached_T_object is before.attached_T_object or bool(
+            (belief.attached_T_object == before.attached_T_object).all()
+        )
+        fixed = len(memory) > 0 and bool((memory.valid & ~memory.attached).any())
+        with savings.work("old_points") as work:
+            if same and not fixed and belief.felt is None:
+                total = belief.discrepancy + self.discrepancy(belief.attached_T_object, added)
+                work.count(len(added), len(memory))
+            else:
+                total = self.total(belief, memory)
+                work.count(len(memory), len(memory))
+        return self._weighted(replace(belief, discrepancy=total), total - before.discrepancy)
+
+    def total(self, belief: PoseBelief, memory: Observation) -> Float[Tensor, "*b N"]:
+        """Discrepancy of all observations, and the part of prior and evidence."""
+        here = in_attached_frame(memory, belief.world_T_attached)
+        return self.cost(belief.attached_T_object, here, belief.felt)
+
+    def cost(
+        self, attached_T_object: Float[Tensor, "*b N 4 4"], here: Observation, felt: Evidence | None
+    ) -> Float[Tensor, "*b N"]:
+        """Discrepancy of poses under points that are in the attached frame as well, and what prior and felt add."""
+        total = self.discrepancy(attached_T_object, here)
+        if self.prior is None and felt is None:
+            return total
+        return total + self.beside_points(attached_T_object, felt)
+
+    def beside_points(
+        self, attached_T_object: Float[Tensor, "*b N 4 4"], felt: Evidence | None
+    ) -> Float[Tensor, "*b N"]:
+        """The discrepancy that prior (the attached frame is the world's at the start) and evidence amount to."""
+        part = torch.zeros_like(attached_T_object[..., 0, 0])
+        if self.prior is not None:
+            part = self.prior.nats(attached_T_object) / self.settings.peakiness
+        return part if felt is None else part - felt.log_likelihood(attached_T_object) / self.settings.peakiness
+
+    def _weighted(self, belief: PoseBelief, change: Float[Tensor, "*b N"]) -> PoseBelief:
+        if not bool(torch.isfinite(belief.discrepancy).any(-1).all()):
+            raise DegenerateBeliefError("No particle has a finite discrepancy: check the observation's points")
+        if self.settings.weighing == "incremental":
+            return belief.reweighted(belief.log_weights + boltzmann(change, self.settings.peakiness))
+        return belief.reweighted(boltzmann(belief.discrepancy, self.settings.peakiness))
+
+    def resample(
+        self, belief: PoseBelief, weights: PoseBelief, memory: Observation, *, generator: Generators
+    ) -> tuple[PoseBelief, Bool[Tensor, "*b"]]:
+        """Resample, perturb, optimise and weigh again the scenes whose belief fits badly (Alg 1, line 16; Alg 4)."""
+        settings = self.settings
+        level = torch.quantile(belief.discrepancy, settings.trigger_percentile, dim=-1)
+        rows = level > settings.trigger
+        if not bool(rows.any()):
+            return belief, rows
+        index = resample_systematic(weights.log_weights, generator=generator)
+        fresh = belief.resampled(index)
+        fresh = replace(fresh, attached_T_object=self.perturb(fresh, generator=generator, rows=rows))
+        here = in_attached_frame(memory, belief.world_T_attached)
+        poses = self.descend(fresh, here, settings.descent)
+        total = self.cost(poses, here, belief.felt)
+        fresh = replace(fresh, attached_T_object=poses, discrepancy=total)
+        if settings.weighing == "scratch" and settings.weigh_before_resampling:
+            fresh = fresh.reweighted(boltzmann(total, settings.peakiness))
+        return _where(rows, fresh, belief), rows
+
+
+def _where(rows: Bool[Tensor, "*b"], a: PoseBelief, b: PoseBelief) -> PoseBelief:
+    """Scenes `rows` of a, the others of b."""
+    return replace(
+        b,
+        attached_T_object=torch.where(rows[..., None, None, None], a.attached_T_object, b.attached_T_object),
+        log_weights=torch.where(rows[..., None], a.log_weights, b.log_weights),
+        discrepancy=torch.where(rows[..., None], a.discrepancy, b.discrepancy),
+    )

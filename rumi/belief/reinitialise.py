@@ -1,0 +1,140 @@
+"""Particles drawn anew on all that was observed: where a belief starts, and before it is taken to be sure."""
+
+from dataclasses import dataclass, field, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.pose_filter import PoseFilter
+from rumi.belief.prior import PosePrior
+from rumi.belief.settling import settled
+from rumi.registration.archive import fill
+from rumi.registration.descent import DescentSettings
+from rumi.registration.register import RegisterSettings, pose_cells, register
+from sensors.evidence import in_attached_frame
+from sensors.observation import Observation
+
+
+@dataclass(frozen=True)
+class RenewalSettings:
+    """How particles are drawn anew from the prior; without a prior nothing is.
+
+    A resampling can lose a mode that no observation refutes, and the optimiser does not find it again.
+
+    Attributes:
+        at_contact: draw anew at the first contact: particles from before it stand too far apart to fit it.
+        challenge: before the run stops, put poses drawn anew beside the particles; it stops if they leave it sure.
+        starts: poses drawn from the prior.
+        coarse: descent of these on the felt points alone.
+        polished: poses that go on to the fine descent.
+        fine: descent of those on all points.
+        bin_rad, bin_m: cells of orientation and place, each of which keeps its best pose.
+        plausible: least weight, relative to the best pose's, of a pose that is kept.
+    """
+
+    at_contact: bool = True
+    challenge: bool = True
+    starts: int = 1500
+    coarse: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=5, margin_m=0.05))
+    polished: int = 400
+    fine: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=6, margin_m=0.02))
+    bin_rad: float = 0.26
+    bin_m: float = 0.02
+    plausible: float = 0.02
+
+    @classmethod
+    def never(cls) -> "RenewalSettings":
+        """The paper's: particles are drawn once."""
+        return cls(at_contact=False, challenge=False)
+
+
+def prior_belief(
+    pose_filter: PoseFilter, memory: Observation, particles: int, *, generator: torch.Generator
+) -> PoseBelief:
+    """The belief of one scene before anything is felt: poses evenly where the prior has them, weighed by it."""
+    belief = PoseBelief.uniform(_prior(pose_filter).starts(particles, generator=generator))
+    return _weighed(pose_filter, belief, belief.attached_T_object, pose_filter.total(belief, memory))
+
+
+def redraw(
+    pose_filter: PoseFilter,
+    belief: PoseBelief,
+    memory: Observation,
+    settings: RenewalSettings,
+    *,
+    generator: torch.Generator,
+) -> PoseBelief:
+    """As many particles as the belief has, drawn from the prior and registered to all points of one scene."""
+    prior = _prior(pose_filter)
+    here = in_attached_frame(memory, belief.world_T_attached)
+    found = register(
+        pose_filter.discrepancy,
+        here,
+        pose_filter.settings.peakiness,
+        RegisterSettings(
+            kept=belief.log_weights.shape[-1],
+            starts=settings.starts,
+            coarse=settings.coarse,
+            coarse_points=250,
+            coarse_free=0,
+            polished=settings.polished,
+            fine=settings.fine,
+            bin_rad=settings.bin_rad,
+            bin_m=settings.bin_m,
+            plausible=settings.plausible,
+            bins="SE(3)",
+        ),
+        starts=prior.starts(settings.starts, generator=generator),
+        search=pose_filter.search,
+        further=lambda poses: pose_filter.beside_points(poses, belief.felt),
+        settled=lambda poses: settled(pose_filter, poses, here, belief.felt, generator=generator),
+        generator=generator,
+    )
+    renewed = _weighed(pose_filter, belief, found.frame_T_object, found.discrepancy)
+    if not bool(pose_filter.tipped(belief)):
+        return renewed
+    poses = pose_filter.descend(renewed, here, settings.fine)
+    return _weighed(pose_filter, belief, poses, pose_filter.cost(poses, here, belief.felt))
+
+
+def challenge(
+    pose_filter: PoseFilter,
+    belief: PoseBelief,
+    memory: Observation,
+    settings: RenewalSettings,
+    *,
+    generator: torch.Generator,
+) -> PoseBelief:
+    """The belief after poses drawn anew were put beside its particles; of both, all cells that are plausible stay."""
+    rivals = redraw(pose_filter, belief, memory, settings, generator=generator)
+    poses = torch.cat((belief.attached_T_object, rivals.attached_T_object))
+    cost = torch.cat((pose_filter.total(belief, memory), rivals.discrepancy))
+    margin = -torch.tensor(settings.plausible).log().item() / pose_filter.settings.peakiness
+    kept = _spread(pose_filter, poses, cost, margin, belief.log_weights.shape[-1], settings)
+    return _weighed(pose_filter, belief, poses[kept], cost[kept])
+
+
+def _spread(
+    pose_filter: PoseFilter,
+    poses: Float[Tensor, "N 4 4"],
+    cost: Float[Tensor, "N"],
+    margin: float,
+    count: int,
+    settings: RenewalSettings,
+) -> Int[Tensor, "count"]:
+    middle = pose_filter.discrepancy.sdf.bounds.mean(0)
+    cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, "SE(3)")
+    return fill(cells, cost, margin, count)
+
+
+def _weighed(pose_filter: PoseFilter, belief: PoseBelief, poses: Tensor, cost: Tensor) -> PoseBelief:
+    renewed = replace(belief, attached_T_object=poses, discrepancy=cost)
+    return renewed.reweighted(boltzmann(cost, pose_filter.settings.peakiness))
+
+
+def _prior(pose_filter: PoseFilter) -> PosePrior:
+    if pose_filter.prior is None:
+        raise ValueError("Expected a filter with a prior to draw from, got none: give it one, or renew nothing")
+    return pose_filter.prior

@@ -1,0 +1,222 @@
+"""A belief over something that does not move: readings weigh it, and nothing else ever changes it.
+
+Without motion there is nothing to predict and no noise to add (time allocation, Eq. 1). Where few particles keep all
+weight, they are copied and moved by Metropolis's rule against all readings so far, which leaves the posterior as it is:
+no noise blurs it, however many readings there are.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.state_space import StateSpace
+from rumi.errors import DegenerateBeliefError
+from rumi.resampling import resample_systematic
+from sdf import skipped_work as savings
+
+
+@runtime_checkable
+class StateEvidence(Protocol):
+    """What has a log-likelihood for states; of poses in SE(3) any `sensors.evidence.Evidence` will do."""
+
+    def log_likelihood(self, states: Float[Tensor, "N ..."], /) -> Float[Tensor, "N"]:
+        """Of each state, up to a constant, nats; never NaN."""
+        ...
+
+
+@dataclass(frozen=True)
+class StaticSettings:
+    """Settings of the filter.
+
+    Attributes:
+        trigger: share of N that the effective sample size falls below before particles are resampled and moved.
+        moves: Metropolis moves of every particle then.
+        jitter_m: least and greatest standard deviation of the moves that know nothing of the others, log-uniform.
+        crossed: share of moves along the difference of two other particles, which fit whatever shape they fill.
+        noise: standard deviation, per dimension of a step, that each update adds to the states; None for none, since
+            what is fixed does not move. With it there are no moves: old readings are of states that are no more. The
+            prior goes on to count, once: each weight changes by how much likelier the new state is by it.
+    """
+
+    trigger: float = 0.5
+    moves: int = 8
+    jitter_m: tuple[float, float] = (3e-4, 0.05)
+    crossed: float = 0.6
+    noise: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        for name in ("trigger", "crossed"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"Expected {name} in [0, 1], got {getattr(self, name)}")
+        if self.moves < 0:
+            raise ValueError(f"Expected 0 moves or more, got {self.moves}")
+        if not 0 < self.jitter_m[0] <= self.jitter_m[1]:
+            raise ValueError(f"Expected jitter_m as (least, greatest) above 0, got {self.jitter_m}")
+
+
+@dataclass(frozen=True, eq=False)
+class StaticBelief:
+    """Particles.
+
+    Attributes:
+        states: (N, ...), of a space.
+        log_weights: (N), normalised.
+        log_target: (N), log of prior and of the likelihood of all readings so far, up to a constant.
+    """
+
+    states: Float[Tensor, "N ..."]
+    log_weights: Float[Tensor, "N"]
+    log_target: Float[Tensor, "N"]
+
+    @property
+    def ess(self) -> float:
+        """Effective sample size."""
+        return float(torch.exp(-torch.logsumexp(2.0 * self.log_weights, -1)))
+
+    @property
+    def best(self) -> Tensor:
+        """The state of the highest posterior density."""
+        held = torch.where(self.log_weights > -math.inf, self.log_target, -math.inf)
+        return self.states[held.argmax()]
+
+
+class StaticInfo(NamedTuple):
+    """What an update did.
+
+    Attributes:
+        ess: effective sample size after weighing.
+        resampled: whether particles were resampled and moved.
+        accepted: share of moves that were taken; 0 where there were none.
+    """
+
+    ess: float
+    resampled: bool
+    accepted: float
+
+
+@dataclass(frozen=True)
+class StaticFilter:
+    """How a belief follows readings.
+
+    Attributes:
+        space: of the states.
+        log_prior: log-density of states up to a constant; -inf where they cannot be.
+        settings: of the filter.
+    """
+
+    space: StateSpace
+    log_prior: Callable[[Tensor], Tensor]
+    settings: StaticSettings = StaticSettings()
+
+    def start(
+        self,
+        states: Float[Tensor, "N ..."],
+        log_weights: Float[Tensor, "N"] | None = None,
+        evidence: StateEvidence | None = None,
+    ) -> StaticBelief:
+        """The belief of particles that were drawn from the prior, or from elsewhere and weighed for that.
+
+        Args:
+            states: particles.
+            log_weights: of them; equal by default.
+            evidence: that they were drawn and weighed by already.
+        """
+        log = states.new_zeros(len(states)) if log_weights is None else log_weights
+        return StaticBelief(states, log.log_softmax(-1), self.log_target(states, evidence))
+
+    def log_target(self, states: Float[Tensor, "N ..."], evidence: StateEvidence | None) -> Float[Tensor, "N"]:
+        """Log of prior and likelihood, up to a constant."""
+        prior = self.log_prior(states)
+        return prior if evidence is None else prior + evidence.log_likelihood(states)
+
+    def update(
+        self, belief: StaticBelief, new: StateEvidence, every: StateEvidence, *, generator: torch.Generator
+    ) -> tuple[StaticBelief, StaticInfo]:
+        """Weigh by new evidence, then resample and move if too few particles are left.
+
+        Args:
+            belief: before.
+            new: evidence that came now.
+            every: all evidence so far, the new one included.
+            generator: of all draws.
+
+        Raises:
+            DegenerateBeliefError: no particle is possible any more.
+        """
+        belief = self._predicted(belief, generator)
+        told = new.log_likelihood(belief.states)
+        log = belief.log_weights + told
+        if not bool(torch.isfinite(log.logsumexp(-1))):
+            raise DegenerateBeliefError(
+                "No particle explains the reading: more particles, or noise that fits the sensor"
+            )
+        # with noise the states are new: all readings are held against them
+        target = belief.log_target + told if self.settings.noise is None else self.log_target(belief.states, every)
+        belief = StaticBelief(belief.states, log.log_softmax(-1), target)
+        ess = belief.ess
+        if ess >= self.settings.trigger * len(log):
+            return belief, StaticInfo(ess, False, 0.0)
+        index = resample_systematic(belief.log_weights, generator=generator)
+        even = torch.zeros_like(log).log_softmax(-1)
+        belief = StaticBelief(belief.states[index], even, belief.log_target[index])
+        if self.settings.noise is not None:
+            return belief, StaticInfo(ess, True, 0.0)
+        return self.moved(belief, every, ess=ess, generator=generator)
+
+    def moved(
+        self, belief: StaticBelief, every: StateEvidence | None, *, ess: float, generator: torch.Generator
+    ) -> tuple[StaticBelief, StaticInfo]:
+        """The same posterior by particles that Metropolis moves have set apart, at weights as they were."""
+        states, target, taken = belief.states.clone(), belief.log_target.clone(), 0
+        # one half stands still while the other moves by its differences: so each move is exact; one alone has no other
+        for half in ((0, 1) if len(states) > 1 else (0,)) * self.settings.moves:
+            own = slice(half, None, 2)
+            proposed = self.space.stepped(states[own], self._steps(len(states[own]), states[1 - half :: 2], generator))
+            there = self.log_target(proposed, every)
+            chance = torch.rand(len(there), generator=generator, dtype=there.dtype).to(there.device)
+            accept = chance.log() < there - target[own]
+            taken += int(accept.sum())
+            wide = accept.view(-1, *[1] * (proposed.dim() - 1))
+            states[own] = torch.where(wide, proposed, states[own])
+            target[own] = torch.where(accept, there, target[own])
+        tried = max(1, self.settings.moves * len(target))
+        return replace(belief, states=states, log_target=target), StaticInfo(ess, True, taken / tried)
+
+    def _predicted(self, belief: StaticBelief, generator: torch.Generator) -> StaticBelief:
+        """The belief before the reading: as it was, unless noise is asked for."""
+        count = float(len(belief.log_weights))
+        with savings.work("predictions") as work:
+            if self.settings.noise is None:
+                work.count(0.0, count)
+                return belief
+            work.count(count, count)
+            draws = torch.randn(len(belief.states), self.space.dims, generator=generator, dtype=belief.states.dtype).to(
+                belief.states
+            )
+            states = self.space.stepped(belief.states, draws * draws.new_tensor(self.settings.noise))
+            before, after = self.log_prior(belief.states), self.log_prior(states)
+            change = after - torch.where(before > -math.inf, before, 0.0)
+            return replace(belief, states=states, log_weights=belief.log_weights + change)
+
+    def _steps(self, size: int, others: Float[Tensor, "M ..."], generator: torch.Generator) -> Float[Tensor, "N D"]:
+        """Steps that are as likely as their opposites: jitter of any size, or differences of other particles."""
+        dims, dtype = self.space.dims, others.dtype
+        low, high = (math.log(bound) for bound in self.settings.jitter_m)
+        scale = torch.exp(low + (high - low) * torch.rand(size, 1, generator=generator, dtype=dtype))
+        units = torch.tensor(self.space.units, dtype=dtype)
+        steps = scale * units * torch.randn(size, dims, generator=generator, dtype=dtype)
+        if len(others) < 2:
+            return steps.to(others)
+        pair = torch.randint(len(others), (2, size), generator=generator).to(others.device)
+        share = 10.0 ** (1.2 * torch.rand(size, 1, generator=generator, dtype=dtype) - 1.0)
+        across = share * self.space.difference(others[pair[0]], others[pair[1]]).cpu()
+        # a hair's breadth more, so that copies of one particle part too
+        across = across + self.settings.jitter_m[0] * units * torch.randn(size, dims, generator=generator, dtype=dtype)
+        crossed = torch.rand(size, 1, generator=generator, dtype=dtype) < self.settings.crossed
+        return torch.where(crossed, across, steps).to(others)

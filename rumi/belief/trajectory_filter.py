@@ -1,0 +1,290 @@
+"""A particle filter for touch alone, which resamples by replaying the whole history (resample-move).
+
+A particle is where the object started, how it slides, and what noise its motion had; a push model makes everything else
+of the robot's path. New particles are jittered old ones, rolled through all actions and accepted by Metropolis's rule:
+they follow the exact posterior under the model, with no weights invented. The touch-only paper's own rule (App B) puts
+newcomers near the robot; it stands beside.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from rumi.belief.planar_prior import PlanarPrior
+from rumi.belief.replay_settings import ReplaySettings
+from rumi.belief.touch_belief import TouchAction, TouchBelief, joined
+from rumi.dynamics.along_path import Carrier, Pusher, carry, distance_to
+from rumi.dynamics.sliding import Outline, Sliding
+from rumi.resampling import resample_systematic
+from sensors.touch.contact_model import ContactModel
+
+
+class StepInfo(NamedTuple):
+    """What a filter step did, for each run.
+
+    Attributes:
+        ess: (R), before resampling.
+        resampled: (R).
+        accepted: share of the Metropolis moves that were accepted; NaN if there were none.
+    """
+
+    ess: Float[Tensor, "R"]
+    resampled: Bool[Tensor, "R"]
+    accepted: float
+
+
+class TouchFilter:
+    """Follows contact signals; holds settings, never the belief.
+
+    Args:
+        outline: of the object.
+        centre: (2,), its centre of friction, object frame, metres.
+        pusher: the tool.
+        model: of the contact signal.
+        prior: over start poses.
+        settings: see there.
+        carrier: how the tool moves the objects; quasi-statically by default.
+    """
+
+    def __init__(
+        self,
+        outline: Outline,
+        centre: Float[Tensor, "2"],
+        pusher: Pusher,
+        model: ContactModel,
+        prior: PlanarPrior,
+        settings: ReplaySettings | None = None,
+        carrier: Carrier = carry,
+    ) -> None:
+        self.outline, self.centre, self.pusher = outline, centre, pusher
+        self.model, self.prior = model, prior
+        self.settings, self.carrier = settings or ReplaySettings(), carrier
+
+    def initial(self, runs: int, count: int, *, generator: torch.Generator) -> TouchBelief:
+        """Draws from the prior, equally weighted."""
+        start = self.prior.sample(runs, count, generator=generator)
+        flat = torch.zeros_like(start[..., 0])
+        friction, lever = (
+            self._within(bounds, torch.rand(flat.shape, generator=generator, dtype=flat.dtype))
+            for bounds in (self.settings.friction, self.settings.lever_m)
+        )
+        return TouchBelief(start, friction, lever, (), start, flat.log_softmax(-1), flat)
+
+    def step(
+        self,
+        belief: TouchBelief,
+        history: Sequence[TouchAction],
+        *,
+        generator: torch.Generator,
+        resample: bool = True,
+    ) -> tuple[TouchBelief, StepInfo]:
+        """Take in the last action of a history, and resample the runs whose effective sample size is low.
+
+        Args:
+            belief: before that action.
+            history: all actions, the new one last.
+            generator: all randomness.
+            resample: False leaves the weights as the readings have them.
+        """
+        action = history[-1]
+        noise: Tensor | None = None
+        if self.settings.noise > 0:
+            noise = torch.randn(belief.start.shape, generator=generator, dtype=belief.start.dtype)
+        pose, gained = self.roll(belief.pose, belief.friction, belief.lever, noise, action)
+        log_weights = (belief.log_weights + gained).log_softmax(-1)
+        belief = replace(
+            belief,
+            noise=belief.noise if noise is None else (*belief.noise, noise),
+            pose=pose,
+            log_weights=log_weights,
+            log_likelihood=belief.log_likelihood + gained,
+        )
+        ess, low = belief.ess(), torch.zeros(len(pose), dtype=torch.bool)
+        if resample and self.settings.resampling != "none":
+            low = ess < self.settings.trigger * pose.shape[1]
+        rows, accepted = low.nonzero()[:, 0], float("nan")
+        if len(rows):
+            some = [a._replace(path=_rows(a.path, rows, 3), contact=_rows(a.contact, rows, 2)) for a in history]
+            fresh, accepted = self.resampled(belief.at(rows), some, generator=generator)
+            belief = belief.put(rows, fresh)
+        return belief, StepInfo(ess, low, accepted)
+
+    def resampled(
+        self, belief: TouchBelief, history: Sequence[TouchAction], *, generator: torch.Generator
+    ) -> tuple[TouchBelief, float]:
+        """Resample all runs, by the rule of the settings; and the share of accepted moves."""
+        if self.settings.resampling == "newcomers" and history[-1].contact.shape[-1] > 0:
+            touched = history[-1].contact[..., -1].expand(len(belief.start))
+            with_newcomers = self._newcomers(belief, history[-1], generator)
+            belief = belief.chosen(resample_systematic(belief.log_weights, generator=generator))
+            return belief.put(touched.nonzero()[:, 0], with_newcomers.at(touched.nonzero()[:, 0])), float("nan")
+        belief = belief.chosen(resample_systematic(belief.log_weights, generator=generator))
+        if self.settings.resampling != "replay" or self.settings.sweeps == 0:
+            return belief, float("nan")
+        moved = 0.0
+        for _ in range(self.settings.sweeps):
+            belief, accepted = self._sweep(belief, history, generator)
+            moved += accepted / self.settings.sweeps
+        return belief, moved
+
+    def roll(
+        self,
+        pose: Float[Tensor, "R N 3"],
+        friction: Float[Tensor, "R N"],
+        lever: Float[Tensor, "R N"],
+        noise: Float[Tensor, "R N 3"] | None,
+        action: TouchAction,
+    ) -> tuple[Float[Tensor, "R N 3"], Float[Tensor, "R N"]]:
+        """Poses after an action, and the log-likelihood of its readings."""
+        runs, count = pose.shape[:2]
+        each = runs * count
+        path = action.path if action.path.ndim == 3 else action.path[None]
+        if len(path) > 1:
+            path = path[:, None].expand(runs, count, *path.shape[1:]).reshape(each, *path.shape[1:])
+        centre = self.centre.to(pose).expand(each, 2)
+        carried = self.carrier(
+            pose.reshape(each, 3),
+            path,
+            self.pusher,
+            self.outline,
+            Sliding(centre, lever.reshape(each), friction.reshape(each)),
+            substeps=self.settings.substeps,
+            passes=self.settings.passes,
+        )
+        distance = carried.distance.view(runs, count, -1)
+        contact = (action.contact if action.contact.ndim == 2 else action.contact[None])[:, None]
+        gained = self.settings.temper * self.model.log_likelihood(distance, contact).sum(-1)
+        if action.blocked is not None:
+            gained = gained + self._descent(pose, path, action.blocked)
+        after = carried.track[:, -1].view(runs, count, 3) if distance.shape[-1] else pose
+        return self._disturbed(pose, after, noise), gained
+
+    def _descent(self, pose: Tensor, path: Tensor, blocked: bool) -> Float[Tensor, "R N"]:
+        """Log-likelihood of having come down at the start of a path, or not."""
+        own, flat = self.settings, pose.reshape(-1, 3)
+        apart = distance_to(flat, path[:, 0], self.pusher, self.outline).view(pose.shape[:2])
+        meets = own.overlap_error + (1.0 - 2.0 * own.overlap_error) * torch.sigmoid(-apart / own.overlap_m)
+        return (meets if blocked else 1.0 - meets).log()
+
+    def _disturbed(self, before: Tensor, after: Tensor, noise: Tensor | None) -> Tensor:
+        """Poses off by noise that grows with the motion."""
+        own = self.settings
+        if noise is None:
+            return after
+        motion = after - before
+        sigma = own.noise * (motion[..., :2].norm(dim=-1) + own.noise_m_per_rad * motion[..., 2].abs())
+        scale = torch.stack((sigma, sigma, own.noise_rad_per_m * sigma), -1)
+        if own.noise_tails > 0:
+            noise = noise * (0.5 * own.noise_tails * noise.square()).exp()
+        return after + scale * noise
+
+    def replayed(
+        self,
+        start: Float[Tensor, "R N 3"],
+        friction: Float[Tensor, "R N"],
+        lever: Float[Tensor, "R N"],
+        noise: Sequence[Tensor],
+        history: Sequence[TouchAction],
+    ) -> tuple[Float[Tensor, "R N 3"], Float[Tensor, "R N"]]:
+        """Poses now and the log-likelihood of all readings, from the start."""
+        if self.settings.noise == 0 and all(action.blocked is None for action in history):
+            # nothing happens between actions: all of them are one
+            return self.roll(start, friction, lever, None, joined(history))
+        pose, total = start, torch.zeros_like(friction)
+        each: Sequence[Tensor | None] = noise if self.settings.noise > 0 else [None] * len(history)
+        for own, action in zip(each, history, strict=True):
+            pose, gained = self.roll(pose, friction, lever, own, action)
+            total = total + gained
+        return pose, total
+
+    def _sweep(
+        self, belief: TouchBelief, history: Sequence[TouchAction], generator: torch.Generator
+    ) -> tuple[TouchBelief, float]:
+        """One Metropolis move of every particle on start pose, parameters and noise."""
+        own, shape, dtype = self.settings, belief.friction.shape, belief.start.dtype
+
+        def uniform() -> Tensor:
+            return torch.rand(shape, generator=generator, dtype=dtype)
+
+        def normal() -> Tensor:
+            return torch.randn(belief.start.shape, generator=generator, dtype=dtype)
+
+        least, most = own.jitter_m
+        size = least * (most / least) ** uniform()
+        step = normal() * torch.stack((size, size, own.jitter_rad_per_m * size), -1)
+        afresh = uniform() < own.from_prior
+        drawn = self.prior.sample(*shape, generator=generator).to(dtype)
+        start = torch.where(afresh[..., None], drawn, belief.start + step)
+        reach, changes = size / most, normal()
+        friction = self._moved(belief.friction, own.friction, afresh, reach * changes[..., 0], uniform())
+        lever = self._moved(belief.lever, own.lever_m, afresh, reach * changes[..., 1], uniform())
+        noise = belief.noise
+        if own.noise > 0:
+            # a turn within the plane of old and new draws leaves normal ones normal
+            angle = 0.5 * torch.pi * torch.where(afresh, 1.0, (uniform() < 0.5) * torch.maximum(reach, uniform() ** 4))
+            cos, sin = angle.cos()[..., None], angle.sin()[..., None]
+            noise = tuple(cos * part + sin * normal() for part in noise)
+        pose, log_likelihood = self.replayed(start, friction, lever, noise, history)
+        # a draw from the prior is proposed as often as the prior has it
+        change = self.prior.log_density(start) - self.prior.log_density(belief.start)
+        odds = log_likelihood - belief.log_likelihood + torch.where(afresh, 0.0, change)
+        accept = uniform().log() < odds
+        wide = accept[..., None]
+        return replace(
+            belief,
+            start=torch.where(wide, start, belief.start),
+            friction=torch.where(accept, friction, belief.friction),
+            lever=torch.where(accept, lever, belief.lever),
+            noise=tuple(torch.where(wide, new, old) for new, old in zip(noise, belief.noise, strict=True)),
+            pose=torch.where(wide, pose, belief.pose),
+            log_likelihood=torch.where(accept, log_likelihood, belief.log_likelihood),
+        ), float(accept.to(dtype).mean())
+
+    def _moved(self, value: Tensor, bounds: tuple[float, float], afresh: Tensor, step: Tensor, drawn: Tensor) -> Tensor:
+        """A parameter moved by a share of its range, reflected at the ends, or drawn afresh."""
+        low, high = bounds
+        if high <= low:
+            return value
+        place = (value - low) / (high - low) + 0.5 * step
+        folded = 1.0 - (torch.remainder(place, 2.0) - 1.0).abs()
+        return self._within(bounds, torch.where(afresh, drawn, folded))
+
+    @staticmethod
+    def _within(bounds: tuple[float, float], share: Tensor) -> Tensor:
+        return bounds[0] + (bounds[1] - bounds[0]) * share
+
+    def _newcomers(self, belief: TouchBelief, action: TouchAction, generator: torch.Generator) -> TouchBelief:
+        """The paper's rule (App B): poses near the robot take the place of the least likely particles.
+
+        Their weights are not specified there: they share `newcomer_mass` by how well they explain the last reading.
+        """
+        runs, count = belief.friction.shape
+        many = max(1, round(self.settings.newcomers * count))
+        tool = action.path[..., -1, :].expand(runs, 3)
+        reach = self.outline.radius + self.pusher.radius
+        draw = torch.rand(runs, many, 3, generator=generator, dtype=belief.pose.dtype)
+        near = tool[:, None, :2] + reach * (2.0 * draw[..., :2] - 1.0)
+        fresh = torch.cat((near, torch.pi * (2.0 * draw[..., 2:] - 1.0)), -1)
+        flat = tool[:, None].expand(runs, many, 3).reshape(-1, 3)
+        distance = distance_to(fresh.reshape(-1, 3), flat, self.pusher, self.outline).view(runs, many)
+        contact = action.contact[..., -1].expand(runs)[:, None]
+        fit = self.model.log_likelihood(distance, contact).log_softmax(-1)
+        least = belief.log_weights.topk(many, dim=-1, largest=False).indices
+        mass = fresh.new_tensor(self.settings.newcomer_mass)
+        kept = belief.log_weights.scatter(1, least, -torch.inf).log_softmax(-1) + (1.0 - mass).log()
+        wide = least[..., None].expand(runs, many, 3)
+        return replace(
+            belief,
+            start=belief.start.scatter(1, wide, fresh),
+            pose=belief.pose.scatter(1, wide, fresh),
+            log_weights=kept.scatter(1, least, fit + mass.log()).log_softmax(-1),
+        )
+
+
+def _rows(part: Tensor, rows: Tensor, dims: int) -> Tensor:
+    """Those of some runs, or what all runs share."""
+    return part[rows] if part.ndim == dims and len(part) > 1 else part

@@ -1,0 +1,1 @@
+"""The commands of `rumi`, one file each."""

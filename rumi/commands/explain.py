@@ -1,0 +1,66 @@
+"""What a run left out, since its scene did not need it: a table to read."""
+
+from rumi.records import StepRecord
+from sdf.skipped_work import Account, Work
+
+WORKS = {
+    "workspace_points": "workspace points valued; the others are out of every pose's reach",
+    "normals": "workspace points given a normal; the others are hardly ever touched",
+    "contact_checks": "contact checks by point; the others are settled by a bound or by a rollout that met the same",
+    "pushes": "mini steps in which the tool could touch a pushed pose; in the others it is beyond a bound of it",
+    "rollouts_valued": "rollouts valued; the others are the same as one of their control sequence",
+    "reachability_sums": "terms of the reachability cost; one look-up in a table stands for a sum over all points",
+    "old_points": "points weighed; the others' weight carries over, since only the object's frame moved",
+    "observed_points": "looks at an observed point by a particle; the others are free, in balls that it cannot reach",
+    "resamplings": "steps that resampled; at the others the belief fitted well enough",
+    "plans": "actions planned for; the others came out of the plan that was there",
+}
+"""What each kind of work is, in the order of the table."""
+
+
+class Decisions:
+    """Counts, as an `on_step`, how many steps asked for a plan and for a resampling.
+
+    Args:
+        account: that they are added to.
+    """
+
+    def __init__(self, account: Account) -> None:
+        self._account = account
+        self._last: object = None
+
+    def __call__(self, step: StepRecord) -> None:
+        """Count a step."""
+        if step.control is None:
+            return
+        self._account.add("resamplings", Work(float(step.resampled), 1.0))
+        self._account.add("plans", Work(float(step.plan is not self._last), 1.0))
+        self._last = step.plan
+
+
+def explain(account: Account) -> str:
+    """The table: how much was done of how much, how long that took, and what the rest would have taken at its pace."""
+    lines = [f"{'skipped':>8}  {'done':>9}  {'of':>9}  {'took':>8}  {'saved':>9}"]
+    named = [name for name in WORKS if name in account.works] + [name for name in account.works if name not in WORKS]
+    for name in named:
+        work = account.works[name]
+        took = f"{work.seconds:.2f} s" if work.seconds else "-"
+        saved = "-" if not work.seconds or work.saved_s is None else f"{work.saved_s:.2f} s"
+        lines.append(
+            f"{_share(work.skipped):>8}  {_short(work.done):>9}  {_short(work.whole):>9}  {took:>8}  {saved:>9}"
+            f"  {WORKS.get(name, name)}"
+        )
+    lines.append("saved: what the rest would have taken at the pace of what was done")
+    return "\n".join(lines) + "\n"
+
+
+def _share(share: float) -> str:
+    return f"{100 * share:.0f} %" if share < 0.995 else f"{100 * share:.2f} %"
+
+
+def _short(count: float) -> str:
+    """A count in at most four digits."""
+    for factor, letter in ((1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k")):
+        if count >= 10 * factor:
+            return f"{count / factor:.4g} {letter}"
+    return f"{count:.0f}"

@@ -1,0 +1,63 @@
+"""The command `rumi import`: a ROS 2 bag as a log."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from rumi.errors import UsageError
+from rumi.exit_codes import DONE, NOT_CONVERGED
+
+if TYPE_CHECKING:
+    from rumi.rosbag.bag import Imported
+
+
+_LONGEST_S = 1e9  # what a stamp of 64 bits has room for
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """Write a log of the raw streams in a ROS 2 bag; `rumi replay` then takes it in. No ROS is needed.
+
+    Attributes:
+        bag: an .mcap or .db3 file, or the folder of a bag.
+        map: mapping file: which topics and frames mean what (scripts/docs/logs.md).
+        out: the log; by default the bag's name with .h5, in the current folder.
+        future: seconds that a stamp may be later than its message was received.
+    """
+
+    bag: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BAG")]
+    map: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    out: Annotated[Path | None, tyro.conf.arg(metavar="LOG")] = None
+    future: float = 1.0
+
+
+def import_bag(arguments: Sequence[str]) -> int:
+    """`rumi import`: 0 if all that was asked for was read, 1 if some of it was lost, 2 for bad input."""
+    options = tyro.cli(ImportOptions, prog="rumi import", args=arguments)
+    if not 0 <= options.future <= _LONGEST_S:
+        raise UsageError(f"Expected --future of 0 s to {_LONGEST_S:.0e} s, got {options.future}")
+    from rumi.rosbag.bag import import_bag as write_log
+    from rumi.rosbag.mapping import read_mapping
+
+    mapping = read_mapping(options.map)
+    out = options.out or Path(f"{options.bag.resolve().stem}.h5")
+    done = write_log(options.bag, mapping, out, future_s=options.future)
+    sys.stdout.write(report(done, out))
+    lost = [f"{count} of {topic} could not be read, the first: {why}" for topic, (count, why) in done.lost.items()]
+    for problem in [*done.problems, *lost]:
+        sys.stderr.write(f"rumi: {problem}\n")
+    return NOT_CONVERGED if done.problems or done.lost else DONE
+
+
+def report(done: "Imported", path: Path) -> str:
+    """What an import wrote, a line a stream."""
+    width = max(map(len, done.kinds), default=0)
+    lines = [f"{path}: {sum(done.rows.values())} rows of {len(done.kinds)} streams"]
+    for name, kind in sorted(done.kinds.items()):
+        odd = ", ".join(f"{count} {how}" for how, count in done.odd.get(name, {}).items())
+        lines.append(f"{name:<{width}}  {kind:<8} {done.rows[name]:>7}" + (f"  ({odd})" if odd else ""))
+    return "\n  ".join(lines) + "\n"

@@ -1,0 +1,122 @@
+"""The fused CPU version of carrying particles; `carry.py` has the definition."""
+
+import math
+
+import numpy as np
+from numba import prange
+
+from rumi.dynamics.sliding_numba import settled, slope, value
+from sdf.compiled import Kernel, bare
+
+
+@bare
+def _rectangle(x, y, half_x, half_y):
+    """Signed distance and gradient of a rectangle."""
+    u, v = abs(x) - half_x, abs(y) - half_y
+    side_x, side_y = -1.0 if x < 0.0 else 1.0, -1.0 if y < 0.0 else 1.0
+    if u > 0.0 and v > 0.0:
+        length = math.sqrt(u * u + v * v)
+        return length, side_x * u / length, side_y * v / length
+    if u >= v:
+        return u, side_x, 0.0
+    return v, 0.0, side_y
+
+
+@bare
+def _outline(x, y, table, shape):
+    """Signed distance of the outline."""
+    if shape[0] > 0.0:
+        return _rectangle(x, y, shape[1], shape[2])[0]
+    return value(x, y, table, shape[1], shape[2], shape[3])
+
+
+@bare
+def _gradient(x, y, table, shape):
+    if shape[0] > 0.0:
+        _, gx, gy = _rectangle(x, y, shape[1], shape[2])
+        return gx, gy
+    return slope(x, y, table, shape[1], shape[2], shape[3])
+
+
+@bare
+def _nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape):
+    """The tool's point that is nearest to the object, its distance, and its place in the object's frame."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
+    least, best, at_x, at_y = math.inf, 0, 0.0, 0.0
+    for k in range(len(points)):
+        dx = tool_x + tool_cos * points[k, 0] - tool_sin * points[k, 1] - x
+        dy = tool_y + tool_sin * points[k, 0] + tool_cos * points[k, 1] - y
+        place_x, place_y = cos * dx + sin * dy, cos * dy - sin * dx
+        found = _outline(place_x, place_y, table, shape)
+        if found < least:
+            least, best, at_x, at_y = found, k, place_x, place_y
+    return least, best, at_x, at_y
+
+
+@bare
+def _one(e, poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance):
+    x, y, yaw = float(poses[e, 0]), float(poses[e, 1]), float(poses[e, 2])
+    row = e if len(path) > 1 else 0
+    body = (float(centre[e, 0]), float(centre[e, 1]), float(lever[e]), float(friction[e]))
+    thickness, reach, substeps, passes = sizes[0], sizes[1], counts[0], counts[1]
+    for instant in range(path.shape[1] - 1):
+        from_x, from_y, from_yaw = (
+            float(path[row, instant, 0]),
+            float(path[row, instant, 1]),
+            float(path[row, instant, 2]),
+        )
+        way_x = (path[row, instant + 1, 0] - from_x) / substeps
+        way_y = (path[row, instant + 1, 1] - from_y) / substeps
+        way_yaw = (path[row, instant + 1, 2] - from_yaw) / substeps
+        for part in range(substeps):
+            tool_x, tool_y = from_x + (part + 1) * way_x, from_y + (part + 1) * way_y
+            if (tool_x - x) * (tool_x - x) + (tool_y - y) * (tool_y - y) >= reach * reach:
+                continue
+            tool_yaw = from_yaw + (part + 1) * way_yaw
+            tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
+            first = (x, y, yaw)
+            for _ in range(passes):
+                apart, k, at_x, at_y = _nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape)
+                depth = thickness - apart
+                if not depth > 0.0:
+                    break
+                gx, gy = _gradient(at_x, at_y, table, shape)
+                x, y, yaw = settled(
+                    x,
+                    y,
+                    yaw,
+                    first,
+                    (tool_x, tool_y),
+                    (way_x, way_y, way_yaw),
+                    tool_cos * points[k, 0] - tool_sin * points[k, 1],
+                    tool_sin * points[k, 0] + tool_cos * points[k, 1],
+                    gx,
+                    gy,
+                    depth,
+                    thickness,
+                    body,
+                )
+        track[e, instant, 0], track[e, instant, 1], track[e, instant, 2] = x, y, yaw
+        end = instant + 1
+        apart, _, _, _ = _nearest(
+            x,
+            y,
+            yaw,
+            float(path[row, end, 0]),
+            float(path[row, end, 1]),
+            float(path[row, end, 2]),
+            points,
+            table,
+            shape,
+        )
+        distance[e, instant] = apart - thickness
+
+
+def _carry(poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance):
+    for e in prange(len(poses)):
+        # a signed index: a parallel loop's is unsigned, which with a signed one makes no index
+        _one(np.int64(e), poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance)
+
+
+carry = Kernel(_carry)

@@ -1,0 +1,1 @@
+"""Information measures: entropy of weighted samples, expected information gain, stopping rules."""

@@ -1,0 +1,172 @@
+"""What a motion is expected to tell by touch, exact over both outcomes of a binary reading (touch-only, Alg 1)."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from rumi.information.entropy import SharedSupport, weights_entropy
+from sdf.check import check_shape
+
+
+class BinaryOutcome(NamedTuple):
+    """What one binary reading does to the weights.
+
+    Attributes:
+        contact: (*b), probability that the reading says contact.
+        entropy: (*b), of the weights before, nats.
+        expected: (*b), of the weights after, expected over both outcomes, nats.
+        gain: (*b), mutual information of reading and state, nats: the difference of the two.
+    """
+
+    contact: Float[Tensor, "*b"]
+    entropy: Float[Tensor, "*b"]
+    expected: Float[Tensor, "*b"]
+    gain: Float[Tensor, "*b"]
+
+
+def binary_outcome(log_weights: Float[Tensor, "*#b N"], probability: Float[Tensor, "*#b N"]) -> BinaryOutcome:
+    """Expected entropy of the weights after one binary reading, in O(N) (Eqs 7-8).
+
+    The paper lets every particle in turn be the truth, which takes O(N^2) and one draw of the reading each; a binary
+    reading leads to two posteriors only, and both are worked out. An outcome that cannot happen counts nothing.
+
+    Args:
+        log_weights: of the states, normalised or not.
+        probability: that the reading says contact, for each state.
+    """
+    log = log_weights.log_softmax(-1)
+    weights = log.exp()
+    # the gain is the mean divergence of a state's outcome from the mean one: as a difference of the two entropies,
+    # which are larger by far, it would be lost to rounding
+    shape = torch.broadcast_shapes(log.shape, probability.shape)
+    weights, probability = weights.expand(shape), probability.expand(shape)
+    contact = (weights * probability).sum(-1).clamp(0.0, 1.0)
+    gain = torch.zeros_like(contact)
+    for chance in (probability, 1.0 - probability):
+        mean = (weights * chance).sum(-1, keepdim=True)
+        held = (weights * chance > 0) & (mean > 0)
+        apart = chance - mean
+        # the log of a ratio near 1 from how far it is from there, of any other as the difference of logs
+        close = held & (apart.abs() < 0.5 * mean)
+        near = torch.where(close, apart / torch.where(close, mean, 1.0), 0.0).log1p()
+        log_ratio = torch.where(close, near, torch.where(held, chance, 1.0).log() - torch.where(held, mean, 1.0).log())
+        # p log(p / q) - (p - q), of which the second part adds up to nothing
+        gain = gain + (weights * (torch.where(held, chance * log_ratio, 0.0) - apart)).sum(-1)
+    entropy = weights_entropy(log).expand_as(gain)
+    return BinaryOutcome(contact, entropy, entropy - gain, gain)
+
+
+def channel_capacity(low: float, high: float) -> float:
+    """The most, nats, that a binary reading with P(contact) in [low, high] can tell of anything.
+
+    Capacity of the binary channel whose inputs lead to contact with probability low or high, in closed form.
+    """
+    if not 0 <= low <= high <= 1:
+        raise ValueError(f"Expected 0 <= low <= high <= 1, got {low} and {high}")
+    if low == high:
+        return 0.0
+    # at the best share of inputs both outcomes' divergences from the mean are equal
+    slope = (_binary(high) - _binary(low)) / (high - low)
+    mean = 1.0 / (1.0 + math.exp(slope))
+    share = min(max((mean - low) / (high - low), 0.0), 1.0)
+    return _binary(low + share * (high - low)) - (1.0 - share) * _binary(low) - share * _binary(high)
+
+
+def _binary(p: float) -> float:
+    """Entropy of a coin, nats."""
+    return -sum(q * math.log(q) for q in (p, 1.0 - p) if q > 0)
+
+
+class ExpectedGain(NamedTuple):
+    """What candidate motions are worth; entry t of a step axis is after t + 1 steps.
+
+    Attributes:
+        weights: (C, T), gain of the weights term, which one reading at that step brings.
+        volume: (C, T), gain of the density term, which the motion until then brings.
+        best_step: (C), steps after which a candidate's gain is highest, and at which it is cut off; 0 for staying.
+        value: (C), gain there, 0 or more.
+        chosen: index of the best candidate, -1 where no candidate gains anything.
+    """
+
+    weights: Float[Tensor, "C T"]
+    volume: Float[Tensor, "C T"]
+    best_step: Int[Tensor, "C"]
+    value: Float[Tensor, "C"]
+    chosen: int
+
+    @property
+    def total(self) -> Float[Tensor, "C T"]:
+        """Both terms."""
+        return self.weights + self.volume
+
+
+def expected_gain(
+    states: Float[Tensor, "C T1 N D"],
+    log_weights: Float[Tensor, "N"],
+    probability: Float[Tensor, "C T N"],
+    support: SharedSupport | None,
+    *,
+    every: int = 1,
+) -> ExpectedGain:
+    """Entropy that candidate motions are expected to take away, one reading at the best step each (Alg 1, corrected).
+
+    The reading at a step updates the weights as they are now, as if none had come before. As printed, the weights
+    entropy takes the states before the step, not those after it, and a motion that only loses is returned all the
+    same; here there is "stay", worth 0.
+
+    Skipped, with the same result: the density term of steps at which no particle of a candidate moved.
+
+    Args:
+        states: of the particles now and after each step, for each candidate.
+        log_weights: of the particles now.
+        probability: of reading contact after each step.
+        support: gives the density term; None leaves it out (the weights-only ablation).
+        every: steps from one density term to the next; those between take the one before (1 is exact).
+    """
+    check_shape("probability", probability, "(C, T, N)", last=(states.shape[1] - 1, states.shape[2]))
+    if every < 1:
+        raise ValueError(f"Expected every to be 1 or more, got {every}")
+    weights = binary_outcome(log_weights, probability).gain
+    volume = torch.zeros_like(weights)
+    if support is not None and weights.numel() > 0:
+        volume = _volume_gain(states, log_weights, support, every)
+    total = weights + volume
+    if total.shape[1] == 0:
+        nothing = total.new_zeros(len(total))
+        return ExpectedGain(weights, volume, nothing.long(), nothing, -1)
+    value, step = total.max(-1)
+    gains = value > 0
+    best_step = torch.where(gains, step + 1, 0)
+    value = torch.where(gains, value, 0.0)
+    chosen = int(value.argmax()) if bool(gains.any()) else -1
+    return ExpectedGain(weights, volume, best_step, value, chosen)
+
+
+def _volume_gain(
+    states: Float[Tensor, "C T1 N D"], log_weights: Float[Tensor, "N"], support: SharedSupport, every: int
+) -> Float[Tensor, "C T"]:
+    candidates, instants = states.shape[:2]
+    moved = torch.ones(candidates, instants, dtype=torch.bool, device=states.device)
+    moved[:, 1:] = (states[:, 1:] != states[:, :-1]).flatten(2).any(-1)
+    instant = torch.arange(instants, device=states.device)
+    # the density terms that are worked out: the start's, and those of later steps at which something had moved
+    since = torch.zeros_like(moved)
+    changed = moved.long().cumsum(1)
+    for index in range(1, instants):
+        if index % every == 0 or index == instants - 1:
+            before = (index - 1) // every * every
+            since[:, index] = changed[:, index] != changed[:, before]
+    if bool((states[:, 0] == states[:1, 0]).all()):
+        start = support(states[0, 0], log_weights).log_volume.expand(candidates)
+    else:
+        start = support(states[:, 0], log_weights).log_volume
+    log_volume = start[:, None].expand(candidates, instants).clone()
+    rows = since.nonzero(as_tuple=True)
+    if len(rows[0]):
+        log_volume[rows] = support(states[rows], log_weights).log_volume
+    # where nothing was worked out, the last that was holds
+    latest = torch.where(since, instant, torch.zeros_like(instant)).cummax(1).values
+    return start[:, None] - log_volume.gather(1, latest)[:, 1:]

@@ -1,0 +1,90 @@
+"""What a policy is given and what it gives back."""
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from kmppi import ControlPlan
+from rumi.belief.particles import PoseBelief
+from rumi.fields.workspace import Workspace
+from rumi.robot.tool import Tool
+from sdf.object_model import ObjectModel
+from sensors.observation import Observation
+from sensors.reading import Reading
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a policy may know of the scene beside the belief: nothing of the truth.
+
+    Attributes:
+        model: the object's shape.
+        workspace: the lattice on which fields live.
+        tool: the robot's body points and free-space motion, with its reach.
+        configuration: (Q,), where the tool is now (planar: x, y, yaw; in space: x, y, z, yaw).
+        observed: all points so far, attached ones in the object-attached frame; None where nobody keeps them.
+        reading: the last one; None before the first.
+    """
+
+    model: ObjectModel
+    workspace: Workspace
+    tool: Tool
+    configuration: Float[Tensor, "Q"]
+    observed: Observation | None = None
+    reading: Reading | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a policy decided, with what it can start from next time.
+
+    Attributes:
+        controls: (T, A) in [-1, 1], the next ones first.
+        path: (T+1, Q), configurations that the policy predicts, the present one first.
+        warm_start: the planner's nominal controls.
+        fields: maps that the plan rests on, by name, on the workspace lattice (for figures).
+        skipped: what was skipped, by name, and how much of the whole (0..1).
+        timings_s: seconds by stage.
+        info: plain values about the plan. Policies that predict say by `predicted_information` what each action is
+            expected to gather anew (in the unit of the field that they plan on), and by `predicted_displacement` how
+            far each is expected to move the object (metres, world axes), both for the likeliest rollout.
+    """
+
+    controls: Float[Tensor, "T A"]
+    path: Float[Tensor, "T1 Q"]
+    warm_start: ControlPlan | None = None
+    fields: dict[str, Tensor] = field(default_factory=dict)
+    skipped: dict[str, float] = field(default_factory=dict)
+    timings_s: dict[str, float] = field(default_factory=dict)
+    info: dict[str, Any] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Chooses the next controls from the belief; RUMI and every baseline is one."""
+
+    def act(
+        self,
+        belief: PoseBelief,
+        scene: Scene,
+        previous: Plan | None,
+        *,
+        executed: int,
+        budget_s: float | None,
+        generator: torch.Generator,
+    ) -> Plan:
+        """Plan from the belief.
+
+        Args:
+            belief: one scene's belief (no batch axes).
+            scene: what else is known.
+            previous: the last plan, to warm-start from; None at the start.
+            executed: how many controls of `previous` were carried out.
+            budget_s: seconds that planning may take, or None for as long as it needs; the plan is the best that there
+                was time for.
+            generator: all randomness.
+        """
+        ...

@@ -1,0 +1,138 @@
+"""How badly poses fit touches, and which way is better: the sums that a descent on touches needs."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.registration.descent import Terms
+from rumi.registration.touch_surface import TouchSurface
+from sdf import backend, so3
+from sdf import compiled as fused
+from sdf.mesh.touched import touched_face
+from sdf.mesh.triangles import closest_point
+
+# pairs of a pose and a point at once
+_PAIRS = 1 << 17
+# metres: nearer than this, the direction to the surface is the triangle's normal
+_ON, _LEAST = 1e-9, 1e-12
+
+
+@dataclass(frozen=True)
+class TouchFit:
+    """What is summed over the touches.
+
+    Attributes:
+        loss: "square" for half the squared distance, "absolute" for the distance.
+        exact: take the triangle that fits best rather than the one that the surface's table has.
+        reach_m: sigma_p / sigma_n, by which normals count where there are some.
+        noise_m: sigma_p, by which distances weigh against normals in the absolute loss.
+        smooth_m: the absolute loss is sqrt(d^2 + smooth^2); 0 for the distance itself, which has a kink.
+    """
+
+    loss: Literal["square", "absolute"] = "square"
+    exact: bool = False
+    reach_m: float = 0.0
+    noise_m: float = 0.005
+    smooth_m: float = 3e-5
+
+    @property
+    def normal_weight(self) -> float:
+        """Of a squared chord between normals, in the loss's unit."""
+        return 0.5 * self.reach_m**2 / (1.0 if self.loss == "square" else self.noise_m)
+
+
+def touch_terms(
+    surface: TouchSurface,
+    world_T_middle: Float[Tensor, "N 4 4"],
+    points_w: Float[Tensor, "K 3"],
+    normals_w: Float[Tensor, "K 3"] | None,
+    fit: TouchFit,
+) -> Terms:
+    """The loss of each pose, with its gradient and Gauss-Newton Hessian by (shift, turn about the middle).
+
+    A touch's loss is that of its distance to a triangle, inside or out, plus `normal_weight` times the squared chord
+    between its normal and the triangle's.
+
+    Args:
+        surface: what was touched.
+        world_T_middle: poses of its frame.
+        points_w: metres.
+        normals_w: outward, unit, if they are known.
+        fit: which loss.
+    """
+    facing = points_w.new_zeros(points_w.shape) if normals_w is None else normals_w
+    if normals_w is None and fit.reach_m:
+        raise ValueError(f"Expected normals for a reach of {fit.reach_m} m, got none")
+    version = backend.dispatch("touch_terms", world_T_middle, points_w, facing)
+    with torch.no_grad():
+        return version(surface, world_T_middle, points_w, facing, fit)
+
+
+@backend.register("touch_terms")
+def _terms_plain(surface: TouchSurface, pose: Tensor, points: Tensor, normals: Tensor, fit: TouchFit) -> Terms:
+    size = max(1, _PAIRS // max(1, len(points)))
+    parts = [_terms_of(surface, part, points, normals, fit) for part in pose.split(size)]
+    if not parts:
+        return Terms(pose.new_zeros(0), pose.new_zeros(0, 6), pose.new_zeros(0, 6, 6))
+    return Terms(*(torch.cat(column) for column in zip(*parts, strict=True)))
+
+
+def _terms_of(surface: TouchSurface, pose: Tensor, points: Tensor, normals: Tensor, fit: TouchFit) -> Terms:
+    rotation, place = pose[:, None, :3, :3], pose[:, None, :3, 3]
+    arm = points - place
+    own = (rotation.mT @ arm[..., None])[..., 0]
+    owner = torch.from_numpy(surface.triangles.tree.owner).to(pose.device)
+    if fit.exact:
+        found = touched_face(own, (rotation.mT @ normals[:, :, None])[..., 0], surface.triangles, fit.reach_m)
+        face, point = found.face, found.point
+    else:
+        face = owner[surface.pieces(own)]
+        point = closest_point(own, surface.triangles.corners.to(own)[face])
+    facing = (rotation @ surface.triangles.normals.to(own)[face][..., None])[..., 0]
+    offset = (rotation @ (own - point)[..., None])[..., 0]
+    distance = offset.norm(dim=-1)
+    away = torch.where(distance[..., None] > _ON, offset / distance.clamp_min(_ON)[..., None], facing)
+    rows = -torch.cat((away, torch.linalg.cross(arm, away)), -1)
+    if fit.loss == "square":
+        weight, loss = torch.ones_like(distance), 0.5 * distance.square()
+    else:
+        loss = (distance.square() + fit.smooth_m**2).sqrt()
+        weight = 1.0 / loss.clamp_min(_LEAST)
+    gradient = ((weight * distance)[..., None] * rows).sum(-2)
+    hessian = (weight[..., None] * rows).mT @ rows
+    objective = loss.sum(-1)
+    if fit.reach_m:
+        amount = fit.normal_weight
+        objective = objective + amount * (normals - facing).square().sum((-2, -1))
+        gradient[:, 3:] -= 2.0 * amount * torch.linalg.cross(facing, normals.expand_as(facing)).sum(-2)
+        cross = so3.hat(facing)
+        hessian[:, 3:, 3:] += 2.0 * amount * (cross.mT @ cross).sum(-3)
+    return Terms(objective, gradient, hessian)
+
+
+@backend.register("touch_terms", "numba", fused.supports)
+def _terms_fused(surface: TouchSurface, pose: Tensor, points: Tensor, normals: Tensor, fit: TouchFit) -> Terms:
+    from rumi.registration.contact_terms_numba import terms_kernel
+
+    places = [x.detach().double().contiguous().numpy() for x in (pose, points, normals)]
+    triangles = surface.triangles
+    result = [torch.zeros(len(pose), *shape, dtype=torch.float64) for shape in ((), (6,), (6, 6))]
+    terms_kernel(
+        *places,
+        *triangles.tree.for_distance,
+        triangles.corners.double().reshape(-1, 9).contiguous().numpy(),
+        triangles.normals.double().contiguous().numpy(),
+        surface.cells.contiguous().numpy(),
+        surface.low.double().numpy(),
+        float(surface.step),
+        fit.exact,
+        float(fit.reach_m),
+        fit.loss == "absolute",
+        float(fit.smooth_m),
+        float(fit.normal_weight) if fit.reach_m else 0.0,
+        *(x.numpy() for x in result),
+    )
+    return Terms(*(x.to(pose) for x in result))

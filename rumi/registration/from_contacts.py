@@ -1,0 +1,196 @@
+"""Where an object is, from points that were touched on it: starts all over, descent, all modes that explain them."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi import seeding
+from rumi.registration.archive import super_fibonacci
+from rumi.registration.contact_modes import Localization, distinct, gather_modes
+from rumi.registration.contact_terms import TouchFit, touch_terms
+from rumi.registration.descent import DescentSettings, Terms, gauss_newton
+from rumi.registration.localize_settings import LocalizeSettings as LocalizeSettings
+from rumi.registration.touch_checks import check_contacts
+from rumi.registration.touch_surface import TouchSurface
+from sdf import se3
+from sdf.mesh.mesh import TriangleMesh
+from sdf.mesh.mesh_sdf import MeshSDF
+from sdf.symmetry import Symmetries
+
+_TURNS = 997  # that the starts' orientations may be turned by, all of them alike
+
+
+class PositionPrior(NamedTuple):
+    """Where the origin of the mesh's frame may be: a box.
+
+    Attributes:
+        center: (3,), metres.
+        radius: (3,), half of its edges, metres.
+    """
+
+    center: Float[Tensor, "3"]
+    radius: Float[Tensor, "3"]
+
+
+def localize(
+    shape: TouchSurface | MeshSDF | TriangleMesh | str | Path,
+    points_w: Float[Tensor, "K 3"],
+    *,
+    normals: Float[Tensor, "K 3"] | None = None,
+    prior: PositionPrior | None = None,
+    clip: bool = False,
+    symmetries: Symmetries | None = None,
+    settings: LocalizeSettings | None = None,
+    generator: torch.Generator | None = None,
+) -> Localization:
+    """All poses of an object that explain where it was touched, over all of SE(3).
+
+    Starts turned evenly all over, the middle of the object's box about the points' mean, descend on squared distances
+    to the surface; the best of them, and the best of what is unlike those, on distances, which a few touches that are
+    far off disturb less. Poses alike up to the object's symmetries then make a mode.
+
+    Args:
+        shape: a file, a mesh in metres, or a `TouchSurface` made of it, which saves what depends on the mesh alone.
+        points_w: (K, 3), metres, of a spherical tip its centres brought to the surface; 3 or more.
+        normals: (K, 3), outward, unit, if they are known.
+        prior: where some of the starts are.
+        clip: leave out poses whose origin is outside of the prior.
+        symmetries: of the object, in the mesh's frame, where they are known better than found.
+        settings: counts and tolerances.
+        generator: draws the starts; by default one of seed 0.
+
+    Raises:
+        ValueError: points, normals or a prior that cannot be, with what to do; or no pose within a prior that clips.
+        sdf.mesh.mesh.MeshError: as `TouchSurface.of`.
+    """
+    settings = settings or LocalizeSettings()
+    generator = seeding.generator(0) if generator is None else generator
+    surface = TouchSurface.of(shape, symmetries)
+    if symmetries is not None:
+        surface = replace(surface, symmetries=symmetries.to(torch.float64))
+    points, facing = check_contacts(surface, points_w, normals)
+    if clip and prior is None:
+        raise ValueError("Expected a prior to clip by, got none: give its centre and radius")
+    box = None if prior is None else _checked(prior)
+    sample, rest = (
+        _thinned(points, settings.coarse_points, generator),
+        _thinned(points, settings.fine_points, generator),
+    )
+
+    # of normals, the noise in proportion to that of points is what counts; at first the paper's
+    noise = settings.noise_m or 0.005
+    reach = 0.0 if facing is None else noise / settings.normal_noise_rad
+    poses = starting_poses(surface, points, box, settings, generator=generator)
+    square = TouchFit("square", False, reach, noise)
+    poses = _descended(surface, poses, points[sample], _of(facing, sample), square, settings.coarse)
+    rough = touch_terms(surface, poses, points[sample], _of(facing, sample), square).objective
+    absolute = TouchFit("absolute", True, reach, noise)
+    poses = poses[_to_polish(surface, poses, rough, settings)]
+    poses = _descended(surface, poses, points[rest], _of(facing, rest), absolute, settings.fine)
+    if clip and box is not None:
+        origin = surface.uncentred(poses)[:, :3, 3]
+        inside = ((origin - box.center).abs() <= box.radius).all(-1)
+        if not bool(inside.any()):
+            raise ValueError(
+                "Expected poses with the mesh's origin within the prior, every one found lies outside of it: leave "
+                "out clip (the prior then only seeds starts), or widen the prior"
+            )
+        poses = poses[inside]
+    return gather_modes(surface, poses, points, facing, settings)
+
+
+def gain_of_turned_normals(
+    surface: TouchSurface,
+    points_w: Float[Tensor, "K 3"],
+    normals: Float[Tensor, "K 3"],
+    found: Localization,
+    *,
+    settings: LocalizeSettings | None = None,
+    generator: torch.Generator | None = None,
+) -> float:
+    """By how many nats the best pose is likelier with all normals turned round, than the best with them as they are.
+
+    Sensors and meshes differ in which way a normal points; normals into the object lead to a pose that is wrong. Looks
+    from a quarter of the starts.
+
+    Args:
+        surface: of the object.
+        points_w: (K, 3), metres.
+        normals: (K, 3), as they were given.
+        found: with them, whose noise is taken for both.
+        settings: that it was found with.
+        generator: draws the starts; by default one of seed 0.
+    """
+    settings = settings or LocalizeSettings()
+    fewer = replace(settings, starts=max(1, settings.starts // 4), noise_m=found.noise_m)
+    turned = localize(surface, points_w, normals=-normals, settings=fewer, generator=generator)
+    return float(turned.log_likelihood.max() - found.log_likelihood.max())
+
+
+def starting_poses(
+    surface: TouchSurface,
+    points_w: Float[Tensor, "K 3"],
+    prior: PositionPrior | None,
+    settings: LocalizeSettings,
+    *,
+    generator: torch.Generator,
+) -> Float[Tensor, "N 4 4"]:
+    """Poses of the surface's middle: orientations spread evenly, places about the points' mean or from the prior."""
+    count = settings.starts
+    # a spread of its own for every seed: all of it turned alike, by a rotation drawn evenly
+    turn = int(torch.randint(_TURNS, (), generator=generator))
+    rotation = super_fibonacci(_TURNS, points_w)[turn] @ super_fibonacci(count, points_w)
+    deviation = settings.spread * 0.5 * surface.diagonal
+    place = points_w.mean(0) + deviation * seeding.normal((count, 3), generator=generator, dtype=torch.float64)
+    poses = se3.make(rotation, place)
+    if prior is not None:
+        # spread over the orientations, as their order follows a spiral
+        some = torch.randperm(count, generator=generator)[: round(settings.from_prior * count)]
+        draw = 2.0 * seeding.uniform((len(some), 3), generator=generator, dtype=torch.float64) - 1.0
+        poses[some] = surface.centred(se3.make(rotation[some], prior.center + draw * prior.radius))
+    return poses
+
+
+def _descended(
+    surface: TouchSurface, poses: Tensor, points: Tensor, normals: Tensor | None, fit: TouchFit, iterations: int
+) -> Tensor:
+    def terms(at: Tensor) -> Terms:
+        return touch_terms(surface, at, points, normals, fit)
+
+    limits = DescentSettings(iterations=iterations, step_limit_m=0.25 * surface.diagonal, step_limit_rad=0.6)
+    # what is added to the Hessian: of as many points, and for turns by an arm of a thousandth of the object
+    weight = len(points) * (1.0 if fit.loss == "square" else 1.0 / surface.diagonal)
+    floor = torch.tensor([1e-6] * 3 + [(1e-3 * surface.diagonal) ** 2] * 3, dtype=poses.dtype) * weight
+    return gauss_newton(terms, poses, "SE(3)", limits, floor[None])
+
+
+def _to_polish(surface: TouchSurface, poses: Tensor, rough: Tensor, settings: LocalizeSettings) -> Tensor:
+    """The best half as they come, the other the best that are unlike those before them."""
+    order = rough.argsort(stable=True)
+    best = order[: max(1, settings.polished // 2)]
+    unlike = distinct(surface, poses[order], settings.mode_m, settings.mode_rad, settings.polished - len(best))
+    return torch.cat((best, order[unlike])).unique()
+
+
+def _thinned(points: Tensor, most: int, generator: torch.Generator) -> Tensor:
+    return torch.randperm(len(points), generator=generator)[:most].sort().values
+
+
+def _of(normals: Tensor | None, index: Tensor) -> Tensor | None:
+    return None if normals is None else normals[index]
+
+
+def _checked(prior: PositionPrior) -> PositionPrior:
+    center, radius = (torch.as_tensor(x, dtype=torch.float64).cpu() for x in prior)
+    if center.shape != (3,) or radius.shape != (3,) or not bool(torch.isfinite(torch.cat((center, radius))).all()):
+        raise ValueError(f"Expected a prior of three finite numbers each, got center {center} and radius {radius}")
+    if not bool((radius > 0).all()):
+        raise ValueError(
+            f"Expected a prior with a radius above 0 along each axis, got {radius.tolist()}: give half of the edges of "
+            "the box that the mesh's origin is in, or no prior"
+        )
+    return PositionPrior(center, radius)

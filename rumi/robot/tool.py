@@ -1,0 +1,257 @@
+"""The tool that a planner moves: its points at a configuration, and where a command takes it in free space."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from rumi.robot.gripper import GripperShape
+from rumi.robot.reach import Reach
+from rumi.robot.reach_table import SECTOR_RAD
+from sdf import se3
+from sdf.check import check_shape
+
+_PARTS = 16
+# metres by which rounding may make a residual grow that is the same all along a circle about the base
+_SLACK_M = 1e-6
+
+
+class Tool(nn.Module):
+    """A level gripper: it moves in a plane, configuration (x, y, yaw), or in space, (x, y, z, yaw); metres and radians.
+
+    The executor and the planner move it by the same `free_path`, so that a planner never counts on a motion that
+    the arm would refuse.
+
+    Args:
+        bounds: (2, 2) or (2, 3), metres, lower and upper corner of where the tool frame may be: x and y for a tool
+            that moves in a plane, x, y and z for one that moves in space.
+        reach: what the arm can reach; None for a tool that flies freely.
+        shape: the gripper's shape.
+        height_m: height of the plane above the world's floor; not used in space.
+        action_scale_m: metres that a control of 1 asks for, along the world's axes.
+        action_scale_rad: radians that a control of 1 asks for.
+        body_spacing_m: spacing of the body points.
+        info_spacing_m: spacing of the information points.
+    """
+
+    def __init__(
+        self,
+        bounds: Float[Tensor, "2 D"],
+        reach: Reach | None = None,
+        *,
+        shape: GripperShape | None = None,
+        height_m: float = 0.045,
+        action_scale_m: float = 0.08,
+        action_scale_rad: float = 0.5,
+        body_spacing_m: float = 0.006,
+        info_spacing_m: float = 0.005,
+    ) -> None:
+        super().__init__()
+        self.spatial = bounds.shape[-1] == 3
+        check_shape("bounds", bounds, "(2, 3)" if self.spatial else "(2, 2)", last=(2, 3 if self.spatial else 2))
+        self.shape = shape or GripperShape()
+        self.reach = reach
+        self.height_m = 0.0 if self.spatial else height_m
+        self.register_buffer("bounds", bounds.clone())
+        scale = (action_scale_m,) * bounds.shape[-1] + (action_scale_rad,)
+        self.register_buffer("scale", bounds.new_tensor(scale))
+        for name, points in _points(self.shape, body_spacing_m, info_spacing_m, spatial=self.spatial).items():
+            self.register_buffer(name, points.to(bounds))
+        self._discs: dict[int, tuple[Tensor, float]] = {}
+        self.bounds: Tensor
+        self.scale: Tensor
+        self.body: Tensor
+        self.info: Tensor
+
+    def pose(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b 4 4"]:
+        """world_T_tool at configurations."""
+        if not self.spatial:
+            return se3.from_planar(q, self.height_m)
+        return se3.from_planar(torch.cat((q[..., :2], q[..., 3:]), -1), q[..., 2])
+
+    def points(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b n 3"]:
+        """World points of the whole body at configurations, metres (RUMI's h)."""
+        return self._place(self.body, q)
+
+    def info_points(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b m 3"]:
+        """World points of the part that senses touch, the pads (RUMI's h_I)."""
+        return self._place(self.info, q)
+
+    def covering_discs(self, count: int) -> tuple[Float[Tensor, "k D"], float]:
+        """Discs, in space balls, of one radius that together cover all body points.
+
+        Args:
+            count: how many.
+
+        Returns:
+            centres (k, 2), in space (k, 3), in the tool frame and the radius, metres.
+        """
+        if count < 1:
+            raise ValueError(f"Expected count to be at least 1, got {count}")
+        # the body never changes, and every plan asks for the same discs
+        if count not in self._discs:
+            self._discs[count] = self._cover(count)
+        centers, radius = self._discs[count]
+        return centers.to(self.body), radius
+
+    def _cover(self, count: int) -> tuple[Float[Tensor, "k D"], float]:
+        points = self.body if self.spatial else self.body[:, :2]
+        # farthest points as a start, then each centre moves to the middle of the box about its own points
+        centers = points.mean(0, keepdim=True)
+        while len(centers) < count:
+            farthest = torch.cdist(points, centers).amin(-1).argmax()
+            centers = torch.cat((centers, points[farthest][None]))
+        best, least = centers, float(torch.cdist(points, centers).amin(-1).max())
+        for _ in range(30):
+            owner = torch.cdist(points, centers).argmin(-1)
+            own = [points[owner == index] for index in range(count)]
+            centers = torch.stack([0.5 * (p.amin(0) + p.amax(0)) if len(p) else centers[i] for i, p in enumerate(own)])
+            radius = float(torch.cdist(points, centers).amin(-1).max())
+            if radius < least:
+                best, least = centers, radius
+        return best, least
+
+    def free_step(
+        self, q: Float[Tensor, "*#b Q"], control: Float[Tensor, "*#b Q"], fraction: float = 1.0
+    ) -> tuple[Float[Tensor, "*#b Q"], Float[Tensor, "*#b"]]:
+        """Where a part of a control takes the tool if nothing is in its way.
+
+        The control is (dx, dy, dyaw), in space (dx, dy, dz, dyaw), in [-1, 1], along the world's axes. A step that
+        would leave the bounds stops at them. A step that the arm cannot reach is carried out up to the limit; the rest
+        is tried without its turn, then along the circle about the arm's base (with the wanted yaw, then turning with
+        the circle); if all of that is out of reach the tool stays. From a place already out of reach it may go wherever
+        the residual does not grow.
+
+        Args:
+            q: (*b, Q), configuration now.
+            control: (*b, Q).
+            fraction: part of the control to carry out in this step.
+
+        Returns:
+            the configuration (*b, Q) after the step and the refused part of the translation (*b), metres.
+        """
+        wanted = q + control * (self.scale * fraction)
+        q = q.expand_as(wanted)
+        residual = None if self.reach is None else self.reach.residual(q)
+        reached, _ = self._within(q, wanted, residual)
+        return reached, (wanted - reached)[..., :-1].norm(dim=-1)
+
+    def free_path(
+        self, q: Float[Tensor, "*#b Q"], controls: Float[Tensor, "*#b H Q"], mini_steps: int
+    ) -> Float[Tensor, "*#b T Q"]:
+        """Configurations after each mini step of some controls, if nothing is in the way: repeated `free_step`.
+
+        Args:
+            q: (*b, Q), configuration now (batch axes broadcast).
+            controls: (*b, H, Q), in [-1, 1].
+            mini_steps: equal parts that each control is carried out in.
+
+        Returns:
+            (*b, H * mini_steps, Q), the start left out.
+        """
+        if mini_steps < 1:
+            raise ValueError(f"Expected mini_steps to be at least 1, got {mini_steps}")
+        steps = (controls * (self.scale / mini_steps)).repeat_interleave(mini_steps, dim=-2)
+        path = q[..., None, :] + steps.cumsum(-2)
+        flat, steps = path.reshape(-1, *path.shape[-2:]), steps.reshape(-1, *steps.shape[-2:])
+        # most paths meet no limit: those are done; the rest go step by step from where the first one meets it
+        allowed = self._inside(flat)
+        rows = (~allowed.all(-1)).nonzero()[:, 0]
+        if len(rows) == 0:
+            return path
+        flat = flat.clone()
+        now_at = int(allowed[rows].to(torch.uint8).cumprod(-1).sum(-1).min())
+        start = q.expand(*path.shape[:-2], q.shape[-1]).reshape(-1, q.shape[-1])[rows]
+        current = flat[rows, now_at - 1] if now_at > 0 else start
+        residual = None if self.reach is None else self.reach.residual(current)
+        for index in range(now_at, flat.shape[1]):
+            current, residual = self._within(current, current + steps[rows, index], residual)
+            flat[rows, index] = current
+        return flat.reshape(path.shape)
+
+    def arm_arrays(self) -> tuple[Any, ...]:
+        """What limits a step, for `tool_numba`: reach table, base, bounds, and an array of numbers."""
+        bounds = self.bounds.numpy()
+        if self.reach is None:
+            none = np.zeros((1,) * self.spatial + (1, 3), bounds.dtype)
+            numbers = (1.0, SECTOR_RAD, 0.0, _SLACK_M, _PARTS, 0.0)
+            return none, none.reshape(-1), bounds, np.array(numbers + (0.0, 1.0) * self.spatial)
+        settings, heights = self.reach.settings, self.reach.heights_m
+        numbers = (settings.radius_step_m, SECTOR_RAD, settings.tolerance_m, _SLACK_M, _PARTS, 1.0)
+        left = self.reach.left.contiguous().numpy()
+        return left, self.reach.base.numpy(), bounds, np.array(numbers + heights[:1] + heights[-1:])
+
+    def _inside(self, q: Tensor) -> Bool[Tensor, "*b"]:
+        boxed = ((q[..., :-1] >= self.bounds[0]) & (q[..., :-1] <= self.bounds[1])).all(-1)
+        return boxed if self.reach is None else boxed & self.reach.reachable(q)
+
+    def _within(self, q: Tensor, wanted: Tensor, residual: Tensor | None) -> tuple[Tensor, Tensor | None]:
+        """Where a step from q to `wanted` ends, and the arm's residual there.
+
+        Args:
+            q: (*b, Q), configuration now.
+            wanted: (*b, Q).
+            residual: (*b), the arm's at q; None without an arm.
+        """
+        reached = self._boxed(wanted)
+        if self.reach is None or residual is None:
+            return reached, None
+        limit = residual.clamp_min(self.reach.settings.tolerance_m) + _SLACK_M
+        left = self.reach.residual(reached)
+        refused = left > limit
+        if bool(refused.any()):
+            reached[refused], left[refused] = self._up_to_limit(q[refused], reached[refused], limit[refused])
+        return reached, left
+
+    def _up_to_limit(self, q: Tensor, wanted: Tensor, limit: Tensor) -> tuple[Tensor, Tensor]:
+        """Where a step (n, Q) that the arm cannot finish ends, and the residual there."""
+        assert self.reach is not None
+        # as far as the arm gets on the straight way, a sixteenth of the step at a time
+        parts = torch.arange(1, _PARTS, dtype=q.dtype, device=q.device)[:, None, None] / _PARTS
+        residuals = self.reach.residual(q + parts * (wanted - q))
+        passed = (residuals <= limit).to(q.dtype).cumprod(0).sum(0)
+        halfway = q + (passed / _PARTS)[:, None] * (wanted - q)
+        # and from there round the limit
+        ways = torch.stack((*self._ways_round(halfway, wanted), halfway))
+        residuals = self.reach.residual(ways)
+        reached, left = ways[3], residuals[3]
+        for way, rest in ((ways[2], residuals[2]), (ways[1], residuals[1]), (ways[0], residuals[0])):
+            accepted = rest <= limit
+            reached, left = torch.where(accepted[:, None], way, reached), torch.where(accepted, rest, left)
+        return reached, left
+
+    def _ways_round(self, q: Tensor, wanted: Tensor) -> tuple[Tensor, ...]:
+        assert self.reach is not None
+        base = self.reach.base[:2]
+        offset, target = q[..., :2] - base, wanted[..., :2] - base
+        radius = offset.norm(dim=-1, keepdim=True)
+        on_circle = base + target * (radius / target.norm(dim=-1, keepdim=True).clamp_min(1e-9))
+        on_circle = torch.maximum(torch.minimum(on_circle, self.bounds[1, :2]), self.bounds[0, :2])
+        swing = torch.atan2(
+            offset[..., 0] * target[..., 1] - offset[..., 1] * target[..., 0], (offset * target).sum(-1)
+        )
+        straight = torch.cat((wanted[..., :-1], q[..., -1:]), -1)
+        turning = torch.cat((on_circle, wanted[..., 2:]), -1)
+        carried = torch.cat((on_circle, wanted[..., 2:-1], q[..., -1:] + swing[..., None]), -1)
+        return straight, turning, carried
+
+    def _boxed(self, q: Tensor) -> Tensor:
+        place = torch.maximum(torch.minimum(q[..., :-1], self.bounds[1]), self.bounds[0])
+        return torch.cat((place, q[..., -1:]), -1)
+
+    def _place(self, points: Tensor, q: Tensor) -> Tensor:
+        cosine, sine = q[..., -1].cos()[..., None], q[..., -1].sin()[..., None]
+        x = q[..., 0, None] + cosine * points[:, 0] - sine * points[:, 1]
+        y = q[..., 1, None] + sine * points[:, 0] + cosine * points[:, 1]
+        z = q[..., 2, None] + points[:, 2] if self.spatial else torch.full_like(x, self.height_m)
+        return torch.stack((x, y, z), -1)
+
+
+def _points(shape: GripperShape, body_m: float, info_m: float, *, spatial: bool) -> dict[str, Float[Tensor, "n 3"]]:
+    """Body and sensing points: filling the gripper, or its section at z = 0."""
+    if spatial:
+        return {"body": shape.solid(body_m), "info": shape.pad_solid(info_m)}
+    sections = {"body": shape.section(body_m), "info": shape.pad_section(info_m)}
+    return {name: torch.cat((part, torch.zeros_like(part[:, :1])), -1) for name, part in sections.items()}

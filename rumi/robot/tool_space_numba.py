@@ -1,0 +1,77 @@
+"""The fused CPU version of a step in space against the arm's reach; `tool.py` has the definition.
+
+As `tool_numba` for a tool that moves in a plane. What limits a step comes as `Tool.arm_arrays` gives it.
+"""
+
+import math
+
+from rumi.robot.tool_numba import _within, _wrapped
+from sdf.compiled import bare
+
+
+@bare
+def residual(x, y, z, yaw, tables, base, limits):
+    """What inverse kinematics leaves at a configuration, metres; linear between nodes, the last node's beyond them."""
+    if limits[5] == 0.0:
+        return 0.0
+    radius_step, sector, low, high = limits[0], limits[1], limits[6], limits[7]
+    dx, dy = x - base[0], y - base[1]
+    radius, direction = math.sqrt(dx * dx + dy * dy), math.atan2(dy, dx)
+    turned, side = abs(_wrapped(yaw - direction)), abs(_wrapped(direction - base[2]))
+    layers, rows, columns = tables.shape
+    last = (rows - 1) * radius_step
+    beyond = max(radius - last, 0.0) + radius * max(side - sector, 0.0)
+    u = _within(radius / radius_step, 0.0, rows - 1.0)
+    v = _within(turned / math.pi * (columns - 1.0), 0.0, columns - 1.0)
+    w = _within((z - low) / (high - low) * (layers - 1.0), 0.0, layers - 1.0)
+    i, j, k = min(int(u), rows - 2), min(int(v), columns - 2), min(int(w), layers - 2)
+    a, b, c = u - i, v - j, w - k
+    value = 0.0
+    for layer in range(2):
+        share = c if layer else 1.0 - c
+        for row in range(2):
+            part = share * (a if row else 1.0 - a)
+            first, second = tables[k + layer, i + row, j], tables[k + layer, i + row, j + 1]
+            value += part * (first + b * (second - first))
+    return value + beyond
+
+
+@bare
+def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, tables, base, bounds, limits):
+    """Where a step from (x, y, z, yaw) ends, and the arm's residual there; `left` is it now."""
+    tolerance, slack, parts = limits[2], limits[3], int(limits[4])
+    to_x = _within(to_x, bounds[0, 0], bounds[1, 0])
+    to_y = _within(to_y, bounds[0, 1], bounds[1, 1])
+    to_z = _within(to_z, bounds[0, 2], bounds[1, 2])
+    if limits[5] == 0.0:
+        return to_x, to_y, to_z, to_yaw, 0.0
+    limit = max(left, tolerance) + slack
+    rest = residual(to_x, to_y, to_z, to_yaw, tables, base, limits)
+    if rest <= limit:
+        return to_x, to_y, to_z, to_yaw, rest
+    # as far as the arm gets on the straight way, a part of the step at a time
+    passed = 0
+    for part in range(1, parts):
+        share = part / parts
+        here_x, here_y, here_z = x + share * (to_x - x), y + share * (to_y - y), z + share * (to_z - z)
+        if residual(here_x, here_y, here_z, yaw + share * (to_yaw - yaw), tables, base, limits) > limit:
+            break
+        passed = part
+    share = passed / parts
+    x, y, z, yaw = x + share * (to_x - x), y + share * (to_y - y), z + share * (to_z - z), yaw + share * (to_yaw - yaw)
+    # and from there round the limit: without the turn, along the circle, along it and turning with it
+    rest = residual(to_x, to_y, to_z, yaw, tables, base, limits)
+    if rest <= limit:
+        return to_x, to_y, to_z, yaw, rest
+    from_x, from_y, aim_x, aim_y = x - base[0], y - base[1], to_x - base[0], to_y - base[1]
+    stretch = math.sqrt(from_x * from_x + from_y * from_y) / max(math.sqrt(aim_x * aim_x + aim_y * aim_y), 1e-9)
+    round_x = _within(base[0] + aim_x * stretch, bounds[0, 0], bounds[1, 0])
+    round_y = _within(base[1] + aim_y * stretch, bounds[0, 1], bounds[1, 1])
+    rest = residual(round_x, round_y, to_z, to_yaw, tables, base, limits)
+    if rest <= limit:
+        return round_x, round_y, to_z, to_yaw, rest
+    carried = yaw + math.atan2(from_x * aim_y - from_y * aim_x, from_x * aim_x + from_y * aim_y)
+    rest = residual(round_x, round_y, to_z, carried, tables, base, limits)
+    if rest <= limit:
+        return round_x, round_y, to_z, carried, rest
+    return x, y, z, yaw, residual(x, y, z, yaw, tables, base, limits)

@@ -1,0 +1,215 @@
+"""From a ROS 2 bag to a log of raw streams."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rumi.errors import UsageError
+from rumi.rosbag.mapping import BagMap, Topic
+from rumi.rosbag.mcap import Found, Walk
+from rumi.rosbag.messages import CONVERTERS, RowOf
+from sensors.log.errors import LogError
+from sensors.log.writer import LogWriter
+
+_TF = {"/tf": Topic("tf"), "/tf_static": Topic("tf")}
+
+
+@dataclass
+class Imported:
+    """What came of an import.
+
+    Attributes:
+        rows: by stream.
+        kinds: of the streams.
+        odd: by stream, how many stamps were odd, and how.
+        lost: by topic, how many messages could not be read, and why the first one.
+        problems: what else was wrong.
+    """
+
+    rows: Counter[str] = field(default_factory=Counter)
+    kinds: dict[str, str] = field(default_factory=dict)
+    odd: dict[str, dict[str, int]] = field(default_factory=dict)
+    lost: dict[str, tuple[int, str]] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+
+def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0) -> Imported:
+    """Write a log of a bag's streams.
+
+    The log is written aside and put in its place at the end. What cannot be read of a bag is told and left out; the
+    rest is kept.
+
+    Args:
+        bag: an .mcap or .db3 file, or the folder of a bag.
+        mapping: which topics to take.
+        path: of the log.
+        future_s: seconds that a message's stamp may be later than when it was received.
+
+    Raises:
+        UsageError: there is no such bag, none of the topics is in it, or the log cannot be written.
+        ModuleNotFoundError: rosbags is not installed.
+    """
+    import rosbags.rosbag2  # noqa: F401  (says what to install before anything is written)
+
+    if not bag.exists():
+        raise UsageError(f"There is no bag {bag}: give an .mcap or .db3 file, or the folder of a bag")
+    done, seen = _attempt(bag, mapping, path, future_s, walk=False)
+    if done is None:
+        done, seen = _attempt(bag, mapping, path, future_s, walk=True)
+    assert done is not None
+    topics = {**_TF, **mapping.topics}
+    listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(seen.items())) or "none"
+    lacking = [name for name in mapping.topics if name not in seen]
+    if not any(done.rows.values()):
+        path.unlink(missing_ok=True)
+        why = "".join(f"; {problem}" for problem in (*done.problems, *(why for _, why in done.lost.values())))
+        raise UsageError(f"Expected messages of {', '.join(topics)} in {bag}, found none; its topics are {listed}{why}")
+    if lacking:
+        done.problems.append(f"the bag has no {', '.join(lacking)}; its topics are {listed}")
+    return done
+
+
+def _attempt(
+    bag: Path, mapping: BagMap, path: Path, future_s: float, *, walk: bool
+) -> tuple[Imported | None, dict[str, str]]:
+    """The import by rosbags, or record by record; None where rosbags cannot read an MCAP file to its end."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store, done = get_typestore(Stores.ROS2_JAZZY), Imported()
+    topics = {**_TF, **mapping.topics}
+    seen: dict[str, str] = {}
+    files = _files(bag)
+    about = {"map": mapping.text, "bag": bag.name}
+    try:
+        log = LogWriter(path, about=about, live=False, future_s=future_s)
+    except LogError as error:
+        raise UsageError(str(error)) from error
+    columns = _Joints()
+    try:
+        for found in _walked(files, done) if walk else _by_rosbags(bag):
+            seen[found.topic] = found.kind
+            if found.topic not in topics:
+                continue
+            for row in _rows(found, topics[found.topic], store, done):
+                _add(log, columns.ordered(row), found.received_ns, done)
+    except _BagError as error:
+        if not walk and all(file.suffix == ".mcap" for file in files):
+            log.discard()
+            return None, seen
+        done.problems.append(f"the bag cannot be read further: {error}")
+    except BaseException:
+        log.discard()
+        raise
+    done.odd = {name: odd for name, odd in log.odd.items() if odd}
+    log.finish({"rows": dict(done.rows), "lost": {k: v[0] for k, v in done.lost.items()}, "problems": done.problems})
+    return done, seen
+
+
+class _BagError(Exception):
+    """The bag cannot be read, or not further."""
+
+
+def _files(bag: Path) -> list[Path]:
+    if bag.is_file():
+        return [bag]
+    found = sorted(file for file in bag.iterdir() if file.suffix in (".mcap", ".db3"))
+    if not found:
+        raise UsageError(f"Expected a bag in the folder {bag}, found no .mcap and no .db3 file there")
+    return found
+
+
+def _by_rosbags(bag: Path) -> Iterator[Found]:
+    from rosbags.rosbag2 import Reader
+
+    try:
+        with Reader(bag) as reader:
+            for connection, received, data in reader.messages():
+                yield Found(connection.topic, connection.msgtype, received, bytes(data))
+    except (GeneratorExit, KeyboardInterrupt, MemoryError):
+        raise
+    except Exception as error:  # a damaged file may bring about any error in there
+        raise _BagError(f"{type(error).__name__}: {error}") from error
+
+
+def _walked(files: list[Path], done: Imported) -> Iterator[Found]:
+    for file in files:
+        walk = Walk(file)
+        try:
+            yield from walk.messages()
+        except ValueError as error:
+            done.problems.append(str(error))
+        done.problems += [f"{file.name}: {problem}" for problem in walk.problems]
+
+
+def _rows(found: Found, told: Topic, store: Any, done: Imported) -> Iterator[RowOf]:  # noqa: ANN401
+    """Rows of a message; what is wrong with one is counted, and the next one is read."""
+    if found.kind not in CONVERTERS:
+        known = ", ".join(sorted(CONVERTERS))
+        raise UsageError(f"Expected {found.topic} to be of a type among {known}, got {found.kind}")
+    roles, convert = CONVERTERS[found.kind]
+    if told.role not in roles:
+        raise UsageError(f"Expected {found.topic} ({found.kind}) to be {' or '.join(roles)}, got {told.role}")
+    try:
+        rows = convert(store.deserialize_cdr(found.data, found.kind), found.topic, told)
+    except (KeyboardInterrupt, MemoryError):
+        raise
+    except Exception as error:  # damaged bytes may bring about any error when they are unpacked
+        _lost(done, found.topic, error)
+        return
+    while True:
+        try:
+            row = next(rows)
+        except StopIteration:
+            return
+        except (KeyboardInterrupt, MemoryError):
+            raise
+        except Exception as error:  # or when they are read
+            _lost(done, found.topic, error)
+            return
+        yield row
+
+
+def _lost(done: Imported, name: str, why: object) -> None:
+    count, first = done.lost.get(name, (0, f"{name}: {why}"))
+    done.lost[name] = (count + 1, first)
+
+
+def _add(log: LogWriter, row: RowOf, received_ns: int, done: Imported) -> None:
+    name = row.stream.name
+    if done.kinds.get(name, row.stream.kind) != row.stream.kind:
+        _lost(done, name, f"changes from {done.kinds[name]} to {row.stream.kind}")
+        return
+    try:
+        if name not in done.kinds:
+            log.add_stream(row.stream)
+            done.kinds[name] = row.stream.kind
+        log.append(name, row.stamp_ns, received_ns, **row.values)
+    except LogError as error:  # numbers that no column of its kind can hold
+        _lost(done, name, error)
+        return
+    done.rows[name] += 1
+
+
+class _Joints:
+    """Puts joints in the order of a stream's first message: others may list them otherwise, or fewer."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, list[str]] = {}
+
+    def ordered(self, row: RowOf) -> RowOf:
+        if row.stream.kind != "joints":
+            return row
+        names = list(row.stream.about["names"])
+        first = self._names.setdefault(row.stream.name, names)
+        if names == first:
+            return row
+        place = {name: index for index, name in enumerate(names)}
+        values: dict[str, object] = {}
+        for key, given in row.values.items():
+            array = np.asarray(given)
+            values[key] = np.array([array[place[name]] if name in place else np.nan for name in first])
+        return row._replace(values=values)

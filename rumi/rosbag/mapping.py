@@ -1,0 +1,314 @@
+"""The mapping file: which topics and frames of a recording mean what, as TOML; `scripts/docs/logs.md` describes it."""
+
+import math
+import tomllib
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.errors import UsageError
+from rumi.rosbag.sensor_maps import BubbleMap, RobotMap, TorqueMap, Vector, WrenchMap, placed
+from rumi.tasks.rummage.objects import ObjectSettings
+from rumi.tasks.rummage.settings import dataclass_of
+from sdf import se3
+
+SCHEMA = 1
+"""Of mapping files."""
+
+Role = Literal["cloud", "depth", "color", "camera", "felt", "contact", "bubble", "wrench", "joints", "torques", "tf"]
+ROLES: tuple[str, ...] = typing.get_args(Role)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic.
+
+    Attributes:
+        role: "cloud" of a camera, "depth" image, "color" image, "camera" intrinsics, "felt" points on the object that a
+            finger felt, "contact" flags, "bubble": the depth image of a soft bubble's membrane from inside, "wrench",
+            "joints", "torques": joints whose efforts are measured torques, or "tf" (which /tf and /tf_static are by
+            themselves).
+        frame: in place of the messages' frame_id.
+        camera: topic of a depth image's CameraInfo; of a bubble's too.
+        color: topic of the colour images that are of a depth image's pixels; needed where several could be.
+        unit_m: metres that one unit of a depth image is; by default 0.001 for whole numbers and 1 for floating ones.
+        rectified: the lens's distortion has been taken out of a depth image (or a bubble's) already.
+    """
+
+    role: Role
+    frame: str | None = None
+    camera: str | None = None
+    color: str | None = None
+    unit_m: float | None = None
+    rectified: bool = False
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A fixed transform that the recording lacks, or has wrong: a calibration; it takes the place of recorded ones.
+
+    Attributes:
+        parent, child: frames.
+        position_m: of the child's origin in the parent.
+        rpy_deg: roll, pitch and yaw of the child about the parent's x, y and z, in this order.
+        quaternion_wxyz: in place of rpy_deg.
+    """
+
+    parent: str
+    child: str
+    position_m: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Vector = (0.0, 0.0, 0.0)
+    quaternion_wxyz: tuple[float, float, float, float] | None = None
+
+    def pose(self) -> Float[Tensor, "4 4"]:
+        """parent_T_child, float64."""
+        if self.quaternion_wxyz is not None:
+            return pose_of(self.position_m, self.quaternion_wxyz)
+        return placed(self.position_m, self.rpy_deg)
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Frames of the recording.
+
+    Attributes:
+        world: z up; the belief lives in it.
+        tool: of the gripper: between its pads, x forward, z up when it is level.
+        floor_z_m: height in `world` of what the object stands on; the belief's own frame has it at 0.
+        origin_m: x and y in `world` at which the belief's own frame has its origin; taken off in float64, so that a
+            map's frame may be kilometres away.
+        longest_gap_s: a frame's pose is interpolated over gaps up to this.
+    """
+
+    world: str
+    tool: str
+    floor_z_m: float = 0.0
+    origin_m: tuple[float, float] = (0.0, 0.0)
+    longest_gap_s: float = 0.5
+
+
+@dataclass(frozen=True)
+class SceneMap:
+    """What is known of the object's place; metres in the belief's own frame: the world with its floor and origin at 0.
+
+    Attributes:
+        builtin: "mug", "box" or "drill", where [object] names no mesh.
+        search: freedom of the pose.
+        within: lower and upper corner of a box that holds the object.
+        looks_again: whether views after the first one are used: the camera must not see the robot as the object.
+        tool_seen: the camera sees the gripper: what is near its shape is left out of views.
+        prior_mean_m, prior_spread_m: x and y that the object's origin is known to be about, and the standard deviation
+            along each: where no camera sees it.
+        clear_m: the tool's body is known to be free but for what is this near to a felt point.
+    """
+
+    within: tuple[Vector, Vector]
+    builtin: Literal["mug", "box", "drill"] | None = None
+    search: Literal["SE(2)", "SE(3)"] = "SE(2)"
+    looks_again: bool = False
+    tool_seen: bool = False
+    prior_mean_m: tuple[float, float] | None = None
+    prior_spread_m: float = 0.05
+    clear_m: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not all(low < high for low, high in zip(*self.within, strict=True)):
+            raise ValueError(f"expected within to be a lower and an upper corner, got {self.within}")
+
+
+@dataclass(frozen=True)
+class ToolMap:
+    """The gripper's shape: see `rumi.robot.gripper.GripperShape`."""
+
+    palm_m: Vector = (0.09, 0.10, 0.04)
+    palm_front_m: float = -0.025
+    pad_m: Vector = (0.035, 0.018, 0.022)
+    pad_offset_m: float = 0.024
+
+
+@dataclass(frozen=True)
+class ViewMap:
+    """How clouds and depth images are read: see `sensors.vision.view.ViewSettings`."""
+
+    segmentation: Literal["color", "plane"] = "plane"
+    hue_deg: tuple[float, float] = (0.0, 360.0)
+    saturation: tuple[float, float] = (0.25, 1.0)
+    value: tuple[float, float] = (0.15, 1.0)
+    clearance_m: float = 0.010
+    plane_tolerance_m: float = 0.006
+    near_m: float = 0.0
+    far_m: float = math.inf
+    persist_s: float = 0.0
+    persist_gap_s: float = 0.1
+
+
+@dataclass(frozen=True)
+class Actions:
+    """How a recording is cut into readings.
+
+    Attributes:
+        view_s: seconds from the start within which the first view is taken, while nothing moves.
+        every_s: seconds of one reading.
+        instants: of a reading, evenly spread, the last one at its end.
+    """
+
+    view_s: float = 0.5
+    every_s: float = 1.0
+    instants: int = 10
+
+    def __post_init__(self) -> None:
+        if not (self.every_s > 0 and self.view_s >= 0 and self.instants >= 1):
+            raise ValueError("expected every_s above 0, view_s of 0 or more and at least 1 instant")
+
+
+@dataclass(frozen=True)
+class BagMap:
+    """All that a mapping file says.
+
+    Attributes:
+        topics: by name.
+        frames: of world and tool.
+        scene: what is known of the object's place.
+        fixed: transforms.
+        object: a mesh, as the flags of `rumi run` give it.
+        tool: the gripper.
+        view: how a camera is read.
+        bubble: how soft bubbles are read.
+        wrench: how wrenches are read; None where there are none.
+        robot: its model; None where nothing needs it.
+        torques: how joint torques are read; None where there are none.
+        actions: how the recording is cut.
+        settings: of the run, by name, as in a run's settings.json.
+        text: the file itself.
+    """
+
+    topics: dict[str, Topic]
+    frames: Frames
+    scene: SceneMap
+    fixed: tuple[Fixed, ...] = ()
+    object: ObjectSettings = field(default_factory=ObjectSettings)
+    tool: ToolMap = field(default_factory=ToolMap)
+    view: ViewMap = field(default_factory=ViewMap)
+    bubble: BubbleMap = field(default_factory=BubbleMap)
+    wrench: WrenchMap | None = None
+    robot: RobotMap | None = None
+    torques: TorqueMap | None = None
+    actions: Actions = field(default_factory=Actions)
+    settings: dict[str, Any] = field(default_factory=dict)
+    text: str = ""
+
+    @property
+    def touches_count(self) -> bool:
+        """Whether wrenches' touches count with their normals, by how sure both are."""
+        return self.wrench is not None and self.wrench.likelihood
+
+    @property
+    def signals_count(self) -> bool:
+        """Whether joint torques' signals count as touches of some point of the gripper."""
+        return self.torques is not None and self.torques.likelihood
+
+
+_TABLES: dict[str, type] = {
+    "frames": Frames,
+    "scene": SceneMap,
+    "object": ObjectSettings,
+    "tool": ToolMap,
+    "view": ViewMap,
+    "bubble": BubbleMap,
+    "wrench": WrenchMap,
+    "robot": RobotMap,
+    "torques": TorqueMap,
+    "actions": Actions,
+}
+
+
+def read_mapping(path: Path | str) -> BagMap:
+    """A mapping file.
+
+    Raises:
+        UsageError: there is none, or it is wrong; with the name of what is.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"Cannot read the mapping {path}: {error}") from error
+    return mapping_of(text, str(path))
+
+
+def mapping_of(text: str, name: str = "the mapping") -> BagMap:
+    """What a mapping file's text says; see `read_mapping`."""
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"{name} is no TOML: {error}") from error
+    if "schema" not in values:
+        raise UsageError(f"Expected schema = {SCHEMA} at the top of {name}, found none: add that line")
+    schema = values.pop("schema")
+    if not isinstance(schema, int) or isinstance(schema, bool) or schema < 1:
+        raise UsageError(f"Expected schema = {SCHEMA} in {name}, got {schema!r}")
+    if schema > SCHEMA:
+        raise UsageError(f"Expected schema = {SCHEMA} in {name}, got {schema}: a newer one needs a newer rumi")
+    known = {*_TABLES, "topics", "fixed", "settings"}
+    if wrong := sorted(set(values) - known):
+        raise UsageError(f"There is no table [{wrong[0]}] in a mapping; there are {', '.join(sorted(known))}")
+    if lacking := [table for table in ("topics", "frames", "scene") if table not in values]:
+        raise UsageError(f"Expected a table [{lacking[0]}] in {name}, found none")
+    for table in ("topics", "settings"):
+        if not isinstance(values.get(table, {}), Mapping):
+            raise UsageError(f"{name}: Expected {table} to be a table, [{table}], got {values[table]!r}")
+    if not isinstance(values.get("fixed", []), list):
+        raise UsageError(f"{name}: Expected fixed to be tables, each headed [[fixed]], got {values['fixed']!r}")
+    try:
+        made: dict[str, Any] = {
+            key: dataclass_of(kind, values[key], f"{key}.") for key, kind in _TABLES.items() if key in values
+        }
+        topics = {topic: _topic(topic, value) for topic, value in values["topics"].items()}
+        fixed = tuple(dataclass_of(Fixed, value, "fixed.") for value in values.get("fixed", ()))
+        for key, one in [*made.items(), *((f'topics."{topic}"', one) for topic, one in topics.items())]:
+            _check_finite(one, f"{key}.")
+        for one in fixed:
+            one.pose()
+            _check_finite(one, "fixed.")
+    except ValueError as error:
+        raise UsageError(f"{name}: {error}") from error
+    return BagMap(topics=topics, fixed=fixed, settings=values.get("settings", {}), text=text, **made)
+
+
+def pose_of(position: Sequence[float], quaternion_wxyz: Sequence[float]) -> Float[Tensor, "4 4"]:
+    """A transform (4, 4), float64, of a position and a quaternion, which is normalised.
+
+    Raises:
+        ValueError: the quaternion is of no rotation.
+    """
+    numbers = torch.tensor([*position, *quaternion_wxyz], dtype=torch.float64)
+    length = float(numbers[3:].norm())
+    if not (bool(torch.isfinite(numbers).all()) and abs(length - 1.0) < 0.1):
+        raise ValueError(f"expected a position and a unit quaternion, got {numbers.tolist()}")
+    w, x, y, z = (numbers[3:] / length).tolist()
+    turn = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return se3.make(torch.tensor(turn, dtype=torch.float64), numbers[:3])
+
+
+def _check_finite(table: Any, at: str) -> None:  # noqa: ANN401  (a table of any kind)
+    """Refuse numbers that are none; only `view.far_m` may be infinite."""
+    for name, value in asdict(table).items():
+        numbers = np.ravel([part for part in np.ravel(np.array(value, dtype=object)) if isinstance(part, float)])
+        if not np.isfinite(numbers.astype(float)).all() and (at + name, value) != ("view.far_m", math.inf):
+            raise ValueError(f"Expected {at}{name} to be finite, got {value}")
+
+
+def _topic(name: str, value: Any) -> Topic:  # noqa: ANN401  (read from TOML)
+    values = value if isinstance(value, Mapping) else {"role": value}
+    return dataclass_of(Topic, values, f'topics."{name}".')

@@ -1,0 +1,199 @@
+"""From a log's raw streams to the readings that a belief takes in, by a mapping file."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from rumi.errors import UsageError
+from rumi.robot.gripper import GripperShape
+from rumi.rosbag.contacts import Felt, all_felt
+from rumi.rosbag.frames import FrameTree
+from rumi.rosbag.mapping import BagMap
+from rumi.rosbag.span import reading_starts, span_of
+from rumi.rosbag.views import Views
+from rumi.seeding import generator
+from sensors.contact_reading import FeltReading, WrenchTouch, surest
+from sensors.log.reader import Log, Taken
+from sensors.observation import Observation, concatenate
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+from sensors.touch.tactile import InstantPoints, swept_points
+
+_FREE_SPACING = 0.005  # metres, lattice on which free points are reported
+_BODY_SPACING = 0.005  # metres between the tool's points
+
+
+@dataclass(frozen=True)
+class Made:
+    """Readings of a recording.
+
+    Attributes:
+        taken: the first view first.
+        problems: what could not be used.
+        wrenches: how many wrenches were taken for what.
+        notes: what was found in other streams that feel.
+    """
+
+    taken: list[Taken]
+    problems: list[str]
+    wrenches: dict[str, int]
+    notes: list[str]
+
+
+def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
+    """Cut a recording into readings.
+
+    The first one holds the view: surface points of the object, and free points about it. Each later one holds
+    `actions.instants` poses of the tool over `actions.every_s`, what was felt meanwhile as surface points at their
+    own instants, and the space that the tool's body swept as free points.
+
+    Args:
+        log: with raw streams.
+        mapping: what they mean.
+        seed: of the fit of the plane that the object stands on.
+
+    Raises:
+        UsageError: a stream or a frame that is needed is missing.
+    """
+    frames = FrameTree.of_log(log, mapping)
+    span = span_of(log, mapping, frames)
+    start = span.start_ns
+    views = Views(log, mapping, frames, generator(seed))
+    sensed = all_felt(log, mapping, frames, span)
+    felt, problems = sensed.felt, [*frames.problems, *span.problems, *sensed.problems]
+    if not (views.any or sensed.any):
+        listed = ", ".join(sorted(f"{name} ({stream.kind})" for name, stream in log.streams.items())) or "none"
+        raise UsageError(
+            "Expected a stream with the role cloud, depth, felt, contact, bubble, wrench or torques, found none that "
+            f"can be read; the log's streams are {listed}"
+        )
+    first_ns = start + round(mapping.actions.view_s * 1e9)
+    seen = views.between(start, first_ns)
+    body = GripperShape(**asdict(mapping.tool)).solid(_BODY_SPACING).float()
+    cutter = _Cutter(mapping, frames, views, felt, body, start)
+    taken = [cutter.first(seen, first_ns)]
+    every = round(mapping.actions.every_s * 1e9)
+    for begin in reading_starts(span, mapping, sensed.notes):
+        reading = cutter.reading(begin, begin + every)
+        if reading is None:
+            at = (begin - start) / 1e9
+            problems.append(
+                f"{at:.1f} s to {at + every / 1e9:.1f} s: the tool's pose is not known throughout; left out"
+            )
+        else:
+            taken.append(reading)
+    return Made(taken, list(dict.fromkeys(problems + views.problems)), sensed.wrenches, sensed.notes)
+
+
+class _Cutter:
+    """Makes one reading after the other."""
+
+    def __init__(
+        self,
+        mapping: BagMap,
+        frames: FrameTree,
+        views: Views,
+        felt: Sequence[Felt],
+        body: Float[Tensor, "n 3"],
+        start: int,
+    ) -> None:
+        self._mapping, self._frames, self._views, self._felt, self._body = mapping, frames, views, felt, body
+        self._start = start
+        self._region = torch.tensor(mapping.scene.within)
+
+    def first(self, seen: Observation, stamp_ns: int) -> Taken:
+        pose, known = self._frames.at(self._mapping.frames.tool, [stamp_ns])
+        if not bool(known.all()):
+            raise UsageError(
+                "Expected to know the tool's pose at the end of the first view, "
+                f"{(stamp_ns - self._start) / 1e9:.1f} s from the start; the recording has none about then"
+            )
+        instant = torch.zeros(len(seen), dtype=torch.long)
+        return self._taken(seen, instant, pose.float(), torch.zeros(1, dtype=torch.bool), stamp_ns)
+
+    def reading(self, begin_ns: int, end_ns: int) -> Taken | None:
+        count = self._mapping.actions.instants
+        # whole numbers: floating ones tell times since 1970 to 0.2 microseconds
+        stamps = begin_ns + (end_ns - begin_ns) * torch.arange(1, count + 1) // count
+        pose, known = self._frames.at(self._mapping.frames.tool, stamps)
+        if not bool(known.all()):
+            return None
+        pose = pose.float()
+        mine = [one for one in self._felt if begin_ns < one.stamp_ns <= end_ns]
+        at = [min(int(torch.searchsorted(stamps, one.stamp_ns)), count - 1) for one in mine]
+        in_contact = torch.zeros(count, dtype=torch.bool)
+        parts = [torch.zeros(0, 3)]
+        where = [torch.zeros(0, dtype=torch.long)]
+        clear, clear_at = [torch.zeros(0, 3)], [torch.zeros(0, dtype=torch.long)]
+        for one, k in zip(mine, at, strict=True):
+            in_contact[k] |= one.touched
+            parts.append(one.points)
+            where.append(torch.full((len(one.points),), k))
+            within = one.free[((one.free >= self._region[0]) & (one.free <= self._region[1])).all(-1)]
+            clear.append(within)
+            clear_at.append(torch.full((len(within),), k))
+        points, instant = torch.cat(parts), torch.cat(where)
+        free = self._swept(pose, in_contact, points, instant)
+        observation = [
+            Observation.of(points, Semantics.SURFACE),
+            Observation.of(torch.cat((*clear, free.points)), Semantics.FREE),
+        ]
+        instants = [instant, *clear_at, free.instant]
+        if self._mapping.scene.looks_again:
+            observation.append(self._views.between(begin_ns, end_ns, last=True))
+            instants.append(torch.full((len(observation[-1]),), count - 1))
+        taken = self._taken(concatenate(observation), torch.cat(instants), pose, in_contact, end_ns)
+        if not (self._mapping.touches_count or self._mapping.signals_count):
+            return taken
+        signals: Tensor | None = None
+        if self._mapping.signals_count:
+            signals = torch.zeros(count, dtype=torch.bool)
+            signals[[k for one, k in zip(mine, at, strict=True) if one.signal]] = True
+        return replace(
+            taken, reading=replace(FeltReading.of(taken.reading), wrench=self._touches(mine, at), signals=signals)
+        )
+
+    def _touches(self, mine: Sequence[Felt], at: Sequence[int]) -> WrenchTouch:
+        """The touches of a reading that count with their normals."""
+        found = [replace(one.touch, instant=torch.tensor([k])) for one, k in zip(mine, at, strict=True) if one.touch]
+        if not found:
+            return WrenchTouch.none()
+        told = self._mapping.wrench
+        assert told is not None
+        every = WrenchTouch(*(torch.cat([getattr(one, part.name) for one in found]) for part in fields(WrenchTouch)))
+        return every.at(surest(every.point_sd.square(), told.most))
+
+    def _swept(
+        self, pose: Float[Tensor, "K 4 4"], in_contact: Bool[Tensor, "K"], points: Tensor, instant: Tensor
+    ) -> InstantPoints:
+        """The space that the tool's body went through, but for what is near to where it touches."""
+        # nothing moves while nothing is touched; what was swept while touching belongs to its instant alone
+        group = in_contact.long().cumsum(0)
+        swept, _ = swept_points(pose, self._body, _FREE_SPACING, group=group, region=self._region)
+        keep = torch.ones(len(swept.points), dtype=torch.bool)
+        for k in in_contact.nonzero()[:, 0].tolist():
+            own, touched = (swept.instant == k).nonzero()[:, 0], points[instant == k]
+            if len(touched) == 0:
+                keep[own] = False  # touched, but nobody knows where
+            elif len(own):
+                keep[own] = torch.cdist(swept.points[own], touched).amin(-1) > self._mapping.scene.clear_m
+        return InstantPoints(swept.points[keep], swept.instant[keep])
+
+    def _taken(
+        self,
+        observation: Observation,
+        instant: Int[Tensor, "M"],
+        pose: Float[Tensor, "K 4 4"],
+        in_contact: Bool[Tensor, "K"],
+        stamp_ns: int,
+    ) -> Taken:
+        x, y, z = pose[-1, :3, 3].tolist()
+        yaw = math.atan2(float(pose[-1, 1, 0]), float(pose[-1, 0, 0]))
+        place = (x, y, yaw) if self._mapping.scene.search == "SE(2)" else (x, y, z, yaw)
+        stamp = (stamp_ns - self._start) / 1e9
+        reading = Reading(observation, instant, pose, in_contact, None, torch.tensor(place), torch.zeros(()), stamp)
+        return Taken(reading, None, None, None)

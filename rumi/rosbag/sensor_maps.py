@@ -1,0 +1,188 @@
+"""Tables of a mapping file that say how each sensor of forces, membranes and joints is read."""
+
+import math
+from dataclasses import asdict, dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.contact_evidence import SignalSettings
+from rumi.errors import UsageError
+from sdf import se3, so3
+from sensors.force.tool_surface import ConvexTool, SphereTool, ToolSurface
+from sensors.touch.bubble import BubbleSettings
+
+Vector = tuple[float, float, float]
+
+
+def placed(position_m: Vector, rpy_deg: Vector) -> Float[Tensor, "4 4"]:
+    """A transform, float64: roll, pitch and yaw about the parent's x, y and z, in this order, and a position."""
+    roll, pitch, yaw = (
+        so3.exp(math.radians(angle) * torch.eye(3, dtype=torch.float64)[axis]) for axis, angle in enumerate(rpy_deg)
+    )
+    return se3.make(yaw @ pitch @ roll, torch.tensor(position_m, dtype=torch.float64))
+
+
+@dataclass(frozen=True)
+class WrenchMap:
+    """The force-torque sensor's tool, a ball or a convex mesh, its load, and when a wrench is a touch.
+
+    Attributes:
+        radius_m: of a ball.
+        mesh: file of another tool's shape; its convex hull is taken.
+        scale: metres of one unit of the mesh.
+        center_m: of the ball, or the origin of the mesh, in the sensor's frame.
+        rpy_deg: roll, pitch and yaw of the mesh about the sensor's x, y and z, in this order.
+        bias: forces and moments without contact.
+        mass_kg: of all that hangs from the sensor.
+        mass_center_m: its centre of mass in the sensor's frame.
+        tare_s: seconds at the start, without contact, from which the bias is taken anew; 0 to take it as given.
+        reaction: the driver reports what the tool does to the world.
+        force_n, moment_nm: standard deviations of the noise.
+        least_force_n, friction: see `sensors.force.force_torque.WrenchSettings`.
+        likelihood: touches count with their normals too, by how sure both are
+            (`rumi.belief.contact_evidence.TouchedSurface`).
+            Beside that a surface point weighs next to nothing; it is what the descent of poses follows.
+        most: touches that count so of a reading: the surest in as many parts of them; others are of the same places.
+        point_m: standard deviation of what moves a touched point beside the noise: the tool's shape, the arm's
+            calibration, how the object moved since.
+        normal_rad: the same of its normal.
+        outlier: share of touches that tell nothing.
+    """
+
+    radius_m: float | None = None
+    mesh: str | None = None
+    scale: float = 1.0
+    center_m: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Vector = (0.0, 0.0, 0.0)
+    bias: tuple[float, float, float, float, float, float] = (0.0,) * 6
+    mass_kg: float = 0.0
+    mass_center_m: Vector = (0.0, 0.0, 0.0)
+    tare_s: float = 0.0
+    reaction: bool = False
+    force_n: float = 0.1
+    moment_nm: float = 0.005
+    least_force_n: float = 1.0
+    friction: float = 0.6
+    likelihood: bool = False
+    most: int = 3
+    point_m: float = 0.003
+    normal_rad: float = 0.3
+    outlier: float = 0.1
+
+    def __post_init__(self) -> None:
+        if (self.radius_m is None) == (self.mesh is None):
+            raise ValueError("expected either radius_m, of a ball, or mesh, a file of another tool's shape")
+        if self.most < 1:
+            raise ValueError(f"expected most of 1 or more, got {self.most}")
+        for name in ("point_m", "normal_rad"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"expected {name} above 0, got {getattr(self, name)}")
+        if not 0 <= self.outlier < 1:
+            raise ValueError(f"expected outlier of 0 or more and below 1, got {self.outlier}")
+
+    def tool(self) -> ToolSurface:
+        """In the sensor's frame.
+
+        Raises:
+            UsageError: the mesh cannot be used.
+        """
+        if self.mesh is None:
+            assert self.radius_m is not None
+            return SphereTool(torch.tensor(self.center_m), self.radius_m)
+        from sdf.mesh.convex import hull
+        from sdf.mesh.mesh import MeshError, load_mesh
+
+        try:
+            shape = hull(load_mesh(self.mesh, scale=self.scale))
+        except (OSError, MeshError) as error:
+            raise UsageError(f"Cannot use wrench.mesh: {error}") from error
+        return ConvexTool.of(shape, placed(self.center_m, self.rpy_deg))
+
+
+@dataclass(frozen=True)
+class BubbleMap:
+    """Soft bubbles (`sensors.touch.bubble.BubbleSettings`), at rest as in the mean picture of the first view.
+
+    Attributes:
+        contact_m, top, mean_px, still_m, free_stride_px, patch_stride_px: of the settings.
+        late_s: by which a picture's stamp is later than what it shows.
+    """
+
+    contact_m: float = 0.004
+    top: float = 0.1
+    mean_px: int = 5
+    still_m: float = 0.001
+    free_stride_px: int = 4
+    patch_stride_px: int = 1
+    late_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.settings()
+
+    def settings(self) -> BubbleSettings:
+        """For metres."""
+        values = asdict(self)
+        values.pop("late_s")
+        return BubbleSettings(**values, unit="m")
+
+
+@dataclass(frozen=True)
+class RobotMap:
+    """The robot's model, for its dynamics and its body.
+
+    Attributes:
+        file: URDF, or MJCF, of the robot alone with a fixed base.
+        base: frame of the recording that the model's root stands at; the world's by default.
+        remove: leave the robot out of what cameras saw, by the collision shapes of a URDF and the measured joints.
+        margin_m: what is this near to those shapes is the robot.
+        packages: folders of the packages that a URDF's meshes lie in, each of its package's name.
+    """
+
+    file: str
+    base: str | None = None
+    remove: bool = False
+    margin_m: float = 0.01
+    packages: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class TorqueMap:
+    """Joint torques, and when they tell of a touch: see `sensors.force.momentum_observer`.
+
+    Attributes:
+        threshold_nm: of the norm of the observer's residual, from what it is at rest.
+        joints: names of the model's joints, from the base on; all that are recorded by default.
+        counted: how many of them count in the norm.
+        gain: of the observer, 1/s.
+        rest_s: seconds at the start, without contact, from which the rest is taken; 0 for a rest of 0.
+        likelihood: a signal counts as a touch of some point of the gripper
+            (`rumi.belief.contact_evidence.TouchedSomewhere`).
+        true_positive, false_positive, decay, most, spacing_m: see `rumi.belief.contact_evidence.SignalSettings`.
+    """
+
+    threshold_nm: float
+    joints: tuple[str, ...] = ()
+    counted: int = 5
+    gain: float = 25.0
+    rest_s: float = 0.5
+    likelihood: bool = False
+    true_positive: float = 0.9
+    false_positive: float = 0.02
+    decay: float = 150.0
+    most: int = 2
+    spacing_m: float = 0.008
+
+    def __post_init__(self) -> None:
+        self.signals()
+        for name in ("threshold_nm", "gain"):
+            value = getattr(self, name)
+            if not (value > 0 and math.isfinite(value)):
+                raise ValueError(f"expected {name} above 0, got {value}")
+        if self.counted < 1 or self.rest_s < 0:
+            raise ValueError("expected at least 1 joint to count and rest_s of 0 or more")
+
+    def signals(self) -> SignalSettings:
+        """What they count for."""
+        return SignalSettings(self.true_positive, self.false_positive, self.decay, self.most, self.spacing_m)

@@ -1,0 +1,188 @@
+"""How a step becomes named arrays of a trace, and how it comes back."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from kmppi import ControlPlan
+from rumi.belief.particles import PoseBelief
+from rumi.fields.workspace import Workspace
+from rumi.runs.plain import plain
+from rumi.planning.policy import Plan
+from rumi.records import StepRecord
+from rumi.runs.sketch import OutlineMap, SceneSketch
+from rumi.runs.trace import TraceWriter
+from sensors.observation import Observation
+from sensors.reading import Reading
+
+# numbers of a step that are kept as JSON; a missing or non-finite one is null there
+_NUMBERS = ("step", "expected_nll", "fit", "apc", "ess", "contacts", "resampled", "converged", "nll")
+_LIGHT = (bool, int, float, str, list, tuple, type(None))
+_POINTS = ("points", "semantics", "attached", "valid")
+_READING = ("instant", "tool_pose", "in_contact", "object_motion", "configuration", "clipped")
+# what was felt is in the readings: a trace keeps what the belief came to
+_BELIEF = ("world_T_attached", "attached_T_object", "log_weights", "discrepancy")
+
+
+def numbers(step: StepRecord) -> dict[str, Any]:
+    """The plain numbers of a step, ready for JSON."""
+    return plain({name: getattr(step, name) for name in _NUMBERS} | {"stamp": step.reading.stamp})
+
+
+def write_step(trace: TraceWriter, step: StepRecord, previous: StepRecord | None) -> None:
+    """Add a step; a plan that it shares with the previous step is not written again."""
+    at = f"step_{step.step:05d}"
+    _write(trace, at, {"control": step.control, "truth": step.truth})
+    _write(trace, f"{at}/reading", {name: getattr(step.reading, name) for name in _READING})
+    _write_points(trace, f"{at}/reading", step.reading.observation)
+    _write_points(trace, f"{at}/added", step.added)
+    _write(trace, f"{at}/belief", {name: getattr(step.belief, name) for name in _BELIEF})
+    plan, about = step.plan, None
+    if plan is not None:
+        info = {name: value for name, value in plan.info.items() if isinstance(value, _LIGHT)}
+        about = {"skipped": plan.skipped, "info": info, "fields": list(plan.fields)}
+        if previous is None or previous.plan is not plan:
+            warm = plan.warm_start
+            arrays = {"controls": plan.controls, "path": plan.path}
+            _write(
+                trace, f"{at}/plan", arrays if warm is None else arrays | {"knots": warm.knots, "warm": warm.controls}
+            )
+            # half precision: maps are for figures; what is decided from them is decided before
+            _write(trace, f"{at}/plan/fields", {name: values.half() for name, values in plan.fields.items()})
+    # written last: a step without it was cut short
+    trace.json(f"{at}/numbers", numbers(step) | {"plan": plain(about)})
+
+
+def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, float]]) -> list[StepRecord]:
+    """All whole steps of a trace, in order.
+
+    Args:
+        members: what `read_trace` gave.
+        timings_s: seconds by stage of each step, as far as they are known.
+    """
+    steps: list[StepRecord] = []
+    plan: Plan | None = None
+    while (at := f"step_{len(steps):05d}") + "/numbers" in members:
+        about = dict(members[f"{at}/numbers"])
+        stamp, plan_about = about.pop("stamp"), about.pop("plan")
+        if plan_about is None:
+            plan = None
+        elif f"{at}/plan/controls" in members:
+            plan = _read_plan(members, f"{at}/plan", plan_about)
+        for name in ("expected_nll", "fit", "apc", "ess"):
+            about[name] = math.nan if about[name] is None else about[name]
+        record = StepRecord(
+            control=_get(members, f"{at}/control"),
+            reading=_read_reading(members, f"{at}/reading", stamp),
+            added=_read_points(members, f"{at}/added"),
+            belief=_read_belief(members, f"{at}/belief"),
+            plan=plan,
+            truth=_get(members, f"{at}/truth"),
+            timings_s=timings_s.get(len(steps), {}),
+            **about,
+        )
+        steps.append(record)
+    return steps
+
+
+_OUTLINES = ("silhouette", "section", "tool")
+
+
+def write_sketch(trace: TraceWriter, sketch: SceneSketch) -> None:
+    """Add what figures need beside the steps."""
+    arrays = {"surface_points": sketch.surface_points, "reachability": sketch.reachability}
+    _write(trace, "scene", arrays | {"workspace_origin": sketch.workspace.origin})
+    outlines: dict[str, OutlineMap] = {name: getattr(sketch, name) for name in _OUTLINES}
+    for name, outline in outlines.items():
+        _write(trace, f"scene/{name}", {"values": outline.values, "origin": outline.origin})
+    about = {
+        "workspace_spacing": sketch.workspace.spacing,
+        "workspace_shape": sketch.workspace.shape,
+        "outline_spacing": {name: outline.spacing for name, outline in outlines.items()},
+        "thresholds": sketch.thresholds,
+    }
+    trace.json("scene/about", plain(about))
+
+
+def read_sketch(members: Mapping[str, Any]) -> SceneSketch | None:
+    """What `write_sketch` wrote, None if it wrote nothing."""
+    if "scene/about" not in members:
+        return None
+    about = members["scene/about"]
+    outlines = {
+        name: OutlineMap(
+            _need(members, f"scene/{name}/values"),
+            _need(members, f"scene/{name}/origin"),
+            about["outline_spacing"][name],
+        )
+        for name in _OUTLINES
+    }
+    return SceneSketch(
+        workspace=Workspace(
+            _need(members, "scene/workspace_origin"), about["workspace_spacing"], tuple(about["workspace_shape"])
+        ),
+        surface_points=_need(members, "scene/surface_points"),
+        reachability=_get(members, "scene/reachability"),
+        thresholds=about["thresholds"],
+        **outlines,
+    )
+
+
+def _write(trace: TraceWriter, at: str, arrays: Mapping[str, Tensor | None]) -> None:
+    for name, values in arrays.items():
+        if values is not None:
+            trace.array(f"{at}/{name}", values.detach().cpu().numpy())
+
+
+def _write_points(trace: TraceWriter, at: str, points: Observation) -> None:
+    # coordinates do not compress, labels do
+    trace.array(f"{at}/points", points.points.detach().cpu().numpy(), compress=False)
+    trace.array(f"{at}/semantics", points.semantics.cpu().numpy().astype(np.int8))
+    _write(trace, at, {"attached": points.attached, "valid": points.valid})
+
+
+def _read_points(members: Mapping[str, Any], at: str) -> Observation:
+    points, semantics, attached, valid = (_need(members, f"{at}/{name}") for name in _POINTS)
+    return Observation(points, semantics.long(), attached, valid)
+
+
+def _read_reading(members: Mapping[str, Any], at: str, stamp: float) -> Reading:
+    return Reading(
+        observation=_read_points(members, at),
+        instant=_need(members, f"{at}/instant").long(),
+        tool_pose=_need(members, f"{at}/tool_pose"),
+        in_contact=_need(members, f"{at}/in_contact"),
+        object_motion=_get(members, f"{at}/object_motion"),
+        configuration=_need(members, f"{at}/configuration"),
+        clipped=_need(members, f"{at}/clipped"),
+        stamp=stamp,
+    )
+
+
+def _read_belief(members: Mapping[str, Any], at: str) -> PoseBelief:
+    frame, poses, log_weights, discrepancy = (_need(members, f"{at}/{name}") for name in _BELIEF)
+    return PoseBelief(frame, poses, log_weights, discrepancy)
+
+
+def _read_plan(members: Mapping[str, Any], at: str, about: Mapping[str, Any]) -> Plan:
+    knots, warm = _get(members, f"{at}/knots"), _get(members, f"{at}/warm")
+    return Plan(
+        controls=_need(members, f"{at}/controls"),
+        path=_need(members, f"{at}/path"),
+        warm_start=None if knots is None or warm is None else ControlPlan(knots, warm),
+        fields={name: _need(members, f"{at}/fields/{name}").float() for name in about["fields"]},
+        skipped=about["skipped"],
+        info=about["info"],
+    )
+
+
+def _get(members: Mapping[str, Any], name: str) -> Tensor | None:
+    return torch.from_numpy(members[name]) if name in members else None
+
+
+def _need(members: Mapping[str, Any], name: str) -> Tensor:
+    return torch.from_numpy(members[name])

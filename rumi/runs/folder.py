@@ -1,0 +1,298 @@
+"""The run folder: what a run writes, so that figures, replay and viewers can read it, and how it is read.
+
+settings.json   all resolved settings with versions, written first
+object.json     what the object is: of a mesh its file's name and hash, and how the object's frame lies in it
+trace.npz       readings, controls, beliefs and plans, step by step; readable while the run goes on and after a kill
+steps.jsonl     one line of plain numbers a step, with seconds by stage
+belief.npz      the last belief: poses (P, 4, 4) object to world, log_weights, stamp, frame
+result.json     how the run ended; missing as long as it has not
+"""
+
+import contextlib
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from importlib import metadata
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import torch
+
+from rumi.belief.particles import PoseBelief
+from rumi.errors import UsageError
+from rumi.runs.codec import numbers, read_sketch, read_steps, write_sketch, write_step
+from rumi.runs.plain import plain
+from rumi.records import RunResult, StepRecord
+from rumi.runs.sketch import SceneSketch
+from rumi.runs.trace import TraceWriter, read_trace
+from sdf.cache import DAMAGED
+
+SCHEMA = 1
+"""Version of the run folder; raised when an older reader would misread a newer folder."""
+
+
+class RunRecorder:
+    """Writes a run folder while the run goes on; usable as `on_step` of `rummage` and as a context manager.
+
+    Args:
+        folder: where; made with its parents. A folder that holds a run already is refused.
+        settings: everything that the run was asked for, as plain values or dataclasses.
+        sketch: what figures need beside the steps; may be given later, by `scene`.
+
+    Raises:
+        UsageError: the folder cannot be written or holds a run.
+    """
+
+    def __init__(self, folder: Path | str, settings: Mapping[str, Any], sketch: SceneSketch | None = None) -> None:
+        self.folder = Path(folder)
+        self._last: StepRecord | None = None
+        self._closed = False
+        prepare_folder(self.folder)
+        try:
+            write_json(self.folder / "settings.json", {"schema": SCHEMA, **plain(settings), "made_with": provenance()})
+            self._trace = TraceWriter(self.folder / "trace.npz")
+            self._lines = (self.folder / "steps.jsonl").open("w", encoding="utf-8")
+        except OSError as error:
+            raise _unwritable(self.folder, error) from error
+        self._trace.json("format", {"schema": SCHEMA})
+        self._trace.flush()
+        if sketch is not None:
+            self.scene(sketch)
+
+    def scene(self, sketch: SceneSketch) -> None:
+        """Add what figures need beside the steps; once."""
+        write_sketch(self._trace, sketch)
+        self._trace.flush()
+
+    def __call__(self, step: StepRecord) -> None:
+        """Append a step; once this returns, a kill no longer loses it."""
+        write_step(self._trace, step, self._last)
+        self._trace.flush()
+        line = numbers(step) | {"timings_s": plain(step.timings_s)}
+        self._lines.write(json.dumps(line, allow_nan=False) + "\n")
+        self._lines.flush()
+        self._last = step
+
+    def finish(self, result: RunResult) -> None:
+        """Write how the run ended, and close."""
+        self.close()
+        write_json(self.folder / "result.json", {"schema": SCHEMA, **plain(result.as_dict())})
+
+    def close(self) -> None:
+        """Write the last belief and close; also right for a run that was cut short."""
+        if self._closed:
+            return
+        self._closed = True
+        self._trace.close()
+        self._lines.close()
+        if self._last is not None:
+            write_belief(self.folder / "belief.npz", self._last.belief, stamp=self._last.reading.stamp)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run as it was recorded.
+
+    Attributes:
+        folder: where it lies.
+        settings: what it was asked for.
+        sketch: what figures need beside the steps; None where the recorder was given none.
+        steps: all whole steps.
+        result: how it ended, None for a run that still goes on or was killed.
+    """
+
+    folder: Path
+    settings: dict[str, Any]
+    sketch: SceneSketch | None
+    steps: list[StepRecord]
+    result: RunResult | None
+
+
+def load_run(folder: Path | str) -> Run:
+    """Read a run folder, also one whose run goes on or was killed.
+
+    Raises:
+        UsageError: there is no run, it is damaged, or a newer rumi wrote it.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise UsageError(f"There is no run folder {folder}: give the folder that `rumi run` named at its end")
+    settings = _read_json(folder, "settings.json")
+    if settings is None or not (folder / "trace.npz").is_file():
+        missing = "settings.json" if settings is None else "trace.npz"
+        raise UsageError(f"{folder} is no run folder: it has no {missing}")
+    schema = settings.get("schema")
+    if not isinstance(schema, int) or schema > SCHEMA:
+        raise UsageError(
+            f"{folder} was written by a newer rumi (schema {schema}, this one reads {SCHEMA}): update rumi"
+        )
+    ended = _read_json(folder, "result.json")
+    try:
+        result = None if ended is None else _result(ended)
+        actions = 0 if result is None else int(result.steps)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise UsageError(f"{folder / 'result.json'} is damaged: {error}") from error
+    try:
+        members = read_trace(folder / "trace.npz")
+        sketch, steps = read_sketch(members), read_steps(members, _timings(folder))
+    except (AttributeError, IndexError, *DAMAGED) as error:
+        raise UsageError(f"{folder / 'trace.npz'} is damaged: {error}") from error
+    # an interrupt may have caught the recorder at the last step
+    lost = 0 if result is None else actions + 1 - len(steps)
+    if result is not None and lost not in ((0, 1) if result.stopped_by == "interrupted" else (0,)):
+        raise UsageError(f"{folder / 'trace.npz'} is damaged: {len(steps)} steps are whole of {actions + 1}")
+    return Run(folder, settings, sketch, steps, result)
+
+
+def prepare_folder(folder: Path) -> None:
+    """Make the folder of a run, with its parents; other files may lie in it, and stay.
+
+    Raises:
+        UsageError: it cannot be written, or holds a run already.
+    """
+    make_folder(folder)
+    if holds_run(folder):
+        raise UsageError(f"{folder} holds a run already: give another folder, or remove this one")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, with its parents, and make sure that files can be written there.
+
+    Raises:
+        UsageError: they cannot.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".writable"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+
+
+def _unwritable(folder: Path, error: OSError) -> UsageError:
+    return UsageError(f"Cannot write to the folder {folder}: {error.strerror or error}; give another one")
+
+
+def holds_run(folder: Path | str) -> bool:
+    """Whether a run was begun in this folder."""
+    return any((Path(folder) / name).exists() for name in ("settings.json", "trace.npz", "result.json"))
+
+
+def free_folder(folder: Path) -> Path:
+    """The folder, with a number behind its name where a run is in it already."""
+    found, number = folder, 1
+    while holds_run(found):
+        number += 1
+        found = folder.with_name(f"{folder.name}-{number}")
+    return found
+
+
+@contextlib.contextmanager
+def left_if_begun(folder: Path) -> Iterator[None]:
+    """Take an empty folder away again where what is done first fails or is interrupted; files in it are kept."""
+    try:
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
+        raise
+
+
+def write_json(path: Path, value: Any) -> None:  # noqa: ANN401  (whatever `plain` takes)
+    """Write JSON in one go: a reader finds the whole file or none."""
+    aside = path.with_name(path.name + ".part")
+    aside.write_text(json.dumps(plain(value), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    aside.replace(path)
+
+
+def write_belief(path: Path, belief: PoseBelief, *, stamp: float, frame: str = "world") -> None:
+    """Write a belief for other programs, in one go.
+
+    `poses` (P, 4, 4) map the object's frame to `frame`, `log_weights` (P) are normalised, `stamp` is in seconds.
+    """
+    aside = path.with_name(path.name + ".part")
+    with TraceWriter(aside) as archive:
+        archive.array("poses", belief.world_T_object.detach().cpu().numpy())
+        archive.array("log_weights", belief.log_weights.detach().cpu().numpy())
+        archive.array("stamp", np.asarray(stamp))
+        archive.array("frame", np.asarray(frame))
+    aside.replace(path)
+
+
+def provenance() -> dict[str, Any]:
+    """Versions, threads and the commit that a run is made with; the same for the same installation."""
+    versions = {name: version_of(name) for name in ("rumi", "torch", "numpy", "mujoco-core", "pytorch-kinematics")}
+    return {
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "versions": versions | {"torch": torch.__version__},
+        "backend": "torch",
+        "threads": torch.get_num_threads(),
+        "commit": _commit(Path(__file__).resolve().parents[2]),
+    }
+
+
+def version_of(name: str) -> str | None:
+    """The version of an installed package; None where it is not."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _commit(root: Path) -> str | None:
+    """Commit of a checkout, with `-dirty` where files differ from it; None outside a checkout."""
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=5, env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None
+
+
+def _read_json(folder: Path, name: str) -> dict[str, Any] | None:
+    path = folder / name
+    if not path.is_file():
+        return None
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError) as error:
+        raise UsageError(f"{path} is damaged: {error}") from error
+
+
+def _result(values: Mapping[str, Any]) -> RunResult:
+    known = {field.name: values.get(field.name) for field in fields(RunResult)}
+    for name in ("apc", "expected_nll"):  # numbers that are always there: null stands for one that is not finite
+        known[name] = float("nan") if known[name] is None else known[name]
+    return RunResult(**known)  # type: ignore[arg-type]
+
+
+def _timings(folder: Path) -> dict[int, dict[str, float]]:
+    """Seconds by stage of each step; they are for people, so that a line cut short is no error."""
+    found: dict[int, dict[str, float]] = {}
+    path = folder / "steps.jsonl"
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
+        try:
+            values = json.loads(line)
+        except ValueError:
+            break
+        found[values["step"]] = values["timings_s"]
+    return found

@@ -1,6 +1,0 @@
-"""Public functions under tensors of any value, by subject: documented errors, or finite numbers from finite ones."""
-
-from rumi.stress.fuzz import beliefs, geometry, planning, sensing, touching  # noqa: F401  (enter their targets)
-from rumi.stress.fuzz.entered import FUNCTIONS
-
-__all__ = ["FUNCTIONS"]

@@ -1,0 +1,1 @@
+"""Tasks: what there is to find, each with its scene, its agent and its settings."""

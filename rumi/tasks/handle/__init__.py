@@ -1,0 +1,1 @@
+"""The mug with a handle, followed by all sensors at once, then lifted by its handle."""

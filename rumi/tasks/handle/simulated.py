@@ -1,0 +1,224 @@
+"""A movable mug before four kinds of sensors: a camera's first view, soft bubbles, a wrench, and joint torques."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from rumi.robot.tool import Tool
+from rumi.seeding import split
+from rumi.sim.felt_world import Felt, FeltWorld
+from rumi.sim.joint_torques import JointFeeler
+from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
+from rumi.sim.settings import SimSettings
+from rumi.sim.slip import measured_motion
+from rumi.sim.world import Track
+from rumi.task import StepResult
+from rumi.tasks.handle.settings import FusedSettings, task_of
+from rumi.tasks.rummage.sensed import SensedTask
+from sdf import se3
+from sdf.object_model import ObjectModel
+from sensors.contact_reading import FeltReading, WrenchTouch, surest
+from sensors.force.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus
+from sensors.force.tool_parts import box_tool, ellipsoid_tool, parts_contact
+from sensors.observation import Observation, concatenate
+from sensors.semantics import Semantics
+from sensors.touch.tactile import swept_points
+
+_PALM = 2  # the part after the two pads
+_GUARD = 2  # mini steps of silence before a contact, and at an action's end, that free nothing: readings may be late
+
+
+class FusedTask(SensedTask):
+    """The scene, with those of the sensors that are switched on.
+
+    All images have the noise of `degraded` sensors, lost ones included, unless the settings ask for none. In every
+    variant the object's motion is measured, with noise, and where the rigid gripper has been is free: that takes no
+    more than joint positions. Where the wrench or the joints say that nothing is touched, the gripper's skin is free
+    too.
+
+    Args:
+        settings: of the run.
+        tool: the gripper with the reach of its arm.
+        model: the mug.
+        cache_dir: folder that keeps what takes long.
+    """
+
+    def __init__(
+        self, settings: FusedSettings, tool: Tool, model: ObjectModel, *, cache_dir: Path | None = None
+    ) -> None:
+        own = settings.sensors
+        spec = task_of(settings)
+        kind: SensorKind = "bubbles" if "bubbles" in own else "camera"
+        sensors = SensorSettings(kind) if settings.noise_free else degraded(kind)
+        simulator = SimSettings(sensors=sensors, free_region_m=settings.free_region_m)
+        super().__init__(spec, simulator, tool, model, cache_dir=cache_dir)
+        self.fused = settings
+        self._drawn = spec
+        self.world: FeltWorld = FeltWorld(
+            self.world.body, tool.shape, spec.height_m, simulator.time_step_s, spec.physics
+        )
+        shape, wrist = tool.shape, settings.wrist
+        ahead = torch.tensor([wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
+        pads = [ellipsoid_tool(torch.tensor(c, dtype=torch.float64) + ahead, shape.pad_m) for c in shape.pad_centers]
+        palm = torch.tensor([shape.palm_center_m, 0.0, 0.0], dtype=torch.float64) + ahead
+        self._parts = [*pads, box_tool(palm, shape.palm_m)]
+        self._noise = WrenchNoise(wrist.force_n, wrist.moment_nm)
+        joints = settings.joints.without_errors() if settings.noise_free else settings.joints
+        self._joints = JointFeeler(spec.base, spec.height_m, joints) if "torques" in own else None
+        self._wrist_noise, self._joint_noise, self._from = torch.Generator(), torch.Generator(), torch.zeros(3)
+        self._wrist_off = se3.identity().double()
+
+    def reset(self, seed: int) -> StepResult:
+        """Put the mug where the seed has it and return the first look; without a camera it shows nothing."""
+        self.spec = replace(self._drawn, start=self.drawn(seed))
+        self._wrist_noise, self._joint_noise = split(seed, "wrist"), split(seed, "signals")
+        if self._joints is not None:
+            self._joints.seed(split(seed, "joints"))
+        result = super().reset(seed)
+        self._wrist_off = self._miscalibration(split(seed, "wrist calibration")).double()
+        return result
+
+    def drawn(self, seed: int) -> tuple[float, float, float]:
+        """(x, y, yaw) of the mug: normal about the mean within two deviations, its handle away from the camera."""
+        own, prior, camera = self.fused, self._drawn.prior, self._drawn.camera
+        assert prior is not None and camera is not None
+        generator = split(seed, "mug")
+        while True:
+            off = torch.randn(2, generator=generator, dtype=torch.float64)
+            if float(off.norm()) < 2.0:
+                break
+        x, y = (mean + own.spread_m * float(part) for mean, part in zip(prior.mean_m, off, strict=True))
+        away = math.atan2(y - camera.position[1], x - camera.position[0])
+        turn = 2.0 * float(torch.rand((), generator=generator, dtype=torch.float64)) - 1.0
+        return x, y, away + own.handle_rad * turn
+
+    def step(self, control: Float[Tensor, "A"]) -> StepResult:
+        """Carry out one control and report."""
+        self._from = self.world.configuration()
+        return super().step(control)
+
+    def _view(self) -> Observation:
+        if "camera" in self.fused.sensors:
+            return super()._view()
+        self._region = self._region_of_prior()
+        return Observation.empty()
+
+    def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> FeltReading:
+        """All that was felt on the way."""
+        felt, own = self.world.felt, self.fused.sensors
+        assert felt is not None
+        measured = self._measured(before, track)
+        configuration = track.configuration.float()
+        tool_pose = self.tool.pose(configuration)
+        parts, instants, in_contact = self._felt_by_bubbles(track, tool_pose)
+        silent = torch.zeros(len(tool_pose), dtype=torch.bool)
+        touch, signals = WrenchTouch.none(), None
+        if "wrench" in own:
+            arrived = self._arrived(len(tool_pose), self._wrist_noise)
+            touch, pushed = self._felt_by_wrist(felt, tool_pose, arrived)
+            parts.append(Observation.of(touch.points, Semantics.SURFACE))
+            instants.append(touch.instant)
+            in_contact, silent = in_contact | pushed, silent | (arrived & ~pushed)
+        if self._joints is not None:
+            signals, known = (self._delayed(one) for one in self._joints.signals(felt, self._from))
+            known = known & self._arrived(len(tool_pose), self._joint_noise)
+            signals = signals & known
+            in_contact, silent = in_contact | signals, silent | (known & ~signals)
+        # what one sensor feels, another's silence does not deny
+        free, instant = self._free(tool_pose, measured, silent & ~_soon(in_contact))
+        parts.append(free)
+        instants.append(instant)
+        return FeltReading(
+            concatenate(parts),
+            torch.cat(instants),
+            tool_pose,
+            in_contact,
+            measured,
+            configuration[-1],
+            refused,
+            float(self.world.data.time),
+            wrench=touch,
+            signals=signals,
+        )
+
+    def _measured(self, before: Float[Tensor, "4 4"], track: Track) -> Float[Tensor, "K 4 4"]:
+        motion, sensors = track.world_T_object @ se3.inverse(before), self.sensors
+        noise = torch.randn(3, generator=self._generator, dtype=torch.float64)
+        spread = (sensors.motion_noise_m, sensors.motion_noise_m, sensors.motion_noise_rad)
+        return measured_motion(before, motion, noise * torch.tensor(spread, dtype=torch.float64)).float()
+
+    def _arrived(self, count: int, generator: torch.Generator) -> Bool[Tensor, "K"]:
+        """Which mini steps' readings are not lost."""
+        return torch.rand(count, generator=generator) >= self.sensors.lost
+
+    def _delayed(self, rows: Tensor) -> Tensor:
+        """What arrives at each mini step: of some before, as late as readings are."""
+        return rows[(torch.arange(len(rows)) - self._late).clamp_min(0)]
+
+    def _felt_by_wrist(
+        self, felt: Felt, tool_pose: Float[Tensor, "K 4 4"], arrived: Bool[Tensor, "K"]
+    ) -> tuple[WrenchTouch, Bool[Tensor, "K"]]:
+        """Touches by the mean wrenches of the mini steps, and where there was a force at all."""
+        contact, part = self.wrist_contacts(felt)
+        pushed = arrived & (contact.status != int(WrenchStatus.NONE))
+        good = arrived & (contact.status == int(WrenchStatus.CONTACT))
+        # nothing is narrow enough to come between the pads: a line of force through there is of a touch on each
+        good &= ~((part == _PALM) & (contact.normal_s[:, 0] > 0.5))
+        index, variance = good.nonzero()[:, 0], contact.covariance.diagonal(dim1=-2, dim2=-1).sum(-1)
+        kept = index[surest(variance[index], self.fused.wrist.most)]
+        return WrenchTouch.of(contact, tool_pose.double() @ self._tool_T_sensor(), kept), pushed
+
+    def wrist_contacts(self, felt: Felt) -> tuple[WrenchContact, Tensor]:
+        """Of the noisy mean wrench of each mini step, in the sensor's frame, and the parts that they are on."""
+        wrist, rows = self.fused.wrist, torch.from_numpy(felt.wrench)
+        yaw = torch.from_numpy(felt.configuration[:, 2].copy())
+        turn = se3.from_planar(torch.stack((torch.zeros_like(yaw), torch.zeros_like(yaw), yaw), -1))[:, :3, :3]
+        force, moment = ((turn.mT @ part[..., None])[..., 0] for part in (rows[:, :3], rows[:, 3:]))
+        ahead = torch.tensor([wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
+        moment = moment + torch.linalg.cross(ahead.expand_as(force), force)
+        ends = [0, *(int(end) + 1 for end in felt.ends)]
+        own = torch.cat((force, moment), -1)
+        mean = torch.stack([own[a:b].mean(0) for a, b in pairwise(ends)])
+        scale = torch.tensor([wrist.force_n] * 3 + [wrist.moment_nm] * 3, dtype=torch.float64)
+        scale *= not self.fused.noise_free
+        mean = self._delayed(mean) + scale * torch.randn(mean.shape, generator=self._wrist_noise, dtype=torch.float64)
+        settings = WrenchSettings(least_force_n=wrist.least_force_n, friction=wrist.friction)
+        return parts_contact(mean, self._parts, self._noise.covariance(), settings)
+
+    def _tool_T_sensor(self) -> Float[Tensor, "4 4"]:
+        """Where the wrist's sensor is taken to be."""
+        behind = torch.tensor([-self.fused.wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
+        return se3.make(torch.eye(3, dtype=torch.float64), behind) @ self._wrist_off
+
+    def _free(
+        self, tool_pose: Float[Tensor, "K 4 4"], measured: Float[Tensor, "K 4 4"], silent: Bool[Tensor, "K"]
+    ) -> tuple[Observation, Tensor]:
+        """What the rigid gripper went through, with its skin where nothing was touched."""
+        attached_T_world = se3.inverse(measured @ self._attached)
+        self._attached = measured[-1] @ self._attached
+        spacing = self.settings.free_spacing_m
+        inner = swept_points(tool_pose, self._inner, spacing, attached_T_world=attached_T_world, region=self._region)[0]
+        points, instants = [inner.points], [inner.instant]
+        if bool(silent.any()):
+            which = silent.nonzero()[:, 0]
+            skin = swept_points(
+                tool_pose[which],
+                self._body,
+                spacing,
+                attached_T_world=attached_T_world[which],
+                region=self._region,
+            )[0]
+            points.append(skin.points)
+            instants.append(which[skin.instant])
+        return Observation.of(torch.cat(points), Semantics.FREE), torch.cat(instants)
+
+
+def _soon(in_contact: Bool[Tensor, "K"]) -> Bool[Tensor, "K"]:
+    """Where something is touched then or a little later, as far as is known: nothing is of what comes after the end."""
+    later = torch.cat((in_contact, torch.ones(_GUARD, dtype=torch.bool)))
+    return torch.stack([later[k : k + len(in_contact)] for k in range(_GUARD + 1)]).any(0)

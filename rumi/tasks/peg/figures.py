@@ -1,0 +1,126 @@
+"""The peg task drawn: where the block was touched, and how the time went, reasoning against motion."""
+
+import math
+from typing import TYPE_CHECKING
+
+import torch
+
+from rumi.information.contact_gain import NOTHING, TOUCH
+from rumi.tasks.peg.agent import PegRun
+from rumi.tasks.peg.selection import Thought
+from rumi.viz import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_SEARCH = style.FREE
+_THINK = style.EXPECTED
+_MOVE = style.SURFACE
+
+
+def draw_contacts(run: PegRun, ax: "Axes", *, around_m: float | None = None) -> "Axes":
+    """The table from above: the ball's way, what it touched in order, and where the holes were thought to be.
+
+    Args:
+        run: what was done.
+        ax: where to draw.
+        around_m: half of the width of a close-up of the block; None for the whole table.
+    """
+    from matplotlib.patches import Circle, Polygon, Rectangle
+
+    own = run.settings
+    width, height = own.table_m
+    ax.add_patch(Rectangle((-0.5 * width, -0.5 * height), width, height, fc="none", ec=style.QUIET, lw=0.8, ls=":"))
+    for number, felt in enumerate((*run.searched, *run.felt)):
+        searching = number < len(run.searched)
+        x, y = felt.path[:, 0].tolist(), felt.path[:, 1].tolist()
+        ax.plot(x, y, color=_SEARCH if searching else style.TOOL, lw=1.6 if searching else 0.7, alpha=0.9, zorder=1)
+    half = own.block.half()
+    corners = torch.tensor([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]], dtype=torch.float64) * half
+    x, y, yaw = run.truth.tolist()
+    turn = torch.tensor([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]], dtype=torch.float64)
+    outline = corners @ turn.mT + run.truth[:2]
+    ax.add_patch(Polygon(outline.numpy(), fc=style.FAINT, ec=style.TRUTH, lw=1.2, alpha=0.8, zorder=2))
+    for hole in own.block.holes(run.truth).tolist():
+        ax.add_patch(Circle(hole, 0.015, fc="white", ec=style.TRUTH, lw=0.8, zorder=3))
+    for guess in run.aim.points.tolist():
+        ax.plot(*guess, marker="+", color=style.CONTACT, ms=7, zorder=5)
+    count = 0
+    for felt in (*run.searched, *run.felt):
+        if felt.kind == NOTHING:
+            ax.plot(*felt.tip[:2].tolist(), marker="x", color=style.QUIET, ms=4, zorder=4)
+            continue
+        count += felt.kind == TOUCH
+        px, py = felt.point.tolist()
+        ax.plot(px, py, marker="o" if felt.kind == TOUCH else "s", color=style.CONTACT, ms=3.5, zorder=4)
+        if felt.kind == TOUCH:
+            nx, ny = (0.02 * felt.normal).tolist()
+            ax.plot([px, px + nx], [py, py + ny], color=style.CONTACT, lw=1.0, zorder=4)
+            ax.annotate(str(count), (px + 1.6 * nx, py + 1.6 * ny), ha="center", va="center", fontsize=7, zorder=6,
+                        clip_on=True)  # fmt: skip
+    ax.plot(*run.inserted_at.tolist(), marker="*", color=style.NLL, ms=9, zorder=6)
+    ax.set_aspect("equal")
+    if around_m is not None:
+        x, y = run.truth[:2].tolist()
+        ax.set_xlim(x - around_m, x + around_m)
+        ax.set_ylim(y - around_m, y + around_m)
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+    return ax
+
+
+def draw_timeline(run: PegRun, ax: "Axes") -> "Axes":
+    """The whole run: searching, then by turns reasoning and motion, touches as marks, in the order of time."""
+    for felt in run.searched:
+        _bar(ax, 0, felt.begun_s, felt.ended_s, _SEARCH)
+    moved = 0.0
+    for thought in run.thoughts:
+        _bar(ax, 1, thought.begun_s, thought.ended_s, _THINK)
+    for felt in run.felt:
+        _bar(ax, 2, felt.begun_s, felt.ended_s, _MOVE)
+        moved += felt.ended_s - felt.begun_s
+    for felt in (*run.searched, *run.felt):
+        if felt.kind != NOTHING:
+            shape = "o" if felt.kind == TOUCH else "s"
+            row = 0 if felt.ended_s <= run.searched[-1].ended_s else 2
+            ax.plot(felt.ended_s, row, marker=shape, color=style.CONTACT, ms=4, zorder=3)
+    _bar(ax, 3, run.felt[-1].ended_s if run.felt else run.searched[-1].ended_s, run.total_s, style.NLL)
+    thinking = sum(thought.ended_s - thought.begun_s for thought in run.thoughts)
+    rows = [f"search {run.searched[-1].ended_s:.0f} s", f"reasoning {thinking:.0f} s", f"motion {moved:.0f} s", "peg"]
+    ax.set_yticks(range(4), rows)
+    ax.invert_yaxis()
+    ax.set_xlim(0, 1.02 * run.total_s)
+    ax.set_xlabel("time [s]")
+    ax.set_axisbelow(True)
+    ax.grid(axis="x", color=style.FAINT, lw=0.6)
+    return ax
+
+
+def draw_decision(thought: Thought, ax: "Axes") -> "Axes":
+    """One decision as in the paper's Figure 1: the time that is left against what the best action so far takes."""
+    selection = thought.selection
+    end, limit = selection.thinking_s, selection.t_max_s
+    ax.plot([0.0, limit], [limit, 0.0], color=style.QUIET, lw=1.0, label="time left")
+    best = [(0.0, 0.0)]
+    for row in selection.history:
+        if row.taken:
+            best.append((row.ended_s, row.execution_s))
+        ax.plot(row.ended_s, row.execution_s, marker="o", ms=6 if row.taken else 3.5,
+                color=style.CONTACT if row.taken else style.FREE, zorder=3)  # fmt: skip
+        ax.annotate(f"{row.gain:.2f}", (row.ended_s, row.execution_s), textcoords="offset points", xytext=(0, 6),
+                    ha="center", fontsize=6.5)  # fmt: skip
+    best.append((end, best[-1][1]))
+    ax.step(*zip(*best, strict=True), where="post", color=_THINK, lw=1.6, label="motion of the best so far")
+    if selection.candidate is not None:
+        ax.plot([end, end + selection.candidate.execution_s], [0.0, 0.0], color=_MOVE, lw=5, solid_capstyle="butt")
+        ax.axvline(end, color=style.INK, lw=0.8, ls=":")
+    ax.set_xlim(0, limit)
+    ax.set_ylim(bottom=-0.02 * limit)
+    ax.set_xlabel("since the decision began [s]")
+    ax.set_ylabel("seconds of motion")
+    ax.legend(loc="upper right")
+    return ax
+
+
+def _bar(ax: "Axes", row: int, begun: float, ended: float, colour: str) -> None:
+    ax.barh(row, ended - begun, left=begun, height=0.7, color=colour, lw=0)

@@ -1,0 +1,1 @@
+"""Rummaging (RUMI, arXiv 2408.10450): find an object by pushing it, seen in part or not at all."""

@@ -1,0 +1,251 @@
+"""From settings to the parts of a run."""
+
+import copy
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, cast
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.motion import Predictor
+from rumi.belief.pose_filter import PoseFilter
+from rumi.belief.prior import PosePrior
+from rumi.belief.pushed_motion import PushedMotion
+from rumi.dynamics.along_path import carry, carry_along
+from rumi.errors import UsageError
+from rumi.fields.workspace import Workspace
+from rumi.planning.ablations import info_only, reach_only
+from rumi.planning.gpvr import GPVRPolicy
+from rumi.planning.policy import Policy
+from rumi.planning.rummaging import RummagingPolicy
+from rumi.planning.rummaging_settings import RummagingSettings
+from rumi.planning.slide import SlidePolicy
+from rumi.registration.descent import Search
+from rumi.robot.tool import Tool
+from rumi.runs.sketch import SceneSketch, sketch
+from rumi.task import StepResult, Task
+from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.objects import with_object
+from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_task, make_tool
+from rumi.tasks.rummage.settings import Settings
+from sdf.object_model import ObjectModel
+from sensors.discrepancy import Discrepancy
+
+_PLANAR = ("pushed", "corrected")  # motions by a model of upright objects and a level tool
+_OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
+
+
+class Parts(NamedTuple):
+    """What a run is made of.
+
+    Attributes:
+        task: the simulated robot.
+        rummager: how it finds the object.
+    """
+
+    task: Task
+    rummager: Rummager
+
+
+def build(
+    settings: Settings, *, cache_dir: Path | None = None, progress: Callable[[str, float], None] | None = None
+) -> Parts:
+    """Make the parts of a run.
+
+    Args:
+        settings: of the run.
+        cache_dir: folder that keeps what takes seconds to work out; None keeps nothing.
+        progress: called with what is being done for a mesh and how much of it is done, from 0 to 1.
+
+    Raises:
+        UsageError: there is no such task or device, or the object cannot be used or does not suit the task.
+    """
+    spec, device, dtype = find_task(settings.task), settings.torch_device, settings.torch_dtype
+    _check_pushing(spec, settings)
+    if settings.steps is not None:
+        spec = replace(spec, steps=settings.steps)
+    spec, model = with_object(spec, settings.object, cache_dir=cache_dir, progress=progress)
+    tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
+    task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model)
+    if device.type != "cpu" or dtype != torch.float32:
+        task = Elsewhere(task, device, dtype)
+    return Parts(task, build_rummager(spec, settings, model, tool))
+
+
+def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool) -> Rummager:
+    """How an object is found: filter, policy and stopping rule, on the settings' device.
+
+    Args:
+        spec: of the task.
+        settings: of the run.
+        model: the object.
+        tool: the gripper.
+    """
+    to = (settings.torch_device, settings.torch_dtype)
+    model, tool, workspace = model.to(*to), copy.deepcopy(tool).to(*to), workspace_of(spec).to(*to)
+    discrepancy = Discrepancy(
+        model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
+    )
+    prior = prior_of(spec, model)
+    following, stop = settings.filter, settings.stop
+    if following.motion == "measured" and not spec.measures_motion:
+        needs_plane = following.unmeasured in _PLANAR and not _planar(spec)
+        following = replace(following, motion="estimated" if needs_plane else following.unmeasured)
+    if spec.apc_ratio is not None:
+        stop = replace(stop, apc_ratio=spec.apc_ratio)
+    if settings.simulator.sensors.kind == "camera":  # which feels nothing
+        stop = replace(stop, contacts=0)
+    standing = 0.0 - float(model.exact.bounds[0, 2])
+    pushed = None
+    if following.motion in _PLANAR:
+        pushed = predictor_of(settings.planner, model, tool, spec.height_m, standing)
+    return Rummager(
+        model,
+        PoseFilter(discrepancy, cast(Search, spec.search), following, prior, pushed).to(*to),
+        make_policy(settings, reachability(tool, workspace)),
+        workspace,
+        tool,
+        initialise=settings.initialise,
+        renewal=settings.renewal,
+        stop=stop,
+        height_m=standing,
+        replan_every=settings.replan_every,
+        budget_s=settings.budget_s,
+        nll_threshold=spec.nll_threshold,
+        position_tolerance_m=spec.position_tolerance_m,
+        rotation_tolerance_rad=spec.rotation_tolerance_rad,
+    )
+
+
+def predictor_of(
+    planner: RummagingSettings, model: ObjectModel, tool: Tool, height_m: float, standing_m: float
+) -> Predictor:
+    """What says how far an object was pushed, where nothing measures it: the planner's push model.
+
+    Args:
+        planner: its settings.
+        model: the object.
+        tool: the gripper.
+        height_m: of the level tool.
+        standing_m: of the object's origin above the floor.
+    """
+    if planner.push_model == "mujoco":
+        from rumi.sim.engine_motion import EngineMotion
+
+        return EngineMotion(model, tool.shape, height_m, planner.engine)
+    carrier = carry_along if planner.push_model == "displacement" else carry
+    return PushedMotion.of(model.sdf, height_m - standing_m, tool.shape, planner.quasi_static, carrier)
+
+
+def _planar(spec: TaskSpec) -> bool:
+    """Whether the object stays upright and the tool level."""
+    return spec.search == "SE(2)" and not spec.spatial
+
+
+def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
+    """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
+    if _planar(spec):
+        return
+    upright = spec.search == "SE(2)"
+    for name, value, other in (
+        ("push-model", settings.planner.push_model, "displacement or mujoco" if upright else "displacement"),
+        ("motion", settings.filter.motion, "measured, sticking or estimated"),
+    ):
+        if value == "mujoco" and upright:
+            continue
+        if value in ("quasi-static", "mujoco", *_PLANAR):
+            raise UsageError(
+                f"--{name} {value} pushes upright objects with a level tool, and {spec.name} is another task: "
+                f"use {other} there"
+            )
+
+
+def prior_of(spec: TaskSpec, model: ObjectModel) -> PosePrior | None:
+    """What is known of the pose before anything is sensed, on the model's device; None where a camera sees it."""
+    if spec.prior is None:
+        return None
+    return PosePrior.of(spec.prior.mean_m, spec.prior.spread_m, model.sdf.bounds, spec.up)
+
+
+def workspace_of(spec: TaskSpec) -> Workspace:
+    """The lattice of a task: planar at the height of its tool, or from the floor up where that moves in space."""
+    (left, bottom), (right, top) = spec.bounds
+    if spec.spatial:
+        box = torch.tensor([[left, bottom, 0.0], [right, top, spec.workspace_top_m]])
+        return Workspace.from_bounds(box, spec.field_spacing_m)
+    bounds = torch.tensor([[left, bottom, spec.height_m], [right, top, spec.height_m]])
+    return Workspace.from_bounds(bounds, spec.field_spacing_m, planar_height=spec.height_m)
+
+
+def reachability(tool: Tool, workspace: Workspace) -> Float[Tensor, "V"]:
+    """r(x) of every point of the workspace; 1 everywhere for a tool that flies freely."""
+    points = workspace.points
+    return torch.ones_like(points[:, 0]) if tool.reach is None else tool.reach.field(points)
+
+
+def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
+    """The policy of the settings' method.
+
+    Raises:
+        UsageError: the method needs a package that is not installed.
+    """
+    if settings.planner.push_model == "mujoco":
+        import rumi.sim.push_model  # noqa: F401  (enters the push model)
+    if settings.method == "info-only":
+        return info_only(settings.planner)
+    if settings.method == "reach-only":
+        return reach_only(reach, settings.planner)
+    if settings.method == "slide":
+        return SlidePolicy(settings.slide)
+    if settings.method in ("gpvr", "gpvr-greedy"):
+        return GPVRPolicy(settings.planner, settings.gpvr, greedy=settings.method == "gpvr-greedy")
+    return RummagingPolicy(reach, settings.planner)
+
+
+def scene_sketch(rummager: Rummager) -> SceneSketch:
+    """What figures need to know of the scene."""
+    section = rummager.tool.shape.section(_OUTLINE_SPACING)
+    return sketch(
+        rummager.model.to("cpu"),
+        rummager.workspace.to("cpu"),
+        torch.cat((section, torch.zeros_like(section[:, :1])), -1),
+        height_m=rummager.height_m,
+        reachability=reachability(rummager.tool, rummager.workspace).cpu(),
+        thresholds={
+            "nll": rummager.nll_threshold,
+            "expected_nll": rummager.stop.expected_nll,
+            "apc": rummager.stop.apc_ratio * rummager.model.diagonal,
+        },
+    )
+
+
+class Elsewhere:
+    """A task whose readings arrive on another device or in another dtype.
+
+    Args:
+        task: the robot, whose readings are float32 on the CPU.
+        device: of the readings.
+        dtype: of their floating numbers.
+    """
+
+    def __init__(self, task: Task, device: torch.device, dtype: torch.dtype) -> None:
+        self.task, self.device, self.dtype = task, device, dtype
+
+    def reset(self, seed: int) -> StepResult:
+        """Put everything at its start and return the first view."""
+        return self._moved(self.task.reset(seed))
+
+    def step(self, control: Float[Tensor, "A"]) -> StepResult:
+        """Carry out one control and report."""
+        return self._moved(self.task.step(control.to("cpu", torch.float32)))
+
+    def close(self) -> None:
+        """Let go of the robot."""
+        self.task.close()
+
+    def _moved(self, result: StepResult) -> StepResult:
+        truth = None if result.truth is None else result.truth.to(self.device, self.dtype)
+        return StepResult(result.reading.to(self.device, self.dtype), truth)

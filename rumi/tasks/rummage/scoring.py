@@ -1,0 +1,117 @@
+"""What a step is worth: the belief measured against itself and, where it is known, the truth."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.particles import PoseBelief
+from rumi.clock import Clock
+from rumi.information.stop_rule import converged
+from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
+from rumi.metrics.pose_error import pose_error
+from rumi.planning.policy import Plan
+from rumi.records import RunResult, StepRecord
+from rumi.task import StepResult
+from rumi.tasks.rummage.agent import Rummager
+from sensors.observation import Observation
+
+
+def observe(
+    rummager: Rummager,
+    clock: Clock,
+    history: Sequence[StepRecord],
+    result: StepResult,
+    belief: PoseBelief,
+    added: Observation,
+    control: Float[Tensor, "A"] | None = None,
+    plan: Plan | None = None,
+    resampled: bool = False,
+) -> StepRecord:
+    """Measure the belief: what it expects of itself, and, apart from that, against the truth."""
+    model, sensor = rummager.model, rummager.model.surface_points
+    with clock("agree"):
+        expected, apc = _agreement(rummager, history[-1] if history else None, belief)
+    with clock("score"):
+        nll = None
+        if result.truth is not None:
+            truth = result.truth.to(belief.log_weights)
+            nll = float(negative_log_likelihood(belief.world_T_object, belief.log_weights, truth, sensor, model.judge))
+    touched = bool(result.reading.in_contact.any()) and control is not None
+    contacts = (history[-1].contacts if history else 0) + touched
+    fit = float(belief.discrepancy.min())
+    return StepRecord(
+        step=len(history),
+        control=control,
+        reading=result.reading,
+        added=added,
+        belief=belief,
+        plan=plan,
+        expected_nll=expected,
+        fit=fit,
+        apc=apc,
+        ess=float(belief.ess()),
+        contacts=contacts,
+        resampled=resampled,
+        converged=converged(
+            rummager.stop, expected_nll=expected, fit=fit, apc=apc, diagonal=model.diagonal, contacts=contacts
+        ),
+        truth=result.truth,
+        nll=nll,
+        timings_s=clock.take(),
+    )
+
+
+def _agreement(rummager: Rummager, last: StepRecord | None, belief: PoseBelief) -> tuple[float, float]:
+    """Expected nll and APC; those of the last step where the particles and their weights are still the same."""
+    if (
+        last is not None
+        and torch.equal(last.belief.attached_T_object, belief.attached_T_object)
+        and torch.equal(last.belief.log_weights, belief.log_weights)
+    ):
+        return last.expected_nll, last.apc
+    points = rummager.model.surface_points
+    stride = max(1, len(points) // rummager.agreement_points)
+    agreement = self_agreement(belief, points[::stride], rummager.model.sdf, nll_points=len(points))
+    return float(agreement.expected_nll), float(agreement.apc)
+
+
+def summarise(rummager: Rummager, history: Sequence[StepRecord], stopped_by: str) -> RunResult:
+    """How the run ended, from its records."""
+    records, last = history, history[-1]
+    nll = [r.nll for r in records if r.nll is not None]
+    errors: tuple[float, float] | None = None
+    if last.truth is not None:
+        metres, radians = pose_error(
+            last.belief.mode(), last.truth.to(last.belief.log_weights), rummager.model.symmetries
+        )
+        errors = float(metres), float(radians)
+    timings: dict[str, float] = {}
+    for record in records:
+        for stage, seconds in record.timings_s.items():
+            timings[stage] = timings.get(stage, 0.0) + seconds
+    right = None
+    if nll and errors is not None:
+        right = (
+            nll[-1] <= rummager.nll_threshold
+            and errors[0] <= rummager.position_tolerance_m
+            and errors[1] <= rummager.rotation_tolerance_rad
+        )
+    return RunResult(
+        right=right,
+        paper_success=min(nll) <= rummager.nll_threshold if nll else None,
+        paper_success_at_start=nll[0] <= rummager.nll_threshold if nll else None,
+        min_nll=min(nll) if nll else None,
+        final_nll=nll[-1] if nll else None,
+        cumulative_nll=sum(nll) if nll else None,
+        steps=last.step,
+        stopped_by=stopped_by,
+        apc=last.apc,
+        expected_nll=last.expected_nll,
+        position_error_mm=errors[0] * 1e3 if errors else None,
+        rotation_error_deg=errors[1] * 180.0 / torch.pi if errors else None,
+        contacts=last.contacts,
+        clipped=sum(float(r.reading.clipped) > 1e-4 for r in records),
+        timings_s=timings,
+    )

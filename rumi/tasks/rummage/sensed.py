@@ -1,0 +1,267 @@
+"""A simulated task whose robot sees and feels through images, as a real one does."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float, UInt8
+from torch import Tensor
+
+from rumi.errors import UsageError
+from rumi.robot.gripper_body import gripper_links
+from rumi.robot.tool import Tool
+from rumi.sim.bubble_camera import BubbleCamera
+from rumi.sim.settings import PhysicsSettings, SimSettings
+from rumi.sim.slip import measured_motion
+from rumi.sim.world import Track
+from rumi.task import StepResult
+from rumi.tasks.rummage.raw_streams import RawStreams
+from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
+from rumi.tasks.rummage.simulated import SimTask
+from sdf import se3
+from sdf.object_model import ObjectModel
+from sensors.observation import Observation, concatenate
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+from sensors.touch.bubble import Bubble, bubble_patch
+from sensors.vision.camera import look_at, pinhole, pixel_rays
+from sensors.vision.robot_body import RobotBody
+from sensors.vision.view import ViewSettings, view_observation
+
+_LOOK_S = 0.4
+_LOOKS = 3  # that the first one lasts for at most, while the object does not show
+_BLUE, _GREY = (30, 60, 200), (120, 120, 120)
+_FLOOR_M = 0.002  # what is lower is the floor
+_NEAR_M = 0.002  # what the simulator's flat pieces are off the exact shape, at most
+_VIEW = ViewSettings("color", (200.0, 260.0), persist_s=_LOOK_S, persist_gap_s=0.15)
+
+
+class SensedTask(SimTask):
+    """A `SimTask` that reports through a camera, soft bubbles, or both, and knows nothing else of the object.
+
+    The camera sees the object and the gripper in one colour over a grey floor, for 0.4 s after an action; its frames go
+    through `sensors.vision.view`, the gripper's body left out at the measured configuration. The first look goes on for
+    three times as long where too many frames were lost for anything to show. Bubbles go through
+    `sensors.touch.bubble` at every mini step. What the rigid part of the gripper went through, by 3 mm and more inside
+    of it, is free. The object's motion is measured by a slip sensor, with noise.
+
+    Args:
+        spec: the task; it must have a camera.
+        settings: of the simulator; its `sensors` say which there are, and how well they work.
+        tool: the gripper with the reach of its arm.
+        model: the object.
+        physics: masses, friction, drive; by default the task's.
+        cache_dir: folder that keeps convex pieces of meshes.
+
+    Raises:
+        UsageError: the task has no camera.
+    """
+
+    def __init__(
+        self,
+        spec: TaskSpec,
+        settings: SimSettings,
+        tool: Tool,
+        model: ObjectModel,
+        physics: PhysicsSettings | None = None,
+        *,
+        cache_dir: Path | None = None,
+    ) -> None:
+        if spec.camera is None:
+            raise UsageError(f"{spec.name} has no camera: only tasks with one report through other sensors than points")
+        super().__init__(spec, settings, tool, model, physics, cache_dir=cache_dir)
+        self.sensors = sensors = settings.sensors
+        links = gripper_links(tool.shape)
+        self._links = RobotBody(links)
+        deep = torch.stack([link.distance(self._body) for link in links]).amin(0) < -settings.contact_m
+        self._inner = self._body[deep]
+        self._bubbles = [BubbleCamera(tool.shape, pad, sensors.membrane_m) for pad in range(2) if sensors.feels]
+        self._believed: list[Bubble] = []
+        self._off = se3.identity()
+        self._late = round(sensors.late_s * settings.mini_steps / settings.action_s)
+        self._look_frames = math.ceil(_LOOK_S * sensors.frame_rate_hz) + 2
+        self.raw = RawStreams(spec, settings, tool.shape, self._bubbles, self._look_frames)
+
+    def reset(self, seed: int) -> StepResult:
+        """Put everything at its start and return the first look; the seed draws noise and errors of calibration."""
+        self._generator.manual_seed(seed)
+        self._off = self._miscalibration(self._generator)
+        self._believed = [
+            Bubble.of(
+                _seen(bubble.rest, 0.0, self._generator).float(),
+                bubble.intrinsics.float(),
+                bubble.tool_T_camera.float() @ self._miscalibration(self._generator),
+            )
+            for bubble in self._bubbles
+        ]
+        # drawn from a stream of its own, so that the calibration is the same whatever the noise
+        after = int(torch.randint(2**62, (), generator=self._generator))
+        return super().reset(after)
+
+    def _miscalibration(self, generator: torch.Generator) -> Float[Tensor, "4 4"]:
+        """taken_T_true of a sensor's frame."""
+        place, axis = torch.randn(2, 3, generator=generator)
+        place, axis = (torch.nn.functional.normalize(part, dim=0) for part in (place, axis))
+        return se3.exp(torch.cat((self.sensors.calibration_m * place, self.sensors.calibration_rad * axis)))
+
+    def _view(self) -> Observation:
+        """What the camera sees while nothing moves; the first look sets the region of free points for touch."""
+        seen = self._looked()
+        surface = seen.points[seen.of_class(Semantics.SURFACE)]
+        if self._steps == 0:
+            self._region = self._region_about(surface) if len(surface) else self._region_unseen()
+            self.raw.about(self._region)
+        return seen
+
+    def _looked(self) -> Observation:
+        camera = self.spec.camera
+        assert camera is not None
+        intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad)
+        pose = look_at(torch.tensor(camera.position).double(), torch.tensor(camera.target).double())
+        depth, color = self._frame(camera, pose)
+        taken = self._taken_pose(camera, pose).float()
+        body = self.tool.pose(self.world.configuration().float()[None]).expand(len(self._links.links), 4, 4)
+        count, tool_pose = self._look_frames, self.tool.pose(self.world.configuration().float())
+        most = count * (_LOOKS if self._steps == 0 else 1)
+        if self._steps == 0:
+            rest, mounts = ([getattr(b, name) for b in self._believed] for name in ("rest", "tool_T_camera"))
+            self.raw.start(taken, tool_pose, rest, mounts)
+        memory, last, bounds, index = None, Observation.empty(), None, -1
+        while index + 1 < (count if bounds is not None else most):
+            index += 1
+            noise = math.hypot(self.sensors.depth_noise_m, self.spec.depth_noise_m)
+            image = _seen(depth, noise, self._generator).float()
+            lost = self._lost()
+            self.raw.frame(index, None if lost else image, color, tool_pose)
+            if lost:
+                continue
+            if index >= count - 2:
+                # the lasting points of these frames say where free ones matter
+                bounds = self._region_about(last.points) if len(last) else None
+            view = view_observation(
+                image,
+                intrinsics,
+                taken,
+                replace(_VIEW, free_spacing_m=self.settings.free_spacing_m, free_margin_m=self.settings.free_margin_m),
+                color=color,
+                body=self._links,
+                world_T_links=body,
+                bounds=bounds,
+                stamp=index / self.sensors.frame_rate_hz,
+                memory=memory,
+            )
+            memory = view.memory
+            surface = view.observation.of_class(Semantics.SURFACE)
+            if bool(surface.any()):
+                last = view.observation if bounds is not None else view.observation[surface]
+        self.raw.looked(tool_pose, index + 1)
+        if bounds is None and len(last):  # the last frames never came
+            last = last[last.of_class(Semantics.SURFACE)]
+        return last
+
+    def _frame(
+        self, camera: CameraSpec, pose: Float[Tensor, "4 4"]
+    ) -> tuple[Float[Tensor, "H W"], UInt8[Tensor, "H W 3"]]:
+        """Depth without noise, and colours: everything above the floor is blue."""
+        intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad, dtype=torch.float64)
+        rays = pixel_rays(camera.height, camera.width, intrinsics).reshape(-1, 3) @ pose[:3, :3].mT
+        depth, _ = self.world.cast(pose[:3, 3], rays)
+        above = (pose[2, 3] + depth * rays[:, 2]).nan_to_num(nan=math.inf) > _FLOOR_M
+        above &= torch.isfinite(depth)
+        color = torch.tensor(_GREY, dtype=torch.uint8).expand(len(depth), 3).clone()
+        color[above] = torch.tensor(_BLUE, dtype=torch.uint8)
+        shape = (camera.height, camera.width)
+        return depth.reshape(shape), color.reshape(*shape, 3)
+
+    def _taken_pose(self, camera: CameraSpec, pose: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
+        """Where the camera is taken to be."""
+        off = self._off.double()
+        if self.sensors.turned_about == "sensor":
+            return pose @ off
+        about = se3.make(torch.eye(3, dtype=torch.float64), torch.tensor(camera.target).double())
+        return about @ off @ se3.inverse(about) @ pose
+
+    def _lost(self) -> bool:
+        return float(torch.rand((), generator=self._generator)) < self.sensors.lost
+
+    def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> Reading:
+        """What was felt and swept on the way, and seen at its end."""
+        motion = track.world_T_object @ se3.inverse(before)
+        shift = math.hypot(self.sensors.motion_noise_m, self.spec.motion_noise_m)
+        turn = math.hypot(self.sensors.motion_noise_rad, self.spec.motion_noise_rad)
+        noise = torch.randn(3, generator=self._generator, dtype=torch.float64)
+        noise = noise * torch.tensor((shift, shift, turn), dtype=torch.float64)
+        measured = measured_motion(before, motion, noise).float() if self._measures else None
+        configuration = track.configuration.float()
+        tool_pose = self.tool.pose(configuration)
+        parts, instants, in_contact = self._felt_by_bubbles(track, tool_pose)
+        self.raw.moved(tool_pose)
+        swept, _ = self._swept(tool_pose, self._inner, measured, in_contact)
+        parts.append(Observation.of(swept.points, Semantics.FREE))
+        instants.append(swept.instant)
+        if self.sensors.looks:
+            seen = self._view()
+            parts.append(seen)
+            instants.append(torch.full((len(seen),), len(tool_pose) - 1, dtype=torch.long))
+        return Reading(
+            concatenate(parts),
+            torch.cat(instants),
+            tool_pose,
+            in_contact,
+            measured,
+            configuration[-1],
+            refused,
+            float(self.world.data.time),
+        )
+
+    def _felt_by_bubbles(
+        self, track: Track, tool_pose: Float[Tensor, "K 4 4"]
+    ) -> tuple[list[Observation], list[Tensor], Bool[Tensor, "K"]]:
+        """Patches and free membrane at each mini step, and when anything was felt."""
+        parts: list[Observation] = []
+        instants: list[Tensor] = []
+        in_contact = torch.zeros(len(tool_pose), dtype=torch.bool)
+        near = self._near(track, tool_pose) if self._bubbles else []
+        for index in range(len(tool_pose)):
+            taken = max(0, index - self._late)  # the image that arrives now
+            for which in range(len(self._bubbles)):
+                image = self._image(self._bubbles[which], track, tool_pose, taken, near[taken])
+                if image is not None:
+                    self.raw.bubble(which, index, image)
+                    patch = bubble_patch(self._believed[which], image, tool_pose[index])
+                    parts.append(patch.observation)
+                    instants.append(torch.full((len(patch.observation),), index, dtype=torch.long))
+                    in_contact[index] |= bool(patch.contact.any())
+        return parts, instants, in_contact
+
+    def _near(self, track: Track, tool_pose: Float[Tensor, "K 4 4"]) -> list[bool]:
+        """Whether the object is near a bubble at each mini step; elsewhere its membrane is at rest."""
+        pads = torch.tensor(self.tool.shape.pad_centers).double()
+        there = se3.apply(se3.inverse(track.world_T_object) @ tool_pose.double(), pads.expand(len(tool_pose), -1, 3))
+        with torch.no_grad():
+            away = self.model.exact.distance(there.float()).amin(-1)
+        near: list[bool] = (away < max(self.tool.shape.pad_m) + self.sensors.membrane_m + _NEAR_M).tolist()
+        return near
+
+    def _image(
+        self, camera: BubbleCamera, track: Track, tool_pose: Float[Tensor, "K 4 4"], taken: int, near: bool
+    ) -> Float[Tensor, "H W"] | None:
+        """One image of one bubble; None where it was lost. Rays are cast where the object is near alone."""
+        if self._lost():
+            return None
+        image = camera.rest
+        if near:
+            tool, pose = tool_pose[taken].double(), track.world_T_object[taken]
+            origin, ways = camera.ways(tool)
+            met, _ = self.world.cast(origin, ways, at=(track.configuration[taken], pose), through_gripper=True)
+            image = camera.image(met)
+        return _seen(image, self.sensors.bubble_noise_m, self._generator).float()
+
+
+def _seen(depth: Tensor, noise_m: float, generator: torch.Generator) -> Tensor:
+    """An image with noise; what is not known stays so."""
+    if noise_m == 0:
+        return depth
+    noisy = depth + noise_m * torch.randn(depth.shape, generator=generator, dtype=depth.dtype)
+    return torch.where(depth > 0, noisy, depth)

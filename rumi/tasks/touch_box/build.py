@@ -1,0 +1,84 @@
+"""Puts a run of touch alone together: robot, table of grasps, push model, by name."""
+
+import importlib
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal, get_args
+
+from rumi.dynamics.along_path import Carrier, carry, carry_along
+from rumi.errors import UsageError
+from rumi.tasks.grasp_table import GraspTable
+from rumi.tasks.touch_box.agent import Toucher
+from rumi.tasks.touch_box.robot import TouchRobot
+from rumi.tasks.touch_box.scene import TouchTask
+from rumi.tasks.touch_box.settings import TouchPush, TouchSettings
+
+Robot = Literal["gripper", "arm", "planar"]
+ROBOTS: tuple[str, ...] = get_args(Robot)
+
+_ARM = "rumi.tasks.touch_box.arm_robot"
+
+
+def make_toucher(
+    task: TouchTask, settings: TouchSettings, robot: Robot = "gripper", *, cache_dir: Path | None = None
+) -> Toucher:
+    """All that a run needs; needs MuJoCo.
+
+    Args:
+        task: the scene.
+        settings: of the run.
+        robot: "gripper" flies freely and feels at stated rates; "arm" feels by its joints' torques; "planar" is no
+            simulation but the quasi-static model itself.
+        cache_dir: folder that keeps the grasps' success; None simulates it each time (a minute).
+
+    Raises:
+        UsageError: an unknown robot, or one that is not there; rates of readings for one that has its own.
+    """
+    from rumi.tasks.touch_box.grasps import grasp_table
+
+    check_robot(task, robot)
+    table = grasp_table(task, cache_dir=cache_dir)
+    made = make_robot(task, robot, table, cache_dir=cache_dir)
+    return Toucher(task, settings, made, table, make_carrier(settings.push_model, task))
+
+
+def check_robot(task: TouchTask, robot: Robot) -> None:
+    """Refuse a task that has what a robot would leave aside: rates of readings, for the arm."""
+    usual = TouchTask()
+    if robot == "arm" and (task.rates, task.correlation) != (usual.rates, usual.correlation):
+        raise UsageError(
+            "The arm feels by its own torques, whose rates are its own: leave out task.rates and task.correlation, or "
+            "choose --robot gripper or planar"
+        )
+
+
+def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: Path | None = None) -> TouchRobot:
+    """The robot of a name; see `make_toucher`."""
+    check_robot(task, robot)
+    if robot == "planar":
+        from rumi.tasks.touch_box.planar_robot import PlanarRobot
+
+        return PlanarRobot(task, table)
+    if robot == "gripper":
+        from rumi.tasks.touch_box.gripper_robot import GripperRobot
+
+        return GripperRobot(task)
+    if robot == "arm":
+        if find_spec(_ARM) is None:
+            raise UsageError("There is no arm under torque control here: choose --robot gripper or planar")
+        made: TouchRobot = importlib.import_module(_ARM).make_arm(task, cache_dir)
+        return made
+    raise UsageError(f"Expected a robot out of {', '.join(ROBOTS)}, got {robot!r}")
+
+
+def make_carrier(choice: TouchPush, task: TouchTask) -> Carrier:
+    """How a tool moves boxes, by name."""
+    if choice == "quasi-static":
+        return carry
+    if choice == "displacement":
+        return carry_along
+    if choice == "mujoco":
+        from rumi.tasks.touch_box.mujoco_push import MujocoCarry
+
+        return MujocoCarry(task)
+    raise UsageError(f"Expected a push model quasi-static, displacement or mujoco, got {choice!r}")

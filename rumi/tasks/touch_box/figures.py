@@ -1,0 +1,122 @@
+"""Figures of touch alone: beliefs, chosen and rejected pokes, the grasp."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.dynamics.sliding import rotated
+from rumi.tasks.touch_box.agent import Toucher, TouchRun, TouchStep
+from rumi.tasks.touch_box.scene import TouchTask
+from rumi.viz import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_BOXES = 80  # particles that are drawn
+_PANELS, _COLUMNS = 8, 5
+
+
+def draw_run(run: TouchRun, toucher: Toucher, folder: Path) -> list[Path]:
+    """Beliefs with pokes and the grasp (pokes.png), and how sure the belief was (sure.png)."""
+    task = toucher.task
+    shown = _shown(len(run.steps))
+    columns = min(_COLUMNS, len(shown) + 2)
+    rows = math.ceil((len(shown) + 2) / columns)
+    limits = _limits(run, task)
+    paths = [folder / "pokes.png", folder / "sure.png"]
+    width = 2.0 * columns
+    tall = width / columns * (limits[3] - limits[2]) / (limits[1] - limits[0]) + 0.35
+    with style.figure(width, rows * tall) as figure:
+        axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
+        for ax in axes[len(shown) + 2 :]:
+            ax.set_axis_off()
+        panel(axes[0], run.first, task, limits, f"prior: {len(run.first[0])} particles")
+        draw_box(axes[0], run.start, task, color=style.TRUTH, linewidth=1.2)
+        for ax, index in zip(axes[1:], shown, strict=False):
+            step = run.steps[index]
+            panel(ax, step.belief, task, limits, f"poke {index + 1}: P(lift) {step.grasp.probability:.2f}")
+            draw_pokes(ax, step)
+            draw_box(ax, step.truth, task, color=style.TRUTH, linewidth=1.2)
+        last = axes[len(shown) + 1]
+        belief = run.steps[-1].belief if run.steps else run.first
+        panel(last, belief, task, limits, "grasp: " + ("lifted" if run.lifted else "not lifted"))
+        draw_box(last, run.truth, task, color=style.TRUTH, linewidth=1.2)
+        draw_grasp(last, run.grasp.pose, task)
+        figure.savefig(paths[0])
+    with style.figure(4.2, 2.6) as figure:
+        ax = figure.subplots()
+        chance = [step.grasp.probability for step in run.steps]
+        ax.plot(range(1, len(chance) + 1), chance, color=style.NLL, marker="o", markersize=3)
+        ax.axhline(toucher.settings.threshold, color=style.QUIET, linewidth=0.8, linestyle="--")
+        ax.set(xlabel="pokes", ylabel="believed chance of lifting", ylim=(0.0, 1.02), title="How sure the belief is")
+        figure.savefig(paths[1])
+    return paths
+
+
+def panel(
+    ax: "Axes",
+    belief: tuple[Float[Tensor, "N 3"], Float[Tensor, "N"]],
+    task: TouchTask,
+    limits: tuple[float, float, float, float],
+    title: str,
+) -> None:
+    """A belief from above: boxes of equal shares of it, over one another."""
+    poses, log_weights = belief
+    comb = (torch.arange(_BOXES, dtype=torch.float64) + 0.5) / _BOXES
+    rows = torch.searchsorted(log_weights.double().softmax(-1).cumsum(0), comb).clamp_max(len(poses) - 1)
+    for pose in poses[rows]:
+        draw_box(ax, pose, task, color=style.EXPECTED, linewidth=0.5, alpha=0.25)
+    ax.set_title(title)
+    ax.set_aspect("equal")
+    ax.set(xlim=limits[:2], ylim=limits[2:], xticks=[], yticks=[])
+    for spine in ax.spines.values():
+        spine.set_visible(False)
+
+
+def draw_box(ax: "Axes", pose: Float[Tensor, "3"], task: TouchTask, **kind: Any) -> None:  # noqa: ANN401
+    """Outline of the box at a pose."""
+    signs = torch.tensor([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [1.0, 1.0]], dtype=pose.dtype)
+    corners = pose[:2] + rotated(signs * pose.new_tensor(task.half), pose[2])
+    ax.plot(*corners.T.tolist(), **kind)
+
+
+def draw_pokes(ax: "Axes", step: TouchStep) -> None:
+    """Rejected pokes, the chosen one, what was carried out of it, and its contact signals."""
+    for index, path in enumerate(step.candidates):
+        if index != step.choice.best:
+            ax.plot(*path[:, :2].T.tolist(), color=style.QUIET, linewidth=0.5, alpha=0.6)
+    ax.plot(*step.candidates[step.choice.best, :, :2].T.tolist(), color=style.PATH, linewidth=1.0, linestyle=":")
+    done = step.touched.path
+    ax.plot(*done[:, :2].T.tolist(), color=style.PATH, linewidth=1.8)
+    if len(step.touched.contact):
+        felt = done[1:][step.touched.contact]
+        ax.scatter(*felt[:, :2].T.tolist(), s=9, color=style.CONTACT, zorder=5)
+
+
+def draw_grasp(ax: "Axes", pose: Float[Tensor, "3"], task: TouchTask) -> None:
+    """Both fingers, open, and the box that they take to be there."""
+    draw_box(ax, pose, task, color=style.TOOL, linewidth=1.2, linestyle="--")
+    aside = 0.5 * task.opening_m + task.finger_m
+    turn = np.linspace(0.0, 2.0 * math.pi, 25)
+    for sign in (1.0, -1.0):
+        x, y = (pose[:2] + rotated(pose.new_tensor([sign * aside, 0.0]), pose[2])).tolist()
+        ax.fill(x + task.finger_m * np.cos(turn), y + task.finger_m * np.sin(turn), color=style.TOOL, alpha=0.8)
+
+
+def _shown(count: int) -> list[int]:
+    """Pokes that have a panel: the first, the last, and those between in even steps."""
+    if count <= _PANELS:
+        return list(range(count))
+    return sorted({round(x) for x in np.linspace(0, count - 1, _PANELS).tolist()})
+
+
+def _limits(run: TouchRun, task: TouchTask) -> tuple[float, float, float, float]:
+    points = torch.cat([run.first[0][:, :2], run.truth[None, :2], *(step.touched.path[:, :2] for step in run.steps)])
+    margin = max(task.half)
+    low, high = points.quantile(0.005, 0) - margin, points.quantile(0.995, 0) + margin
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])

@@ -1,0 +1,156 @@
+"""Which poke: what candidates are worth by several measures, all of the same rollouts."""
+
+from typing import Literal, NamedTuple, get_args
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from rumi.information.binary_gain import expected_gain
+from rumi.information.entropy import SharedSupport, weights_entropy
+
+Method = Literal["sequence", "entropy", "weights-only", "ml-observation", "max-contact", "uninformed"]
+METHODS: tuple[str, ...] = get_args(Method)
+
+
+class Rollouts(NamedTuple):
+    """What C candidates do to N particles, step by step.
+
+    Attributes:
+        states: (C, T + 1, N, 3), poses, the present first.
+        probability: (C, T, N), of a contact signal after each step.
+        touching: (C, T, N), whether the tool touches then.
+        log_weights: (N), now.
+        likeliest: the particle that "ml-observation" takes for the truth, which may have no weight here; the heaviest
+            if None.
+    """
+
+    states: Float[Tensor, "C T1 N 3"]
+    probability: Float[Tensor, "C T N"]
+    touching: Bool[Tensor, "C T N"]
+    log_weights: Float[Tensor, "N"]
+    likeliest: int | None = None
+
+
+class Choice(NamedTuple):
+    """What was chosen.
+
+    Attributes:
+        value: (C), of each candidate, by the method's measure.
+        steps: (C), after which each is to be cut off.
+        best: index of the best candidate.
+    """
+
+    value: Float[Tensor, "C"]
+    steps: Int[Tensor, "C"]
+    best: int
+
+
+def choose(
+    method: Method,
+    rollouts: Rollouts,
+    support: SharedSupport,
+    *,
+    hold: int = 3,
+    samples: int = 32,
+    every: int = 4,
+    funnel: float = 0.0,
+    generator: torch.Generator,
+) -> Choice:
+    """Weigh candidates by a method and take the best.
+
+    Args:
+        method: "sequence" is the information of all readings until the belief expects contact to have lasted `hold`
+            steps; "entropy" the paper's Eq 9, one reading at the best step; "weights-only" that without the density
+            term; "ml-observation" lets the likeliest particle alone say what is read; "max-contact" counts particles
+            that are touched; "uninformed" draws.
+        rollouts: of the candidates.
+        support: density term.
+        hold: steps of contact.
+        samples: reading sequences that are drawn for each candidate ("sequence").
+        every: steps from one density term to the next.
+        funnel: nats of worth for each nat by which the motion alone shrinks the belief's volume.
+        generator: all randomness.
+    """
+    count, steps = rollouts.probability.shape[:2]
+    whole = torch.full((count,), steps)
+    if method == "sequence":
+        value = sequence_information(rollouts, hold=hold, samples=samples, generator=generator)
+    elif method in ("entropy", "weights-only"):
+        used = support if method == "entropy" else None
+        gain = expected_gain(rollouts.states, rollouts.log_weights, rollouts.probability, used, every=every)
+        value, whole = gain.value, gain.best_step
+    elif method == "ml-observation":
+        value, whole = likeliest_gain(rollouts, support, every=every)
+    elif method == "max-contact":
+        value = (rollouts.touching.any(1) * rollouts.log_weights.softmax(-1)).sum(-1)
+    elif method == "uninformed":
+        value = torch.rand(count, generator=generator, dtype=rollouts.probability.dtype)
+    else:
+        raise ValueError(f"Expected a method out of {', '.join(METHODS)}, got {method!r}")
+    if funnel != 0.0:
+        value = value + funnel * shrinking(rollouts, support, whole)
+    # where nothing gains, the first candidate is carried out to its end, which is an uninformed poke, since candidates
+    # are drawn alike: to stand still would gather nothing and lead to the same choice again
+    whole = torch.where(whole > 0, whole, steps)
+    return Choice(value, whole, int(value.argmax()))
+
+
+def sequence_information(
+    rollouts: Rollouts, *, hold: int, samples: int, generator: torch.Generator
+) -> Float[Tensor, "C"]:
+    """Mutual information, nats, of the pose and all readings of a poke that ends after `hold` steps of contact.
+
+    Mean over sampled truths and readings of the divergence of the weights after from those before; the readings are
+    independent given the particle. A poke ends where the sampled truth has been touched for `hold` steps.
+    """
+    log = rollouts.log_weights.log_softmax(-1)
+    chance = rollouts.probability
+    steps = chance.shape[1]
+    truth = torch.multinomial(log.exp(), samples, True, generator=generator)
+    draw = torch.rand(samples, steps, generator=generator, dtype=chance.dtype)
+    own = chance[:, :, truth].transpose(1, 2)  # (C, S, T)
+    reading = (draw < own).to(chance.dtype)
+    held = rollouts.touching[:, :, truth].transpose(1, 2).long().cumsum(-1)
+    counts = (torch.nn.functional.pad(held, (1, 0))[..., :-1] < hold).to(chance.dtype)
+    tiny = torch.finfo(chance.dtype).tiny
+    yes, no = chance.clamp_min(tiny).log(), (1.0 - chance).clamp_min(tiny).log()
+    told = (counts * reading) @ yes + (counts * (1.0 - reading)) @ no  # (C, S, N)
+    evidence = torch.logsumexp(log + told, -1)
+    return (told[:, torch.arange(samples), truth] - evidence).mean(-1)
+
+
+def likeliest_gain(
+    rollouts: Rollouts, support: SharedSupport, *, every: int
+) -> tuple[Float[Tensor, "C"], Int[Tensor, "C"]]:
+    """Entropy that each candidate takes away if the likeliest particle is the truth, and the best step for it.
+
+    The reading after each step is the one that is expected of that particle: contact where it is touched.
+    """
+    log, chance = rollouts.log_weights.log_softmax(-1), rollouts.probability
+    likely = int(log.argmax()) if rollouts.likeliest is None else rollouts.likeliest
+    contact = rollouts.touching[:, :, likely, None]
+    tiny = torch.finfo(chance.dtype).tiny
+    after = log + torch.where(contact, chance, 1.0 - chance).clamp_min(tiny).log()
+    gain = weights_entropy(log) - weights_entropy(after)
+    volume = expected_gain(rollouts.states, log, chance, support, every=every).volume
+    value, step = (gain + volume).max(-1)
+    return value, step + 1
+
+
+def shrinking(rollouts: Rollouts, support: SharedSupport, steps: Int[Tensor, "C"]) -> Float[Tensor, "C"]:
+    """Nats by which each candidate's motion alone shrinks the volume of the belief, within its steps."""
+    start = support(rollouts.states[0, 0], rollouts.log_weights).log_volume
+    end = rollouts.states[torch.arange(len(steps)), steps]
+    return start - support(end, rollouts.log_weights).log_volume
+
+
+def expects_contact(touching: Bool[Tensor, "T N"], log_weights: Float[Tensor, "N"], hold: int) -> Float[Tensor, "T"]:
+    """Weight of the particles that have been touched for `hold` steps or more, after each step.
+
+    Args:
+        touching: of the particles along the poke.
+        log_weights: of the particles, by all readings so far.
+        hold: steps.
+    """
+    return ((touching.long().cumsum(0) >= hold) * log_weights.softmax(-1)).sum(-1)

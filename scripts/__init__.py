@@ -1,0 +1,1 @@
+"""Experiments: benchmarks, the papers' tables, examples; run from a checkout."""

@@ -1,0 +1,1 @@
+"""Measurements: run time against error, scaling, deadlines."""

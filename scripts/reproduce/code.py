@@ -1,0 +1,110 @@
+"""A hash over the code that a result depends on, so that results of other code are not taken for this one's."""
+
+import ast
+import hashlib
+import io
+import tokenize
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("sdf", "sensors", "kmppi", "rumi", "scripts")
+APART = ("rumi.tasks.rummage.settings", "rumi.runs.sketch")
+"""What does not count: settings, which count by their values, and what is only looked at."""
+
+
+@cache
+def code_hash(roots: tuple[str, ...]) -> str:
+    """Hash of the modules that some modules reach by import statements, these included.
+
+    Comments, docstrings and blank lines do not count. Imports within functions do; what is imported under
+    TYPE_CHECKING, or by a name that is made at run time, does not.
+
+    Args:
+        roots: full names of modules of this project.
+    """
+    digest = hashlib.sha256()
+    for name in sorted(reached(roots)):
+        digest.update(f"{name}\n{bare(_path(name).read_text(encoding='utf-8'))}".encode())  # type: ignore[union-attr]
+    return digest.hexdigest()[:12]
+
+
+def reached(roots: Sequence[str]) -> set[str]:
+    """Full names of the project's modules that are loaded with some of them, however late."""
+    found: set[str] = set()
+    waiting = list(roots)
+    while waiting:
+        name = waiting.pop()
+        path = _path(name)
+        if name in found or path is None or name in APART:
+            continue
+        found.add(name)
+        waiting += [name.rpartition(".")[0], *imported(path.read_text(encoding="utf-8"), name, path.stem == "__init__")]
+    return found
+
+
+def imported(source: str, name: str, package: bool = False) -> Iterator[str]:
+    """Names that a module imports; `from a import b` gives both a and a.b, either of which may be a module.
+
+    Args:
+        source: of the module.
+        name: its full name, which relative imports start from.
+        package: whether it is a package's `__init__`.
+    """
+    for node in _run(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parts = name.split(".")
+                parts = parts[: len(parts) - node.level + package]
+                base = ".".join([*parts, base] if base else parts)
+            yield base
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+def bare(source: str) -> str:
+    """A source without comments, docstrings and blank lines."""
+    lines = source.splitlines(keepends=True)
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            row, column = token.start
+            lines[row - 1] = lines[row - 1][:column] + "\n"
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            for part in node.body:
+                # a string that stands alone: a docstring, or one that describes the name before it
+                if (
+                    isinstance(part, ast.Expr)
+                    and isinstance(part.value, ast.Constant)
+                    and type(part.value.value) is str
+                ):
+                    lines[part.lineno - 1 : part.end_lineno] = [""] * (
+                        (part.end_lineno or part.lineno) - part.lineno + 1
+                    )
+    return "".join(line.rstrip() + "\n" for line in lines if line.strip())
+
+
+def _run(tree: ast.AST) -> Iterator[ast.AST]:
+    """All nodes but those under `if TYPE_CHECKING`."""
+    waiting: list[ast.AST] = [tree]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            waiting += node.orelse
+        else:
+            waiting += ast.iter_child_nodes(node)
+
+
+def _path(name: str) -> Path | None:
+    """The file of a module of this project."""
+    if name.split(".")[0] not in PACKAGES:
+        return None
+    path = ROOT.joinpath(*name.split("."))
+    for found in (path / "__init__.py", path.with_suffix(".py")):
+        if found.is_file():
+            return found
+    return None

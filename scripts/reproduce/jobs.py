@@ -1,0 +1,188 @@
+"""One piece of work: what decides its result, and the name that it is kept under."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from rumi.errors import UsageError
+from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
+from scripts.reproduce.code import code_hash
+
+TOY_METHODS = ("MPPI", "SMPPI", "KMPPI")
+_MESH = "object.mesh="
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run, one closed loop of the toy of Figure 8, or one of the peg task.
+
+    Attributes:
+        kind: "run", "toy", "peg", or "peg-real" where weighing candidates takes what it takes on this machine.
+        task: its name; "toy" of the toy, "peg" of the peg task.
+        method: its name; of the toy one of MPPI, SMPPI, KMPPI.
+        preset: that the settings start from; empty for the toy.
+        seed: of all randomness.
+        overrides: settings on top of the preset, such as "planner.rollouts=3"; None for the toy.
+    """
+
+    kind: str
+    task: str
+    method: str
+    preset: str
+    seed: int
+    overrides: tuple[str, ...] = ()
+
+    @property
+    def column(self) -> str:
+        """Method, preset and overrides, as tables show them."""
+        return column_name(self.method, self.preset, self.overrides)
+
+    @property
+    def code(self) -> str:
+        """Hash of the code that its result depends on."""
+        return code_hash(KINDS[self.kind].roots)
+
+    @cached_property
+    def settings(self) -> Settings:
+        """The settings of a run.
+
+        Raises:
+            UsageError: there is no such task, method, preset or setting.
+        """
+        values = to_dict(replace(preset(self.preset), task=self.task, method=self.method, seed=self.seed))  # type: ignore[arg-type]
+        return from_dict(overridden(values, self.overrides))
+
+    @cached_property
+    def settings_hash(self) -> str:
+        """Of all settings but the seed and the task, of a mesh by what is in it; empty for the toy."""
+        if self.kind != "run":
+            return ""
+        values = {k: v for k, v in to_dict(self.settings).items() if k not in ("seed", "task")}
+        mesh = self.settings.object.mesh
+        if mesh is not None:
+            values["object"]["mesh"] = hashlib.sha256(Path(mesh).read_bytes()).hexdigest()
+        return _digest(values)[:12]
+
+    @cached_property
+    def id(self) -> str:
+        """Under which its result is kept: the same for the same work by the same code."""
+        whole = self.describe()
+        # of a mesh its contents decide, which are in the settings' hash
+        whole["overrides"] = [o for o in whole["overrides"] if not o.startswith(_MESH)]
+        return _digest(whole)[:16]
+
+    def describe(self) -> dict[str, Any]:
+        """All that decides the result."""
+        return {
+            "kind": self.kind,
+            "task": self.task,
+            "method": self.method,
+            "preset": self.preset,
+            "overrides": list(named(self.overrides)),
+            "seed": self.seed,
+            "settings": self.settings_hash,
+            "code": self.code,
+        }
+
+    def carry_out(self, cache_dir: Path) -> dict[str, Any]:
+        """Do it: `figures`, `timings` and `curves`, ready for JSON."""
+        return KINDS[self.kind].carry_out(self, cache_dir)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a kind of work is done.
+
+    Attributes:
+        roots: modules that its result depends on, with all that they import.
+        carry_out: does it.
+    """
+
+    roots: tuple[str, ...]
+    carry_out: Callable[[Job, Path], dict[str, Any]]
+
+
+def _run(job: Job, cache_dir: Path) -> dict[str, Any]:
+    from scripts.reproduce.runs import carry_out
+
+    return carry_out(job.settings, cache_dir)
+
+
+def _toy(job: Job, cache_dir: Path) -> dict[str, Any]:
+    from scripts.reproduce.toy import carry_out
+
+    return carry_out(job.method, job.seed)
+
+
+def _peg(job: Job, cache_dir: Path) -> dict[str, Any]:
+    from scripts.reproduce.peg import carry_out
+
+    return carry_out(job.overrides, job.seed)
+
+
+KINDS = {
+    "run": Kind(("scripts.reproduce.runs",), _run),
+    "toy": Kind(("scripts.reproduce.toy",), _toy),
+    "peg": Kind(("scripts.reproduce.peg",), _peg),
+    "peg-real": Kind(("scripts.reproduce.peg",), _peg),
+}
+"""All kinds of work by name."""
+
+
+def column_name(method: str, preset_name: str, overrides: Sequence[str] = ()) -> str:
+    """Method, preset and overrides in one, such as `rumi/default planner.rollouts=3`."""
+    base = f"{method}/{preset_name}" if preset_name else method
+    return " ".join([base, *named(overrides)])
+
+
+def named(overrides: Sequence[str]) -> tuple[str, ...]:
+    """Overrides in order as they are kept and shown: of a mesh its file's name, since where it lies decides nothing."""
+    return tuple(
+        sorted(
+            _MESH + Path(value.removeprefix(_MESH)).name if value.startswith(_MESH) else value
+            for value in map(_spelled, overrides)
+        )
+    )
+
+
+def _spelled(override: str) -> str:
+    """With the setting as Python spells it; the flags of `rumi run` have dashes."""
+    path, equals, text = override.partition("=")
+    return path.replace("-", "_") + equals + text
+
+
+def overridden(values: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """Settings with some given another value.
+
+    Args:
+        values: as `rumi.tasks.rummage.settings.to_dict` gives them.
+        overrides: "path.to.setting=value", the value as JSON or else as text; dashes as in the flags of `rumi run` do.
+
+    Raises:
+        UsageError: there is no such setting, or no value.
+    """
+    changed: dict[str, Any] = json.loads(json.dumps(values))
+    for override in overrides:
+        path, equals, text = _spelled(override).partition("=")
+        *parents, last = path.split(".")
+        inner: Any = changed
+        for parent in parents:
+            inner = inner.get(parent) if isinstance(inner, dict) else None
+        if not equals or not isinstance(inner, dict) or last not in inner or isinstance(inner[last], dict):
+            raise UsageError(
+                f"Expected a setting and its value, such as planner.rollouts=3, got {override!r}; "
+                "`rumi run --help` lists the settings"
+            )
+        try:
+            inner[last] = json.loads(text)
+        except json.JSONDecodeError:
+            inner[last] = text
+    return changed
+
+
+def _digest(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,322 @@
+"""What each experiment says of its results: text, tables and figures, for the terminal and for a page."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rumi.tasks.rummage.settings import METHODS
+from scripts.reproduce import allocation, paper, studies, tables
+from scripts.reproduce.cells import NOTHING, flags, rate, table
+from scripts.reproduce.experiments import EXPERIMENTS, Selection
+from scripts.reproduce.jobs import named
+from scripts.reproduce.records import Record, by_column, key_of
+
+
+@dataclass(frozen=True)
+class Report:
+    """What an experiment says.
+
+    Attributes:
+        name: of the experiment.
+        title: of its section.
+        text: Markdown.
+        figures: pictures that were drawn.
+    """
+
+    name: str
+    title: str
+    text: str
+    figures: tuple[Path, ...] = ()
+
+
+_COUNTS = """Two counts of each method and task, as `right · paper's`. Right: at its own stop, or at the last action,
+nll within the threshold and the best pose within the task's tolerance of the truth, modulo the object's symmetry. The
+paper's: nll within the threshold at any step. Rates with Wilson intervals (95 %). The preset `paper` has the paper's
+settings; the paper's own figures are of its simulator, ten runs each."""
+_SUMS = """Medians over the seeds of the nll summed over the steps, and the sum of the medians with its bootstrap
+interval. A run that stops adds nothing more, in ours as in the paper's; held to the last step, stopping early and
+wrong does not pay."""
+_MISPRINT = "The paper prints 4444 as InfoOnly's sum on the mugs; its rows add up to 3872."
+_PAIRS = "Run by run of the same task and seed. Differences are sums over the tasks of the medians' differences."
+_CORRELATION = """Over all steps of all methods' runs; intervals draw whole runs. The APC (Eq 33) counts all particles
+alike and measures their spread alone; the nll (Eq 36) weighs them and is about the truth. The two go together as far
+as runs differ in spread at all, and not where a belief is narrow and wrong, or one of many light particles is far off.
+How far the APC moves is said below each; the paper stops below 3 % of the diagonal. The expected nll is what
+the default's rule to stop looks at."""
+_SECONDS = """Seconds of one planning pass with one thread: mean over the runs, and the standard deviation between them.
+The paper's are of an RTX 4090."""
+_CELL = """A block of 0.2 x 0.1 m anywhere on 0.8 x 0.5 m and at any yaw is searched for by lanes, then pressed on until
+four contacts on two sides; then the peg goes to where a hole is thought to be. Medians with bootstrap intervals. The
+speeds (0.05 m/s, 0.1 m/s2) and the block's size are ours: the paper does not say."""
+_HOLES = """Random poses. In a hole: the peg is lowered within 5 mm of a hole's middle, the paper's tolerance; within
+2.5 mm a ball of 25 mm goes into a hole of 30 mm without touching its rim. Believed: the mean of the probability that
+both holes are within 5 mm, as the belief has it at its stop."""
+_TOTAL = """Random poses; a run stops where both holes are within 5 mm with a probability of 0.95. Means with bootstrap
+intervals, the least in bold. Time passes on a simulated clock, on which weighing a candidate takes what is stated, or
+choosing what it took on the machine (measured: the median of an evaluation). Where there is nothing to do in t_max it
+is doubled for that decision. Runs that end unsure, after the most actions allowed, would have taken longer: where they
+are more than one in ten, the total is a bound from below."""
+_TOY = """A point goes round a hill, with one iteration of 500 samples an action. Change: sum of the controls' absolute
+differences; jerk: sum of their squared second differences. The first plan is the one after 20 iterations. Medians with
+bootstrap intervals."""
+
+
+def reports(
+    names: Sequence[str], selection: Selection, records: Sequence[Record], figures: Path | None, cache_dir: Path
+) -> list[Report]:
+    """The reports of some experiments; of several, those without any result are left out.
+
+    Args:
+        names: of `scripts.reproduce.experiments.EXPERIMENTS`.
+        selection: what was asked for.
+        records: results, by one code.
+        figures: folder of the pictures; None draws none.
+        cache_dir: folder that keeps what takes seconds to work out.
+    """
+    found = []
+    for name in names:
+        own = of_experiment(name, selection, records)
+        if not own and len(names) > 1 and EXPERIMENTS[name](selection):
+            continue  # of all experiments, those that the file holds nothing of
+        report = _REPORTS[name]
+        found.append(report(name, selection, own, figures, cache_dir))
+    return found
+
+
+def of_experiment(name: str, selection: Selection, records: Sequence[Record]) -> list[Record]:
+    """The results that an experiment is about, in the order of its work.
+
+    Of the tables over all runs these are all that do not contradict the selection, whatever presets there are.
+    """
+    if EXPERIMENTS[name] is not EXPERIMENTS["table5"]:
+        by_key = {record.key: record for record in records}
+        return [by_key[key] for key in map(key_of, EXPERIMENTS[name](selection)) if key in by_key]
+    own = [
+        record
+        for record in records
+        if record.kind == "run"
+        and record.task in (selection.tasks or [record.task])
+        and record.method in (selection.methods or [record.method])
+        and record.preset in (selection.presets or [record.preset])
+        and record.seed in selection.seeds
+        and named(record.overrides) == named(selection.overrides)
+    ]
+    order = {method: k for k, method in enumerate(METHODS)}
+    tasks = {task: k for k, task in enumerate(task for family in paper.FAMILIES.values() for task in family)}
+    return sorted(
+        own,
+        key=lambda r: (
+            r.preset,
+            order.get(r.method, len(order)),
+            r.overrides,
+            tasks.get(r.task, len(tasks)),
+            r.task,
+            r.seed,
+        ),
+    )
+
+
+def summary(records: Sequence[Record]) -> str:
+    """One line a column: right in each object's runs and by the paper's count, beside the paper."""
+    groups = tables.families(records)
+    heads = ["method/preset", *(f"{name}: right · nll <= threshold at any step" for name in groups), "stopped: right"]
+    heads += ["the paper: " + ", ".join(groups)]
+    if len(groups) > 1:
+        heads.insert(1, "right in all")
+    rows = []
+    for column, runs in by_column(records):
+        cells = []
+        for tasks in groups.values():
+            own = [record for record in runs if record.task in tasks]
+            cells.append(f"{rate(flags(own, 'right'))} · {sum(flags(own, 'paper_success'))}" if own else NOTHING)
+        sure = [record for record in runs if record.figures["stopped_by"] == "converged"]
+        known = paper.SUCCESSES.get(runs[0].method, {})
+        printed = [
+            f"{sum(known[task] for task in tasks):g}/{paper.RUNS * len(tasks)}"
+            if known.keys() >= set(tasks)
+            else NOTHING
+            for tasks in groups.values()
+        ]
+        if len(groups) > 1:
+            cells.insert(0, rate(flags(runs, "right")))
+        rows.append([column, *cells, f"{len(sure)}: {sum(flags(sure, 'right'))}", ", ".join(printed)])
+    return table(heads, rows)
+
+
+def provenance(records: Sequence[Record]) -> str:
+    """What the results were made by and with."""
+    parts = []
+    for kind in dict.fromkeys(record.kind for record in records):
+        own = [record for record in records if record.kind == kind]
+        seeds = sorted({record.seed for record in own})
+        by = {
+            name: ", ".join(sorted({getattr(record, name) for record in own})) for name in ("code", "commit", "machine")
+        }
+        parts.append(
+            f"- {len(own)} {_KINDS[kind]}, seeds {_ranges(seeds)}; "
+            f"code {by['code']}, commit {by['commit']}; {by['machine']}"
+        )
+    return "\n".join(parts) + "\n"
+
+
+def write_page(path: Path, found: Sequence[Report], records: Sequence[Record]) -> str:
+    """Write a page of reports, and give the summary of it."""
+    own = of_experiment("table5", Selection(seeds=tuple({record.seed for record in records})), records)
+    short = summary(own)
+    parts = ["# Results\n", "Written by `rumi reproduce --markdown` from recorded runs.\n", provenance(records)]
+    if short:
+        parts += ["## Summary\n", short]
+    for report in found:
+        pictures = "\n".join(f"![{report.title}]({os.path.relpath(p, path.parent)})\n" for p in report.figures)
+        parts += [f"## {report.title}\n", report.text, pictures]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(part.rstrip("\n") + "\n" for part in parts if part.strip()), encoding="utf-8")
+    return short
+
+
+_KINDS = {
+    "run": "runs",
+    "toy": "closed loops of the toy",
+    "peg": "runs of the peg task",
+    "peg-real": "runs of the peg task in real time",
+}
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """0-3, 7 of 0, 1, 2, 3, 7."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
+
+
+_Report = Callable[[str, Selection, list[Record], Path | None, Path], Report]
+
+
+def _table5(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
+    parts = [_COUNTS, tables.successes(records)]
+    pairs, ends, wrong = tables.paired(records), tables.endings(records), tables.failed(records)
+    parts += ["### Paired\n", _PAIRS, pairs] if pairs else []
+    parts += ["### How the runs end\n", ends.replace("### ", "#### ")] if ends else []
+    parts += ["### Runs of rumi that were not right\n", wrong] if wrong else []
+    return Report(name, "Table V: runs that found the object", _text(parts))
+
+
+def _table6(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
+    note = [_MISPRINT] if any(record.method == "info-only" for record in records) else []
+    return Report(name, "Table VI: cumulative nll", _text([_SUMS, tables.cumulative_nll(records), *note]))
+
+
+def _table2(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
+    return Report(name, "Table II: nll and APC", _text([_CORRELATION, studies.correlation(records)]))
+
+
+def _table7(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
+    return Report(name, "Table VII: seconds of a planning pass", _text([_SECONDS, studies.seconds(records)]))
+
+
+def _curves(curve: str, title: str) -> _Report:
+    def report(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
+        drawn: list[Path] = []
+        if figures is not None:
+            from scripts.reproduce.curves import draw_curves
+
+            drawn = draw_curves(records, curve, figures / f"{name}.png")
+        text = "Median and quartiles over the seeds; a run that stopped is held at its last value."
+        return Report(name, title, _text([text]), tuple(drawn))
+
+    return report
+
+
+def _fig8(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
+    drawn: list[Path] = []
+    if figures is not None:
+        from scripts.reproduce.curves import draw_toy
+
+        drawn = draw_toy(records, figures / "fig8.png")
+    return Report(name, "Figure 8: MPPI, SMPPI and KMPPI on the toy", _text([_TOY, studies.toy(records)]), tuple(drawn))
+
+
+def _fig5(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
+    parts, drawn = [studies.ablation(records)], []
+    if figures is not None:
+        from scripts.reproduce import pictures
+
+        task = (selection.tasks or ("mug-0",))[0]
+        fields = pictures.information_by_particles(task, selection.seeds[0], cache_dir)
+        drawn = pictures.draw_fields(fields, figures / "fig5.png")
+        parts += [f"The information field at the first view of {task}, seed {selection.seeds[0]}:", ""]
+        parts += [pictures.field_table(fields)]
+    return Report(name, "Figure 5: number of particles", _text(parts), tuple(drawn))
+
+
+def _fig15(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
+    parts, drawn = [], []
+    if figures is not None:
+        from scripts.reproduce import pictures
+
+        task = (selection.tasks or ("mug-0",))[0]
+        fields = pictures.planned_over(task, selection.seeds[0], cache_dir)
+        drawn = pictures.draw_fields(fields, figures / "fig15.png")
+        parts = [f"At the first view of {task}, seed {selection.seeds[0]}.", "", pictures.field_table(fields)]
+    return Report(name, "Figure 15: what RUMI and GPVR plan over", _text(parts), tuple(drawn))
+
+
+def _allocation_times(
+    name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path
+) -> Report:
+    drawn: list[Path] = []
+    if figures is not None and records:
+        drawn = allocation.draw_runs(records[0].seed, figures)
+    parts = [_CELL, allocation.times(records), allocation.faster(records)]
+    return Report(name, "Time allocation, Table I: seconds at each contact", _text(parts), tuple(drawn))
+
+
+def _allocation_accuracy(
+    name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path
+) -> Report:
+    parts = [_HOLES, allocation.accuracy(records)]
+    return Report(name, "Time allocation: how exact the task ends", _text(parts))
+
+
+def _allocation_time(
+    name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path
+) -> Report:
+    drawn = [] if figures is None else allocation.draw_totals(records, figures / f"{name}.png")
+    parts = [_TOTAL, allocation.totals(records)]
+    return Report(name, "Time allocation: total time to an accuracy", _text(parts), tuple(drawn))
+
+
+def _ablation(title: str, text: str) -> _Report:
+    def report(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
+        return Report(name, title, _text([text, studies.ablation(records), tables.paired(records)]))
+
+    return report
+
+
+def _text(parts: Sequence[str]) -> str:
+    return "\n".join(part.rstrip("\n") + "\n" for part in parts if part)
+
+
+_REPORTS: dict[str, _Report] = {
+    "table5": _table5,
+    "table6": _table6,
+    "table2": _table2,
+    "table7": _table7,
+    "fig16": _curves("nll", "Figure 16: nll over the actions"),
+    "fig13": _curves("apc", "Figure 13: APC over the actions"),
+    "fig8": _fig8,
+    "fig5": _fig5,
+    "fig15": _fig15,
+    "allocation-table1": _allocation_times,
+    "allocation-accuracy": _allocation_accuracy,
+    "allocation-time": _allocation_time,
+    "horizon": _ablation("Planning horizon", "Every other step is a knot, as with the paper's 8 of 15."),
+    "displacement": _ablation(
+        "Displacement off", "Information counted where the object is (Eq 28) instead of where it will be (Eq 29)."
+    ),
+}

@@ -1,0 +1,1 @@
+"""Triangle meshes: repair, inside and outside, signed distances, symmetry, resting poses."""

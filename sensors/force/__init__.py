@@ -1,0 +1,1 @@
+"""Forces: wrenches at a tool, its load and surface, joint torques."""

@@ -1,0 +1,1 @@
+"""Touch: contact models, likelihoods of touches, tactile pads and soft bubbles."""

@@ -1,0 +1,1 @@
+"""Depth images and point clouds: cameras, segmentation, filters, files."""
