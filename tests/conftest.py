@@ -75,7 +75,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(params=["torch", "numba"])
 def version(request: pytest.FixtureRequest) -> Iterator[str]:
     """The plain versions of hot operations, then the fused ones; a file all of whose tests are for both asks for it."""
-    from sdf import backend
+    from sdf import backend, posed  # noqa: F401  (registers fused versions, so that there are any to force)
     from sdf import compiled as fused
 
     if request.param == "numba" and not fused.available():
