@@ -28,29 +28,30 @@ from llvmlite import binding
 from numba.core.registry import cpu_target
 from torch import Tensor
 
-from rumi.assemble import build
 from rumi.cli import script
-from rumi.config import Settings, from_dict, preset, to_dict
+from rumi.commands.replay import rummager_of
 from rumi.errors import UsageError
-from rumi.fused.parts import build_fused
-from rumi.fused.run import run_fused
-from rumi.fused.settings import SENSORS, FusedSettings, SensorName
-from rumi.logbook import LogRecorder
 from rumi.loop import rummage
-from rumi.peg import run as peg_run
-from rumi.peg.settings import PegSettings
 from rumi.records import RunResult, StepRecord
-from rumi.registration.localize import LocalizeSettings, localize
-from rumi.replay import replay
-from rumi.replay_command import rummager_of
+from rumi.registration.from_contacts import localize
+from rumi.registration.localize_settings import LocalizeSettings
+from rumi.runs.logbook import LogRecorder
+from rumi.runs.replay import replay
 from rumi.seeding import generator
 from rumi.sim.sensor_settings import degraded
-from rumi.touch.localise import localise
-from rumi.touch.make import Robot, make_toucher
-from rumi.touch.selection import Method
-from rumi.touch.settings import TouchSettings
-from rumi.touch.task import TouchTask
-from sdf.mesh import TriangleMesh
+from rumi.tasks.handle.build import build_fused
+from rumi.tasks.handle.run import run_fused
+from rumi.tasks.handle.settings import SENSORS, FusedSettings, SensorName
+from rumi.tasks.peg import agent as peg_run
+from rumi.tasks.peg.settings import PegSettings
+from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
+from rumi.tasks.touch_box.agent import localise
+from rumi.tasks.touch_box.build import Robot, make_toucher
+from rumi.tasks.touch_box.scene import TouchTask
+from rumi.tasks.touch_box.selection import Method
+from rumi.tasks.touch_box.settings import TouchSettings
+from sdf.mesh.mesh import TriangleMesh
 from sensors.log.reader import Log
 
 DIGESTS = Path(__file__).resolve().parent.parent / "tests" / "golden" / "digests.json"
