@@ -18,7 +18,7 @@ class Processor(NamedTuple):
         model: what it calls itself, such as "AMD EPYC 7B13".
         torch: the capability that torch's kernels are chosen by, such as "AVX2"; "DEFAULT" uses none.
         numba: the name that kernels are compiled for, such as "znver3"; "generic" is any; empty without numba.
-        features: digest of the instructions that they may use; empty where there are no but the least.
+        features: digest of the instructions that they may use; empty without numba.
     """
 
     model: str
@@ -27,24 +27,24 @@ class Processor(NamedTuple):
     features: str
 
 
-@cache
 def processor() -> Processor:
     """This process's, as emulated by ATEN_CPU_CAPABILITY, NUMBA_CPU_NAME and NUMBA_CPU_FEATURES where they are set."""
     name, features = _compiled_for()
-    digest = hashlib.sha256(features.encode()).hexdigest()[:8] if features else ""
-    return Processor(_model(), torch.backends.cpu.get_cpu_capability(), name, digest)
+    return Processor(_model(), torch.backends.cpu.get_cpu_capability(), name, features)
 
 
+@cache
 def _compiled_for() -> tuple[str, str]:
-    """Name of the processor and its instructions, as what numba compiles is kept apart by."""
+    """Name of the processor and a digest of its instructions, by which what numba compiles is kept apart."""
     if not compiled.available():
         return "", ""
     from numba.core.registry import cpu_target
 
     _, name, features = cpu_target.target_context.codegen().magic_tuple()
-    return str(name), str(features)
+    return str(name), hashlib.sha256(str(features).encode()).hexdigest()[:8]
 
 
+@cache
 def _model() -> str:
     listing = Path("/proc/cpuinfo")
     if listing.is_file():

@@ -29,6 +29,6 @@ def test_an_emulated_one_is_named_and_keeps_its_own():
     done = subprocess.run(
         [sys.executable, "-c", SAYS], env={**os.environ, **emulated}, capture_output=True, text=True, check=True
     )
-    torch_for, numba_for, key = done.stdout.split()
+    torch_for, numba_for, features, key = done.stdout.split()
     assert (torch_for, numba_for) == ("DEFAULT", "generic")
-    assert (key == content_key("a")) == (processor()[1:] == ("DEFAULT", "generic", ""))
+    assert (key == content_key("a")) == (processor()[1:] == (torch_for, numba_for, features))
