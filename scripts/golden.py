@@ -32,8 +32,8 @@ from rumi.cli import script
 from rumi.commands.replay import rummager_of
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
+from rumi.registration.contact_terms import LocalizeSettings
 from rumi.registration.from_contacts import localize
-from rumi.registration.localize_settings import LocalizeSettings
 from rumi.runs.logbook import LogRecorder
 from rumi.runs.replay import replay
 from rumi.seeding import generator

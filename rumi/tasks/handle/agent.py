@@ -15,9 +15,10 @@ from rumi.agent import StopReason
 from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel
 from rumi.belief.initialise import initialise, view_starts
 from rumi.belief.particles import PoseBelief
-from rumi.belief.reinitialise import challenge
+from rumi.belief.reinitialise import verify
 from rumi.clock import Clock
 from rumi.errors import UsageError
+from rumi.planning.policy import PlanRequest
 from rumi.records import RunResult
 from rumi.robot.tool import Tool
 from rumi.seeding import split
@@ -114,7 +115,7 @@ class HandleAgent:
         """Plan anew, and do the first part of it."""
         began, belief = time.perf_counter(), state.record.belief
         with state.clock("plan"):
-            plan = self.rummager.policy.act(
+            request = PlanRequest(
                 belief,
                 self.rummager.scene(state),
                 state.plan,
@@ -122,6 +123,7 @@ class HandleAgent:
                 budget_s=None if self.settings.thinking_s is not None else self._left_s(state),
                 generator=state.random["plan"],
             )
+            plan = self.rummager.policy.act(request)
         spent_s = state.spent_s + (_MOTION_S + self._thought(began))
         return replace(state, plan=plan, spent_s=spent_s), plan.controls[0]
 
@@ -142,13 +144,13 @@ class HandleAgent:
             belief, memory, info = rummager.filter(last.belief, state.memory, reading, generator=state.random["filter"])
             located = last.contacts >= settings.renewals and bool(memory.of_class(Semantics.SURFACE).any())
             if bool(reading.in_contact.any()) and not located:
-                belief = challenge(rummager.filter, belief, memory, renewal, generator=generator)
+                belief = verify(rummager.filter, belief, memory, renewal, generator=generator)
         done = (control, state.plan, bool(info.resampled))
         record = evaluate_step(rummager, clock, state.history, result, belief, info.added, *done)
         if record.converged:
             clock.put_back(record.timings_s)
             with clock("belief"):
-                belief = challenge(rummager.filter, belief, memory, renewal, generator=generator)
+                belief = verify(rummager.filter, belief, memory, renewal, generator=generator)
             record = evaluate_step(rummager, clock, state.history, result, belief, info.added, *done)
         # where it is stated, it is part of the decision's time
         updating_s = self._thought(began) if settings.thinking_s is None else 0.0
