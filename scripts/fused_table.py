@@ -22,13 +22,15 @@ from typing import Any
 import numpy as np
 import torch
 
+from rumi import loop
+from rumi.agent import Parts
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.errors import DegenerateBeliefError
 from rumi.seeding import split
-from rumi.tasks.handle.build import FusedParts, build_fused
+from rumi.tasks.handle.agent import HandleAgent
+from rumi.tasks.handle.build import build_fused
 from rumi.tasks.handle.gripper import HandleGripper
-from rumi.tasks.handle.run import run_fused
 from rumi.tasks.handle.settings import SENSORS, FusedSettings, SensorName, task_of
 from rumi.tasks.handle.simulated import FusedTask
 from rumi.tasks.rummage.scenes import make_tool
@@ -36,7 +38,7 @@ from scripts.experiment import DOCS, RESULTS, Experiment, Line
 from scripts.reproduce.cells import rate, table
 from scripts.store import Store
 from sdf import se3
-from sensors.contact_reading import FeltReading
+from sensors.contact_reading import ContactReading
 from sensors.semantics import Semantics
 
 USED: dict[str, tuple[SensorName, ...]] = {"all": SENSORS, **{name: (name,) for name in SENSORS}}
@@ -72,7 +74,7 @@ class Senses:
 
 
 @cache
-def parts_of(sensors: str) -> FusedParts:
+def parts_of(sensors: str) -> Parts[FusedTask, HandleAgent]:
     """What the runs of a kind share."""
     return build_fused(settings_of(sensors), cache_dir=cache_folder())
 
@@ -82,12 +84,17 @@ def measure(sensors: str, seed: int) -> dict[str, Any]:
     parts = parts_of(sensors)
     began, used = time.perf_counter(), time.process_time()
     try:
-        found = run_fused(parts, seed).as_dict()
+        found = loop.run(*parts, seed=seed).as_dict()
     except (DegenerateBeliefError, ValueError) as error:
-        found = {"right": False, "lifted": False, "ended": "error", "error": str(error)[:200]}
+        found = {"right": False, "lifted": False, "stopped_by": "error", "error": str(error)[:200]}
     found.pop("timings_s", None)
     seconds = {"seconds": time.perf_counter() - began, "cpu_s": time.process_time() - used}
     return {key: round(value, 2) for key, value in seconds.items()} | {k: rounded(v) for k, v in found.items()}
+
+
+def _ended(line: dict[str, Any]) -> str:
+    """Why a run stopped; lines of before have it by another name."""
+    return line.get("ended") or line["stopped_by"]
 
 
 def rounded(value: Any) -> Any:  # noqa: ANN401  (of a result)
@@ -107,7 +114,7 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
     )  # fmt: skip
     rows = []
     for name, runs in by.items():
-        own = [x for x in runs.values() if x["ended"] != "error"]
+        own = [x for x in runs.values() if _ended(x) != "error"]
         if not own:
             continue
         total = [x["total_nll"] for x in own]
@@ -118,7 +125,7 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
                 str(len(runs)),
                 f"{statistics.mean(total):.0f}, {statistics.median(total):.0f}",
                 rate([x["right"] for x in runs.values()]),
-                str(sum(x["ended"] == "sure" and not x["right"] for x in own)),
+                str(sum(_ended(x) == "sure" and not x["right"] for x in own)),
                 rate([x["lifted"] for x in runs.values()]),
                 f"{statistics.median(x['steps'] for x in own):g}",
                 f"{statistics.median(x['total_s'] for x in own):.0f}",
@@ -181,7 +188,7 @@ def senses(options: Senses) -> None:
         task.world.reset(torch.cat((place, angle[None])), torch.tensor(task.spec.start))
         result = task.step(torch.tensor([1.0, 0.0, 0.0]))
         reading, truth = result.reading, result.truth
-        assert isinstance(reading, FeltReading) and reading.signals is not None
+        assert isinstance(reading, ContactReading) and reading.signals is not None
         motion, felt = reading.object_motion, task.world.felt
         assert motion is not None and truth is not None and felt is not None
         now = se3.inverse(truth) @ motion[-1] @ se3.inverse(motion)

@@ -14,15 +14,14 @@ import torch
 import tyro
 from torch import Tensor
 
-import rumi.sim.push_model  # noqa: F401  (enters the push model)
 from rumi.cli import script
 from rumi.dynamics.quasi_static import QuasiStaticSettings
-from rumi.dynamics.registry import EngineSettings, PushModels
+from rumi.dynamics.registry import EngineSettings, PushModels, PushSettings
 from rumi.fields.information import information_field
 from rumi.robot.tool import Tool
 from rumi.sim.world import World
 from rumi.tasks.rummage.build import workspace_of
-from rumi.tasks.rummage.scenes import TASKS
+from rumi.tasks.rummage.scenes import SCENES
 from sdf import se3
 from sdf.object_model import ObjectModel
 
@@ -57,7 +56,7 @@ class Push(NamedTuple):
 
 def pushes(options: Options, model: ObjectModel, tool: Tool) -> list[Push]:
     """Random ways into a mug from all sides, carried out in the simulator."""
-    spec = TASKS["mug-0"]
+    spec = SCENES["mug-0"]
     world = World(model.exact, tool.shape, spec.height_m, 0.004)
     random = torch.Generator().manual_seed(options.seed)
     found: list[Push] = []
@@ -93,14 +92,14 @@ def _overlaps(model: ObjectModel, tool: Tool, start: Tensor, yaw: float) -> bool
 
 def errors(family: PushModels, found: list[Push], model: ObjectModel, tool: Tool) -> tuple[Tensor, Tensor, float]:
     """Errors of place (m) and yaw (rad) at the end, and seconds a push."""
-    workspace = workspace_of(replace(TASKS["mug-0"], bounds=((0.0, -0.4), (0.8, 0.4))))
+    workspace = workspace_of(replace(SCENES["mug-0"], bounds=((0.0, -0.4), (0.8, 0.4))))
     place, turn = [], []
     begun = time.perf_counter()
     for push in found:
         pose = se3.from_planar(torch.tensor([[*PLACE, push.yaw]]))
         weights = torch.zeros(1)
         fields = information_field(model.sdf, pose, weights, workspace.points)
-        made = family.of_belief(model, pose, weights, tool, workspace, fields)
+        made = family.rollouts(model, pose, weights, tool, workspace, fields)
         rolled = made.likely(push.start, push.controls)
         turned = 0.0 if rolled.turns is None else float(rolled.turns[0, 0, -1])
         predicted = torch.tensor([*PLACE, push.yaw]) + torch.tensor([0.0, 0.0, turned])
@@ -121,7 +120,7 @@ def line(name: str, place: Tensor, turn: Tensor) -> str:
 def main() -> None:
     """Print the table."""
     options = tyro.cli(Options, description=__doc__)
-    spec = TASKS["mug-0"]
+    spec = SCENES["mug-0"]
     model = spec.object_factory()
     tool = Tool(torch.tensor([[-5.0, -5.0], [5.0, 5.0]]), height_m=spec.height_m)
     found = pushes(options, model, tool)
@@ -132,13 +131,13 @@ def main() -> None:
     sys.stdout.write("| model | place: median, mm | mean | 90 % | yaw: median, degrees | mean | 90 % |\n")
     sys.stdout.write("|---|---|---|---|---|---|---|\n")
     sys.stdout.write(line("the mug stays", moved, turned) + "\n")
-    families = {"displacement": PushModels("displacement")}
+    families = {"displacement": PushModels(PushSettings("displacement"))}
     for ratio in options.lever_ratios:
         for friction in options.frictions:
             settings = QuasiStaticSettings(lever_ratio=ratio, friction=friction)
             name = f"quasi-static, lever ratio {ratio:g}, friction {friction:g}"
-            families[name] = PushModels("quasi-static", quasi_static=settings)
-    families["mujoco, 5 ms"] = PushModels("mujoco", engine=EngineSettings(threads=1))
+            families[name] = PushModels(PushSettings("quasi-static", quasi_static=settings))
+    families["mujoco, 5 ms"] = PushModels(PushSettings("mujoco", engine=EngineSettings(threads=1)))
     for name, family in families.items():
         place, turn, seconds = errors(family, found, model, tool)
         sys.stdout.write(line(f"{name} ({1e3 * seconds:.0f} ms)", place, turn) + "\n")

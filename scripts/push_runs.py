@@ -9,13 +9,13 @@ import statistics
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
+from rumi import loop
+from rumi.agent import stop_reason
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
-from rumi.dynamics.registry import PushChoice
 from rumi.errors import DegenerateBeliefError
-from rumi.loop import rummage
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import Settings, preset
@@ -36,7 +36,7 @@ def settings_of(model: str, task: str, seed: int) -> Settings | None:
     own, spec = preset(task=task, seed=seed), find_task(task)
     if name == "quasi-static" and spec.spatial:
         return None
-    planner = replace(own.planner, push_model=cast("PushChoice", name))
+    planner = replace(own.planner, push_model=name)
     if few or name == "mujoco":
         mppi = replace(planner.mppi, samples=SAMPLES, horizon=HORIZON, knots=KNOTS)
         planner = replace(planner, mppi=mppi, rollouts=ROLLOUTS)
@@ -52,7 +52,7 @@ def measure(model: str, task: str, seed: int) -> dict[str, Any]:
     parts = build(settings, cache_dir=cache_folder())
     begun, wall = time.process_time(), time.perf_counter()
     try:
-        result = rummage(parts.task, parts.rummager, seed=settings.seed, steps=spec.steps)
+        result = loop.run(parts.task, parts.agent, seed=settings.seed, steps=spec.steps)
     except DegenerateBeliefError:
         found: dict[str, Any] = {"right": False, "stopped_by": "degenerate"}
     else:
@@ -87,7 +87,7 @@ _HEADS = ("push model", "right", "actions, median", "stopped by itself: right", 
 def _row(model: str, found: Iterable[Line]) -> list[str]:
     lines = list(found)
     done = [line for line in lines if "steps" in line]
-    sure = [line["right"] for line in lines if line["stopped_by"] not in ("steps", "degenerate")]
+    sure = [line["right"] for line in lines if stop_reason(line["stopped_by"]) not in ("steps", "degenerate")]
     whole = sum(line["cpu_s"] for line in done)
     actions = f"{statistics.median(line['steps'] for line in done):g}" if done else "-"
     each = f"{whole / max(1, sum(line['steps'] for line in done)):.2f}"

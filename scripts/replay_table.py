@@ -12,10 +12,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from rumi import loop
+from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.commands.replay import rummager_of
-from rumi.commands.table import cache_folder
-from rumi.loop import rummage
 from rumi.runs.logbook import LogRecorder
 from rumi.runs.replay import replay
 from rumi.tasks.rummage.build import build
@@ -35,7 +35,7 @@ def measure(task: str, seed: int, threads: int) -> dict[str, Any]:
         world, rummager = build(settings, cache_dir=cache_folder())
         start = time.perf_counter()
         with LogRecorder(path, to_dict(settings)) as log:
-            live = rummage(world, rummager, seed=seed, steps=STEPS, on_step=log)
+            live = loop.run(world, rummager, seed=seed, steps=STEPS, on_step=log)
             log.finish(live)
         live_s = time.perf_counter() - start
         world.close()

@@ -15,10 +15,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from rumi import loop
+from rumi.agent import stop_reason
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.errors import DegenerateBeliefError
-from rumi.loop import rummage
 from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task
@@ -87,7 +88,7 @@ def measure(sensors: str, task: str, seed: int) -> dict[str, Any]:
     world, rummager = build(settings, cache_dir=cache_folder())
     began = time.perf_counter()
     try:
-        found = rummage(world, rummager, seed=seed, steps=spec.steps).as_dict()
+        found = loop.run(world, rummager, seed=seed, steps=spec.steps).as_dict()
     except (DegenerateBeliefError, ValueError) as error:
         found = {"right": False, "stopped_by": "error", "error": str(error)[:200]}
     finally:
@@ -108,7 +109,7 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
         own = [x for x in lines if x["sensors"] == name and x["settings"] == stamp(name)]
         if not own or any(name.endswith(part) for part in PARTS):
             continue
-        stopped = [x for x in own if x["stopped_by"] == "converged"]
+        stopped = [x for x in own if stop_reason(x["stopped_by"]) == "sure"]
         wrong = [x for x in stopped if not x["right"]]
         known = [x for x in own if x.get("position_error_mm") is not None]
         off = [statistics.median(x[key] for x in known) for key in ("position_error_mm", "rotation_error_deg")]
@@ -137,7 +138,8 @@ def parts(lines: list[Line]) -> str:
             same = (name, stamp(name), line["task"], line["seed"])
             own = [x for x in lines if (x["sensors"], x["settings"], x["task"], x["seed"]) == same]
             cells.append(f"{'right' if own[0]['right'] else 'not right'}, {_off(own[0])}" if own else "-")
-        ended = "sure" if line["stopped_by"] == "converged" else f"after {line.get('steps', 0)} actions, not sure"
+        sure = stop_reason(line["stopped_by"]) == "sure"
+        ended = "sure" if sure else f"after {line.get('steps', 0)} actions, not sure"
         rows.append([f"{line['sensors']}, {line['task']}, seed {line['seed']}", ended, _off(line), *cells])
     return table(("not right", "ended", "off (mm, degrees)", *PARTS), rows)
 

@@ -16,6 +16,7 @@ import torch
 from rumi.runs.jsonlines import append_line, read_lines
 from rumi.runs.plain import plain
 from scripts.reproduce.code import present_code
+from sdf.processor import processor
 
 Settings = Mapping[str, Any]
 Figures = dict[str, Any]
@@ -142,7 +143,9 @@ def commit() -> str:
 def machine() -> str:
     """What the figures were measured on."""
     threads = torch.get_num_threads()
-    return f"{platform.machine()}, {os.cpu_count()} cores, {threads} threads, torch {torch.__version__}"
+    own = processor()
+    kernels = f"torch {torch.__version__} for {own.torch}, numba for {own.numba or 'none'} {own.features}".strip()
+    return f"{own.model} {platform.machine()}, {os.cpu_count()} cores, {threads} threads, {kernels}"
 
 
 def _nested(line: Line) -> bool:

@@ -8,12 +8,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi import loop
 from rumi.fields.information import information_field
-from rumi.loop import rummage
+from rumi.planning.registry import POLICIES
 from rumi.records import StepRecord
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build
-from rumi.tasks.rummage.settings import METHODS, Settings, preset
+from rumi.tasks.rummage.settings import Settings, preset
 from rumi.viz import style
 from scripts.reproduce.cells import table
 from scripts.reproduce.correlation import pearson
@@ -69,7 +70,7 @@ def planned_over(task: str, seed: int, cache_dir: Path) -> list[Field]:
     """Figure 15: what each method's first plan rests on; methods that are not there are left out."""
     fields = []
     for method, name in FIELDS:
-        if method not in METHODS:
+        if method not in POLICIES:
             continue
         step, rummager = _begin(preset("default", task=task, seed=seed, method=method), 1, cache_dir)
         if step.plan is not None and name in step.plan.fields:
@@ -83,10 +84,10 @@ def _begin(settings: Settings, steps: int, cache_dir: Path) -> tuple[StepRecord,
     parts = build(settings, cache_dir=cache_dir)
     seen: list[StepRecord] = []
     try:
-        rummage(parts.task, parts.rummager, seed=settings.seed, steps=steps, on_step=seen.append)
+        loop.run(parts.task, parts.agent, seed=settings.seed, steps=steps, on_step=seen.append)
     finally:
         parts.task.close()
-    return seen[-1], parts.rummager
+    return seen[-1], parts.agent
 
 
 def draw_fields(fields: list[Field], path: Path) -> list[Path]:

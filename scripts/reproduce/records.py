@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rumi.agent import stop_reason
 from rumi.errors import UsageError
 from rumi.runs.jsonlines import append_line
 from scripts.reproduce.jobs import Job, column_name, identity, named
@@ -72,8 +73,13 @@ def record_of(line: dict[str, Any]) -> Record | None:
         return None
     described = {name: line[name] for name in _DESCRIBED}
     # the name of the work by the present code, where that is on record as the same
-    about = {name: line[name] for name in _ABOUT} | {"id": identity(described), "overrides": tuple(line["overrides"])}
-    return Record(**about)
+    about = {name: line[name] for name in _ABOUT} | {"id": identity(described)}
+    return Record(**about | {"overrides": tuple(line["overrides"]), "figures": _figures(line["figures"])})
+
+
+def _figures(figures: dict[str, Any]) -> dict[str, Any]:
+    """The same in today's words."""
+    return figures | {"stopped_by": stop_reason(figures["stopped_by"])} if "stopped_by" in figures else figures
 
 
 _DESCRIBED = ("kind", "task", "method", "preset", "overrides", "seed", "settings", "code")
@@ -87,7 +93,7 @@ _FIGURES = (
 def _first_table(line: dict[str, Any]) -> Record:
     """Lines of `scripts/results/mugs.jsonl`: figures beside all else, only the nll over the steps."""
     method, _, preset = line["column"].partition("/")
-    figures = {name: line[name] for name in _FIGURES} | {"nll_threshold": 20.0, "allowed": 40}
+    figures = _figures({name: line[name] for name in _FIGURES}) | {"nll_threshold": 20.0, "allowed": 40}
     figures["apc_ratio_at_start"] = line["apc_ratio_at_start"]
     timings = {"wall_s": line["wall_s"], "stages_s": line["timings_s"]}
     return Record(
