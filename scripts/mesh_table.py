@@ -16,9 +16,9 @@ from pathlib import Path
 
 import tyro
 
-from rumi.bench import drill
 from rumi.cli import script
 from rumi.tasks.rummage.scenes import large_handled_mug
+from scripts.bench import drill
 from scripts.bench.mug_mesh import damaged, mug_mesh, write_obj
 from scripts.reproduce.cells import flags, middle, numbers, rate, table
 from scripts.reproduce.command import seeds_of

@@ -20,8 +20,8 @@ import torch
 import tyro
 
 from rumi import loop
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.dynamics.displacement import Hazard
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationMode

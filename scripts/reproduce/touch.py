@@ -11,10 +11,10 @@ from typing import Annotated
 import tyro
 
 from rumi import loop
-from rumi.bench.history import check_writable
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
 from rumi.runs.folder import make_folder
+from rumi.runs.jsonlines import check_writable
 from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.report import Line, calibration, digest, figures_of, table
 from rumi.tasks.touch_box.scene import TouchTask

@@ -3,13 +3,11 @@
 import pytest
 import torch
 
-from rumi.tasks.rummage.settings import PRESETS, preset
 from scripts.bench import pareto_figures
-from scripts.bench.estimates import Estimate, belief_estimates, field_estimates
+from scripts.bench.estimates import Estimate
 from scripts.bench.nearest import NearestGrid
 from scripts.bench.pareto_figures import Dot, draw, front
-from scripts.bench.plans import PlanSettings, plan_settings
-from scripts.bench.runs import run_settings
+from scripts.bench.plans import PlanSettings
 from scripts.store import Store
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Sphere
@@ -21,32 +19,6 @@ def test_the_front_is_what_nothing_beats():
     ]
     assert [dot.settings["n"] for dot in front(dots)] == [0, 2, 4]
     assert front([]) == []
-
-
-def test_the_presets_are_among_what_is_compared():
-    for name in ("default", "fast"):
-        settings = preset(name)
-        plan = PlanSettings(
-            particles=settings.initialise.particles,
-            samples=settings.planner.mppi.samples,
-            rollouts=settings.planner.suited("displacement").rollouts,
-            mini_steps=settings.planner.push.mini_steps,
-            warmup_iterations=settings.planner.mppi.warmup_iterations,
-            iterations=settings.planner.mppi.iterations,
-        )
-        assert plan in plan_settings(quick=False)
-        start = settings.initialise
-        estimate = Estimate(particles=start.particles, starts=start.starts, polished=start.polished)
-        assert estimate in belief_estimates(quick=False)
-        assert any(e.particles == start.particles for e in field_estimates(quick=False))
-        assert plan.policy.mppi == settings.planner.mppi
-    assert {run.preset for run in run_settings(quick=True)} == set(PRESETS)
-    assert min(run.seed for run in run_settings(quick=False)) >= 1000
-
-
-def test_nothing_is_compared_twice():
-    for found in (belief_estimates(False), field_estimates(False), plan_settings(False), run_settings(False)):
-        assert len(found) == len(set(found))
 
 
 def test_nearest_look_up_is_the_value_of_the_nearest_node():

@@ -6,10 +6,8 @@ import pytest
 
 from rumi.errors import UsageError
 from rumi.runs.jsonlines import append_line
-from scripts.reproduce.experiments import Selection
 from scripts.reproduce.jobs import Job
-from scripts.reproduce.records import Records, key_of, line_of, record_of
-from scripts.reproduce.reports import of_experiment, summary
+from scripts.reproduce.records import Records, key_of, line_of
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = {"figures": {"cost": 1.5}, "timings": {"wall_s": 0.1}, "curves": {"path_x": [1.0]}}
@@ -60,24 +58,6 @@ def test_the_newest_code_is_the_last_lines(tmp_path):
     assert [record.figures["cost"] for record in records.newest("new", "old")] == [1.0]
     with pytest.raises(UsageError, match=r"no runs by the code other in .* there are by old, new"):
         records.newest("other")
-
-
-def test_the_first_tables_lines_give_its_figures():
-    """As the README had them: of the code b7eebd6e3796 nothing is shown unless asked for."""
-    records = Records(ROOT / "scripts" / "results" / "mugs.jsonl")
-    newest = of_experiment("table5", Selection(), records.newest())
-    assert len(newest) == 150
-    rows = {line.split("|")[1].strip(): line for line in summary(newest).splitlines()}
-    assert "| 29/30 [0.83, 0.99] · 29 | 29: 29 |" in rows["rumi/default"]
-    assert "| 21/30 [0.52, 0.83] · 22 | 19: 19 |" in rows["reach-only/default"]
-    assert "| 0/30 [0.00, 0.11] · 0 | 0: 0 |" in rows["rumi/paper"]
-    assert len(records.newest("b7eebd6e3796")) == 58
-    run = next(r for r in newest if (r.task, r.method, r.preset, r.seed) == ("mug-0", "rumi", "default", 0))
-    assert run.figures["steps"] + 1 == len(run.curves["nll"])
-
-
-def test_a_line_without_schema_is_none():
-    assert record_of({}) is None
 
 
 def test_where_a_mesh_lies_is_not_kept(tmp_path):
