@@ -62,7 +62,8 @@ class ReplayOptions:
 
 def replay(arguments: Sequence[str]) -> int:
     """`rumi replay`: 0 if the belief became sure, 1 if not or if it is not the recorded one, 2 for bad input."""
-    from rumi.commands.replay_handle import is_of_handle, replay_handle
+    from rumi.commands.replay_handle import replay_handle
+    from rumi.tasks.handle.log import is_of_handle
 
     if not arguments or arguments[0].startswith("-"):
         if _HELP_FLAGS & set(arguments):
@@ -139,7 +140,7 @@ def recorded_settings(log: "Log", mapping: "BagMap | None") -> Settings:
         UsageError: it is of the handle task, which has others.
     """
     if mapping is None:
-        from rumi.commands.replay_handle import is_of_handle
+        from rumi.tasks.handle.log import is_of_handle
 
         if is_of_handle(log):
             raise UsageError(f"{log.path} is of the handle task, whose settings are others: `rumi replay` reads it")
@@ -201,7 +202,7 @@ def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "Ba
         for line in machines(log):
             say(line)
         return NOT_CONVERGED
-    return DONE if done.result.stopped_by == "converged" else NOT_CONVERGED
+    return DONE if done.result.stopped_by == "sure" else NOT_CONVERGED
 
 
 def summary(
@@ -299,13 +300,13 @@ def rummager_of(
 
 
 def _elsewhere(settings: Settings, taken: "Sequence[Taken]") -> Any:  # noqa: ANN401  (what `replay` takes)
-    """What brings readings to the settings' device and dtype; None where they are there."""
-    from rumi.tasks.rummage.build import Elsewhere
+    """What brings readings to the settings' device and dtype."""
+    from rumi.task import TaskOnDevice
 
     device, dtype = settings.torch_device, settings.torch_dtype
     if not taken or (device.type == "cpu" and taken[0].reading.tool_pose.dtype == dtype):
-        return None
-    return lambda task: Elsewhere(task, device, dtype)
+        return lambda task: task
+    return lambda task: TaskOnDevice(task, device, dtype)
 
 
 def _check_object(log: "Log", rummager: "Rummager") -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -15,6 +15,7 @@ from rumi.planning.slide import SlidePolicy, SlideSettings
 from rumi.registry import Table
 
 
+@runtime_checkable
 class PolicySettings(Protocol):
     """Settings of all policies; each is made from its own."""
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.rosbag.bag import import_bag
@@ -322,18 +322,18 @@ def test_the_command(bags, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "map.toml").write_text(ALL)
     wrenches(bags, tmp_path / "bag", [0, 1, 1])
-    assert main(["import", "bag/bag.mcap", "--map", "map.toml"]) == cli.NOT_CONVERGED
+    assert main(["import", "bag/bag.mcap", "--map", "map.toml"]) == exit_codes.NOT_CONVERGED
     said = capsys.readouterr()
     assert "bag.h5: 3 rows of 1 streams" in said.out and "(1 duplicate)" in said.out
     assert "the bag has no /cloud" in said.err
     (tmp_path / "few.toml").write_text(re.sub(r'"/(cloud|depth|metres|color|info|joints|touched)" .*\n', "", ALL))
-    assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == cli.DONE
-    assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == cli.BAD_INPUT
+    assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == exit_codes.DONE
+    assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == exit_codes.BAD_INPUT
     assert "few.h5 exists" in capsys.readouterr().err
     for never in ("inf", "nan", "-1"):
-        assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--future", never]) == cli.BAD_INPUT
+        assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--future", never]) == exit_codes.BAD_INPUT
         assert "Expected --future of 0 s to 1e+09 s" in capsys.readouterr().err
-    assert main(["import", "bag/bag.mcap", "--map", "none.toml"]) == cli.BAD_INPUT
+    assert main(["import", "bag/bag.mcap", "--map", "none.toml"]) == exit_codes.BAD_INPUT
     assert "Cannot read the mapping none.toml" in capsys.readouterr().err
 
 

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.runs.json_settings import dataclass_of
@@ -52,7 +52,7 @@ QUICK += ["--most-actions", "3"]
 )
 def test_settings_that_cannot_be(flag, words, tmp_path, capsys):
     asked = ["run", "peg", "--no-figures", "--out", str(tmp_path / "run"), *flag.split()]
-    assert main(asked) == cli.BAD_INPUT
+    assert main(asked) == exit_codes.BAD_INPUT
     said = capsys.readouterr().err
     assert words in said and "RUMI_DEBUG" not in said
     assert not (tmp_path / "run").exists()
@@ -84,19 +84,20 @@ def test_a_folder_that_has_a_run_is_left_alone(tmp_path, monkeypatch, capsys):
     assert found == ["peg-t10-mass-s3", "peg-t10-mass-s3-2", "peg-t12-mass-s3"]
     records = [json.loads((tmp_path / "runs" / name / "result.json").read_text()) for name in found]
     assert [record["settings"]["t_max_s"] for record in records] == [10.0, 10.0, 12]
-    assert main([*command, "--out", "runs/peg-t10-mass-s3"]) == cli.BAD_INPUT
+    assert main([*command, "--out", "runs/peg-t10-mass-s3"]) == exit_codes.BAD_INPUT
     assert "holds a run already" in capsys.readouterr().err
 
 
 def test_the_tolerance_of_a_hole_counts():
-    from rumi.tasks.peg.agent import run_peg
+    from rumi import loop
+    from rumi.tasks.peg.agent import build_peg
 
     sharp = {"particles": 200, "search_particles": 600, "point_m": 0.001, "normal_deg": 2.0, "most_actions": 3}
-    wide = run_peg(PegSettings(**sharp), 0)
+    wide = loop.run(*build_peg(PegSettings(**sharp)), seed=0)
     errors = (wide.hole_error_m, wide.off_m)
     for tolerance in (0.5 * min(errors), 2.0 * max(errors)):
         # one action less and no rule to stop: the tolerance is of what is told of the end
-        run = run_peg(PegSettings(**sharp, tolerance_m=tolerance, contacts=50), 0)
+        run = loop.run(*build_peg(PegSettings(**sharp, tolerance_m=tolerance, contacts=50)), seed=0)
         assert run.as_dict()["right"] == (run.hole_error_m < tolerance)
         assert run.in_hole == (run.off_m < tolerance)
     assert math.isclose(PegSettings().tolerance_m, 0.005)

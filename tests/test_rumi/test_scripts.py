@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rumi import build, cli, preset, rummage
+from rumi import build, cli, exit_codes, preset, run
 from rumi.errors import UsageError
 from rumi.tasks.rummage.scenes import SCENES
 from sensors.semantics import Semantics
@@ -29,12 +29,12 @@ def load(path):
 @pytest.mark.parametrize(
     ("error", "code", "message"),
     [
-        (UsageError("no such seeds"), cli.BAD_INPUT, "rumi: no such seeds\n"),
-        (KeyboardInterrupt(), cli.INTERRUPTED, "rumi: interrupted\n"),
-        (SystemExit("no data"), cli.BAD_INPUT, "rumi: no data\n"),
+        (UsageError("no such seeds"), exit_codes.BAD_INPUT, "rumi: no such seeds\n"),
+        (KeyboardInterrupt(), exit_codes.INTERRUPTED, "rumi: interrupted\n"),
+        (SystemExit("no data"), exit_codes.BAD_INPUT, "rumi: no data\n"),
         (SystemExit(1), 1, ""),
-        (SystemExit(), cli.DONE, ""),
-        (None, cli.DONE, ""),
+        (SystemExit(), exit_codes.DONE, ""),
+        (None, exit_codes.DONE, ""),
     ],
 )
 def test_a_script_ends_as_the_command_does(error, code, message, capsys):
@@ -64,7 +64,7 @@ def test_what_a_script_cannot_do_is_said_in_a_line(name, arguments, message, mon
     monkeypatch.setattr(sys, "argv", [str(path), *arguments])
     with pytest.raises(SystemExit) as end:
         runpy.run_path(str(path), run_name="__main__")
-    assert end.value.code == cli.BAD_INPUT
+    assert end.value.code == exit_codes.BAD_INPUT
     assert capsys.readouterr().err.startswith(message)
 
 
@@ -100,6 +100,9 @@ class Robot:
     def step(self, control):
         return self.report(self.task.step(control).reading)
 
+    def finish(self, action):
+        return None
+
     def close(self):
         self.task.close()
 
@@ -118,7 +121,7 @@ def test_the_readme_says_how_to_bring_own_observations(tmp_path):
     shown: dict = {}
     exec(blocks[1].split("```")[0], shown)
     task, rummager = build(preset("default"), cache_dir=tmp_path)
-    result = rummage(Robot(task, shown["sensed"]), rummager, seed=0, steps=3)
+    result = run(Robot(task, shown["sensed"]), rummager, seed=0, steps=3)
     assert (result.steps, result.right, result.position_error_mm) == (3, None, None)
     assert result.expected_nll > 0
 
