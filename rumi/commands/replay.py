@@ -225,8 +225,8 @@ def summary(
     """
     result = done.result
     used = len(done.same)
-    first, *lines = ending(result)
-    lines = [f"{name}: {first}", *lines]
+    head, *rest = ending(result)
+    lines = [f"{name}: {head}", *rest]
     if used < readings:
         lines.append(f"readings {used} of {readings}: sure before the log's end{go_on}")
     x, y, z = done.last.belief.mode()[:3, 3].tolist()

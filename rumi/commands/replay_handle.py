@@ -17,8 +17,8 @@ from rumi.tasks.rummage.entry import describe
 if TYPE_CHECKING:
     from sensors.log.reader import Log
 
-_HELP = """Take in the log of a run of the handle task as if its robot were there: the belief that the live run had, or,
-with other settings, the one that it would have had on the same readings.
+_HELP = """Take in the log of a run of the handle task as if its robot were there: the belief that the live run had,
+or, with other settings, the one that it would have had on the same readings.
 
     rumi replay runs/handle-all-s0
     rumi replay runs/handle-all-s0/log.h5 --wrist.outlier 0.3 --out what-if
@@ -54,7 +54,7 @@ def replay_handle(log: "Log", arguments: Sequence[str], cache_dir: Path | None) 
     from rumi.tasks.handle.agent import build_agent
     from rumi.tasks.handle.log import IDLE, asked_of, differing, recorded, refuse_other_senses
     from rumi.tasks.rummage.build import scene_sketch
-    from sensors.contact_reading import FeltReading
+    from sensors.contact_reading import ContactReading
 
     known = recorded(log)
     if known is None:
@@ -74,7 +74,7 @@ def replay_handle(log: "Log", arguments: Sequence[str], cache_dir: Path | None) 
         prepare_folder(options.out)
     elif options.figures:
         raise UsageError("Expected --out DIR with --figures, got none: figures need a folder")
-    taken = log.taken(FeltReading)[: settings.steps + 1]
+    taken = log.taken(ContactReading)[: settings.steps + 1]
     for problem in log.problems:
         say(problem)
     with Progress("handle", len(taken) - 1, describe) as progress:

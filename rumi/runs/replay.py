@@ -15,7 +15,6 @@ from rumi.clock import Clock
 from rumi.errors import UsageError
 from rumi.loop import run
 from rumi.task import StepResult, Task
-from rumi.tasks.rummage.agent import Rummager
 
 _POSES = ("world_T_attached", "attached_T_object", "log_weights", "discrepancy")
 

@@ -15,7 +15,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement import DisplacementSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.gpvr import GPVRSettings
-from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingSettings
 from rumi.robot.tool import Tool
@@ -113,7 +113,7 @@ def believed(count: int = 15, spread: float = 1.0) -> PoseBelief:
 
 def act(policy: Policy, scene: Scene, belief: PoseBelief, previous: Plan | None = None, seed: int = 0) -> Plan:
     random = torch.Generator().manual_seed(seed)
-    return policy.act(belief, scene, previous, executed=1, budget_s=None, generator=random)
+    return policy.act(PlanRequest(belief, scene, previous, executed=1, generator=random))
 
 
 def check(plan: Plan, scene: Scene) -> None:
@@ -202,14 +202,14 @@ def test_on_top_of_the_object(policy: Policy, scene: Scene) -> None:
 
 def test_a_spent_budget(policy: Policy, scene: Scene) -> None:
     random = torch.Generator().manual_seed(0)
-    check(policy.act(believed(), scene, None, executed=0, budget_s=0.0, generator=random), scene)
+    check(policy.act(PlanRequest(believed(), scene, budget_s=0.0, generator=random)), scene)
 
 
 def test_later_plans_with_a_spent_budget(policy: Policy, scene: Scene) -> None:
     random = torch.Generator().manual_seed(0)
-    plan = policy.act(believed(), scene, None, executed=0, budget_s=5.0, generator=random)
+    plan = policy.act(PlanRequest(believed(), scene, budget_s=5.0, generator=random))
     for budget_s in (0.0, 1e-4, 0.02):
-        plan = policy.act(believed(), scene, plan, executed=1, budget_s=budget_s, generator=random)
+        plan = policy.act(PlanRequest(believed(), scene, plan, executed=1, budget_s=budget_s, generator=random))
         check(plan, scene)
 
 
@@ -218,8 +218,8 @@ def test_an_ample_budget_changes_nothing(policy: Policy, scene: Scene) -> None:
     free = ample = None
     for seed in range(3):
         one, other = (torch.Generator().manual_seed(seed) for _ in range(2))
-        free = policy.act(believed(), scene, free, executed=1, budget_s=None, generator=one)
-        ample = policy.act(believed(), scene, ample, executed=1, budget_s=600.0, generator=other)
+        free = policy.act(PlanRequest(believed(), scene, free, executed=1, generator=one))
+        ample = policy.act(PlanRequest(believed(), scene, ample, executed=1, budget_s=600.0, generator=other))
         assert torch.equal(free.controls, ample.controls)
         assert torch.equal(free.path, ample.path)
         assert {name: ample.info[name] for name in free.info} == free.info

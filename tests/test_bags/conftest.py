@@ -10,7 +10,7 @@ import torch
 
 from rumi.rosbag.bag import import_bag
 from rumi.rosbag.mapping import mapping_of
-from rumi.rosbag.readings import Made, make_readings
+from rumi.rosbag.readings import ImportedReadings, make_readings
 from sdf import se3, so3
 from sensors.log.reader import Log
 from sensors.semantics import Semantics
@@ -260,7 +260,7 @@ def record(folder: Path, *, organised: bool = True, depth: bool = False, **optio
     return Recorded(maker.close(), results[-1].truth, first.truth, [first.reading, *(r.reading for r in results)])
 
 
-def readings_of(bag: Path, text: str, path: Path) -> Made:
+def readings_of(bag: Path, text: str, path: Path) -> ImportedReadings:
     """What a bag tells by a mapping file's text, all of it, by way of a log at `path`."""
     mapping = mapping_of(text)
     path.unlink(missing_ok=True)

@@ -22,7 +22,7 @@ from rumi.tasks.handle.build import build_fused
 from rumi.tasks.handle.grasp import HandleTable
 from rumi.tasks.handle.log import COUNTED, IDLE, FusedLogRecorder, recorded, refuse_other_senses
 from rumi.tasks.handle.settings import FusedSettings
-from sensors.contact_reading import FeltReading
+from sensors.contact_reading import ContactReading
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
 
@@ -68,7 +68,7 @@ def as_command(tool, live, monkeypatch, capsys, tmp_path):
 def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
     with Log(live.folder / LOG) as log:
         seed, settings = recorded(log)
-        taken = log.taken(FeltReading)
+        taken = log.taken(ContactReading)
         assert log.problems == []
     assert (seed, settings) == (SEED, SETTINGS)
     steps = []
@@ -86,7 +86,7 @@ def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
 
 def test_readings_come_back_whole(live):
     with Log(live.folder / LOG) as log:
-        taken = log.taken(FeltReading)
+        taken = log.taken(ContactReading)
     assert taken[0].reading.signals is None and len(taken[0].reading.wrench.points) == 0
     for one, step in zip(taken[1:], live.steps[1:], strict=True):
         ours, theirs = one.reading, step.reading
@@ -161,6 +161,6 @@ def test_logs_of_other_runs_are_told_apart(live, tmp_path):
         log(live.steps[0])
     with Log(tmp_path / "plain.h5") as log:
         assert recorded(log) is None
-        assert len(log.taken(FeltReading)[0].reading.wrench.points) == 0
+        assert len(log.taken(ContactReading)[0].reading.wrench.points) == 0
     with Log(live.folder / LOG) as log, pytest.raises(LogError, match="reading/signals, which this rumi"):
         log.taken()

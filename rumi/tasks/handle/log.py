@@ -10,7 +10,7 @@ from rumi.records import StepRecord
 from rumi.runs.json_settings import dataclass_of
 from rumi.runs.logbook import LogRecorder
 from rumi.tasks.handle.settings import FusedSettings
-from sensors.contact_reading import FeltReading
+from sensors.contact_reading import ContactReading
 
 if TYPE_CHECKING:
     from sensors.log.reader import Log
@@ -52,11 +52,11 @@ class FusedLogRecorder(LogRecorder):
     def __init__(
         self, path: Path | str, seed: int, settings: FusedSettings, about: Mapping[str, Any] | None = None
     ) -> None:
-        super().__init__(path, asked_of(seed, settings), about, readings=FeltReading)
+        super().__init__(path, asked_of(seed, settings), about, readings=ContactReading)
 
     def __call__(self, step: StepRecord) -> None:
         """Append a step; once this returns, a kill no longer loses it."""
-        super().__call__(replace(step, reading=FeltReading.of(step.reading)))
+        super().__call__(replace(step, reading=ContactReading.of(step.reading)))
 
 
 def recorded(log: "Log") -> tuple[int, FusedSettings] | None:
