@@ -201,7 +201,7 @@ def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "Ba
         for line in machines(log):
             say(line)
         return NOT_CONVERGED
-    return DONE if done.result.stopped_by == "converged" else NOT_CONVERGED
+    return DONE if done.result.stopped_by == "sure" else NOT_CONVERGED
 
 
 def summary(
@@ -299,13 +299,13 @@ def rummager_of(
 
 
 def _elsewhere(settings: Settings, taken: "Sequence[Taken]") -> Any:  # noqa: ANN401  (what `replay` takes)
-    """What brings readings to the settings' device and dtype; None where they are there."""
-    from rumi.tasks.rummage.build import Elsewhere
+    """What brings readings to the settings' device and dtype."""
+    from rumi.task import TaskOnDevice
 
     device, dtype = settings.torch_device, settings.torch_dtype
     if not taken or (device.type == "cpu" and taken[0].reading.tool_pose.dtype == dtype):
-        return None
-    return lambda task: Elsewhere(task, device, dtype)
+        return lambda task: task
+    return lambda task: TaskOnDevice(task, device, dtype)
 
 
 def _check_object(log: "Log", rummager: "Rummager") -> None:

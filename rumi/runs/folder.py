@@ -23,6 +23,7 @@ from typing import Any, Self
 import numpy as np
 import torch
 
+from rumi.agent import stop_reason
 from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
@@ -37,7 +38,7 @@ SCHEMA = 1
 
 
 class RunRecorder:
-    """Writes a run folder while the run goes on; usable as `on_step` of `rummage` and as a context manager.
+    """Writes a run folder while the run goes on; usable as `on_step` of `rumi.loop.run` and as a context manager.
 
     Args:
         folder: where; made with its parents. A folder that holds a run already is refused.
@@ -282,6 +283,7 @@ def _result(values: Mapping[str, Any]) -> RunResult:
     known = {field.name: values.get(field.name) for field in fields(RunResult)}
     for name in ("apc", "expected_nll"):  # numbers that are always there: null stands for one that is not finite
         known[name] = float("nan") if known[name] is None else known[name]
+    known["stopped_by"] = stop_reason(str(known["stopped_by"]))
     return RunResult(**known)  # type: ignore[arg-type]
 
 

@@ -170,7 +170,7 @@ def test_a_run_may_plan_with_it(task: str, arm_tool: Tool, cache: Path) -> None:
     planner = replace(settings.planner, push_model="mujoco", mppi=few, rollouts=1)
     parts = build(replace(settings, planner=planner), cache_dir=cache)
     assert "mujoco" in ENGINES
-    policy = parts.rummager.policy
+    policy = parts.agent.policy
     assert isinstance(policy.push_models, PushModels)  # type: ignore[attr-defined]
     assert policy.push_models.choice == "mujoco"  # type: ignore[attr-defined]
     parts.task.close()

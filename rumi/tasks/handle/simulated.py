@@ -18,6 +18,8 @@ from rumi.sim.settings import SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.world import Track
 from rumi.task import StepResult
+from rumi.tasks.handle.grasp import Grasp
+from rumi.tasks.handle.gripper import HandleGripper
 from rumi.tasks.handle.settings import FusedSettings, task_of
 from rumi.tasks.rummage.sensed import SensedTask
 from sdf import se3
@@ -72,6 +74,7 @@ class FusedTask(SensedTask):
         self._joints = JointFeeler(spec.base, spec.height_m, joints) if "torques" in own else None
         self._wrist_noise, self._joint_noise, self._from = torch.Generator(), torch.Generator(), torch.zeros(3)
         self._wrist_off = se3.identity().double()
+        self.gripper = HandleGripper(model.exact, self.world.body, spec.physics)
 
     def reset(self, seed: int) -> StepResult:
         """Put the mug where the seed has it and return the first look; without a camera it shows nothing."""
@@ -101,6 +104,10 @@ class FusedTask(SensedTask):
         """Carry out one control and report."""
         self._from = self.world.configuration()
         return super().step(control)
+
+    def finish(self, grasp: Grasp) -> bool:
+        """Grasp the mug where it is taken to stand, in a simulation of its own; whether it was lifted."""
+        return self.gripper.grasp(grasp.pose, self.world.world_T_object())
 
     def _view(self) -> Observation:
         if "camera" in self.fused.sensors:

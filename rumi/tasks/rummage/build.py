@@ -4,12 +4,13 @@ import copy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import cast
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.agent import Parts
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
 from rumi.belief.motion import Predictor
@@ -25,7 +26,7 @@ from rumi.planning.rummaging_settings import RummagingSettings
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
 from rumi.runs.sketch import SceneSketch, sketch
-from rumi.task import StepResult, Task
+from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import with_object
 from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_task, make_tool
@@ -38,21 +39,9 @@ _PLANAR = ("pushed", "corrected")  # motions by a model of upright objects and a
 _OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
 
 
-class Parts(NamedTuple):
-    """What a run is made of.
-
-    Attributes:
-        task: the simulated robot.
-        rummager: how it finds the object.
-    """
-
-    task: Task
-    rummager: Rummager
-
-
 def build(
     settings: Settings, *, cache_dir: Path | None = None, progress: Callable[[str, float], None] | None = None
-) -> Parts:
+) -> Parts[Task, Rummager]:
     """Make the parts of a run.
 
     Args:
@@ -71,7 +60,7 @@ def build(
     tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
     task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model)
     if device.type != "cpu" or dtype != torch.float32:
-        task = Elsewhere(task, device, dtype)
+        task = TaskOnDevice(task, device, dtype)
     return Parts(task, build_rummager(spec, settings, model, tool))
 
 
@@ -114,7 +103,7 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         tool,
         initialise=settings.initialise,
         renewal=settings.renewal,
-        stop=stop,
+        stop_rule=stop,
         height_m=standing,
         replan_every=settings.replan_every,
         budget_s=settings.budget_s,
@@ -212,36 +201,7 @@ def scene_sketch(rummager: Rummager) -> SceneSketch:
         reachability=reachability(rummager.tool, rummager.workspace).cpu(),
         thresholds={
             "nll": rummager.nll_threshold,
-            "expected_nll": rummager.stop.expected_nll,
-            "apc": rummager.stop.apc_ratio * rummager.model.diagonal,
+            "expected_nll": rummager.stop_rule.expected_nll,
+            "apc": rummager.stop_rule.apc_ratio * rummager.model.diagonal,
         },
     )
-
-
-class Elsewhere:
-    """A task whose readings arrive on another device or in another dtype.
-
-    Args:
-        task: the robot, whose readings are float32 on the CPU.
-        device: of the readings.
-        dtype: of their floating numbers.
-    """
-
-    def __init__(self, task: Task, device: torch.device, dtype: torch.dtype) -> None:
-        self.task, self.device, self.dtype = task, device, dtype
-
-    def reset(self, seed: int) -> StepResult:
-        """Put everything at its start and return the first view."""
-        return self._moved(self.task.reset(seed))
-
-    def step(self, control: Float[Tensor, "A"]) -> StepResult:
-        """Carry out one control and report."""
-        return self._moved(self.task.step(control.to("cpu", torch.float32)))
-
-    def close(self) -> None:
-        """Let go of the robot."""
-        self.task.close()
-
-    def _moved(self, result: StepResult) -> StepResult:
-        truth = None if result.truth is None else result.truth.to(self.device, self.dtype)
-        return StepResult(result.reading.to(self.device, self.dtype), truth)
