@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
+from rumi.planning.registry import POLICIES
 from rumi.tasks.rummage.scenes import TASKS
-from rumi.tasks.rummage.settings import METHODS, PRESETS, setting_names
+from rumi.tasks.rummage.settings import PRESETS, setting_names
 from scripts.reproduce import paper
 from scripts.reproduce.jobs import TOY_METHODS, Job
 
@@ -56,12 +57,12 @@ class Selection:
 
 
 def _all_runs(selection: Selection) -> list[Job]:
-    return selection.runs(TASKS, [method for method in METHODS if method in paper.METHODS])
+    return selection.runs(TASKS, [method for method in POLICIES if method in paper.METHODS])
 
 
 def _timed_runs(selection: Selection) -> list[Job]:
     tasks, methods = (name for name in ("mug-0", "box-0") if name in TASKS), ("rumi", "gpvr")
-    return selection.runs(tasks, [name for name in methods if name in METHODS])
+    return selection.runs(tasks, [name for name in methods if name in POLICIES])
 
 
 def _particles(selection: Selection) -> list[Job]:

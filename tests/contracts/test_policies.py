@@ -1,9 +1,10 @@
-"""What holds for every method: RUMI, its ablations and the baselines."""
+"""Laws of every policy: RUMI, its ablations and the baselines; also of one from outside."""
 
 import copy
 import importlib.util
 import json
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import pytest
@@ -16,11 +17,10 @@ from rumi.dynamics.displacement import DisplacementSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.gpvr import GPVRSettings
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
+from rumi.planning.registry import POLICIES, PolicySettings
 from rumi.planning.rummaging import RummagingSettings
 from rumi.robot.tool import Tool
 from rumi.runs.plain import plain
-from rumi.tasks.rummage.build import make_policy
-from rumi.tasks.rummage.settings import METHODS, Settings
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
@@ -37,12 +37,15 @@ PLANNER = RummagingSettings(
     rollouts=2,
 )
 GPVR = GPVRSettings(refit_steps=5, max_points=40)
+OUTSIDE = "wandering"
 NEEDS = {"gpvr": "gpytorch", "gpvr-greedy": "gpytorch"}
 CENTRE = torch.tensor([0.4, 0.0, 0.3])
 
 
-@pytest.fixture(params=METHODS)
-def method(request: pytest.FixtureRequest) -> str:
+@pytest.fixture(params=[*POLICIES, OUTSIDE])
+def method(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    entry = EntryPoint(OUTSIDE, "tests.contracts.outside_policy:wandering", "rumi.policies")
+    monkeypatch.setitem(POLICIES.__dict__, "_outside", {OUTSIDE: entry})
     library = NEEDS.get(request.param)
     if library and importlib.util.find_spec(library) is None:
         pytest.skip(f"{request.param} needs {library}")
@@ -52,7 +55,7 @@ def method(request: pytest.FixtureRequest) -> str:
 @pytest.fixture
 def policy(method: str, scene: Scene) -> Policy:
     reach = (1.0 - scene.workspace.points[:, 0]).clamp(0, 1)
-    return make_policy(Settings(method=method, planner=PLANNER, gpvr=GPVR), reach)
+    return POLICIES[method](PolicySettings(method, PLANNER, gpvr=GPVR), reach)
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +255,7 @@ def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> Non
 def test_says_what_it_predicts(method: str, policy: Policy, scene: Scene) -> None:
     """One number and one displacement an action, from every policy that rolls its plans out."""
     plan = act(policy, scene, believed())
-    if method == "slide":
+    if method in ("slide", OUTSIDE):
         assert "predicted_information" not in plan.info
         return
     gathered, moved = (torch.tensor(plan.info[f"predicted_{name}"]) for name in ("information", "displacement"))

@@ -7,7 +7,8 @@ import torch
 
 from rumi.errors import UsageError
 from rumi.information.stop_rule import StopSettings
-from rumi.tasks.rummage.settings import METHODS, PRESETS, Settings, from_dict, preset, setting_names, to_dict
+from rumi.planning.registry import POLICIES
+from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, setting_names, to_dict
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -63,9 +64,9 @@ def test_names_of_nested_settings():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"method": "poke"}, f"one of {', '.join(METHODS)}, got 'poke'"),
+        ({"method": "poke"}, f"no method 'poke'; there are {', '.join(POLICIES)}"),
         ({"preset": "quick"}, "one of default, fast, paper, got 'quick'"),
-        ({"sed": 1}, "There is no setting sed; there are task, method"),
+        ({"sed": 1}, "There is no setting sed; there are method, planner"),
         ({"filter": {"triger": 1}}, "There is no setting filter.triger; there are filter.peakiness"),
         ({"filter": 3}, "Expected filter. to be an object with named values, got 3"),
         ({"seed": "one"}, "Expected seed to be of type int, got 'one'"),

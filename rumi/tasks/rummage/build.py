@@ -16,10 +16,7 @@ from rumi.belief.pushed_motion import PushedMotion
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
-from rumi.planning.gpvr import GPVRPolicy
-from rumi.planning.policy import Policy
-from rumi.planning.rummaging import RummagingPolicy, info_only, reach_only
-from rumi.planning.slide import SlidePolicy
+from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
 from rumi.runs.sketch import SceneSketch, sketch
@@ -102,7 +99,7 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     return Rummager(
         model,
         PoseFilter(discrepancy, cast(Search, spec.search), following, prior, pushed).to(*to),
-        make_policy(settings, reachability(tool, workspace)),
+        POLICIES[settings.method](settings, reachability(tool, workspace)),
         workspace,
         tool,
         initialise=settings.initialise,
@@ -179,23 +176,6 @@ def reachability(tool: Tool, workspace: Workspace) -> Float[Tensor, "V"]:
     """r(x) of every point of the workspace; 1 everywhere for a tool that flies freely."""
     points = workspace.points
     return torch.ones_like(points[:, 0]) if tool.reach is None else tool.reach.field(points)
-
-
-def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
-    """The policy of the settings' method.
-
-    Raises:
-        UsageError: the method needs a package that is not installed.
-    """
-    if settings.method == "info-only":
-        return info_only(settings.planner)
-    if settings.method == "reach-only":
-        return reach_only(reach, settings.planner)
-    if settings.method == "slide":
-        return SlidePolicy(settings.slide)
-    if settings.method in ("gpvr", "gpvr-greedy"):
-        return GPVRPolicy(settings.planner, settings.gpvr, greedy=settings.method == "gpvr-greedy")
-    return RummagingPolicy(reach, settings.planner)
 
 
 def scene_sketch(rummager: Rummager) -> SceneSketch:

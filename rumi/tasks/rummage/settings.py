@@ -16,28 +16,25 @@ from rumi.belief.reinitialise import RenewalSettings
 from rumi.errors import UsageError
 from rumi.information.stop_rule import StopSettings
 from rumi.planning.gpvr import GPVRSettings
+from rumi.planning.registry import PolicySettings
 from rumi.planning.rummaging import RummagingSettings
-from rumi.planning.slide import SlideSettings
 from rumi.registration.descent import DescentSettings
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.objects import ObjectSettings
 
-Method = Literal["rumi", "info-only", "reach-only", "slide", "gpvr", "gpvr-greedy"]
 Preset = Literal["default", "fast", "paper"]
-METHODS: tuple[str, ...] = get_args(Method)
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Everything that decides a run; the same settings on the same machine give the same run.
+class Settings(PolicySettings):
+    """Everything that decides a run, beside the `PolicySettings`.
+
+    The same settings on the same machine give the same run.
 
     Attributes:
         task: what to find; `rumi tasks` lists them.
-        method: "rumi" weighs information against reachability; "info-only" and "reach-only" are the paper's
-            ablations with one of the two costs. "slide" goes to the object and along its surface; "gpvr" and
-            "gpvr-greedy" go where a Gaussian-process implicit surface is least sure (extra `baselines`).
         preset: where all other settings started from; "paper" holds the paper's Table IV.
         seed: of all randomness.
         steps: actions at most; None for as many as the task allows.
@@ -49,16 +46,12 @@ class Settings:
         filter: how the belief follows the readings.
         initialise: how the first belief is found.
         renewal: when and how particles are drawn anew, where no camera sees the object.
-        planner: how actions are chosen.
-        slide: how the method slide moves.
-        gpvr: the process of the methods gpvr and gpvr-greedy, which plan by `planner`.
         stop: when the belief is sure enough.
         simulator: how the simulator steps and what its sensors report.
         object: the object to find, where that is not the task's own.
     """
 
     task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="(required)")] = "mug-0"
-    method: Method = "rumi"
     preset: Preset = "default"
     seed: int = 0
     steps: int | None = None
@@ -69,15 +62,13 @@ class Settings:
     filter: FilterSettings = field(default_factory=FilterSettings)
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
     renewal: RenewalSettings = field(default_factory=RenewalSettings)
-    planner: RummagingSettings = field(default_factory=RummagingSettings)
-    slide: SlideSettings = field(default_factory=SlideSettings)
-    gpvr: GPVRSettings = field(default_factory=GPVRSettings)
     stop: StopSettings = field(default_factory=StopSettings)
     simulator: SimSettings = field(default_factory=SimSettings)
     object: Annotated[ObjectSettings, tyro.conf.arg(name="")] = field(default_factory=ObjectSettings)
 
     def __post_init__(self) -> None:
-        for name, valid in (("method", METHODS), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
+        super().__post_init__()
+        for name, valid in (("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
             if getattr(self, name) not in valid:
                 raise UsageError(f"There is no {name} {getattr(self, name)!r}; there are {', '.join(valid)}")
         if self.seed < 0:
