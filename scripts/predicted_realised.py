@@ -21,11 +21,11 @@ import torch
 import tyro
 from tqdm import tqdm
 
+from rumi import loop
 from rumi.cli import script
 from rumi.dynamics.displacement import Hazard
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationMode
-from rumi.loop import rummage
 from rumi.records import StepRecord
 from rumi.runs.folder import load_run
 from rumi.runs.jsonlines import append_line, read_lines
@@ -153,10 +153,10 @@ def one_run(settings: Settings) -> list[dict[str, Any]]:
     steps: list[StepRecord] = []
     most = find_task(settings.task).steps if settings.steps is None else settings.steps
     try:
-        rummage(parts.task, parts.rummager, seed=settings.seed, steps=most, on_step=steps.append)
+        loop.run(parts.task, parts.agent, seed=settings.seed, steps=most, on_step=steps.append)
     finally:
         parts.task.close()
-    return judged(steps, parts.rummager, settings)
+    return judged(steps, parts.agent, settings)
 
 
 def run(options: Run) -> None:

@@ -16,10 +16,10 @@ from typing import Any, Literal
 
 import tyro
 
+from rumi import loop
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.errors import DegenerateBeliefError
-from rumi.loop import rummage
 from rumi.metrics.intervals import wilson
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task
@@ -77,7 +77,7 @@ def carry_out(settings: Settings) -> dict[str, Any]:
     parts, spec = build(settings, cache_dir=cache_folder()), find_task(settings.task)
     begun, wall = time.process_time(), time.perf_counter()
     try:
-        result = rummage(parts.task, parts.rummager, seed=settings.seed, steps=spec.steps)
+        result = loop.run(parts.task, parts.agent, seed=settings.seed, steps=spec.steps)
     except DegenerateBeliefError:
         found: dict[str, Any] = {"right": False, "stopped_by": "degenerate"}
     else:

@@ -74,7 +74,7 @@ def check_near(name: str, places: Tensor, dtype: torch.dtype | None = None) -> N
     Raises:
         ValueError: with the name, how far places may be, how far they are, and what to do.
     """
-    if places.numel() == 0 or not may_look():
+    if places.numel() == 0 or not is_eager():
         return
     epsilon = torch.finfo(dtype or places.dtype).eps
     farthest = float(places.detach().abs().amax())
@@ -82,7 +82,7 @@ def check_near(name: str, places: Tensor, dtype: torch.dtype | None = None) -> N
         raise ValueError(
             f"Expected {name} within {ROUNDING_M / epsilon:.3g} m of the origin for {dtype or places.dtype}, got "
             f"{farthest:.6g} m, where its numbers are {1e3 * epsilon * farthest:.1g} mm apart: subtract the middle of "
-            "the workspace in float64 first (sdf.recentred.Recentred), or work in float64"
+            "the workspace in float64 first, or work in float64"
         )
 
 
@@ -91,7 +91,7 @@ def keep_within_reach(coordinates: Tensor) -> Tensor:
     return torch.nan_to_num(coordinates, nan=FAR).clamp(-FAR, FAR)
 
 
-def may_look() -> bool:
-    """Whether code may branch on what is in its tensors: not while it is compiled or under a `torch.func` transform."""
+def is_eager() -> bool:
+    """Whether code may branch on values: operations run eagerly, not compiled, nor under a `torch.func` transform."""
     # the one way to ask for transforms that torch itself uses
     return not torch.compiler.is_compiling() and not torch._C._are_functorch_transforms_active()

@@ -14,7 +14,8 @@ from rumi.robot.gripper import GripperShape
 from sdf import backend, se3
 from sdf import compiled as fused
 from sdf.base import SDF
-from sdf.check import check_finite, check_shape, may_look
+from sdf.check import check_finite, check_shape, is_eager
+from sdf.so3 import wrap
 
 
 class Pusher(NamedTuple):
@@ -100,7 +101,7 @@ def push_along_path(
     """
     check_shape("poses", poses, "(E, 3)", last=(3,))
     check_shape("path", path, "(#E, K1, 3)", last=(3,))
-    if may_look():
+    if is_eager():
         check_finite("poses", poses)
         check_finite("path", path)
     sliding = sliding.expand(len(poses))
@@ -232,7 +233,7 @@ def distance_to(
 def unwrapped(path: Float[Tensor, "*b T 3"]) -> Float[Tensor, "*b T 3"]:
     """The same path without jumps of the yaw from pi to -pi."""
     yaw = path[..., 2]
-    step = torch.remainder(yaw[..., 1:] - yaw[..., :-1] + torch.pi, 2.0 * torch.pi) - torch.pi
+    step = wrap(yaw[..., 1:] - yaw[..., :-1])
     whole = torch.cat((yaw[..., :1], yaw[..., :1] + step.cumsum(-1)), -1)
     return torch.cat((path[..., :2], whole[..., None]), -1)
 

@@ -11,8 +11,7 @@ from numba.extending import intrinsic, overload
 from sdf.compiled import Kernel
 from sdf.grid_numba import block, fast, lattice_of, layer_value, put, value
 from sdf.posed import common_height
-from sdf.posed_fused import pose_planes, table_arguments
-from sdf.posed_numba import placed_from, placed_upright_from
+from sdf.posed_numba import placed_from, placed_upright_from, pose_planes, table_arguments
 
 # points of one task, and numbers of the modes
 _STEP = 32

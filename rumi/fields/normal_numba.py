@@ -7,8 +7,7 @@ from numba import prange
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, lattice_of, layer_value_and_gradient, value_and_gradient
 from sdf.posed import common_height
-from sdf.posed_fused import pose_planes, table_arguments
-from sdf.posed_numba import placed_from, placed_upright_from
+from sdf.posed_numba import placed_from, placed_upright_from, pose_planes, table_arguments
 
 
 def _normal(chosen, points, rows, turned, upright, flat, rise, level, numbers, sizes, result):

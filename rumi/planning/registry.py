@@ -1,11 +1,10 @@
-"""Registry of policies: members by name, and their settings."""
+"""The policies by name: RUMI, its ablations and the baselines."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from typing import Protocol
 
 from torch import Tensor
 
-from rumi.errors import UsageError
 from rumi.planning.gpvr import GPVRPolicy, GPVRSettings
 from rumi.planning.policy import Policy
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, info_only, reach_only
@@ -13,43 +12,35 @@ from rumi.planning.slide import SlidePolicy, SlideSettings
 from rumi.registry import Table
 
 
-@dataclass(frozen=True)
-class PolicySettings:
-    """Choice of a policy, and the settings of each.
+class PolicySettings(Protocol):
+    """Settings of all policies; each is made from its own."""
 
-    Attributes:
-        method: "rumi" weighs information against reachability; "info-only" and "reach-only" are the paper's
-            ablations with one of the two costs. "slide" goes to the object and along its surface; "gpvr" and
-            "gpvr-greedy" go where a Gaussian-process implicit surface is least sure (extra `baselines`). An installed
-            package may add others.
-        planner: how actions are chosen.
-        slide: how the method slide moves.
-        gpvr: the process of the methods gpvr and gpvr-greedy, which plan by `planner`.
-    """
+    @property
+    def planner(self) -> RummagingSettings:
+        """Of those that sample control sequences."""
+        ...
 
-    method: str = "rumi"
-    planner: RummagingSettings = field(default_factory=RummagingSettings)
-    slide: SlideSettings = field(default_factory=SlideSettings)
-    gpvr: GPVRSettings = field(default_factory=GPVRSettings)
+    @property
+    def slide(self) -> SlideSettings:
+        """Of `slide`."""
+        ...
 
-    def __post_init__(self) -> None:
-        """Refuse a policy that there is not."""
-        if self.method not in POLICIES:
-            raise UsageError(f"There is no method {self.method!r}; there are {', '.join(POLICIES)}")
+    @property
+    def gpvr(self) -> GPVRSettings:
+        """Of the implicit surface."""
+        ...
 
 
-PolicyMaker = Callable[[PolicySettings, Tensor], Policy]
-"""Makes a policy from settings and the reachability r(x), (V,), of every workspace point (RUMI, Eq 30)."""
+MakePolicy = Callable[[PolicySettings, Tensor], Policy]
+"""Makes a policy from settings and the reachability r(x) of every workspace point, (V,) in [0, 1] (RUMI, Eq 30)."""
 
-POLICIES: Table[PolicyMaker] = Table("method", "rumi.policies")
-"""Policies by name; a package from outside adds one by an entry point of the group "rumi.policies".
+POLICIES: Table[MakePolicy] = Table("method", "rumi.policies")
+"""All policies by the name of their method."""
 
-A maker raises UsageError where it needs a package that is not installed.
-"""
 
-POLICIES.add("rumi", lambda settings, reach: RummagingPolicy(reach, settings.planner))
-POLICIES.add("info-only", lambda settings, reach: info_only(settings.planner))
-POLICIES.add("reach-only", lambda settings, reach: reach_only(reach, settings.planner))
-POLICIES.add("slide", lambda settings, reach: SlidePolicy(settings.slide))
-POLICIES.add("gpvr", lambda settings, reach: GPVRPolicy(settings.planner, settings.gpvr))
-POLICIES.add("gpvr-greedy", lambda settings, reach: GPVRPolicy(settings.planner, settings.gpvr, greedy=True))
+POLICIES.add("rumi", lambda own, reach: RummagingPolicy(reach, own.planner))
+POLICIES.add("info-only", lambda own, reach: info_only(own.planner))
+POLICIES.add("reach-only", lambda own, reach: reach_only(reach, own.planner))
+POLICIES.add("slide", lambda own, reach: SlidePolicy(own.slide))
+POLICIES.add("gpvr", lambda own, reach: GPVRPolicy(own.planner, own.gpvr, greedy=False))
+POLICIES.add("gpvr-greedy", lambda own, reach: GPVRPolicy(own.planner, own.gpvr, greedy=True))

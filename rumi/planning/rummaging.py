@@ -9,8 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from kmppi import MPPI, ControlPlan, Rollouts
-from rumi.belief.particles import PoseBelief
-from rumi.belief.thinning import thinned
+from rumi.belief.particles import PoseBelief, subsample
 from rumi.clock import Now
 from rumi.dynamics.base import PushDefaults, PushRollouts, RolloutModel
 from rumi.dynamics.registry import PushModels
@@ -159,11 +158,11 @@ class RummagingPolicy:
         whole, used = len(belief.log_weights), belief
         sure = budget.open or budget.knows("view")
         if not sure:
-            used = thinned(belief, _FEW)
+            used = subsample(belief, _FEW)
             fields, model = self._fields(used, scene, budget, watch)
         count = budget.affordable("view", whole + _VIEW_FIXED, _VIEW_SHARE) - _VIEW_FIXED
         if sure or (used is not belief and (count > 2 * _FEW or count == whole)):
-            used = thinned(belief, max(count, _FEW))
+            used = subsample(belief, max(count, _FEW))
             fields, model = self._fields(used, scene, budget, watch)
         begun = budget.now()
         objective = self.objective(used, scene, fields, previous, budget)

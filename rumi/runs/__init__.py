@@ -1,1 +1,1 @@
-"""Recording runs and reading them back."""
+"""Run folders: what a run writes, reads back and replays."""

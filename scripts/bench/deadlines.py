@@ -1,5 +1,6 @@
 """How well deadlines are kept by every planner on a real clock, and what more time is worth."""
 
+import copy
 import gc
 import os
 import time
@@ -9,12 +10,13 @@ from functools import cached_property, partial
 
 import torch
 
+from rumi import loop
+from rumi.agent import Parts
 from rumi.belief.particles import PoseBelief
-from rumi.belief.touch_belief import TouchBelief
+from rumi.belief.trajectory_belief import TrajectoryBelief
+from rumi.cache import cache_folder
 from rumi.clock import Now
-from rumi.commands.table import cache_folder
 from rumi.fields.information import information_field
-from rumi.loop import rummage
 from rumi.planning.anytime import select
 from rumi.planning.duration_model import DurationModel
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
@@ -22,11 +24,14 @@ from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.robot.motion_time import SpeedLimits
 from rumi.seeding import split
-from rumi.tasks.rummage.build import Parts, build
+from rumi.task import Task
+from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import preset
-from rumi.tasks.touch_box.agent import Toucher, localise
+from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.budget import BudgetedChoice
-from rumi.tasks.touch_box.build import make_toucher
+from rumi.tasks.touch_box.build import build_touch_box
+from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import Choice
 from rumi.tasks.touch_box.settings import TouchSettings
@@ -61,7 +66,7 @@ class Situations:
     steps: int = 8
 
     @cached_property
-    def parts(self) -> Parts:
+    def parts(self) -> Parts[Task, Rummager]:
         """Task and rummager, without a budget."""
         settings = preset(task=self.task, method=self.method, seed=self.seed, steps=self.steps)
         return build(settings, cache_dir=cache_folder())
@@ -69,14 +74,14 @@ class Situations:
     @cached_property
     def given(self) -> list[tuple[PoseBelief, Scene]]:
         """The situations, in order."""
-        watched = _Watched(self.parts.rummager.policy)
-        rummage(self.parts.task, replace(self.parts.rummager, policy=watched), seed=self.seed, steps=self.steps)
+        watched = _Watched(self.parts.agent.policy)
+        loop.run(self.parts.task, replace(self.parts.agent, policy=watched), seed=self.seed, steps=self.steps)
         self.parts.task.close()
         return watched.given
 
     def policy(self, clock: str) -> Policy:
         """The method, with budgets held against a clock."""
-        policy = self.parts.rummager.policy
+        policy = self.parts.agent.policy
         if isinstance(policy, RummagingPolicy):
             policy.now = _CLOCKS[clock]
         return policy
@@ -159,21 +164,23 @@ class Pokes:
     seeds: tuple[int, ...] = (1001, 1002)
 
     @cached_property
-    def toucher(self) -> Toucher:
+    def parts(self) -> Parts[TouchBox, Toucher]:
         """All of the run but its budget."""
-        return make_toucher(TouchTask(), TouchSettings(), "gripper", cache_dir=cache_folder())
+        return build_touch_box(TouchTask(), TouchSettings(), "gripper", cache_dir=cache_folder())
 
     @cached_property
-    def given(self) -> list[TouchBelief]:
+    def given(self) -> list[TrajectoryBelief]:
         """The beliefs, in order."""
-        given: list[TouchBelief] = []
+        given: list[TrajectoryBelief] = []
 
-        def watched(belief: TouchBelief, *, generator: torch.Generator) -> tuple[torch.Tensor, Choice]:
+        def watched(belief: TrajectoryBelief, *, generator: torch.Generator) -> tuple[torch.Tensor, Choice]:
             given.append(belief)
-            return self.toucher.decide(belief, generator=generator)
+            return self.parts.agent.decide(belief, generator=generator)
 
+        agent = copy.copy(self.parts.agent)
+        agent.chooser = watched
         for seed in self.seeds:
-            localise(self.toucher, seed=seed, decide=watched)
+            loop.run(self.parts.task, agent, seed=seed)
         return given
 
 
@@ -181,7 +188,7 @@ def poke_decisions(where: Pokes, budget_s: float, clock: str, piece: int) -> Fig
     """Choices of a poke of `touch-box`, one after the other: how long each took, and of how many candidates."""
     now = _CLOCKS[clock]
     random = split(piece, "deadlines")
-    choose = BudgetedChoice(where.toucher, budget_s, now)
+    choose = BudgetedChoice(where.parts.agent, budget_s, now)
     choose(where.given[0], generator=random)
     gc.freeze()  # as `rumi run` does
     took, evaluated = [], []

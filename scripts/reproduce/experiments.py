@@ -5,8 +5,9 @@ from dataclasses import dataclass
 from itertools import product
 
 from rumi.planning.registry import POLICIES
-from rumi.tasks.rummage.scenes import TASKS
-from rumi.tasks.rummage.settings import PRESETS, setting_names
+from rumi.runs.json_settings import setting_names
+from rumi.tasks.rummage.scenes import SCENES
+from rumi.tasks.rummage.settings import PRESETS, Settings
 from scripts.reproduce import paper
 from scripts.reproduce.jobs import TOY_METHODS, Job
 
@@ -57,11 +58,11 @@ class Selection:
 
 
 def _all_runs(selection: Selection) -> list[Job]:
-    return selection.runs(TASKS, [method for method in POLICIES if method in paper.METHODS])
+    return selection.runs(SCENES, [method for method in POLICIES if method in paper.METHODS])
 
 
 def _timed_runs(selection: Selection) -> list[Job]:
-    tasks, methods = (name for name in ("mug-0", "box-0") if name in TASKS), ("rumi", "gpvr")
+    tasks, methods = (name for name in ("mug-0", "box-0") if name in SCENES), ("rumi", "gpvr")
     return selection.runs(tasks, [name for name in methods if name in POLICIES])
 
 
@@ -138,7 +139,7 @@ EXPERIMENTS: dict[str, Callable[[Selection], list[Job]]] = {
 
 def missing(name: str) -> str:
     """Why an experiment cannot be done here, or nothing."""
-    if name == "displacement" and DISPLACEMENT not in setting_names():
+    if name == "displacement" and DISPLACEMENT not in setting_names(Settings):
         return f"there is no setting {DISPLACEMENT}"
     return ""
 
@@ -150,7 +151,7 @@ def work_of(names: Iterable[str], selection: Selection) -> list[Job]:
 
 def valid_tasks() -> tuple[str, ...]:
     """Names of all tasks."""
-    return tuple(TASKS)
+    return tuple(SCENES)
 
 
 def valid_presets() -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 
-from rumi import build, preset, rummage
+from rumi import build, preset, run
 from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.outline import RectangleOutline
 from rumi.dynamics.sliding import Sliding
@@ -81,6 +81,6 @@ def test_pixels_that_last() -> None:
 def test_a_run() -> None:
     robot, rummager = build(preset("fast", task="mug-0", seed=1000, steps=2))
     try:
-        assert rummage(robot, rummager, seed=1000, steps=2).stopped_by == "steps"
+        assert run(robot, rummager, seed=1000, steps=2).stopped_by == "steps"
     finally:
         robot.close()

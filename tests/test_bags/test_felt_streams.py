@@ -12,8 +12,8 @@ from rumi.rosbag.mapping import mapping_of
 from rumi.rosbag.readings import make_readings
 from rumi.rosbag.scene import rummager_of_map, settings_of
 from rumi.runs.replay import replay
-from rumi.tasks.rummage.build import Elsewhere
-from sensors.contact_reading import FeltReading
+from rumi.task import TaskOnDevice
+from sensors.contact_reading import ContactReading
 from sensors.log.reader import Log
 from sensors.reading import Reading
 from sensors.semantics import Semantics
@@ -108,7 +108,7 @@ def test_touches_come_with_normals_beside_their_points(poked):
     plain, ours = made_of(poked, FINGER), made_of(poked, LIKELY)
     assert all(type(one.reading) is Reading for one in plain) and len(plain) == len(ours) == 4
     for bare, felt in zip(plain[1:], ours[1:], strict=True):
-        assert isinstance(felt.reading, FeltReading) and felt.reading.signals is None
+        assert isinstance(felt.reading, ContactReading) and felt.reading.signals is None
         touch = felt.reading.wrench
         assert len(touch.points) == 3, "the surest in three parts of it"
         assert bool((touch.instant[1:] >= touch.instant[:-1]).all())
@@ -134,7 +134,7 @@ def test_a_normal_tells_poses_apart_that_points_leave_open(poked):
     assert points.felt is None and felt.felt is not None
     assert turned(points) > 15.0
     assert turned(felt) < 8.0
-    wide = replayed(poked, LIKELY, lambda task: Elsewhere(task, torch.device("cpu"), torch.float64), dtype="float64")
+    wide = replayed(poked, LIKELY, lambda task: TaskOnDevice(task, torch.device("cpu"), torch.float64), dtype="float64")
     assert wide.log_weights.dtype == torch.float64 and turned(wide) < 8.0
 
 

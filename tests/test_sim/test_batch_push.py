@@ -159,7 +159,7 @@ def test_a_run_may_plan_with_it(task: str, arm_tool: Tool, cache: Path) -> None:
     few = replace(settings.planner.mppi, samples=4, horizon=2, knots=2, warmup_iterations=1, iterations=1)
     planner = replace(settings.planner, push_model="mujoco", mppi=few, rollouts=1)
     parts = build(replace(settings, planner=planner), cache_dir=cache)
-    policy = parts.rummager.policy
+    policy = parts.agent.policy
     assert isinstance(policy.push_models, PushModels)  # type: ignore[attr-defined]
     assert policy.push_models.settings.push_model == "mujoco"  # type: ignore[attr-defined]
     parts.task.close()

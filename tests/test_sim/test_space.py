@@ -6,13 +6,13 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi import loop
 from rumi.errors import UsageError
-from rumi.loop import rummage
 from rumi.robot.gripper import GripperShape
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.world import World
 from rumi.tasks.rummage.build import build_rummager
-from rumi.tasks.rummage.scenes import TASKS, find_task, make_task, make_tool
+from rumi.tasks.rummage.scenes import SCENES, find_task, make_task, make_tool
 from rumi.tasks.rummage.settings import preset
 from sdf import se3
 from sdf.drill import Drill, drill_model
@@ -23,7 +23,7 @@ from sensors.semantics import Semantics
 pytestmark = pytest.mark.sim
 
 HALF = (0.030, 0.079, 0.105)
-UNSEEN = [name for name, spec in TASKS.items() if spec.prior is not None and spec.spatial]
+UNSEEN = [name for name, spec in SCENES.items() if spec.prior is not None and spec.spatial]
 SOFT = PhysicsSettings(mass_kg=0.41, max_force_n=25.0, max_lift_n=15.0, max_torque_nm=4.0, lead_m=0.006)
 
 
@@ -163,7 +163,7 @@ def test_a_run_works_and_is_repeatable(name, kind, models):
         task.settings = replace(settings.simulator, mini_steps=SimSettings().mini_steps)
         rummager = build_rummager(task.spec, settings, task.model, task.tool)
         steps = []
-        rummage(task, rummager, seed=3, steps=4, on_step=steps.append)
+        loop.run(task, rummager, seed=3, steps=4, on_step=steps.append)
         records.append(steps)
     for a, b in zip(*records, strict=True):
         assert torch.equal(a.belief.attached_T_object, b.belief.attached_T_object)
@@ -211,7 +211,7 @@ def test_shelf_mug_is_looked_at_again_and_its_motion_is_not_measured(shelf_mug):
 def test_unmeasured_motion_is_estimated(shelf_mug):
     settings = preset("default", task="shelf-mug")
     rummager = build_rummager(shelf_mug.spec, settings, shelf_mug.model, shelf_mug.tool)
-    assert rummager.filter.settings.motion == "corrected" and rummager.stop.apc_ratio == 0.05
+    assert rummager.filter.settings.motion == "corrected" and rummager.stop_rule.apc_ratio == 0.05
     printed = build_rummager(shelf_mug.spec, preset("paper", task="shelf-mug"), shelf_mug.model, shelf_mug.tool)
     assert printed.filter.settings.motion == "estimated"
     still = build_rummager(find_task("mug-0"), settings, shelf_mug.model, shelf_mug.tool)

@@ -6,14 +6,15 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi import cli
+from rumi import cli, loop
 from rumi.cli import main
 from rumi.clock import SimulatedClock
 from rumi.errors import UsageError
 from rumi.tasks.grasp_table import clearance_table
-from rumi.tasks.touch_box.agent import Toucher, localise
+from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.budget import BudgetedChoice
 from rumi.tasks.touch_box.planar_robot import PlanarRobot
+from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 
@@ -79,7 +80,8 @@ def test_other_methods_within_a_time(method):
 def test_a_run_within_a_time():
     clock = SimulatedClock()
     toucher = Slow(clock)
-    run = localise(toucher, seed=2001, decide=BudgetedChoice(toucher, 0.45, clock))
+    toucher.chooser = BudgetedChoice(toucher, 0.45, clock)
+    run = loop.run(TouchBox(TASK, toucher.robot), toucher, seed=2001)
     assert run.steps and all(1 <= len(step.choice.value) <= 4 for step in run.steps)
     with pytest.raises(UsageError, match="budget above 0 s"):
         BudgetedChoice(toucher, 0.0)
@@ -91,8 +93,8 @@ def test_the_command(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     quick = ["run", "touch-box", "--robot", "planar", "--count", "60", "--actions", "1", "--no-figures"]
     quick += ["--poke.candidates", "3", "--poke.particles", "20"]
-    assert main([*quick, "--budget", "0.05", "--out", "own"]) in (cli.DONE, cli.NOT_CONVERGED)
+    assert main([*quick, "--plan-budget-s", "0.05", "--out", "own"]) in (cli.DONE, cli.NOT_CONVERGED)
     assert json.loads(Path("own/settings.json").read_text())["budget_s"] == 0.05
     for bad in ("0", "-1", "nan", "inf"):
-        assert main([*quick, "--budget", bad]) == cli.BAD_INPUT
-        assert "--budget above 0 s" in capsys.readouterr().err
+        assert main([*quick, "--plan-budget-s", bad]) == cli.BAD_INPUT
+        assert "--plan-budget-s above 0 s" in capsys.readouterr().err

@@ -7,16 +7,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi import loop
 from rumi.belief.particles import PoseBelief
 from rumi.bench.case import Case, Setup, Target, case, largest_difference
 from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
-from rumi.loop import first_belief, rummage
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.records import StepRecord
 from rumi.seeding import split
 from rumi.task import StepResult
+from rumi.tasks.rummage.agent import first_belief
 from rumi.tasks.rummage.build import build, reachability
 from rumi.tasks.rummage.settings import preset
 from sensors.reading import Reading
@@ -79,7 +80,7 @@ def _mug(setup: Setup, push_model: str) -> Case:
         reading = parts.task.reset(_SEED).reading
     finally:
         parts.task.close()
-    rummager = parts.rummager
+    rummager = parts.agent
     belief, _ = first_belief(rummager, reading, generator=split(_SEED, "initialise"))
     scene = Scene(rummager.model, rummager.workspace, rummager.tool, reading.configuration)
     return _case(
@@ -149,6 +150,9 @@ class Replay:
         self._at += 1
         return StepResult(self.readings[self._at], None)
 
+    def finish(self, action: object) -> None:
+        """Nothing is done at the end."""
+
     def close(self) -> None:
         """Nothing to let go of."""
 
@@ -166,14 +170,14 @@ def run_mug(setup: Setup) -> Case:
     parts = build(settings, cache_dir=setup.cache_dir)
     readings: list[Reading] = []
     try:
-        rummage(parts.task, parts.rummager, seed=_SEED, steps=steps, on_step=lambda step: readings.append(step.reading))
+        loop.run(parts.task, parts.agent, seed=_SEED, steps=steps, on_step=lambda step: readings.append(step.reading))
     finally:
         parts.task.close()
     task = Replay(readings)
 
     def run() -> tuple[Tensor, int]:
         records: list[StepRecord] = []
-        rummage(task, parts.rummager, seed=_SEED, steps=len(readings) - 1, on_step=records.append)
+        loop.run(task, parts.agent, seed=_SEED, steps=len(readings) - 1, on_step=records.append)
         return records[-1].belief.mode()[:3, 3], len(records) - 1
 
     return Case(

@@ -19,11 +19,13 @@ from rumi.sim.settings import SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.world import Track
 from rumi.task import StepResult
+from rumi.tasks.handle.grasp import Grasp
+from rumi.tasks.handle.gripper import HandleGripper
 from rumi.tasks.handle.settings import FusedSettings, task_of
 from rumi.tasks.rummage.sensed import SensedTask
 from sdf import se3
 from sdf.object_model import ObjectModel
-from sensors.contact_reading import FeltReading, WrenchTouch, surest
+from sensors.contact_reading import ContactReading, WrenchTouch, surest
 from sensors.force.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus
 from sensors.force.tool_parts import parts_contact
 from sensors.observation import Observation, concatenate
@@ -71,6 +73,7 @@ class FusedTask(SensedTask):
         self._joints = JointFeeler(spec.base, spec.height_m, joints) if "torques" in own else None
         self._wrist_noise, self._joint_noise, self._from = torch.Generator(), torch.Generator(), torch.zeros(3)
         self._wrist_off = se3.identity().double()
+        self.gripper = HandleGripper(model.exact, self.world.body, spec.physics)
 
     def reset(self, seed: int) -> StepResult:
         """Put the mug where the seed has it and return the first look; without a camera it shows nothing."""
@@ -101,13 +104,17 @@ class FusedTask(SensedTask):
         self._from = self.world.configuration()
         return super().step(control)
 
+    def finish(self, grasp: Grasp) -> bool:
+        """Grasp the mug where it is taken to stand, in a simulation of its own; whether it was lifted."""
+        return self.gripper.grasp(grasp.pose, self.world.world_T_object())
+
     def _view(self) -> Observation:
         if "camera" in self.fused.sensors:
             return super()._view()
         self._region = self._region_of_prior()
         return Observation.empty()
 
-    def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> FeltReading:
+    def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> ContactReading:
         """All that was felt on the way."""
         felt, own = self.world.felt, self.fused.sensors
         assert felt is not None
@@ -132,7 +139,7 @@ class FusedTask(SensedTask):
         free, instant = self._free(tool_pose, measured, silent & ~_soon(in_contact))
         parts.append(free)
         instants.append(instant)
-        return FeltReading(
+        return ContactReading(
             concatenate(parts),
             torch.cat(instants),
             tool_pose,

@@ -4,49 +4,42 @@ import copy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import cast
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.agent import Parts
+from rumi.belief.contact_evidence import SignalSettings
+from rumi.belief.evidence import make_evidence
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_motion import PushedMotion
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
+from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
 from rumi.runs.sketch import SceneSketch, sketch
-from rumi.task import StepResult, Task
+from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import with_object
 from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_task, make_tool
 from rumi.tasks.rummage.settings import Settings
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
+from sensors.evidence import EvidenceModel
 
 _PLANAR = ("pushed", "corrected")  # motions by a model of upright objects and a level tool
 _OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
 
 
-class Parts(NamedTuple):
-    """What a run is made of.
-
-    Attributes:
-        task: the simulated robot.
-        rummager: how it finds the object.
-    """
-
-    task: Task
-    rummager: Rummager
-
-
 def build(
     settings: Settings, *, cache_dir: Path | None = None, progress: Callable[[str, float], None] | None = None
-) -> Parts:
+) -> Parts[Task, Rummager]:
     """Make the parts of a run.
 
     Args:
@@ -65,7 +58,7 @@ def build(
     tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
     task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model)
     if device.type != "cpu" or dtype != torch.float32:
-        task = Elsewhere(task, device, dtype)
+        task = TaskOnDevice(task, device, dtype)
     return Parts(task, build_rummager(spec, settings, model, tool))
 
 
@@ -96,15 +89,19 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     pushed = None
     if following.motion in _PLANAR:
         pushed = pushed_motion(settings.planner, model, tool, spec.height_m, standing)
+    further: tuple[EvidenceModel, ...] = ()
+    if following.evidence:
+        surface = tool.shape.surface(SignalSettings().spacing_m).to(*to)
+        further = make_evidence(following.evidence, model.sdf, surface)
     return Rummager(
         model,
-        PoseFilter(discrepancy, cast(Search, spec.search), following, prior, pushed).to(*to),
-        POLICIES[settings.method](settings, reachability(tool, workspace)),
+        PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed).to(*to),
+        make_policy(settings, reachability(tool, workspace)),
         workspace,
         tool,
         initialise=settings.initialise,
         renewal=settings.renewal,
-        stop=stop,
+        stop_rule=stop,
         height_m=standing,
         replan_every=settings.replan_every,
         budget_s=settings.budget_s,
@@ -146,9 +143,11 @@ def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
     suited = ("any", "upright") if upright else ("any",)
     if name != AUTO and PUSH_MODELS[name].objects not in suited:
         fits = " or ".join(other for other in PUSH_MODELS if PUSH_MODELS[other].objects in suited)
-        raise UsageError(_other_task(spec, f"push-model {name}", fits))
+        raise UsageError(_other_task(spec, f"planner.push-model {name}", fits))
     if settings.filter.motion in _PLANAR:
-        raise UsageError(_other_task(spec, f"motion {settings.filter.motion}", "measured, sticking or estimated"))
+        raise UsageError(
+            _other_task(spec, f"filter.motion {settings.filter.motion}", "measured, sticking or estimated")
+        )
 
 
 def _other_task(spec: TaskSpec, flag: str, fits: str) -> str:
@@ -178,6 +177,15 @@ def reachability(tool: Tool, workspace: Workspace) -> Float[Tensor, "V"]:
     return torch.ones_like(points[:, 0]) if tool.reach is None else tool.reach.field(points)
 
 
+def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
+    """The policy of the settings' method.
+
+    Raises:
+        UsageError: the method needs a package that is not installed.
+    """
+    return POLICIES[settings.method](settings, reach)
+
+
 def scene_sketch(rummager: Rummager) -> SceneSketch:
     """What figures need to know of the scene."""
     section = rummager.tool.shape.section(_OUTLINE_SPACING)
@@ -189,36 +197,7 @@ def scene_sketch(rummager: Rummager) -> SceneSketch:
         reachability=reachability(rummager.tool, rummager.workspace).cpu(),
         thresholds={
             "nll": rummager.nll_threshold,
-            "expected_nll": rummager.stop.expected_nll,
-            "apc": rummager.stop.apc_ratio * rummager.model.diagonal,
+            "expected_nll": rummager.stop_rule.expected_nll,
+            "apc": rummager.stop_rule.apc_ratio * rummager.model.diagonal,
         },
     )
-
-
-class Elsewhere:
-    """A task whose readings arrive on another device or in another dtype.
-
-    Args:
-        task: the robot, whose readings are float32 on the CPU.
-        device: of the readings.
-        dtype: of their floating numbers.
-    """
-
-    def __init__(self, task: Task, device: torch.device, dtype: torch.dtype) -> None:
-        self.task, self.device, self.dtype = task, device, dtype
-
-    def reset(self, seed: int) -> StepResult:
-        """Put everything at its start and return the first view."""
-        return self._moved(self.task.reset(seed))
-
-    def step(self, control: Float[Tensor, "A"]) -> StepResult:
-        """Carry out one control and report."""
-        return self._moved(self.task.step(control.to("cpu", torch.float32)))
-
-    def close(self) -> None:
-        """Let go of the robot."""
-        self.task.close()
-
-    def _moved(self, result: StepResult) -> StepResult:
-        truth = None if result.truth is None else result.truth.to(self.device, self.dtype)
-        return StepResult(result.reading.to(self.device, self.dtype), truth)

@@ -5,13 +5,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal, get_args
 
+from rumi.agent import Parts
 from rumi.dynamics.along_path import PathPush
 from rumi.dynamics.registry import push_model
 from rumi.errors import UsageError
 from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.mujoco_scene import path_scene
-from rumi.tasks.touch_box.robot import TouchRobot
+from rumi.tasks.touch_box.robot import TouchBox, TouchRobot
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 
@@ -21,9 +22,9 @@ ROBOTS: tuple[str, ...] = get_args(Robot)
 _ARM = "rumi.tasks.touch_box.arm_robot"
 
 
-def make_toucher(
+def build_touch_box(
     task: TouchTask, settings: TouchSettings, robot: Robot = "gripper", *, cache_dir: Path | None = None
-) -> Toucher:
+) -> Parts[TouchBox, Toucher]:
     """All that a run needs; needs MuJoCo.
 
     Args:
@@ -41,7 +42,8 @@ def make_toucher(
     check_robot(task, robot)
     table = grasp_table(task, cache_dir=cache_dir)
     made = make_robot(task, robot, table, cache_dir=cache_dir)
-    return Toucher(task, settings, made, table, make_path_push(settings.push_model, task))
+    agent = Toucher(task, settings, made, table, make_path_push(settings.push_model, task))
+    return Parts(TouchBox(task, made), agent)
 
 
 def check_robot(task: TouchTask, robot: Robot) -> None:
@@ -55,7 +57,7 @@ def check_robot(task: TouchTask, robot: Robot) -> None:
 
 
 def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: Path | None = None) -> TouchRobot:
-    """The robot of a name; see `make_toucher`."""
+    """The robot of a name; see `build_touch_box`."""
     check_robot(task, robot)
     if robot == "planar":
         from rumi.tasks.touch_box.planar_robot import PlanarRobot

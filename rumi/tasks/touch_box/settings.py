@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
-from rumi.belief.replay_settings import ReplaySettings
+from rumi.belief.trajectory_filter import TrajectorySettings
 from rumi.dynamics.registry import PUSH_MODELS
 from rumi.errors import UsageError
 from rumi.tasks.touch_box.selection import METHODS, Method
@@ -51,8 +51,8 @@ class PokeSettings:
             raise UsageError(f"Expected sure in (0, 1], got {self.sure}")
 
 
-def _filter() -> ReplaySettings:
-    return ReplaySettings(
+def _filter() -> TrajectorySettings:
+    return TrajectorySettings(
         trigger=0.5,
         sweeps=6,
         friction=(0.1, 0.7),
@@ -91,7 +91,7 @@ class TouchSettings:
     decay: float | None = 1000.0
     weigh_correlated: bool = True
     stop_early: bool = True
-    filter: ReplaySettings = field(default_factory=_filter)
+    filter: TrajectorySettings = field(default_factory=_filter)
     poke: PokeSettings = field(default_factory=PokeSettings)
 
     def __post_init__(self) -> None:

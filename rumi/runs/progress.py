@@ -1,0 +1,101 @@
+"""What a person sees of a run while it goes on: a bar on a terminal, plain lines elsewhere."""
+
+import sys
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Protocol, Self, runtime_checkable
+
+from tqdm import tqdm
+
+_STAGES = ("simulate", "belief", "plan", "agree", "score")
+
+
+@runtime_checkable
+class Stream(Protocol):
+    """What text can be shown on."""
+
+    def write(self, text: str, /) -> int:
+        """Show a text."""
+        ...
+
+    def flush(self) -> None:
+        """Show it now."""
+        ...
+
+    def isatty(self) -> bool:
+        """Whether it is a terminal."""
+        ...
+
+
+def say(text: str) -> None:
+    """A line for people, beside what a command gives."""
+    sys.stderr.write(f"rumi: {text}\n")
+    sys.stderr.flush()
+
+
+class Progress:
+    """Shows each step and the seconds by stage; an `on_step` of `rumi.loop.run`, and a context manager.
+
+    Args:
+        label: what runs.
+        steps: actions at most; None where nobody knows.
+        describe: a step's record in few words and numbers.
+        stream: where to; a bar if it is a terminal.
+    """
+
+    def __init__(
+        self, label: str, steps: int | None, describe: Callable[[Any], str], stream: Stream | None = None
+    ) -> None:
+        self._stream = sys.stderr if stream is None else stream
+        self._describe = describe
+        self._spent: dict[str, float] = {}
+        self._bar = None
+        if self._stream.isatty():
+            self._bar = tqdm(
+                total=steps,
+                desc=label,
+                file=self._stream,
+                dynamic_ncols=True,
+                leave=True,
+                bar_format="{desc} {bar} {n_fmt}/{total_fmt} [{elapsed}] {postfix}",
+            )
+            self._bar.set_postfix_str("first view")
+
+    def __call__(self, record: Any) -> None:  # noqa: ANN401  (a record of any task: `step` and `timings_s`)
+        """Show a step."""
+        for stage, seconds in record.timings_s.items():
+            self._spent[stage] = self._spent.get(stage, 0.0) + seconds
+        if self._bar is None:
+            at = f"action {record.step}" if record.step else "first view"
+            self._stream.write(f"{at}: {self._describe(record)}  {stages(record.timings_s)}\n")
+            self._stream.flush()
+            return
+        mean = stages(self._spent, per=max(1, record.step))
+        self._bar.set_postfix_str(f"{self._describe(record)}  {mean}", refresh=False)
+        self._bar.update(record.step - self._bar.n)
+        self._bar.refresh()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+
+def both(*observers: Callable[[Any], None]) -> Callable[[Any], None]:
+    """One `on_step` of several, called in order."""
+
+    def on_step(record: Any) -> None:  # noqa: ANN401
+        for observer in observers:
+            observer(record)
+
+    return on_step
+
+
+def stages(seconds: Mapping[str, float], per: int = 1) -> str:
+    """Seconds by stage, known stages first."""
+    ordered = sorted(seconds, key=lambda stage: _STAGES.index(stage) if stage in _STAGES else len(_STAGES))
+    return " ".join(f"{stage} {seconds[stage] / per:.2f}s" for stage in ordered)
