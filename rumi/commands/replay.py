@@ -224,8 +224,8 @@ def summary(
     """
     result = done.result
     used = len(done.same)
-    first, *lines = ending(result)
-    lines = [f"{name}: {first}", *lines]
+    head, *rest = ending(result)
+    lines = [f"{name}: {head}", *rest]
     if used < readings:
         lines.append(f"readings {used} of {readings}: sure before the log's end{go_on}")
     x, y, z = done.last.belief.mode()[:3, 3].tolist()
@@ -321,6 +321,7 @@ def machines(log: "Log") -> list[str]:
     from rumi.runs.folder import provenance
 
     now, then = provenance(), json.loads(log.texts.get("made_with", "{}"))
+    then.setdefault("processor", now["processor"])  # logs of before do not tell
     return [f"recorded with {name} {_at(then, name)}, replayed with {_at(now, name)}" for name in changes(then, now)]
 
 

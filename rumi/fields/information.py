@@ -230,10 +230,10 @@ def _information_field_numba(
     lone = all(value.numel() == 1 for value in numbers.values() if isinstance(value, Tensor))
     if not lone or not takes(sdf, world_T_object, log_weights, points_w) or not world_T_object.shape[-3]:
         return _information_field(sdf, world_T_object, log_weights, points_w, near, values)
-    from rumi.fields.information_fused import fused_fields
+    from rumi.fields.information_numba import information_field as compiled
 
     floats = {name: value.item() if isinstance(value, Tensor) else float(value) for name, value in numbers.items()}
-    return fused_fields(sdf, world_T_object, log_weights, points_w, near, values["mode"], floats)
+    return WorkspaceFields(*compiled(sdf, world_T_object, log_weights, points_w, near, values["mode"], floats))
 
 
 def tail_distance(sharpness: float, surface_tolerance: float, tail: float) -> float:
