@@ -5,11 +5,13 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from rumi import __version__
+from rumi import __version__, environment
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED
 
 COMMANDS = ("tasks", "run", "replay", "import", "check", "plot", "bench", "mesh", "localize", "reproduce", "stress")
+OWN_THREADS = ("bench", "stress")
+"""Commands that measure, and choose their threads themselves: not by what is free just now."""
 HOMES = {"import": "import_bag"}
 """Names of the functions whose commands have names that no function can have."""
 EXTRAS = {
@@ -94,6 +96,18 @@ def script(work: Callable[[], object]) -> NoReturn:
 def _command(name: str, arguments: Sequence[str]) -> int:
     if name not in COMMANDS:
         raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
+    if name in OWN_THREADS:
+        return _carry_out(name, arguments)
+    # NumPy's library of linear algebra reads this when it is loaded; its threads spin, and matrices are small
+    own = any(os.environ.get(variable) for variable in environment.LIBRARIES)
+    with environment.variables({} if own else {"OPENBLAS_NUM_THREADS": "1"}):
+        from sdf.threads import chosen
+
+        with chosen():
+            return _carry_out(name, arguments)
+
+
+def _carry_out(name: str, arguments: Sequence[str]) -> int:
     from rumi.commands import table as commands  # loads torch: only now, so that help is quick
 
     return int(getattr(commands, HOMES.get(name, name))(arguments))

@@ -1,10 +1,10 @@
 """The fused CPU versions of the discrepancy and of its Gauss-Newton terms; `discrepancy.py` has the definitions."""
 
 import numpy as np
-from numba import prange
 
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, block, exact, fast, lattice_of, value, value_and_gradient
+from sdf.part_numba import indices
 from sensors.tiles_numba import local, near_points
 
 
@@ -48,11 +48,11 @@ def _hinge_cost(points, count, pose, flat, lattice, alpha):
     return total
 
 
-def _discrepancy(poses, scene, grid, steepness, free_scale, alpha, result, looked):
+def _discrepancy(poses, scene, grid, steepness, free_scale, alpha, result, looked, part):
     surface, hinged, signs, small_first, small_balls, large_first, large_balls, counts = scene
     flat, numbers, sizes = grid
     batch, each = result.shape
-    for row in prange(batch * each):
+    for row in indices(part, batch * each):
         b, n = row // each, row % each
         lattice = lattice_of(numbers, sizes)
         pose = placed(poses[b, n])
@@ -158,11 +158,11 @@ def gather(surface, counts, near, count):
     return count + counts[0]
 
 
-def _normal_equations(poses, scene, grid, steepness, free_scale, alpha, objective, gradient, hessian):
+def _normal_equations(poses, scene, grid, steepness, free_scale, alpha, objective, gradient, hessian, part):
     surface, hinged, signs, small_first, small_balls, large_first, large_balls, counts = scene
     flat, numbers, sizes = grid
     batch, each = objective.shape
-    for row in prange(batch * each):
+    for row in indices(part, batch * each):
         b, n = row // each, row % each
         lattice = lattice_of(numbers, sizes)
         pose = placed(poses[b, n])

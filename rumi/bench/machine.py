@@ -10,6 +10,7 @@ import torch
 
 from rumi.bench.timing import fitting_clock
 from rumi.runs.folder import provenance, version_of
+from sdf.threads import cores
 
 PACKAGES = ("numba", "pytorch-volumetric", "chsel", "pytorch-mppi", "open3d", "ribs")
 BUSY = 0.5
@@ -43,10 +44,3 @@ def processor() -> str:
             if line.startswith(("model name", "Hardware", "cpu model")):
                 return line.split(":", 1)[1].strip()
     return platform.processor() or platform.machine()
-
-
-def cores() -> int:
-    """Processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

@@ -1,14 +1,13 @@
 """The fused CPU version of the maximum over a disc; `contact.py` has the definition."""
 
-from numba import prange
-
 from sdf.compiled import Kernel
+from sdf.part_numba import indices
 
 
-def _spread(values, widths, margin, result):
+def _spread(values, widths, margin, result, part):
     rows, columns = values.shape
     middle = len(widths) // 2
-    for x in prange(len(result)):
+    for x in indices(part, len(result)):
         found = result[x]
         for row in range(len(widths)):
             source = x + row - 2 * middle

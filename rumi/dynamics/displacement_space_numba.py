@@ -6,11 +6,11 @@ As `displacement_numba` for a tool that moves in a plane: rollouts that have met
 import math
 
 import numpy as np
-from numba import prange
 
 from rumi.robot.tool_space_numba import residual, step_within
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
+from sdf.part_numba import indices
 
 # columns of a group's state
 _X, _Y, _Z, _YAW, _WAY_X, _WAY_Y, _WAY_Z, _WAY_YAW, _OFFSET_X, _OFFSET_Y, _COS, _SIN = range(12)
@@ -278,8 +278,8 @@ def _sample(k, start, controls, draws, action, body, fields, discs, arm, sizes, 
                 break
 
 
-def _push_rollouts_in_space(start, controls, draws, action, body, fields, discs, arm, sizes, rules, scratch, out):
-    for k in prange(len(controls)):
+def _push_rollouts_in_space(start, controls, draws, action, body, fields, discs, arm, sizes, rules, scratch, out, part):
+    for k in indices(part, len(controls)):
         _sample(k, start, controls, draws, action, body, fields, discs, arm, sizes, rules, scratch, out)
 
 

@@ -12,6 +12,7 @@ from rumi.dynamics.sliding import Outline, Sliding
 from rumi.sim.world import _import_mujoco
 from rumi.tasks.touch_box.mujoco_scene import GripperPhysics, scene_xml, set_truth
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
+from sdf.threads import count
 
 # frictions that particles are put to, the nearest each: a model of the engine has one
 _FRICTIONS = 5
@@ -121,7 +122,7 @@ class MujocoCarry:
         controls = np.zeros((*planar.shape[:2], 6))
         controls[..., [0, 1, 3]] = planar
         controls[..., 4:] = self.task.finger_m
-        threads = self.threads or torch.get_num_threads()
+        threads = self.threads or count()
         data = [self._mujoco.MjData(model) for _ in range(max(1, threads))]
         with rollout.Rollout(nthread=threads if threads > 1 else 0) as engine:
             found, _ = engine.rollout(model, data, states, controls)
