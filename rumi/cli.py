@@ -1,82 +1,97 @@
-"""The command `rumi`: what there is to give, and where each command lives."""
+"""The command `rumi`: finds a subcommand by name, loads it and carries it out.
+
+A subcommand is an address in a table, so that help is there at once: nothing is loaded before it is asked for.
+"""
 
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import NoReturn
+from importlib import import_module
+from typing import NamedTuple, NoReturn
 
 from rumi import __version__, environment
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED
 
-COMMANDS = ("tasks", "run", "replay", "import", "check", "plot", "bench", "mesh", "localize", "reproduce", "stress")
-OWN_THREADS = ("bench", "stress")
-"""Commands that measure, and choose their threads themselves: not by what is free just now."""
-HOMES = {"import": "import_bag"}
-"""Names of the functions whose commands have names that no function can have."""
-EXTRAS = {
-    "mujoco": "sim",
-    "pytorch_kinematics": "robot",
-    "matplotlib": "plot",
-    "PIL": "plot",
-    "contourpy": "plot",
-    "trimesh": "mesh",
-    "scipy": "mesh",
-    "networkx": "mesh",
-    "coacd": "mesh",
-    "submitit": "cluster",
-    "cv2": "vision",
-    "h5py": "logs",
-    "rosbags": "logs",
-    "mpmath": "stress",
-    "hypothesis": "stress",
-}
-"""Which extra brings a package that may be missing."""
 
-HELP = f"""\
+class Command(NamedTuple):
+    """A subcommand.
+
+    Attributes:
+        usage: what follows its name.
+        summary: what it does, in a line.
+        address: "module:function" of what carries it out, given the other arguments; it returns the exit code.
+    """
+
+    usage: str
+    summary: str
+    address: str
+
+
+COMMANDS = {
+    "tasks": Command("", "list the tasks", "rumi.commands.tasks:tasks"),
+    "run": Command("TASK [options]", "carry out a task in simulation", "rumi.commands.run:run"),
+    "replay": Command("LOG [options]", "take in a recorded log again", "rumi.commands.replay:replay"),
+    "import": Command("BAG --map FILE", "make a log of a ROS 2 bag", "rumi.commands.import_bag:import_bag"),
+    "check": Command("LOG [options]", "draw a log's observations over the model", "rumi.commands.check:check"),
+    "plot": Command("RUN [options]", "draw the figures of a run again", "rumi.commands.plot:plot"),
+    "bench": Command("[options]", "time each part on this machine", "rumi.bench.command:bench"),
+    "mesh": Command("FILE [options]", "check a triangle mesh", "rumi.commands.mesh:mesh"),
+    "localize": Command("MESH CONTACTS [options]", "poses by touched points", "rumi.commands.localize:localize"),
+    "reproduce": Command("WHAT [options]", "the papers' tables and figures", "rumi.commands.checkout:reproduce"),
+    "stress": Command("[options]", "compare the arithmetic with higher precision", "rumi.commands.checkout:stress"),
+}  # fmt: skip
+"""The subcommands by name, in the order of the help."""
+
+_OWN_THREADS = ("bench", "stress")
+"""Those that measure, and choose their threads themselves: not by what is free just now."""
+
+_EXTRAS = {
+    "sim": "mujoco",
+    "robot": "pytorch_kinematics",
+    "plot": "matplotlib PIL contourpy",
+    "mesh": "trimesh scipy networkx coacd",
+    "cluster": "submitit",
+    "vision": "cv2",
+    "logs": "h5py rosbags",
+    "baselines": "gpytorch",
+    "stress": "mpmath hypothesis",
+}
+"""Packages that may be missing, by the extra that brings them."""
+
+
+def help_text() -> str:
+    """What `rumi --help` prints."""
+    usages = {f"rumi {name} {command.usage}".rstrip(): command.summary for name, command in COMMANDS.items()}
+    width = max(map(len, usages))
+    listed = "\n".join(f"  {usage:<{width}}  {summary}" for usage, summary in usages.items())
+    return f"""\
 rumi {__version__}: find the pose of an object by touching and pushing it.
 
-usage: rumi tasks                  what there is to find
-       rumi run TASK [options]     find it, in simulation
-       rumi replay LOG [options]   take in a recorded log, by the same settings or by others
-       rumi import BAG --map FILE  make a log of a ROS 2 bag
-       rumi check LOG [options]    draw what was observed over the model: is the calibration right?
-       rumi plot RUN [options]     draw the figures of a run again
-       rumi bench [options]        time the work, against others' and against the targets
-       rumi mesh FILE [options]    what a triangle mesh is like, and what is wrong with it
-       rumi localize MESH CONTACTS [options]   where it is, from points that were touched on it
-       rumi reproduce WHAT ...     the paper's tables and figures, beside the paper's own
-       rumi stress [options]       hold the arithmetic to references of higher precision
-       rumi --version
+{listed}
 
-       rumi run --help             all settings, with their defaults
+`rumi COMMAND --help` lists a command's options, `rumi run TASK --help` all settings of a task, with their defaults.
 
-examples:
-  rumi run mug-0                            the default method; leaves a folder runs/mug-0-rumi-default-s0
-  rumi run mug-1 --method info-only --seed 3
-  rumi run mug-0 --preset paper --steps 10 --out my-run
-  rumi run mug-0 --planner.mppi.samples 100 --stop.rule never
-  rumi run touch-box                        a box that only touch can tell, found, grasped and lifted
-  rumi run peg --t-max 10                   a block found by touch under a deadline, a peg put into it
+  rumi run mug-0                          leaves a folder runs/mug-0-rumi-default-s0
+  rumi run mug-0 --preset paper --planner.mppi.samples 100 --stop.rule never
   rumi plot runs/mug-0-rumi-default-s0 --steps 0 4 8
 
-`rumi run` ends with exit code 0 if the belief became sure by its own stopping rule, 1 if it did not, 2 for input
-that cannot be, and 130 after Ctrl-C. What was done until then is in the run's folder: a run to read, replay and plot;
-of touch-box settings and pokes; of peg, and of what was interrupted before its first view, nothing, and no folder.
+Exit codes: 0 done, and a run succeeded by its own rule: the belief became sure and, where the task ends with a last
+action (a grasp, a peg), that succeeded too; 1 it ran and did not succeed; 2 input that cannot be; 130 Ctrl-C.
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Carry out a command line and return its exit code."""
+    """Carry out a command line and return its exit code (`rumi.exit_codes`)."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = arguments[0] if arguments else ""
     if name in ("-h", "--help", "help", ""):
-        (sys.stdout if name else sys.stderr).write(HELP)
+        (sys.stdout if name else sys.stderr).write(help_text())
         return DONE if name else BAD_INPUT
     if name == "--version":
         sys.stdout.write(f"rumi {__version__}\n")
         return DONE
-    return _guarded(lambda: _command(name, arguments[1:]))
+    return _guarded(lambda: _carry_out(name, arguments[1:]))
 
 
 def script(work: Callable[[], object]) -> NoReturn:
@@ -93,24 +108,23 @@ def script(work: Callable[[], object]) -> NoReturn:
     sys.exit(_guarded(done))
 
 
-def _command(name: str, arguments: Sequence[str]) -> int:
+def _carry_out(name: str, arguments: Sequence[str]) -> int:
     if name not in COMMANDS:
         raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
-    if name in OWN_THREADS:
-        return _carry_out(name, arguments)
+    if name in _OWN_THREADS:
+        return _call(name, arguments)
     # NumPy's library of linear algebra reads this when it is loaded; its threads spin, and matrices are small
     own = any(os.environ.get(variable) for variable in environment.LIBRARIES)
     with environment.variables({} if own else {"OPENBLAS_NUM_THREADS": "1"}):
-        from sdf.threads import chosen
+        from sdf.threads import chosen  # loads torch: only now, so that help is quick
 
         with chosen():
-            return _carry_out(name, arguments)
+            return _call(name, arguments)
 
 
-def _carry_out(name: str, arguments: Sequence[str]) -> int:
-    from rumi.commands import table as commands  # loads torch: only now, so that help is quick
-
-    return int(getattr(commands, HOMES.get(name, name))(arguments))
+def _call(name: str, arguments: Sequence[str]) -> int:
+    module, _, function = COMMANDS[name].address.partition(":")
+    return int(getattr(import_module(module), function)(arguments))
 
 
 def _guarded(work: Callable[[], int]) -> int:
@@ -138,7 +152,8 @@ def _refuse(error: Exception) -> int:
     message = str(error)
     if isinstance(error, ModuleNotFoundError):
         package = (error.name or "").split(".")[0]
-        message += f": pip install 'rumi[{EXTRAS[package]}]'" if package in EXTRAS else ""
+        extra = next((extra for extra, packages in _EXTRAS.items() if package in packages.split()), None)
+        message += f": pip install 'rumi[{extra}]'" if extra else ""
     elif not isinstance(error, UsageError):
         message += "\n(RUMI_DEBUG=1 shows where this comes from)"
     sys.stderr.write(f"rumi: {message}\n")

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from functools import cached_property
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from rumi.errors import UsageError
 
@@ -35,6 +35,14 @@ class Table(Generic[T]):
     def __init__(self, kind: str, group: str | None = None) -> None:
         self.kind, self.group = kind, group
         self._members: dict[str, T | str] = {}
+        self._mappings: list[str] = []
+
+    def include(self, address: str) -> None:
+        """Enter all members of a mapping by name, which stands at an address "module:name".
+
+        It is imported when the names are listed, or when one is asked for that the table does not have.
+        """
+        self._mappings.append(address)
 
     def add(self, name: str, member: T | str) -> T | str:
         """Enter a member, or its address "module:name"; returns it.
@@ -53,17 +61,23 @@ class Table(Generic[T]):
             return {}
         return {entry.name: entry for entry in entry_points(group=self.group)}
 
+    def _load_mappings(self) -> None:
+        for address in self._mappings:
+            self._members = {**_load(address), **self._members}
+        self._mappings = []
+
     def __getitem__(self, name: str) -> T:
         """The member of a name.
 
         Raises:
             UsageError: there is none; the message lists the names.
         """
+        if name not in self._members:
+            self._load_mappings()
         if name in self._members:
             member = self._members[name]
             if isinstance(member, str):
-                module, _, attribute = member.partition(":")
-                member = self._members[name] = getattr(import_module(module), attribute)
+                member = self._members[name] = _load(member)
             return member
         if name in self._outside:
             return self._outside[name].load()
@@ -71,13 +85,19 @@ class Table(Generic[T]):
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a member of that name."""
-        return name in self._members or name in self._outside
+        return name in list(self)
 
     def __iter__(self) -> Iterator[str]:
         """Names, this project's first, each in the order in which it was entered."""
+        self._load_mappings()
         yield from self._members
         yield from (name for name in self._outside if name not in self._members)
 
     def __len__(self) -> int:
         """Number of members."""
         return len(list(iter(self)))
+
+
+def _load(address: str) -> Any:  # noqa: ANN401  (whatever stands there)
+    module, _, attribute = address.partition(":")
+    return getattr(import_module(module), attribute)

@@ -26,7 +26,7 @@ from rumi.metrics.likelihood import negative_log_likelihood
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.tasks.rummage.build import build, reachability
-from rumi.tasks.rummage.scenes import TASKS, find_task
+from rumi.tasks.rummage.scenes import SCENES, find_task
 from rumi.tasks.rummage.settings import preset
 from sdf import se3, so3
 from sdf.object_model import ObjectModel
@@ -36,7 +36,7 @@ from sdf.object_model import ObjectModel
 class Options:
     """Which tasks, and where the arm's table of reach is kept."""
 
-    tasks: tuple[str, ...] = tuple(TASKS)
+    tasks: tuple[str, ...] = tuple(SCENES)
     seed: int = 0
     cache: Path = Path.home() / ".cache" / "rumi"
 

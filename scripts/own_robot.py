@@ -36,7 +36,7 @@ from sensors.reading import Reading
 from sensors.semantics import Semantics
 from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation
 from sensors.vision.camera import look_at, pinhole, pixel_rays
-from sensors.vision.view import ViewSettings, view_observation
+from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
 
 STREAMS = [
     StreamSpec("depth", "depth16", "camera", {"topic": "depth", "unit_m": 0.001, "camera": "camera"}),
@@ -169,12 +169,10 @@ class OwnRobot:
         now = self.driver.home()  # it is there: the end of the first view
         self._note(now)
         view = view_observation(
-            image,
-            self.driver.intrinsics,
+            Image(image, self.driver.intrinsics),
             self.driver.world_T_camera,
             ViewSettings(segmentation="plane"),
-            within=self._within,
-            bounds=self._within,
+            KnownScene(within=self._within, bounds=self._within),
             generator=torch.Generator().manual_seed(seed),
         )
         seen = view.observation

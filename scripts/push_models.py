@@ -22,7 +22,7 @@ from rumi.fields.information import information_field
 from rumi.robot.tool import Tool
 from rumi.sim.world import World
 from rumi.tasks.rummage.build import workspace_of
-from rumi.tasks.rummage.scenes import TASKS
+from rumi.tasks.rummage.scenes import SCENES
 from sdf import se3
 from sdf.object_model import ObjectModel
 
@@ -57,7 +57,7 @@ class Push(NamedTuple):
 
 def pushes(options: Options, model: ObjectModel, tool: Tool) -> list[Push]:
     """Random ways into a mug from all sides, carried out in the simulator."""
-    spec = TASKS["mug-0"]
+    spec = SCENES["mug-0"]
     world = World(model.exact, tool.shape, spec.height_m, 0.004)
     random = torch.Generator().manual_seed(options.seed)
     found: list[Push] = []
@@ -93,7 +93,7 @@ def _overlaps(model: ObjectModel, tool: Tool, start: Tensor, yaw: float) -> bool
 
 def errors(family: PushModels, found: list[Push], model: ObjectModel, tool: Tool) -> tuple[Tensor, Tensor, float]:
     """Errors of place (m) and yaw (rad) at the end, and seconds a push."""
-    workspace = workspace_of(replace(TASKS["mug-0"], bounds=((0.0, -0.4), (0.8, 0.4))))
+    workspace = workspace_of(replace(SCENES["mug-0"], bounds=((0.0, -0.4), (0.8, 0.4))))
     place, turn = [], []
     begun = time.perf_counter()
     for push in found:
@@ -121,7 +121,7 @@ def line(name: str, place: Tensor, turn: Tensor) -> str:
 def main() -> None:
     """Print the table."""
     options = tyro.cli(Options, description=__doc__)
-    spec = TASKS["mug-0"]
+    spec = SCENES["mug-0"]
     model = spec.object_factory()
     tool = Tool(torch.tensor([[-5.0, -5.0], [5.0, 5.0]]), height_m=spec.height_m)
     found = pushes(options, model, tool)

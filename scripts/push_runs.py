@@ -16,8 +16,8 @@ from typing import Any, Literal, cast
 
 import tyro
 
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.dynamics.registry import PushChoice
 from rumi.errors import DegenerateBeliefError
 from rumi.loop import rummage

@@ -18,8 +18,8 @@ from typing import Any
 import torch
 import tyro
 
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.errors import DegenerateBeliefError
 from rumi.loop import rummage
 from rumi.metrics.intervals import wilson

@@ -15,8 +15,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.table import cache_folder
 from rumi.tasks.touch_box.agent import Toucher, localise
 from rumi.tasks.touch_box.build import Robot, make_toucher
 from rumi.tasks.touch_box.gripper_robot import GripperRobot

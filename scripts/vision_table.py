@@ -31,7 +31,7 @@ from sensors.touch.bubble import Bubble, bubble_patch
 from sensors.vision.camera import pixel_points
 from sensors.vision.cloud import cloud_observation
 from sensors.vision.robot_body import RobotBody
-from sensors.vision.view import ViewSettings, view_observation
+from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "scripts" / "results" / "vision.jsonl"
@@ -142,14 +142,10 @@ def _camera(settings: ViewSettings) -> Callable[..., tuple[Observation, Callable
         scene, memory = _scene(name), None
         for frame in range(FRAMES if settings.persist_s > 0 else 1):
             view = view_observation(
-                _noisy(scene, noise_m, generator),
-                scene.intrinsics,
+                Image(_noisy(scene, noise_m, generator), scene.intrinsics, scene.color, scene.mask, frame / 30.0),
                 scene.world_T_camera,
                 settings,
-                color=scene.color,
-                mask=scene.mask,
-                bounds=BOUNDS,
-                stamp=frame / 30.0,
+                KnownScene(bounds=BOUNDS),
                 memory=memory,
                 generator=generator,
             )
@@ -166,7 +162,9 @@ def _cloud(name: str, noise_m: float, generator: torch.Generator) -> tuple[Obser
     points = pixel_points(depth, there, scene.intrinsics)
     order = torch.randperm(len(points), generator=generator)
     settings = ViewSettings("plane")
-    view = cloud_observation(points[order], scene.world_T_camera, settings, bounds=BOUNDS, generator=generator)
+    view = cloud_observation(
+        points[order], scene.world_T_camera, settings, KnownScene(bounds=BOUNDS), generator=generator
+    )
     return view.observation, scene.distance
 
 
@@ -210,15 +208,10 @@ def times(options: Times) -> None:
         def frame(settings: ViewSettings = settings, stamps: Iterator[int] = stamps) -> None:
             nonlocal memory
             view = view_observation(
-                millimetres,
-                scene.intrinsics,
+                Image(millimetres, scene.intrinsics, scene.color, stamp=next(stamps) / 30.0),
                 scene.world_T_camera,
                 settings,
-                color=scene.color,
-                body=body,
-                world_T_links=links,
-                bounds=BOUNDS,
-                stamp=next(stamps) / 30.0,
+                KnownScene(body=body, world_T_links=links, bounds=BOUNDS),
                 memory=memory,
                 generator=random,
             )

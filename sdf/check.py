@@ -82,7 +82,7 @@ def check_near(name: str, places: Tensor, dtype: torch.dtype | None = None) -> N
         raise ValueError(
             f"Expected {name} within {ROUNDING_M / epsilon:.3g} m of the origin for {dtype or places.dtype}, got "
             f"{farthest:.6g} m, where its numbers are {1e3 * epsilon * farthest:.1g} mm apart: subtract the middle of "
-            "the workspace in float64 first (sdf.recentred.Recentred), or work in float64"
+            "the workspace in float64 first, or work in float64"
         )
 
 

@@ -1,6 +1,6 @@
 """Building blocks for fused CPU kernels: a `GridSDF` looked up at one object-frame point.
 
-`grid_sdf.py` has the definition, and `grid_fused.py` turns a `GridSDF` into what these functions take:
+`grid_sdf.py` has the definition; what these functions take of a `GridSDF` is made at the end of this file:
 
     flat, numbers, sizes = grid_arguments(sdf, dtype)            outside of the kernel, NumPy arrays
 
@@ -25,11 +25,17 @@ reorder sums but keeps NaN what it is, and in such a loop either only add up or 
 import math
 
 import numba
+import numpy as np
+import torch
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
+from torch import Tensor
 
 from sdf.check import FAR
+from sdf.grid_sdf import GridSDF
+
+Arrays = tuple[np.ndarray, ...]
 
 _TINY = 1e-30
 # not kept on their own: kernels are, and what is kept of a block would outlive a change of another that it uses
@@ -313,3 +319,42 @@ def layer_value_and_gradient(x, y, layer, rise, lattice, level):
         slope_y * _rate(v, over_y, lattice[6], lattice) * steep + spread * (over_y + _sign(over_y) * lattice[11]),
         slope_z * level[1] * steep + spread * (over_z + _sign(over_z) * lattice[11]),
     )
+
+
+def grid_arguments(sdf: GridSDF, dtype: torch.dtype) -> Arrays:
+    """Values (X * Y * Z), numbers of the lattice (15), both of `dtype`, and sizes (3): what look-ups take."""
+    numbers, sizes = _numbers(sdf)
+    flat = sdf.values.detach().to(dtype).contiguous().view(-1)
+    return flat.numpy(), torch.tensor(numbers, dtype=dtype).numpy(), np.array(sizes)
+
+
+def layer_arguments(sdf: GridSDF, z: float | Tensor, dtype: torch.dtype) -> Arrays:
+    """The layer at a height (X * Y), its slopes along z (X * Y), and (offset, rate) along z, all of `dtype`.
+
+    Args:
+        sdf: the table.
+        z: height in the object frame, metres.
+        dtype: of the arrays.
+    """
+    height = torch.as_tensor(z, dtype=dtype).detach()
+    layer, rise, level = sdf.layer(height)
+    return layer.view(-1).numpy(), rise.view(-1).numpy(), level.numpy()
+
+
+def _numbers(sdf: GridSDF) -> tuple[list[float], list[int]]:
+    """What `lattice_of` expects, in its order, and the table's sizes."""
+    scale = 1.0 / sdf.spacing
+    ratio = sdf.spacing / sdf.outer_spacing if sdf.outer else 1.0
+    sizes = list(sdf.values.shape)
+    numbers = [
+        scale,
+        *(sdf.outer - start * scale for start in sdf.origin),
+        float(sdf.outer),
+        *(float(n - 1 - sdf.outer) for n in sizes),
+        sdf.outer / ratio,
+        ratio,
+        sdf.spacing,
+        sdf.inset / sdf.spacing,
+        *(float(n - 2) for n in sizes),
+    ]
+    return numbers, sizes

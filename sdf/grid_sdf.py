@@ -1,6 +1,6 @@
 """A signed distance function tabulated on a lattice: what estimation looks up millions of times."""
 
-from typing import Self
+from typing import Self, TypeGuard
 
 import torch
 from jaxtyping import Float
@@ -16,6 +16,8 @@ _CHUNK = 1 << 18
 _TINY = 1e-30
 # fine spacings from the lattice's end within which points are not taken as within it: more than rounding moves them
 _EDGE = 1e-2
+# lattices of more nodes than 32 bits can count are left to the plain version
+_MOST_NODES = 2**31 - 1
 
 
 class GridSDF(Sized):
@@ -269,6 +271,11 @@ class GridSDF(Sized):
                 along = torch.addcmul(along * (offset.detach() == 0), spread, beyond)
             gradient.append(along)
         return SDFQuery(distance, _vectors(gradient))
+
+
+def takes(sdf: SDF, *tensors: Tensor) -> TypeGuard[GridSDF]:
+    """Whether compiled look-ups apply: the SDF is a table, not too large, and the tensors are of one float type."""
+    return isinstance(sdf, GridSDF) and sdf.values.numel() <= _MOST_NODES and len({t.dtype for t in tensors}) == 1
 
 
 def _vectors(planes: list[Tensor]) -> Tensor:

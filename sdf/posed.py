@@ -7,12 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import backend, se3
-from sdf import compiled as fused
+from sdf import backend, compiled, se3
 from sdf.base import SDF, SDFQuery
 from sdf.check import FAR, check_shape, may_look
-from sdf.grid_fused import takes
-from sdf.grid_sdf import GridSDF
+from sdf.grid_sdf import GridSDF, takes
 
 # pairs looked up at once: few enough for the caches, enough that two threads do not wait for each other all the time
 _BLOCK = 1 << 17
@@ -81,22 +79,22 @@ def _posed_query(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SDFQuery
     return SDFQuery(distance, gradient.movedim(0, -1))
 
 
-@backend.register("posed_distance", "numba", fused.supports)
+@backend.register("posed_distance", "numba", compiled.supports)
 def _posed_distance_numba(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor:
     if not takes(sdf, world_T_object, points_w):
         return _posed_distance(sdf, world_T_object, points_w)
-    from sdf.posed_fused import fused_distance
+    from sdf import posed_numba
 
-    return fused_distance(sdf, world_T_object, points_w, common_height(sdf, world_T_object, points_w))
+    return posed_numba.posed_distance(sdf, world_T_object, points_w, common_height(sdf, world_T_object, points_w))
 
 
-@backend.register("posed_query", "numba", fused.supports)
+@backend.register("posed_query", "numba", compiled.supports)
 def _posed_query_numba(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SDFQuery:
     if not takes(sdf, world_T_object, points_w):
         return _posed_query(sdf, world_T_object, points_w)
-    from sdf.posed_fused import fused_query
+    from sdf import posed_numba
 
-    return fused_query(sdf, world_T_object, points_w, common_height(sdf, world_T_object, points_w))
+    return posed_numba.posed_query(sdf, world_T_object, points_w, common_height(sdf, world_T_object, points_w))
 
 
 def _by_blocks(

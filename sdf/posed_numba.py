@@ -4,21 +4,34 @@ Results are (scenes, poses, points), flat. Poses come as the twelve numbers of o
 coordinate, a row of them for each scene: row `which[scene]`.
 """
 
+import math
+
+import torch
+from torch import Tensor
+
+from sdf import se3
+from sdf.base import SDFQuery
 from sdf.compiled import Kernel
 from sdf.grid_numba import (
+    Arrays,
     at,
     block,
+    grid_arguments,
     lattice_of,
+    layer_arguments,
     layer_value,
     layer_value_and_gradient,
     put,
     value,
     value_and_gradient,
 )
+from sdf.grid_sdf import GridSDF
 from sdf.part_numba import indices
 
 # points of one task: enough to be worth a thread's while
 _STEP = 4096
+# numbers that one vector instruction takes, where there are most
+_LANES = 8
 
 
 @block
@@ -141,5 +154,63 @@ def _layer_query(rows, points, which, layer, rise, level, numbers, sizes, distan
             put(gradient, 3 * (to + i) + 2, along_z)
 
 
-distance, query = Kernel(_distance, fast=True), Kernel(_query, fast=True)
-layer_distance, layer_query = Kernel(_layer_distance, fast=True), Kernel(_layer_query, fast=True)
+_DISTANCE, _QUERY = Kernel(_distance, fast=True), Kernel(_query, fast=True)
+_LAYER_DISTANCE, _LAYER_QUERY = Kernel(_layer_distance, fast=True), Kernel(_layer_query, fast=True)
+
+
+def posed_distance(sdf: GridSDF, world_T_object: Tensor, points_w: Tensor, height: Tensor | None) -> Tensor:
+    """Distances (*b, N, M) by kernels; `height` is that of all points in all object frames, if there is one."""
+    shape, scene = _scene(world_T_object, points_w)
+    upright, table = table_arguments(sdf, height, points_w.dtype)
+    result = points_w.new_empty(shape)
+    (_LAYER_DISTANCE if upright else _DISTANCE)(*scene, *table, result.view(-1).numpy())
+    return result
+
+
+def posed_query(sdf: GridSDF, world_T_object: Tensor, points_w: Tensor, height: Tensor | None) -> SDFQuery:
+    """The same with gradients (*b, N, M, 3) in the object frames."""
+    shape, scene = _scene(world_T_object, points_w)
+    upright, table = table_arguments(sdf, height, points_w.dtype)
+    value, gradient = points_w.new_empty(shape), points_w.new_empty(*shape, 3)
+    (_LAYER_QUERY if upright else _QUERY)(*scene, *table, value.view(-1).numpy(), gradient.view(-1).numpy())
+    return SDFQuery(value, gradient)
+
+
+def table_arguments(sdf: GridSDF, height: Tensor | None, dtype: torch.dtype) -> tuple[bool, Arrays]:
+    """What a kernel takes of the table: whether one layer does, values, slopes, level, numbers and sizes.
+
+    Without a common height, all values, no slopes, and a level that is not looked at.
+    """
+    flat, numbers, sizes = grid_arguments(sdf, dtype)
+    if height is None:
+        return False, (flat, flat[:0], numbers[:2], numbers, sizes)
+    return True, (*layer_arguments(sdf, height, dtype), numbers, sizes)
+
+
+def pose_planes(world_T_object: Tensor, *more: Tensor) -> tuple[Tensor, ...]:
+    """Poses (*b, N, 4, 4) for a loop over them: (scenes, 12, N'), the twelve numbers of object_T_world one by one.
+
+    N' is N up to a whole number of vector instructions: the last pose is repeated, and what stands in `more`,
+    (*b, c, N), is filled up with 0 to (scenes, c, N').
+    """
+    scenes, poses = math.prod(world_T_object.shape[:-3]), world_T_object.shape[-3]
+    rows = se3.inverse(world_T_object.detach())[..., :3, :].reshape(scenes, poses, 12).mT
+    spare = -poses % _LANES
+    parts = [part.detach().reshape(scenes, part.shape[-2], poses) for part in more]
+    if spare and poses:
+        rows = torch.cat((rows, rows[..., -1:].expand(-1, -1, spare)), -1)
+        parts = [torch.nn.functional.pad(part, (0, spare)) for part in parts]
+    return tuple(part.contiguous() for part in (rows, *parts))
+
+
+def _scene(world_T_object: Tensor, points_w: Tensor) -> tuple[torch.Size, Arrays]:
+    """Shape of the result, and poses (scenes, N, 12), points (rows, 3, M) and the row of each scene."""
+    given = points_w.shape[:-2]
+    batch = torch.broadcast_shapes(world_T_object.shape[:-3], given)
+    poses, count = world_T_object.shape[-3], points_w.shape[-2]
+    rows = se3.inverse(world_T_object.detach())[..., :3, :].expand(*batch, poses, 3, 4)
+    places = points_w.detach().mT.reshape(-1, 3, count) if points_w.numel() else points_w.new_empty(0, 3, count)
+    which = torch.arange(math.prod(given)).view(given).expand(batch).reshape(-1)
+    scenes = math.prod(batch)
+    arrays = (rows.reshape(scenes, poses, 12).contiguous(), places.contiguous(), which.contiguous())
+    return torch.Size((*batch, poses, count)), tuple(array.numpy() for array in arrays)

@@ -1,4 +1,4 @@
-"""Where a ball that moves along a straight line first touches an object: a rectangle in closed form, and any mesh."""
+"""Swept collision of a disc with rectangles, in closed form: where it first touches on a straight way."""
 
 from typing import NamedTuple
 
@@ -6,16 +6,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sdf import se3
 from sdf.check import check_shape
-from sdf.mesh.triangles import Triangles, nearest, winding_number
-
-TOLERANCE = 1e-4
-"""Metres within which a ball touches a mesh."""
 
 
 class Sweep(NamedTuple):
-    """What a ball meets first; where it meets nothing all but `hit` is of the way's end.
+    """First contact of a moving disc; where it meets nothing all but `hit` is of the way's end.
 
     Attributes:
         hit: (*b), whether it touches at all.
@@ -89,77 +84,6 @@ def nearest_on_rectangle(
     foot = torch.where(inside[..., None], torch.where(side != 0, side * half, points_o), clamped)
     normal = torch.where(inside[..., None], side, apart / size.clamp_min(torch.finfo(size.dtype).tiny)[..., None])
     return foot, normal, torch.where(inside, -depth.amin(-1), size)
-
-
-def sweep_mesh(
-    world_T_object: Float[Tensor, "*#b 4 4"],
-    triangles: Triangles,
-    start: Float[Tensor, "*#b 3"],
-    end: Float[Tensor, "*#b 3"],
-    radius: float,
-    *,
-    tolerance: float = TOLERANCE,
-) -> Sweep:
-    """First contact of a ball with a mesh at many poses, by steps as long as the way to the nearest triangle is free.
-
-    The ball touches where it is nearer than `tolerance`; one that passes so close by touches too. A ball whose centre
-    is inside of a closed mesh at the start touches at once. Steps are longer than the tolerance, so that each way comes
-    to an end; a ball that slides along a face takes the most of them.
-
-    Args:
-        world_T_object: poses of the mesh.
-        triangles: of it, in its own frame; open meshes will do.
-        start: of the ball's centre.
-        end: of its way.
-        radius: of the ball, metres; 0 for a point.
-        tolerance: metres.
-
-    Raises:
-        ValueError: a pose or a way is not finite, or rounding at this size leaves nothing of a step.
-    """
-    check_shape("world_T_object", world_T_object, "(*b, 4, 4)", last=(4, 4))
-    if not radius >= 0 or not tolerance > 0:
-        raise ValueError(f"Expected a radius of 0 or more and a tolerance above 0, got {radius} and {tolerance}")
-    shape = torch.broadcast_shapes(world_T_object.shape[:-2], start.shape[:-1], end.shape[:-1])
-    poses = world_T_object.expand(*shape, 4, 4).reshape(-1, 4, 4)
-    own = se3.inverse(poses)
-    ends = torch.stack((start.expand(*shape, 3).reshape(-1, 3), end.expand(*shape, 3).reshape(-1, 3)), 1)
-    begin, last = se3.apply(own, ends).unbind(1)
-    way = (last - begin).norm(dim=-1)
-    ray = (last - begin) / way.clamp_min(torch.finfo(way.dtype).tiny)[:, None]
-    if not bool((torch.isfinite(begin) & torch.isfinite(last)).all()):
-        raise ValueError("Expected finite poses and ways, got some with NaN or infinity: leave them out")
-    gone = torch.zeros_like(way)
-    touched = winding_number(begin, triangles) > 0.5
-    moving = (~touched).nonzero()[:, 0]
-    while len(moving):
-        at = begin[moving] + gone[moving, None] * ray[moving]
-        gap = (at - nearest(at, triangles).point).norm(dim=-1) - radius
-        touched[moving] = gap <= tolerance
-        over = gone[moving] >= way[moving]
-        # a step ends where the surface can be at the earliest
-        step = torch.minimum(gone[moving] + gap.clamp_min(0.5 * tolerance), way[moving])
-        going = ~(over | (gap <= tolerance))
-        if bool((going & (step <= gone[moving])).any()):
-            raise ValueError(
-                f"Expected ways on which {tolerance:g} m are a step, got one of {float(way.max()):g} m in {way.dtype}: "
-                "a greater tolerance, a shorter way or float64"
-            )
-        gone[moving] = torch.where(going, step, gone[moving])
-        moving = moving[going]
-    gone = torch.where(touched, gone, way)
-    centre = begin + gone[:, None] * ray
-    found = nearest(centre, triangles)
-    apart = centre - found.point
-    size = apart.norm(dim=-1, keepdim=True)
-    facing = triangles.normals.to(ray)[found.face]
-    # a ball whose centre is on the surface says nothing of where that faces
-    normal = torch.where(size > 2.0 * tolerance, apart / size.clamp_min(tolerance), facing)
-    normal = torch.where(touched[:, None], normal, -ray)
-    point = torch.where(touched[:, None], found.point, centre + radius * ray)
-    point_w = se3.apply(poses, point[:, None])[:, 0]
-    normal_w = se3.rotate(poses, normal[:, None])[:, 0]
-    return Sweep(touched.view(shape), gone.view(shape), point_w.view(*shape, 3), normal_w.view(*shape, 3))
 
 
 def turned(yaw: Float[Tensor, "*b"]) -> Float[Tensor, "*b 2 2"]:

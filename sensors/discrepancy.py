@@ -1,17 +1,17 @@
-"""RUMI's discrepancy between posed objects and semantic points, with its tangent gradient."""
+"""RUMI's discrepancy between posed objects and semantic points."""
 
 import math
-from typing import NamedTuple
+from typing import TypeGuard
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from sdf import backend, se3
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.base import SDF
-from sdf.posed import posed_distance, posed_query
-from sdf.so3 import vee
+from sdf.grid_sdf import GridSDF
+from sdf.grid_sdf import takes as grid_takes
+from sdf.posed import posed_distance
 from sensors.observation import Observation, compact
 from sensors.semantics import Semantics
 
@@ -64,150 +64,6 @@ def residuals(
     shift = torch.where(surface, zero, torch.where(free, zero - alpha, zero + alpha))
     weight = torch.where(surface, zero + 1.0, zero + free_scale)
     return (distance + shift).clamp(low, high), weight
-
-
-class NormalEquations(NamedTuple):
-    """Gauss-Newton terms of each pose; the tangent is (v, omega), world axes, about the object's origin.
-
-    Attributes:
-        objective: (*b, N), sum of weighted half-squares.
-        gradient: (*b, N, 6), d objective / d tangent of `exp`-perturbations of the pose.
-        hessian: (*b, N, 6, 6), Gauss-Newton approximation, positive semi-definite.
-    """
-
-    objective: Float[Tensor, "*b N"]
-    gradient: Float[Tensor, "*b N 6"]
-    hessian: Float[Tensor, "*b N 6 6"]
-
-
-def tangent_rows(
-    frame_T_object: Float[Tensor, "*b 4 4"],
-    points: Float[Tensor, "*b M 3"],
-    gradient_o: Float[Tensor, "*b M 3"],
-) -> Float[Tensor, "*b M 6"]:
-    """d(signed distance) / d(tangent) of each point when the object moves by v and turns by omega about its origin.
-
-    The point is fixed and the object moves, hence the minus: `dv = -n . v - ((x - t) x n) . omega`.
-    """
-    normal = se3.rotate(frame_T_object, gradient_o)
-    arm = points - frame_T_object[..., None, :3, 3]
-    return torch.cat((-normal, -torch.linalg.cross(arm, normal, dim=-1)), dim=-1)
-
-
-def normal_equations(
-    sdf: SDF,
-    frame_T_object: Float[Tensor, "*b N 4 4"],
-    points: Float[Tensor, "*b M 3"],
-    semantics: Int[Tensor, "*b M"],
-    valid: Bool[Tensor, "*b M"],
-    free_scale: float | Tensor = 10.0,
-    alpha: float | Tensor = 0.0,
-) -> NormalEquations:
-    """Objective, gradient and Gauss-Newton Hessian of every pose over all points (RUMI, Eqs 7-9).
-
-    For optimisers of one's own: registration sums terms of its own, over those points alone that count at a pose.
-    """
-    numbers = [x for x in (free_scale, alpha) if isinstance(x, Tensor)]
-    version = backend.dispatch("normal_equations", frame_T_object, points, *numbers, *sdf.tensors())
-    return version(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)
-
-
-def tangent_gradient(
-    sdf: SDF,
-    frame_T_object: Float[Tensor, "*b N 4 4"],
-    points: Float[Tensor, "*b M 3"],
-    semantics: Int[Tensor, "*b M"],
-    valid: Bool[Tensor, "*b M"],
-    free_scale: float | Tensor = 10.0,
-    alpha: float | Tensor = 0.0,
-) -> tuple[Float[Tensor, "*b N"], Float[Tensor, "*b N 6"]]:
-    """The objective and gradient of `normal_equations` alone, for descents of first order."""
-    numbers = [x for x in (free_scale, alpha) if isinstance(x, Tensor)]
-    version = backend.dispatch("tangent_gradient", frame_T_object, points, *numbers, *sdf.tensors())
-    return version(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)
-
-
-@backend.register("normal_equations")
-def _normal_equations(
-    sdf: SDF,
-    frame_T_object: Tensor,
-    points: Tensor,
-    semantics: Tensor,
-    valid: Tensor,
-    free_scale: float | Tensor,
-    alpha: float | Tensor,
-) -> NormalEquations:
-    query = posed_query(sdf, frame_T_object, points)
-    shape, semantics = query.distance.shape, semantics[..., None, :]
-    residual, weight = residuals(query.distance, semantics, free_scale, alpha)
-    weight = weight * valid[..., None, :]
-    points = points.masked_fill(~valid[..., None], 0.0)  # padding may be no number
-    rows = tangent_rows(frame_T_object, points[..., None, :, :].expand(*shape, 3), query.gradient)
-    active = weight * ((semantics == Semantics.SURFACE) | (residual != 0))
-    weighted = rows * active[..., None]
-    return NormalEquations(
-        0.5 * (weight * residual**2).sum(-1),
-        (weighted * residual[..., None]).sum(-2),
-        weighted.mT @ rows,
-    )
-
-
-@backend.register("tangent_gradient")
-def _tangent_gradient(
-    sdf: SDF,
-    frame_T_object: Tensor,
-    points: Tensor,
-    semantics: Tensor,
-    valid: Tensor,
-    free_scale: float | Tensor,
-    alpha: float | Tensor,
-) -> tuple[Tensor, Tensor]:
-    query = posed_query(sdf, frame_T_object, points)
-    residual, weight = residuals(query.distance, semantics[..., None, :], free_scale, alpha)
-    pull = residual * (weight * valid[..., None, :])
-    # moments of the force on each point, about the poses' middle and then the object's origin, without a row a point:
-    # plane by plane, as the gradient is kept, it is one product with the points and a one for the force itself
-    rotation, origin = frame_T_object[..., :3, :3], frame_T_object[..., :3, 3]
-    middle = origin.detach().mean(-2, keepdim=True)
-    points = points.masked_fill(~valid[..., None], 0.0)  # padding may be no number
-    arms = torch.cat((points - middle, torch.ones_like(points[..., :1])), dim=-1)
-    pulled = pull * query.gradient.movedim(-1, 0)
-    wrench = rotation @ (pulled @ arms).movedim(0, -2)
-    force, moments = wrench[..., 3], wrench[..., :3].mT
-    moments = moments - (origin - middle)[..., :, None] * force[..., None, :]
-    return 0.5 * (pull * residual).sum(-1), -torch.cat((force, vee(moments.mT - moments)), dim=-1)
-
-
-@backend.register("normal_equations", "numba", fused.supports)
-def _normal_equations_numba(
-    sdf: SDF,
-    frame_T_object: Tensor,
-    points: Tensor,
-    semantics: Tensor,
-    valid: Tensor,
-    free_scale: float | Tensor,
-    alpha: float | Tensor,
-) -> NormalEquations:
-    from sensors import discrepancy_fused
-
-    if not discrepancy_fused.takes(sdf, frame_T_object, points):
-        return _normal_equations(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)
-    ready = discrepancy_fused.prepare(sdf, frame_T_object, points, semantics, valid)
-    return discrepancy_fused.normal_equations(ready, frame_T_object, float(free_scale), float(alpha))
-
-
-@backend.register("tangent_gradient", "numba", fused.supports)
-def _tangent_gradient_numba(
-    sdf: SDF,
-    frame_T_object: Tensor,
-    points: Tensor,
-    semantics: Tensor,
-    valid: Tensor,
-    free_scale: float | Tensor,
-    alpha: float | Tensor,
-) -> tuple[Tensor, Tensor]:
-    terms = _normal_equations_numba(sdf, frame_T_object, points, semantics, valid, free_scale, alpha)
-    return terms.objective, terms.gradient
 
 
 class Discrepancy(nn.Module):
@@ -282,12 +138,18 @@ def poses_at_once(frame_T_object: Float[Tensor, "*b N 4 4"], points: int, tempor
     return max(1, CHUNK_BYTES // (frame_T_object.element_size() * temporaries * max(1, scenes * points)))
 
 
-@backend.register("discrepancy", "numba", fused.supports)
-def _discrepancy_numba(module: Discrepancy, frame_T_object: Tensor, observation: Observation) -> Tensor:
-    from sensors import discrepancy_fused
+def takes(sdf: SDF, frame_T_object: Tensor, points: Tensor) -> TypeGuard[GridSDF]:
+    """Whether compiled versions apply: a tabulated SDF, and some poses and points of the same scenes and float type."""
+    alike = frame_T_object.shape[:-3] == points.shape[:-2]
+    return alike and points.numel() > 0 and frame_T_object.numel() > 0 and grid_takes(sdf, frame_T_object, points)
 
+
+@backend.register("discrepancy", "numba", compiled.supports)
+def _discrepancy_numba(module: Discrepancy, frame_T_object: Tensor, observation: Observation) -> Tensor:
     points, semantics, valid = observation.points, observation.semantics, observation.valid
-    if not discrepancy_fused.takes(module.sdf, frame_T_object, points):
+    if not takes(module.sdf, frame_T_object, points):
         return _discrepancy(module, frame_T_object, observation)
-    ready = discrepancy_fused.prepare(module.sdf, frame_T_object, points, semantics, valid)
-    return discrepancy_fused.discrepancy(ready, frame_T_object, float(module.free_scale), -float(module.tolerance))
+    from sensors import discrepancy_numba
+
+    ready = discrepancy_numba.prepare(module.sdf, frame_T_object, points, semantics, valid)
+    return discrepancy_numba.discrepancy(ready, frame_T_object, float(module.free_scale), -float(module.tolerance))

@@ -74,11 +74,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(params=["torch", "numba"])
 def version(request: pytest.FixtureRequest) -> Iterator[str]:
-    """The plain versions of hot operations, then the fused ones; a file all of whose tests are for both asks for it."""
-    from sdf import backend
-    from sdf import compiled as fused
+    """The plain versions of hot operations, then the compiled ones; for a file all of whose tests are for both."""
+    from sdf import backend, compiled
 
-    if request.param == "numba" and not fused.available():
+    if request.param == "numba" and not compiled.available():
         pytest.skip("without numba")
     with backend.force(request.param):
         yield request.param

@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sdf.so3 import wrap
+
 
 @dataclass(frozen=True, eq=False)
 class PlanarPrior:
@@ -38,7 +40,7 @@ class PlanarPrior:
     def log_density(self, poses: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
         """Log of the density, yaw taken from each mode's by the shorter way."""
         apart = poses[..., None, :] - self.means
-        turn = torch.remainder(apart[..., 2] + math.pi, 2.0 * math.pi) - math.pi
+        turn = wrap(apart[..., 2])
         scaled = torch.cat((apart[..., :2], turn[..., None]), -1) / self.spread
         constant = 1.5 * math.log(2.0 * math.pi) + self.spread.log().sum()
         return torch.logsumexp(self.log_shares - 0.5 * scaled.square().sum(-1), -1) - constant

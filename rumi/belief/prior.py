@@ -61,8 +61,8 @@ class PosePrior:
             raise UsageError(f"Expected spread_m to be positive, got {spread_m}")
         return cls(bounds.new_tensor(tuple(mean)), spread_m, torch.stack([lying(bounds, axis) for axis in up]))
 
-    def starts(self, count: int, *, generator: torch.Generator) -> Float[Tensor, "count 4 4"]:
-        """Poses evenly over all ways, yaws and places within `REACH` standard deviations: to be weighed by `nats`.
+    def spread_poses(self, count: int, *, generator: torch.Generator) -> Float[Tensor, "count 4 4"]:
+        """Poses evenly over all ways, yaws and places within `REACH` standard deviations: weigh them.
 
         Args:
             count: how many.
@@ -78,7 +78,7 @@ class PosePrior:
         planar = torch.cat((place, 2 * math.pi * share[:, :1] - math.pi), -1)
         return se3.from_planar(planar) @ self.ways[index.long() % len(self.ways)]
 
-    def nats(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
+    def negative_log_density(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
         """Minus the log-density of poses that lie in one of the ways, up to a constant."""
         off = (world_T_object[..., :2, 3] - self.mean.to(world_T_object)) / self.spread_m
         return 0.5 * off.square().sum(-1)

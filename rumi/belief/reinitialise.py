@@ -6,13 +6,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.settling import settled
 from rumi.registration.archive import fill
 from rumi.registration.descent import DescentSettings
 from rumi.registration.register import RegisterSettings, pose_cells, register
+from rumi.weights import boltzmann
 from sensors.evidence import in_attached_frame
 from sensors.observation import Observation
 
@@ -54,7 +55,7 @@ def prior_belief(
     pose_filter: PoseFilter, memory: Observation, particles: int, *, generator: torch.Generator
 ) -> PoseBelief:
     """The belief of one scene before anything is felt: poses evenly where the prior has them, weighed by it."""
-    belief = PoseBelief.uniform(_prior(pose_filter).starts(particles, generator=generator))
+    belief = PoseBelief.uniform(_prior(pose_filter).spread_poses(particles, generator=generator))
     return _weighed(pose_filter, belief, belief.attached_T_object, pose_filter.total(belief, memory))
 
 
@@ -86,17 +87,17 @@ def redraw(
             plausible=settings.plausible,
             bins="SE(3)",
         ),
-        starts=prior.starts(settings.starts, generator=generator),
+        starts=prior.spread_poses(settings.starts, generator=generator),
         search=pose_filter.search,
-        further=lambda poses: pose_filter.beside_points(poses, belief.felt),
-        settled=lambda poses: settled(pose_filter, poses, here, belief.felt, generator=generator),
+        further=lambda poses: pose_filter.prior_and_evidence_cost(poses, belief.evidence),
+        settled=lambda poses: settled(pose_filter, poses, here, belief.evidence, generator=generator),
         generator=generator,
     )
     renewed = _weighed(pose_filter, belief, found.frame_T_object, found.discrepancy)
     if not bool(pose_filter.tipped(belief)):
         return renewed
     poses = pose_filter.descend(renewed, here, settings.fine)
-    return _weighed(pose_filter, belief, poses, pose_filter.cost(poses, here, belief.felt))
+    return _weighed(pose_filter, belief, poses, pose_filter.cost(poses, here, belief.evidence))
 
 
 def challenge(

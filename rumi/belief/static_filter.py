@@ -17,6 +17,7 @@ from torch import Tensor
 from rumi.belief.state_space import StateSpace
 from rumi.errors import DegenerateBeliefError
 from rumi.resampling import resample_systematic
+from rumi.weights import effective_sample_size, equal_weights
 from sdf import skipped_work as savings
 
 
@@ -77,7 +78,7 @@ class StaticBelief:
     @property
     def ess(self) -> float:
         """Effective sample size."""
-        return float(torch.exp(-torch.logsumexp(2.0 * self.log_weights, -1)))
+        return float(effective_sample_size(self.log_weights))
 
     @property
     def best(self) -> Tensor:
@@ -163,8 +164,7 @@ class StaticFilter:
         if ess >= self.settings.trigger * len(log):
             return belief, StaticInfo(ess, False, 0.0)
         index = resample_systematic(belief.log_weights, generator=generator)
-        even = torch.zeros_like(log).log_softmax(-1)
-        belief = StaticBelief(belief.states[index], even, belief.log_target[index])
+        belief = StaticBelief(belief.states[index], equal_weights(log), belief.log_target[index])
         if self.settings.noise is not None:
             return belief, StaticInfo(ess, True, 0.0)
         return self.moved(belief, every, ess=ess, generator=generator)

@@ -14,6 +14,7 @@ from torch import Tensor
 from rumi.belief.static_filter import StateEvidence, StaticBelief, StaticFilter
 from rumi.errors import DegenerateBeliefError
 from rumi.resampling import resample_systematic
+from rumi.weights import effective_sample_size
 
 _KEPT = 0.5
 """Share of the effective sample size that is left after each rise of the power."""
@@ -87,15 +88,11 @@ def _rise(log_weights: Float[Tensor, "N"], told: Float[Tensor, "N"], most: float
         raise DegenerateBeliefError("No particle explains the reading: more particles, or noise that fits the sensor")
     log, told = log_weights[held], told[held]
     told = told - told.max()
-    least = _KEPT * _ess(log)
+    least = _KEPT * effective_sample_size(log)
     low, high = 0.0, most
-    if _ess(log + high * told) >= least:
+    if effective_sample_size(log + high * told) >= least:
         return most
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if _ess(log + middle * told) >= least else (low, middle)
+        low, high = (middle, high) if effective_sample_size(log + middle * told) >= least else (low, middle)
     return high
-
-
-def _ess(log_weights: Float[Tensor, "N"]) -> float:
-    return float(torch.exp(2.0 * log_weights.logsumexp(-1) - (2.0 * log_weights).logsumexp(-1)))

@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.weights import effective_sample_size, equal_weights
+
 
 class TouchAction(NamedTuple):
     """What the robot did and felt.
@@ -48,7 +50,7 @@ class TouchBelief:
 
     def ess(self) -> Float[Tensor, "R"]:
         """Effective sample size of each run."""
-        return torch.exp(-torch.logsumexp(2.0 * self.log_weights, -1))
+        return effective_sample_size(self.log_weights)
 
     def at(self, rows: Tensor) -> "TouchBelief":
         """Some runs."""
@@ -72,7 +74,7 @@ class TouchBelief:
             self.lever.gather(1, index),
             tuple(part.gather(1, wide) for part in self.noise),
             self.pose.gather(1, wide),
-            torch.zeros_like(self.log_weights).log_softmax(-1),
+            equal_weights(self.log_weights),
             self.log_likelihood.gather(1, index),
         )
 

@@ -8,8 +8,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 
 By = Literal["rumi", "peer", "naive"]
 
@@ -129,7 +128,7 @@ class Setup:
     @property
     def versions(self) -> tuple[str, ...]:
         """This project's versions to time on the device."""
-        return ("torch", "numba") if self.device.type == "cpu" and fused.available() else ("torch",)
+        return ("torch", "numba") if self.device.type == "cpu" and compiled.available() else ("torch",)
 
     @property
     def peers(self) -> bool:

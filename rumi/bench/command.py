@@ -18,10 +18,11 @@ from rumi.bench.case import CASES, SLOW, Case, Setup
 from rumi.bench.machine import BUSY, environment
 from rumi.bench.measure import Result, carry_out
 from rumi.bench.timing import fitting_clock
-from rumi.commands.progress import say
+from rumi.cache import cache_folder
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, INTERRUPTED
 from rumi.runs.folder import make_folder
+from rumi.runs.progress import say
 from sdf.threads import using
 
 QUICK, WHOLE = (1.0, 3), (6.0, 9)
@@ -70,13 +71,8 @@ class BenchOptions:
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("runs/bench")
 
 
-def bench(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
-    """Carry out `rumi bench`.
-
-    Args:
-        arguments: of the command line.
-        cache_dir: folder that keeps what takes seconds to work out.
-    """
+def bench(arguments: Sequence[str]) -> int:
+    """`rumi bench`: 0 if nothing became worse, 1 if something did or variants do not agree, 2 for bad input."""
     options = tyro.cli(
         BenchOptions,
         prog="rumi bench",
@@ -88,7 +84,7 @@ def bench(arguments: Sequence[str], *, cache_dir: Path | None = None) -> int:
     with using(options.threads or torch.get_num_threads(), torch_too=True):
         if options.pareto or options.scaling:
             return _studies(options)
-        return _cases(options, cache_dir)
+        return _cases(options, cache_folder())
 
 
 def _check(options: BenchOptions) -> None:

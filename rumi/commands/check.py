@@ -12,6 +12,7 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.cache import cache_folder
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
 from sdf import se3
@@ -46,7 +47,7 @@ class CheckOptions:
     out: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("check.png")
 
 
-def check(arguments: Sequence[str], *, cache_dir: Path) -> int:
+def check(arguments: Sequence[str]) -> int:
     """`rumi check`: 0 where it could be drawn, 2 for bad input."""
     options = tyro.cli(CheckOptions, prog="rumi check", args=arguments)
     six = len(options.pose) == 6 and all(map(math.isfinite, options.pose))
@@ -74,7 +75,7 @@ def check(arguments: Sequence[str], *, cache_dir: Path) -> int:
         raise UsageError("Expected a log with a first reading at least, got none: there is nothing to draw")
     if not 0 <= options.step < len(taken):
         raise UsageError(f"Expected --step 0 to {len(taken) - 1}, the readings of {options.log}, got {options.step}")
-    rummager = rummager_of(settings, mapping, taken, cache_dir)
+    rummager = rummager_of(settings, mapping, taken, cache_folder())
     if options.pose:
         x, y, z, roll, pitch, yaw = options.pose
         pose, whose = Fixed("", "", (x, y, z), (roll, pitch, yaw)).pose(), "the pose that was given"

@@ -31,7 +31,7 @@ class Decisions:
 
     def __call__(self, step: StepRecord) -> None:
         """Count a step."""
-        if step.control is None:
+        if getattr(step, "control", None) is None:
             return
         self._account.add("resamplings", Work(float(step.resampled), 1.0))
         self._account.add("plans", Work(float(step.plan is not self._last), 1.0))

@@ -1,7 +1,5 @@
 """The command `rumi replay`: a recorded log in the robot's place."""
 
-import contextlib
-import io
 import json
 import math
 import sys
@@ -13,10 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import torch
 import tyro
 
-from rumi.commands.progress import Progress, both, say
+from rumi.cache import cache_folder
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.logbook import LOG
+from rumi.runs.progress import Progress, both, say
+from rumi.tasks.rummage.entry import describe, ending
 from rumi.tasks.rummage.settings import Settings, from_dict, to_dict
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ the one that it would have had on the same readings.
     rumi replay pushes.h5 --map other.toml
 
 All settings of `rumi run` are flags; the log's own are where they start from. What was done is recorded, so that those
-of the planner change nothing, and those of the task and the simulator are refused. The log of a fused
-run has settings of its own: rumi replay LOG --help."""
+of the planner change nothing, and those of the task and the simulator are refused. The log of a run of
+the handle task has settings of its own: rumi replay LOG --help."""
 
 _HELP_FLAGS = {"--help", "-h"}
 _RECORDED = ("task", "simulator")
@@ -60,32 +60,39 @@ class ReplayOptions:
     figures: bool = False
 
 
-def replay(arguments: Sequence[str], *, cache_dir: Path) -> int:
+def replay(arguments: Sequence[str]) -> int:
     """`rumi replay`: 0 if the belief became sure, 1 if not or if it is not the recorded one, 2 for bad input."""
-    from rumi.commands.flags import check_flags
-    from rumi.commands.replay_handle import fused_log, replay_of_fused
+    from rumi.commands.replay_handle import is_of_handle, replay_handle
 
-    if (path := fused_log(arguments)) is not None:
-        return replay_of_fused(arguments, path, cache_dir=cache_dir)
-    check_flags(arguments, ("out", "map"), ("figures",))
-    named, asked = _named(arguments)
-    if named is None:
+    if not arguments or arguments[0].startswith("-"):
         if _HELP_FLAGS & set(arguments):
             _parsed(arguments, Path("LOG"), Settings())
-        raise UsageError("Which log? Give its file or its run's folder, as in `rumi replay runs/mug-0-rumi-default-s0`")
+        raise UsageError(
+            "Expected the log first, its file or its run's folder, as in `rumi replay runs/mug-0-rumi-default-s0`"
+        )
+    asked, _ = tyro.cli(_Map, args=arguments, default=_Map(), add_help=False, return_unknown_args=True)
     from sensors.log.errors import LogError
 
-    path = log_path(named)
+    path = log_path(Path(arguments[0]))
     try:
         from sensors.log.reader import Log
 
         with Log(path) as log:
-            mapping = mapping_of_log(log, asked)
+            if is_of_handle(log):
+                return replay_handle(log, arguments, cache_folder())
+            mapping = mapping_of_log(log, asked.map)
             recorded = recorded_settings(log, mapping)
             options = _parsed(arguments, path, recorded)
-            return _replay(log, options, recorded, mapping, cache_dir)
+            return _replay(log, options, recorded, mapping, cache_folder())
     except LogError as error:
         raise UsageError(str(error)) from error
+
+
+@dataclass(frozen=True)
+class _Map:
+    """The option that decides what the settings start from."""
+
+    map: Path | None = None
 
 
 def log_path(path: Path) -> Path:
@@ -99,21 +106,6 @@ def log_path(path: Path) -> Path:
     if not (path / LOG).is_file():
         raise UsageError(f"{path} has no {LOG}: it was not recorded; `rumi run --record` does")
     return path / LOG
-
-
-def _named(arguments: Sequence[str]) -> tuple[Path | None, Path | None]:
-    """The log and the mapping file that a command line names, wherever they stand in it.
-
-    The settings start from the log's own, which are not known before it is found: here from those of no log.
-    """
-    bare = [argument for argument in arguments if argument not in _HELP_FLAGS]
-    try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            options = tyro.cli(ReplayOptions, args=bare, default=ReplayOptions(Path(), Settings()))
-    except (SystemExit, ValueError):  # told once the log's settings are known
-        first = next((Path(argument) for argument in bare if not argument.startswith("-")), None)
-        return first, None
-    return (None if options.log == Path() and "." not in bare else options.log), options.map
 
 
 def mapping_of_log(log: "Log", asked: Path | None) -> "BagMap | None":
@@ -144,11 +136,13 @@ def recorded_settings(log: "Log", mapping: "BagMap | None") -> Settings:
     """The settings of the run that made a log, or of the mapping of one that none made.
 
     Raises:
-        UsageError: it is of a fused run, which has others.
+        UsageError: it is of the handle task, which has others.
     """
     if mapping is None:
-        if (log.settings or {}).get("task") == "fused":
-            raise UsageError(f"{log.path} is of a fused run, whose settings are others: `rumi replay` reads it")
+        from rumi.commands.replay_handle import is_of_handle
+
+        if is_of_handle(log):
+            raise UsageError(f"{log.path} is of the handle task, whose settings are others: `rumi replay` reads it")
         return from_dict(log.settings or {})
     from rumi.rosbag.scene import settings_of
 
@@ -184,7 +178,7 @@ def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "Ba
     rummager = rummager_of(settings, mapping, taken, cache_dir)
     _check_object(log, rummager)
     elsewhere = _elsewhere(settings, taken)
-    with Progress(settings.task, len(taken) - 1) as progress:
+    with Progress(settings.task, len(taken) - 1, describe) as progress:
         if options.out is None:
             done = take_in(taken, rummager, seed=settings.seed, on_step=progress, wrap=elsewhere)
         else:
@@ -228,11 +222,10 @@ def summary(
         name: of the task.
         go_on: how to take in readings after the belief is sure.
     """
-    from rumi.commands.run import ending
-
     result = done.result
     used = len(done.same)
-    lines = ending(result, name)
+    first, *lines = ending(result)
+    lines = [f"{name}: {first}", *lines]
     if used < readings:
         lines.append(f"readings {used} of {readings}: sure before the log's end{go_on}")
     x, y, z = done.last.belief.mode()[:3, 3].tolist()

@@ -1,4 +1,4 @@
-"""The command `rumi replay` of a fused run's log."""
+"""The command `rumi replay` of a log of the handle task."""
 
 import sys
 from collections.abc import Sequence
@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from rumi.commands.progress import Progress, both, say
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
-from rumi.runs.logbook import LOG
+from rumi.runs.progress import Progress, both, say
 from rumi.tasks.handle.settings import FusedSettings
+from rumi.tasks.rummage.entry import describe
 
 if TYPE_CHECKING:
     from sensors.log.reader import Log
 
-_HELP = """Take in the log of a fused run as if its robot were there: the belief that the live run had, or, with other
+_HELP = """Take in the log of a run of the handle task as if its robot were there: the belief that the live run had, or, with other
 settings, the one that it would have had on the same readings.
 
-    rumi replay runs/fused-all-s0
-    rumi replay runs/fused-all-s0/log.h5 --wrist.outlier 0.3 --out what-if
+    rumi replay runs/handle-all-s0
+    rumi replay runs/handle-all-s0/log.h5 --wrist.outlier 0.3 --out what-if
 
 The log's own settings are where the flags start from. What was done is recorded, so that budget and thinking change
 nothing, and what decides what was sensed is refused. Nothing is grasped."""
@@ -46,47 +46,23 @@ class FusedReplayOptions:
     figures: bool = False
 
 
-def fused_log(arguments: Sequence[str]) -> Path | None:
-    """The log of a fused run that is among the arguments; None where there is none."""
-    found = [Path(argument) for argument in arguments if not argument.startswith("-")]
-    for path in (path / LOG if path.is_dir() else path for path in found):
-        if not path.is_file():
-            continue
-        from sensors.log.errors import LogError
-        from sensors.log.reader import Log
-
-        try:
-            with Log(path) as log:
-                if (log.settings or {}).get("task") == "fused":
-                    return path
-        except LogError:  # another file, or one that `rumi replay` has words for
-            continue
-    return None
+def is_of_handle(log: "Log") -> bool:
+    """Whether a log is of the handle task, also under its name before, "fused"."""
+    return (log.settings or {}).get("task") in ("handle", "fused")
 
 
-def replay_of_fused(arguments: Sequence[str], path: Path, *, cache_dir: Path | None) -> int:
+def replay_handle(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int:
     """`rumi replay` of such a log: 0 if the belief became sure, 1 if not or if it is not the recorded one."""
-    from sensors.log.errors import LogError
-    from sensors.log.reader import Log
-
-    try:
-        with Log(path) as log:
-            return _replay(log, arguments, cache_dir)
-    except LogError as error:
-        raise UsageError(str(error)) from error
-
-
-def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int:
     from rumi.commands.replay import machines, summary
     from rumi.runs.folder import RunRecorder, load_run, prepare_folder
     from rumi.tasks.handle.finder import build_finder
     from rumi.tasks.handle.log import IDLE, differing, recorded, refuse_other_senses, replay_fused
     from rumi.tasks.rummage.build import scene_sketch
-    from sensors.contact_reading import FeltReading
+    from sensors.contact_reading import ContactReading
 
     known = recorded(log)
     if known is None:
-        raise UsageError(f"Expected the log of a fused run, got {log.path}")
+        raise UsageError(f"Expected the log of a run of the handle task, got {log.path}")
     seed, before = known
     start = FusedReplayOptions(log.path, before, seed)
     options = tyro.cli(FusedReplayOptions, prog="rumi replay", description=_HELP, args=arguments, default=start)
@@ -102,14 +78,14 @@ def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int
         prepare_folder(options.out)
     elif options.figures:
         raise UsageError("Expected --out DIR with --figures, got none: figures need a folder")
-    taken = log.taken(FeltReading)
+    taken = log.taken(ContactReading)
     for problem in log.problems:
         say(problem)
-    with Progress("fused", len(taken) - 1) as progress:
+    with Progress("handle", len(taken) - 1, describe) as progress:
         if options.out is None:
             done = replay_fused(taken, finder, seed=options.seed, on_step=progress)
         else:
-            asked = {"task": "fused", "seed": options.seed, "fused": settings}
+            asked = {"task": "handle", "seed": options.seed, "handle": settings}
             with RunRecorder(options.out, asked) as recorder:
                 recorder.scene(scene_sketch(finder.rummager))
                 done = replay_fused(taken, finder, seed=options.seed, on_step=both(recorder, progress))
@@ -119,7 +95,7 @@ def _replay(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int
 
         make_figures(load_run(options.out), options.out / "figures", None)
     mattering = [name for name in changed if name not in idle]
-    sys.stdout.write(summary(done, len(taken), mattering, options.out, "fused", go_on=""))
+    sys.stdout.write(summary(done, len(taken), mattering, options.out, "handle", go_on=""))
     if not mattering and False in done.same:
         for line in machines(log):
             say(line)

@@ -1,202 +1,127 @@
-"""`rumi run`: one run of a task, its folder and its figures."""
+"""The command `rumi run`: a run of a task, its folder and its figures."""
 
-import contextlib
-import gc
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Generic, TypeVar
 
 import tyro
 
-from rumi.belief.motion import Motion
+from rumi import loop
+from rumi.cache import cache_folder
 from rumi.commands.explain import Decisions, explain
-from rumi.commands.flags import asked_preset, check_flags
-from rumi.commands.progress import Progress, both, say, stages
-from rumi.dynamics.registry import PushChoice
+from rumi.commands.former_flags import renamed
+from rumi.commands.tasks import listing
 from rumi.errors import UsageError
-from rumi.exit_codes import DONE, INTERRUPTED, NOT_CONVERGED
-from rumi.records import RunResult
-from rumi.runs.folder import RunRecorder, free_folder, left_if_begun, load_run, prepare_folder, provenance, write_json
-from rumi.runs.logbook import LOG, LogRecorder
-from rumi.sim.sensor_settings import SensorKind, degraded
-from rumi.task import Task
-from rumi.tasks.rummage.settings import Settings, preset, to_dict
-from sdf import skipped_work as savings
+from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
+from rumi.runs.folder import free_folder, left_if_begun, prepare_folder
+from rumi.runs.progress import Progress, both, say
+from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
+from sdf import skipped_work
 
-_RUN_HELP = """Find an object by touch, in simulation; `rumi tasks` lists what there is.
+S = TypeVar("S")
 
-    rumi run mug-0
-    rumi run mug-1 --method info-only --seed 3
-    rumi run mug-0 --preset paper --steps 10 --out my-run
-    rumi run mug-0 --planner.mppi.samples 100 --stop.rule never
-    rumi run mug-0 --mesh drill.obj --scale 0.001 --mass 0.9
-    rumi run mug-0 --sensor both --degraded
+_HELP = """\
+usage: rumi run TASK [options]
 
-Every setting below is a flag; --preset sets where the others start from."""
+Carry out a task in simulation. `rumi run TASK --help` lists all its settings with their defaults. The tasks:
+
+"""
 
 
 @dataclass(frozen=True)
-class RunOptions:
+class RunOptions(Generic[S]):
     """Options of `rumi run`.
 
     Attributes:
         settings: of the run.
-        motion: how the object's motion is known: measured by a slip sensor, sticking to the tool, pushed as a
-            quasi-static model has it, estimated from what was sensed (Alg 5), or corrected, pushed and then estimated;
-            short for --filter.motion.
-        push_model: how the planner expects the object to move; short for --planner.push-model.
-        sensor: through what the simulator reports: points at the pads, a camera's images, soft bubbles', or both; short
-            for --simulator.sensors.kind.
-        degraded: give those images noise, lose a tenth, and let them be late and off in calibration.
-        out: folder of the run; by default runs/TASK-METHOD-PRESET-sSEED, with a number where that is taken.
+        preset: where the settings start from.
+        out: folder of the run; by default one in runs/, named after the settings, with a number where that is taken.
         figures: draw figures at the end.
         explain: say at the end what was skipped, since the scene did not need it, and what that saved.
         record: write a log too, log.h5 in the run's folder, for `rumi replay`.
     """
 
-    settings: Annotated[Settings, tyro.conf.arg(name="")]
-    motion: Motion | None = None
-    push_model: PushChoice | None = None
-    sensor: SensorKind | None = None
-    degraded: bool = False
+    settings: Annotated[S, tyro.conf.arg(name="")]
+    preset: str = "default"
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = True
     explain: bool = False
     record: bool = False
 
 
-def run(arguments: Sequence[str], *, cache_dir: Path) -> int:
-    """Carry out `rumi run`: one run, its folder and its figures."""
-    options = parse_run(arguments)
-    settings = options.settings
-    # what can be wrong is looked at before anything that takes time
-    from rumi.tasks.rummage.scenes import find_task
-
-    spec = find_task(settings.task)
-    steps = spec.steps if settings.steps is None else settings.steps
-    if steps > spec.steps:
-        raise UsageError(f"Expected steps to be at most the {spec.steps} of {spec.name}, got {steps}")
-    device = settings.torch_device
-    from rumi.loop import rummage
-    from rumi.tasks.rummage.build import build, scene_sketch
-    from rumi.tasks.rummage.objects import record
-
-    folder = default_folder(settings) if options.out is None else options.out
+def run(arguments: Sequence[str]) -> int:
+    """`rumi run`: 0 if the run succeeded by its own rule, 1 if not, 2 for bad input, 130 after Ctrl-C."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        (sys.stdout if arguments else sys.stderr).write(_HELP + listing())
+        return DONE if arguments else BAD_INPUT
+    name, entry, options = parse(arguments)
+    settings, notes = options.settings, entry.check(options.settings)
+    label = entry.label(settings)
+    folder = options.out or free_folder(Path("runs") / label)
     prepare_folder(folder)
-    asked = f"{settings.task} with {settings.method} ({settings.preset}), seed {settings.seed}, on {device}"
-    say(f"{asked}; writing to {folder}")
-    if settings.object.mesh is not None:
-        say(f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)")
+    for line in (f"{label}; writing to {folder}", *notes):
+        say(line)
     with left_if_begun(folder):
-        task, rummager = build(settings, cache_dir=cache_dir)
-    if settings.budget_s is not None:
-        # to look through all that was loaded for garbage takes up to tenths of a second, in the midst of a plan
-        gc.freeze()
+        parts = entry.build(settings, cache_dir=cache_folder())
     with (
-        RunRecorder(folder, to_dict(settings)) as recorder,
-        _log(options, folder, record(rummager.model), task) as log,
-        savings.account() as account,
+        parts,
+        entry.recorder(folder, settings, parts, log=options.record) as recorder,
+        skipped_work.account() as account,
     ):
-        write_json(folder / "object.json", record(rummager.model))
-        recorder.scene(scene_sketch(rummager))
-        try:
-            with Progress(settings.task, steps) as progress:
-                on_step = both(recorder, *([] if log is None else [log]), progress, Decisions(account))
-                result = rummage(task, rummager, seed=settings.seed, steps=steps, on_step=on_step)
-        finally:
-            task.close()
+        steps = entry.steps(settings)
+        with Progress(name, steps, entry.describe) as progress:
+            on_step = both(recorder, progress, Decisions(account))
+            result = loop.run(*parts, seed=settings.seed, steps=steps, on_step=on_step)
         recorder.finish(result)
-        if log is not None:
-            log.finish(result)
-            if (raw := getattr(task, "raw", None)) is not None:
-                (folder / "map.toml").write_text(raw.mapping(settings.object), encoding="utf-8")
-    if options.figures and result.stopped_by != "interrupted":
+    interrupted = result.stopped_by == "interrupted"
+    if options.figures and not interrupted:
         say("drawing figures")
-        draw_figures(folder, folder / "figures", None)
-    sys.stdout.write(summary(result, folder, settings.task))
+        entry.draw(folder, settings, result)
+    first, *lines = entry.summary(settings, result)
+    sys.stdout.write("\n  ".join([f"{name}: {first}", *lines, f"folder   {folder}"]) + "\n")
     if options.explain:
         sys.stdout.write(explain(account))
-    return {"converged": DONE, "steps": NOT_CONVERGED, "interrupted": INTERRUPTED}[result.stopped_by]
+    if interrupted:
+        return INTERRUPTED
+    return DONE if entry.success(result) else NOT_CONVERGED
 
 
-def _log(
-    options: RunOptions, folder: Path, about: dict[str, Any], task: Task
-) -> contextlib.AbstractContextManager[LogRecorder | None]:
-    """The log of a run, if one was asked for; what its sensors give unread goes there too."""
-    if not options.record:
-        return contextlib.nullcontext()
-    settings, texts = options.settings, {"object": about, "made_with": provenance()}
-    raw = getattr(task, "raw", None)
-    kinds = None if raw is None else raw.kinds()
-    log = LogRecorder(folder / LOG, to_dict(settings), texts, dtype=settings.torch_dtype, raw=kinds)
-    if raw is not None:
-        raw.sink = log.raw
-    return log
+def parse(arguments: Sequence[str]) -> tuple[str, TaskEntry[Any], RunOptions[Any]]:
+    """The task of a command line, by its name, and the options; the settings start from the preset asked for.
 
-
-def parse_run(arguments: Sequence[str]) -> RunOptions:
-    """Options of `rumi run`; the settings start from the preset that is asked for.
+    Args:
+        arguments: of `rumi run`, the task's name first.
 
     Raises:
-        UsageError: an unknown preset or setting; the message lists the valid ones.
+        UsageError: there is no such task or preset, or a setting that cannot be.
         SystemExit: for all else that is wrong, after a message, and for help.
     """
-    start = replace(preset(asked_preset(arguments)), task="")
-    check_flags(arguments, ("motion", "push-model", "sensor", "out"), ("figures", "explain", "degraded", "record"))
-    options = tyro.cli(
-        RunOptions,
-        prog="rumi run",
-        description=_RUN_HELP,
-        args=arguments,
-        default=RunOptions(start),
+    name = arguments[0]
+    if name.startswith("-"):
+        raise UsageError(f"Expected the task first, as in `rumi run mug-0 {' '.join(arguments[:2])}`, got {name}")
+    if name in FORMER_NAMES:
+        say(f"the task {name} is now {FORMER_NAMES[name]}")
+        name = FORMER_NAMES[name]
+    entry = TASKS[name]
+    flags = renamed(entry.settings, arguments[1:])
+    # the settings start from a preset, which has to be known before their flags are read
+    asked, _ = tyro.cli(
+        _Preset, args=flags, default=_Preset(entry.presets[0]), add_help=False, return_unknown_args=True
     )
-    if not options.settings.task:
-        raise UsageError("Which task? Give its name, as in `rumi run mug-0`; `rumi tasks` lists them")
-    settings = options.settings
-    if options.motion is not None:
-        settings = replace(settings, filter=replace(settings.filter, motion=options.motion))
-    if options.push_model is not None:
-        settings = replace(settings, planner=replace(settings.planner, push_model=options.push_model))
-    if options.sensor is not None or options.degraded:
-        own = settings.simulator.sensors
-        kind = own.kind if options.sensor is None else options.sensor
-        if options.degraded and kind == "points":
-            raise UsageError("--degraded is of images: give --sensor camera, bubbles or both with it")
-        own = degraded(kind) if options.degraded else replace(own, kind=kind)
-        settings = replace(settings, simulator=replace(settings.simulator, sensors=own))
-    return replace(options, settings=settings)
+    options: RunOptions[Any] = tyro.cli(
+        RunOptions[entry.settings],  # type: ignore[name-defined]
+        prog=f"rumi run {name}",
+        description=f"{entry.description}. The presets are {', '.join(entry.presets)}.",
+        args=flags,
+        default=RunOptions(entry.preset(asked.preset), asked.preset),
+    )
+    return name, entry, options
 
 
-def default_folder(settings: Settings, root: Path = Path("runs")) -> Path:
-    """A folder of `root` that holds no run yet, named after the settings."""
-    own = "" if settings.object.mesh is None else f"-{Path(settings.object.mesh).stem}"
-    name = f"{settings.task}{own}-{settings.method}-{settings.preset}-s{settings.seed}"
-    return free_folder(root / name)
+@dataclass(frozen=True)
+class _Preset:
+    """The one option that decides what the others start from."""
 
-
-def summary(result: RunResult, folder: Path, name: str) -> str:
-    """A few lines on how a run ended."""
-    lines = [*ending(result, name)]
-    lines.append(f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}")
-    lines.append(f"folder   {folder}")
-    return "\n  ".join(lines) + "\n"
-
-
-def ending(result: RunResult, name: str) -> list[str]:
-    """The lines on what a run came to know."""
-    ended = {"converged": "sure", "steps": "not sure", "interrupted": "interrupted"}[result.stopped_by]
-    judged = {True: ", and right", False: ", and wrong", None: ""}[result.right]
-    lines = [f"{name}: {ended} after {result.steps} actions, {result.contacts} of them in contact{judged}"]
-    if result.position_error_mm is not None and result.rotation_error_deg is not None:
-        lines.append(f"pose     off by {result.position_error_mm:.1f} mm and {result.rotation_error_deg:.1f} degrees")
-    known = "" if result.final_nll is None else f"{result.final_nll:.1f} at the end, {result.min_nll:.1f} at best; "
-    return [*lines, f"nll      {known}the belief expects {result.expected_nll:.1f}"]
-
-
-def draw_figures(folder: Path, out: Path, steps: Sequence[int] | None) -> list[Path]:
-    """Draw the figures of a recorded run; the paths of the files."""
-    from rumi.viz.figures import make_figures
-
-    return make_figures(load_run(folder), out, steps)
+    preset: str

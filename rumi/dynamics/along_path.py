@@ -12,6 +12,7 @@ from rumi.dynamics.sliding import Outline, Sliding, push, rotated
 from sdf import backend
 from sdf import compiled as fused
 from sdf.check import check_finite, check_shape, may_look
+from sdf.so3 import wrap
 
 
 class Pusher(NamedTuple):
@@ -167,7 +168,7 @@ def distance_to(
 def unwrapped(path: Float[Tensor, "*b T 3"]) -> Float[Tensor, "*b T 3"]:
     """The same path without jumps of the yaw from pi to -pi."""
     yaw = path[..., 2]
-    step = torch.remainder(yaw[..., 1:] - yaw[..., :-1] + torch.pi, 2.0 * torch.pi) - torch.pi
+    step = wrap(yaw[..., 1:] - yaw[..., :-1])
     whole = torch.cat((yaw[..., :1], yaw[..., :1] + step.cumsum(-1)), -1)
     return torch.cat((path[..., :2], whole[..., None]), -1)
 

@@ -9,13 +9,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from rumi.information.neighbours import check_weights
+from rumi.weights import check_weights
 from sdf import backend
 from sdf import compiled as fused
 from sdf import skipped_work as savings
 from sdf.base import SDF
 from sdf.check import check_finite, check_shape, may_look
-from sdf.grid_fused import takes
+from sdf.grid_sdf import takes
 from sdf.posed import about_first, posed_distance
 
 InformationMode = Literal["surrogate", "reverse_kl", "forward_kl", "sensor_mi"]

@@ -10,7 +10,7 @@ from rumi.fields.information import WorkspaceFields
 from rumi.fields.information_numba import FORWARD, REVERSE, SENSOR, SURROGATE, field
 from sdf.grid_sdf import GridSDF
 from sdf.posed import common_height
-from sdf.posed_fused import pose_planes, table_arguments
+from sdf.posed_numba import pose_planes, table_arguments
 
 _MODES = {"sensor_mi": SENSOR, "surrogate": SURROGATE, "reverse_kl": REVERSE, "forward_kl": FORWARD}
 

@@ -11,7 +11,7 @@ from sdf import compiled as fused
 from sdf import skipped_work as savings
 from sdf.base import SDF
 from sdf.check import check_shape
-from sdf.grid_fused import takes
+from sdf.grid_sdf import takes
 from sdf.posed import posed_query
 
 CHUNK_BYTES = 64 * 2**20

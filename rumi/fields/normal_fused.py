@@ -8,7 +8,7 @@ from torch import Tensor
 from rumi.fields.normal_numba import normal
 from sdf.grid_sdf import GridSDF
 from sdf.posed import common_height
-from sdf.posed_fused import pose_planes, table_arguments
+from sdf.posed_numba import pose_planes, table_arguments
 
 
 def fused_normal(

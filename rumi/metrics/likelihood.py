@@ -115,7 +115,8 @@ def _self_agreement_numba(
     pose: Tensor, log_weights: Tensor, points: Tensor, sdf: SDF, sharpness: float, tolerance: float
 ) -> tuple[Tensor, Tensor]:
     """The same pair by pair, without a table of all."""
-    from sdf.grid_fused import grid_arguments, takes
+    from sdf.grid_numba import grid_arguments
+    from sdf.grid_sdf import takes
 
     if not takes(sdf, pose, points) or pose.numel() == 0 or len(points) == 0:
         return _self_agreement(pose, log_weights, points, sdf, sharpness, tolerance)

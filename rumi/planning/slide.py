@@ -11,6 +11,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.fields.normal import expected_normal
 from rumi.planning.policy import Plan, Scene
 from sdf import se3
+from sdf.so3 import wrap
 from sensors.semantics import Semantics
 
 CLOCKWISE, COUNTER_CLOCKWISE = "clockwise", "counter-clockwise"
@@ -119,7 +120,7 @@ class SlidePolicy:
         if not self.settings.face or float(towards.norm()) < _TINY:
             return none
         wanted = torch.atan2(towards[1], towards[0]) - scene.configuration[-1]
-        return (torch.remainder(wanted + math.pi, 2.0 * math.pi) - math.pi + none) / scene.tool.scale[-1]
+        return (wrap(wanted) + none) / scene.tool.scale[-1]
 
 
 def estimated_centre(belief: PoseBelief, scene: Scene) -> Float[Tensor, "3"]:

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from rumi.registration.descent import Terms
 from rumi.registration.touch_surface import TouchSurface
-from sdf import backend, so3
-from sdf import compiled as fused
+from sdf import backend, compiled, so3
 from sdf.mesh.touched import touched_face
 from sdf.mesh.triangles import closest_point
 
@@ -113,7 +112,7 @@ def _terms_of(surface: TouchSurface, pose: Tensor, points: Tensor, normals: Tens
     return Terms(objective, gradient, hessian)
 
 
-@backend.register("touch_terms", "numba", fused.supports)
+@backend.register("touch_terms", "numba", compiled.supports)
 def _terms_fused(surface: TouchSurface, pose: Tensor, points: Tensor, normals: Tensor, fit: TouchFit) -> Terms:
     from rumi.registration.contact_terms_numba import terms_kernel
 

@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from sdf import backend, se3, so3
-from sdf import compiled as fused
+from sdf import backend, compiled, se3, so3
 from sdf.posed import posed_distance, posed_query
 from sensors.discrepancy import Discrepancy, poses_at_once, residuals
 from sensors.observation import Observation
@@ -127,7 +126,7 @@ def _descend(
     return gauss_newton(terms, frame_T_object, search, settings, damping_floor)
 
 
-@backend.register("descend", "numba", fused.supports)
+@backend.register("descend", "numba", compiled.supports)
 def _descend_numba(
     discrepancy: Discrepancy,
     frame_T_object: Tensor,
@@ -136,7 +135,7 @@ def _descend_numba(
     settings: DescentSettings,
 ) -> Tensor:
     from rumi.registration.descent_fused import descend as fused_descend
-    from sensors.discrepancy_fused import takes
+    from sensors.discrepancy import takes
 
     sdf = discrepancy.sdf
     if settings.method != "gauss-newton" or not takes(sdf, frame_T_object, observation.points):

@@ -9,7 +9,7 @@ from rumi.registration.descent import DescentSettings, Search
 from rumi.registration.descent_numba import descend as kernel
 from sdf.grid_sdf import GridSDF
 from sensors.discrepancy import Discrepancy
-from sensors.discrepancy_fused import prepare
+from sensors.discrepancy_numba import prepare
 from sensors.observation import Observation
 
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from sdf.compiled import Kernel
-from sdf.grid_numba import at, exact, fast, lattice_of, put, value
+from sdf.grid_numba import at, exact, fast, lattice_of, put, value, value_and_gradient
 from sdf.part_numba import indices
-from sensors.discrepancy_numba import gather, placed, terms_of, to_frame
+from sensors.discrepancy_numba import placed
 from sensors.tiles_numba import local, near_points
 
 
@@ -28,6 +28,101 @@ def _violable(near, count, pose, flat, lattice, margin, centre, reach):
                     near[row, left] = near[row, n]
                 left += 1
     return left
+
+
+@fast
+def _terms(points, count, pose, flat, lattice, free_scale, alpha, terms):
+    """Objective, gradient (6) and upper Hessian (21) of points (x, y, z, sign; 0 for surface) into `terms`.
+
+    The tangent is that of an object that stays while the points move, along the object's axes.
+    """
+    zero, one, half = flat.dtype.type(0.0), flat.dtype.type(1.0), flat.dtype.type(0.5)
+    cost = g0 = g1 = g2 = g3 = g4 = g5 = zero
+    h00 = h01 = h02 = h03 = h04 = h05 = h11 = h12 = h13 = h14 = h15 = zero
+    h22 = h23 = h24 = h25 = h33 = h34 = h35 = h44 = h45 = h55 = zero
+    room, given = points.shape[1], points.reshape(-1)
+    for m in range(count):
+        x, y, z = local(at(given, m), at(given, room + m), at(given, 2 * room + m), pose)
+        v, a, b, c = value_and_gradient(x, y, z, flat, lattice)
+        d, e, f = y * c - z * b, z * a - x * c, x * b - y * a
+        sign = at(given, 3 * room + m)
+        surface = sign == zero
+        short = alpha - sign * v
+        residual = v if surface else (-sign * short if short > zero else zero)
+        weight = one if surface else (free_scale if short > zero else zero)
+        pull = weight * residual
+        cost += pull * residual
+        g0 += pull * a
+        g1 += pull * b
+        g2 += pull * c
+        g3 += pull * d
+        g4 += pull * e
+        g5 += pull * f
+        p, q, r, s, t, u = weight * a, weight * b, weight * c, weight * d, weight * e, weight * f
+        h00 += p * a
+        h01 += p * b
+        h02 += p * c
+        h03 += p * d
+        h04 += p * e
+        h05 += p * f
+        h11 += q * b
+        h12 += q * c
+        h13 += q * d
+        h14 += q * e
+        h15 += q * f
+        h22 += r * c
+        h23 += r * d
+        h24 += r * e
+        h25 += r * f
+        h33 += s * d
+        h34 += s * e
+        h35 += s * f
+        h44 += t * e
+        h45 += t * f
+        h55 += u * f
+    terms[0] = half * cost
+    terms[1], terms[2], terms[3], terms[4], terms[5], terms[6] = g0, g1, g2, g3, g4, g5
+    terms[7], terms[8], terms[9], terms[10], terms[11], terms[12] = h00, h01, h02, h03, h04, h05
+    terms[13], terms[14], terms[15], terms[16], terms[17] = h11, h12, h13, h14, h15
+    terms[18], terms[19], terms[20], terms[21] = h22, h23, h24, h25
+    terms[22], terms[23], terms[24], terms[25], terms[26], terms[27] = h33, h34, h35, h44, h45, h55
+
+
+@exact
+def _to_frame(terms, pose, gradient, hessian, work):
+    """Gradient (6) and Hessian (6, 6) of a moving object, along the axes of the frame, from `_terms`."""
+    k = 7
+    for i in range(6):
+        for j in range(i, 6):
+            work[i, j] = work[j, i] = terms[k]
+            k += 1
+    for half in range(2):
+        for i in range(3):
+            gradient[3 * half + i] = -(
+                pose[3 * i] * terms[1 + 3 * half]
+                + pose[3 * i + 1] * terms[2 + 3 * half]
+                + pose[3 * i + 2] * terms[3 + 3 * half]
+            )
+    # R H R^T by blocks: rows first, columns into the result
+    for half in range(2):
+        for j in range(6):
+            x, y, z = work[3 * half, j], work[3 * half + 1, j], work[3 * half + 2, j]
+            for i in range(3):
+                work[3 * half + i, j] = pose[3 * i] * x + pose[3 * i + 1] * y + pose[3 * i + 2] * z
+    for half in range(2):
+        for j in range(6):
+            x, y, z = work[j, 3 * half], work[j, 3 * half + 1], work[j, 3 * half + 2]
+            for i in range(3):
+                hessian[j, 3 * half + i] = pose[3 * i] * x + pose[3 * i + 1] * y + pose[3 * i + 2] * z
+
+
+@exact
+def _gather(surface, counts, near, count):
+    """Puts the surface points behind the first `count` of `near`; how many there are then."""
+    for m in range(counts[0]):
+        near[0, count + m], near[1, count + m], near[2, count + m] = surface[0, m], surface[1, m], surface[2, m]
+        near[3, count + m] = 0.0
+    return count + counts[0]
 
 
 @exact
@@ -123,14 +218,14 @@ def _descend(
         start = placed(poses[b, n])
         near, count = near_points(own, start, flat, lattice, steepness, margin, counts[b, 0])
         count = _violable(near, count, start, flat, lattice, margin, centres[b], reaches[b])
-        count = gather(surface[b], counts[b], near, count)
+        count = _gather(surface[b], counts[b], near, count)
         floor = max(counts[b, 0], 1)
         terms, gradient, hessian, work = np.empty(28), np.empty(6), np.empty((6, 6)), np.empty((6, 6))
         system, step = np.empty((size, size)), np.empty(12)
         pose, candidate = result[b, n], poses[b, n].copy()
         pose[:] = candidate
-        terms_of(near, count, start, flat, lattice, free_scale, alpha, terms)
-        to_frame(terms, start, gradient, hessian, work)
+        _terms(near, count, start, flat, lattice, free_scale, alpha, terms)
+        _to_frame(terms, start, gradient, hessian, work)
         objective, damping, done = terms[0], 1e-3, 1
         for _ in range(iterations):
             found, decrease = _step(gradient, hessian, freedom, damping, floor, lever, limits, system, step)
@@ -139,11 +234,11 @@ def _descend(
             if found:
                 _retract(pose, step, candidate)
                 place = placed(candidate)
-                terms_of(near, count, place, flat, lattice, free_scale, alpha, terms)
+                _terms(near, count, place, flat, lattice, free_scale, alpha, terms)
                 done += 1
             if found and terms[0] < objective:
                 pose[:] = candidate
-                to_frame(terms, place, gradient, hessian, work)
+                _to_frame(terms, place, gradient, hessian, work)
                 objective, damping = terms[0], max(damping * 0.2, 1e-6)
             else:
                 damping = min(damping * 20.0, 1e6)

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from rumi.robot.reach_table import SECTOR_RAD, ReachSettings, ReachTable, reach_table
 from sdf.check import check_shape
+from sdf.so3 import wrap
 
 YAWS_RAD = tuple(math.radians(angle) for angle in range(-60, 61, 15))
 """Orientations that `Reach.field` averages over, relative to the arm's forward direction."""
@@ -105,7 +106,7 @@ class Reach(nn.Module):
         """Distance from the base's axis (m), angle from its forward direction, yaw relative to the radial one."""
         offset = q[..., :2] - self.base[:2]
         direction = torch.atan2(offset[..., 1], offset[..., 0])
-        return offset.norm(dim=-1), _wrap(direction - self.base[2]), _wrap(q[..., -1] - direction)
+        return offset.norm(dim=-1), wrap(direction - self.base[2]), wrap(q[..., -1] - direction)
 
     def field(self, points_w: Float[Tensor, "*b 3"], *, yaws: Sequence[float] = YAWS_RAD) -> Float[Tensor, "*b"]:
         """Reachability r(x) of points: the tool is sent there in each orientation (RUMI, Eq 30).
@@ -155,7 +156,3 @@ def _look_up(tables: Float[Tensor, "C *nodes"], place: Float[Tensor, "*b D"]) ->
         tables[None].to(place), rows, mode="bilinear", padding_mode="border", align_corners=True
     )
     return tuple(channel.reshape(place.shape[:-1]) for channel in found.flatten(2)[0])
-
-
-def _wrap(angle: Tensor) -> Tensor:
-    return torch.remainder(angle + math.pi, 2.0 * math.pi) - math.pi

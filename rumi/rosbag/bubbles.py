@@ -1,4 +1,4 @@
-"""What soft bubbles felt in a recording."""
+"""Contact samples of soft bubbles in a recording."""
 
 from collections.abc import Iterator
 
@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.rosbag.contacts import AllFelt, Felt, tell_unknown
+from rumi.rosbag.contact_sample import ContactSample, ContactSamples, report_unknown_poses
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping import BagMap
 from rumi.rosbag.span import Span
@@ -22,9 +22,9 @@ from sensors.vision.images import depth_metres, known, undistorted
 _PART_NS = 10**9  # of a recording that is read at once
 
 
-def bubbles_felt(
-    log: Log, stream: Stream, mapping: BagMap, frames: FrameTree, span: Span, found: AllFelt
-) -> list[Felt]:
+def bubble_contacts(
+    log: Log, stream: Stream, mapping: BagMap, frames: FrameTree, span: Span, found: ContactSamples
+) -> list[ContactSample]:
     """Patches and free membrane of a stream of depth images from inside a bubble, whose frame is its camera's.
 
     Raises:
@@ -37,7 +37,7 @@ def bubbles_felt(
     rest = _at_rest(stream, lens, span.start_ns, span.start_ns + round(mapping.actions.view_s * 1e9))
     # poses are asked for the camera itself, so that it is its own tool
     bubble = Bubble.of(rest, lens.intrinsics, se3.identity(), unit="m")
-    felt: list[Felt] = []
+    contacts: list[ContactSample] = []
     where: list[Bool[Tensor, "k"]] = []
     for samples in _parts(stream, span.start_ns, span.read_ns + max(0, late_ns)):
         stamps = [one.stamp_ns - late_ns for one in samples]
@@ -53,11 +53,11 @@ def bubbles_felt(
                 continue
             surface, free = (patch.observation.of_class(kind) for kind in (Semantics.SURFACE, Semantics.FREE))
             points = patch.observation.points
-            felt.append(Felt(stamp, points[surface], bool(patch.contact.any()), points[free]))
-    tell_unknown(stream, torch.cat([torch.zeros(0, dtype=torch.bool), *where]), found.problems)
-    touched = sum(one.touched for one in felt)
-    found.notes.append(f"bubble {stream.name}: {touched} of {len(felt)} pictures show a touch")
-    return felt
+            contacts.append(ContactSample(stamp, points[surface], bool(patch.contact.any()), points[free]))
+    report_unknown_poses(stream, torch.cat([torch.zeros(0, dtype=torch.bool), *where]), found.problems)
+    touched = sum(one.touched for one in contacts)
+    found.notes.append(f"bubble {stream.name}: {touched} of {len(contacts)} pictures show a touch")
+    return contacts
 
 
 def _at_rest(stream: Stream, lens: Lens, begin: int, end: int) -> Float[Tensor, "H W"]:

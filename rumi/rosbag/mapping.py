@@ -15,8 +15,8 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.rosbag.sensor_maps import BubbleMap, RobotMap, TorqueMap, Vector, WrenchMap, placed
-from rumi.tasks.rummage.objects import ObjectSettings
-from rumi.tasks.rummage.settings import dataclass_of
+from rumi.runs.json_settings import dataclass_of
+from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings
 from sdf import se3
 
 SCHEMA = 1
@@ -99,7 +99,7 @@ class SceneMap:
     """What is known of the object's place; metres in the belief's own frame: the world with its floor and origin at 0.
 
     Attributes:
-        builtin: "mug", "box" or "drill", where [object] names no mesh.
+        builtin: name of one of rumi's objects ("mug", "box", "drill"), where [object] names no mesh.
         search: freedom of the pose.
         within: lower and upper corner of a box that holds the object.
         looks_again: whether views after the first one are used: the camera must not see the robot as the object.
@@ -110,7 +110,7 @@ class SceneMap:
     """
 
     within: tuple[Vector, Vector]
-    builtin: Literal["mug", "box", "drill"] | None = None
+    builtin: str | None = None
     search: Literal["SE(2)", "SE(3)"] = "SE(2)"
     looks_again: bool = False
     tool_seen: bool = False
@@ -121,6 +121,8 @@ class SceneMap:
     def __post_init__(self) -> None:
         if not all(low < high for low, high in zip(*self.within, strict=True)):
             raise ValueError(f"expected within to be a lower and an upper corner, got {self.within}")
+        if self.builtin is not None and self.builtin not in OBJECTS:
+            raise ValueError(f"expected builtin to be one of {', '.join(OBJECTS)}, got {self.builtin!r}")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""From a log's raw streams to the readings that a belief takes in, by a mapping file."""
+"""Readings for a belief from a log's raw streams, by a mapping file."""
 
 import math
 from collections.abc import Sequence
@@ -10,13 +10,14 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape
-from rumi.rosbag.contacts import Felt, all_felt
+from rumi.rosbag.contact_sample import ContactSample
+from rumi.rosbag.contacts import contact_samples
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping import BagMap
 from rumi.rosbag.span import reading_starts, span_of
 from rumi.rosbag.views import Views
 from rumi.seeding import generator
-from sensors.contact_reading import FeltReading, WrenchTouch, surest
+from sensors.contact_reading import ContactReading, WrenchTouch, surest
 from sensors.log.reader import Log, Taken
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
@@ -28,14 +29,14 @@ _BODY_SPACING = 0.005  # metres between the tool's points
 
 
 @dataclass(frozen=True)
-class Made:
-    """Readings of a recording.
+class ImportedReadings:
+    """Readings made from a recording.
 
     Attributes:
         taken: the first view first.
         problems: what could not be used.
         wrenches: how many wrenches were taken for what.
-        notes: what was found in other streams that feel.
+        notes: what was found in other streams of touch.
     """
 
     taken: list[Taken]
@@ -44,11 +45,11 @@ class Made:
     notes: list[str]
 
 
-def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
+def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> ImportedReadings:
     """Cut a recording into readings.
 
     The first one holds the view: surface points of the object, and free points about it. Each later one holds
-    `actions.instants` poses of the tool over `actions.every_s`, what was felt meanwhile as surface points at their
+    `actions.instants` poses of the tool over `actions.every_s`, contact points meanwhile as surface points at their
     own instants, and the space that the tool's body swept as free points.
 
     Args:
@@ -63,9 +64,9 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
     span = span_of(log, mapping, frames)
     start = span.start_ns
     views = Views(log, mapping, frames, generator(seed))
-    sensed = all_felt(log, mapping, frames, span)
-    felt, problems = sensed.felt, [*frames.problems, *span.problems, *sensed.problems]
-    if not (views.any or sensed.any):
+    contacts = contact_samples(log, mapping, frames, span)
+    problems = [*frames.problems, *span.problems, *contacts.problems]
+    if not (views.any or contacts.any):
         listed = ", ".join(sorted(f"{name} ({stream.kind})" for name, stream in log.streams.items())) or "none"
         raise UsageError(
             "Expected a stream with the role cloud, depth, felt, contact, bubble, wrench or torques, found none that "
@@ -74,10 +75,10 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
     first_ns = start + round(mapping.actions.view_s * 1e9)
     seen = views.between(start, first_ns)
     body = GripperShape(**asdict(mapping.tool)).solid(_BODY_SPACING).float()
-    cutter = _Cutter(mapping, frames, views, felt, body, start)
+    cutter = _Cutter(mapping, frames, views, contacts.samples, body, start)
     taken = [cutter.first(seen, first_ns)]
     every = round(mapping.actions.every_s * 1e9)
-    for begin in reading_starts(span, mapping, sensed.notes):
+    for begin in reading_starts(span, mapping, contacts.notes):
         reading = cutter.reading(begin, begin + every)
         if reading is None:
             at = (begin - start) / 1e9
@@ -86,7 +87,7 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> Made:
             )
         else:
             taken.append(reading)
-    return Made(taken, list(dict.fromkeys(problems + views.problems)), sensed.wrenches, sensed.notes)
+    return ImportedReadings(taken, list(dict.fromkeys(problems + views.problems)), contacts.wrenches, contacts.notes)
 
 
 class _Cutter:
@@ -97,11 +98,11 @@ class _Cutter:
         mapping: BagMap,
         frames: FrameTree,
         views: Views,
-        felt: Sequence[Felt],
+        contacts: Sequence[ContactSample],
         body: Float[Tensor, "n 3"],
         start: int,
     ) -> None:
-        self._mapping, self._frames, self._views, self._felt, self._body = mapping, frames, views, felt, body
+        self._mapping, self._frames, self._views, self._contacts, self._body = mapping, frames, views, contacts, body
         self._start = start
         self._region = torch.tensor(mapping.scene.within)
 
@@ -123,7 +124,7 @@ class _Cutter:
         if not bool(known.all()):
             return None
         pose = pose.float()
-        mine = [one for one in self._felt if begin_ns < one.stamp_ns <= end_ns]
+        mine = [one for one in self._contacts if begin_ns < one.stamp_ns <= end_ns]
         at = [min(int(torch.searchsorted(stamps, one.stamp_ns)), count - 1) for one in mine]
         in_contact = torch.zeros(count, dtype=torch.bool)
         parts = [torch.zeros(0, 3)]
@@ -154,18 +155,18 @@ class _Cutter:
             signals = torch.zeros(count, dtype=torch.bool)
             signals[[k for one, k in zip(mine, at, strict=True) if one.signal]] = True
         return replace(
-            taken, reading=replace(FeltReading.of(taken.reading), wrench=self._touches(mine, at), signals=signals)
+            taken, reading=replace(ContactReading.of(taken.reading), wrench=self._touches(mine, at), signals=signals)
         )
 
-    def _touches(self, mine: Sequence[Felt], at: Sequence[int]) -> WrenchTouch:
+    def _touches(self, mine: Sequence[ContactSample], at: Sequence[int]) -> WrenchTouch:
         """The touches of a reading that count with their normals."""
         found = [replace(one.touch, instant=torch.tensor([k])) for one, k in zip(mine, at, strict=True) if one.touch]
         if not found:
             return WrenchTouch.none()
-        told = self._mapping.wrench
-        assert told is not None
+        config = self._mapping.wrench
+        assert config is not None
         every = WrenchTouch(*(torch.cat([getattr(one, part.name) for one in found]) for part in fields(WrenchTouch)))
-        return every.at(surest(every.point_sd.square(), told.most))
+        return every.at(surest(every.point_sd.square(), config.most))
 
     def _swept(
         self, pose: Float[Tensor, "K 4 4"], in_contact: Bool[Tensor, "K"], points: Tensor, instant: Tensor

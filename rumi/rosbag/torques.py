@@ -1,4 +1,4 @@
-"""When the joint torques of a recording tell of a touch, and where its robot's body was."""
+"""Contact samples by joint torques in a recording, and the pose of the robot's body over time."""
 
 import math
 from pathlib import Path
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.rosbag.contacts import AllFelt, Felt
+from rumi.rosbag.contact_sample import ContactSample, ContactSamples
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping import BagMap
 from rumi.rosbag.sensor_maps import RobotMap
@@ -20,14 +20,14 @@ from sensors.log.reader import Log, Stream
 from sensors.vision.robot_body import RobotBody
 
 
-def torques_felt(stream: Stream, mapping: BagMap, span: Span, found: AllFelt) -> list[Felt]:
-    """Times at which the torques of a stream of joints, by the momentum observer, are a touch: nobody knows where.
+def torque_contacts(stream: Stream, mapping: BagMap, span: Span, found: ContactSamples) -> list[ContactSample]:
+    """Contacts of unknown place: when the momentum observer's residual of a stream of joints exceeds its threshold.
 
     Raises:
         UsageError: a table of the mapping, a joint, or what was measured of it is missing.
     """
-    told, robot = mapping.torques, mapping.robot
-    if told is None or robot is None:
+    config, robot = mapping.torques, mapping.robot
+    if config is None or robot is None:
         raise UsageError(f"Expected tables [torques] and [robot] in the mapping for {stream.name}, found no such")
     if stream.kind != "joints":
         raise UsageError(f"Expected {stream.name} to be of joints (JointState) for the role torques, got {stream.kind}")
@@ -36,7 +36,7 @@ def torques_felt(stream: Stream, mapping: BagMap, span: Span, found: AllFelt) ->
     from rumi.sim.robot_dynamics import MujocoDynamics
 
     names = [str(name) for name in stream.about.get("names", ())]
-    asked = list(told.joints) or names
+    asked = list(config.joints) or names
     if lacking := [name for name in asked if name not in names]:
         raise UsageError(f"Expected the joint {lacking[0]!r} in {stream.name}, which has {', '.join(names)}")
     _text(robot)  # says which file cannot be read
@@ -62,25 +62,27 @@ def torques_felt(stream: Stream, mapping: BagMap, span: Span, found: AllFelt) ->
         values["position"][whole],
         values["velocity"][whole],
         values["effort"][whole],
-        MomentumObserver(told.gain),
+        MomentumObserver(config.gain),
     )
-    threshold = TorqueThreshold(told.threshold_nm, told.counted)
-    early = seconds <= told.rest_s
-    if told.rest_s > 0:
+    threshold = TorqueThreshold(config.threshold_nm, config.counted)
+    early = seconds <= config.rest_s
+    if config.rest_s > 0:
         # by then the filter has forgotten that it began at 0
-        late = early & (seconds >= min(0.5 * told.rest_s, float(seconds[0]) + 5.0 / told.gain))
+        late = early & (seconds >= min(0.5 * config.rest_s, float(seconds[0]) + 5.0 / config.gain))
         if bool(late.any()):
             threshold = threshold.at_rest(residual[late])
         else:
-            found.problems.append(f"stream {stream.name}: nothing in the first {told.rest_s:g} s; a rest of 0 is taken")
+            found.problems.append(
+                f"stream {stream.name}: nothing in the first {config.rest_s:g} s; a rest of 0 is taken"
+            )
     norm = threshold.norm(residual)
-    touched = norm > told.threshold_nm
+    touched = norm > config.threshold_nm
     touched &= ~early
     found.notes.append(
-        f"torques {stream.name}: {int(touched.sum())} of {len(touched)} samples beyond {told.threshold_nm:g} N m; the "
-        f"most was {float(norm.amax()):.2f} N m"
+        f"torques {stream.name}: {int(touched.sum())} of {len(touched)} samples beyond {config.threshold_nm:g} N m; "
+        f"the most was {float(norm.amax()):.2f} N m"
     )
-    return [Felt(at, torch.zeros(0, 3), True, signal=told.likelihood) for at in stamps[touched].tolist()]
+    return [ContactSample(at, torch.zeros(0, 3), True, signal=config.likelihood) for at in stamps[touched].tolist()]
 
 
 class JointTrack:
@@ -136,7 +138,7 @@ class JointTrack:
 
 
 class BodyTrack:
-    """Where the links of a recording's robot were.
+    """Poses of the links of a recording's robot over time.
 
     Args:
         robot: its model.

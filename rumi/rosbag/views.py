@@ -18,8 +18,9 @@ from sensors.log.reader import Log, Sample, Stream
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 from sensors.vision.cloud import cloud_observation
+from sensors.vision.persistence import Persistence
 from sensors.vision.robot_body import RobotBody
-from sensors.vision.view import View, ViewSettings, view_observation
+from sensors.vision.view import Image, KnownScene, View, ViewSettings, view_observation
 
 _APART_NS = 10**8  # between a depth image and the colour image that is of the same moment
 
@@ -70,7 +71,8 @@ class Views:
         for stream in self._streams:
             mine = stream.samples(begin_ns, end_ns)
             self.problems += stream.problems
-            memory, latest = None, None
+            memory: Persistence | None = None
+            latest: Observation | None = None
             for one in reversed(mine) if last and self._settings.persist_s == 0 else mine:
                 view = self._view(stream, one, memory)
                 if view is None:
@@ -84,33 +86,26 @@ class Views:
                 found.append(latest)
         return concatenate(found)
 
-    def _view(self, stream: Stream, sample: Sample, memory: object) -> View | None:
+    def _view(self, stream: Stream, sample: Sample, memory: Persistence | None) -> View | None:
         pose, known = self._frames.at(stream.frame, [sample.stamp_ns])
         if not bool(known.all()):
             self.problems.append(
                 f"stream {stream.name}: the pose of {stream.frame!r} is not known at {sample.stamp_ns}"
             )
             return None
-        common: dict[str, object] = {
-            "within": self._within,
-            "bounds": self._within,
-            "stamp": sample.stamp_ns / 1e9,
-            "memory": memory,
-            "generator": self._generator,
-        }
         try:
-            common |= self._body(sample.stamp_ns)
+            scene = KnownScene(None, *self._body(sample.stamp_ns), self._within, self._within)
             if stream.kind == "points":
-                return self._cloud(sample, pose[0].float(), common)
-            return self._depth(stream, sample, pose[0].float(), common)
+                return self._cloud(sample, pose[0].float(), scene, memory)
+            return self._depth(stream, sample, pose[0].float(), scene, memory)
         except UsageError:
             raise
         except ValueError as error:
             self.problems.append(f"stream {stream.name}: a picture is left out: {error}")
             return None
 
-    def _body(self, stamp_ns: int) -> dict[str, object]:
-        """What is known of the robot's shape, at a time."""
+    def _body(self, stamp_ns: int) -> tuple[RobotBody | None, Tensor | None]:
+        """The robot's links, and their poses at a time; None where no link is known."""
         links, poses = list(self._tool.links), [torch.zeros(0, 4, 4)]
         if links:
             tool, known = self._frames.at(self._mapping.frames.tool, [stamp_ns])
@@ -120,32 +115,43 @@ class Views:
         if self._robot is not None:
             links += self._robot.body.links
             poses.append(self._robot.at(stamp_ns))
-        return {"body": RobotBody(links), "world_T_links": torch.cat(poses)} if links else {}
+        return (RobotBody(links), torch.cat(poses)) if links else (None, None)
 
-    def _cloud(self, sample: Sample, world_T_camera: Float[Tensor, "4 4"], common: dict[str, object]) -> View:
+    def _cloud(
+        self, sample: Sample, world_T_camera: Float[Tensor, "4 4"], scene: KnownScene, memory: Persistence | None
+    ) -> View:
         points = torch.tensor(sample.values["points"])
         color = sample.values["color"]
         colors = None if color is None else torch.tensor(color)
         if points.shape[0] == 1:
             points = points[0]
             colors = None if colors is None else colors[0]
-        return cloud_observation(points, world_T_camera, self._settings, colors=colors, **common)  # type: ignore[arg-type]
+        return cloud_observation(
+            points,
+            world_T_camera,
+            self._settings,
+            scene,
+            colors=colors,
+            stamp=sample.stamp_ns / 1e9,
+            memory=memory,
+            generator=self._generator,
+        )
 
     def _depth(
-        self, stream: Stream, sample: Sample, world_T_camera: Float[Tensor, "4 4"], common: dict[str, object]
+        self,
+        stream: Stream,
+        sample: Sample,
+        world_T_camera: Float[Tensor, "4 4"],
+        scene: KnownScene,
+        memory: Persistence | None,
     ) -> View:
         lens = lens_of(stream, self._lenses, self._mapping)
-        image = sample.values["depth"]
-        assert image is not None
+        depth = sample.values["depth"]
+        assert depth is not None
         settings = replace(self._settings, unit=unit_of(stream), distortion=lens.distortion)
-        return view_observation(
-            np.asarray(image),
-            lens.intrinsics,
-            world_T_camera,
-            settings,
-            color=self._color(stream, sample),
-            **common,  # type: ignore[arg-type]
-        )
+        color = self._color(stream, sample)
+        image = Image(np.asarray(depth), lens.intrinsics, color, stamp=sample.stamp_ns / 1e9)
+        return view_observation(image, world_T_camera, settings, scene, memory=memory, generator=self._generator)
 
     def _color(self, stream: Stream, sample: Sample) -> Tensor | None:
         """The colour image of its pixels that is nearest in time, if colours are asked for."""

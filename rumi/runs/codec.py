@@ -11,9 +11,9 @@ from torch import Tensor
 from kmppi import ControlPlan
 from rumi.belief.particles import PoseBelief
 from rumi.fields.workspace import Workspace
-from rumi.runs.plain import plain
 from rumi.planning.policy import Plan
 from rumi.records import StepRecord
+from rumi.runs.plain import plain
 from rumi.runs.sketch import OutlineMap, SceneSketch
 from rumi.runs.trace import TraceWriter
 from sensors.observation import Observation

@@ -25,9 +25,9 @@ import torch
 
 from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
+from rumi.records import RunResult, StepRecord
 from rumi.runs.codec import numbers, read_sketch, read_steps, write_sketch, write_step
 from rumi.runs.plain import plain
-from rumi.records import RunResult, StepRecord
 from rumi.runs.sketch import SceneSketch
 from rumi.runs.trace import TraceWriter, read_trace
 from sdf.cache import DAMAGED

@@ -11,8 +11,8 @@ import torch
 
 from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
-from rumi.runs.plain import plain
 from rumi.records import RunResult, StepRecord
+from rumi.runs.plain import plain
 from sensors.log.errors import LogError
 from sensors.reading import Reading
 

@@ -11,12 +11,12 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
-from rumi.runs.logbook import digest
 from rumi.loop import rummage
 from rumi.planning.policy import Plan, Scene
 from rumi.records import RunResult, StepRecord
-from rumi.tasks.rummage.agent import Rummager
+from rumi.runs.logbook import digest
 from rumi.task import StepResult, Task
+from rumi.tasks.rummage.agent import Rummager
 
 if TYPE_CHECKING:
     from sensors.log.reader import Taken

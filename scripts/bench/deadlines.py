@@ -12,18 +12,19 @@ import torch
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.touch_belief import TouchBelief
+from rumi.cache import cache_folder
 from rumi.clock import Now
-from rumi.commands.table import cache_folder
 from rumi.fields.information import information_field
 from rumi.loop import rummage
 from rumi.planning.anytime import select
 from rumi.planning.evaluation_time import EvaluationTime
 from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.robot.motion_time import SpeedLimits
 from rumi.seeding import split
 from rumi.tasks.rummage.build import Parts, build
-from rumi.tasks.rummage.settings import METHODS, preset
+from rumi.tasks.rummage.settings import preset
 from rumi.tasks.touch_box.agent import Toucher, localise
 from rumi.tasks.touch_box.budget import BudgetedChoice
 from rumi.tasks.touch_box.build import make_toucher
@@ -302,5 +303,5 @@ def measure_value(ledger: Ledger, *, seeds: range, planners: tuple[str, ...], ta
                 yield ledger.measure(about, work)
 
 
-PLANNERS = ("touch", "pokes", *METHODS)
+PLANNERS = ("touch", "pokes", *POLICIES)
 """All that decide: on the next touch, on a poke of `touch-box`, on a push."""

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kmppi import MPPI, MPPISettings
 from rumi.belief.particles import PoseBelief
-from rumi.commands.table import cache_folder
+from rumi.cache import cache_folder
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings
 from rumi.dynamics.tool_lookup import world_height
@@ -18,6 +18,7 @@ from rumi.fields.information import information_field
 from rumi.planning.objective import TrajectoryCost
 from rumi.planning.policy import Plan, Scene
 from rumi.planning.rummaging import SUITED, RummagingPolicy, RummagingSettings
+from rumi.resampling import systematic
 from rumi.robot.reach import Reach
 from rumi.robot.reach_table import ReachSettings
 from rumi.robot.tool import Tool
@@ -125,9 +126,7 @@ class PlanBench:
     def fewer(self, count: int) -> PoseBelief:
         """The belief with fewer particles, evenly by weight."""
         belief = self.belief
-        cumulated = belief.weights.double().cumsum(0)
-        comb = (torch.arange(count, dtype=torch.float64) + 0.5) / count * cumulated[-1]
-        index = torch.searchsorted(cumulated, comb).clamp_max(len(cumulated) - 1)
+        index = systematic(belief.log_weights, 0.5, count)
         return replace(
             belief,
             attached_T_object=belief.attached_T_object[index],

@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sdf import compiled as fused
-from sdf import se3
+from sdf import compiled, se3
 from sdf.base import SDF
 from sdf.posed import posed_distance
 from sdf.primitives import Mug
@@ -80,7 +79,7 @@ def boltzmann(
     kinds = memory.semantics[memory.valid & ~surface]
     sign = torch.where(kinds == Semantics.FREE, 1.0, -1.0).to(hinged)
 
-    totals = _mug_totals(sdf) if isinstance(sdf, Mug) and fused.supports(kept) else _totals(sdf)
+    totals = _mug_totals(sdf) if isinstance(sdf, Mug) and compiled.supports(kept) else _totals(sdf)
 
     def log_density(planar: Float[Tensor, "G 3"]) -> Float[Tensor, "G"]:
         result = planar.new_zeros(len(planar))

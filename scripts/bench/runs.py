@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
-from rumi.commands.table import cache_folder
+from rumi.cache import cache_folder
 from rumi.loop import rummage
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
-from rumi.commands.table import cache_folder
+from rumi.cache import cache_folder
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import DisplacementModel
 from rumi.dynamics.tool_lookup import world_height
@@ -139,7 +139,7 @@ def _descent(size: Size) -> Work:
 
 def _resample(size: Size) -> Work:
     held, seen = belief(size), observation(size)
-    pose_filter = PoseFilter(discrepancy(), "SE(2)", FilterSettings(trigger=0.0))
+    pose_filter = PoseFilter(FilterSettings(trigger=0.0), [discrepancy()], "SE(2)")
     known = replace(held, discrepancy=pose_filter.total(held, seen))
     return lambda: pose_filter.resample(known, known, seen, generator=split(0, "resample"))
 

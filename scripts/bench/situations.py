@@ -12,7 +12,7 @@ from torch import Tensor
 from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
-from rumi.commands.table import cache_folder
+from rumi.cache import cache_folder
 from rumi.registration.descent import Search
 from rumi.seeding import split
 from rumi.sim.settings import SimSettings
@@ -138,7 +138,7 @@ def follow(
     begun = clock()
     discrepancy = Discrepancy(sdf, here.model.radius, free_scale=settings.free_scale, tolerance=settings.tolerance_m)
     search: Search = "SE(2)"
-    pose_filter = PoseFilter(discrepancy, search, settings).to(dtype)
+    pose_filter = PoseFilter(settings, [discrepancy], search).to(dtype)
     first = here.readings[0].observation.to(dtype=dtype)
     memory, _ = merge(Observation.empty(dtype=dtype), first, pose_filter.lattice)
     surface = memory.points[memory.of_class(Semantics.SURFACE)]

@@ -18,6 +18,7 @@ from rumi.dynamics.along_path import Pusher, carry
 from rumi.dynamics.outline import RectangleOutline
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
+from sdf.so3 import wrap
 from sensors.touch.contact_model import ContactModel
 
 # particles that are carried at once: few enough for the processor's cache
@@ -159,7 +160,7 @@ def score(belief: TouchBelief, truth: Float[Tensor, "R 3"], top: int = 10) -> Sc
     """How far a belief is from the truth; see `Scores`."""
     weights, pose = belief.log_weights.exp(), belief.pose
     apart = pose - truth[:, None]
-    turn = torch.remainder(apart[..., 2] + math.pi, 2.0 * math.pi) - math.pi
+    turn = wrap(apart[..., 2])
     place = apart[..., :2].norm(dim=-1)
     heavy = weights.topk(min(top, weights.shape[1]), dim=-1).indices
     top_m, top_rad = place.gather(1, heavy), turn.gather(1, heavy).abs()

@@ -14,8 +14,8 @@ import tyro
 from rumi.bench.history import check_writable
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
+from rumi.planning.registry import POLICIES
 from rumi.runs.folder import make_folder
-from rumi.tasks.rummage.settings import METHODS
 from scripts.reproduce import touch
 from scripts.reproduce.executors import on_a_cluster, on_this_machine
 from scripts.reproduce.experiments import EXPERIMENTS, Selection, missing, valid_presets, valid_tasks, work_of
@@ -139,7 +139,7 @@ def chosen(options: ReproduceOptions) -> tuple[list[str], Selection]:
         if name not in (*EXPERIMENTS, "all"):
             raise UsageError(f"There is no experiment {name!r}; {there}")
     _among("task", options.tasks, valid_tasks())
-    _among("method", options.methods, METHODS)
+    _among("method", options.methods, POLICIES)
     _among("preset", options.presets, valid_presets())
     if options.jobs < 1:
         raise UsageError(f"Expected jobs to be 1 or more, got {options.jobs}")

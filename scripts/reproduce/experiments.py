@@ -4,8 +4,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from rumi.tasks.rummage.scenes import TASKS
-from rumi.tasks.rummage.settings import METHODS, PRESETS, setting_names
+from rumi.planning.registry import POLICIES
+from rumi.runs.json_settings import setting_names
+from rumi.tasks.rummage.scenes import SCENES
+from rumi.tasks.rummage.settings import PRESETS, Settings
 from scripts.reproduce import paper
 from scripts.reproduce.jobs import TOY_METHODS, Job
 
@@ -56,12 +58,12 @@ class Selection:
 
 
 def _all_runs(selection: Selection) -> list[Job]:
-    return selection.runs(TASKS, [method for method in METHODS if method in paper.METHODS])
+    return selection.runs(SCENES, [method for method in POLICIES if method in paper.METHODS])
 
 
 def _timed_runs(selection: Selection) -> list[Job]:
-    tasks, methods = (name for name in ("mug-0", "box-0") if name in TASKS), ("rumi", "gpvr")
-    return selection.runs(tasks, [name for name in methods if name in METHODS])
+    tasks, methods = (name for name in ("mug-0", "box-0") if name in SCENES), ("rumi", "gpvr")
+    return selection.runs(tasks, [name for name in methods if name in POLICIES])
 
 
 def _particles(selection: Selection) -> list[Job]:
@@ -137,7 +139,7 @@ EXPERIMENTS: dict[str, Callable[[Selection], list[Job]]] = {
 
 def missing(name: str) -> str:
     """Why an experiment cannot be done here, or nothing."""
-    if name == "displacement" and DISPLACEMENT not in setting_names():
+    if name == "displacement" and DISPLACEMENT not in setting_names(Settings):
         return f"there is no setting {DISPLACEMENT}"
     return ""
 
@@ -149,7 +151,7 @@ def work_of(names: Iterable[str], selection: Selection) -> list[Job]:
 
 def valid_tasks() -> tuple[str, ...]:
     """Names of all tasks."""
-    return tuple(TASKS)
+    return tuple(SCENES)
 
 
 def valid_presets() -> tuple[str, ...]:

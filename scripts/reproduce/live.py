@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from rumi.commands.progress import Stream
+from rumi.runs.progress import Stream
 from scripts.reproduce.jobs import Job
 from scripts.reproduce.records import Records
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rumi.errors import UsageError
+from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.peg.agent import run_peg
 from rumi.tasks.peg.settings import PegSettings
 
@@ -49,5 +50,5 @@ def settings_of(overrides: Sequence[str]) -> PegSettings:
             value = json.loads(text)
         except json.JSONDecodeError:
             value = text
-        values[name] = tuple(value) if isinstance(value, list) else value
-    return PegSettings().with_values(values)
+        values[name] = value
+    return dataclass_of(PegSettings, values)

@@ -10,10 +10,11 @@ from torch import Tensor
 
 from rumi.fields.information import information_field
 from rumi.loop import rummage
+from rumi.planning.registry import POLICIES
 from rumi.records import StepRecord
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build
-from rumi.tasks.rummage.settings import METHODS, Settings, preset
+from rumi.tasks.rummage.settings import Settings, preset
 from rumi.viz import style
 from scripts.reproduce.cells import table
 from scripts.reproduce.correlation import pearson
@@ -69,7 +70,7 @@ def planned_over(task: str, seed: int, cache_dir: Path) -> list[Field]:
     """Figure 15: what each method's first plan rests on; methods that are not there are left out."""
     fields = []
     for method, name in FIELDS:
-        if method not in METHODS:
+        if method not in POLICIES:
             continue
         step, rummager = _begin(preset("default", task=task, seed=seed, method=method), 1, cache_dir)
         if step.plan is not None and name in step.plan.fields:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rumi.tasks.rummage.settings import METHODS
+from rumi.planning.registry import POLICIES
 from scripts.reproduce import allocation, paper, studies, tables
 from scripts.reproduce.cells import NOTHING, flags, rate, table
 from scripts.reproduce.experiments import EXPERIMENTS, Selection
@@ -102,7 +102,7 @@ def of_experiment(name: str, selection: Selection, records: Sequence[Record]) ->
         and record.seed in selection.seeds
         and named(record.overrides) == named(selection.overrides)
     ]
-    order = {method: k for k, method in enumerate(METHODS)}
+    order = {method: k for k, method in enumerate(POLICIES)}
     tasks = {task: k for k, task in enumerate(task for family in paper.FAMILIES.values() for task in family)}
     return sorted(
         own,

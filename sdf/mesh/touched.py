@@ -4,8 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.check import check_shape
 from sdf.mesh.triangles import Nearest, Triangles, closest_point, nearest
 
@@ -53,7 +52,7 @@ def _touched_plain(points: Tensor, normals: Tensor, triangles: Triangles, reach:
     return face, closest_point(points, corners[face])
 
 
-@backend.register("touched_face", "numba", fused.supports)
+@backend.register("touched_face", "numba", compiled.supports)
 def _touched_fused(points: Tensor, normals: Tensor, triangles: Triangles, reach: float) -> tuple[Tensor, Tensor]:
     from sdf.mesh.touched_numba import touched_kernel
 

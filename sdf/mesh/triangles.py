@@ -11,8 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.check import check_shape
 from sdf.mesh.tree import Tree, build_tree, has_long
 
@@ -127,7 +126,7 @@ def _winding_plain(points: Tensor, triangles: Triangles, accuracy: float) -> Ten
     return torch.cat(sums) if sums else points.new_empty(0)
 
 
-@backend.register("nearest_triangle", "numba", fused.supports)
+@backend.register("nearest_triangle", "numba", compiled.supports)
 def _nearest_fused(points: Tensor, triangles: Triangles) -> tuple[Tensor, Tensor]:
     from sdf.mesh.tree_numba import nearest_kernel
 
@@ -138,7 +137,7 @@ def _nearest_fused(points: Tensor, triangles: Triangles) -> tuple[Tensor, Tensor
     return face, found.to(points)
 
 
-@backend.register("winding_number", "numba", fused.supports)
+@backend.register("winding_number", "numba", compiled.supports)
 def _winding_fused(points: Tensor, triangles: Triangles, accuracy: float) -> Tensor:
     from sdf.mesh.tree_numba import winding_kernel
 

@@ -15,8 +15,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.check import check_finite, check_shape
 from sensors.force.tool_surface import ToolSurface
 
@@ -200,7 +199,7 @@ def _plain(wrench: Tensor, tool: ToolSurface, covariance: Tensor, settings: Wren
     )
 
 
-@backend.register("wrench_contact", "numba", fused.supports)
+@backend.register("wrench_contact", "numba", compiled.supports)
 def _fused(wrench: Tensor, tool: ToolSurface, covariance: Tensor, settings: WrenchSettings) -> WrenchContact:
     from sensors.force.force_torque_numba import contacts
 

@@ -5,14 +5,10 @@ of a contact signal falls off with the distance of the robot's surface from the 
 has a step instead.
 """
 
-from dataclasses import dataclass, replace
-from typing import Self
-
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from sdf import se3
 from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.posed import posed_distance
@@ -147,64 +143,3 @@ def robot_distance(
     flat = points_w.reshape(*points_w.shape[:-3], instants * count, 3)
     distance = posed_distance(sdf, world_T_object, flat)
     return distance.reshape(*distance.shape[:-1], instants, count).amin(-1)
-
-
-@dataclass(frozen=True)
-class ContactReadings:
-    """Binary contact signals at K instants, with the robot's surface points then, as an `Evidence` (Eq 10).
-
-    The points stand where the robot was relative to the object: when the object is moved afterwards, they go with it.
-
-    Attributes:
-        sdf: of the object.
-        points_w: (*b, K, M, 3), on the surface of all links, metres; sampled as densely as distances are to be exact.
-        contact: (*b, K), signals.
-        model: of the signal.
-        weight: by which log-likelihoods are multiplied: 1 for readings that err independently, below it for readings
-            that err together (K readings of which every one repeats the error of the others have 1 / K).
-    """
-
-    sdf: SDF
-    points_w: Float[Tensor, "*b K M 3"]
-    contact: Bool[Tensor, "*b K"]
-    model: ContactModel
-    weight: float = 1.0
-
-    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
-        """Sum over the instants, for each pose."""
-        distance = robot_distance(self.sdf, world_T_object, self.points_w)
-        return self.weight * self.model.log_likelihood(distance, self.contact[..., None, :]).sum(-1)
-
-    def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
-        """The same evidence on where the object is after a known motion."""
-        return replace(self, points_w=se3.apply(motion[..., None, :, :], self.points_w))
-
-
-@dataclass(frozen=True)
-class ContactFreeSweep:
-    """A whole motion without a contact signal, as one reading: the nearest that the robot came decides.
-
-    Attributes:
-        sdf: of the object.
-        points_w: (*b, K, M, 3), as for `ContactReadings`.
-        model: of a signal anywhere in the sweep.
-        weight: as for `ContactReadings`.
-    """
-
-    sdf: SDF
-    points_w: Float[Tensor, "*b K M 3"]
-    model: ContactModel
-    weight: float = 1.0
-
-    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
-        """Log of the probability that nothing was felt, for each pose."""
-        distance = robot_distance(self.sdf, world_T_object, self.points_w)
-        if distance.shape[-1] == 0:
-            return distance.new_zeros(distance.shape[:-1])
-        nearest = distance.amin(-1)
-        silent = torch.zeros_like(nearest, dtype=torch.bool)
-        return self.weight * self.model.log_likelihood(nearest, silent)
-
-    def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
-        """The same evidence on where the object is after a known motion."""
-        return replace(self, points_w=se3.apply(motion[..., None, :, :], self.points_w))

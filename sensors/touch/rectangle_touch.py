@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.check import check_finite
 from sdf.sweep import nearest_on_rectangle, turned
 from sensors.touch.touch_likelihood import TouchNoise, box_face_log_likelihoods
@@ -68,7 +67,7 @@ def _touches_plain(
     return best
 
 
-@backend.register("rectangle_touches", "numba", fused.supports)
+@backend.register("rectangle_touches", "numba", compiled.supports)
 def _touches_fused(
     poses: Tensor, points_w: Tensor, normals_w: Tensor, half: Tensor, noise: TouchNoise, corners: bool
 ) -> Tensor:
@@ -97,7 +96,7 @@ def _clearances_plain(
     return way_clearance(poses, half, ways_w[:, :1], ways_w[:, 1:])
 
 
-@backend.register("way_clearances", "numba", fused.supports)
+@backend.register("way_clearances", "numba", compiled.supports)
 def _clearances_fused(poses: Tensor, half: Tensor, ways_w: Tensor) -> Tensor:
     from sensors.touch.rectangle_touch_numba import clearances_kernel
 

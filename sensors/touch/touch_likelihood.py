@@ -1,14 +1,12 @@
 """What a touch says about every pose, by its point and the normal there: the faces of a mesh, of a box, a rectangle."""
 
 import math
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import se3
 from sdf.check import check_finite, check_shape, may_look
 from sdf.mesh.touched import touched_face
 from sdf.mesh.triangles import Triangles
@@ -138,30 +136,3 @@ def box_log_likelihoods(
     noise = noise or TouchNoise()
     best = box_face_log_likelihoods(points_o, normals_o, half, noise).amax(-1)
     return noise.with_outliers(best, normals_o is not None)
-
-
-@dataclass(frozen=True)
-class Touches:
-    """Touched points, with their normals where they are known, as evidence on an object's pose.
-
-    Attributes:
-        points_w: (K, 3), metres.
-        normals_w: (K, 3), outward, unit, or None.
-        triangles: of the object, in its own frame, facing outward.
-        noise: of the touches.
-    """
-
-    points_w: Float[Tensor, "K 3"]
-    normals_w: Float[Tensor, "K 3"] | None
-    triangles: Triangles
-    noise: TouchNoise = TouchNoise()
-
-    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
-        """Of all touches together, up to a constant, nats."""
-        each = touch_log_likelihoods(world_T_object, self.points_w, self.normals_w, self.triangles, self.noise)
-        return each.sum(-1)
-
-    def moved(self, motion: Float[Tensor, "4 4"]) -> Self:
-        """The same touches after the object moved by a known world motion."""
-        normals = None if self.normals_w is None else self.normals_w @ motion[:3, :3].mT
-        return replace(self, points_w=se3.apply(motion, self.points_w), normals_w=normals)

@@ -1,4 +1,4 @@
-"""From a point cloud to surface and free points: it is read as the depth image that it was, or could have been."""
+"""Surface and free points of a point cloud, read as the depth image that it was or could have been."""
 
 import math
 from dataclasses import replace
@@ -13,9 +13,8 @@ from sdf.check import check_shape
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 from sensors.vision.persistence import Persistence
-from sensors.vision.robot_body import RobotBody
-from sensors.vision.segmentation import Plane, color_mask, fit_plane
-from sensors.vision.view import View, ViewSettings, view_observation
+from sensors.vision.segmentation import color_mask, fit_plane
+from sensors.vision.view import Image, KnownScene, View, ViewSettings, view_observation
 
 _FIT_POINTS = 20_000  # that intrinsics are fitted to, about
 _FIT_PX = 1.0  # an organised cloud whose points are farther than this from their pixels is of no pinhole camera
@@ -39,16 +38,12 @@ def cloud_observation(
     points: Float[Tensor, "*m 3"],
     world_T_camera: Float[Tensor, "4 4"],
     settings: ViewSettings | None = None,
+    scene: KnownScene | None = None,
     *,
     frame: Literal["camera", "world"] = "camera",
     pinhole: Pinhole | None = None,
     colors: UInt8[Tensor, "*m 3"] | None = None,
     mask: Bool[Tensor, "*m"] | None = None,
-    plane: Plane | None = None,
-    body: RobotBody | None = None,
-    world_T_links: Float[Tensor, "L 4 4"] | None = None,
-    within: Float[Tensor, "2 3"] | None = None,
-    bounds: Float[Tensor, "2 3"] | None = None,
     stamp: float | None = None,
     memory: Persistence | None = None,
     generator: torch.Generator | None = None,
@@ -62,16 +57,12 @@ def cloud_observation(
     Args:
         points: (M, 3), or (H, W, 3) in the order of a camera's pixels, metres; NaN where nothing is known.
         world_T_camera: (4, 4), from where the cloud was seen: z forward.
-        settings: how.
+        settings: of segmentation and filters.
+        scene: what is known of the robot and the object's place.
         frame: that the points are in.
         pinhole: the camera to draw points without order in; needed where pixels must persist from cloud to cloud.
         colors: bytes, red, green, blue, one a point.
         mask: which points are the object's.
-        plane: what the object stands on, camera frame.
-        body: the robot's.
-        world_T_links: where its links were.
-        within: box of the world that holds the object.
-        bounds: box of the world to report free points in.
         stamp: seconds.
         memory: of the cloud before.
         generator: of random numbers.
@@ -87,20 +78,18 @@ def cloud_observation(
     if frame == "world":
         shape = points.shape
         points = se3.apply(se3.inverse(world_T_camera), points.reshape(-1, 3)).reshape(shape)
-    given = {
-        "plane": plane, "body": body, "world_T_links": world_T_links, "within": within, "bounds": bounds,
-        "stamp": stamp, "memory": memory, "generator": generator,
-    }  # fmt: skip
+    scene = scene or KnownScene()
     settings = replace(settings, unit="m", distortion=())
     if points.ndim == 3:
         seen = torch.isfinite(points).all(-1) & (points[..., 2] > 0)
         depth = torch.where(seen, points[..., 2], torch.zeros_like(points[..., 2]))
         intrinsics = organised_intrinsics(points)
-        return view_observation(depth, intrinsics, world_T_camera, settings, color=colors, mask=mask, **given)  # type: ignore[arg-type]
-    if settings.segmentation == "plane" and plane is None and generator is not None:
+        image = Image(depth, intrinsics, colors, mask, stamp)
+        return view_observation(image, world_T_camera, settings, scene, memory=memory, generator=generator)
+    if settings.segmentation == "plane" and scene.plane is None and generator is not None:
         there = points[torch.isfinite(points).all(-1)]
         plane = fit_plane(there, tolerance_m=settings.plane_tolerance_m, generator=generator)
-    given["plane"] = plane
+        scene = replace(scene, plane=plane)
     pinhole = pinhole or pinhole_about(points)
     if settings.edges is not None:
         # a pixel without a point is chance here, not a shadow
@@ -108,17 +97,14 @@ def cloud_observation(
     pixel = _pixels(points, pinhole)
     depth, first = _drawn(points, pixel, pinhole)
     met, winner = first >= 0, first.clamp_min(0)
-    color_image = None if colors is None else colors[winner] * met[..., None].to(colors.dtype)
-    mask_image = None if mask is None else mask[winner] & met
-    view = view_observation(
+    image = Image(
         depth,
         pinhole.intrinsics,
-        world_T_camera,
-        settings,
-        color=color_image,
-        mask=mask_image,
-        **given,  # type: ignore[arg-type]
+        None if colors is None else colors[winner] * met[..., None].to(colors.dtype),
+        None if mask is None else mask[winner] & met,
+        stamp,
     )
+    view = view_observation(image, world_T_camera, settings, scene, memory=memory, generator=generator)
     jump = settings.edges.jump_m if settings.edges is not None else 0.0
     inside = pixel >= 0
     place = pixel.clamp_min(0)
@@ -128,8 +114,8 @@ def cloud_observation(
         own &= mask
     elif settings.segmentation == "color" and colors is not None:
         own &= color_mask(colors[None], settings.hue_deg, settings.saturation, settings.value, clean_px=0)[0]
-    elif plane is not None:
-        own &= plane.height(points) > settings.clearance_m
+    elif scene.plane is not None:
+        own &= scene.plane.height(points) > settings.clearance_m
     surface = Observation.of(se3.apply(world_T_camera, points[own]), Semantics.SURFACE)
     rest = view.observation.of_class(Semantics.FREE)
     return View(concatenate([surface, view.observation[rest]]), view.surface, view.memory)

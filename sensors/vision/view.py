@@ -1,4 +1,4 @@
-"""From a camera's frame to surface and free points: units, edges, segmentation, the robot's own body, persistence."""
+"""Surface and free points of a depth image: units, edges, segmentation, the robot's own body, persistence."""
 
 import math
 from dataclasses import dataclass, field
@@ -80,13 +80,51 @@ class ViewSettings:
             )
 
 
+@dataclass(frozen=True)
+class Image:
+    """A depth image of a pinhole camera, whose frame has z forward, x right, y down.
+
+    Attributes:
+        depth: (H, W), in the unit of the `ViewSettings`.
+        intrinsics: (3, 3), pixels, for pixel centres at whole numbers.
+        color: (H, W, 3), bytes, red, green, blue, aligned with the depth; for the segmentation "color".
+        mask: (H, W), the object's pixels; for the segmentation "mask".
+        stamp: seconds; needed where pixels must persist.
+    """
+
+    depth: np.ndarray | Tensor
+    intrinsics: Float[Tensor, "3 3"]
+    color: np.ndarray | Tensor | None = None
+    mask: Bool[Tensor, "H W"] | None = None
+    stamp: float | None = None
+
+
+@dataclass(frozen=True)
+class KnownScene:
+    """What is known of the scene when an image is taken.
+
+    Attributes:
+        plane: that the object stands on, camera frame; None fits it, which draws from a generator.
+        body: the robot's; None where it is never seen.
+        world_T_links: (L, 4, 4), poses of its links.
+        within: (2, 3), metres, box of the world that holds the object; None for anywhere.
+        bounds: (2, 3), metres, box of the world to report free points in; None for no free points.
+    """
+
+    plane: Plane | None = None
+    body: RobotBody | None = None
+    world_T_links: Float[Tensor, "L 4 4"] | None = None
+    within: Float[Tensor, "2 3"] | None = None
+    bounds: Float[Tensor, "2 3"] | None = None
+
+
 class View(NamedTuple):
-    """What a frame says.
+    """Surface and free points of one image.
 
     Attributes:
         observation: world points, surface ones first, all attached to the object.
         surface: (H, W), the pixels of the surface points.
-        memory: hand it to the next frame's call; None where frames stand alone.
+        memory: hand it to the next image's call; None where images stand alone.
     """
 
     observation: Observation
@@ -95,68 +133,53 @@ class View(NamedTuple):
 
 
 def view_observation(
-    depth: np.ndarray | Tensor,
-    intrinsics: Float[Tensor, "3 3"],
+    image: Image,
     world_T_camera: Float[Tensor, "4 4"],
     settings: ViewSettings | None = None,
+    scene: KnownScene | None = None,
     *,
-    color: np.ndarray | Tensor | None = None,
-    mask: Bool[Tensor, "H W"] | None = None,
-    plane: Plane | None = None,
-    body: RobotBody | None = None,
-    world_T_links: Float[Tensor, "L 4 4"] | None = None,
-    within: Float[Tensor, "2 3"] | None = None,
-    bounds: Float[Tensor, "2 3"] | None = None,
-    stamp: float | None = None,
     memory: Persistence | None = None,
     generator: torch.Generator | None = None,
 ) -> View:
-    """Surface and free points of one frame of a depth camera.
+    """Surface points (M, 3) of the object and free points of the space before it, world frame, metres, of one image.
 
     What is no surface of the object, the robot's body included, still bounds free space.
 
     Args:
-        depth: (H, W), in the settings' unit; the camera's frame has z forward, x right, y down.
-        intrinsics: (3, 3), for pixel centres at whole numbers.
-        world_T_camera: (4, 4), where the camera was when it took the frame.
-        settings: how.
-        color: (H, W, 3), bytes, red, green, blue, aligned with the depth; for the segmentation "color".
-        mask: (H, W), the object's pixels; for the segmentation "mask".
-        plane: what the object stands on, camera frame; None fits it, which draws from `generator`.
-        body: the robot's; None where it is never seen.
-        world_T_links: (L, 4, 4), where its links were.
-        within: (2, 3), metres, box of the world that holds the object; None for anywhere.
-        bounds: (2, 3), metres, box of the world to report free points in; None for no free points.
-        stamp: seconds; needed where pixels must persist.
-        memory: of the frame before.
+        image: of the camera.
+        world_T_camera: (4, 4), pose of the camera when it took the image.
+        settings: of segmentation and filters.
+        scene: what is known of the robot and the object's place.
+        memory: of the image before, where pixels must persist.
         generator: of random numbers; needed to fit a plane.
 
     Raises:
         ValueError: what the settings need was not given, or shapes do not fit.
     """
+    scene, intrinsics = scene or KnownScene(), image.intrinsics
     settings = settings or ViewSettings()
     check_shape("intrinsics", intrinsics, "(3, 3)", last=(3, 3))
     check_shape("world_T_camera", world_T_camera, "(4, 4)", last=(4, 4))
     check_finite("intrinsics", intrinsics)
     check_finite("world_T_camera", world_T_camera)
-    metres = depth_metres(depth, settings.unit, near_m=settings.near_m, far_m=settings.far_m)
+    metres = depth_metres(image.depth, settings.unit, near_m=settings.near_m, far_m=settings.far_m)
     check_near("world_T_camera", world_T_camera[:3, 3], metres.dtype)
     intrinsics, world_T_camera = intrinsics.to(metres), world_T_camera.to(metres)
     metres = undistorted(metres, intrinsics, settings.distortion)
     seen = known(metres) if settings.edges is None else reliable(metres, intrinsics, settings.edges)
-    surface = seen & _candidates(metres, intrinsics, seen, settings, color, mask, plane, generator)
-    surface = _without(surface, metres, intrinsics, world_T_camera, body, world_T_links, within, settings)
+    surface = seen & _candidates(metres, intrinsics, seen, settings, image, scene.plane, generator)
+    surface = _without(surface, metres, intrinsics, world_T_camera, scene, settings.body_margin_m)
     if settings.cluster and settings.segmentation != "mask":
         surface = cluster_mask(surface, least_px=settings.cluster_px)
     shown = metres
     if settings.persist_s > 0:
-        if stamp is None:
+        if image.stamp is None:
             raise ValueError("Expected a stamp for a frame whose pixels must persist, got None")
         memory = Persistence.start(*metres.shape) if memory is None else memory
         memory, lasting = memory.seen(
             metres,
             surface,
-            stamp,
+            image.stamp,
             window_s=settings.persist_s,
             tolerance_m=settings.persist_tolerance_m,
             gap_s=settings.persist_gap_s,
@@ -164,12 +187,12 @@ def view_observation(
         surface, shown = lasting
     points = se3.apply(world_T_camera, pixel_points(shown, surface, intrinsics))
     observation = Observation.of(points, Semantics.SURFACE)
-    if bounds is not None:
+    if scene.bounds is not None:
         free = free_lattice(
             nearest_about(metres, settings.free_rim_px),
             intrinsics,
             world_T_camera,
-            bounds,
+            scene.bounds,
             spacing=settings.free_spacing_m,
             margin_m=settings.free_margin_m,
             fraction=settings.free_fraction,
@@ -183,13 +206,12 @@ def _candidates(
     intrinsics: Tensor,
     seen: Tensor,
     settings: ViewSettings,
-    color: np.ndarray | Tensor | None,
-    mask: Tensor | None,
+    image: Image,
     plane: Plane | None,
     generator: torch.Generator | None,
 ) -> Bool[Tensor, "H W"]:
     """Pixels that may be the object."""
-    shape = tuple(metres.shape)
+    shape, color, mask = tuple(metres.shape), image.color, image.mask
     if settings.segmentation == "mask":
         if mask is None or tuple(mask.shape) != shape:
             got = "None" if mask is None else tuple(mask.shape)
@@ -219,23 +241,21 @@ def _without(
     metres: Tensor,
     intrinsics: Tensor,
     world_T_camera: Tensor,
-    body: RobotBody | None,
-    world_T_links: Tensor | None,
-    within: Tensor | None,
-    settings: ViewSettings,
+    scene: KnownScene,
+    body_margin_m: float,
 ) -> Bool[Tensor, "H W"]:
     """The pixels without those of the robot and those out of the box."""
-    if body is None and within is None:
+    if scene.body is None and scene.within is None:
         return surface
     points = se3.apply(world_T_camera, pixel_points(metres, surface, intrinsics))
     kept = torch.ones(len(points), dtype=torch.bool)
-    if within is not None:
-        low, high = within.to(points)
+    if scene.within is not None:
+        low, high = scene.within.to(points)
         kept &= ((points >= low) & (points <= high)).all(-1)
-    if body is not None:
-        if world_T_links is None:
+    if scene.body is not None:
+        if scene.world_T_links is None:
             raise ValueError("Expected world_T_links, where the body's links were, got None")
-        kept[kept.clone()] = ~body.near(points[kept], world_T_links, settings.body_margin_m)
+        kept[kept.clone()] = ~scene.body.near(points[kept], scene.world_T_links, body_margin_m)
     left = torch.zeros_like(surface)
     left[surface] = kept
     return left

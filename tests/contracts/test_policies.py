@@ -16,11 +16,12 @@ from rumi.dynamics.displacement import DisplacementSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.gpvr import GPVRSettings
 from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingSettings
 from rumi.robot.tool import Tool
 from rumi.runs.plain import plain
 from rumi.tasks.rummage.build import make_policy
-from rumi.tasks.rummage.settings import METHODS, Settings
+from rumi.tasks.rummage.settings import Settings
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
@@ -41,7 +42,7 @@ NEEDS = {"gpvr": "gpytorch", "gpvr-greedy": "gpytorch"}
 CENTRE = torch.tensor([0.4, 0.0, 0.3])
 
 
-@pytest.fixture(params=METHODS)
+@pytest.fixture(params=list(POLICIES))
 def method(request: pytest.FixtureRequest) -> str:
     library = NEEDS.get(request.param)
     if library and importlib.util.find_spec(library) is None:

@@ -15,20 +15,12 @@ from sdf.base import SDF
 from sdf.grid_sdf import GridSDF
 from sdf.posed import posed_distance, posed_query
 from sdf.primitives import Box
-from sensors.discrepancy import Discrepancy, normal_equations, tangent_gradient
+from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 
 
 def seen(points: Tensor) -> Observation:
     return Observation.of(points, 2)
-
-
-def terms(function: Callable[..., tuple[Tensor, ...]]) -> Callable[[SDF, Tensor, Tensor], Tensor]:
-    def total(sdf: SDF, poses: Tensor, points: Tensor) -> Tensor:
-        found = function(sdf, poses, points, seen(points).semantics, seen(points).valid)
-        return sum((part.sum() for part in found), points.new_zeros(()))
-
-    return total
 
 
 def even(poses: Tensor) -> Tensor:
@@ -39,8 +31,6 @@ OPERATIONS: dict[str, Callable[[SDF, Tensor, Tensor], Tensor]] = {
     "posed_distance": posed_distance,
     "posed_query": lambda sdf, poses, points: posed_query(sdf, poses, points).gradient,
     "discrepancy": lambda sdf, poses, points: Discrepancy(sdf, 0.1)(poses, seen(points)),
-    "normal_equations": terms(normal_equations),
-    "tangent_gradient": terms(tangent_gradient),
     "information_field": lambda sdf, poses, points: information_field(sdf, poses, even(poses), points).information,
     "expected_normal": lambda sdf, poses, points: expected_normal(sdf, poses, even(poses), points),
     "self_agreement": lambda sdf, poses, points: self_agreement(PoseBelief.uniform(poses), points, sdf).expected_nll,

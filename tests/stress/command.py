@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from rumi.commands.progress import say
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, INTERRUPTED
 from rumi.runs.plain import plain
+from rumi.runs.progress import say
 from scripts.bench.ledger import commit, machine
 from tests.stress import exact, subjects
 from tests.stress.sweep import SWEEPS, Outcome, Sweep, carry_out

@@ -16,13 +16,12 @@ THERE = (
     *("se3-", "beliefs-", "distances-table", "distances-closed", "distances-not-finite", "distances-posed"),
     *(
         "distances-discrepancy",
-        "distances-normal",
         "fields-",
         "entropy-",
         "likelihoods-contact",
         "likelihoods-semantics",
     ),
-    *("likelihoods-log-surface", "likelihoods-nll", "planning-information-cost", "far-"),
+    *("likelihoods-log-surface", "likelihoods-nll", "planning-information-cost"),
 )
 """Beginnings of the names of the sweeps whose operations run wherever their inputs are."""
 _HERE = ("se3-exp-gradient", "beliefs-resampling", "entropy-channel-capacity")

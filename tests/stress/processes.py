@@ -23,7 +23,6 @@ POLL_S = 0.004
 LONGEST_S = 600.0
 """A command of a second that takes this long hangs."""
 _NEEDED = (
-    "rumi.commands.table",
     "rumi.commands.run",
     "rumi.tasks.rummage.build",
     "rumi.loop",

@@ -10,7 +10,7 @@ import torch
 
 from rumi.rosbag.bag import import_bag
 from rumi.rosbag.mapping import mapping_of
-from rumi.rosbag.readings import Made, make_readings
+from rumi.rosbag.readings import ImportedReadings, make_readings
 from sdf import se3, so3
 from sensors.log.reader import Log
 from sensors.semantics import Semantics
@@ -208,9 +208,9 @@ class Recorded:
 
 def pushes(steps: int = 5):
     """A simulated robot that goes to a mug and pushes it a little: its task, first result and results."""
-    from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
 
-    spec = replace(TASKS["mug-0"], start=(0.55, 0.03, 0.6))
+    spec = replace(SCENES["mug-0"], start=(0.55, 0.03, 0.6))
     task = make_task(spec, tool=make_tool(spec, free_flying=True), model=large_handled_mug())
     first = task.reset(0)
     controls = torch.tensor([[1.0, 0.3, 0.0], [1.0, 0.1, 0.0], [0.9, 0.0, 0.0], [0.6, 0.0, 0.0], [0.2, 0.0, 0.0]])
@@ -260,7 +260,7 @@ def record(folder: Path, *, organised: bool = True, depth: bool = False, **optio
     return Recorded(maker.close(), results[-1].truth, first.truth, [first.reading, *(r.reading for r in results)])
 
 
-def readings_of(bag: Path, text: str, path: Path) -> Made:
+def readings_of(bag: Path, text: str, path: Path) -> ImportedReadings:
     """What a bag tells by a mapping file's text, all of it, by way of a log at `path`."""
     mapping = mapping_of(text)
     path.unlink(missing_ok=True)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from rumi import cli
 from rumi.cli import main
 from rumi.errors import UsageError
+from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.rosbag.bag import import_bag
 from rumi.rosbag.mapping import mapping_of
 from sensors.log.reader import Log
@@ -322,18 +322,18 @@ def test_the_command(bags, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "map.toml").write_text(ALL)
     wrenches(bags, tmp_path / "bag", [0, 1, 1])
-    assert main(["import", "bag/bag.mcap", "--map", "map.toml"]) == cli.NOT_CONVERGED
+    assert main(["import", "bag/bag.mcap", "--map", "map.toml"]) == NOT_CONVERGED
     said = capsys.readouterr()
     assert "bag.h5: 3 rows of 1 streams" in said.out and "(1 duplicate)" in said.out
     assert "the bag has no /cloud" in said.err
     (tmp_path / "few.toml").write_text(re.sub(r'"/(cloud|depth|metres|color|info|joints|touched)" .*\n', "", ALL))
-    assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == cli.DONE
-    assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == cli.BAD_INPUT
+    assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == DONE
+    assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == BAD_INPUT
     assert "few.h5 exists" in capsys.readouterr().err
     for never in ("inf", "nan", "-1"):
-        assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--future", never]) == cli.BAD_INPUT
+        assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--future", never]) == BAD_INPUT
         assert "Expected --future of 0 s to 1e+09 s" in capsys.readouterr().err
-    assert main(["import", "bag/bag.mcap", "--map", "none.toml"]) == cli.BAD_INPUT
+    assert main(["import", "bag/bag.mcap", "--map", "none.toml"]) == BAD_INPUT
     assert "Cannot read the mapping none.toml" in capsys.readouterr().err
 
 

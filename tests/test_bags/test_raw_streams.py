@@ -27,10 +27,10 @@ def pushed(sensors, path, lost=0):
     The camera's first pictures are lost, as many as told.
     """
     from rumi.sim.settings import SimSettings
-    from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
 
     mug = large_handled_mug()
-    spec = replace(TASKS["mug-0"], start=(0.45, 0.03, 0.6))
+    spec = replace(SCENES["mug-0"], start=(0.45, 0.03, 0.6))
     task = make_task(spec, SimSettings(sensors=sensors), tool=make_tool(spec, free_flying=True), model=mug)
     if lost:
         late = iter([True] * lost + [False] * 10_000)
@@ -110,7 +110,19 @@ def test_a_recorded_run_can_be_read_by_its_map(tmp_path, monkeypatch, capsys):
     pytest.importorskip("pytorch_kinematics")
     monkeypatch.chdir(tmp_path)
     few = ["--initialise.particles", "12", "--initialise.starts", "24", "--initialise.polished", "12"]
-    asked = ["run", "mug-0", "--sensor", "bubbles", "--record", "--steps", "1", "--no-figures", "--out", "one", *few]
+    asked = [
+        "run",
+        "mug-0",
+        "--simulator.sensors.kind",
+        "bubbles",
+        "--record",
+        "--steps",
+        "1",
+        "--no-figures",
+        "--out",
+        "one",
+        *few,
+    ]
     main([*asked, "--planner.mppi.samples", "20", "--planner.rollouts", "2"])
     (tmp_path / "few.toml").write_text(
         (tmp_path / "one/map.toml").read_text()
@@ -127,10 +139,10 @@ def test_the_map_of_a_run_with_a_mesh_names_the_mesh(tmp_path, monkeypatch):
     from rumi.sim.sensor_settings import SensorSettings
     from rumi.sim.settings import SimSettings
     from rumi.tasks.rummage.objects import ObjectSettings
-    from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
 
     monkeypatch.chdir(tmp_path)
-    spec = replace(TASKS["mug-0"], start=(0.45, 0.03, 0.6))
+    spec = replace(SCENES["mug-0"], start=(0.45, 0.03, 0.6))
     settings = SimSettings(sensors=SensorSettings("bubbles"))
     task = make_task(spec, settings, tool=make_tool(spec, free_flying=True), model=large_handled_mug())
     task.reset(0)

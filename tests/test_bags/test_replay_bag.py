@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from rumi import cli
 from rumi.cli import main
 from rumi.errors import UsageError
+from rumi.exit_codes import NOT_CONVERGED
 from rumi.rosbag.bag import import_bag
 from rumi.rosbag.frames import Edge, FrameTree
 from rumi.rosbag.mapping import mapping_of
@@ -105,7 +105,7 @@ def test_the_replayed_belief_finds_the_object(log, bags, recorded):
 
 def test_the_command(log, tmp_path, monkeypatch, capsys, bags):
     monkeypatch.chdir(tmp_path)
-    assert main(["replay", str(log), "--out", "run"]) == cli.NOT_CONVERGED
+    assert main(["replay", str(log), "--out", "run"]) == NOT_CONVERGED
     said = capsys.readouterr()
     assert "no live run's to compare with" in said.out
     assert "likeliest at (0." in said.out

@@ -40,7 +40,7 @@ def felt_run(bags, tmp_path_factory):
     import rumi.tasks.rummage.sensed as module
     from rumi.sim.sensor_settings import SensorSettings
     from rumi.sim.settings import SimSettings
-    from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
 
     taken = []
     read = module.bubble_patch
@@ -51,7 +51,7 @@ def felt_run(bags, tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "bubble_patch", kept)
-        spec = replace(TASKS["mug-0"], start=(0.45, 0.03, 0.6))
+        spec = replace(SCENES["mug-0"], start=(0.45, 0.03, 0.6))
         task = make_task(
             spec,
             SimSettings(sensors=SensorSettings("bubbles")),

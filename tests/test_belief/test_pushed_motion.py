@@ -169,7 +169,7 @@ def test_the_filter_asks_it(pushed: PushedMotion) -> None:
     settings = FilterSettings(motion="pushed", translation_noise_m=0.0, rotation_noise_rad=0.0)
     random = torch.Generator().manual_seed(0)
     start, felt = belief(0.5), reading(straight())
-    follow = PoseFilter(MODULE, "SE(2)", settings, pushed=pushed)
+    follow = PoseFilter(settings, [MODULE], "SE(2)", pushed=pushed)
     after, _, info = follow(start, Observation.empty(), felt, generator=random)
     assert bool(info.moved)
     torch.testing.assert_close(after.world_T_attached, pushed(start, felt)[-1] @ start.world_T_attached)

@@ -34,7 +34,7 @@ def prior(box):
 def pose_filter(box, prior):
     settings = FilterSettings()
     discrepancy = Discrepancy(box.sdf, box.radius, free_scale=settings.free_scale, tolerance=settings.tolerance_m)
-    return PoseFilter(discrepancy, "SE(3)", settings, prior)
+    return PoseFilter(settings, [discrepancy], "SE(3)", prior)
 
 
 def lying_at(prior, way, planar):
@@ -55,9 +55,9 @@ def right(box, pose, truth):
 
 def test_lying_flat_keeps_height_and_tilt(pose_filter):
     assert pose_filter.search == "SE(2)"
-    free = PoseFilter(pose_filter.discrepancy, "SE(3)", FilterSettings(lies_flat=False), pose_filter.prior)
+    free = PoseFilter(FilterSettings(lies_flat=False), [pose_filter.discrepancy], "SE(3)", pose_filter.prior)
     assert free.search == "SE(3)"
-    assert PoseFilter(pose_filter.discrepancy, "SE(3)", FilterSettings()).search == "SE(3)"
+    assert PoseFilter(FilterSettings(), [pose_filter.discrepancy], "SE(3)").search == "SE(3)"
 
 
 def test_belief_starts_as_the_prior(pose_filter, prior, generator):
@@ -139,7 +139,7 @@ def test_follows_the_attached_frame(box, pose_filter, prior, generator):
 
 
 def test_without_a_prior_there_is_nothing_to_draw_from(pose_filter, generator):
-    bare = PoseFilter(pose_filter.discrepancy, "SE(3)", FilterSettings())
+    bare = PoseFilter(FilterSettings(), [pose_filter.discrepancy], "SE(3)")
     belief = PoseBelief.uniform(se3.identity((3,), dtype=torch.float32))
     with pytest.raises(ValueError, match="prior to draw from"):
         redraw(bare, belief, Observation.empty(), RenewalSettings(), generator=generator)
@@ -169,7 +169,7 @@ def test_poses_follow_level_errors_once_the_object_has_tipped(box, pose_filter, 
     else:
         # level in the frame: what is left is by how much the two are tilted
         assert float((found[:, 2] - truth[2]).abs().max()) < 1e-6
-    assert not bool(PoseFilter(pose_filter.discrepancy, "SE(2)", FilterSettings()).tipped(belief))
+    assert not bool(PoseFilter(FilterSettings(), [pose_filter.discrepancy], "SE(2)").tipped(belief))
 
 
 def test_noise_is_level_in_the_world(pose_filter, prior, generator):

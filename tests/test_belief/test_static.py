@@ -14,7 +14,7 @@ from sdf import se3
 from sdf import skipped_work as savings
 from sdf.mesh.triangles import Triangles
 from sensors.touch.rectangle_touch import RectangleTouches
-from sensors.touch.touch_likelihood import Touches, TouchNoise
+from sensors.touch.touch_likelihood import TouchNoise, touch_log_likelihoods
 
 F64 = torch.float64
 SPACES = {"place": PlaneSpace(None), "plane": PlaneSpace(0.1), "pose": PoseSpace(0.1)}
@@ -203,9 +203,16 @@ def test_a_mesh_in_six_dimensions_is_found():
     follow = StaticFilter(space, flat)
     belief = follow.start(start)
     noise = TouchNoise(0.001, math.radians(2.0))
+
+    class Touches:
+        def __init__(self, first, last):
+            self.touches = (points[first:last], normals[first:last])
+
+        def log_likelihood(self, states):
+            return touch_log_likelihoods(states, *self.touches, box, noise).sum(-1)
+
     for k in range(9):
-        one = Touches(points[k : k + 1], normals[k : k + 1], box, noise)
-        every = Touches(points[: k + 1], normals[: k + 1], box, noise)
+        one, every = Touches(k, k + 1), Touches(0, k + 1)
         belief, _ = follow.update(belief, one, every, generator=generator)
     off, turn = se3.distance(belief.best, truth[0])
     assert float(off) < 0.003 and math.degrees(float(turn)) < 3.0

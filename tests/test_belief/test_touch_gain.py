@@ -5,10 +5,15 @@ import math
 import pytest
 import torch
 
-from rumi.information.contact_gain import Outcomes, mesh_touch_gain, noisy, rectangle_likelihood, touch_gain
-from rumi.information.expected_divergence import with_kinds, with_misses
+from rumi.information.contact_gain import (
+    Outcomes,
+    noisy,
+    rectangle_likelihood,
+    touch_gain,
+    with_kinds,
+    with_misses,
+)
 from sdf import se3
-from sdf.mesh.triangles import Triangles
 from sdf.sweep import sweep_rectangle
 from sensors.touch.touch_likelihood import TouchNoise
 
@@ -16,7 +21,6 @@ F64 = torch.float64
 HALF = torch.tensor([0.1, 0.05], dtype=F64)
 NOISE = TouchNoise()
 RADIUS = 0.0125
-QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 
 
 # every test of this file holds for the plain and for the fused version
@@ -93,29 +97,6 @@ def test_a_rigid_change_of_world_changes_nothing():
     before = gains(poses, log, STARTS, ENDS)
     after = gains(moved, log, STARTS @ rigid.mT + world[:2], ENDS @ rigid.mT + world[:2])
     assert torch.allclose(before, after, atol=1e-8)
-
-
-def test_a_box_as_mesh_in_space_is_the_rectangle():
-    poses, log = believed(60)
-    corners = torch.cartesian_prod(*[torch.tensor([-x, x], dtype=F64) for x in (0.1, 0.05, 0.3)])
-    box = Triangles(corners[torch.tensor([(q[0], q[k], q[k + 1]) for q in QUADS for k in (1, 2)])])
-    pad = torch.zeros(len(STARTS), 1, dtype=F64)
-    start, end = torch.cat((STARTS, pad), -1), torch.cat((ENDS, pad), -1)
-    sweep = sweep_rectangle(poses, HALF, STARTS[..., None, :], ENDS[..., None, :], RADIUS)
-    # corners are the rectangle's alone, so motions are compared that meet none
-    on_side = (sweep.normal[:, :, None] * torch.stack((poses[:, 2].cos(), poses[:, 2].sin()), -1)[:, None]).sum(-1)
-    flat_only = ((on_side.abs() < 1e-9) | (on_side.abs() > 1 - 1e-9))[..., 0].all(-1)
-    assert bool(flat_only[0])
-    noise = TouchNoise(0.005, 0.1)
-    wanted = touch_gain(log, Outcomes.of(sweep), rectangle_likelihood(poses, HALF, noise))
-    found = mesh_touch_gain(se3.from_planar(poses), log, box, start, end, RADIUS, noise)
-    assert float(found[0]) == pytest.approx(float(wanted[0]), rel=0.02)
-    assert float(found[4]) < 1e-12
-    sampled = mesh_touch_gain(
-        se3.from_planar(poses), log, box, start, end, RADIUS, noise,
-        readings=30, sampled=True, generator=torch.Generator().manual_seed(0),
-    )  # fmt: skip
-    assert sampled.shape == (5,) and bool((sampled >= 0).all()) and float(sampled[0]) > 0.5
 
 
 def test_noise_is_what_it_says():

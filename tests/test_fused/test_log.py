@@ -10,18 +10,18 @@ import torch
 pytest.importorskip("h5py")
 
 from rumi.cli import main
-from rumi.commands.progress import both
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.records import StepRecord
 from rumi.runs.logbook import LOG, LogRecorder, digest
+from rumi.runs.progress import both
 from rumi.tasks.handle.build import build_fused
 from rumi.tasks.handle.finder import build_finder
 from rumi.tasks.handle.grasp import HandleTable
 from rumi.tasks.handle.log import COUNTED, IDLE, FusedLogRecorder, recorded, refuse_other_senses, replay_fused
 from rumi.tasks.handle.run import Outcome, run_fused
 from rumi.tasks.handle.settings import FusedSettings
-from sensors.contact_reading import FeltReading
+from sensors.contact_reading import ContactReading
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
 
@@ -67,7 +67,7 @@ def as_command(tool, live, monkeypatch, capsys, tmp_path):
 def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
     with Log(live.folder / LOG) as log:
         seed, settings = recorded(log)
-        taken = log.taken(FeltReading)
+        taken = log.taken(ContactReading)
         assert log.problems == []
     assert (seed, settings) == (SEED, SETTINGS)
     steps = []
@@ -81,7 +81,7 @@ def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
 
 def test_readings_come_back_whole(live):
     with Log(live.folder / LOG) as log:
-        taken = log.taken(FeltReading)
+        taken = log.taken(ContactReading)
     assert taken[0].reading.signals is None and len(taken[0].reading.wrench.points) == 0
     for one, step in zip(taken[1:], live.steps[1:], strict=True):
         ours, theirs = one.reading, step.reading
@@ -94,7 +94,7 @@ def test_readings_come_back_whole(live):
 
 
 def test_other_settings_give_another_belief_on_the_same_readings(live, as_command):
-    code, said = as_command(live.folder, "--wrist.outlier", "0.4", "--budget-s", "9", "--out", "what-if")
+    code, said = as_command(live.folder, "--wrist.outlier", "0.4", "--run-budget-s", "9", "--out", "what-if")
     assert code in (DONE, NOT_CONVERGED)
     assert "budget_s: no effect" in said.err
     assert "differs from the recorded one from action 3 on (wrist.outlier changed)" in said.out
@@ -156,6 +156,6 @@ def test_logs_of_other_runs_are_told_apart(live, tmp_path):
         log(live.steps[0])
     with Log(tmp_path / "plain.h5") as log:
         assert recorded(log) is None
-        assert len(log.taken(FeltReading)[0].reading.wrench.points) == 0
+        assert len(log.taken(ContactReading)[0].reading.wrench.points) == 0
     with Log(live.folder / LOG) as log, pytest.raises(LogError, match="reading/signals, which this rumi"):
         log.taken()

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rumi.belief.particles import PoseBelief
-from rumi.information.stop_rule import StopSettings, converged
+from rumi.information.stopping import StopEvidence, StopSettings, converged
 from rumi.metrics import likelihood
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
@@ -164,13 +164,13 @@ def test_pose_error_modulo_symmetry():
 )
 def test_self_rule(change, expected):
     state = {"expected_nll": 4.0, "fit": 1.0, "apc": 0.001, "diagonal": 0.17, "contacts": 1} | change
-    assert converged(StopSettings(), **state) is expected
+    assert converged(StopSettings(), StopEvidence(**state)) is expected
 
 
 def test_apc_rule_and_never(no_shape_check):
     state = {"expected_nll": 40.0, "fit": 9.0, "diagonal": 0.17, "contacts": 0}
-    assert converged(StopSettings(rule="apc"), apc=0.005, **state)
-    assert not converged(StopSettings(rule="apc"), apc=0.006, **state)
-    assert not converged(StopSettings(rule="never"), apc=0.0, **state)
-    with pytest.raises(ValueError, match="self, apc or never"):
+    assert converged(StopSettings(rule="apc"), StopEvidence(apc=0.005, **state))
+    assert not converged(StopSettings(rule="apc"), StopEvidence(apc=0.006, **state))
+    assert not converged(StopSettings(rule="never"), StopEvidence(apc=0.0, **state))
+    with pytest.raises(ValueError, match="'sometimes'; there are self, apc, never"):
         StopSettings(rule="sometimes")

@@ -50,7 +50,7 @@ def mug() -> ObjectModel:
 
 @pytest.fixture(scope="module")
 def follower(mug: ObjectModel) -> PoseFilter:
-    return PoseFilter(Discrepancy(mug.sdf, mug.radius), "SE(2)", FilterSettings())
+    return PoseFilter(FilterSettings(), [Discrepancy(mug.sdf, mug.radius)], "SE(2)")
 
 
 @pytest.fixture(scope="module")

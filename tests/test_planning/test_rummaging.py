@@ -12,8 +12,8 @@ from rumi.dynamics.displacement import DisplacementSettings
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import InformationSettings
 from rumi.fields.workspace import Workspace
-from rumi.planning.ablations import info_only, reach_only
 from rumi.planning.policy import Plan, Scene
+from rumi.planning.registry import info_only, reach_only
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.robot.tool import Tool
 from sdf import se3

@@ -12,8 +12,9 @@ from rumi.registration.descent import DescentSettings, _surface_terms, descend, 
 from sdf import backend, se3, so3
 from sdf.grid_sdf import GridSDF
 from sdf.object_model import mug_model
+from sdf.posed import posed_distance
 from sdf.primitives import Box
-from sensors.discrepancy import Discrepancy, normal_equations
+from sensors.discrepancy import Discrepancy, residuals
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 
@@ -55,16 +56,21 @@ def test_gauss_newton_finds_the_pose_from_a_view_of_all_sides(search, sdf):
 
 
 @pytest.mark.parametrize("search", ["SE(2)", "SE(3)"])
-def test_terms_equal_the_public_normal_equations(search):
+def test_terms_are_those_of_the_half_squares(search):
     pose = se3.exp(0.1 * torch.randn(3, 6, generator=torch.Generator().manual_seed(2), dtype=F64))
     points = box_surface()
-    valid = torch.ones(len(points), dtype=torch.bool)
-    terms = _surface_terms(Discrepancy(BOX, 0.125).double(), pose, points, valid, search)
-    full = normal_equations(BOX, pose, points, torch.full((len(points),), 2), valid)
-    dof = [0, 1, 5] if search == "SE(2)" else list(range(6))
-    torch.testing.assert_close(terms.gradient, full.gradient[:, dof])
-    torch.testing.assert_close(terms.hessian, full.hessian[:, dof][:, :, dof])
-    torch.testing.assert_close(terms.objective, full.objective)
+    module = Discrepancy(BOX, 0.125).double()
+    terms = _surface_terms(module, pose, points, torch.ones(len(points), dtype=torch.bool), search)
+
+    def distances(step):
+        with backend.force("torch"):
+            return posed_distance(BOX, retract(pose, step.expand(3, -1), search), points)
+
+    still = torch.zeros(3 if search == "SE(2)" else 6, dtype=F64)
+    rows = torch.autograd.functional.jacobian(distances, still)
+    torch.testing.assert_close(terms.objective, half_squares(module, pose, Observation.of(points, Semantics.SURFACE)))
+    torch.testing.assert_close(terms.gradient, (rows.mT @ distances(still)[..., None])[..., 0])
+    torch.testing.assert_close(terms.hessian, rows.mT @ rows)
 
 
 @pytest.mark.parametrize("sdf", [BOX, TABLE], ids=["exact", "table"])
@@ -129,9 +135,10 @@ def test_degenerate_inputs_give_finite_poses(sdf):
 
 
 def half_squares(module: Discrepancy, poses: torch.Tensor, observation: Observation) -> torch.Tensor:
-    points, semantics, valid = observation.points, observation.semantics, observation.valid
-    terms = normal_equations(module.sdf, poses, points, semantics, valid, module.free_scale, -module.tolerance)
-    return terms.objective
+    distance = posed_distance(module.sdf, poses, observation.points)
+    semantics, valid = observation.semantics[..., None, :], observation.valid[..., None, :]
+    residual, weight = residuals(distance, semantics, module.free_scale.to(distance), -module.tolerance.to(distance))
+    return 0.5 * (weight * valid * residual**2).sum(-1)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, F64], ids=["single", "double"])

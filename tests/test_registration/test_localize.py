@@ -13,8 +13,7 @@ from rumi.registration.contact_terms import TouchFit, touch_terms
 from rumi.registration.from_contacts import LocalizeSettings, PositionPrior, localize
 from rumi.registration.touch_surface import TouchSurface
 from rumi.seeding import generator as seeded
-from sdf import backend, se3, so3
-from sdf import compiled as fused
+from sdf import backend, compiled, se3, so3
 from sdf.mesh.mesh import MeshError, TriangleMesh
 from sdf.surface import sample_triangles
 from sdf.symmetry import Symmetries
@@ -272,7 +271,7 @@ def test_a_distance_is_not_that_of_the_smoothed_loss(version, box):
 
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 def test_versions_agree(dtype, box):
-    if not fused.available():
+    if not compiled.available():
         pytest.skip("without numba")
     _, points, normals = touches(box, 30, noise=0.003)
     poses = torch.eye(4, dtype=F64).repeat(9, 1, 1)

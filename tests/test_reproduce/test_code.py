@@ -64,7 +64,6 @@ def test_a_run_depends_on_the_algorithm_and_not_on_what_shows_it():
         "rumi.viz",
         "rumi.bench",
         "rumi.cli",
-        "rumi.commands.table",
         "rumi.commands.run",
         "rumi.runs.folder",
         "rumi.commands.explain",

@@ -3,7 +3,7 @@
 import pytest
 
 from rumi.errors import UsageError
-from rumi.tasks.rummage.scenes import TASKS
+from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset, to_dict
 from scripts.reproduce.command import part, seeds_of
 from scripts.reproduce.experiments import EXPERIMENTS, HORIZON_BEFORE, HORIZONS, PARTICLES_BEFORE, Selection, work_of
@@ -107,6 +107,6 @@ def test_experiments_share_their_runs():
 
 def test_nothing_selected_is_everything_and_each_seed_is_whole_before_the_next():
     jobs = work_of(("table5",), Selection(seeds=(5, 6)))
-    assert {j.task for j in jobs} == set(TASKS)
+    assert {j.task for j in jobs} == set(SCENES)
     assert {j.preset for j in jobs} == {"default", "paper"}
     assert [j.seed for j in jobs] == sorted(j.seed for j in jobs)

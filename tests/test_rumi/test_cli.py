@@ -9,14 +9,17 @@ from pathlib import Path
 import pytest
 
 from rumi import __version__, cli
-from rumi.cli import main
-from rumi.commands import run as run_command
-from rumi.commands.progress import Progress, line
-from rumi.commands.table import table as commands
+from rumi.cache import cache_folder
+from rumi.cli import COMMANDS, main
+from rumi.commands.run import parse
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.runs.folder import load_run
+from rumi.runs.progress import Progress
+from rumi.sim.sensor_settings import degraded
+from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
-from rumi.tasks.rummage.scenes import TASKS
+from rumi.tasks.rummage.entry import describe
+from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
 
 pytestmark = pytest.mark.usefixtures("at_home")
@@ -58,7 +61,7 @@ def thaw():
 
 @pytest.mark.sim
 def test_a_run_by_a_budget(thaw):
-    assert run_small("--budget", "0.02", steps=3) == cli.NOT_CONVERGED
+    assert run_small("--plan-budget-s", "0.02", steps=3) == cli.NOT_CONVERGED
     run = load_run("runs/mug-0-rumi-default-s0")
     assert run.settings["budget_s"] == 0.02
     assert run.result.timings_s["warm_up"] > 0
@@ -81,7 +84,7 @@ def test_the_same_seed_gives_the_same_files_and_never_overwrites():
 def test_exit_code_when_sure():
     always = ("--stop.expected-nll", "1e9", "--stop.fit", "1e9", "--stop.contacts", "0")
     assert run_small(*always) == cli.DONE
-    assert load_run("runs/mug-0-rumi-default-s0").result.stopped_by == "converged"
+    assert load_run("runs/mug-0-rumi-default-s0").result.stopped_by == "sure"
 
 
 @pytest.mark.sim
@@ -103,8 +106,8 @@ def test_an_interrupt_leaves_a_readable_run(monkeypatch, capsys):
     ("arguments", "work"),
     [
         (["mug-0"], "rumi.tasks.rummage.build.build"),
-        (["fused", "--record"], "rumi.tasks.handle.build.build_fused"),
-        (["peg"], "rumi.commands.run_peg.run_peg"),
+        (["handle", "--record"], "rumi.tasks.handle.build.build_fused"),
+        (["peg"], "rumi.tasks.peg.entry.build_peg"),
     ],
 )
 def test_an_interrupt_before_there_is_a_result_leaves_no_folder(arguments, work, monkeypatch, capsys):
@@ -135,11 +138,14 @@ def test_figures_are_drawn_and_drawn_again(capsys):
     ("arguments", "message"),
     [
         (["find"], "There is no command 'find'; the commands are tasks, run, replay"),
-        (["run", "mug-9"], f"There is no task 'mug-9'; the tasks are {', '.join(sorted(TASKS))}"),
+        (["run", "mug-9"], f"There is no task 'mug-9'; there are {', '.join(SCENES)}, touch-box, peg, handle"),
         (["run", "mug-0", "--preset", "quick"], "There is no preset 'quick'; the presets are default, fast, paper"),
         (["run", "mug-0", "--preset=quick"], "There is no preset 'quick'"),
-        (["run", "mug-0", "--filter.triger", "3"], "did you mean --filter.trigger"),
-        (["run", "mug-0", "--whatever"], "--planner.mppi.samples"),
+        (["run", "peg", "--preset", "fast"], "There is no preset 'fast'; the presets are default, paper"),
+        (["run", "mug-0", "--filter.triger", "3"], "--filter.trigger FLOAT"),
+        (["run", "mug-0", "--whatever"], "Unrecognized options: --whatever"),
+        (["run", "--seed", "3", "mug-0"], "Expected the task first, as in `rumi run mug-0 --seed 3`, got --seed"),
+        (["run", "mug-0", "--simulator.sensors.lost", "0.5"], "Expected --simulator.sensors.kind camera, bubbles"),
         (["run", "mug-0", "--steps", "41"], "Expected steps to be at most the 40 of mug-0, got 41"),
         (["run", "mug-0", "--method", "poke"], "'rumi'"),
         (["run", "mug-0", "--seed", "x"], "--seed"),
@@ -147,7 +153,7 @@ def test_figures_are_drawn_and_drawn_again(capsys):
         (["run", "mug-0", "--initialise.particles", "0"], "Expected at least one particle, got 0"),
         (["run", "mug-0", "--planner.mppi.samples", "0"], "samples"),
         (["run", "mug-0", "--out", "file/run"], "Cannot write to the folder file"),
-        (["run"], "Which task? Give its name, as in `rumi run mug-0`"),
+        (["run"], "usage: rumi run TASK [options]"),
         (["plot", "nowhere"], "There is no run folder nowhere"),
         (["plot"], "RUN"),
     ],
@@ -183,7 +189,7 @@ def test_what_goes_wrong_in_a_run_is_named(error, message, monkeypatch, capsys):
     def fail(arguments):
         raise error
 
-    monkeypatch.setattr(commands, "run", fail)
+    monkeypatch.setattr("rumi.commands.run.run", fail)
     assert main(["run", "mug-0"]) == cli.BAD_INPUT
     assert message in capsys.readouterr().err
     monkeypatch.setenv("RUMI_DEBUG", "1")
@@ -194,55 +200,108 @@ def test_what_goes_wrong_in_a_run_is_named(error, message, monkeypatch, capsys):
 def test_tasks_are_listed(capsys):
     assert main(["tasks"]) == cli.DONE
     listed = capsys.readouterr().out.splitlines()
-    assert [text.split()[0] for text in listed] == [*TASKS, "touch-box", "peg", "fused"]
+    assert [text.split()[0] for text in listed] == [*SCENES, "touch-box", "peg", "handle"] == list(TASKS)
+    assert main(["run", "--help"]) == cli.DONE
+    assert capsys.readouterr().out.endswith("\n".join(listed) + "\n")
 
 
-def test_help_is_quick_and_has_examples():
-    code = "import sys; from rumi.cli import main; main(['--help']); assert 'torch' not in sys.modules"
+def test_help_loads_nothing_and_names_every_command():
+    code = "import sys; from rumi.cli import main; main(['--help']); assert not {'torch', 'tyro'} & set(sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert "rumi run mug-0" in done.stdout
+    assert all(f"  rumi {name}" in done.stdout for name in COMMANDS)
 
 
-def test_version_and_help_of_commands(capsys):
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "run"])
+def test_every_command_has_help(name, capsys):
+    assert main([name, "--help"]) == cli.DONE
+    said = capsys.readouterr()
+    assert f"rumi {name}" in said.out and said.err == ""
+
+
+@pytest.mark.parametrize("name", ["mug-0", "touch-box", "peg", "handle"])
+def test_every_task_lists_its_settings(name, capsys):
+    assert main(["run", name, "--help"]) == cli.DONE
+    said = " ".join(capsys.readouterr().out.split())
+    for flag in (f"usage: rumi run {name}", "--preset", "--seed", "--out", "--record", "--no-figures"):
+        assert flag in said
+
+
+def test_version(capsys):
     assert main(["--version"]) == cli.DONE
     assert capsys.readouterr().out == f"rumi {__version__}\n"
     assert main([]) == cli.BAD_INPUT
-    capsys.readouterr()
-    assert main(["run", "--help"]) == cli.DONE
-    shown = capsys.readouterr().out
-    for text in ("rumi run mug-1 --method info-only", "--filter.trigger", "--motion", "--no-figures"):
-        assert text in shown
+
+
+def settings_of(*arguments):
+    return parse(arguments)[2].settings
 
 
 def test_flags_reach_the_settings():
-    options = run_command.parse_run(["mug-1", "--preset", "paper", "--motion", "sticking", "--filter.trigger", "7"])
+    asked = ["--preset", "paper", "--filter.motion", "sticking", "--filter.trigger", "7"]
+    name, _, options = parse(["mug-1", *asked])
     expected = preset("paper", task="mug-1")
     assert options.settings == replace(expected, filter=replace(expected.filter, motion="sticking", trigger=7.0))
-    assert options.figures
+    assert (name, options.figures, options.preset) == ("mug-1", True, "paper")
     # both spellings, and switches
-    options = run_command.parse_run(["mug-0", "--filter.free_scale=5", "--planner.mppi.no-include-nominal"])
-    assert options.settings.filter.free_scale == 5.0
-    assert not options.settings.planner.mppi.include_nominal
-    assert run_command.parse_run(["mug-0"]).settings == preset()
-    assert run_command.parse_run(["mug-0", "--budget", "0.05"]).settings == preset(budget_s=0.05)
+    settings = settings_of("mug-0", "--filter.free_scale=5", "--planner.mppi.no-include-nominal")
+    assert settings.filter.free_scale == 5.0
+    assert not settings.planner.mppi.include_nominal
+    assert settings_of("mug-0") == preset()
+    assert settings_of("mug-0", "--plan-budget-s", "0.05") == preset(budget_s=0.05)
+    peg = settings_of(
+        "peg", "--preset=paper", "--action-budget-s", "20", "--evaluation-s", "None", "--table-m", "1", "2"
+    )
+    assert (peg.settings.stop, peg.settings.t_max_s, peg.settings.evaluation_s) == ("contacts", 20.0, None)
+    assert peg.settings.table_m == (1.0, 2.0)
+    handle = settings_of("handle", "--sensors", "wrench,camera", "--run-budget-s", "30", "--wrist.outlier", "0.2")
+    assert (handle.settings.sensors, handle.settings.budget_s) == (("camera", "wrench"), 30.0)
+    assert (handle.settings.preset, handle.settings.wrist.outlier) == ("fast", 0.2)
+    touch = settings_of("touch-box", "--plan-budget-s", "0.1", "--task.rates", "0.9", "0.05", "--filter.sweeps", "1")
+    assert (touch.budget_s, touch.task.rates, touch.settings.filter.sweeps) == (0.1, (0.9, 0.05), 1)
 
 
-def test_default_folders_do_not_collide(tmp_path):
-    settings = preset(seed=2)
-    first = run_command.default_folder(settings, tmp_path)
-    assert first.name == "mug-0-rumi-default-s2"
-    first.mkdir()
-    (first / "settings.json").touch()
-    assert run_command.default_folder(settings, tmp_path).name == "mug-0-rumi-default-s2-2"
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [
+        ("mug-0 --budget 0.05", "mug-0 --plan-budget-s 0.05"),
+        ("mug-0 --budget=0.05", "mug-0 --plan-budget-s=0.05"),
+        ("drill-0 --push-model mujoco", "drill-0 --planner.push-model mujoco"),
+        ("mug-0 --motion corrected", "mug-0 --filter.motion corrected"),
+        ("mug-0 --sensor both", "mug-0 --simulator.sensors.kind both"),
+        ("touch-box --budget 0.1", "touch-box --plan-budget-s 0.1"),
+        ("peg --t-max 10 --evaluation real", "peg --action-budget-s 10 --evaluation-s None"),
+        ("fused --budget 30 --thinking real", "handle --run-budget-s 30 --thinking-s None"),
+        ("fused --sensors camera", "handle --sensors camera"),
+    ],
+)
+def test_former_names_are_told_and_taken(former, now, capsys):
+    assert settings_of(*now.split()) == settings_of(*former.split())
+    assert "now" in capsys.readouterr().err
+
+
+def test_degraded_stands_for_the_settings_of_the_sensors():
+    found = settings_of("mug-0", "--degraded", "--sensor", "both").simulator.sensors
+    assert found == degraded("both")
+
+
+def test_what_no_flag_stands_for_any_more_is_refused_with_what_to_write(capsys):
+    assert main(["run", "peg", "--set", "point_m=0.001"]) == cli.BAD_INPUT
+    assert "--point-m 0.001 for --set point_m=0.001" in capsys.readouterr().err
+
+
+def test_labels_are_folders():
+    assert [
+        TASKS[name].label(settings_of(name, "--seed", "2")) for name in ("mug-0", "touch-box", "peg", "handle")
+    ] == [*("mug-0-rumi-default-s2", "touch-box-sequence-gripper-s2", "peg-t10-mass-s2", "handle-all-s2")]
 
 
 def test_cache_folder(monkeypatch):
     monkeypatch.setenv("RUMI_CACHE", "/x")
-    assert commands.cache_folder() == Path("/x")
+    assert cache_folder() == Path("/x")
     monkeypatch.delenv("RUMI_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", "/y")
-    assert commands.cache_folder() == Path("/y/rumi")
+    assert cache_folder() == Path("/y/rumi")
 
 
 class Terminal(io.StringIO):
@@ -253,12 +312,12 @@ class Terminal(io.StringIO):
 def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere(made_up):
     steps = made_up(5, particles=10).steps
     for stream, marks in ((Terminal(), ("\r", "4/4", "ess")), (io.StringIO(), ("action 4", "contact", "plan 0.20s"))):
-        with Progress("mug-0", 4, stream) as progress:
+        with Progress("mug-0", 4, describe, stream) as progress:
             for step in steps:
                 progress(step)
         for mark in marks:
             assert mark in stream.getvalue()
-    assert line(steps[0]).startswith("first view: nll 22.0")
+    assert describe(steps[0]).startswith("nll 22.0")
 
 
 @pytest.mark.sim
@@ -273,13 +332,12 @@ def test_an_object_that_cannot_be_made_leaves_no_folder(tmp_path, capsys):
 @pytest.mark.parametrize(
     "asked",
     [
-        ("drill-0", "--push-model", "quasi-static"),
-        ("drill-0", "--motion", "pushed"),
-        ("box-0", "--push-model", "mujoco"),
+        ("drill-0", "--planner.push-model", "quasi-static"),
+        ("drill-0", "--filter.motion", "pushed"),
+        ("box-0", "--planner.push-model", "mujoco"),
     ],
 )
 def test_models_that_push_in_a_plane_refuse_other_tasks(asked, cache):
     """Before any step is made, and in words."""
-    options = run_command.parse_run(list(asked))
     with pytest.raises(UsageError, match=f"{asked[1]} {asked[2]} .*{asked[0]}"):
-        build(options.settings, cache_dir=cache)
+        build(settings_of(*asked), cache_dir=cache)

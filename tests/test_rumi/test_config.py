@@ -6,8 +6,10 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.information.stop_rule import StopSettings
-from rumi.tasks.rummage.settings import METHODS, PRESETS, Settings, from_dict, preset, setting_names, to_dict
+from rumi.information.stopping import StopSettings
+from rumi.planning.registry import POLICIES
+from rumi.runs.json_settings import setting_names
+from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -55,7 +57,7 @@ def test_paper_preset_is_table_iv():
 
 
 def test_names_of_nested_settings():
-    names = setting_names()
+    names = setting_names(Settings)
     assert {"seed", "filter.trigger", "planner.mppi.samples", "filter.descent.method"} <= set(names)
     assert len(names) == len(set(names))
 
@@ -63,7 +65,7 @@ def test_names_of_nested_settings():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"method": "poke"}, f"one of {', '.join(METHODS)}, got 'poke'"),
+        ({"method": "poke"}, f"There is no method 'poke'; there are {', '.join(POLICIES)}"),
         ({"preset": "quick"}, "one of default, fast, paper, got 'quick'"),
         ({"sed": 1}, "There is no setting sed; there are task, method"),
         ({"filter": {"triger": 1}}, "There is no setting filter.triger; there are filter.peakiness"),

@@ -9,7 +9,7 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.reinitialise import RenewalSettings
 from rumi.fields.workspace import Workspace
-from rumi.information.stop_rule import StopSettings
+from rumi.information.stopping import StopSettings
 from rumi.loop import rummage
 from rumi.records import StepRecord
 from rumi.registration.descent import DescentSettings
@@ -49,7 +49,7 @@ def test_a_step_after_which_poses_were_drawn_anew_keeps_all_its_seconds() -> Non
     task = LogTask(taken)
     rummager = Rummager(
         box,
-        PoseFilter(Discrepancy(box.sdf, box.radius), "SE(3)", FilterSettings(descent=QUICK), prior),
+        PoseFilter(FilterSettings(descent=QUICK), [Discrepancy(box.sdf, box.radius)], "SE(3)", prior),
         LogPolicy(task, [torch.zeros(3)] * 2),
         Workspace.from_bounds(BOUNDS, 0.05, planar_height=0.02),
         Tool(BOUNDS[:, :2]),

@@ -9,7 +9,8 @@ import pytest
 from rumi import cli
 from rumi.cli import main
 from rumi.runs.folder import load_run
-from rumi.tasks.rummage.settings import from_dict, setting_names
+from rumi.runs.json_settings import setting_names
+from rumi.tasks.rummage.settings import Settings, from_dict
 from scripts.bench.mug_mesh import mug_mesh, write_obj
 from sdf.primitives import Mug
 
@@ -92,6 +93,7 @@ def test_bad_input_is_refused(mesh, options, said, capsys):
 
 
 def test_flags_are_known_by_their_short_names(capsys):
-    assert {"mesh", "scale", "mass", "friction", "upright", "symmetry", "spacing", "collision"} <= set(setting_names())
+    names = {"mesh", "scale", "mass", "friction", "upright", "symmetry", "spacing", "collision"}
+    assert names <= set(setting_names(Settings))
     assert run_small("--mas", "1") == cli.BAD_INPUT
     assert "did you mean --mass" in capsys.readouterr().err

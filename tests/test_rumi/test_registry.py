@@ -43,6 +43,16 @@ def test_an_address_is_imported_when_it_is_asked_for(tmp_path, monkeypatch):
     assert table["late"] == 7 and "late_member" in sys.modules
 
 
+def test_a_mapping_is_imported_when_its_names_are_asked_for(tmp_path, monkeypatch):
+    (tmp_path / "late_mapping.py").write_text("MEMBERS = {'two': 2, 'three': 3}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    table = Table[int]("number")
+    table.include("late_mapping:MEMBERS")
+    table.add("one", 1)
+    assert table["one"] == 1 and "late_mapping" not in sys.modules
+    assert (table["three"], list(table), "two" in table) == (3, ["two", "three", "one"], True)
+
+
 def test_entry_points_add_members_and_replace_none(tmp_path, monkeypatch):
     (tmp_path / "own_package.py").write_text("OWN, ONE = 8, 9\n")
     monkeypatch.syspath_prepend(tmp_path)

@@ -9,7 +9,7 @@ import pytest
 
 from rumi import build, cli, preset, rummage
 from rumi.errors import UsageError
-from rumi.tasks.rummage.scenes import TASKS
+from rumi.tasks.rummage.scenes import SCENES
 from sensors.semantics import Semantics
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -124,7 +124,7 @@ def test_the_readme_says_how_to_bring_own_observations(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", [name for name in TASKS if "mug" in name])  # the others show next to nothing, or all
+@pytest.mark.parametrize("task", [name for name in SCENES if "mug" in name])  # the others show next to nothing, or all
 def test_the_first_belief_covers_what_the_view_leaves_open(task, tmp_path):
     script = load(ROOT / "scripts" / "first_view.py")
     figure = tmp_path / "view.png"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from sdf import compiled as fused
+from sdf import compiled
 from sdf.part_numba import indices
 
 
@@ -28,7 +28,7 @@ def threads():
 @pytest.mark.parametrize("count", [1, 2])
 def test_kernel_is_announced_once_and_the_same_for_any_threads(count, threads, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    kernel = fused.Kernel(_squares)
+    kernel = compiled.Kernel(_squares)
     threads(count)
     values = np.arange(100.0)
     for _ in range(2):
@@ -38,7 +38,7 @@ def test_kernel_is_announced_once_and_the_same_for_any_threads(count, threads, c
     assert capsys.readouterr().err.count("compiling squares") == 1
     assert list(Path(tmp_path).rglob("*.nbi"))
     # what is kept is not compiled, nor announced, again
-    fused.Kernel(_squares)(values, np.empty(100))
+    compiled.Kernel(_squares)(values, np.empty(100))
     assert capsys.readouterr().err == ""
 
 
@@ -67,16 +67,16 @@ def test_code_of_a_changed_building_block_is_not_taken_from_what_is_kept(tmp_pat
 
 def test_what_a_fused_version_can_take():
     plain = torch.zeros(3)
-    assert fused.supports(plain, torch.zeros(2, dtype=torch.long))
-    assert not fused.supports(plain.requires_grad_())
+    assert compiled.supports(plain, torch.zeros(2, dtype=torch.long))
+    assert not compiled.supports(plain.requires_grad_())
     with torch.no_grad():
-        assert fused.supports(plain)
-    assert not fused.supports(torch.zeros(3, dtype=torch.float16))
-    assert not fused.supports(torch.zeros(3, device="meta"))
+        assert compiled.supports(plain)
+    assert not compiled.supports(torch.zeros(3, dtype=torch.float16))
+    assert not compiled.supports(torch.zeros(3, device="meta"))
 
 
 def test_no_kernel_under_a_transform_of_torch_func():
     seen = []
-    torch.func.vmap(lambda x: seen.append(fused.supports(x)) or x)(torch.zeros(3))
+    torch.func.vmap(lambda x: seen.append(compiled.supports(x)) or x)(torch.zeros(3))
     assert seen == [False]
-    assert fused.supports(torch.zeros(3)) == fused.available()
+    assert compiled.supports(torch.zeros(3)) == compiled.available()

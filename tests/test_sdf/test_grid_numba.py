@@ -6,8 +6,15 @@ import pytest
 import torch
 
 from sdf.compiled import Kernel
-from sdf.grid_fused import grid_arguments, layer_arguments
-from sdf.grid_numba import lattice_of, layer_value, layer_value_and_gradient, value, value_and_gradient
+from sdf.grid_numba import (
+    grid_arguments,
+    lattice_of,
+    layer_arguments,
+    layer_value,
+    layer_value_and_gradient,
+    value,
+    value_and_gradient,
+)
 from sdf.grid_sdf import GridSDF
 from sdf.part_numba import indices
 from sdf.primitives import Mug

@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.mesh.touched import touched_face
 from sdf.mesh.triangles import Triangles, closest_point, nearest
 
@@ -56,7 +55,7 @@ def test_a_thin_plate_is_touched_on_the_side_that_the_normal_says():
 @pytest.mark.parametrize("shape", [(200,), (3, 7), (0,)])
 @pytest.mark.parametrize("count", [1, 60])
 def test_versions_agree(dtype, shape, count):
-    if not fused.available():
+    if not compiled.available():
         pytest.skip("without numba")
     faces, (points, normals) = triangles(count, dtype), touches(shape, dtype)
     with backend.force("torch"):

@@ -8,7 +8,7 @@ from sdf import se3
 from sensors.semantics import Semantics
 from sensors.vision.camera import pixel_points
 from sensors.vision.cloud import cloud_observation, organised_intrinsics, pinhole_about
-from sensors.vision.view import ViewSettings, view_observation
+from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
 
 pytest.importorskip("cv2")
 
@@ -45,9 +45,10 @@ def test_an_organised_cloud_is_its_image(scene):
     there = torch.isfinite(depth)
     points[there] = pixel_points(depth, there, scene.intrinsics)
     assert torch.allclose(organised_intrinsics(points), scene.intrinsics, atol=0.01)
-    given = {"mask": scene.mask, "bounds": BOUNDS}
-    found = cloud_observation(points, scene.world_T_camera, **given)
-    expected = view_observation(depth.nan_to_num(posinf=0.0), scene.intrinsics, scene.world_T_camera, **given)
+    known = KnownScene(bounds=BOUNDS)
+    found = cloud_observation(points, scene.world_T_camera, None, known, mask=scene.mask)
+    image = Image(depth.nan_to_num(posinf=0.0), scene.intrinsics, mask=scene.mask)
+    expected = view_observation(image, scene.world_T_camera, None, known)
     assert torch.equal(found.surface, expected.surface)
     surface, free = parts(found)
     assert torch.allclose(surface, next(parts(expected)), atol=1e-4)
@@ -64,7 +65,7 @@ def test_points_without_order(scene, way, frame):
     if frame == "world":
         points = se3.apply(scene.world_T_camera, points)
     given = {"mask": {"mask": mask}, "color": {"colors": colors}, "plane": {"generator": seeded()}}[way]
-    view = cloud_observation(points, scene.world_T_camera, WAYS[way], frame=frame, bounds=BOUNDS, **given)
+    view = cloud_observation(points, scene.world_T_camera, WAYS[way], KnownScene(bounds=BOUNDS), frame=frame, **given)
     surface, free = parts(view)
     assert len(surface) > 0.5 * int(scene.mask.sum()) and len(free) > 3000
     assert float(scene.distance(surface).abs().max()) < 2e-5
@@ -73,7 +74,7 @@ def test_points_without_order(scene, way, frame):
 
 def test_noise_of_two_millimetres(scene):
     points, mask, _ = scattered(scene, with_noise(scene.depth, 0.002, mixed=True, generator=seeded()))
-    surface, free = parts(cloud_observation(points, scene.world_T_camera, mask=mask, bounds=BOUNDS))
+    surface, free = parts(cloud_observation(points, scene.world_T_camera, None, KnownScene(bounds=BOUNDS), mask=mask))
     assert len(surface) > 0.3 * int(scene.mask.sum())
     assert float((scene.distance(surface).abs() > 0.006).double().mean()) < 0.01
     assert float(scene.distance(free).min()) > 0

@@ -5,8 +5,7 @@ import math
 import pytest
 import torch
 
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.sweep import nearest_on_rectangle, sweep_rectangle, turned
 from sensors.touch.rectangle_touch import RectangleTouches, rectangle_log_likelihoods, way_clearance, way_clearances
 from sensors.touch.touch_likelihood import TouchNoise
@@ -137,7 +136,7 @@ def test_the_truth_explains_what_a_ball_feels():
     assert len(each) > 40 and float(each.abs().max()) < 1e-12
 
 
-@pytest.mark.skipif(not fused.available(), reason="without numba")
+@pytest.mark.skipif(not compiled.available(), reason="without numba")
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 def test_versions_agree(dtype):
     generator = torch.Generator().manual_seed(7)

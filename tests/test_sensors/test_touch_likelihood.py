@@ -7,9 +7,7 @@ import torch
 
 from sdf import se3, so3
 from sdf.mesh.triangles import Triangles
-from sensors.evidence import Evidence
 from sensors.touch.touch_likelihood import (
-    Touches,
     TouchNoise,
     box_face_log_likelihoods,
     box_log_likelihoods,
@@ -89,13 +87,11 @@ def test_point_and_normal_are_of_one_face(box):
 def test_a_rigid_change_of_world_changes_nothing(box):
     pose, points, normals = scene()
     world = se3.exp(torch.tensor([1.0, -2.0, 0.5, 0.4, 2.0, -1.0], dtype=F64))
-    touches = Touches(points, normals, box, TouchNoise(outlier=0.01))
-    assert isinstance(touches, Evidence)
-    before = touches.log_likelihood(pose)
-    assert before.shape == (7,)
-    assert torch.allclose(before, touches.moved(world).log_likelihood(world @ pose), atol=1e-7)
-    alone = Touches(points, None, box)
-    assert torch.allclose(alone.log_likelihood(pose), alone.moved(world).log_likelihood(world @ pose), atol=1e-7)
+    noise, moved, turned = TouchNoise(outlier=0.01), se3.apply(world, points), normals @ world[:3, :3].mT
+    for before, after in ((normals, turned), (None, None)):
+        found = touch_log_likelihoods(pose, points, before, box, noise)
+        assert found.shape == (7, 12)
+        assert torch.allclose(found, touch_log_likelihoods(world @ pose, moved, after, box, noise), atol=1e-7)
 
 
 def test_an_outlier_costs_so_much_and_no_more(box):

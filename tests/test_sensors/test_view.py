@@ -1,7 +1,7 @@
 """From depth images of scenes in closed form to surface and free points."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from sensors.vision.depth_filters import EdgeSettings, nearest_about, reliable
 from sensors.vision.images import depth_metres, undistorted
 from sensors.vision.persistence import Persistence
 from sensors.vision.robot_body import RobotBody
-from sensors.vision.view import ViewSettings, view_observation
+from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
 
 pytest.importorskip("cv2")
 
@@ -37,7 +37,12 @@ def scene(request):
 def look(scene, depth, settings, **given):
     own = {"mask": {"mask": scene.mask}, "color": {"color": scene.color}, "plane": {"generator": seeded(0)}}
     given = {"bounds": BOUNDS, **own[settings.segmentation], **given}
-    return view_observation(depth, scene.intrinsics, scene.world_T_camera, settings, **given)
+    image, known = (
+        {field.name: given.pop(field.name) for field in fields(kind) if field.name in given}
+        for kind in (Image, KnownScene)
+    )
+    image = Image(depth, scene.intrinsics, **image)
+    return view_observation(image, scene.world_T_camera, settings, KnownScene(**known), **given)
 
 
 def seeded(seed):

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("mujoco")
 pytest.importorskip("pytorch_kinematics")
 
-from rumi.tasks.rummage.scenes import TASKS, large_handled_mug, make_tool
+from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_tool
 
 
 @pytest.fixture(scope="session")
@@ -15,4 +15,4 @@ def mug():
 
 @pytest.fixture(scope="session")
 def arm_tool(cache):
-    return make_tool(TASKS["mug-0"], cache_dir=cache)
+    return make_tool(SCENES["mug-0"], cache_dir=cache)

@@ -10,7 +10,7 @@ import torch
 from rumi.errors import UsageError
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.objects import ObjectSettings, own_model, record, with_object
-from rumi.tasks.rummage.scenes import TASKS
+from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
 from scripts.bench.mug_mesh import mug_mesh, write_obj
 from sdf import se3, so3
@@ -22,7 +22,7 @@ pytest.importorskip("scipy")
 pytest.importorskip("networkx")
 pytestmark = pytest.mark.sim
 
-SPEC = TASKS["mug-0"]
+SPEC = SCENES["mug-0"]
 HALF = (0.03, 0.04, 0.06)
 
 

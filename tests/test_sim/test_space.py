@@ -12,7 +12,7 @@ from rumi.robot.gripper import GripperShape
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.world import World
 from rumi.tasks.rummage.build import build_rummager
-from rumi.tasks.rummage.scenes import TASKS, find_task, make_task, make_tool
+from rumi.tasks.rummage.scenes import SCENES, find_task, make_task, make_tool
 from rumi.tasks.rummage.settings import preset
 from sdf import se3
 from sdf.drill import Drill, drill_model
@@ -23,7 +23,7 @@ from sensors.semantics import Semantics
 pytestmark = pytest.mark.sim
 
 HALF = (0.030, 0.079, 0.105)
-UNSEEN = [name for name, spec in TASKS.items() if spec.prior is not None and spec.spatial]
+UNSEEN = [name for name, spec in SCENES.items() if spec.prior is not None and spec.spatial]
 SOFT = PhysicsSettings(mass_kg=0.41, max_force_n=25.0, max_lift_n=15.0, max_torque_nm=4.0, lead_m=0.006)
 
 

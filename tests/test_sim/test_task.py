@@ -8,7 +8,7 @@ import torch
 
 from rumi.errors import UsageError
 from rumi.sim.settings import SimSettings
-from rumi.tasks.rummage.scenes import TASKS, make_task
+from rumi.tasks.rummage.scenes import SCENES, make_task
 from sdf import se3
 from sensors.observation import attach
 from sensors.semantics import Semantics
@@ -16,7 +16,7 @@ from sensors.semantics import Semantics
 pytestmark = pytest.mark.sim
 
 AHEAD = torch.tensor([1.0, 0.0, 0.1])
-SPEC = replace(TASKS["mug-0"], start=(0.40, 0.0, 0.3))
+SPEC = replace(SCENES["mug-0"], start=(0.40, 0.0, 0.3))
 
 
 @pytest.fixture

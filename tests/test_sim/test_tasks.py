@@ -12,7 +12,7 @@ import torch
 from rumi.errors import UsageError
 from rumi.robot.arm import ArmGeometry
 from rumi.sim.settings import SimSettings
-from rumi.tasks.rummage.scenes import TASKS, find_task, make_task, make_tool
+from rumi.tasks.rummage.scenes import SCENES, find_task, make_task, make_tool
 from sdf import se3
 from sensors.semantics import Semantics
 
@@ -37,7 +37,7 @@ def on_handle(task, points):
 
 
 def task_named(name, arm_tool, mug, **changes):
-    return make_task(replace(TASKS[name], **changes), tool=arm_tool, model=mug)
+    return make_task(replace(SCENES[name], **changes), tool=arm_tool, model=mug)
 
 
 # motions that bring each mug round until the pads feel its handle (from runs of seeds 1000 and 1001)
@@ -113,7 +113,7 @@ def test_handle_is_hidden_at_first(name, arm_tool, mug):
     assert float(mug.exact.members[0].distance(points).abs().max()) < 0.001  # the cup's, every one
     assert not bool(on_handle(task, points).any())
     # turned to the camera it would be seen
-    x, y, yaw = TASKS[name].start
+    x, y, yaw = SCENES[name].start
     turned = task_named(name, arm_tool, mug, start=(x, y, yaw + math.pi))
     assert int(on_handle(turned, surface_in_object(turned, turned.reset(0))).sum()) > 50
 
@@ -122,7 +122,7 @@ def test_handle_is_hidden_at_first(name, arm_tool, mug):
 def test_start_is_at_the_edge_of_reach(name, arm_tool):
     """A tool pointing away from the base gets a little beyond the mug's axis, one turned aside by 60 degrees does
     not get there."""
-    spec = TASKS[name]
+    spec = SCENES[name]
     x, y, _ = spec.start
     base = torch.tensor(spec.base)
     offset = torch.tensor([x, y]) - base[:2]
@@ -172,10 +172,10 @@ def test_handle_can_be_reached(name, arm_tool, mug):
 
 
 def test_starts_differ():
-    kinds = {name.rpartition("-")[0] for name in TASKS}
+    kinds = {name.rpartition("-")[0] for name in SCENES}
     assert {"mug", "drill", "box"} <= kinds
     for kind in kinds:
-        starts = torch.tensor([spec.start for name, spec in TASKS.items() if name.rpartition("-")[0] == kind])
+        starts = torch.tensor([spec.start for name, spec in SCENES.items() if name.rpartition("-")[0] == kind])
         assert len(starts) == 1 or float(torch.pdist(starts).min()) > 0.1
 
 
@@ -187,17 +187,17 @@ def test_unknown_task_names_the_valid_ones():
 
 
 def test_tool_of_a_task(tmp_path):
-    free = make_tool(TASKS["mug-0"], SimSettings(action_scale_m=0.05, action_scale_rad=0.4), free_flying=True)
+    free = make_tool(SCENES["mug-0"], SimSettings(action_scale_m=0.05, action_scale_rad=0.4), free_flying=True)
     assert free.reach is None
     assert free.scale.tolist() == pytest.approx([0.05, 0.05, 0.4])
-    assert free.height_m == TASKS["mug-0"].height_m
+    assert free.height_m == SCENES["mug-0"].height_m
 
 
 def test_reach_is_kept_on_disk(cache, arm_tool, monkeypatch):
     from rumi.robot import reach_table
 
     monkeypatch.setattr(reach_table, "solve_table", lambda settings: pytest.fail("solved again"))
-    again = make_tool(TASKS["mug-1"], cache_dir=cache)
+    again = make_tool(SCENES["mug-1"], cache_dir=cache)
     assert torch.equal(again.reach.position, arm_tool.reach.position)
 
 
@@ -214,6 +214,6 @@ def test_tasks_load_no_simulator():
 
 def test_arm_is_the_stated_one():
     """The base stands 0.45 m behind the workspace; the arm's links are an iiwa's."""
-    assert all(spec.base == (-0.45, 0.0, 0.0) for name, spec in TASKS.items() if not name.startswith("shelf"))
+    assert all(spec.base == (-0.45, 0.0, 0.0) for name, spec in SCENES.items() if not name.startswith("shelf"))
     geometry = ArmGeometry()
     assert sum(geometry.offsets_m[2:4]) == pytest.approx(0.42) and sum(geometry.offsets_m[4:6]) == pytest.approx(0.40)

@@ -91,8 +91,8 @@ def test_the_command(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     quick = ["run", "touch-box", "--robot", "planar", "--count", "60", "--actions", "1", "--no-figures"]
     quick += ["--poke.candidates", "3", "--poke.particles", "20"]
-    assert main([*quick, "--budget", "0.05", "--out", "own"]) in (cli.DONE, cli.NOT_CONVERGED)
+    assert main([*quick, "--plan-budget-s", "0.05", "--out", "own"]) in (cli.DONE, cli.NOT_CONVERGED)
     assert json.loads(Path("own/settings.json").read_text())["budget_s"] == 0.05
     for bad in ("0", "-1", "nan", "inf"):
-        assert main([*quick, "--budget", bad]) == cli.BAD_INPUT
-        assert "--budget above 0 s" in capsys.readouterr().err
+        assert main([*quick, "--plan-budget-s", bad]) == cli.BAD_INPUT
+        assert "--plan-budget-s above 0 s" in capsys.readouterr().err

@@ -4,10 +4,9 @@ import torch
 from torch import Tensor
 
 from rumi.bench import peers
-from rumi.bench.case import Case, Setup, Target, Variant, case, largest_difference
+from rumi.bench.case import Case, Setup, Variant, case, largest_difference
 from rumi.bench.scenes import ViewScene, view_scene
-from sdf.base import SDF
-from sensors.discrepancy import Discrepancy, normal_equations, tangent_gradient
+from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 
 _DEFAULT, _DIRECT = "chsel default", "chsel Eq 3"
@@ -35,10 +34,7 @@ def _peers(setup: Setup, scene: ViewScene, *, gradient: bool) -> tuple[Variant, 
 @case("discrepancy")
 def discrepancy(setup: Setup) -> Case:
     """The discrepancy of a batch of poses."""
-    scene = view_scene(setup)
-    cost = Discrepancy(scene.model.sdf, scene.model.radius).to(setup.device)
-    seen = torch.ones_like(scene.semantics, dtype=torch.bool)
-    view = Observation(scene.points, scene.semantics, seen, seen)
+    scene, cost, view = _scene(setup)
 
     def run() -> Tensor:
         with torch.no_grad():
@@ -61,9 +57,16 @@ def discrepancy(setup: Setup) -> Case:
 
 @case("discrepancy-gradient")
 def discrepancy_gradient(setup: Setup) -> Case:
-    """The discrepancy's objective with its gradient, as the peers give it."""
-    scene, inputs = _inputs(setup)
-    variants = setup.ours(lambda: tangent_gradient(*inputs))
+    """The discrepancy with its gradient to the poses by autograd, as the peers give it."""
+    scene, cost, view = _scene(setup)
+    poses = scene.world_T_object.clone().requires_grad_()
+
+    def run() -> tuple[Tensor, Tensor]:
+        value = cost(poses, view)
+        (gradient,) = torch.autograd.grad(value.sum(), poses)
+        return value.detach(), gradient
+
+    variants: tuple[Variant, ...] = (Variant("torch", run, version="torch"),)
     if setup.peers:
         variants += _peers(setup, scene, gradient=True)
     return Case(
@@ -72,38 +75,14 @@ def discrepancy_gradient(setup: Setup) -> Case:
         (_DEFAULT, _DIRECT),
         items=len(scene.world_T_object) * len(scene.points),
         item="pair",
-        targets=(
-            Target("numba", at_most_s=2.5e-3),
-            Target("numba", at_least=1.0, against=(_DEFAULT, _DIRECT)),
-            Target("torch", at_most_s=9e-3),
-            Target("torch", at_least=1.0, against=(_DIRECT,)),
-        ),
-        error=_relative,
+        error=largest_difference,
         tolerance=1e-3,
         left_out=setup.left_out,
     )
 
 
-@case("descent-terms")
-def descent_terms(setup: Setup) -> Case:
-    """The same with the Gauss-Newton Hessian, which no peer gives."""
-    scene, inputs = _inputs(setup)
-    return Case(
-        f"discrepancy with gradient and Hessian: {_what(scene)}",
-        setup.ours(lambda: normal_equations(*inputs)),
-        (),
-        items=len(scene.world_T_object) * len(scene.points),
-        item="pair",
-        error=_relative,
-        tolerance=1e-3,
-    )
-
-
-def _inputs(setup: Setup) -> tuple[ViewScene, tuple[SDF, Tensor, Tensor, Tensor, Tensor]]:
+def _scene(setup: Setup) -> tuple[ViewScene, Discrepancy, Observation]:
     scene = view_scene(setup)
-    valid = torch.ones_like(scene.semantics, dtype=torch.bool)
-    return scene, (scene.model.sdf, scene.world_T_object, scene.points, scene.semantics, valid)
-
-
-def _relative(found: tuple[Tensor, ...], reference: tuple[Tensor, ...]) -> float:
-    return max(largest_difference(a, b) / float(b.abs().max()) for a, b in zip(found, reference, strict=True))
+    cost = Discrepancy(scene.model.sdf, scene.model.radius).to(setup.device)
+    seen = torch.ones_like(scene.semantics, dtype=torch.bool)
+    return scene, cost, Observation(scene.points, scene.semantics, seen, seen)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.initialise import initialise, view_starts
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.belief.reinitialise import challenge
 from rumi.clock import Clock
 from rumi.errors import UsageError
@@ -20,7 +20,9 @@ from rumi.task import StepResult
 from rumi.tasks.handle.finder import Finder
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.scoring import observe
-from sensors.contact_reading import FeltReading
+from rumi.weights import boltzmann
+from sensors.contact_reading import ContactReading
+from sensors.evidence import EvidenceSet
 from sensors.observation import Observation
 from sensors.reading import Reading
 from sensors.semantics import Semantics
@@ -50,7 +52,7 @@ def begin(finder: Finder, reading: Reading, *, random: Random) -> Followed:
     """After the first view."""
     rummager, generator = finder.rummager, random["initialise"]
     belief, memory = first_belief(rummager, reading, generator=generator)
-    belief = replace(_seen(rummager, belief, memory, generator=generator), felt=finder.feeling.nothing())
+    belief = replace(_seen(rummager, belief, memory, generator=generator), evidence=EvidenceSet())
     return Followed(belief, memory)
 
 
@@ -81,7 +83,7 @@ def follow(
         UsageError: a reading of another kind of run.
     """
     rummager, settings, reading, last = finder.rummager, finder.settings, result.reading, history[-1]
-    if not isinstance(reading, FeltReading) or reading.object_motion is None:
+    if not isinstance(reading, ContactReading) or reading.object_motion is None:
         raise UsageError(f"Expected readings of a fused run, with the object's motion, got a {type(reading).__name__}")
     renewal, generator = rummager.renewal, random["renewal"]
     with clock("belief"):

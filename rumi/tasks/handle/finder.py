@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rumi.belief.contact_evidence import Feeling
+from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel
 from rumi.robot.tool import Tool
 from rumi.tasks.handle.settings import FusedSettings, task_of
 from rumi.tasks.rummage.agent import Rummager
@@ -19,13 +19,11 @@ class Finder:
 
     Attributes:
         settings: of the run.
-        rummager: whose filter counts what is felt.
-        feeling: that makes evidence of it.
+        rummager: whose filter counts the evidence of contact.
     """
 
     settings: FusedSettings
     rummager: Rummager
-    feeling: Feeling
 
 
 def build_finder(
@@ -50,5 +48,8 @@ def build_finder(
     contacts = 0 if settings.sensors == ("camera",) else settings.contacts
     stop = replace(plain.stop, fit_a_contact=settings.fit_a_contact, contacts=contacts)
     wrist, surface = settings.wrist, tool.shape.surface(settings.signals.spacing_m).float()
-    feeling = Feeling(model.sdf, surface, wrist.point_m, wrist.normal_rad, wrist.outlier, settings.signals)
-    return Finder(settings, replace(rummager, filter=rummager.filter.feeling(feeling), stop=stop), feeling)
+    pose_filter = rummager.filter.with_evidence(
+        ContactPointModel(model.sdf, wrist.point_m, wrist.normal_rad, wrist.outlier),
+        ContactSignalModel(model.sdf, surface, settings.signals),
+    )
+    return Finder(settings, replace(rummager, filter=pose_filter, stop=stop))

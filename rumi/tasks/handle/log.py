@@ -12,6 +12,7 @@ from rumi.clock import Clock
 from rumi.errors import UsageError
 from rumi.planning.policy import Plan
 from rumi.records import StepRecord
+from rumi.runs.json_settings import dataclass_of
 from rumi.runs.logbook import LogRecorder, digest
 from rumi.runs.replay import Replayed
 from rumi.task import StepResult
@@ -19,8 +20,7 @@ from rumi.tasks.handle.agent import begin, belief_streams, follow
 from rumi.tasks.handle.finder import Finder
 from rumi.tasks.handle.settings import FusedSettings
 from rumi.tasks.rummage.scoring import observe, summarise
-from rumi.tasks.rummage.settings import dataclass_of
-from sensors.contact_reading import FeltReading
+from sensors.contact_reading import ContactReading
 
 if TYPE_CHECKING:
     from sensors.log.reader import Log, Taken
@@ -49,11 +49,11 @@ class FusedLogRecorder(LogRecorder):
         self, path: Path | str, seed: int, settings: FusedSettings, about: Mapping[str, Any] | None = None
     ) -> None:
         asked = {"task": "fused", "seed": seed, "fused": settings}
-        super().__init__(path, asked, about, readings=FeltReading)
+        super().__init__(path, asked, about, readings=ContactReading)
 
     def __call__(self, step: StepRecord) -> None:
         """Append a step; once this returns, a kill no longer loses it."""
-        super().__call__(replace(step, reading=FeltReading.of(step.reading)))
+        super().__call__(replace(step, reading=ContactReading.of(step.reading)))
 
 
 def recorded(log: "Log") -> tuple[int, FusedSettings] | None:

@@ -2,7 +2,9 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
+
+import tyro
 
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.errors import UsageError
@@ -12,6 +14,28 @@ from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec, large_handled_mug
 SensorName = Literal["camera", "bubbles", "wrench", "torques"]
 SENSORS: tuple[SensorName, ...] = get_args(SensorName)
 """The sensors by name; `all` of them is what the run is about."""
+
+
+def sensors_of(text: str) -> tuple[SensorName, ...]:
+    """The sensors that a text names, in their own order: all, or some with commas between.
+
+    Raises:
+        UsageError: there is no such sensor.
+    """
+    named = SENSORS if text == "all" else tuple(text.split(","))
+    for name in named:
+        if name not in SENSORS:
+            raise UsageError(f"There is no sensor {name!r}; there are all, {', '.join(SENSORS)}")
+    return tuple(name for name in SENSORS if name in named)
+
+
+_AS_WORDS = tyro.constructors.PrimitiveConstructorSpec(
+    nargs=1,
+    metavar="all|NAME,NAME",
+    instance_from_str=lambda words: sensors_of(words[0]),
+    is_instance=lambda value: isinstance(value, tuple),
+    str_from_instance=lambda value: ["all" if value == SENSORS else ",".join(value)],
+)
 
 
 @dataclass(frozen=True)
@@ -48,7 +72,8 @@ class FusedSettings:
     """Settings of `rumi run fused`.
 
     Attributes:
-        sensors: whose evidence the belief takes in.
+        sensors: whose evidence the belief takes in: all, or some of camera, bubbles, wrench and torques, with commas
+            between.
         budget_s: of time, on a clock that runs while the robot thinks, moves and grasps.
         thinking_s: that a plan and a belief's update are taken to last on that clock; None for what they last here,
             and the planner then makes do with what is left.
@@ -68,10 +93,10 @@ class FusedSettings:
             errors: what the noise costs.
     """
 
-    sensors: tuple[SensorName, ...] = SENSORS
-    budget_s: float = 60.0
+    sensors: Annotated[tuple[SensorName, ...], _AS_WORDS] = SENSORS
+    budget_s: Annotated[float, tyro.conf.arg(name="run-budget-s", metavar="SECONDS")] = 60.0
     thinking_s: float | None = 1.0
-    preset: str = "fast"
+    preset: Annotated[str, tyro.conf.Suppress] = "fast"
     renewals: int = 3
     fit_a_contact: float = 3.0
     contacts: int = 2

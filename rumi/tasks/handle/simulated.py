@@ -22,7 +22,7 @@ from rumi.tasks.handle.settings import FusedSettings, task_of
 from rumi.tasks.rummage.sensed import SensedTask
 from sdf import se3
 from sdf.object_model import ObjectModel
-from sensors.contact_reading import FeltReading, WrenchTouch, surest
+from sensors.contact_reading import ContactReading, WrenchTouch, surest
 from sensors.force.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus
 from sensors.force.tool_parts import box_tool, ellipsoid_tool, parts_contact
 from sensors.observation import Observation, concatenate
@@ -108,7 +108,7 @@ class FusedTask(SensedTask):
         self._region = self._region_of_prior()
         return Observation.empty()
 
-    def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> FeltReading:
+    def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> ContactReading:
         """All that was felt on the way."""
         felt, own = self.world.felt, self.fused.sensors
         assert felt is not None
@@ -133,7 +133,7 @@ class FusedTask(SensedTask):
         free, instant = self._free(tool_pose, measured, silent & ~_soon(in_contact))
         parts.append(free)
         instants.append(instant)
-        return FeltReading(
+        return ContactReading(
             concatenate(parts),
             torch.cat(instants),
             tool_pose,

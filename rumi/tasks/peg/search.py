@@ -141,16 +141,8 @@ def joined(
     poses = poses[keep]
     first = found.circle.log_likelihood(places)[:, None].expand(-1, _YAWS).reshape(-1)[keep]
     log = power * every.log_likelihood(poses) - first
-    picked = _thinned(log, settings.particles, generator)
+    picked = resample_systematic(log, settings.particles, generator=generator)
     partly = Tempered(every, every, power) if power < 1.0 else every
     belief = follow.start(poses[picked], evidence=partly)
     belief, _ = follow.moved(belief, partly, ess=float(len(poses)), generator=generator)
     return update_tempered(follow, belief, every, every, power=power, generator=generator)
-
-
-def _thinned(log_weights: Float[Tensor, "N"], count: int, generator: torch.Generator) -> Tensor:
-    """Indices of `count` of them by weight."""
-    weights = log_weights.softmax(-1).cumsum(-1)
-    offset = torch.rand((), generator=generator, dtype=torch.float64)
-    comb = (torch.arange(count, dtype=torch.float64) + offset) / count * weights[-1]
-    return torch.searchsorted(weights, comb, right=True).clamp_max(len(weights) - 1)

@@ -1,16 +1,15 @@
 """Settings of the peg task."""
 
 import math
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any, Literal, Self
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any
 
-from rumi.errors import UsageError
+import tyro
+
 from rumi.robot.motion_time import SpeedLimits
 from rumi.tasks.peg.cell import Block
-from rumi.tasks.peg.settings_checks import check, check_kinds
+from rumi.tasks.peg.settings_checks import Stop, check
 from sensors.touch.touch_likelihood import TouchNoise
-
-Stop = Literal["mass", "contacts", "covariance", "entropy"]
 
 _APART_M, _APART_DEG = 1e-3, 2.0
 """About how far the poses that the second stage begins with are apart."""
@@ -55,7 +54,7 @@ class PegSettings:
         most_nats: differential entropy of (x, y, yaw), in metres and radians, that "entropy" stops at.
     """
 
-    t_max_s: float = 10.0
+    t_max_s: Annotated[float, tyro.conf.arg(name="action-budget-s", metavar="SECONDS")] = 10.0
     evaluation_s: float | None = 1.0
     update_s: float = 0.05
     stop: Stop = "mass"
@@ -118,19 +117,6 @@ class PegSettings:
     def limits(self) -> SpeedLimits:
         """Of all motion."""
         return SpeedLimits(self.speed_m_s, self.acceleration_m_s2)
-
-    def with_values(self, overrides: dict[str, Any]) -> Self:
-        """The same with some settings changed.
-
-        Raises:
-            UsageError: there is no such setting, or it cannot be as it is given.
-        """
-        known = {field.name for field in fields(self)}
-        for name in overrides:
-            if name not in known:
-                raise UsageError(f"There is no setting {name!r} of peg; there are {', '.join(sorted(known))}")
-        check_kinds(type(self), overrides)
-        return replace(self, **overrides)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values."""

@@ -6,7 +6,7 @@ from rumi.belief.initialise import InitialiseSettings
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import RenewalSettings
 from rumi.fields.workspace import Workspace
-from rumi.information.stop_rule import StopSettings
+from rumi.information.stopping import StopSettings
 from rumi.planning.policy import Policy
 from rumi.robot.tool import Tool
 from sdf.object_model import ObjectModel

@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.belief.contact_evidence import SignalSettings
+from rumi.belief.evidence import make_evidence
 from rumi.belief.motion import Predictor
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
@@ -17,12 +19,9 @@ from rumi.belief.pushed_motion import PushedMotion
 from rumi.dynamics.along_path import carry, carry_along
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
-from rumi.planning.ablations import info_only, reach_only
-from rumi.planning.gpvr import GPVRPolicy
 from rumi.planning.policy import Policy
-from rumi.planning.rummaging import RummagingPolicy
+from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging_settings import RummagingSettings
-from rumi.planning.slide import SlidePolicy
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
 from rumi.runs.sketch import SceneSketch, sketch
@@ -33,6 +32,7 @@ from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_task, make_tool
 from rumi.tasks.rummage.settings import Settings
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
+from sensors.evidence import EvidenceModel
 
 _PLANAR = ("pushed", "corrected")  # motions by a model of upright objects and a level tool
 _OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
@@ -102,9 +102,13 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     pushed = None
     if following.motion in _PLANAR:
         pushed = predictor_of(settings.planner, model, tool, spec.height_m, standing)
+    further: tuple[EvidenceModel, ...] = ()
+    if following.evidence:
+        surface = tool.shape.surface(SignalSettings().spacing_m).to(*to)
+        further = make_evidence(following.evidence, model.sdf, surface)
     return Rummager(
         model,
-        PoseFilter(discrepancy, cast(Search, spec.search), following, prior, pushed).to(*to),
+        PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed).to(*to),
         make_policy(settings, reachability(tool, workspace)),
         workspace,
         tool,
@@ -151,8 +155,8 @@ def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
         return
     upright = spec.search == "SE(2)"
     for name, value, other in (
-        ("push-model", settings.planner.push_model, "displacement or mujoco" if upright else "displacement"),
-        ("motion", settings.filter.motion, "measured, sticking or estimated"),
+        ("planner.push-model", settings.planner.push_model, "displacement or mujoco" if upright else "displacement"),
+        ("filter.motion", settings.filter.motion, "measured, sticking or estimated"),
     ):
         if value == "mujoco" and upright:
             continue
@@ -194,15 +198,7 @@ def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
     """
     if settings.planner.push_model == "mujoco":
         import rumi.sim.push_model  # noqa: F401  (enters the push model)
-    if settings.method == "info-only":
-        return info_only(settings.planner)
-    if settings.method == "reach-only":
-        return reach_only(reach, settings.planner)
-    if settings.method == "slide":
-        return SlidePolicy(settings.slide)
-    if settings.method in ("gpvr", "gpvr-greedy"):
-        return GPVRPolicy(settings.planner, settings.gpvr, greedy=settings.method == "gpvr-greedy")
-    return RummagingPolicy(reach, settings.planner)
+    return POLICIES[settings.method](settings, reach)
 
 
 def scene_sketch(rummager: Rummager) -> SceneSketch:

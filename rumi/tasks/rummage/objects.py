@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
+from rumi.registry import Table
 from rumi.runs.plain import plain
 
 if TYPE_CHECKING:
@@ -20,6 +21,13 @@ if TYPE_CHECKING:
     from sdf.mesh.mesh_sdf import MeshSDF
     from sdf.object_model import ObjectModel
     from sdf.symmetry import Symmetries
+
+OBJECTS: "Table[Callable[[], ObjectModel]]" = Table("object", "rumi.objects")
+"""Objects by name; each makes its model."""
+
+OBJECTS.add("mug", "rumi.tasks.rummage.scenes:large_handled_mug")
+OBJECTS.add("box", "sdf.object_model:box_model")
+OBJECTS.add("drill", "sdf.drill:drill_model")
 
 _PAD_M = 0.022  # half the height of the gripper's pads, which must meet the object
 _ROOM = 0.5  # of the workspace's shorter side: what is wider can hardly be gone round

@@ -15,14 +15,13 @@ from torch import Tensor
 from rumi.robot.gripper import GripperShape
 from rumi.sim.bubble_camera import BubbleCamera
 from rumi.sim.settings import SimSettings
-from rumi.tasks.rummage.objects import ObjectSettings
+from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings
 from rumi.tasks.rummage.scenes import TaskSpec
 from sensors.vision.camera import pinhole
 
 _BUBBLES = ("left", "right")
 _GROWN_M = 0.15  # about the region of the first view, which the object may be pushed out of
 _START_NS = 1_700_000_000 * 10**9
-_BUILTIN = ("mug", "box", "drill")
 
 Sink = Callable[[str, int, Mapping[str, object]], object]
 
@@ -154,7 +153,7 @@ class RawStreams:
             *(f'"{topic}" = {value}' for topic, value in topics.items()),
             '[frames]\nworld = "world"\ntool = "tool"',
             "[scene]",
-            *([f'builtin = "{kind}"'] if kind in _BUILTIN else []),
+            *([f'builtin = "{kind}"'] if kind in OBJECTS else []),
             f"within = [{_list(low)}, {_list(high)}]",
             f'search = "{self._spec.search}"',
             f"looks_again = {str(sensors.looks).lower()}\ntool_seen = true",

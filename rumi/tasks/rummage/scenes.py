@@ -15,6 +15,7 @@ from rumi.robot.reach_table import ReachSettings
 from rumi.robot.spatial_reach import SpatialReach
 from rumi.robot.tool import Tool
 from rumi.sim.settings import PhysicsSettings, SimSettings
+from rumi.tasks.registry import TASKS
 from sdf.drill import drill_model
 from sdf.object_model import ObjectModel, box_model, mug_model
 from sdf.primitives import Mug
@@ -222,7 +223,7 @@ _SHELF = functools.partial(
     apc_ratio=0.05,
 )
 
-TASKS: dict[str, TaskSpec] = {
+SCENES: dict[str, TaskSpec] = {
     spec.name: spec
     for spec in (
         *(TaskSpec(name, description, large_handled_mug, start) for name, description, start in _STARTS),
@@ -262,21 +263,21 @@ TASKS: dict[str, TaskSpec] = {
         ),
     )
 }
-"""All tasks by name."""
+"""All scenes of the rummaging task by name."""
 
 
 def find_task(name: str) -> TaskSpec:
-    """The task of a name.
+    """The scene of a rummaging task, also one that another package brings.
 
     Raises:
-        UsageError: for a name that is not among `TASKS`, with those that are.
+        UsageError: there is no task of that name, or it is no rummaging task.
     """
-    if name not in TASKS:
-        known = ", ".join(sorted(TASKS))
-        raise UsageError(
-            f"There is no task {name!r}; the tasks are {known}; `rumi tasks` lists more, with settings of their own"
-        )
-    return TASKS[name]
+    if name in SCENES:
+        return SCENES[name]
+    spec = getattr(TASKS[name], "spec", None)
+    if not isinstance(spec, TaskSpec):
+        raise UsageError(f"Expected one of the rummaging tasks {', '.join(SCENES)}, got {name}, which is another one")
+    return spec
 
 
 def make_tool(

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.clock import Clock
-from rumi.information.stop_rule import converged
+from rumi.information.stopping import StopEvidence, converged
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
 from rumi.planning.policy import Plan
@@ -54,9 +54,7 @@ def observe(
         ess=float(belief.ess()),
         contacts=contacts,
         resampled=resampled,
-        converged=converged(
-            rummager.stop, expected_nll=expected, fit=fit, apc=apc, diagonal=model.diagonal, contacts=contacts
-        ),
+        converged=converged(rummager.stop, StopEvidence(expected, fit, apc, model.diagonal, contacts)),
         truth=result.truth,
         nll=nll,
         timings_s=clock.take(),

@@ -27,7 +27,7 @@ from sensors.semantics import Semantics
 from sensors.touch.bubble import Bubble, bubble_patch
 from sensors.vision.camera import look_at, pinhole, pixel_rays
 from sensors.vision.robot_body import RobotBody
-from sensors.vision.view import ViewSettings, view_observation
+from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
 
 _LOOK_S = 0.4
 _LOOKS = 3  # that the first one lasts for at most, while the object does not show
@@ -140,15 +140,10 @@ class SensedTask(SimTask):
                 # the lasting points of these frames say where free ones matter
                 bounds = self._region_about(last.points) if len(last) else None
             view = view_observation(
-                image,
-                intrinsics,
+                Image(image, intrinsics, color, stamp=index / self.sensors.frame_rate_hz),
                 taken,
                 replace(_VIEW, free_spacing_m=self.settings.free_spacing_m, free_margin_m=self.settings.free_margin_m),
-                color=color,
-                body=self._links,
-                world_T_links=body,
-                bounds=bounds,
-                stamp=index / self.sensors.frame_rate_hz,
+                KnownScene(body=self._links, world_T_links=body, bounds=bounds),
                 memory=memory,
             )
             memory = view.memory

@@ -1,11 +1,8 @@
 """All settings of a run as one value: presets, and the way to JSON and back."""
 
-import math
-import types
-import typing
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Literal
 
 import torch
 import tyro
@@ -14,19 +11,18 @@ from rumi.belief.initialise import InitialiseSettings
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.reinitialise import RenewalSettings
 from rumi.errors import UsageError
-from rumi.information.stop_rule import StopSettings
+from rumi.information.stopping import StopSettings
 from rumi.planning.gpvr import GPVRSettings
+from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingSettings
 from rumi.planning.slide import SlideSettings
 from rumi.registration.descent import DescentSettings
+from rumi.runs.json_settings import dataclass_of, not_numbers
+from rumi.runs.plain import plain
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.objects import ObjectSettings
 
-Method = Literal["rumi", "info-only", "reach-only", "slide", "gpvr", "gpvr-greedy"]
 Preset = Literal["default", "fast", "paper"]
-METHODS: tuple[str, ...] = get_args(Method)
-
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -57,15 +53,15 @@ class Settings:
         object: the object to find, where that is not the task's own.
     """
 
-    task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="(required)")] = "mug-0"
-    method: Method = "rumi"
-    preset: Preset = "default"
+    task: Annotated[str, tyro.conf.Suppress] = "mug-0"
+    method: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(POLICIES) + "}")] = "rumi"
+    preset: Annotated[Preset, tyro.conf.Suppress] = "default"
     seed: int = 0
     steps: int | None = None
     device: Literal["cpu", "cuda"] = "cpu"
     dtype: Literal["float32", "float64"] = "float32"
     replan_every: int = 1
-    budget_s: Annotated[float | None, tyro.conf.arg(name="budget", metavar="SECONDS")] = None
+    budget_s: Annotated[float | None, tyro.conf.arg(name="plan-budget-s", metavar="SECONDS")] = None
     filter: FilterSettings = field(default_factory=FilterSettings)
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
     renewal: RenewalSettings = field(default_factory=RenewalSettings)
@@ -77,7 +73,7 @@ class Settings:
     object: Annotated[ObjectSettings, tyro.conf.arg(name="")] = field(default_factory=ObjectSettings)
 
     def __post_init__(self) -> None:
-        for name, valid in (("method", METHODS), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
+        for name, valid in (("method", tuple(POLICIES)), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
             if getattr(self, name) not in valid:
                 raise UsageError(f"There is no {name} {getattr(self, name)!r}; there are {', '.join(valid)}")
         if self.seed < 0:
@@ -88,7 +84,7 @@ class Settings:
             raise UsageError(f"Expected replan_every to be 1 or more, got {self.replan_every}")
         if self.budget_s is not None and self.budget_s < 0:
             raise UsageError(f"Expected budget to be 0 or more seconds, got {self.budget_s}")
-        for name in _not_numbers(self):
+        for name in not_numbers(self):
             raise UsageError(f"Expected {name} to be a number, got nan")
 
     @property
@@ -125,8 +121,6 @@ def preset(name: str = "default", **changes: Any) -> Settings:  # noqa: ANN401  
 
 def to_dict(settings: Settings) -> dict[str, Any]:
     """Plain values, ready for JSON; infinity becomes None."""
-    from rumi.runs.plain import plain
-
     return dict(plain(settings))
 
 
@@ -137,45 +131,7 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
         UsageError: a name that is no setting (the message lists the valid ones), or a value that is none.
     """
     extra = {"schema", "made_with"}
-    return _build(Settings, {name: value for name, value in values.items() if name not in extra}, "")
-
-
-def dataclass_of(kind: type[_T], values: Mapping[str, Any], at: str = "") -> _T:
-    """A dataclass from plain values, nested as its fields are; what is missing has its default.
-
-    Args:
-        kind: the dataclass.
-        values: by field.
-        at: what to name before a field in messages.
-
-    Raises:
-        UsageError: a name that is no field (the message lists the valid ones), or a value that is none.
-    """
-    return _build(kind, values, at)
-
-
-def setting_names(kind: type = Settings, prefix: str = "") -> list[str]:
-    """Names of all settings as flags, nested ones with dots."""
-    names: list[str] = []
-    for name, hint in typing.get_type_hints(kind, include_extras=True).items():
-        # a flag may go by another name than the setting, and a group by none
-        given = [extra.name for extra in get_args(hint)[1:] if getattr(extra, "name", None) is not None]
-        called, inner = given[0] if given else name, get_args(hint)[0] if get_origin(hint) is Annotated else hint
-        if is_dataclass(inner) and isinstance(inner, type):
-            names += setting_names(inner, f"{prefix}{called}." if called else prefix)
-        else:
-            names.append(prefix + called)
-    return names
-
-
-def _not_numbers(settings: Any, prefix: str = "") -> Iterator[str]:  # noqa: ANN401  (any settings class)
-    """Names of the settings that are NaN, nested ones with dots."""
-    for part in fields(settings):
-        value, name = getattr(settings, part.name), prefix + part.name
-        if is_dataclass(value):
-            yield from _not_numbers(value, f"{name}.")
-        elif isinstance(value, float) and math.isnan(value):
-            yield name
+    return dataclass_of(Settings, {name: value for name, value in values.items() if name not in extra})
 
 
 def _default() -> Settings:
@@ -228,53 +184,3 @@ def _paper() -> Settings:
 
 PRESETS: dict[str, Callable[[], Settings]] = {"default": _default, "fast": _fast, "paper": _paper}
 """Settings by preset: `paper` holds the paper's numbers, `default` the best that were found, `fast` cheaper ones."""
-
-
-def _build(kind: type[_T], values: Any, at: str) -> _T:  # noqa: ANN401  (read from JSON)
-    if not isinstance(values, Mapping):
-        raise UsageError(f"Expected {at or 'settings'} to be an object with named values, got {values!r}")
-    hints = typing.get_type_hints(kind)
-    wrong = sorted(set(values) - {f.name for f in fields(kind)})  # type: ignore[arg-type]
-    if wrong:
-        known = ", ".join(at + name for name in hints)
-        raise UsageError(f"There is no setting {at}{wrong[0]}; there are {known}")
-    try:
-        return kind(**{name: _value(hints[name], value, f"{at}{name}") for name, value in values.items()})
-    except UsageError:
-        raise
-    except (ValueError, TypeError) as error:
-        raise UsageError(f"{at.rstrip('.') or 'settings'}: {error}") from error
-
-
-def _value(hint: Any, value: Any, at: str) -> Any:  # noqa: ANN401  (read from JSON, of the hint's type)
-    if is_dataclass(hint) and isinstance(hint, type):
-        return _build(hint, value, f"{at}.")
-    if get_origin(hint) in (types.UnionType, typing.Union):
-        options = get_args(hint)
-        if value is None and types.NoneType in options:
-            return None
-        for option in options:
-            try:
-                return _value(option, value, at)
-            except UsageError:
-                continue
-        raise UsageError(f"Expected {at} to be {hint}, got {value!r}")
-    if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            raise UsageError(f"Expected {at} to be one of {', '.join(map(str, get_args(hint)))}, got {value!r}")
-        return value
-    if get_origin(hint) is tuple and isinstance(value, list | tuple):
-        inner = get_args(hint)
-        each = inner[:1] * len(value) if inner[1:] == (...,) else inner
-        if len(each) != len(value):
-            raise UsageError(f"Expected {at} to have {len(each)} values, got {value!r}")
-        return tuple(_value(one, item, at) for one, item in zip(each, value, strict=True))
-    if hint is float:
-        if value is None:
-            return math.inf  # what JSON has no word for
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
-    if isinstance(hint, type) and isinstance(value, hint) and isinstance(value, bool) == (hint is bool):
-        return value
-    name = getattr(hint, "__name__", str(hint))
-    raise UsageError(f"Expected {at} to be of type {name}, got {value!r}")

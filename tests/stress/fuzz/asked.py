@@ -11,9 +11,10 @@ from typing import Any
 from torch import Tensor
 
 from rumi.cli import COMMANDS, main
-from rumi.commands.run import parse_run
+from rumi.commands.run import parse
 from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
-from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, setting_names, to_dict
+from rumi.runs.json_settings import setting_names
+from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 from tests.stress.fuzz.draw import WILD, Draw, choice, number
 from tests.stress.fuzz.files import damaged, originals
 
@@ -42,7 +43,7 @@ def _settings(draw: Draw) -> Iterable[Tensor]:
     return ()
 
 
-_NAMES = setting_names()
+_NAMES = setting_names(Settings)
 _WORDS = (
     "",
     "mug-0",
@@ -66,7 +67,7 @@ _WORDS = (
 
 def _flags(draw: Draw) -> Iterable[Tensor]:
     """Command lines of `rumi run`, up to where the run would begin."""
-    arguments = ["mug-0"] if draw.integer(0, 3) else []
+    arguments = [choice(draw, ("mug-0", "mug-0", "no-such-task", "--seed"))]
     for _ in range(draw.integer(0, 4)):
         name = "--" + choice(draw, _NAMES).replace("_", "-")
         kind = draw.integer(0, 3)
@@ -80,7 +81,7 @@ def _flags(draw: Draw) -> Iterable[Tensor]:
             arguments.append(choice(draw, _WORDS))
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
-            parse_run(arguments)
+            parse(arguments)
         except SystemExit as end:
             if end.code not in (0, 2):
                 raise AssertionError(f"ended with {end.code!r}") from end

@@ -5,10 +5,9 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-from rumi.information.expected_divergence import divergence, expected_divergence
+from rumi.information.contact_gain import divergence, expected_divergence
 from rumi.metrics.pose_error import pose_error
 from sdf.mesh.triangles import Triangles, nearest, winding_number
-from sdf.recentred import Recentred
 from sdf.symmetry import Symmetries
 from sensors.force.force_torque import WrenchNoise, WrenchSettings, wrench_contact
 from sensors.force.tool_load import calibrate_load
@@ -16,7 +15,7 @@ from sensors.force.tool_surface import SphereTool
 from sensors.touch.rectangle_touch import rectangle_log_likelihoods, way_clearances
 from sensors.touch.touch_likelihood import TouchNoise
 from tests.stress.fuzz.draw import Draw, choice, log_weights, number, poses, sizes, tensor
-from tests.stress.fuzz.entered import finite, out, target
+from tests.stress.fuzz.entered import out, target
 
 
 def _size(draw: Draw) -> float:
@@ -79,14 +78,3 @@ def _alike(draw: Draw) -> Iterable[Tensor]:
     own = Symmetries.parse(text, tensor(draw, 3).float())
     one, two = poses(draw, sizes(draw)).float(), poses(draw).float()
     return pose_error(one, two.expand_as(one), own)
-
-
-@target
-def _recentred(draw: Draw) -> Iterable[Tensor]:
-    at = tensor(draw, sizes(draw), 3, wild=draw.integer(0, 3) == 0) * choice(draw, (1.0, 1e3, 1e6))
-    frame = Recentred.about(at)
-    near = frame.points(at)
-    back = frame.world_points(near)
-    if finite(at) and len(at) and float((back - at.double()).abs().max()) > 1e-5:
-        raise AssertionError("a point came back elsewhere")
-    return near, back

@@ -4,7 +4,7 @@ from importlib import import_module
 
 import torch
 
-SUBJECTS = ("se3", "beliefs", "distances", "fields", "planning", "entropy", "likelihoods", "touching", "far")
+SUBJECTS = ("se3", "beliefs", "distances", "fields", "planning", "entropy", "likelihoods", "touching")
 
 
 def load() -> None:

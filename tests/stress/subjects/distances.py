@@ -7,8 +7,7 @@ from functools import cache, partial
 import torch
 from torch import Tensor
 
-from sdf import backend, se3
-from sdf import compiled as fused
+from sdf import backend, compiled, se3
 from sdf.base import SDF
 from sdf.grid_sdf import GridSDF
 from sdf.mesh.build import from_mesh
@@ -16,7 +15,7 @@ from sdf.mesh.mesh import TriangleMesh
 from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.posed import posed_distance, posed_query
 from sdf.primitives import Box, Capsule, Cup, Cylinder, Mug, Sphere, TorusArc
-from sensors.discrepancy import Discrepancy, normal_equations
+from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from tests.stress import measures
 from tests.stress.draws import choice, directions, integer, log_uniform, mixed, poses, uniform
@@ -25,7 +24,7 @@ from tests.stress.sweep import Inputs, Sweep, register
 
 COUNT = 2000
 SPACINGS = (0.0005, 0.001, 0.002, 0.005, 0.02)
-VERSIONS = ("torch", "numba") if fused.available() else ("torch",)
+VERSIONS = ("torch", "numba") if compiled.available() else ("torch",)
 F64 = torch.float64
 
 
@@ -221,25 +220,6 @@ def _discrepancy_in(version: str, dtype: torch.dtype, inputs: Inputs) -> Tensor:
         return module(inputs["poses"].to(dtype), _observation(inputs, dtype))
 
 
-def _equations_in(version: str, dtype: torch.dtype, inputs: Inputs) -> Tensor:
-    """Objective and gradient of each pose, over what the greatest of each among the poses is."""
-    with backend.force(version):
-        terms = normal_equations(
-            table(_POSED, dtype),
-            inputs["poses"].to(dtype),
-            inputs["points"].to(dtype),
-            inputs["semantics"],
-            ~_on_faces(inputs).any(0),
-            80.0,
-            -0.001,
-        )
-    return torch.cat((terms.objective[:, None], terms.gradient), -1)
-
-
-def _column_error(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
-    return ((got.double() - wanted).abs() / wanted.abs().amax(0).clamp_min(1e-6)).amax(-1)
-
-
 def _enter() -> None:
     metres, off = "m, beyond 1 m of them", "metres from the origin"
     for half in (False, True):
@@ -293,13 +273,6 @@ def _enter() -> None:
                 partial(_discrepancy_in, version, torch.float32), partial(_discrepancy_in, "torch", F64),
                 lambda got, wanted, i: (got.double() - wanted).abs() / wanted.amax(), 1e-5, "of the greatest",
                 _world, off,
-            )
-        )  # fmt: skip
-        register(
-            Sweep(
-                f"distances-normal-equations-{version}", partial(_draw_posed, 1.0),
-                partial(_equations_in, version, torch.float32), partial(_equations_in, "torch", F64), _column_error,
-                1e-4, "of the greatest", _world, off,
             )
         )  # fmt: skip
 

@@ -1,14 +1,11 @@
 """What a person sees of a run while it goes on: a bar on a terminal, plain lines elsewhere."""
 
-import math
 import sys
 from collections.abc import Callable, Mapping
 from types import TracebackType
-from typing import Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 from tqdm import tqdm
-
-from rumi.records import StepRecord
 
 _STAGES = ("simulate", "belief", "plan", "agree", "score")
 
@@ -37,16 +34,20 @@ def say(text: str) -> None:
 
 
 class Progress:
-    """Shows each step: nll, apc, effective sample size and seconds by stage; use as a context manager.
+    """Shows each step and the seconds by stage; an `on_step` of `rumi.loop.run`, and a context manager.
 
     Args:
         label: what runs.
-        steps: actions at most.
+        steps: actions at most; None where nobody knows.
+        describe: a step's record in few words and numbers.
         stream: where to; a bar if it is a terminal.
     """
 
-    def __init__(self, label: str, steps: int, stream: Stream | None = None) -> None:
+    def __init__(
+        self, label: str, steps: int | None, describe: Callable[[Any], str], stream: Stream | None = None
+    ) -> None:
         self._stream = sys.stderr if stream is None else stream
+        self._describe = describe
         self._spent: dict[str, float] = {}
         self._bar = None
         if self._stream.isatty():
@@ -60,16 +61,18 @@ class Progress:
             )
             self._bar.set_postfix_str("first view")
 
-    def __call__(self, step: StepRecord) -> None:
+    def __call__(self, record: Any) -> None:  # noqa: ANN401  (a record of any task: `step` and `timings_s`)
         """Show a step."""
-        for stage, seconds in step.timings_s.items():
+        for stage, seconds in record.timings_s.items():
             self._spent[stage] = self._spent.get(stage, 0.0) + seconds
         if self._bar is None:
-            self._stream.write(line(step) + "\n")
+            at = f"action {record.step}" if record.step else "first view"
+            self._stream.write(f"{at}: {self._describe(record)}  {stages(record.timings_s)}\n")
             self._stream.flush()
             return
-        self._bar.set_postfix_str(f"{numbers(step)}  {stages(self._spent, per=max(1, step.step))}", refresh=False)
-        self._bar.update(step.step - self._bar.n)
+        mean = stages(self._spent, per=max(1, record.step))
+        self._bar.set_postfix_str(f"{self._describe(record)}  {mean}", refresh=False)
+        self._bar.update(record.step - self._bar.n)
         self._bar.refresh()
 
     def __enter__(self) -> Self:
@@ -82,40 +85,17 @@ class Progress:
             self._bar.close()
 
 
-def both(*observers: Callable[[StepRecord], None]) -> Callable[[StepRecord], None]:
+def both(*observers: Callable[[Any], None]) -> Callable[[Any], None]:
     """One `on_step` of several, called in order."""
 
-    def on_step(step: StepRecord) -> None:
+    def on_step(record: Any) -> None:  # noqa: ANN401
         for observer in observers:
-            observer(step)
+            observer(record)
 
     return on_step
-
-
-def numbers(step: StepRecord) -> str:
-    """The numbers of a step that tell how it goes."""
-    known = "" if step.nll is None else f"nll {step.nll:.1f}  "
-    apc = "-" if math.isnan(step.apc) else f"{1e3 * step.apc:.1f} mm"
-    return f"{known}expects {step.expected_nll:.1f}  apc {apc}  ess {step.ess:.0f}"
 
 
 def stages(seconds: Mapping[str, float], per: int = 1) -> str:
     """Seconds by stage, known stages first."""
     ordered = sorted(seconds, key=lambda stage: _STAGES.index(stage) if stage in _STAGES else len(_STAGES))
     return " ".join(f"{stage} {seconds[stage] / per:.2f}s" for stage in ordered)
-
-
-def line(step: StepRecord) -> str:
-    """A step as one line of text."""
-    at = "first view" if step.control is None else f"action {step.step}"
-    marks = [
-        word
-        for word, holds in (
-            ("contact", step.control is not None and bool(step.reading.in_contact.any())),
-            ("resampled", step.resampled),
-            ("sure", step.converged),
-        )
-        if holds
-    ]
-    said = f"  [{', '.join(marks)}]" if marks else ""
-    return f"{at}: {numbers(step)}  {stages(step.timings_s)}{said}"

@@ -1,0 +1,64 @@
+"""The policies by name: RUMI, its ablations and the baselines."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
+
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.planning.gpvr import GPVRPolicy, GPVRSettings
+from rumi.planning.policy import Policy
+from rumi.planning.rummaging import RummagingPolicy
+from rumi.planning.rummaging_settings import RummagingSettings
+from rumi.planning.slide import SlidePolicy, SlideSettings
+from rumi.registry import Table
+
+
+class PolicySettings(Protocol):
+    """Settings of all policies; each is made from its own."""
+
+    @property
+    def planner(self) -> RummagingSettings:
+        """Of those that sample control sequences."""
+        ...
+
+    @property
+    def slide(self) -> SlideSettings:
+        """Of `slide`."""
+        ...
+
+    @property
+    def gpvr(self) -> GPVRSettings:
+        """Of the implicit surface."""
+        ...
+
+
+MakePolicy = Callable[[PolicySettings, Tensor], Policy]
+"""Makes a policy from settings and the reachability r(x) of every workspace point, (V,) in [0, 1] (RUMI, Eq 30)."""
+
+POLICIES: Table[MakePolicy] = Table("method", "rumi.policies")
+"""All policies by the name of their method."""
+
+
+def info_only(settings: RummagingSettings | None = None) -> RummagingPolicy:
+    """RUMI without its reachability cost: it gathers information and does not care where it pushes the object."""
+    return RummagingPolicy(None, replace(settings or RummagingSettings(), reachability_scale=0.0))
+
+
+def reach_only(reachability: Float[Tensor, "V"], settings: RummagingSettings | None = None) -> RummagingPolicy:
+    """RUMI without its information cost: it keeps the information within reach and does not care to gather it.
+
+    Args:
+        reachability: r(x) of every workspace point in [0, 1] (Eq 30).
+        settings: the rest.
+    """
+    return RummagingPolicy(reachability, replace(settings or RummagingSettings(), information_scale=0.0))
+
+
+POLICIES.add("rumi", lambda own, reach: RummagingPolicy(reach, own.planner))
+POLICIES.add("info-only", lambda own, reach: info_only(own.planner))
+POLICIES.add("reach-only", lambda own, reach: reach_only(reach, own.planner))
+POLICIES.add("slide", lambda own, reach: SlidePolicy(own.slide))
+POLICIES.add("gpvr", lambda own, reach: GPVRPolicy(own.planner, own.gpvr, greedy=False))
+POLICIES.add("gpvr-greedy", lambda own, reach: GPVRPolicy(own.planner, own.gpvr, greedy=True))

@@ -1,0 +1,144 @@
+"""The handle task as a member of the tasks' table."""
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from rumi.agent import Parts
+from rumi.records import StepRecord
+from rumi.runs.folder import RunRecorder, load_run, provenance, write_json
+from rumi.runs.logbook import LOG, LogRecorder
+from rumi.runs.progress import stages
+from rumi.tasks.handle.agent import HandleAgent, HandleResult
+from rumi.tasks.handle.settings import SENSORS, FusedSettings
+from rumi.tasks.handle.simulated import FusedTask
+from rumi.tasks.registry import check_preset, check_seed
+from rumi.tasks.rummage.entry import describe, ending
+from rumi.tasks.rummage.settings import PRESETS
+from sensors.contact_reading import FeltReading
+
+
+@dataclass(frozen=True)
+class HandleRunSettings:
+    """Settings of a run of the handle task.
+
+    Attributes:
+        settings: of belief, sensors and time.
+        seed: of where the mug stands, of the noise and of the choices.
+    """
+
+    settings: Annotated[FusedSettings, tyro.conf.arg(name="")] = field(default_factory=FusedSettings)
+    seed: int = 0
+
+
+class _Handle:
+    description = "a mug seen once, then felt by bubbles, wrench and joint torques, and lifted by its handle"
+    settings = HandleRunSettings
+    presets = ("fast", *(name for name in PRESETS if name != "fast"))
+
+    def preset(self, name: str) -> HandleRunSettings:
+        """Planner and belief of a preset of the rummaging task."""
+        check_preset(name, self.presets)
+        return HandleRunSettings(FusedSettings(preset=name))
+
+    def label(self, settings: HandleRunSettings) -> str:
+        """Sensors and seed."""
+        sensors = "all" if settings.settings.sensors == SENSORS else "-".join(settings.settings.sensors)
+        return f"handle-{sensors}-s{settings.seed}"
+
+    def check(self, settings: HandleRunSettings) -> Sequence[str]:
+        """Say what takes long at first, and where the time is up before the first look and the grasp are done."""
+        check_seed(settings.seed)
+        note = short_of(settings.settings)
+        return ("grasps are simulated once and kept (a minute at first)", *([] if note is None else [note]))
+
+    def steps(self, settings: HandleRunSettings) -> int:
+        """Actions at most."""
+        return settings.settings.steps
+
+    def build(self, settings: HandleRunSettings, *, cache_dir: Path | None = None) -> Parts[FusedTask, HandleAgent]:
+        """The simulated arm with its sensors, and what finds and grasps the mug."""
+        from rumi.tasks.handle.build import build_fused
+
+        return build_fused(settings.settings, cache_dir=cache_dir)
+
+    def recorder(
+        self, folder: Path, settings: HandleRunSettings, parts: Parts[Any, HandleAgent], *, log: bool
+    ) -> "_Recorder":
+        """Writes the run's folder."""
+        return _Recorder(folder, settings, parts, log=log)
+
+    def describe(self, step: StepRecord) -> str:
+        """The numbers of a step that tell how it goes."""
+        return describe(step)
+
+    def success(self, result: HandleResult) -> bool:
+        """Whether the belief became sure, and the mug was lifted."""
+        return result.stopped_by == "sure" and result.lifted
+
+    def summary(self, settings: HandleRunSettings, result: HandleResult) -> Sequence[str]:
+        """A few lines on how a run ended."""
+        lines, budget_s = ending(result), settings.settings.budget_s
+        if result.grasp is not None and result.believed is not None:
+            done = "lifted by its handle" if result.lifted else "not lifted"
+            lines.append(f"grasp    {done}; believed {result.believed:.2f}")
+        late_s = result.total_s - budget_s
+        over = f", {late_s:.1f} too many" if late_s > 1e-6 else ""
+        lines.append(f"clock    {result.total_s:.0f} s of {budget_s:g}{over}; nll summed up {result.total_nll:.0f}")
+        lines.append(f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}")
+        return lines
+
+    def draw(self, folder: Path, settings: HandleRunSettings, result: HandleResult) -> Sequence[Path]:
+        """Overview, scenes and animation."""
+        from rumi.viz.figures import make_figures
+
+        return make_figures(load_run(folder), folder / "figures", None)
+
+
+HANDLE = _Handle()
+
+
+class _Recorder(contextlib.ExitStack):
+    """Writes folder and log of a run, and grasp.json at its end."""
+
+    def __init__(self, folder: Path, settings: HandleRunSettings, parts: Parts[Any, HandleAgent], *, log: bool) -> None:
+        from rumi.tasks.rummage.build import scene_sketch
+
+        super().__init__()
+        self._folder = folder
+        asked = {"task": "handle", "seed": settings.seed, "handle": settings.settings}
+        self._run = self.enter_context(RunRecorder(folder, asked))
+        self._log: LogRecorder | None = None
+        if log:
+            made = LogRecorder(folder / LOG, asked, {"made_with": provenance()}, readings=FeltReading)
+            self._log = self.enter_context(made)
+        self._run.scene(scene_sketch(parts.agent.rummager))
+
+    def __call__(self, step: StepRecord) -> None:
+        self._run(step)
+        if self._log is not None:
+            self._log(replace(step, reading=FeltReading.of(step.reading)))
+
+    def finish(self, result: HandleResult) -> None:
+        self._run.finish(result)
+        if self._log is not None:
+            self._log.finish(result)
+        names = ("stopped_by", "lifted", "believed", "grasp", "total_nll", "total_s")
+        write_json(self._folder / "grasp.json", {name: getattr(result, name) for name in names})
+
+
+def short_of(settings: FusedSettings) -> str | None:
+    """What to say where the time is up before the first look's belief and the grasp are done; None where it is not."""
+    from rumi.tasks.handle.gripper import GRASP_S
+
+    least_s = (settings.thinking_s or 0.0) + GRASP_S
+    if settings.budget_s >= least_s:
+        return None
+    return (
+        f"a budget of {settings.budget_s:g} s is less than the {least_s:.1f} s that the first look's belief and the "
+        "grasp take: it looks, grasps at once, and is late"
+    )

@@ -1,0 +1,130 @@
+"""The tasks by name, and what a task has to bring so that `rumi run` can carry it out."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self, TypeVar
+
+from rumi.agent import Parts
+from rumi.errors import UsageError
+from rumi.registry import Table
+
+S = TypeVar("S")
+
+
+class Recorder(Protocol):
+    """Writes a run's folder while the run goes on; a context manager that closes its files."""
+
+    def __call__(self, record: Any) -> None:  # noqa: ANN401  (of the task's own kind)
+        """Write a step."""
+        ...
+
+    def finish(self, result: Any) -> None:  # noqa: ANN401
+        """Write how the run ended."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class TaskEntry(Protocol[S]):
+    """A task: a member of `TASKS`.
+
+    Attributes:
+        description: what there is to do, in a line.
+        settings: dataclass of all that decides a run, the `seed` among it; each field is a flag of `rumi run`, nested
+            ones with dots.
+        presets: names that `preset` takes, first the one that counts where none is asked for.
+    """
+
+    description: str
+    settings: type[S]
+    presets: Sequence[str]
+
+    def preset(self, name: str) -> S:
+        """The settings of a preset.
+
+        Raises:
+            UsageError: there is none of that name.
+        """
+        ...
+
+    def label(self, settings: S) -> str:
+        """Settings in few words, fit for a folder's name."""
+        ...
+
+    def check(self, settings: S) -> Sequence[str]:
+        """Refuse settings that cannot be, before anything takes time; what a person should know before the run.
+
+        Raises:
+            UsageError: what was expected, and what came.
+        """
+        ...
+
+    def steps(self, settings: S) -> int | None:
+        """Actions at most; None where the agent alone decides."""
+        ...
+
+    def build(self, settings: S, *, cache_dir: Path | None = None) -> Parts[Any, Any]:
+        """The task and its agent, for `rumi.loop.run`.
+
+        Args:
+            settings: of the run.
+            cache_dir: folder that keeps what takes long to work out; None keeps nothing.
+        """
+        ...
+
+    def recorder(self, folder: Path, settings: S, parts: Parts[Any, Any], *, log: bool) -> Recorder:
+        """What writes the run's folder; with `log` also log.h5, for `rumi replay`."""
+        ...
+
+    def describe(self, record: Any) -> str:  # noqa: ANN401
+        """A step in few words and numbers."""
+        ...
+
+    def success(self, result: Any) -> bool:  # noqa: ANN401
+        """Whether the belief became sure and the last action, where the task has one, succeeded."""
+        ...
+
+    def summary(self, settings: S, result: Any) -> Sequence[str]:  # noqa: ANN401
+        """Lines on how a run ended, for people; the first one goes behind the task's name."""
+        ...
+
+    def draw(self, folder: Path, settings: S, result: Any) -> Sequence[Path]:  # noqa: ANN401
+        """Draw the figures of a run into its folder; their files."""
+        ...
+
+
+TASKS: Table[TaskEntry[Any]] = Table("task", "rumi.tasks")
+"""All tasks by name."""
+
+TASKS.include("rumi.tasks.rummage.entry:ENTRIES")
+TASKS.add("touch-box", "rumi.tasks.touch_box.entry:TOUCH_BOX")
+TASKS.add("peg", "rumi.tasks.peg.entry:PEG")
+TASKS.add("handle", "rumi.tasks.handle.entry:HANDLE")
+
+FORMER_NAMES = {"fused": "handle"}
+"""Names that tasks had before."""
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that is none.
+
+    Raises:
+        UsageError: it is below 0.
+    """
+    if seed < 0:
+        raise UsageError(f"Expected seed to be 0 or more, got {seed}")
+
+
+def check_preset(name: str, presets: Sequence[str]) -> None:
+    """Refuse a preset that there is not.
+
+    Raises:
+        UsageError: with those that there are.
+    """
+    if name not in presets:
+        raise UsageError(f"There is no preset {name!r}; the presets are {', '.join(presets)}")

@@ -1,0 +1,140 @@
+"""The touch-box task as a member of the tasks' table."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from rumi.agent import Parts
+from rumi.errors import UsageError
+from rumi.runs.folder import write_json
+from rumi.runs.jsonlines import append_line
+from rumi.tasks.registry import check_preset, check_seed
+from rumi.tasks.touch_box.agent import Toucher
+from rumi.tasks.touch_box.build import Robot, build_touch_box, check_robot
+from rumi.tasks.touch_box.records import TouchRun, TouchStep, signals
+from rumi.tasks.touch_box.report import figures_of, step_of
+from rumi.tasks.touch_box.robot import TouchBox
+from rumi.tasks.touch_box.scene import TouchTask
+from rumi.tasks.touch_box.settings import TouchSettings
+
+
+@dataclass(frozen=True)
+class TouchBoxSettings:
+    """Settings of a run of the touch-box task.
+
+    Attributes:
+        settings: of belief and pokes.
+        task: the scene and its readings.
+        robot: that pokes and grasps.
+        seed: of where the box stands and of all randomness.
+        budget_s: seconds for the choice of each poke: of the candidates as many are weighed as there is time for. None
+            for as long as it needs.
+    """
+
+    settings: Annotated[TouchSettings, tyro.conf.arg(name="")] = field(default_factory=TouchSettings)
+    task: TouchTask = field(default_factory=TouchTask)
+    robot: Robot = "gripper"
+    seed: int = 0
+    budget_s: Annotated[float | None, tyro.conf.arg(name="plan-budget-s", metavar="SECONDS")] = None
+
+
+class _TouchBox:
+    description = "a box in one of two places that only touch can tell, to be found, grasped and lifted"
+    settings = TouchBoxSettings
+    presets = ("default",)
+
+    def preset(self, name: str) -> TouchBoxSettings:
+        """The default."""
+        check_preset(name, self.presets)
+        return TouchBoxSettings()
+
+    def label(self, settings: TouchBoxSettings) -> str:
+        """Method, robot and seed."""
+        return f"touch-box-{settings.settings.method}-{settings.robot}-s{settings.seed}"
+
+    def check(self, settings: TouchBoxSettings) -> Sequence[str]:
+        """Refuse rates of readings for a robot that has its own."""
+        check_seed(settings.seed)
+        check_robot(settings.task, settings.robot)
+        if settings.budget_s is not None and not 0 < settings.budget_s < math.inf:
+            raise UsageError(f"Expected --plan-budget-s above 0 s and finite, got {settings.budget_s}")
+        return ("grasps are simulated once and kept (a minute at first)",)
+
+    def steps(self, settings: TouchBoxSettings) -> int:
+        """Pokes at most."""
+        return settings.settings.actions
+
+    def build(self, settings: TouchBoxSettings, *, cache_dir: Path | None = None) -> Parts[TouchBox, Toucher]:
+        """The robot with the box, and what finds it."""
+        from rumi.tasks.touch_box.budget import BudgetedChoice
+
+        parts = build_touch_box(settings.task, settings.settings, settings.robot, cache_dir=cache_dir)
+        if settings.budget_s is not None:
+            parts.agent.chooser = BudgetedChoice(parts.agent, settings.budget_s)
+        return parts
+
+    def recorder(self, folder: Path, settings: TouchBoxSettings, parts: Parts[Any, Any], *, log: bool) -> "_Recorder":
+        """Writes settings, pokes and how the run ended."""
+        return _Recorder(folder, settings)
+
+    def describe(self, step: TouchStep) -> str:
+        """The readings of a poke, and the believed chance of lifting."""
+        chance = f"lifted with {step.grasp.probability:.2f}"
+        if step.touched is None:
+            return chance
+        empty = "out of reach" if step.touched.blocked is None else "blocked"
+        return f"{signals(step.touched.contact) or empty}  {chance}"
+
+    def success(self, run: TouchRun) -> bool:
+        """Whether the grasp became likely enough to succeed, and did."""
+        return run.stopped_by == "sure" and bool(run.lifted)
+
+    def summary(self, settings: TouchBoxSettings, run: TouchRun) -> Sequence[str]:
+        """A few lines on how a run ended."""
+        found = figures_of(run)
+        ended = "not sure" if run.stopped_by == "steps" else run.stopped_by
+        seconds = ", ".join(f"{name} {value:.1f}" for name, value in run.timings_s.items())
+        pokes = f"{found['actions']} poke{'s' * (found['actions'] != 1)}"
+        return [
+            f"{ended} after {pokes}, {'lifted' if run.lifted else 'not lifted'}",
+            f"grasp    believed {found['believed']:.2f}; off by {found['error_mm']:.1f} mm and "
+            f"{found['error_deg']:.1f} degrees",
+            f"seconds  {math.fsum(run.timings_s.values()):.1f}: {seconds}",
+        ]
+
+    def draw(self, folder: Path, settings: TouchBoxSettings, run: TouchRun) -> Sequence[Path]:
+        """Beliefs with pokes and the grasp, and how sure the belief was."""
+        from rumi.tasks.touch_box.figures import draw_run
+
+        return draw_run(run, settings.task, settings.settings.threshold, folder)
+
+
+TOUCH_BOX = _TouchBox()
+
+
+class _Recorder:
+    """Writes settings.json, steps.jsonl and result.json."""
+
+    def __init__(self, folder: Path, settings: TouchBoxSettings) -> None:
+        self._folder = folder
+        values = asdict(settings)
+        if settings.budget_s is None:
+            del values["budget_s"]
+        write_json(folder / "settings.json", values)
+
+    def __call__(self, step: TouchStep) -> None:
+        if step.touched is not None:
+            append_line(self._folder / "steps.jsonl", step_of(step))
+
+    def finish(self, run: TouchRun) -> None:
+        write_json(self._folder / "result.json", figures_of(run))
+
+    def __enter__(self) -> "_Recorder":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
