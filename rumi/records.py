@@ -6,6 +6,7 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.agent import StopReason
 from rumi.belief.particles import PoseBelief
 from rumi.planning.policy import Plan
 from sensors.observation import Observation
@@ -63,7 +64,7 @@ class RunResult:
         paper_success_at_start: the same at step 0, before anything was touched.
         min_nll, final_nll, cumulative_nll: over the steps 0..steps.
         steps: actions carried out.
-        stopped_by: "converged", "steps" or "interrupted".
+        stopped_by: why it ended.
         apc: at the end, metres.
         expected_nll: at the end.
         position_error_mm, rotation_error_deg: of the best-weighted mode, modulo the declared symmetries.
@@ -79,7 +80,7 @@ class RunResult:
     final_nll: float | None
     cumulative_nll: float | None
     steps: int
-    stopped_by: str
+    stopped_by: StopReason
     apc: float
     expected_nll: float
     position_error_mm: float | None

@@ -17,9 +17,9 @@ from torch import Tensor
 
 from rumi.cli import script
 from rumi.errors import UsageError
-from rumi.loop import first_belief
 from rumi.registration.descent import DescentSettings, descend
 from rumi.seeding import split
+from rumi.tasks.rummage.agent import first_belief
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import preset
 from sdf import se3
@@ -94,7 +94,7 @@ def main(options: Options) -> list[Judged]:
     drawn, worst = [], []
     for name in options.tasks:
         parts = build(preset("default", task=name), cache_dir=options.cache)
-        task, rummager = parts.task, parts.rummager
+        task, rummager = parts.task, parts.agent
         reading = task.reset(0).reading
         none = Observation.empty()
         memory, _ = merge(none, reading.observation, rummager.filter.lattice)

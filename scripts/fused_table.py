@@ -21,6 +21,8 @@ import numpy as np
 import torch
 import tyro
 
+from rumi import loop
+from rumi.agent import Parts
 from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.errors import DegenerateBeliefError
@@ -28,9 +30,9 @@ from rumi.metrics.intervals import wilson
 from rumi.runs.folder import provenance
 from rumi.runs.jsonlines import append_line, read_lines
 from rumi.seeding import split
-from rumi.tasks.handle.build import FusedParts, build_fused
+from rumi.tasks.handle.agent import HandleAgent
+from rumi.tasks.handle.build import build_fused
 from rumi.tasks.handle.gripper import HandleGripper
-from rumi.tasks.handle.run import run_fused
 from rumi.tasks.handle.settings import SENSORS, FusedSettings, SensorName, task_of
 from rumi.tasks.handle.simulated import FusedTask
 from rumi.tasks.rummage.scenes import make_tool
@@ -116,7 +118,7 @@ def run(options: Run) -> None:
     torch.set_num_threads(options.threads)
     end = time.monotonic() + options.seconds
     done = {(x["sensors"], x["settings"], x["seed"]) for x, _ in read_lines(options.out)}
-    parts: dict[str, FusedParts] = {}
+    parts: dict[str, Parts[FusedTask, HandleAgent]] = {}
     for seed in seeds_of(options.seeds):
         for name in (used + _FREE * options.noise_free for used in options.sensors):
             if (name, stamp(name), seed) in done:
@@ -128,18 +130,23 @@ def run(options: Run) -> None:
             append_line(options.out, carry_out(name, parts[name], seed))
 
 
-def carry_out(name: str, parts: FusedParts, seed: int) -> dict[str, Any]:
+def carry_out(name: str, parts: Parts[FusedTask, HandleAgent], seed: int) -> dict[str, Any]:
     """One run, ready for JSON."""
     began, used = time.perf_counter(), time.process_time()
     head = {"sensors": name, "settings": stamp(name), "seed": seed, "commit": provenance()["commit"]}
     try:
-        found = run_fused(parts, seed).as_dict()
+        found = loop.run(*parts, seed=seed).as_dict()
     except (DegenerateBeliefError, ValueError) as error:
-        found = {"right": False, "lifted": False, "ended": "error", "error": str(error)[:200]}
+        found = {"right": False, "lifted": False, "stopped_by": "error", "error": str(error)[:200]}
     found.pop("timings_s", None)
     kept = {key: rounded(value) for key, value in found.items()}
     seconds = {"seconds": time.perf_counter() - began, "cpu_s": time.process_time() - used}
     return head | {key: round(value, 2) for key, value in seconds.items()} | kept
+
+
+def _ended(line: dict[str, Any]) -> str:
+    """Why a run stopped; lines of before have it by another name."""
+    return line.get("ended") or line["stopped_by"]
 
 
 def rounded(value: Any) -> Any:  # noqa: ANN401  (of a result)
@@ -161,11 +168,11 @@ def show(options: Show) -> None:
     )  # fmt: skip
     print(_row(heads) + "\n" + "|---" * len(heads) + "|")
     for name, runs in by.items():
-        own = [x for x in runs.values() if x["ended"] != "error"]
+        own = [x for x in runs.values() if _ended(x) != "error"]
         if not own:
             continue
         total = [x["total_nll"] for x in own]
-        wrong = sum(x["ended"] == "sure" and not x["right"] for x in own)
+        wrong = sum(_ended(x) == "sure" and not x["right"] for x in own)
         off = [statistics.median(x[key] for x in own) for key in ("position_error_mm", "rotation_error_deg")]
         print(
             _row(

@@ -16,7 +16,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,32 +25,31 @@ from unittest import mock
 import torch
 import tyro
 from llvmlite import binding
-from numba.core.registry import cpu_target
 from torch import Tensor
 
+from rumi import loop
 from rumi.cli import script
 from rumi.commands.replay import rummager_of
 from rumi.errors import UsageError
-from rumi.loop import rummage
 from rumi.records import RunResult, StepRecord
+from rumi.registration.contact_terms import LocalizeSettings
 from rumi.registration.from_contacts import localize
-from rumi.registration.localize_settings import LocalizeSettings
 from rumi.runs.logbook import LogRecorder
 from rumi.runs.replay import replay
 from rumi.seeding import generator
 from rumi.sim.sensor_settings import degraded
 from rumi.tasks.handle.build import build_fused
-from rumi.tasks.handle.run import run_fused
 from rumi.tasks.handle.settings import SENSORS, FusedSettings, SensorName
-from rumi.tasks.peg import agent as peg_run
+from rumi.tasks.peg import agent as peg_agent
+from rumi.tasks.peg.agent import build_peg
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
-from rumi.tasks.touch_box.agent import localise
-from rumi.tasks.touch_box.build import Robot, make_toucher
+from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import Method
 from rumi.tasks.touch_box.settings import TouchSettings
+from sdf import processor as kernels
 from sdf.mesh.mesh import TriangleMesh
 from sensors.log.reader import Log
 
@@ -103,25 +102,20 @@ def of_result(result: RunResult) -> Record:
 
 def of_rummaging(trace: Trace, settings: Settings, steps: int) -> Record:
     """A task with a gripper that moves about an object."""
-    task, rummager = build(settings, cache_dir=trace.folder)
-    try:
-        return of_result(rummage(task, rummager, seed=settings.seed, steps=steps, on_step=trace))
-    finally:
-        task.close()
+    with build(settings, cache_dir=trace.folder) as parts:
+        return of_result(loop.run(*parts, seed=settings.seed, steps=steps, on_step=trace))
 
 
 def of_replay(trace: Trace, settings: Settings, steps: int) -> Record:
     """A run's log, replayed; the live run's beliefs have to be the same."""
     live, path = Trace(trace.folder), trace.folder / "log.h5"
-    task, rummager = build(settings, cache_dir=trace.folder)
-    with LogRecorder(path, to_dict(settings)) as log:
+    with build(settings, cache_dir=trace.folder) as parts, LogRecorder(path, to_dict(settings)) as log:
 
         def on_step(step: StepRecord) -> None:
             log(step)
             live(step)
 
-        log.finish(rummage(task, rummager, seed=settings.seed, steps=steps, on_step=on_step))
-    task.close()
+        log.finish(loop.run(*parts, seed=settings.seed, steps=steps, on_step=on_step))
     with Log(path) as opened:
         taken, again = opened.taken(), from_dict(opened.settings or {})
     done = replay(taken, rummager_of(again, None, taken, trace.folder), seed=again.seed, on_step=trace)
@@ -132,16 +126,13 @@ def of_replay(trace: Trace, settings: Settings, steps: int) -> Record:
 def of_touching(trace: Trace, robot: Robot, method: Method, actions: int) -> Record:
     """A box that is found by touch alone."""
     settings = replace(TouchSettings(method=method), actions=actions)
-    toucher = make_toucher(TouchTask(), settings, robot, cache_dir=trace.folder)
-    try:
-        run = localise(toucher, seed=0)
-    finally:
-        toucher.robot.close()
-    trace.add(run.first, None)
-    for step in run.steps:
-        trace.add(step.belief, step.touched.path)
-    grasp = {"grasp": run.grasp.pose.tolist(), "probability": run.grasp.probability, "lifted": run.lifted}
-    return grasp | {"truth": run.truth.tolist()}
+    with build_touch_box(TouchTask(), settings, robot, cache_dir=trace.folder) as parts:
+        run = loop.run(*parts, seed=0)
+    for step in run.records:
+        trace.add(step.belief, None if step.touched is None else step.touched.path)
+    grasp = run.end.grasp
+    found = {"grasp": grasp.pose.tolist(), "probability": grasp.probability, "lifted": run.lifted}
+    return found | {"truth": run.end.truth.tolist()}
 
 
 def of_peg(trace: Trace, settings: PegSettings) -> Record:
@@ -149,29 +140,30 @@ def of_peg(trace: Trace, settings: PegSettings) -> Record:
     beliefs = []
 
     def aim_of(belief: Any, settings: PegSettings) -> Any:  # noqa: ANN401  (passed on)
-        beliefs.append((belief.states, belief.log_weights))  # the run tells of no step: it asks this once a reading
+        beliefs.append((belief.states, belief.log_weights))  # before another draw of it confirms that it is sure
         return real(belief, settings)
 
-    real = peg_run.aim_of
-    with mock.patch.object(peg_run, "aim_of", aim_of):
-        run = peg_run.run_peg(settings, seed=0)
+    real = peg_agent.aim_of
+    with mock.patch.object(peg_agent, "aim_of", aim_of):
+        run = loop.run(*build_peg(settings), seed=0)
     paths = [torch.cat([one.path for one in run.searched]), *(one.path for one in run.felt)]
     for belief, path in zip(beliefs, paths, strict=True):
         trace.add(belief, path)
     told = run.as_dict()
     names = ("in_hole", "off_mm", "hole_error_mm", "middle_error_mm", "probability", "actions", "touches", "total_s")
-    return {name: told[name] for name in names} | {"inserted_at": run.inserted_at.tolist()}
+    assert run.inserted is not None
+    return {name: told[name] for name in names} | {"inserted_at": run.inserted.at.tolist()}
 
 
 def of_fused(trace: Trace, sensors: tuple[SensorName, ...], steps: int) -> Record:
     """A mug that is found by several sensors, and lifted."""
-    parts = build_fused(FusedSettings(sensors=sensors, steps=steps), cache_dir=trace.folder)
-    try:
-        outcome = run_fused(parts, 0, trace)
-    finally:
-        parts.task.close()
-    grasp = {} if outcome.grasp is None else {"grasp": outcome.grasp.pose.tolist()}
-    return of_result(outcome.found) | grasp | {"lifted": outcome.lifted, "total_s": outcome.total_s}
+    settings = FusedSettings(sensors=sensors, steps=steps)
+    with build_fused(settings, cache_dir=trace.folder) as parts:
+        found = loop.run(*parts, seed=0, on_step=trace)
+    grasp = {} if found.grasp is None else {"grasp": list(found.grasp)}
+    names = {field.name for field in fields(RunResult)}
+    own = {name: value for name, value in of_result(found).items() if name in names}
+    return own | grasp | {"lifted": found.lifted, "total_s": found.total_s}
 
 
 def of_localizing(trace: Trace) -> Record:
@@ -232,11 +224,9 @@ RUNS: dict[str, Callable[[Trace], Record]] = {
 
 def processor() -> str:
     """All that the last bits depend on beside the code: instructions that are used, and versions."""
-    _, name, features = cpu_target.target_context.codegen().magic_tuple()  # what numba compiles for
-    hashed = hashlib.sha256(features.encode()).hexdigest()[:8]
+    own = kernels.processor()
     packages = ", ".join(f"{name} {version(name)}" for name in ("torch", "numba", "mujoco-core"))
-    capability = torch.backends.cpu.get_cpu_capability()
-    return f"{capability}, numba for {name} {hashed}, on {binding.get_host_cpu_name()}, {packages}"
+    return f"{own.torch}, numba for {own.numba} {own.features}, on {binding.get_host_cpu_name()}, {packages}"
 
 
 def difference(recorded: Record, found: Record) -> str | None:

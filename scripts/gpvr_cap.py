@@ -16,13 +16,13 @@ import numpy as np
 import torch
 import tyro
 
+from rumi import loop
 from rumi.belief.particles import PoseBelief
 from rumi.cli import script
 from rumi.fields.information import information_field
-from rumi.loop import rummage
 from rumi.planning.gpvr import GPVRPolicy, GPVRSettings
 from rumi.planning.implicit_surface import Hyperparameters, Labelled, fit, predictive_variance
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import preset
 from scripts.reproduce.correlation import spearman
@@ -52,19 +52,10 @@ class Watched:
         self.policy = policy
         self.given: list[tuple[PoseBelief, Scene]] = []
 
-    def act(
-        self,
-        belief: PoseBelief,
-        scene: Scene,
-        previous: Plan | None,
-        *,
-        executed: int,
-        budget_s: float | None,
-        generator: torch.Generator,
-    ) -> Plan:
+    def act(self, request: PlanRequest) -> Plan:
         """Keep what was given, and plan."""
-        self.given.append((belief, scene))
-        return self.policy.act(belief, scene, previous, executed=executed, budget_s=budget_s, generator=generator)
+        self.given.append((request.belief, request.scene))
+        return self.policy.act(request)
 
 
 def situations(options: Options) -> list[tuple[PoseBelief, Scene]]:
@@ -75,9 +66,9 @@ def situations(options: Options) -> list[tuple[PoseBelief, Scene]]:
         for seed in options.seeds:
             steps = max(options.actions) + 1
             parts = build(preset(task=task, method="gpvr", seed=seed, steps=steps), cache_dir=cache)
-            assert isinstance(parts.rummager.policy, GPVRPolicy)
-            watched = Watched(parts.rummager.policy)
-            rummage(parts.task, replace(parts.rummager, policy=watched), seed=seed, steps=steps)
+            assert isinstance(parts.agent.policy, GPVRPolicy)
+            watched = Watched(parts.agent.policy)
+            loop.run(parts.task, replace(parts.agent, policy=watched), seed=seed, steps=steps)
             parts.task.close()
             found += [watched.given[index] for index in options.actions if index < len(watched.given)]
     return found

@@ -21,10 +21,10 @@ from torch import Tensor
 from rumi.cli import script
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
-from rumi.loop import first_belief
 from rumi.metrics.likelihood import negative_log_likelihood
 from rumi.robot.tool import Tool
 from rumi.seeding import split
+from rumi.tasks.rummage.agent import first_belief
 from rumi.tasks.rummage.build import build, reachability
 from rumi.tasks.rummage.scenes import SCENES, find_task
 from rumi.tasks.rummage.settings import preset
@@ -117,7 +117,7 @@ def main(options: Options) -> None:
     for name in options.tasks:
         settings = preset("default", task=name)
         parts = build(settings, cache_dir=options.cache)
-        rummager = parts.rummager
+        rummager = parts.agent
         first = parts.task.reset(options.seed)
         belief, _ = first_belief(rummager, first.reading, generator=split(options.seed, "initialise"))
         workspace, tool = rummager.workspace, rummager.tool

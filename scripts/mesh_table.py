@@ -132,7 +132,7 @@ def show(options: Show) -> None:
     heads += ("position error, mm", "rotation error, deg", "s a step")
     rows = []
     for name, runs in objects.items():
-        stopped = [record for record in runs if record.figures["stopped_by"] == "converged"]
+        stopped = [record for record in runs if record.figures["stopped_by"] == "sure"]
         seconds = sum(record.timings["wall_s"] for record in runs)
         rows.append(
             [

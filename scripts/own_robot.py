@@ -17,16 +17,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rumi import loop
 from rumi.cli import script
 from rumi.errors import UsageError
-from rumi.loop import rummage
 from rumi.records import RunResult, StepRecord
 from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
 from rumi.rosbag.mapping import BagMap, read_mapping
 from rumi.rosbag.scene import rummager_of_map, settings_of
 from rumi.runs.folder import prepare_folder
-from rumi.runs.logbook import LOG, digest
+from rumi.runs.logbook import LOG
+from rumi.runs.replay import digest
 from rumi.task import StepResult
 from rumi.tasks.rummage.scenes import large_handled_mug
 from sdf import se3
@@ -198,6 +199,9 @@ class OwnRobot:
         observation, instant = tactile_observation(touched, free)
         return self._result(observation, instant, moments)
 
+    def finish(self, action: object) -> None:
+        """Nothing is done at the end."""
+
     def close(self) -> None:
         """Nothing to let go of here: a driver may have a connection to close."""
 
@@ -213,7 +217,7 @@ class OwnRobot:
         stamp = (moments[-1].stamp_ns - self._start_ns) / 1e9
         # no sensor measures how the object moves, and no arm refused anything
         reading = Reading(observation, instant, poses, in_contact, None, self._at, torch.zeros(()), stamp)
-        return StepResult(reading, None)
+        return StepResult(reading)
 
 
 def main(out: Path, driver: Driver, *, seed: int = 0) -> tuple[RunResult, StepRecord]:
@@ -236,7 +240,7 @@ def main(out: Path, driver: Driver, *, seed: int = 0) -> tuple[RunResult, StepRe
             print(f"step {step.step}: {seen} points on it, near ({x:.3f}, {y:.3f}) m, expects {step.expected_nll:.1f}")
             last[:] = [step]
 
-        result = rummage(robot, rummager, seed=seed, steps=settings.steps or 12, on_step=on_step)
+        result = loop.run(robot, rummager, seed=seed, steps=settings.steps or 12, on_step=on_step)
         log.finish(result.as_dict())
     print(f"{result.stopped_by} after {result.steps} actions")
     return result, last[0]

@@ -16,9 +16,9 @@ from typing import Annotated
 import torch
 import tyro
 
+from rumi import loop
 from rumi.cli import script
 from rumi.commands.replay import rummager_of
-from rumi.loop import rummage
 from rumi.runs.folder import provenance
 from rumi.runs.jsonlines import append_line, read_lines
 from rumi.runs.logbook import LogRecorder
@@ -62,7 +62,7 @@ def record_and_replay(task_name: str, seed: int, options: Run) -> dict[str, obje
         task, rummager = build(settings, cache_dir=options.cache)
         start = time.perf_counter()
         with LogRecorder(path, to_dict(settings)) as log:
-            live = rummage(task, rummager, seed=seed, steps=options.steps, on_step=log)
+            live = loop.run(task, rummager, seed=seed, steps=options.steps, on_step=log)
             log.finish(live)
         live_s = time.perf_counter() - start
         task.close()

@@ -18,10 +18,11 @@ from typing import Any
 import torch
 import tyro
 
+from rumi import loop
+from rumi.agent import stop_reason
 from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.errors import DegenerateBeliefError
-from rumi.loop import rummage
 from rumi.metrics.intervals import wilson
 from rumi.runs.folder import provenance
 from rumi.runs.jsonlines import append_line, read_lines
@@ -156,7 +157,7 @@ def carry_out(name: str, task: str, seed: int, cache: Path) -> dict[str, Any]:
         "seconds": 0.0,
     }
     try:
-        found = rummage(world, rummager, seed=seed, steps=spec.steps).as_dict()
+        found = loop.run(world, rummager, seed=seed, steps=spec.steps).as_dict()
     except (DegenerateBeliefError, ValueError) as error:
         found = {"right": False, "stopped_by": "error", "error": str(error)[:200]}
     finally:
@@ -180,7 +181,7 @@ def show(options: Show) -> None:
         own = [x for x in lines if x["sensors"] == name and x["settings"] == stamp(name)]
         if not own or any(name.endswith(part) for part in PARTS):
             continue
-        right, stopped = sum(x["right"] for x in own), [x for x in own if x["stopped_by"] == "converged"]
+        right, stopped = sum(x["right"] for x in own), [x for x in own if stop_reason(x["stopped_by"]) == "sure"]
         low, high = wilson(right, len(own))
         wrong = [x for x in stopped if not x["right"]]
         known = [x for x in own if x.get("position_error_mm") is not None]
@@ -208,7 +209,9 @@ def show_parts(path: Path, lines: list[dict[str, Any]]) -> None:
             same = (name, stamp(name), line["task"], line["seed"])
             own = [x for x in lines if (x["sensors"], x["settings"], x["task"], x["seed"]) == same]
             cells.append(f"{'right' if own[0]['right'] else 'not right'}, {_off(own[0])}" if own else "-")
-        ended = "sure" if line["stopped_by"] == "converged" else f"after {line.get('steps', 0)} actions, not sure"
+        ended = (
+            "sure" if stop_reason(line["stopped_by"]) == "sure" else f"after {line.get('steps', 0)} actions, not sure"
+        )
         head = f"{line['sensors']}, {line['task']}, seed {line['seed']}"
         print(f"| {head} | {ended} | {_off(line)} | " + " | ".join(cells) + " |")
 

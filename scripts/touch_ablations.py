@@ -15,13 +15,16 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from rumi import loop
+from rumi.agent import Parts
 from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.tasks.touch_box.agent import Toucher, localise
-from rumi.tasks.touch_box.build import Robot, make_toucher
+from rumi.tasks.touch_box.agent import Toucher
+from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.gripper_robot import GripperRobot
 from rumi.tasks.touch_box.mujoco_scene import GripperPhysics
 from rumi.tasks.touch_box.report import calibration, digest, figures_of, table
+from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 from scripts.bench.ledger import Ledger
@@ -57,12 +60,14 @@ class Variant:
         name = self.robot if self.truth is None else f"{self.robot} {self.truth}"
         return digest(self.task, self.settings, name)
 
-    def toucher(self) -> Toucher:
+    def parts(self) -> Parts[TouchBox, Toucher]:
         """What a run needs."""
-        made = make_toucher(self.task, self.settings, self.robot, cache_dir=cache_folder())
+        parts = build_touch_box(self.task, self.settings, self.robot, cache_dir=cache_folder())
         if self.truth is None:
-            return made
-        return Toucher(self.task, self.settings, GripperRobot(self.task, self.truth), made.table, made.carrier)
+            return parts
+        robot = GripperRobot(self.task, self.truth)
+        agent = Toucher(self.task, self.settings, robot, parts.agent.table, parts.agent.carrier)
+        return Parts(TouchBox(self.task, robot), agent)
 
 
 def _with(**changes: Any) -> Variant:  # noqa: ANN401
@@ -185,11 +190,8 @@ def run(options: Options, names: Sequence[str]) -> None:
             }
 
             def work(own: Variant = own, seed: int = seed) -> dict[str, Any]:
-                toucher = own.toucher()
-                try:
-                    return figures_of(localise(toucher, seed=seed))
-                finally:
-                    toucher.robot.close()
+                with own.parts() as parts:
+                    return figures_of(loop.run(*parts, seed=seed))
 
             if ledger.measure(asked, work):
                 sys.stderr.write(f"seed {seed}, {name}\n")

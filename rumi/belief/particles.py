@@ -9,9 +9,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.errors import DegenerateBeliefError
+from rumi.resampling import systematic
 from rumi.weights import effective_sample_size, equal_weights, normalise
 from sdf import se3
-from sdf.check import may_look
+from sdf.check import is_eager
 from sensors.evidence import EvidenceSet
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
@@ -110,7 +111,7 @@ class PoseBelief:
             DegenerateBeliefError: a scene's are all -inf, or some are NaN or +inf.
         """
         top = log_weights.amax(-1)
-        if may_look() and not bool(torch.isfinite(top).all()):
+        if is_eager() and not bool(torch.isfinite(top).all()):
             raise DegenerateBeliefError(
                 f"Expected a finite log-weight in each scene and none that is NaN or +inf, got {float(top.min())} as "
                 "the greatest: no particle fits what was observed, or a reading is none"
@@ -137,3 +138,21 @@ class PoseBelief:
             discrepancy=self.discrepancy.to(device=device, dtype=dtype),
             evidence=None if self.evidence is None else self.evidence.to(device, dtype),
         )
+
+
+def subsample(belief: PoseBelief, count: int) -> PoseBelief:
+    """One scene's belief with at most `count` particles, evenly by weight; itself if it has no more.
+
+    Nothing is random: each particle counts as often as teeth of the comb (k + 1/2) / count fall on it.
+    """
+    if count < 1:
+        raise ValueError(f"Expected count to be 1 or more, got {count}")
+    if count >= belief.log_weights.shape[-1]:
+        return belief
+    index, times = systematic(belief.log_weights, 0.5, count).unique_consecutive(return_counts=True)
+    return replace(
+        belief,
+        attached_T_object=belief.attached_T_object[index],
+        log_weights=normalise(times.to(belief.log_weights).log()),
+        discrepancy=belief.discrepancy[index],
+    )

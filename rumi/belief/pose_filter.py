@@ -143,11 +143,11 @@ class PoseFilter(nn.Module):
         super().__init__()
         if search not in SEARCHES:
             raise ValueError(f"Expected search to be one of {', '.join(SEARCHES)}, got {search!r}")
-        points, *further = evidence or [None]
+        points, further = evidence[0] if evidence else None, evidence[1:]
         if not isinstance(points, Discrepancy) or any(isinstance(model, Discrepancy) for model in further):
             raise TypeError(f"Expected one Discrepancy, of semantic points, as the first evidence, got {evidence}")
         self.discrepancy = points
-        self.further = tuple(cast(list[EvidenceModel], further))
+        self.further = cast(tuple[EvidenceModel, ...], tuple(further))
         self.search: Search = "SE(2)" if prior is not None and settings.lies_flat else search
         self.settings = settings
         self.prior = prior

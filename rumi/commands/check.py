@@ -121,5 +121,5 @@ def _likeliest(taken: "Sequence[Taken]", rummager: "Rummager", seed: int) -> Flo
     from rumi.runs.replay import replay
 
     # all of the readings, sure or not
-    rummager = replace(rummager, stop=replace(rummager.stop, rule="never"))
+    rummager = replace(rummager, stop_rule=replace(rummager.stop_rule, rule="never"))
     return replay(taken, rummager, seed=seed).last.belief.mode().cpu()

@@ -201,7 +201,7 @@ def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "Ba
         for line in machines(log):
             say(line)
         return NOT_CONVERGED
-    return DONE if done.result.stopped_by == "converged" else NOT_CONVERGED
+    return DONE if done.result.stopped_by == "sure" else NOT_CONVERGED
 
 
 def summary(
@@ -224,8 +224,8 @@ def summary(
     """
     result = done.result
     used = len(done.same)
-    first, *lines = ending(result)
-    lines = [f"{name}: {first}", *lines]
+    head, *rest = ending(result)
+    lines = [f"{name}: {head}", *rest]
     if used < readings:
         lines.append(f"readings {used} of {readings}: sure before the log's end{go_on}")
     x, y, z = done.last.belief.mode()[:3, 3].tolist()
@@ -299,13 +299,13 @@ def rummager_of(
 
 
 def _elsewhere(settings: Settings, taken: "Sequence[Taken]") -> Any:  # noqa: ANN401  (what `replay` takes)
-    """What brings readings to the settings' device and dtype; None where they are there."""
-    from rumi.tasks.rummage.build import Elsewhere
+    """What brings readings to the settings' device and dtype."""
+    from rumi.task import TaskOnDevice
 
     device, dtype = settings.torch_device, settings.torch_dtype
     if not taken or (device.type == "cpu" and taken[0].reading.tool_pose.dtype == dtype):
-        return None
-    return lambda task: Elsewhere(task, device, dtype)
+        return lambda task: task
+    return lambda task: TaskOnDevice(task, device, dtype)
 
 
 def _check_object(log: "Log", rummager: "Rummager") -> None:
@@ -321,6 +321,7 @@ def machines(log: "Log") -> list[str]:
     from rumi.runs.folder import provenance
 
     now, then = provenance(), json.loads(log.texts.get("made_with", "{}"))
+    then.setdefault("processor", now["processor"])  # logs of before do not tell
     return [f"recorded with {name} {_at(then, name)}, replayed with {_at(now, name)}" for name in changes(then, now)]
 
 

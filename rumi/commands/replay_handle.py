@@ -17,8 +17,8 @@ from rumi.tasks.rummage.entry import describe
 if TYPE_CHECKING:
     from sensors.log.reader import Log
 
-_HELP = """Take in the log of a run of the handle task as if its robot were there: the belief that the live run had, or, with other
-settings, the one that it would have had on the same readings.
+_HELP = """Take in the log of a run of the handle task as if its robot were there: the belief that the live run had,
+or, with other settings, the one that it would have had on the same readings.
 
     rumi replay runs/handle-all-s0
     rumi replay runs/handle-all-s0/log.h5 --wrist.outlier 0.3 --out what-if
@@ -55,8 +55,9 @@ def replay_handle(log: "Log", arguments: Sequence[str], cache_dir: Path | None) 
     """`rumi replay` of such a log: 0 if the belief became sure, 1 if not or if it is not the recorded one."""
     from rumi.commands.replay import machines, summary
     from rumi.runs.folder import RunRecorder, load_run, prepare_folder
-    from rumi.tasks.handle.finder import build_finder
-    from rumi.tasks.handle.log import IDLE, differing, recorded, refuse_other_senses, replay_fused
+    from rumi.runs.replay import replay
+    from rumi.tasks.handle.agent import build_agent
+    from rumi.tasks.handle.log import IDLE, differing, recorded, refuse_other_senses
     from rumi.tasks.rummage.build import scene_sketch
     from sensors.contact_reading import ContactReading
 
@@ -73,22 +74,22 @@ def replay_handle(log: "Log", arguments: Sequence[str], cache_dir: Path | None) 
     changed = differing(before, settings) + (["seed"] if options.seed != seed else [])
     if idle := [name for name in changed if name in IDLE]:
         say(f"{', '.join(idle)}: no effect, since what was done is recorded")
-    finder = build_finder(settings, cache_dir=cache_dir)
+    agent = build_agent(settings, cache_dir=cache_dir)
     if options.out is not None:
         prepare_folder(options.out)
     elif options.figures:
         raise UsageError("Expected --out DIR with --figures, got none: figures need a folder")
-    taken = log.taken(ContactReading)
+    taken = log.taken(ContactReading)[: settings.steps + 1]
     for problem in log.problems:
         say(problem)
     with Progress("handle", len(taken) - 1, describe) as progress:
         if options.out is None:
-            done = replay_fused(taken, finder, seed=options.seed, on_step=progress)
+            done = replay(taken, agent, seed=options.seed, on_step=progress)
         else:
             asked = {"task": "handle", "seed": options.seed, "handle": settings}
             with RunRecorder(options.out, asked) as recorder:
-                recorder.scene(scene_sketch(finder.rummager))
-                done = replay_fused(taken, finder, seed=options.seed, on_step=both(recorder, progress))
+                recorder.scene(scene_sketch(agent.rummager))
+                done = replay(taken, agent, seed=options.seed, on_step=both(recorder, progress))
                 recorder.finish(done.result)
     if options.figures and options.out is not None:
         from rumi.viz.figures import make_figures
@@ -100,4 +101,4 @@ def replay_handle(log: "Log", arguments: Sequence[str], cache_dir: Path | None) 
         for line in machines(log):
             say(line)
         return NOT_CONVERGED
-    return DONE if done.result.stopped_by == "converged" else NOT_CONVERGED
+    return DONE if done.result.stopped_by == "sure" else NOT_CONVERGED

@@ -23,6 +23,7 @@ from typing import Any, Self
 import numpy as np
 import torch
 
+from rumi.agent import stop_reason
 from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
@@ -31,13 +32,14 @@ from rumi.runs.plain import plain
 from rumi.runs.sketch import SceneSketch
 from rumi.runs.trace import TraceWriter, read_trace
 from sdf.cache import DAMAGED
+from sdf.processor import processor
 
 SCHEMA = 1
 """Version of the run folder; raised when an older reader would misread a newer folder."""
 
 
 class RunRecorder:
-    """Writes a run folder while the run goes on; usable as `on_step` of `rummage` and as a context manager.
+    """Writes a run folder while the run goes on; usable as `on_step` of `rumi.loop.run` and as a context manager.
 
     Args:
         folder: where; made with its parents. A folder that holds a run already is refused.
@@ -234,11 +236,12 @@ def write_belief(path: Path, belief: PoseBelief, *, stamp: float, frame: str = "
 
 
 def provenance() -> dict[str, Any]:
-    """Versions, threads and the commit that a run is made with; the same for the same installation."""
+    """Processor, versions, threads and the commit that a run is made with; the same for the same installation."""
     versions = {name: version_of(name) for name in ("rumi", "torch", "numpy", "mujoco-core", "pytorch-kinematics")}
     return {
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
+        "processor": processor()._asdict(),
         "versions": versions | {"torch": torch.__version__},
         "backend": "torch",
         "threads": torch.get_num_threads(),
@@ -282,6 +285,7 @@ def _result(values: Mapping[str, Any]) -> RunResult:
     known = {field.name: values.get(field.name) for field in fields(RunResult)}
     for name in ("apc", "expected_nll"):  # numbers that are always there: null stands for one that is not finite
         known[name] = float("nan") if known[name] is None else known[name]
+    known["stopped_by"] = stop_reason(str(known["stopped_by"]))
     return RunResult(**known)  # type: ignore[arg-type]
 
 

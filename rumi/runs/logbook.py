@@ -1,6 +1,5 @@
 """The log beside a run's trace: what the belief took in, step by step, so that the run can be had again."""
 
-import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,10 +8,10 @@ from typing import Any, Self
 
 import torch
 
-from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
 from rumi.runs.plain import plain
+from rumi.runs.replay import digest
 from sensors.log.errors import LogError
 from sensors.reading import Reading
 
@@ -21,7 +20,7 @@ LOG = "log.h5"
 
 
 class LogRecorder:
-    """Writes a log while a run goes on; usable as `on_step` of `rummage` and as a context manager.
+    """Writes a log while a run goes on; usable as `on_step` of `rumi.loop.run` and as a context manager.
 
     Args:
         path: of the log; it must not exist.
@@ -77,13 +76,3 @@ class LogRecorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._log.close()
-
-
-def digest(belief: PoseBelief) -> bytes:
-    """SHA-256 of a belief: two beliefs have the same if and only if they are the same bit for bit."""
-    total = hashlib.sha256()
-    for values in (belief.world_T_attached, belief.attached_T_object, belief.log_weights, belief.discrepancy):
-        array = values.detach().cpu().contiguous().numpy()
-        total.update(f"{array.dtype.str}{array.shape}".encode())
-        total.update(array.tobytes())
-    return total.digest()

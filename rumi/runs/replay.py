@@ -1,25 +1,47 @@
-"""A recorded log in a robot's place: the belief that the live run had, or the one that other settings would have."""
+"""A recording in a robot's place: the belief that the live run had, or the one that other settings would have."""
 
+import hashlib
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
+from rumi.agent import Agent, StopReason
 from rumi.belief.particles import PoseBelief
+from rumi.clock import Clock
 from rumi.errors import UsageError
-from rumi.loop import rummage
-from rumi.planning.policy import Plan, Scene
-from rumi.records import RunResult, StepRecord
-from rumi.runs.logbook import digest
+from rumi.loop import run
 from rumi.task import StepResult, Task
-from rumi.tasks.rummage.agent import Rummager
 
-if TYPE_CHECKING:
-    from sensors.log.reader import Taken
+_POSES = ("world_T_attached", "attached_T_object", "log_weights", "discrepancy")
+
+
+@runtime_checkable
+class Recorded(Protocol):
+    """A step of a recording, such as `sensors.log.reader.Taken`."""
+
+    @property
+    def reading(self) -> Any:  # noqa: ANN401  (the task's own)
+        """What was sensed."""
+        ...
+
+    @property
+    def control(self) -> Any:  # noqa: ANN401  (the task's own)
+        """The action that led there; None for the first reading."""
+        ...
+
+    @property
+    def truth(self) -> Tensor | None:
+        """Pose of the object then, where it is known."""
+        ...
+
+    @property
+    def digest(self) -> bytes | None:
+        """Of the belief after it, where it was kept."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -27,34 +49,42 @@ class Replayed:
     """What came of a replay.
 
     Attributes:
-        result: how it ended, as a run does.
+        result: how it ended, as a run does; nothing is grasped or inserted.
         same: of each step, whether the belief is the recorded one bit for bit; None where none was recorded.
-        robot_s: seconds that the robot took for the steps replayed, by the readings' stamps.
         wall_s: seconds that the replay took.
-        last: the record of the last step.
+        steps: the records.
     """
 
-    result: RunResult
+    result: Any
     same: list[bool | None]
-    robot_s: float
     wall_s: float
-    last: StepRecord
+    steps: list[Any]
+
+    @property
+    def last(self) -> Any:  # noqa: ANN401  (a record of the task's own kind)
+        """The record of the last step."""
+        return self.steps[-1]
+
+    @property
+    def robot_s(self) -> float:
+        """Seconds that the robot took for the steps replayed, by the readings' stamps."""
+        return float(self.steps[-1].reading.stamp - self.steps[0].reading.stamp)
 
 
 class LogTask:
-    """A `rumi.task.Task` that gives back what a log holds, whatever it is asked to do.
+    """A `rumi.task.Task` that gives back what a recording holds, whatever it is asked to do.
 
     Args:
-        taken: what the log holds, the first view first.
+        recorded: the steps, the first reading first.
 
     Raises:
         UsageError: nothing is there.
     """
 
-    def __init__(self, taken: "Sequence[Taken]") -> None:
-        if not taken:
+    def __init__(self, recorded: Sequence[Recorded]) -> None:
+        if not recorded:
             raise UsageError("Expected a log with a first reading at least, got none: there is nothing to replay")
-        self._taken = taken
+        self._recorded = recorded
         self.step_at = 0
 
     def reset(self, seed: int) -> StepResult:
@@ -62,83 +92,121 @@ class LogTask:
         self.step_at = 0
         return self._result()
 
-    def step(self, control: Float[Tensor, "A"]) -> StepResult:
-        """The next reading, whatever the control."""
-        if self.step_at + 1 >= len(self._taken):
-            raise UsageError(f"Expected at most {len(self._taken) - 1} steps: the log has no more")
+    def step(self, action: Any) -> StepResult:  # noqa: ANN401  (whatever it is)
+        """The next reading, whatever the action."""
+        if self.step_at + 1 >= len(self._recorded):
+            raise UsageError(f"Expected at most {len(self._recorded) - 1} steps: the log has no more")
         self.step_at += 1
         return self._result()
+
+    def finish(self, action: Any) -> None:  # noqa: ANN401
+        """What came of a last action is not replayed."""
 
     def close(self) -> None:
         """Nothing to let go of."""
 
     def _result(self) -> StepResult:
-        taken = self._taken[self.step_at]
-        return StepResult(taken.reading, taken.truth)
+        one = self._recorded[self.step_at]
+        return StepResult(one.reading, one.truth)
 
 
-class LogPolicy:
-    """A policy that does what was done.
+@dataclass(frozen=True)
+class Repeat:
+    """An agent that does what was done: the belief is the agent's, the actions are a recording's.
 
-    Args:
-        task: tells how far the replay is.
-        controls: of each step but the first.
+    Nothing that is thought of reaches a belief but through what is done, so that the beliefs are those of the run.
+
+    Attributes:
+        agent: whose belief follows the readings.
+        actions: of each step but the first.
     """
 
-    def __init__(self, task: LogTask, controls: Sequence[Float[Tensor, "A"]]) -> None:
-        self._task, self._controls = task, controls
+    agent: Agent[Any]
+    actions: Sequence[Any]
 
-    def act(
-        self,
-        belief: PoseBelief,
-        scene: Scene,
-        previous: Plan | None,
-        *,
-        executed: int,
-        budget_s: float | None,
-        generator: torch.Generator,
-    ) -> Plan:
+    def begin(self, result: StepResult, *, seed: int, clock: Clock) -> Any:  # noqa: ANN401  (the agent's state)
+        """The agent's."""
+        return self.agent.begin(result, seed=seed, clock=clock)
+
+    def stop(self, state: Any) -> StopReason | None:  # noqa: ANN401
+        """Stop where the agent is sure: a recording knows neither its clock nor its number of actions."""
+        return "sure" if self.agent.stop(state) == "sure" else None
+
+    def act(self, state: Any) -> tuple[Any, Any]:  # noqa: ANN401
         """The action that was carried out next."""
-        control = self._controls[self._task.step_at].to(scene.configuration)
-        return Plan(control[None], scene.configuration[None].expand(2, -1))
+        return state, self.actions[state.record.step]
+
+    def update(self, state: Any, action: Any, result: StepResult) -> Any:  # noqa: ANN401
+        """The agent's."""
+        return self.agent.update(state, action, result)
+
+    def last(self, state: Any) -> None:  # noqa: ANN401
+        """Nothing is done at the end."""
+
+    def result(self, state: Any, stopped_by: StopReason, outcome: Any) -> Any:  # noqa: ANN401
+        """The agent's."""
+        return self.agent.result(state, stopped_by, outcome)
 
 
 def replay(
-    taken: "Sequence[Taken]",
-    rummager: Rummager,
+    recorded: Sequence[Recorded],
+    agent: Agent[Any],
     *,
     seed: int,
-    on_step: Callable[[StepRecord], None] | None = None,
-    wrap: Callable[[Task], Task] | None = None,
+    on_step: Callable[[Any], None] = lambda record: None,
+    wrap: Callable[[Task], Task] = lambda task: task,
 ) -> Replayed:
-    """Take in a log's readings by the algorithm that takes in a robot's.
+    """Take in a recording's readings by the algorithm that takes in a robot's.
 
     With the settings, the seed and the machine of the run that was recorded, the beliefs are the same bit for bit on
     the CPU: nothing that is planned reaches a belief but through what is done, and that is recorded.
 
     Args:
-        taken: what the log holds.
-        rummager: how; its policy is not used.
+        recorded: the steps, the first reading first.
+        agent: whose belief follows them; what it would do is not asked.
         seed: of all randomness.
         on_step: called with the record of every step.
-        wrap: makes of the log's task one whose readings are elsewhere (`rumi.tasks.rummage.build.Elsewhere`).
-    """
-    task = LogTask(taken)
-    none = torch.zeros_like(taken[0].reading.configuration)
-    controls = [none if one.control is None else one.control for one in taken[1:]]
-    doing = replace(rummager, policy=LogPolicy(task, controls), replan_every=1, budget_s=None)
-    same: list[bool | None] = []
-    steps: list[StepRecord] = []
+        wrap: makes of the recording's task one whose readings are elsewhere (`rumi.task.TaskOnDevice`).
 
-    def seen(step: StepRecord) -> None:
-        recorded = taken[step.step].digest
-        same.append(None if recorded is None else digest(step.belief) == recorded)
+    Raises:
+        UsageError: nothing is there.
+    """
+    task = wrap(LogTask(recorded))
+    actions = [
+        torch.zeros_like(one.reading.configuration) if one.control is None else one.control for one in recorded[1:]
+    ]
+    same: list[bool | None] = []
+    steps: list[Any] = []
+
+    def compared(step: Any) -> None:  # noqa: ANN401  (of the task's own kind)
+        theirs = recorded[step.step].digest
+        same.append(None if theirs is None else digest(step.belief) == theirs)
         steps.append(step)
-        if on_step is not None:
-            on_step(step)
+        on_step(step)
 
     start = time.perf_counter()
-    source: Task = task if wrap is None else wrap(task)
-    result = rummage(source, doing, seed=seed, steps=len(taken) - 1, on_step=seen)
-    wall = time.perf_counter() - start
-    return Replayed(result, same, steps[-1].reading.stamp - steps[0].reading.stamp, wall, steps[-1])
+    result = run(task, Repeat(agent, actions), seed=seed, steps=len(actions), on_step=compared)
+    return Replayed(result, same, time.perf_counter() - start, steps)
+
+
+def digest(belief: Any) -> bytes:  # noqa: ANN401  (a belief of any task)
+    """SHA-256 of a belief: two beliefs have the same if and only if they are the same bit for bit."""
+    total = hashlib.sha256()
+    for values in _tensors(belief):
+        array = values.detach().cpu().contiguous().numpy()
+        total.update(f"{array.dtype.str}{array.shape}".encode())
+        total.update(array.tobytes())
+    return total.digest()
+
+
+def _tensors(value: Any) -> Iterator[Tensor]:  # noqa: ANN401
+    if isinstance(value, PoseBelief):  # what was felt is in the readings
+        yield from (getattr(value, name) for name in _POSES)
+    elif isinstance(value, Tensor):
+        yield value
+    elif is_dataclass(value):
+        for part in fields(value):
+            yield from _tensors(getattr(value, part.name))
+    elif isinstance(value, tuple | list):
+        for item in value:
+            yield from _tensors(item)

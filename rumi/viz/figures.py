@@ -63,7 +63,7 @@ def heading(run: Run) -> str:
     seed = f", seed {run.settings['seed']}" if "seed" in run.settings else ""
     if run.result is None:
         return " · ".join(asked) + f"{seed} · not finished"
-    ended = {"converged": "sure", "steps": "out of actions", "interrupted": "interrupted"}[run.result.stopped_by]
+    ended = {"steps": "out of actions", "budget": "out of time"}.get(run.result.stopped_by, run.result.stopped_by)
     error = ""
     if run.result.position_error_mm is not None and run.result.rotation_error_deg is not None:
         error = f", off by {run.result.position_error_mm:.1f} mm and {run.result.rotation_error_deg:.1f}°"

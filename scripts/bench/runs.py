@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 
+from rumi import loop
 from rumi.cache import cache_folder
-from rumi.loop import rummage
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import PRESETS, preset
@@ -48,7 +48,7 @@ def run_figures(run: RunSettings) -> Figures:
     begun, busy = time.perf_counter(), time.process_time()
     try:
         steps = find_task(run.task).steps if run.steps is None else run.steps
-        result = rummage(parts.task, parts.rummager, seed=run.seed, steps=steps)
+        result = loop.run(parts.task, parts.agent, seed=run.seed, steps=steps)
     finally:
         parts.task.close()
     names = ("right", "actions", "stopped_by", "final_nll", "position_error_mm", "rotation_error_deg", "timings_s")

@@ -110,7 +110,7 @@ def totals(records: Sequence[Record]) -> str:
                     f"{sum(numbers(own, 'evaluated')) / max(1.0, decisions):.1f}",
                     f"{sum(numbers(own, 'doublings')) / max(1.0, decisions):.2f}",
                     f"{_sure(own)}/{len(own)}",
-                    rate([record.figures["stopped_by"] == "actions" for record in own]),
+                    rate([record.figures["stopped_by"] == "steps" for record in own]),
                     rate(flags(own, "right")),
                     rate(flags(own, "in_hole")),
                 ]
@@ -159,11 +159,12 @@ def draw_totals(records: Sequence[Record], path: Path) -> list[Path]:
 
 def draw_runs(seed: int, folder: Path) -> list[Path]:
     """Contacts and time-lines of one pose at t_max 10 and 20 s, and first decisions (the paper's Figures 5-7 and 1)."""
+    from rumi import loop
     from rumi.tasks.peg import figures as peg
-    from rumi.tasks.peg.agent import run_peg
+    from rumi.tasks.peg.agent import build_peg
     from rumi.viz import style
 
-    runs = [run_peg(settings_of([f"t_max_s={t}", "stop=contacts"]), seed) for t in (10, 20)]
+    runs = [loop.run(*build_peg(settings_of([f"t_max_s={t}", "stop=contacts"])), seed=seed) for t in (10, 20)]
     with style.figure(9.0, 3.4) as figure:
         axes = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.0))
         peg.draw_contacts(runs[0], axes[0]).set_title("t_max 10 s, the table")

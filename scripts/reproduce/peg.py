@@ -5,9 +5,10 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from rumi import loop
 from rumi.errors import UsageError
 from rumi.runs.json_settings import dataclass_of
-from rumi.tasks.peg.agent import run_peg
+from rumi.tasks.peg.agent import build_peg
 from rumi.tasks.peg.settings import PegSettings
 
 _LIST = "contact_s"
@@ -21,11 +22,11 @@ def carry_out(overrides: Sequence[str], seed: int) -> dict[str, Any]:
         seed: of all randomness.
 
     Returns:
-        `figures`: how it ended, of `rumi.tasks.peg.agent.PegRun.as_dict`; `timings`: seconds that the run took here;
+        `figures`: how it ended, of `rumi.tasks.peg.records.PegRun.as_dict`; `timings`: seconds that the run took here;
         `curves`: when each side was touched, and the probability that both holes are where they are thought to be.
     """
     begun = time.perf_counter()
-    run = run_peg(settings_of(overrides), seed)
+    run = loop.run(*build_peg(settings_of(overrides)), seed=seed)
     figures = run.as_dict()
     contact = figures.pop(_LIST)
     return {

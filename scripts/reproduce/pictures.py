@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi import loop
 from rumi.fields.information import information_field
-from rumi.loop import rummage
 from rumi.planning.registry import POLICIES
 from rumi.records import StepRecord
 from rumi.tasks.rummage.agent import Rummager
@@ -84,10 +84,10 @@ def _begin(settings: Settings, steps: int, cache_dir: Path) -> tuple[StepRecord,
     parts = build(settings, cache_dir=cache_dir)
     seen: list[StepRecord] = []
     try:
-        rummage(parts.task, parts.rummager, seed=settings.seed, steps=steps, on_step=seen.append)
+        loop.run(parts.task, parts.agent, seed=settings.seed, steps=steps, on_step=seen.append)
     finally:
         parts.task.close()
-    return seen[-1], parts.rummager
+    return seen[-1], parts.agent
 
 
 def draw_fields(fields: list[Field], path: Path) -> list[Path]:

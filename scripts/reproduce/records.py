@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from rumi.agent import stop_reason
 from rumi.errors import UsageError
 from rumi.runs.jsonlines import append_line, read_lines
 from scripts.bench.ledger import commit, machine
@@ -77,7 +78,7 @@ def record_of(line: dict[str, Any]) -> Record | None:
         line["preset"],
         line["seed"],
         tuple(line["overrides"]),
-        line["figures"],
+        _figures(line["figures"]),
         line["timings"],
         line["curves"],
         line["id"],
@@ -85,6 +86,11 @@ def record_of(line: dict[str, Any]) -> Record | None:
         line["commit"],
         line["machine"],
     )
+
+
+def _figures(figures: dict[str, Any]) -> dict[str, Any]:
+    """The same in today's words."""
+    return figures | {"stopped_by": stop_reason(figures["stopped_by"])} if "stopped_by" in figures else figures
 
 
 _FIGURES = (
@@ -96,7 +102,7 @@ _FIGURES = (
 def _first_table(line: dict[str, Any]) -> Record:
     """Lines of `scripts/results/mugs.jsonl`: figures beside all else, only the nll over the steps."""
     method, _, preset = line["column"].partition("/")
-    figures = {name: line[name] for name in _FIGURES} | {"nll_threshold": 20.0, "allowed": 40}
+    figures = _figures({name: line[name] for name in _FIGURES}) | {"nll_threshold": 20.0, "allowed": 40}
     figures["apc_ratio_at_start"] = line["apc_ratio_at_start"]
     timings = {"wall_s": line["wall_s"], "stages_s": line["timings_s"]}
     return Record(

@@ -130,7 +130,7 @@ def summary(records: Sequence[Record]) -> str:
         for tasks in groups.values():
             own = [record for record in runs if record.task in tasks]
             cells.append(f"{rate(flags(own, 'right'))} · {sum(flags(own, 'paper_success'))}" if own else NOTHING)
-        sure = [record for record in runs if record.figures["stopped_by"] == "converged"]
+        sure = [record for record in runs if record.figures["stopped_by"] == "sure"]
         known = paper.SUCCESSES.get(runs[0].method, {})
         printed = [
             f"{sum(known[task] for task in tasks):g}/{paper.RUNS * len(tasks)}"

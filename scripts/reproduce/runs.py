@@ -4,8 +4,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from rumi import loop
 from rumi.errors import DegenerateBeliefError
-from rumi.loop import rummage
 from rumi.planning.policy import Plan
 from rumi.records import StepRecord
 from rumi.runs.plain import plain
@@ -39,7 +39,7 @@ def carry_out(settings: Settings, cache_dir: Path) -> dict[str, Any]:
     parts = build(settings, cache_dir=cache_dir)
     ready = time.perf_counter()
     try:
-        result = rummage(parts.task, parts.rummager, seed=settings.seed, steps=steps, on_step=course)
+        result = loop.run(parts.task, parts.agent, seed=settings.seed, steps=steps, on_step=course)
         figures = dict(plain(result.as_dict()))
     except DegenerateBeliefError:
         figures = _degenerate(course, spec.nll_threshold)
@@ -51,7 +51,7 @@ def carry_out(settings: Settings, cache_dir: Path) -> dict[str, Any]:
     stages = figures.pop("timings_s")
     return {
         "figures": figures
-        | {"nll_threshold": spec.nll_threshold, "allowed": steps, "diagonal": float(parts.rummager.model.diagonal)},
+        | {"nll_threshold": spec.nll_threshold, "allowed": steps, "diagonal": float(parts.agent.model.diagonal)},
         "timings": {
             "wall_s": ended - begun,
             "build_s": ready - begun,
@@ -64,7 +64,7 @@ def carry_out(settings: Settings, cache_dir: Path) -> dict[str, Any]:
 
 
 class Course:
-    """Notes nll, apc and expected nll of every step, and what its plan took; an `on_step` of `rummage`."""
+    """Notes nll, apc and expected nll of every step, and what its plan took; an `on_step` of `rumi.loop.run`."""
 
     def __init__(self) -> None:
         self.curves: dict[str, list[float | None]] = {"nll": [], "apc": [], "expected_nll": []}

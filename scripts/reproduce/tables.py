@@ -39,7 +39,7 @@ def successes(records: Sequence[Record]) -> str:
                 f"{sum(flags(at, 'right'))} · {sum(flags(at, 'paper_success'))} of {len(at)}" if at else NOTHING
                 for at in (of_task(runs, task) for task in tasks)
             ]
-            sure = [record for record in runs if record.figures["stopped_by"] == "converged"]
+            sure = [record for record in runs if record.figures["stopped_by"] == "sure"]
             rows.append(
                 [
                     column,
@@ -143,7 +143,7 @@ def failed(records: Sequence[Record]) -> str:
 
 def _ending(record: Record) -> list[str]:
     figures = record.figures
-    ended = {"converged": "sure, and wrong", "steps": "out of actions", "degenerate": "belief without weight"}
+    ended = {"sure": "sure, and wrong", "steps": "out of actions", "degenerate": "belief without weight"}
     nll, least = figures["final_nll"], figures["min_nll"]
     off = (figures["position_error_mm"], figures["rotation_error_deg"])
     return [

@@ -10,15 +10,16 @@ from typing import Annotated
 
 import tyro
 
+from rumi import loop
 from rumi.bench.history import check_writable
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
 from rumi.runs.folder import make_folder
-from rumi.tasks.touch_box.build import Robot, make_toucher
+from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.report import Line, calibration, digest, figures_of, table
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import METHODS
-from rumi.tasks.touch_box.settings import TouchPush, TouchSettings
+from rumi.tasks.touch_box.settings import TouchSettings
 from scripts.bench.ledger import Ledger
 from scripts.reproduce.code import code_hash
 from scripts.reproduce.seeds import seeds_of
@@ -63,7 +64,7 @@ class TouchReproduceOptions:
 
     experiments: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT ...")]
     methods: tuple[str, ...] = METHODS
-    push_models: tuple[TouchPush, ...] = ("quasi-static",)
+    push_models: tuple[str, ...] = ("quasi-static",)
     robot: Robot = "gripper"
     seeds: str = "0-99"
     settings: TouchSettings = field(default_factory=TouchSettings)
@@ -127,8 +128,6 @@ def run_all(options: TouchReproduceOptions, cache_dir: Path | None) -> dict[str,
     """All runs of Table I, each once; what the file holds, where nothing is to be run."""
     import time
 
-    from rumi.tasks.touch_box.agent import localise
-
     begun, ledger, columns = time.monotonic(), Ledger(options.path), _columns(options)
     code = code_hash(("rumi.tasks.touch_box.build",))
     if not options.show:
@@ -147,11 +146,8 @@ def run_all(options: TouchReproduceOptions, cache_dir: Path | None) -> dict[str,
                 }
 
                 def work(settings: TouchSettings = settings, seed: int = seed) -> Line:
-                    toucher = make_toucher(options.task, settings, options.robot, cache_dir=cache_dir)
-                    try:
-                        return figures_of(localise(toucher, seed=seed))
-                    finally:
-                        toucher.robot.close()
+                    with build_touch_box(options.task, settings, options.robot, cache_dir=cache_dir) as parts:
+                        return figures_of(loop.run(*parts, seed=seed))
 
                 if ledger.measure(asked, work):
                     sys.stderr.write(f"rumi: seed {seed}, {name}\n")

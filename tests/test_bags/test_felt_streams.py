@@ -12,7 +12,7 @@ from rumi.rosbag.mapping import mapping_of
 from rumi.rosbag.readings import make_readings
 from rumi.rosbag.scene import rummager_of_map, settings_of
 from rumi.runs.replay import replay
-from rumi.tasks.rummage.build import Elsewhere
+from rumi.task import TaskOnDevice
 from sensors.contact_reading import ContactReading
 from sensors.log.reader import Log
 from sensors.reading import Reading
@@ -134,7 +134,7 @@ def test_a_normal_tells_poses_apart_that_points_leave_open(poked):
     assert points.felt is None and felt.felt is not None
     assert turned(points) > 15.0
     assert turned(felt) < 8.0
-    wide = replayed(poked, LIKELY, lambda task: Elsewhere(task, torch.device("cpu"), torch.float64), dtype="float64")
+    wide = replayed(poked, LIKELY, lambda task: TaskOnDevice(task, torch.device("cpu"), torch.float64), dtype="float64")
     assert wide.log_weights.dtype == torch.float64 and turned(wide) < 8.0
 
 

@@ -10,8 +10,7 @@ from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.reinitialise import RenewalSettings, challenge, redraw
-from rumi.belief.settling import settled
+from rumi.belief.reinitialise import ReinitialiseSettings, redraw, refine_poses, verify
 from rumi.registration.descent import DescentSettings
 from sdf import se3
 from sdf.primitives import Box
@@ -140,7 +139,7 @@ def test_resampling_keeps_particles_by_what_was_felt():
     assert not torch.equal(plain[0].attached_T_object, belief.attached_T_object)
 
 
-RENEWAL = RenewalSettings(
+RENEWAL = ReinitialiseSettings(
     starts=300, polished=80, coarse=DescentSettings(iterations=5), fine=DescentSettings(iterations=5)
 )
 
@@ -171,7 +170,7 @@ def test_a_normal_decides_between_sides_that_points_leave_open(dtype):
         generator = torch.Generator().manual_seed(1000)
         belief = replace(start, evidence=kept)
         belief = redraw(pose_filter, belief, memory, RENEWAL, generator=generator)
-        again = challenge(pose_filter, belief, memory, RENEWAL, generator=generator)
+        again = verify(pose_filter, belief, memory, RENEWAL, generator=generator)
         assert again.evidence is kept
         found[name] = again
         torch.testing.assert_close(
@@ -190,11 +189,11 @@ def test_poses_drawn_anew_settle_as_freely_as_the_search():
     for search, least, most in (("SE(2)", 0.0, 1e-9), ("SE(3)", 0.005, 0.1)):
         pose_filter, evidence = make(search=search), Leaning(3000.0, axis=2)
         generator = torch.Generator().manual_seed(1000)
-        moved = settled(pose_filter, poses, here, evidence, generator=generator)
+        moved = refine_poses(pose_filter, poses, here, evidence, generator=generator)
         assert bool((pose_filter.cost(moved, here, evidence) <= pose_filter.cost(poses, here, evidence)).all())
         down = float((poses[:, 2, 3] - moved[:, 2, 3]).mean())
         assert least <= down <= most, (search, down)
-        assert settled(pose_filter, poses, here, None, generator=generator) is poses
+        assert refine_poses(pose_filter, poses, here, None, generator=generator) is poses
 
 
 @DTYPES

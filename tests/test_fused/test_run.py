@@ -5,13 +5,14 @@ import math
 import pytest
 import torch
 
+from rumi import loop
 from rumi.commands.run_handle import fused, sensors_of, short_of, thinking_of
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.robot.gripper import GripperShape
+from rumi.tasks.handle.agent import total_nll
 from rumi.tasks.handle.build import build_fused
 from rumi.tasks.handle.grasp import HandleTable
-from rumi.tasks.handle.run import run_fused, total_nll
 from rumi.tasks.handle.settings import SENSORS, FusedSettings
 
 
@@ -42,9 +43,9 @@ def parts_of(tool, **changes):
 @pytest.mark.sim
 def test_without_time_for_an_action_it_grasps_at_once(tool):
     steps = []
-    outcome = run_fused(parts_of(tool, sensors=("camera",), budget_s=4.0), 1000, steps.append)
-    assert outcome.ended == "budget" and outcome.found.steps == 0 and len(steps) == 1
-    assert outcome.grasp is not None and outcome.grasp.probability > 0.2
+    outcome = loop.run(*parts_of(tool, sensors=("camera",), budget_s=4.0), seed=1000, on_step=steps.append)
+    assert outcome.stopped_by == "budget" and outcome.steps == 0 and len(steps) == 1
+    assert outcome.grasp is not None and outcome.believed > 0.2
     assert outcome.total_nll == pytest.approx(21 * outcome.nll[0])
     assert outcome.total_s == pytest.approx(1.0 + 2.1)
 
@@ -54,10 +55,10 @@ def test_the_same_seed_gives_the_same_run(tool):
     """Two actions with all sensors, on a clock on which thinking lasts a second."""
     found = []
     for _ in range(2):
-        outcome = run_fused(parts_of(tool, steps=2), 1001).as_dict()
+        outcome = loop.run(*parts_of(tool, steps=2), seed=1001).as_dict()
         found.append({name: value for name, value in outcome.items() if name != "timings_s"})
     assert found[0] == found[1]
-    assert found[0]["total_s"] == pytest.approx(1.0 + 2 * 2.1 + 2.1) and found[0]["ended"] == "steps"
+    assert found[0]["total_s"] == pytest.approx(1.0 + 2 * 2.1 + 2.1) and found[0]["stopped_by"] == "steps"
 
 
 def test_sensors_and_thinking_are_told_in_words():
@@ -106,7 +107,7 @@ def test_the_command_leaves_a_run_that_can_be_drawn_again(tmp_path, capsys):
     code = fused(["--seed", "1001", "--budget", "9", "--out", str(out)], cache_dir=tmp_path / "cache")
     said = capsys.readouterr().out
     assert code in (DONE, NOT_CONVERGED) and ("not lifted" in said) == (code == NOT_CONVERGED)
-    assert {"result.json", "grasp.json", "settings.json", "trace.npz", "figures"} <= {p.name for p in out.iterdir()}
+    assert {"result.json", "settings.json", "trace.npz", "figures"} <= {p.name for p in out.iterdir()}
     from rumi.commands.run import draw_figures
 
     assert draw_figures(out, tmp_path / "again", None)

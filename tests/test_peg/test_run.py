@@ -8,23 +8,29 @@ from itertools import pairwise
 import pytest
 import torch
 
+from rumi import loop
 from rumi.belief.static_filter import StaticBelief
 from rumi.cli import main
 from rumi.information.stopping import Aim
 from rumi.tasks.peg import selection as refine
-from rumi.tasks.peg.agent import run_peg
+from rumi.tasks.peg.agent import build_peg
 from rumi.tasks.peg.cell import TOP
 from rumi.tasks.peg.entry import summary
 from rumi.tasks.peg.selection import sure
 from rumi.tasks.peg.settings import PegSettings
 from sensors.touch.rectangle_touch import RectangleTouches
 
+
+def run_of(settings, seed):
+    return loop.run(*build_peg(settings), seed=seed)
+
+
 QUICK = PegSettings(particles=200, search_particles=600, point_m=0.001, normal_deg=2.0)
 
 
 def test_a_sharp_sensor_finds_the_hole():
     for seed in range(3):
-        run = run_peg(QUICK, seed)
+        run = run_of(QUICK, seed)
         found = run.as_dict()
         assert run.stopped_by == "sure" and run.aim.probability >= 0.95
         assert found["in_hole"] and found["hole_error_mm"] < 5.0
@@ -46,35 +52,35 @@ def test_a_sharp_sensor_finds_the_hole():
 @pytest.mark.parametrize(("point_m", "normal_deg", "seed"), [(2e-4, 0.3, 6), (5e-5, 0.1, 0), (5e-5, 0.1, 1)])
 def test_a_nearly_exact_sensor_does_not_take_one_side_for_another(point_m, normal_deg, seed):
     """Readings much more exact than particles are apart used to leave only the one that happened to fit."""
-    run = run_peg(PegSettings(point_m=point_m, normal_deg=normal_deg, evaluation_s=0.003), seed)
+    run = run_of(PegSettings(point_m=point_m, normal_deg=normal_deg, evaluation_s=0.003), seed)
     assert run.stopped_by == "sure" and run.hole_error_m < 0.001
 
 
 def test_the_same_seed_twice():
-    first, second = (run_peg(QUICK, 7) for _ in range(2))
+    first, second = (run_of(QUICK, 7) for _ in range(2))
     assert first.as_dict() == second.as_dict()
-    assert run_peg(QUICK, 8).truth.tolist() != first.truth.tolist()
+    assert run_of(QUICK, 8).truth.tolist() != first.truth.tolist()
 
 
 def test_it_ends_where_nothing_can_be_done():
     allowed = replace(QUICK, t_max_s=1.0, doublings=0)
-    run = run_peg(allowed, 0)
-    assert run.stopped_by == "time" and len(run.felt) == 0 and run.as_dict()["touches"] == 1
+    run = run_of(allowed, 0)
+    assert run.stopped_by == "nothing to do" and len(run.felt) == 0 and run.as_dict()["touches"] == 1
     assert summary(run)[0].startswith("no time for any motion after 1 touch, ")
-    few = run_peg(replace(QUICK, most_actions=1), 0)
-    assert few.stopped_by == "actions" and len(few.felt) == 1
+    few = run_of(replace(QUICK, most_actions=1), 0)
+    assert few.stopped_by == "steps" and len(few.felt) == 1
     assert summary(few)[0].startswith("not sure after 2 touches, ")
 
 
 def test_it_ends_where_nothing_tells_anything(monkeypatch):
     monkeypatch.setattr(refine, "touch_gain", lambda *_, **__: torch.zeros(()))
-    run = run_peg(QUICK, 0)
-    assert run.stopped_by == "stay" and run.thoughts[-1].selection.evaluated > 0
+    run = run_of(QUICK, 0)
+    assert run.stopped_by == "nothing to do" and run.thoughts[-1].selection.evaluated > 0
     assert summary(run)[0].startswith("nothing more that a touch would tell after 1 touch, ")
 
 
 def test_the_papers_stop():
-    run = run_peg(replace(QUICK, stop="contacts"), 0)
+    run = run_of(replace(QUICK, stop="contacts"), 0)
     assert run.stopped_by == "sure" and run.as_dict()["touches"] >= 4
 
 
@@ -83,7 +89,7 @@ def test_stops_by_spread_and_by_entropy():
     ends = {}
     for stop, limits in (("covariance", ({"spread_m": 0.01, "spread_deg": 9.0}, {"spread_m": 0.0005})),
                          ("entropy", ({"most_nats": -9.0}, {"most_nats": -16.0}))):  # fmt: skip
-        runs = [run_peg(replace(QUICK, stop=stop, contacts=1, most_actions=12, **limit), 1) for limit in limits]
+        runs = [run_of(replace(QUICK, stop=stop, contacts=1, most_actions=12, **limit), 1) for limit in limits]
         assert [run.stopped_by for run in runs] == ["sure", "sure"]
         assert len(runs[0].felt) < len(runs[1].felt)
         ends[stop] = runs[1]

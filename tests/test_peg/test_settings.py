@@ -89,14 +89,15 @@ def test_a_folder_that_has_a_run_is_left_alone(tmp_path, monkeypatch, capsys):
 
 
 def test_the_tolerance_of_a_hole_counts():
-    from rumi.tasks.peg.agent import run_peg
+    from rumi import loop
+    from rumi.tasks.peg.agent import build_peg
 
     sharp = {"particles": 200, "search_particles": 600, "point_m": 0.001, "normal_deg": 2.0, "most_actions": 3}
-    wide = run_peg(PegSettings(**sharp), 0)
+    wide = loop.run(*build_peg(PegSettings(**sharp)), seed=0)
     errors = (wide.hole_error_m, wide.off_m)
     for tolerance in (0.5 * min(errors), 2.0 * max(errors)):
         # one action less and no rule to stop: the tolerance is of what is told of the end
-        run = run_peg(PegSettings(**sharp, tolerance_m=tolerance, contacts=50), 0)
+        run = loop.run(*build_peg(PegSettings(**sharp, tolerance_m=tolerance, contacts=50)), seed=0)
         assert run.as_dict()["right"] == (run.hole_error_m < tolerance)
         assert run.in_hole == (run.off_m < tolerance)
     assert math.isclose(PegSettings().tolerance_m, 0.005)

@@ -9,10 +9,9 @@ import torch
 from rumi.clock import SimulatedClock
 from rumi.information.contact_gain import NOTHING, TOUCH
 from rumi.tasks.peg import selection as refine
-from rumi.tasks.peg.agent import random_pose
 from rumi.tasks.peg.cell import TOP, TouchCell
 from rumi.tasks.peg.moves import direct_ways, motions, outcomes, presses
-from rumi.tasks.peg.search import free_ways, joined, lanes, search
+from rumi.tasks.peg.search import free_ways, joined, lanes, start, taken_in
 from rumi.tasks.peg.selection import (
     Chooser,
     aim_of,
@@ -23,6 +22,7 @@ from rumi.tasks.peg.selection import (
     sides_touched,
 )
 from rumi.tasks.peg.settings import PegSettings
+from rumi.tasks.peg.simulated import random_pose
 from sdf.sweep import sweep_rectangle
 from sensors.touch.rectangle_touch import RectangleTouches, way_clearances
 
@@ -37,6 +37,16 @@ def cell_of(seed, settings=SETTINGS):
     return TouchCell(
         truth, settings.block, settings.radius_m, settings.noise, settings.limits, first, SimulatedClock(), noise
     )
+
+
+def search(cell, settings, *, generator):
+    found = start(settings, generator=generator)
+    for corner in lanes(settings)[1:]:
+        felt = cell.follow(torch.stack((cell.tip, torch.cat((corner, cell.tip[2:])))))
+        found = taken_in(found, felt, settings, generator=generator)
+        if felt.kind != NOTHING:
+            return found
+    pytest.fail("nothing was met")
 
 
 def stage_two(seed, settings=SETTINGS):
@@ -56,8 +66,8 @@ def test_lanes_meet_every_block():
     assert float(poses[:, 2].abs().max()) <= 0.5 * math.pi
     corners = lanes(SETTINGS)
     met = torch.zeros(800, dtype=torch.bool)
-    for start, end in pairwise(corners):
-        met |= sweep_rectangle(poses, SETTINGS.block.half(), start, end, SETTINGS.radius_m).hit
+    for here, there in pairwise(corners):
+        met |= sweep_rectangle(poses, SETTINGS.block.half(), here, there, SETTINGS.radius_m).hit
     assert bool(met.all())
     # and none is met before it has begun
     assert float(way_clearances(poses, SETTINGS.block.half(), corners[:1].expand(1, 2, 2)).min()) > SETTINGS.radius_m

@@ -18,7 +18,7 @@ def make(task: str = "mug-0", method: str = "rumi", seed: int = 0, *, nll: tuple
         "final_nll": nll[-1],
         "cumulative_nll": sum(nll),
         "steps": steps,
-        "stopped_by": "converged" if steps < 4 else "steps",
+        "stopped_by": "sure" if steps < 4 else "steps",
         "apc": 0.001,
         "expected_nll": nll[-1],
         "position_error_mm": 1.0 if nll[-1] <= threshold else 9.0,

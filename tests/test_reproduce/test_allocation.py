@@ -91,7 +91,7 @@ def test_the_least_is_marked(tmp_path):
     (path,) = allocation.draw_totals(runs, tmp_path / "time.png")
     assert path.stat().st_size > 10_000
     # what never became sure did not take so little time to it
-    unsure = [record(s, ("t_max_s=3",), total_s=9.0, stopped_by="actions") for s in range(4)]
+    unsure = [record(s, ("t_max_s=3",), total_s=9.0, stopped_by="steps") for s in range(4)]
     assert "**" in allocation.totals([*unsure, *runs[4:8]]) and "**" not in allocation.totals(unsure)
     last = allocation.totals(unsure).splitlines()[-1]
     assert "| 0/4 | 4/4 [" in last

@@ -135,7 +135,7 @@ def make_up(count: int = 9, particles: int = 100, seed: int = 0) -> MadeUp:
         final_nll=values[-1],
         cumulative_nll=sum(values),
         steps=count - 1,
-        stopped_by="converged",
+        stopped_by="sure",
         apc=steps[-1].apc,
         expected_nll=steps[-1].expected_nll,
         position_error_mm=0.4,

@@ -4,17 +4,18 @@ from dataclasses import replace
 
 import torch
 
+from rumi import loop
 from rumi.belief.initialise import InitialiseSettings
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.reinitialise import RenewalSettings
+from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopSettings
-from rumi.loop import rummage
+from rumi.planning.rummaging import RummagingPolicy
 from rumi.records import StepRecord
 from rumi.registration.descent import DescentSettings
 from rumi.robot.tool import Tool
-from rumi.runs.replay import LogPolicy, LogTask
+from rumi.runs.replay import LogTask, Repeat
 from rumi.tasks.rummage.agent import Rummager
 from sdf import se3
 from sdf.object_model import box_model
@@ -50,17 +51,17 @@ def test_a_step_after_which_poses_were_drawn_anew_keeps_all_its_seconds() -> Non
     rummager = Rummager(
         box,
         PoseFilter(FilterSettings(descent=QUICK), [Discrepancy(box.sdf, box.radius)], "SE(3)", prior),
-        LogPolicy(task, [torch.zeros(3)] * 2),
+        RummagingPolicy(torch.ones(0)),
         Workspace.from_bounds(BOUNDS, 0.05, planar_height=0.02),
         Tool(BOUNDS[:, :2]),
         initialise=InitialiseSettings(particles=20),
-        renewal=RenewalSettings(starts=50, polished=10, coarse=QUICK, fine=QUICK),
-        stop=StopSettings(expected_nll=1e6, fit=1e6),
+        renewal=ReinitialiseSettings(starts=50, polished=10, coarse=QUICK, fine=QUICK),
+        stop_rule=StopSettings(expected_nll=1e6, fit=1e6),
         agreement_points=10,
     )
     steps: list[StepRecord] = []
-    result = rummage(task, rummager, seed=0, steps=2, on_step=steps.append)
-    assert result.stopped_by == "converged"
-    assert [sorted(step.timings_s) for step in steps[1:]] == [["agree", "belief", "plan", "score", "simulate"]] * 2
+    result = loop.run(task, Repeat(rummager, [torch.zeros(3)] * 2), seed=0, steps=2, on_step=steps.append)
+    assert result.stopped_by == "sure"
+    assert [sorted(step.timings_s) for step in steps[1:]] == [["agree", "belief", "score", "simulate"]] * 2
     total = sum(sum(step.timings_s.values()) for step in steps)
     assert sum(result.timings_s.values()) == total

@@ -16,7 +16,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.cli import main
 from rumi.commands.replay import _named, changes
 from rumi.runs.folder import load_run
-from rumi.runs.logbook import digest
+from rumi.runs.replay import digest
 
 pytest.importorskip("h5py")
 
@@ -57,7 +57,7 @@ def test_a_replay_gives_the_recorded_beliefs_bit_for_bit(recorded, capsys):
     code = main(["replay", str(recorded), "--out", "again"])
     assert "the recorded one, bit for bit, after each of" in said_of_beliefs(capsys)
     live, again = load_run(recorded), load_run("again")
-    assert code == (cli.DONE if live.result.stopped_by == "converged" else cli.NOT_CONVERGED)
+    assert code == (cli.DONE if live.result.stopped_by == "sure" else cli.NOT_CONVERGED)
     assert len(again.steps) == len(live.steps)
     for ours, theirs in zip(again.steps, live.steps, strict=True):
         for name in ("world_T_attached", "attached_T_object", "log_weights", "discrepancy"):

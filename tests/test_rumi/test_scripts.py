@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rumi import build, cli, preset, rummage
+from rumi import build, cli, preset, run
 from rumi.errors import UsageError
 from rumi.tasks.rummage.scenes import SCENES
 from sensors.semantics import Semantics
@@ -100,6 +100,9 @@ class Robot:
     def step(self, control):
         return self.report(self.task.step(control).reading)
 
+    def finish(self, action):
+        return None
+
     def close(self):
         self.task.close()
 
@@ -118,7 +121,7 @@ def test_the_readme_says_how_to_bring_own_observations(tmp_path):
     shown: dict = {}
     exec(blocks[1].split("```")[0], shown)
     task, rummager = build(preset("default"), cache_dir=tmp_path)
-    result = rummage(Robot(task, shown["sensed"]), rummager, seed=0, steps=3)
+    result = run(Robot(task, shown["sensed"]), rummager, seed=0, steps=3)
     assert (result.steps, result.right, result.position_error_mm) == (3, None, None)
     assert result.expected_nll > 0
 

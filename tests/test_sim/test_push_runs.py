@@ -50,7 +50,7 @@ def test_tables_are_over_all_runs_and_over_those_that_all_have_done(script: Modu
         ("mujoco", 1000, True, 8),
     ):
         asked = {"part": script.PART, "model": model, "task": "drill-0", "seed": seed, "code": "x"}
-        figures = {"right": right, "stopped_by": "converged", "steps": steps, "cpu_s": 4.0, "wall_s": 9.0}
+        figures = {"right": right, "stopped_by": "sure", "steps": steps, "cpu_s": 4.0, "wall_s": 9.0}
         append_line(results, {"settings": asked, "figures": figures})
     whole, alike = script.show(script.Options("show", results=results)).split("\n\n| push")[1:]
     assert "| displacement | 1/2 [0.09, 0.91] | 15 | 1/2 | 4.0 | 0.27 |" in whole

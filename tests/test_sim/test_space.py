@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi import loop
 from rumi.errors import UsageError
-from rumi.loop import rummage
 from rumi.robot.gripper import GripperShape
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.world import World
@@ -163,7 +163,7 @@ def test_a_run_works_and_is_repeatable(name, kind, models):
         task.settings = replace(settings.simulator, mini_steps=SimSettings().mini_steps)
         rummager = build_rummager(task.spec, settings, task.model, task.tool)
         steps = []
-        rummage(task, rummager, seed=3, steps=4, on_step=steps.append)
+        loop.run(task, rummager, seed=3, steps=4, on_step=steps.append)
         records.append(steps)
     for a, b in zip(*records, strict=True):
         assert torch.equal(a.belief.attached_T_object, b.belief.attached_T_object)
@@ -211,7 +211,7 @@ def test_shelf_mug_is_looked_at_again_and_its_motion_is_not_measured(shelf_mug):
 def test_unmeasured_motion_is_estimated(shelf_mug):
     settings = preset("default", task="shelf-mug")
     rummager = build_rummager(shelf_mug.spec, settings, shelf_mug.model, shelf_mug.tool)
-    assert rummager.filter.settings.motion == "corrected" and rummager.stop.apc_ratio == 0.05
+    assert rummager.filter.settings.motion == "corrected" and rummager.stop_rule.apc_ratio == 0.05
     printed = build_rummager(shelf_mug.spec, preset("paper", task="shelf-mug"), shelf_mug.model, shelf_mug.tool)
     assert printed.filter.settings.motion == "estimated"
     still = build_rummager(find_task("mug-0"), settings, shelf_mug.model, shelf_mug.tool)

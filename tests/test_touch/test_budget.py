@@ -6,14 +6,15 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi import cli
+from rumi import cli, loop
 from rumi.cli import main
 from rumi.clock import SimulatedClock
 from rumi.errors import UsageError
 from rumi.tasks.grasp_table import clearance_table
-from rumi.tasks.touch_box.agent import Toucher, localise
+from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.budget import BudgetedChoice
 from rumi.tasks.touch_box.planar_robot import PlanarRobot
+from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 
@@ -79,7 +80,8 @@ def test_other_methods_within_a_time(method):
 def test_a_run_within_a_time():
     clock = SimulatedClock()
     toucher = Slow(clock)
-    run = localise(toucher, seed=2001, decide=BudgetedChoice(toucher, 0.45, clock))
+    toucher.chooser = BudgetedChoice(toucher, 0.45, clock)
+    run = loop.run(TouchBox(TASK, toucher.robot), toucher, seed=2001)
     assert run.steps and all(1 <= len(step.choice.value) <= 4 for step in run.steps)
     with pytest.raises(UsageError, match="budget above 0 s"):
         BudgetedChoice(toucher, 0.0)

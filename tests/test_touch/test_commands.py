@@ -46,7 +46,7 @@ def test_figures_are_drawn():
 
 @pytest.mark.parametrize("out", ["file", "file/run"])
 def test_a_folder_that_cannot_be_written_is_refused_before_the_run(out, monkeypatch, capsys):
-    monkeypatch.setattr("rumi.tasks.touch_box.build.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
+    monkeypatch.setattr("rumi.tasks.touch_box.build.build_touch_box", lambda *a, **k: pytest.fail("it was begun"))
     Path("file").write_text("in the way")
     assert main(["run", "touch-box", *QUICK, "--out", out]) == BAD_INPUT
     said = capsys.readouterr().err
@@ -91,7 +91,7 @@ def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
     def interrupt(*arguments, **named):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("rumi.tasks.touch_box.build.make_toucher", interrupt)
+    monkeypatch.setattr("rumi.tasks.touch_box.build.build_touch_box", interrupt)
     assert main(["run", "touch-box", *QUICK]) == INTERRUPTED
     assert not list(Path("runs").iterdir())
 
@@ -122,7 +122,7 @@ def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
     ],
 )
 def test_what_cannot_be_is_refused(arguments, message, monkeypatch, capsys):
-    monkeypatch.setattr("scripts.reproduce.touch.make_toucher", lambda *a, **k: pytest.fail("it was begun"))
+    monkeypatch.setattr("scripts.reproduce.touch.build_touch_box", lambda *a, **k: pytest.fail("it was begun"))
     Path("file").write_text("in the way")
     assert main(arguments) == BAD_INPUT
     assert message in capsys.readouterr().err

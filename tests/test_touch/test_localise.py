@@ -6,11 +6,13 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi import loop
 from rumi.tasks.grasp_table import clearance_table
-from rumi.tasks.touch_box.agent import Toucher, likeliest, localise, signals
+from rumi.tasks.touch_box.agent import Toucher, likeliest
 from rumi.tasks.touch_box.planar_robot import PlanarRobot
+from rumi.tasks.touch_box.records import signals
 from rumi.tasks.touch_box.report import calibration, figures_of, summarise, table
-from rumi.tasks.touch_box.robot import Touched
+from rumi.tasks.touch_box.robot import TouchBox, Touched
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import choose
 from rumi.tasks.touch_box.settings import PokeSettings, TouchSettings
@@ -24,19 +26,23 @@ def toucher(settings=SETTINGS, task=TASK):
     return Toucher(task, settings, PlanarRobot(task, TABLE), TABLE)
 
 
+def run_of(own, seed):
+    return loop.run(TouchBox(own.task, own.robot), own, seed=seed)
+
+
 def test_it_finds_the_box_and_lifts_it():
     own = replace(SETTINGS, count=800)  # with 200 and readings as sharp as these, four of ten fail
-    runs = [localise(toucher(own), seed=seed) for seed in (2000, 2001, 2002)]
+    runs = [run_of(toucher(own), seed) for seed in (2000, 2001, 2002)]
     assert sum(run.lifted for run in runs) >= 2  # at a threshold of 0.92 one may fail
     assert all(1 <= len(run.steps) <= 15 for run in runs)
     for run in runs:
-        assert run.sure == (run.grasp.probability >= SETTINGS.threshold)
+        assert (run.stopped_by == "sure") == (run.end.grasp.probability >= SETTINGS.threshold)
         if run.lifted:
-            assert float((run.grasp.pose - run.truth)[:2].norm()) < 0.085
+            assert float((run.end.grasp.pose - run.end.truth)[:2].norm()) < 0.085
 
 
 def test_a_run_is_its_seed_s():
-    first, again = (figures_of(localise(toucher(), seed=2003)) for _ in range(2))
+    first, again = (figures_of(run_of(toucher(), 2003)) for _ in range(2))
     for line in (first, again):
         for step in line["steps"]:
             step.pop("seconds")
@@ -44,13 +50,13 @@ def test_a_run_is_its_seed_s():
 
 
 def test_it_gives_up_after_so_many_pokes_and_grasps_all_the_same():
-    run = localise(toucher(replace(SETTINGS, actions=1, threshold=1.0)), seed=2000)
-    assert len(run.steps) == 1 and not run.sure
+    run = run_of(toucher(replace(SETTINGS, actions=1, threshold=1.0)), 2000)
+    assert len(run.steps) == 1 and run.stopped_by == "steps"
 
 
 @pytest.mark.parametrize("method", ["entropy", "max-contact", "ml-observation"])
 def test_other_methods_choose_too(method):
-    run = localise(toucher(replace(SETTINGS, method=method, actions=2)), seed=2001)
+    run = run_of(toucher(replace(SETTINGS, method=method, actions=2)), 2001)
     assert len(run.steps) <= 2
     assert all(len(step.choice.value) == 20 for step in run.steps)
 
@@ -192,7 +198,7 @@ def test_a_poke_out_of_reach_is_no_evidence():
             return Touched(path[:1], torch.zeros(0, dtype=torch.bool), None, "reach")
 
     own = Toucher(TASK, replace(SETTINGS, actions=1), Short(TASK, TABLE), TABLE)
-    (step,) = localise(own, seed=2000).steps
+    (step,) = run_of(own, 2000).steps
     assert torch.equal(step.belief[1], torch.zeros(200, dtype=torch.float64).log_softmax(-1))
 
 

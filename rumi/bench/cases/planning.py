@@ -7,17 +7,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi import loop
 from rumi.belief.particles import PoseBelief
 from rumi.bench.case import Case, Setup, Target, case, largest_difference
 from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
-from rumi.dynamics.registry import PushChoice
-from rumi.loop import first_belief, rummage
-from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.records import StepRecord
 from rumi.seeding import split
 from rumi.task import StepResult
+from rumi.tasks.rummage.agent import first_belief
 from rumi.tasks.rummage.build import build, reachability
 from rumi.tasks.rummage.settings import preset
 from sensors.reading import Reading
@@ -30,7 +30,7 @@ def _pass(
 ) -> Callable[[], tuple[Tensor, Plan]]:
     def run() -> tuple[Tensor, Plan]:
         random = split(_SEED, "bench/plan")
-        plan = policy.act(belief, scene, previous, executed=executed, budget_s=None, generator=random)
+        plan = policy.act(PlanRequest(belief, scene, previous, executed=executed, generator=random))
         return plan.controls, plan
 
     return run
@@ -39,7 +39,7 @@ def _pass(
 def _case(
     title: str, setup: Setup, policy: Policy, belief: PoseBelief, scene: Scene, targets: tuple[Target, ...]
 ) -> Case:
-    first = policy.act(belief, scene, None, executed=0, budget_s=None, generator=split(_SEED, "bench/first"))
+    first = policy.act(PlanRequest(belief, scene, generator=split(_SEED, "bench/first")))
     run = _pass(policy, belief, scene, first, 3)
     plan = run()[1]
     passes = [plan.timings_s] + [run()[1].timings_s for _ in range(0 if setup.tiny else 3)]
@@ -70,7 +70,7 @@ def plan_mug_pushed(setup: Setup) -> Case:
     return _mug(setup, "quasi-static")
 
 
-def _mug(setup: Setup, push_model: PushChoice) -> Case:
+def _mug(setup: Setup, push_model: str) -> Case:
     if setup.tiny:
         return _made_up(setup, mug_scene(setup), "made up", (), push_model)
     settings = preset("default", task="mug-0", seed=_SEED, device=setup.device.type)
@@ -80,7 +80,7 @@ def _mug(setup: Setup, push_model: PushChoice) -> Case:
         reading = parts.task.reset(_SEED).reading
     finally:
         parts.task.close()
-    rummager = parts.rummager
+    rummager = parts.agent
     belief, _ = first_belief(rummager, reading, generator=split(_SEED, "initialise"))
     scene = Scene(rummager.model, rummager.workspace, rummager.tool, reading.configuration)
     return _case(
@@ -118,7 +118,7 @@ def _made_up(
     scene: FieldScene,
     what: str,
     targets: tuple[Target, ...],
-    push_model: PushChoice = "displacement",
+    push_model: str = "displacement",
 ) -> Case:
     settings, tool = replace(preset("default").planner, push_model=push_model), bench_tool(setup)
     if setup.tiny:
@@ -150,6 +150,9 @@ class Replay:
         self._at += 1
         return StepResult(self.readings[self._at], None)
 
+    def finish(self, action: object) -> None:
+        """Nothing is done at the end."""
+
     def close(self) -> None:
         """Nothing to let go of."""
 
@@ -167,14 +170,14 @@ def run_mug(setup: Setup) -> Case:
     parts = build(settings, cache_dir=setup.cache_dir)
     readings: list[Reading] = []
     try:
-        rummage(parts.task, parts.rummager, seed=_SEED, steps=steps, on_step=lambda step: readings.append(step.reading))
+        loop.run(parts.task, parts.agent, seed=_SEED, steps=steps, on_step=lambda step: readings.append(step.reading))
     finally:
         parts.task.close()
     task = Replay(readings)
 
     def run() -> tuple[Tensor, int]:
         records: list[StepRecord] = []
-        rummage(task, parts.rummager, seed=_SEED, steps=len(readings) - 1, on_step=records.append)
+        loop.run(task, parts.agent, seed=_SEED, steps=len(readings) - 1, on_step=records.append)
         return records[-1].belief.mode()[:3, 3], len(records) - 1
 
     return Case(

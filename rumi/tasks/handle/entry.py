@@ -19,7 +19,7 @@ from rumi.tasks.handle.simulated import FusedTask
 from rumi.tasks.registry import check_preset, check_seed
 from rumi.tasks.rummage.entry import describe, ending
 from rumi.tasks.rummage.settings import PRESETS
-from sensors.contact_reading import FeltReading
+from sensors.contact_reading import ContactReading
 
 
 @dataclass(frozen=True)
@@ -114,14 +114,14 @@ class _Recorder(contextlib.ExitStack):
         self._run = self.enter_context(RunRecorder(folder, asked))
         self._log: LogRecorder | None = None
         if log:
-            made = LogRecorder(folder / LOG, asked, {"made_with": provenance()}, readings=FeltReading)
+            made = LogRecorder(folder / LOG, asked, {"made_with": provenance()}, readings=ContactReading)
             self._log = self.enter_context(made)
         self._run.scene(scene_sketch(parts.agent.rummager))
 
     def __call__(self, step: StepRecord) -> None:
         self._run(step)
         if self._log is not None:
-            self._log(replace(step, reading=FeltReading.of(step.reading)))
+            self._log(replace(step, reading=ContactReading.of(step.reading)))
 
     def finish(self, result: HandleResult) -> None:
         self._run.finish(result)

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.robot.gripper import gripper_parts
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.felt_world import Felt, FeltWorld
@@ -18,13 +19,15 @@ from rumi.sim.settings import SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.world import Track
 from rumi.task import StepResult
+from rumi.tasks.handle.grasp import Grasp
+from rumi.tasks.handle.gripper import HandleGripper
 from rumi.tasks.handle.settings import FusedSettings, task_of
 from rumi.tasks.rummage.sensed import SensedTask
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.contact_reading import ContactReading, WrenchTouch, surest
 from sensors.force.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus
-from sensors.force.tool_parts import box_tool, ellipsoid_tool, parts_contact
+from sensors.force.tool_parts import parts_contact
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 from sensors.touch.tactile import swept_points
@@ -64,14 +67,13 @@ class FusedTask(SensedTask):
         )
         shape, wrist = tool.shape, settings.wrist
         ahead = torch.tensor([wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
-        pads = [ellipsoid_tool(torch.tensor(c, dtype=torch.float64) + ahead, shape.pad_m) for c in shape.pad_centers]
-        palm = torch.tensor([shape.palm_center_m, 0.0, 0.0], dtype=torch.float64) + ahead
-        self._parts = [*pads, box_tool(palm, shape.palm_m)]
+        self._parts = gripper_parts(shape, ahead)
         self._noise = WrenchNoise(wrist.force_n, wrist.moment_nm)
         joints = settings.joints.without_errors() if settings.noise_free else settings.joints
         self._joints = JointFeeler(spec.base, spec.height_m, joints) if "torques" in own else None
         self._wrist_noise, self._joint_noise, self._from = torch.Generator(), torch.Generator(), torch.zeros(3)
         self._wrist_off = se3.identity().double()
+        self.gripper = HandleGripper(model.exact, self.world.body, spec.physics)
 
     def reset(self, seed: int) -> StepResult:
         """Put the mug where the seed has it and return the first look; without a camera it shows nothing."""
@@ -101,6 +103,10 @@ class FusedTask(SensedTask):
         """Carry out one control and report."""
         self._from = self.world.configuration()
         return super().step(control)
+
+    def finish(self, grasp: Grasp) -> bool:
+        """Grasp the mug where it is taken to stand, in a simulation of its own; whether it was lifted."""
+        return self.gripper.grasp(grasp.pose, self.world.world_T_object())
 
     def _view(self) -> Observation:
         if "camera" in self.fused.sensors:

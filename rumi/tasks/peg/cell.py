@@ -9,6 +9,7 @@ yields, an arm that cannot reach.
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -72,6 +73,18 @@ class Felt:
     path: Float[Tensor, "K 3"]
     begun_s: float
     ended_s: float
+
+
+class TimedPath(NamedTuple):
+    """A motion to carry out.
+
+    Attributes:
+        points: (K, 3), of the ball's centre; the first is where it is.
+        begins_s: on the clock.
+    """
+
+    points: Float[Tensor, "K 3"]
+    begins_s: float
 
 
 class TouchCell:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from rumi.information.contact_gain import NOTHING, TOUCH
-from rumi.tasks.peg.agent import PegRun
+from rumi.tasks.peg.records import PegRun
 from rumi.tasks.peg.selection import Thought
 from rumi.viz import style
 
@@ -43,7 +43,7 @@ def draw_contacts(run: PegRun, ax: "Axes", *, around_m: float | None = None) -> 
     ax.add_patch(Polygon(outline.numpy(), fc=style.FAINT, ec=style.TRUTH, lw=1.2, alpha=0.8, zorder=2))
     for hole in own.block.holes(run.truth).tolist():
         ax.add_patch(Circle(hole, 0.015, fc="white", ec=style.TRUTH, lw=0.8, zorder=3))
-    for guess in run.aim.points.tolist():
+    for guess in [] if run.aim is None else run.aim.points.tolist():
         ax.plot(*guess, marker="+", color=style.CONTACT, ms=7, zorder=5)
     count = 0
     for felt in (*run.searched, *run.felt):
@@ -58,7 +58,8 @@ def draw_contacts(run: PegRun, ax: "Axes", *, around_m: float | None = None) -> 
             ax.plot([px, px + nx], [py, py + ny], color=style.CONTACT, lw=1.0, zorder=4)
             ax.annotate(str(count), (px + 1.6 * nx, py + 1.6 * ny), ha="center", va="center", fontsize=7, zorder=6,
                         clip_on=True)  # fmt: skip
-    ax.plot(*run.inserted_at.tolist(), marker="*", color=style.NLL, ms=9, zorder=6)
+    if run.inserted is not None:
+        ax.plot(*run.inserted.at.tolist(), marker="*", color=style.NLL, ms=9, zorder=6)
     ax.set_aspect("equal")
     if around_m is not None:
         x, y = run.truth[:2].tolist()

@@ -8,11 +8,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.state_space import PlaneSpace
-from rumi.belief.static_filter import StaticBelief, StaticFilter, StaticSettings
-from rumi.belief.tempered import Tempered, update_tempered
+from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings, StaticBelief, TemperedEvidence
 from rumi.information.contact_gain import NOTHING
 from rumi.resampling import resample_systematic
-from rumi.tasks.peg.cell import Felt, TouchCell
+from rumi.tasks.peg.cell import Felt
 from rumi.tasks.peg.settings import PegSettings
 from sensors.touch.circle_touch import CircleTouches
 from sensors.touch.rectangle_touch import RectangleTouches
@@ -25,7 +24,7 @@ _NEGLIGIBLE = 25.0
 
 @dataclass(frozen=True)
 class Found:
-    """How the search ended.
+    """How far the search is.
 
     Attributes:
         felt: of each leg, the first touch last.
@@ -33,7 +32,7 @@ class Found:
         circle: evidence of it.
     """
 
-    felt: list[Felt]
+    felt: tuple[Felt, ...]
     belief: StaticBelief
     circle: CircleTouches
 
@@ -55,7 +54,7 @@ def lanes(settings: PegSettings) -> Float[Tensor, "K 2"]:
     return torch.tensor(corners, dtype=torch.float64)
 
 
-def table_prior(settings: PegSettings) -> StaticFilter:
+def table_prior(settings: PegSettings) -> ResampleMoveFilter:
     """The filter of the first stage: anywhere on the table's part, as likely."""
     size = torch.tensor(settings.table_m, dtype=torch.float64)
 
@@ -63,36 +62,26 @@ def table_prior(settings: PegSettings) -> StaticFilter:
         on = (places.abs() <= 0.5 * size).all(-1)
         return torch.where(on, 0.0, -torch.inf).to(places)
 
-    return StaticFilter(PlaneSpace(None), log_prior, StaticSettings(jitter_m=(1e-3, 0.1)))
+    return ResampleMoveFilter(PlaneSpace(None), log_prior, ResampleMoveSettings(jitter_m=(1e-3, 0.1)))
 
 
-def search(cell: TouchCell, settings: PegSettings, *, generator: torch.Generator) -> Found:
-    """Go along the lanes until something is touched; every leg, free or not, weighs the belief.
-
-    The lanes are an open-loop action that needs no thinking (time allocation, IV-B).
-
-    Raises:
-        RuntimeError: nothing was met.
-    """
-    follow = table_prior(settings)
+def start(settings: PegSettings, *, generator: torch.Generator) -> Found:
+    """Before anything is felt."""
     size = torch.tensor(settings.table_m, dtype=torch.float64)
     places = (torch.rand(settings.search_particles, 2, generator=generator, dtype=torch.float64) - 0.5) * size
-    belief = follow.start(places)
     circle = CircleTouches.none(settings.block.half(), settings.radius_m, settings.point_m)
-    felt: list[Felt] = []
-    for corner in lanes(settings)[1:]:
-        leg = torch.stack((cell.tip, torch.cat((corner, cell.tip[2:]))))
-        felt.append(cell.follow(leg))
-        new = CircleTouches.none(settings.block.half(), settings.radius_m, settings.point_m)
-        for way in free_ways(felt[-1], settings):
-            new, circle = new.with_way(*way), circle.with_way(*way)
-        if felt[-1].kind != NOTHING:
-            new, circle = (part.with_touch(felt[-1].point, felt[-1].normal) for part in (new, circle))
-        belief, _ = follow.update(belief, new, circle, generator=generator)
-        cell.clock.advance(settings.update_s)
-        if felt[-1].kind != NOTHING:
-            return Found(felt, belief, circle)
-    raise RuntimeError("Nothing was met on the table: is the block on it, and are the lanes close enough?")
+    return Found((), table_prior(settings).start(places), circle)
+
+
+def taken_in(found: Found, felt: Felt, settings: PegSettings, *, generator: torch.Generator) -> Found:
+    """After one more leg; every leg, free or not, weighs the belief."""
+    new, circle = CircleTouches.none(settings.block.half(), settings.radius_m, settings.point_m), found.circle
+    for way in free_ways(felt, settings):
+        new, circle = new.with_way(*way), circle.with_way(*way)
+    if felt.kind != NOTHING:
+        new, circle = (part.with_touch(felt.point, felt.normal) for part in (new, circle))
+    belief, _ = table_prior(settings).update(found.belief, new, circle, generator=generator)
+    return Found((*found.felt, felt), belief, circle)
 
 
 def free_ways(felt: Felt, settings: PegSettings) -> list[tuple[Tensor, Tensor]]:
@@ -115,7 +104,12 @@ def free_ways(felt: Felt, settings: PegSettings) -> list[tuple[Tensor, Tensor]]:
 
 
 def joined(
-    found: Found, follow: StaticFilter, every: RectangleTouches, settings: PegSettings, *, generator: torch.Generator
+    found: Found,
+    follow: ResampleMoveFilter,
+    every: RectangleTouches,
+    settings: PegSettings,
+    *,
+    generator: torch.Generator,
 ) -> StaticBelief:
     """The second stage's belief: the first's places with every yaw, weighed by what a rectangle would have felt.
 
@@ -142,7 +136,7 @@ def joined(
     first = found.circle.log_likelihood(places)[:, None].expand(-1, _YAWS).reshape(-1)[keep]
     log = power * every.log_likelihood(poses) - first
     picked = resample_systematic(log, settings.particles, generator=generator)
-    partly = Tempered(every, every, power) if power < 1.0 else every
+    partly = TemperedEvidence(every, every, power) if power < 1.0 else every
     belief = follow.start(poses[picked], evidence=partly)
-    belief, _ = follow.moved(belief, partly, ess=float(len(poses)), generator=generator)
-    return update_tempered(follow, belief, every, every, power=power, generator=generator)
+    belief, _ = follow.move(belief, partly, ess=float(len(poses)), generator=generator)
+    return follow.update_tempered(belief, every, every, power=power, generator=generator)

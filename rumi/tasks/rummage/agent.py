@@ -1,20 +1,61 @@
-"""Everything that a run needs beside the task, in one value."""
+"""Rummaging's agent: believe, plan a path of much information that stays in reach, follow it, until sure."""
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
-from rumi.belief.initialise import InitialiseSettings
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.agent import StopReason
+from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
+from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
-from rumi.belief.reinitialise import RenewalSettings
+from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw, verify
+from rumi.clock import Clock
 from rumi.fields.workspace import Workspace
-from rumi.information.stopping import StopSettings
-from rumi.planning.policy import Policy
+from rumi.information.stopping import StopEvidence, StopSettings, converged
+from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
+from rumi.metrics.pose_error import pose_error
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
+from rumi.records import RunResult, StepRecord
 from rumi.robot.tool import Tool
+from rumi.seeding import split
+from rumi.task import StepResult
 from sdf.object_model import ObjectModel
+from sensors.observation import Observation, merge
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+
+
+@dataclass(frozen=True, eq=False)
+class RummageState:
+    """What is known after a step.
+
+    Attributes:
+        record: of the step, with the belief and the reading.
+        history: the records of all steps, this one last.
+        memory: points so far, in the frame that rides with the object.
+        random: streams, by what is drawn.
+        clock: takes the time of each stage.
+        plan: that is being followed.
+        executed: controls of it that were carried out.
+        surprised: whether the reading calls for a new plan.
+    """
+
+    record: StepRecord
+    history: tuple[StepRecord, ...]
+    memory: Observation
+    random: Mapping[str, torch.Generator]
+    clock: Clock
+    plan: Plan | None = None
+    executed: int = 0
+    surprised: bool = False
 
 
 @dataclass(frozen=True)
 class Rummager:
-    """Everything that a run needs beside the task; settings only, no state.
+    """The agent of RUMI (Alg 1): redraws, replans and stops as its settings say; it holds no state.
 
     Attributes:
         model: the object's shape.
@@ -24,7 +65,7 @@ class Rummager:
         tool: the robot's body and free-space motion.
         initialise: how the first belief is found.
         renewal: when and how particles are drawn anew; only where the filter has a prior.
-        stop: when to stop.
+        stop_rule: when the belief is sure.
         height_m: z of the origin of an upright object.
         replan_every: actions carried out of one plan; a contact always asks for a new one.
         budget_s: seconds that one plan may take, or None.
@@ -38,8 +79,8 @@ class Rummager:
     workspace: Workspace
     tool: Tool
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
-    renewal: RenewalSettings = field(default_factory=RenewalSettings)
-    stop: StopSettings = field(default_factory=StopSettings)
+    renewal: ReinitialiseSettings = field(default_factory=ReinitialiseSettings)
+    stop_rule: StopSettings = field(default_factory=StopSettings)
     height_m: float = 0.0
     replan_every: int = 1
     budget_s: float | None = None
@@ -47,3 +88,198 @@ class Rummager:
     position_tolerance_m: float = 0.005
     rotation_tolerance_rad: float = 0.17453
     agreement_points: int = 200
+
+    def begin(self, result: StepResult | Reading, *, seed: int, clock: Clock) -> RummageState:
+        """Believe what the first view shows (Alg 1, lines 1-3)."""
+        result = StepResult.of(result)
+        random = {name: split(seed, name) for name in ("initialise", "filter", "plan", "renewal", "warm_up")}
+        with clock("belief"):
+            belief, memory = first_belief(self, result.reading, generator=random["initialise"])
+        record = evaluate_step(self, clock, (), result, belief, memory)
+        return RummageState(record, (record,), memory, random, clock)
+
+    def stop(self, state: RummageState) -> StopReason | None:
+        """Stop where the belief is sure."""
+        return "sure" if state.record.converged else None
+
+    def act(self, state: RummageState) -> tuple[RummageState, Float[Tensor, "A"]]:
+        """Follow the plan, or one made anew: a contact is not where the plan had it.
+
+        With a budget a plan is made first that nobody follows, since the first one of a process loads compiled code.
+        """
+        plan, executed = state.plan, state.executed
+        if plan is None or state.surprised or executed >= min(self.replan_every, len(plan.controls)):
+            belief, scene, random = state.record.belief, self.scene(state), state.random
+            if self.budget_s is not None and plan is None:
+                with state.clock("warm_up"):
+                    self.policy.act(PlanRequest(belief, scene, budget_s=0.0, generator=random["warm_up"]))
+            with state.clock("plan"):
+                plan = self.policy.act(
+                    PlanRequest(
+                        belief, scene, plan, executed=executed, budget_s=self.budget_s, generator=random["plan"]
+                    )
+                )
+            executed = 0
+        return replace(state, plan=plan, executed=executed), plan.controls[executed]
+
+    def update(self, state: RummageState, control: Float[Tensor, "A"], result: StepResult | Reading) -> RummageState:
+        """Take a reading in; after the first touch, and where sure, draw poses anew that might fit as well."""
+        result = StepResult.of(result)
+        last, clock, random = state.record, state.clock, state.random
+        touched = bool(result.reading.in_contact.any())
+        unseen = self.filter.prior is not None
+        with clock("belief"):
+            belief, memory, info = self.filter(last.belief, state.memory, result.reading, generator=random["filter"])
+            if unseen and self.renewal.at_contact and last.contacts == 0 and touched:
+                belief = redraw(self.filter, belief, memory, self.renewal, generator=random["renewal"])
+        done = (control, state.plan, bool(info.resampled))
+        record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
+        if record.converged and unseen and self.renewal.challenge:
+            clock.put_back(record.timings_s)
+            with clock("belief"):
+                belief = verify(self.filter, belief, memory, self.renewal, generator=random["renewal"])
+            record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
+        return replace(
+            state,
+            record=record,
+            history=(*state.history, record),
+            memory=memory,
+            executed=state.executed + 1,
+            surprised=bool(info.moved) or touched,
+        )
+
+    def last(self, state: RummageState) -> None:
+        """Nothing is done at the end."""
+
+    def result(self, state: RummageState, stopped_by: StopReason, outcome: object) -> RunResult:
+        """How the run ended."""
+        return summarise(self, state.history, stopped_by)
+
+    def scene(self, state: RummageState) -> Scene:
+        """What a plan has to know beside the belief."""
+        reading = state.record.reading
+        return Scene(
+            self.model, self.workspace, self.tool, reading.configuration, observed=state.memory, reading=reading
+        )
+
+
+def first_belief(rummager: Rummager, reading: Reading, *, generator: torch.Generator) -> tuple[PoseBelief, Observation]:
+    """The belief and the memory after the first view, or without one from the prior (Alg 1, lines 1-3)."""
+    points = reading.observation.points
+    none = Observation.empty(dtype=points.dtype, device=points.device)
+    memory, _ = merge(none, reading.observation, rummager.filter.lattice)
+    if rummager.filter.prior is not None:
+        return prior_belief(rummager.filter, memory, rummager.initialise.particles, generator=generator), memory
+    surface = memory.points[memory.of_class(Semantics.SURFACE)]
+    if len(surface) == 0:
+        raise ValueError("Expected a first view with surface points of the object, got none: check the object's mask")
+    settings = rummager.initialise
+    reach_m = float(rummager.model.surface_points[:, :2].norm(dim=-1).max())
+    starts = view_starts(surface, settings.starts, reach_m, rummager.height_m, generator=generator)
+    belief = initialise(
+        rummager.filter.discrepancy,
+        memory,
+        starts,
+        rummager.filter.search,
+        rummager.filter.settings.peakiness,
+        settings,
+        generator=generator,
+    )
+    return belief, memory
+
+
+def evaluate_step(
+    rummager: Rummager,
+    clock: Clock,
+    history: Sequence[StepRecord],
+    result: StepResult,
+    belief: PoseBelief,
+    added: Observation,
+    control: Float[Tensor, "A"] | None = None,
+    plan: Plan | None = None,
+    resampled: bool = False,
+) -> StepRecord:
+    """Measure the belief: what it expects of itself, and, apart from that, against the truth."""
+    model, sensor = rummager.model, rummager.model.surface_points
+    with clock("agree"):
+        expected, apc = _agreement(rummager, history[-1] if history else None, belief)
+    with clock("score"):
+        nll = None
+        if result.truth is not None:
+            truth = result.truth.to(belief.log_weights)
+            nll = float(negative_log_likelihood(belief.world_T_object, belief.log_weights, truth, sensor, model.judge))
+    touched = bool(result.reading.in_contact.any()) and control is not None
+    contacts = (history[-1].contacts if history else 0) + touched
+    fit = float(belief.discrepancy.min())
+    return StepRecord(
+        step=len(history),
+        control=control,
+        reading=result.reading,
+        added=added,
+        belief=belief,
+        plan=plan,
+        expected_nll=expected,
+        fit=fit,
+        apc=apc,
+        ess=float(belief.ess()),
+        contacts=contacts,
+        resampled=resampled,
+        converged=converged(rummager.stop_rule, StopEvidence(expected, fit, apc, model.diagonal, contacts)),
+        truth=result.truth,
+        nll=nll,
+        timings_s=clock.take(),
+    )
+
+
+def _agreement(rummager: Rummager, last: StepRecord | None, belief: PoseBelief) -> tuple[float, float]:
+    """Expected nll and APC; those of the last step where the particles and their weights are still the same."""
+    if (
+        last is not None
+        and torch.equal(last.belief.attached_T_object, belief.attached_T_object)
+        and torch.equal(last.belief.log_weights, belief.log_weights)
+    ):
+        return last.expected_nll, last.apc
+    points = rummager.model.surface_points
+    stride = max(1, len(points) // rummager.agreement_points)
+    agreement = self_agreement(belief, points[::stride], rummager.model.sdf, nll_points=len(points))
+    return float(agreement.expected_nll), float(agreement.apc)
+
+
+def summarise(rummager: Rummager, history: Sequence[StepRecord], stopped_by: StopReason) -> RunResult:
+    """How the run ended, from its records."""
+    records, last = history, history[-1]
+    nll = [r.nll for r in records if r.nll is not None]
+    errors: tuple[float, float] | None = None
+    if last.truth is not None:
+        metres, radians = pose_error(
+            last.belief.mode(), last.truth.to(last.belief.log_weights), rummager.model.symmetries
+        )
+        errors = float(metres), float(radians)
+    timings: dict[str, float] = {}
+    for record in records:
+        for stage, seconds in record.timings_s.items():
+            timings[stage] = timings.get(stage, 0.0) + seconds
+    right = None
+    if nll and errors is not None:
+        right = (
+            nll[-1] <= rummager.nll_threshold
+            and errors[0] <= rummager.position_tolerance_m
+            and errors[1] <= rummager.rotation_tolerance_rad
+        )
+    return RunResult(
+        right=right,
+        paper_success=min(nll) <= rummager.nll_threshold if nll else None,
+        paper_success_at_start=nll[0] <= rummager.nll_threshold if nll else None,
+        min_nll=min(nll) if nll else None,
+        final_nll=nll[-1] if nll else None,
+        cumulative_nll=sum(nll) if nll else None,
+        steps=last.step,
+        stopped_by=stopped_by,
+        apc=last.apc,
+        expected_nll=last.expected_nll,
+        position_error_mm=errors[0] * 1e3 if errors else None,
+        rotation_error_deg=errors[1] * 180.0 / torch.pi if errors else None,
+        contacts=last.contacts,
+        clipped=sum(float(r.reading.clipped) > 1e-4 for r in records),
+        timings_s=timings,
+    )

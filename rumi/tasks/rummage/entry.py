@@ -53,7 +53,8 @@ class RummageTask:
             )
         if settings.simulator.sensors.kind == "points" and settings.simulator.sensors != SensorSettings():
             raise UsageError(
-                "Expected --simulator.sensors.kind camera, bubbles or both with other settings of the sensors, got points"
+                "Expected --simulator.sensors.kind camera, bubbles or both with other settings of the sensors, "
+                "got points"
             )
         _ = settings.torch_device
         if settings.object.mesh is None:

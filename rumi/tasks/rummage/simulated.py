@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -176,6 +177,9 @@ class SimTask:
             depth = depth + self.spec.depth_noise_m * noise
         shape = (camera.height, camera.width)
         return depth.reshape(shape).float(), is_object.reshape(shape)
+
+    def finish(self, action: Any) -> Any:  # noqa: ANN401  (a subclass's own)
+        """Nothing is done at the end."""
 
     def close(self) -> None:
         """Let go of the simulator: no step until the next `reset`."""

@@ -1,29 +1,31 @@
-"""The loop of touch alone: belief, choice of a poke, robot, filter, until a grasp is likely to succeed."""
+"""Touch alone: belief, choice of a poke, filter, until a grasp is likely to succeed."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay_settings import ReplaySettings
-from rumi.belief.touch_belief import TouchAction, TouchBelief
-from rumi.belief.trajectory_filter import TouchFilter
+from rumi.agent import StopReason
+from rumi.belief.prior import PlanarPrior
+from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief
+from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
 from rumi.clock import Clock
-from rumi.dynamics.along_path import Carrier, carry
+from rumi.dynamics.along_path import PathPush, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.information.entropy import SharedSupport
 from rumi.information.neighbours import StateMetric, merged
 from rumi.resampling import resample_systematic
 from rumi.seeding import split
+from rumi.task import StepResult
 from rumi.tasks.grasp_table import Grasp, GraspTable, best_grasp
 from rumi.tasks.touch_box.candidates import pokes
-from rumi.tasks.touch_box.robot import Touched, TouchRobot
-from rumi.tasks.touch_box.scene import TouchTask, draw_truth
+from rumi.tasks.touch_box.records import TouchRun, TouchStep
+from rumi.tasks.touch_box.robot import Poke, Touched, TouchRobot
+from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import Choice, Rollouts, choose, expects_contact
 from rumi.tasks.touch_box.settings import TouchSettings
 from sensors.touch.contact_model import ContactModel
@@ -35,64 +37,42 @@ _TOUCH_M = 5e-4  # distance at which a particle counts as touched
 
 
 @dataclass(frozen=True, eq=False)
-class TouchStep:
-    """One poke and what came of it.
+class TouchState:
+    """What is known after a step.
 
     Attributes:
-        candidates: (C, K + 1, 3), that were weighed.
-        choice: their worth, and the best.
-        touched: what was done and felt.
-        belief: poses (N, 3) and log-weights (N) after it.
-        grasp: the best one then.
-        truth: (3,), of the box then; for judging alone.
-        seconds: by stage.
+        record: of the step.
+        history: the records of all steps, this one last.
+        belief: with how the box slides.
+        actions: what was done and felt.
+        random: streams, by what is drawn.
+        clock: takes the time of each stage.
+        candidates, choice: of the poke that is being carried out.
     """
 
-    candidates: Float[Tensor, "C K1 3"]
-    choice: Choice
-    touched: Touched
-    belief: tuple[Float[Tensor, "N 3"], Float[Tensor, "N"]]
-    grasp: Grasp
-    truth: Float[Tensor, "3"]
-    seconds: dict[str, float]
-
-
-@dataclass(frozen=True, eq=False)
-class TouchRun:
-    """A whole run.
-
-    Attributes:
-        first: poses and log-weights before the first poke.
-        start: (3,), of the box before it.
-        steps: pokes.
-        grasp: that was carried out.
-        lifted: whether the box was.
-        sure: whether the threshold was reached.
-        truth: (3,), of the box before the grasp.
-        seconds: by stage, in all.
-    """
-
-    first: tuple[Float[Tensor, "N 3"], Float[Tensor, "N"]]
-    start: Float[Tensor, "3"]
-    steps: list[TouchStep]
-    grasp: Grasp
-    lifted: bool
-    sure: bool
-    truth: Float[Tensor, "3"]
-    seconds: dict[str, float] = field(default_factory=dict)
+    record: TouchStep
+    history: tuple[TouchStep, ...]
+    belief: TrajectoryBelief
+    actions: tuple[TouchAction, ...]
+    random: Mapping[str, torch.Generator]
+    clock: Clock
+    candidates: Float[Tensor, "C K1 3"] | None = None
+    choice: Choice | None = None
 
 
 @runtime_checkable
 class Decide(Protocol):
     """Chooses among pokes."""
 
-    def __call__(self, belief: TouchBelief, *, generator: torch.Generator) -> tuple[Float[Tensor, "C K1 3"], Choice]:
+    def __call__(
+        self, belief: TrajectoryBelief, *, generator: torch.Generator
+    ) -> tuple[Float[Tensor, "C K1 3"], Choice]:
         """Candidates and the choice among them."""
         ...
 
 
 class Toucher:
-    """What finds the box: filter, pokes, their choice.
+    """The agent that finds the box: filter, pokes, their choice, the grasp.
 
     Args:
         task: what is known of the scene.
@@ -100,6 +80,9 @@ class Toucher:
         robot: that pokes; of it the tool's footprint and which paths it can follow are asked.
         table: of grasps' success.
         carrier: how a tool moves boxes; by the settings' push model if None.
+
+    Attributes:
+        chooser: chooses among pokes; `decide`, or another such as `rumi.tasks.touch_box.budget.BudgetedChoice`.
     """
 
     def __init__(
@@ -108,10 +91,11 @@ class Toucher:
         settings: TouchSettings,
         robot: TouchRobot,
         table: GraspTable,
-        carrier: Carrier | None = None,
+        carrier: PathPush | None = None,
     ) -> None:
         self.task, self.settings, self.robot, self.table = task, settings, robot, table
-        self.carrier = carrier or carry
+        self.carrier = carrier or push_along_path
+        self.chooser: Decide = self.decide
         rates = getattr(robot, "rates", task.rates)
         model = ContactModel(rates[0], rates[1], settings.decay, tolerance=_BINARY_M)
         centre = torch.zeros(2, dtype=torch.float64)
@@ -120,11 +104,11 @@ class Toucher:
         if settings.weigh_correlated:
             repeats = getattr(robot, "correlation", task.correlation)
             own = replace(own, temper=own.temper * (1.0 - repeats) / (1.0 + repeats))
-        self.filter = TouchFilter(task.outline, centre, robot.pusher, model, task.prior, own, carrier=self.carrier)
+        self.filter = TrajectoryFilter(task.outline, centre, robot.pusher, model, task.prior, own, carrier=self.carrier)
         self.hold = max(1, round(settings.poke.hold_m / task.spacing_m))
         self.support = SharedSupport(StateMetric.planar(0.06), settings.poke.neighbours, floor=1e-4)
 
-    def candidates(self, belief: TouchBelief, *, generator: torch.Generator) -> Float[Tensor, "C K1 3"]:
+    def candidates(self, belief: TrajectoryBelief, *, generator: torch.Generator) -> Float[Tensor, "C K1 3"]:
         """Pokes that the robot can follow; some that it cannot where there are too few others."""
         task, own = self.task, self.settings.poke
         found: list[Tensor] = []
@@ -150,7 +134,7 @@ class Toucher:
         return torch.cat(found)[: own.candidates]
 
     def rollouts(
-        self, belief: TouchBelief, paths: Float[Tensor, "C K1 3"], rows: Tensor
+        self, belief: TrajectoryBelief, paths: Float[Tensor, "C K1 3"], rows: Tensor
     ) -> tuple[Rollouts, Float[Tensor, "C T N"]]:
         """What candidates do to some particles, and how far the tool then is from each."""
         poses = belief.pose[0, rows]
@@ -172,7 +156,7 @@ class Toucher:
         even = poses.new_zeros(number).log_softmax(-1)
         return Rollouts(states, self.filter.model(distance), distance <= _TOUCH_M, even), distance
 
-    def decide(self, belief: TouchBelief, *, generator: torch.Generator) -> tuple[Float[Tensor, "C K1 3"], Choice]:
+    def decide(self, belief: TrajectoryBelief, *, generator: torch.Generator) -> tuple[Float[Tensor, "C K1 3"], Choice]:
         """Weigh candidates over some particles, drawn by weight."""
         own = self.settings.poke
         paths = self.candidates(belief, generator=generator)
@@ -198,7 +182,7 @@ class Toucher:
             generator=generator,
         )
 
-    def watch(self, belief: TouchBelief, path: Float[Tensor, "K1 3"]) -> Callable[[Touched], bool]:
+    def watch(self, belief: TrajectoryBelief, path: Float[Tensor, "K1 3"]) -> Callable[[Touched], bool]:
         """Whether to go on with a poke, asked after each reading: until the belief expects contact to have lasted.
 
         The particles are rolled along the path once; readings change their weights alone.
@@ -219,12 +203,69 @@ class Toucher:
 
         return go_on
 
-    def grasp(self, belief: TouchBelief) -> Grasp:
+    def grasp(self, belief: TrajectoryBelief) -> Grasp:
         """The best grasp of a belief."""
         return best_grasp(belief.pose[0], belief.log_weights[0], self.table)
 
+    def begin(self, result: StepResult, *, seed: int, clock: Clock) -> TouchState:
+        """Believe the prior: before the first poke nothing is felt."""
+        random = {name: split(seed, name) for name in ("initial", "filter", "plan")}
+        with clock("filter"):
+            belief = self.filter.initial(1, self.settings.count, generator=random["initial"])
+        record = self._record(0, belief, result, clock)
+        return TouchState(record, (record,), belief, (), random, clock)
 
-def for_task(settings: ReplaySettings, task: TouchTask) -> ReplaySettings:
+    def stop(self, state: TouchState) -> StopReason | None:
+        """Stop where a grasp is likely enough to succeed, or after enough pokes."""
+        if state.record.sure:
+            return "sure"
+        return "steps" if state.record.step >= self.settings.actions else None
+
+    def act(self, state: TouchState) -> tuple[TouchState, Poke]:
+        """The best poke, and until when to go on with it."""
+        with state.clock("plan"):
+            paths, choice = self.chooser(state.belief, generator=state.random["plan"])
+            path = paths[choice.best, : int(choice.steps[choice.best]) + 1]
+        with state.clock("watch"):
+            go_on = self.watch(state.belief, path) if self.settings.stop_early else _always
+        return replace(state, candidates=paths, choice=choice), Poke(path, go_on)
+
+    def update(self, state: TouchState, action: object, result: StepResult) -> TouchState:
+        """Take in what was done and felt."""
+        touched: Touched = result.reading
+        with state.clock("filter"):
+            actions = (*state.actions, TouchAction(touched.path, touched.contact, touched.blocked))
+            belief, _ = self.filter.step(state.belief, actions, generator=state.random["filter"])
+        chosen = (state.candidates, state.choice)
+        record = self._record(state.record.step + 1, belief, result, state.clock, *chosen)
+        return replace(state, record=record, history=(*state.history, record), belief=belief, actions=actions)
+
+    def last(self, state: TouchState) -> Grasp:
+        """The best grasp."""
+        return state.record.grasp
+
+    def result(self, state: TouchState, stopped_by: StopReason, outcome: bool | None) -> TouchRun:
+        """How the run ended."""
+        return TouchRun(state.history, stopped_by, outcome)
+
+    def _record(
+        self,
+        step: int,
+        belief: TrajectoryBelief,
+        result: StepResult,
+        clock: Clock,
+        candidates: Tensor | None = None,
+        choice: Choice | None = None,
+    ) -> TouchStep:
+        with clock("grasp"):
+            grasp = self.grasp(belief)
+        sure = not grasp.probability < self.settings.threshold
+        kept = (belief.pose[0], belief.log_weights[0])
+        assert result.truth is not None
+        return TouchStep(step, candidates, choice, result.reading, kept, grasp, sure, result.truth, clock.take())
+
+
+def for_task(settings: TrajectorySettings, task: TouchTask) -> TrajectorySettings:
     """The filter's priors, which settings give for the default task's box, for that of another task.
 
     The limit surface's range goes by the lever of even pressure; the tool's friction keeps its place relative to the
@@ -241,7 +282,7 @@ def for_task(settings: ReplaySettings, task: TouchTask) -> ReplaySettings:
     return replace(settings, lever_m=(least, most), friction=friction)
 
 
-def likeliest(belief: TouchBelief, prior: PlanarPrior, metric: StateMetric) -> int:
+def likeliest(belief: TrajectoryBelief, prior: PlanarPrior, metric: StateMetric) -> int:
     """The particle of one run with the most weight, copies taken together.
 
     Of those that weigh the same, as all do after a resampling but for copies, the one whose start and readings are
@@ -254,58 +295,5 @@ def likeliest(belief: TouchBelief, prior: PlanarPrior, metric: StateMetric) -> i
     return int(torch.where(heaviest, posterior, -math.inf).argmax())
 
 
-def localise(
-    toucher: Toucher, *, seed: int, on_step: Callable[[TouchStep], None] | None = None, decide: Decide | None = None
-) -> TouchRun:
-    """Poke until a grasp is likely enough to succeed, or there have been enough pokes; then grasp.
-
-    Args:
-        toucher: how.
-        seed: of the truth and of all randomness.
-        on_step: called after every poke.
-        decide: chooses pokes, such as `rumi.tasks.touch_box.budget.BudgetedChoice`; the toucher itself by default.
-    """
-    decide = decide or toucher.decide
-    settings, robot = toucher.settings, toucher.robot
-    clock = Clock()
-    random = {name: split(seed, name) for name in ("initial", "filter", "plan")}
-    robot.reset(draw_truth(toucher.task, seed), seed)
-    start = robot.box_pose()
-    belief = toucher.filter.initial(1, settings.count, generator=random["initial"])
-    first = (belief.pose[0], belief.log_weights[0])
-    history: list[TouchAction] = []
-    steps: list[TouchStep] = []
-    totals: dict[str, float] = {}
-    grasp = toucher.grasp(belief)
-    while grasp.probability < settings.threshold and len(steps) < settings.actions:
-        with clock("plan"):
-            paths, choice = decide(belief, generator=random["plan"])
-            path = paths[choice.best, : int(choice.steps[choice.best]) + 1]
-        with clock("watch"):
-            go_on = toucher.watch(belief, path) if settings.stop_early else _always
-        with clock("robot"):
-            touched = robot.execute(path, go_on)
-        with clock("filter"):
-            history.append(TouchAction(touched.path, touched.contact, touched.blocked))
-            belief, _ = toucher.filter.step(belief, history, generator=random["filter"])
-        with clock("grasp"):
-            grasp = toucher.grasp(belief)
-        seconds = clock.take()
-        for name, value in seconds.items():
-            totals[name] = totals.get(name, 0.0) + value
-        kept = (belief.pose[0], belief.log_weights[0])
-        steps.append(TouchStep(paths, choice, touched, kept, grasp, robot.box_pose(), seconds))
-        if on_step is not None:
-            on_step(steps[-1])
-    truth = robot.box_pose()
-    lifted = robot.grasp(grasp.pose)
-    return TouchRun(first, start, steps, grasp, lifted, grasp.probability >= settings.threshold, truth, totals)
-
-
 def _always(touched: Touched) -> bool:
     return True
-
-
-def signals(contact: Bool[Tensor, "K"]) -> str:
-    """Readings as a word of 0 and 1."""
-    return "".join("1" if one else "0" for one in contact.tolist())

@@ -5,13 +5,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal, get_args
 
-from rumi.dynamics.along_path import Carrier, carry, carry_along
+from rumi.agent import Parts
+from rumi.dynamics.along_path import PathPush
+from rumi.dynamics.registry import push_model
 from rumi.errors import UsageError
 from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.touch_box.agent import Toucher
-from rumi.tasks.touch_box.robot import TouchRobot
+from rumi.tasks.touch_box.mujoco_scene import path_scene
+from rumi.tasks.touch_box.robot import TouchBox, TouchRobot
 from rumi.tasks.touch_box.scene import TouchTask
-from rumi.tasks.touch_box.settings import TouchPush, TouchSettings
+from rumi.tasks.touch_box.settings import TouchSettings
 
 Robot = Literal["gripper", "arm", "planar"]
 ROBOTS: tuple[str, ...] = get_args(Robot)
@@ -19,9 +22,9 @@ ROBOTS: tuple[str, ...] = get_args(Robot)
 _ARM = "rumi.tasks.touch_box.arm_robot"
 
 
-def make_toucher(
+def build_touch_box(
     task: TouchTask, settings: TouchSettings, robot: Robot = "gripper", *, cache_dir: Path | None = None
-) -> Toucher:
+) -> Parts[TouchBox, Toucher]:
     """All that a run needs; needs MuJoCo.
 
     Args:
@@ -39,7 +42,8 @@ def make_toucher(
     check_robot(task, robot)
     table = grasp_table(task, cache_dir=cache_dir)
     made = make_robot(task, robot, table, cache_dir=cache_dir)
-    return Toucher(task, settings, made, table, make_carrier(settings.push_model, task))
+    agent = Toucher(task, settings, made, table, make_path_push(settings.push_model, task))
+    return Parts(TouchBox(task, made), agent)
 
 
 def check_robot(task: TouchTask, robot: Robot) -> None:
@@ -53,7 +57,7 @@ def check_robot(task: TouchTask, robot: Robot) -> None:
 
 
 def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: Path | None = None) -> TouchRobot:
-    """The robot of a name; see `make_toucher`."""
+    """The robot of a name; see `build_touch_box`."""
     check_robot(task, robot)
     if robot == "planar":
         from rumi.tasks.touch_box.planar_robot import PlanarRobot
@@ -71,14 +75,10 @@ def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: P
     raise UsageError(f"Expected a robot out of {', '.join(ROBOTS)}, got {robot!r}")
 
 
-def make_carrier(choice: TouchPush, task: TouchTask) -> Carrier:
-    """How a tool moves boxes, by name."""
-    if choice == "quasi-static":
-        return carry
-    if choice == "displacement":
-        return carry_along
-    if choice == "mujoco":
-        from rumi.tasks.touch_box.mujoco_push import MujocoCarry
+def make_path_push(name: str, task: TouchTask) -> PathPush:
+    """How a tool moves boxes, by a push model's name.
 
-        return MujocoCarry(task)
-    raise UsageError(f"Expected a push model quasi-static, displacement or mujoco, got {choice!r}")
+    Raises:
+        UsageError: there is no such push model, or it does not push along paths.
+    """
+    return push_model(name, "path").path(lambda: path_scene(task))

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rumi.dynamics.sliding import rotated
 from rumi.resampling import systematic
-from rumi.tasks.touch_box.agent import Toucher, TouchRun, TouchStep
+from rumi.tasks.touch_box.records import TouchRun, TouchStep
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.viz import style
 
@@ -22,9 +22,8 @@ _BOXES = 80  # particles that are drawn
 _PANELS, _COLUMNS = 8, 5
 
 
-def draw_run(run: TouchRun, toucher: Toucher, folder: Path) -> list[Path]:
+def draw_run(run: TouchRun, task: TouchTask, threshold: float, folder: Path) -> list[Path]:
     """Beliefs with pokes and the grasp (pokes.png), and how sure the belief was (sure.png)."""
-    task = toucher.task
     shown = _shown(len(run.steps))
     columns = min(_COLUMNS, len(shown) + 2)
     rows = math.ceil((len(shown) + 2) / columns)
@@ -36,24 +35,23 @@ def draw_run(run: TouchRun, toucher: Toucher, folder: Path) -> list[Path]:
         axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
         for ax in axes[len(shown) + 2 :]:
             ax.set_axis_off()
-        panel(axes[0], run.first, task, limits, f"prior: {len(run.first[0])} particles")
-        draw_box(axes[0], run.start, task, color=style.TRUTH, linewidth=1.2)
+        panel(axes[0], run.first.belief, task, limits, f"prior: {len(run.first.belief[0])} particles")
+        draw_box(axes[0], run.first.truth, task, color=style.TRUTH, linewidth=1.2)
         for ax, index in zip(axes[1:], shown, strict=False):
             step = run.steps[index]
             panel(ax, step.belief, task, limits, f"poke {index + 1}: P(lift) {step.grasp.probability:.2f}")
             draw_pokes(ax, step)
             draw_box(ax, step.truth, task, color=style.TRUTH, linewidth=1.2)
         last = axes[len(shown) + 1]
-        belief = run.steps[-1].belief if run.steps else run.first
-        panel(last, belief, task, limits, "grasp: " + ("lifted" if run.lifted else "not lifted"))
-        draw_box(last, run.truth, task, color=style.TRUTH, linewidth=1.2)
-        draw_grasp(last, run.grasp.pose, task)
+        panel(last, run.end.belief, task, limits, "grasp: " + ("lifted" if run.lifted else "not lifted"))
+        draw_box(last, run.end.truth, task, color=style.TRUTH, linewidth=1.2)
+        draw_grasp(last, run.end.grasp.pose, task)
         figure.savefig(paths[0])
     with style.figure(4.2, 2.6) as figure:
         ax = figure.subplots()
         chance = [step.grasp.probability for step in run.steps]
         ax.plot(range(1, len(chance) + 1), chance, color=style.NLL, marker="o", markersize=3)
-        ax.axhline(toucher.settings.threshold, color=style.QUIET, linewidth=0.8, linestyle="--")
+        ax.axhline(threshold, color=style.QUIET, linewidth=0.8, linestyle="--")
         ax.set(xlabel="pokes", ylabel="believed chance of lifting", ylim=(0.0, 1.02), title="How sure the belief is")
         figure.savefig(paths[1])
     return paths
@@ -86,10 +84,12 @@ def draw_box(ax: "Axes", pose: Float[Tensor, "3"], task: TouchTask, **kind: Any)
 
 def draw_pokes(ax: "Axes", step: TouchStep) -> None:
     """Rejected pokes, the chosen one, what was carried out of it, and its contact signals."""
-    for index, path in enumerate(step.candidates):
-        if index != step.choice.best:
-            ax.plot(*path[:, :2].T.tolist(), color=style.QUIET, linewidth=0.5, alpha=0.6)
-    ax.plot(*step.candidates[step.choice.best, :, :2].T.tolist(), color=style.PATH, linewidth=1.0, linestyle=":")
+    if step.candidates is not None and step.choice is not None:
+        for index, path in enumerate(step.candidates):
+            if index != step.choice.best:
+                ax.plot(*path[:, :2].T.tolist(), color=style.QUIET, linewidth=0.5, alpha=0.6)
+        ax.plot(*step.candidates[step.choice.best, :, :2].T.tolist(), color=style.PATH, linewidth=1.0, linestyle=":")
+    assert step.touched is not None
     done = step.touched.path
     ax.plot(*done[:, :2].T.tolist(), color=style.PATH, linewidth=1.8)
     if len(step.touched.contact):
@@ -115,7 +115,8 @@ def _shown(count: int) -> list[int]:
 
 
 def _limits(run: TouchRun, task: TouchTask) -> tuple[float, float, float, float]:
-    points = torch.cat([run.first[0][:, :2], run.truth[None, :2], *(step.touched.path[:, :2] for step in run.steps)])
+    paths = [step.touched.path[:, :2] for step in run.steps if step.touched is not None]
+    points = torch.cat([run.first.belief[0][:, :2], run.end.truth[None, :2], *paths])
     margin = max(task.half)
     low, high = points.quantile(0.005, 0) - margin, points.quantile(0.995, 0) + margin
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import torch
 
 from rumi.metrics.intervals import mcnemar, wilson
-from rumi.tasks.touch_box.agent import TouchRun, TouchStep, signals
+from rumi.tasks.touch_box.records import TouchRun, TouchStep, signals
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 
@@ -27,28 +27,32 @@ def digest(task: TouchTask, settings: TouchSettings, robot: str) -> str:
 
 def figures_of(run: TouchRun) -> Line:
     """How a run ended, and each of its pokes."""
-    apart = run.grasp.pose - run.truth
+    grasp, start, truth = run.end.grasp, run.first.truth, run.end.truth
+    apart = grasp.pose - truth
     turn = math.remainder(float(apart[2]), math.pi)
     return {
-        "lifted": run.lifted,
-        "sure": run.sure,
+        "lifted": bool(run.lifted),
+        "sure": run.end.sure,
+        "stopped_by": run.stopped_by,
         "actions": len(run.steps),
-        "believed": round(run.grasp.probability, 4),
+        "believed": round(grasp.probability, 4),
         "error_mm": round(1e3 * float(apart[:2].norm()), 1),
         "error_deg": round(math.degrees(abs(turn)), 1),
-        "moved_mm": round(1e3 * float((run.truth - run.start)[:2].norm()), 1),
+        "moved_mm": round(1e3 * float((truth - start)[:2].norm()), 1),
         "steps": [step_of(step) for step in run.steps],
     }
 
 
 def step_of(step: TouchStep) -> Line:
     """A poke: what was felt, what was thought of it, and the seconds."""
+    assert step.touched is not None
+    choice = step.choice
     return {
         "readings": signals(step.touched.contact),
         "stopped": step.touched.stopped,
         "probability": round(step.grasp.probability, 4),
-        "value": round(float(step.choice.value[step.choice.best]), 4),
-        "seconds": {name: round(value, 4) for name, value in step.seconds.items()},
+        "value": None if choice is None else round(float(choice.value[choice.best]), 4),
+        "seconds": {name: round(value, 4) for name, value in step.timings_s.items()},
     }
 
 
@@ -80,7 +84,7 @@ def summarise(lines: Sequence[Line]) -> Summary:
     """Figures over some runs; at least one."""
     actions = torch.tensor([float(line["actions"]) for line in lines])
     steps = [step for line in lines for step in line["steps"]]
-    thought = [sum(v for k, v in step["seconds"].items() if k != "robot") for step in steps]
+    thought = [sum(v for k, v in step["seconds"].items() if k not in ("simulate", "robot")) for step in steps]
     count = max(1, len(steps))
     return Summary(
         len(lines),

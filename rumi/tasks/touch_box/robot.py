@@ -8,7 +8,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.dynamics.along_path import Pusher
-from rumi.tasks.touch_box.scene import BoxTruth
+from rumi.task import StepResult
+from rumi.tasks.grasp_table import Grasp
+from rumi.tasks.touch_box.scene import BoxTruth, TouchTask, draw_truth
 
 
 class Touched(NamedTuple):
@@ -30,6 +32,18 @@ class Touched(NamedTuple):
 
 GoOn = Callable[[Touched], bool]
 """Asked after every reading with what was felt so far; False ends the poke."""
+
+
+class Poke(NamedTuple):
+    """An action.
+
+    Attributes:
+        path: (K + 1, 3), of the tool.
+        go_on: asked after every reading whether to go on with it.
+    """
+
+    path: Float[Tensor, "K1 3"]
+    go_on: GoOn
 
 
 @runtime_checkable
@@ -64,6 +78,35 @@ class TouchRobot(Protocol):
     def close(self) -> None:
         """Give back what it holds."""
         ...
+
+
+class TouchBox:
+    """The task: a robot before a box whose place is drawn by the seed.
+
+    Args:
+        scene: what the box's place is drawn of.
+        robot: that pokes and grasps.
+    """
+
+    def __init__(self, scene: TouchTask, robot: TouchRobot) -> None:
+        self.scene, self.robot = scene, robot
+
+    def reset(self, seed: int) -> StepResult:
+        """Put the box where the seed has it; nothing is felt yet."""
+        self.robot.reset(draw_truth(self.scene, seed), seed)
+        return StepResult(None, self.robot.box_pose())
+
+    def step(self, poke: Poke) -> StepResult:
+        """Carry out a poke."""
+        return StepResult(self.robot.execute(*poke), self.robot.box_pose())
+
+    def finish(self, grasp: Grasp) -> bool:
+        """Grasp the box where it is taken to stand; whether it was lifted."""
+        return self.robot.grasp(grasp.pose)
+
+    def close(self) -> None:
+        """Let go of the robot."""
+        self.robot.close()
 
 
 class Readings:
