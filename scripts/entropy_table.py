@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 import torch
 import tyro
+from jaxtyping import Float
 from torch import Tensor
 
 from rumi.cli import script
-from rumi.information.entropy import Entropy, KernelEntropy, NeighbourEntropy, SharedSupport, SpatialEntropy
-from rumi.information.neighbours import StateMetric
+from rumi.information.entropy import Entropy, NeighbourEntropy, SharedSupport, SpatialEntropy
+from rumi.information.neighbours import StateMetric, merged
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,26 @@ class Row(NamedTuple):
     estimate: str
     bias: float
     deviation: float
+
+
+@dataclass(frozen=True)
+class KernelEntropy:
+    """Plug-in estimate of the mixture's density at the states (Eqs 3-4), each a box of the shared support."""
+
+    support: SharedSupport
+
+    def __call__(self, states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"]) -> Float[Tensor, "*b"]:
+        """Entropy of each set."""
+        metric = self.support.metric
+        unique = merged(states, log_weights, metric)
+        sides, log_volume = self.support(states, log_weights, unique)
+        density = torch.zeros_like(unique.log_weights)
+        weights = unique.log_weights.exp()
+        for j in range(states.shape[-2]):  # one state at a time: memory for all pairs is not needed
+            apart = metric.difference(states, states[..., j : j + 1, :]).abs()
+            density = density + weights[..., j : j + 1] * (apart <= 0.5 * sides[..., None, :]).all(-1)
+        log = torch.where(unique.first, density.clamp_min(1e-300 if density.dtype == torch.float64 else 1e-38).log(), 0)
+        return log_volume - (weights * log).sum(-1)
 
 
 def estimates(dims: int, neighbours: int) -> dict[str, Entropy]:

@@ -38,7 +38,7 @@ from rumi.tasks.handle.simulated import FusedTask
 from rumi.tasks.rummage.scenes import make_tool
 from scripts.reproduce.seeds import seeds_of
 from sdf import se3
-from sensors.contact_reading import FeltReading
+from sensors.contact_reading import ContactReading
 from sensors.semantics import Semantics
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -238,7 +238,7 @@ def senses(options: Senses) -> None:
         task.world.reset(torch.cat((place, angle[None])), torch.tensor(task.spec.start))
         result = task.step(torch.tensor([1.0, 0.0, 0.0]))
         reading, truth = result.reading, result.truth
-        assert isinstance(reading, FeltReading) and reading.signals is not None
+        assert isinstance(reading, ContactReading) and reading.signals is not None
         motion, felt = reading.object_motion, task.world.felt
         assert motion is not None and truth is not None and felt is not None
         now = se3.inverse(truth) @ motion[-1] @ se3.inverse(motion)

@@ -4,6 +4,8 @@ Every function is finite and right in value and gradient from the identity to ha
 each branch that would divide by zero is given a harmless input before `torch.where` drops it.
 """
 
+import math
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -55,6 +57,11 @@ def log(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3"]:
     sine = torch.where(small, torch.ones_like(squared), squared).sqrt()
     closed = 2.0 * torch.atan2(sine, real) / sine
     return torch.where(small, series, closed) * imaginary
+
+
+def wrap(angle: Float[Tensor, "*b"], period: float = 2.0 * math.pi) -> Float[Tensor, "*b"]:
+    """Angles wrapped to [-period / 2, period / 2), radians: [-pi, pi) unless the object looks the same before."""
+    return torch.remainder(angle + 0.5 * period, period) - 0.5 * period
 
 
 def angle(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b"]:

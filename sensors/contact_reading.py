@@ -72,7 +72,7 @@ def surest(variance: Float[Tensor, "M"], most: int) -> Int[Tensor, "m"]:
 
 
 @dataclass(frozen=True)
-class FeltReading(Reading):
+class ContactReading(Reading):
     """A reading with what is not told by points.
 
     Attributes:
@@ -97,7 +97,7 @@ class FeltReading(Reading):
             )
 
     @classmethod
-    def of(cls, reading: Reading) -> "FeltReading":
+    def of(cls, reading: Reading) -> "ContactReading":
         """The same with nothing else; the first view's has no more than points."""
         if isinstance(reading, cls):
             return reading

@@ -1,38 +1,111 @@
-"""What a reading says about every pose: the family of evidence."""
+"""Evidence: log-likelihoods of poses given measurements, and the measurement models that make it of readings.
 
-from dataclasses import dataclass, replace
-from typing import Protocol, Self, runtime_checkable
+A belief keeps evidence in the frame that rides with the object, where it stays true when the object moves.
+"""
+
+from dataclasses import dataclass, is_dataclass, replace
+from typing import Protocol, Self, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from sdf import se3
-from sdf.posed import posed_distance
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
-from sensors.semantics import SemanticSensor
+from sensors.reading import Reading, transfer
+
+E = TypeVar("E")
 
 
 @runtime_checkable
 class Evidence(Protocol):
-    """Anything that has a log-likelihood for poses of the object; a filter update sums them."""
+    """Log-likelihood of states given measurements; that of independent measurements adds up.
 
-    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
-        """Log-likelihood of each pose up to a constant, nats; never NaN."""
+    Evidence that a belief keeps is a frozen dataclass, whose tensors go along with the belief (`EvidenceSet.to`).
+    """
+
+    def log_likelihood(self, states: Tensor, /) -> Tensor:
+        """Log-likelihood of each state, up to a constant, nats; never NaN, 0 where nothing was measured.
+
+        Args:
+            states: (N, 4, 4), poses of the object in the frame of the measurements, (*b, N, 4, 4) where those are of
+                as many scenes; or (N, ...), states of something fixed in whatever space a filter follows it.
+
+        Returns:
+            (*b, N).
+        """
         ...
 
-    def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
-        """The same evidence after the object moved by a known world motion."""
+
+@runtime_checkable
+class EvidenceModel(Protocol[E]):
+    """Measurement model of one kind of sensing: gathers the evidence of its readings."""
+
+    def update(self, evidence: E | None, reading: Reading, world_T_attached: Float[Tensor, "*b K 4 4"], /) -> E | None:
+        """Evidence with what a reading adds; the same where it adds nothing, None where nothing ever was.
+
+        Args:
+            evidence: of all readings before.
+            reading: of an action; its coordinates are the world's.
+            world_T_attached: (*b, K, 4, 4), the frame that rides with the object, in which evidence is kept, at each
+                instant of the reading.
+        """
         ...
 
 
-class KeptEvidence(Evidence, Protocol):
-    """Evidence that a belief keeps, and takes along."""
+@dataclass(frozen=True)
+class EvidenceSet:
+    """Sum of the evidence of several kinds: an `Evidence`.
+
+    Attributes:
+        members: one of each kind, in the order in which they are summed; None where nothing was measured.
+
+    Raises:
+        TypeError: a member is no dataclass, so that its tensors could not be found.
+    """
+
+    members: tuple[Evidence | None, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse members whose tensors would be left behind."""
+        for member in self.members:
+            if member is not None and not is_dataclass(member):
+                raise TypeError(f"Expected evidence as a dataclass, whose tensors can be moved, got {member!r}")
+
+    def log_likelihood(self, states: Float[Tensor, "*b N 4 4"], /) -> Float[Tensor, "*b N"]:
+        """Sum of the members' log-likelihoods of each pose, nats; 0 without any."""
+        parts = [member.log_likelihood(states) for member in self.members if member is not None]
+        total = parts[0] if parts else states.new_zeros(states.shape[:-2])
+        for part in parts[1:]:
+            total = total + part
+        return total
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
-        """On another device, in a floating dtype."""
-        ...
+        """On another device, in a floating dtype; signed distance functions, which others share, stay as they are."""
+        return replace(self, members=tuple(transfer(member, device, dtype) for member in self.members))
+
+
+def gather(
+    models: tuple[EvidenceModel, ...],
+    evidence: EvidenceSet | None,
+    reading: Reading,
+    world_T_attached: Float[Tensor, "*b K 4 4"],
+) -> EvidenceSet | None:
+    """Evidence of all kinds with what a reading adds; None where nothing was measured, now or before.
+
+    Args:
+        models: of each kind, in the order of the set's members.
+        evidence: of all readings before.
+        reading: of an action.
+        world_T_attached: (*b, K, 4, 4), see `EvidenceModel.update`.
+    """
+    before = () if evidence is None else evidence.members
+    if len(before) > len(models):
+        raise ValueError(f"Expected evidence of at most {len(models)} kinds, got {len(before)}: give the models of all")
+    before = (*before, *[None] * (len(models) - len(before)))
+    members = tuple(model.update(own, reading, world_T_attached) for model, own in zip(models, before, strict=True))
+    return None if evidence is None and all(own is None for own in members) else EvidenceSet(members)
 
 
 def in_attached_frame(observation: Observation, world_T_attached: Float[Tensor, "*b 4 4"]) -> Observation:
@@ -45,59 +118,22 @@ def in_attached_frame(observation: Observation, world_T_attached: Float[Tensor, 
 
 @dataclass(frozen=True)
 class SemanticPoints:
-    """Semantic points under RUMI's Boltzmann posterior: log L = -lambda C^(X, T) (Eq 10).
+    """Semantic points under RUMI's Boltzmann posterior, log L = -lambda C^(X, T) (Eq 10): an `Evidence`.
 
     Attributes:
-        observation: the points.
+        observation: the points, in the frame that rides with the object (`in_attached_frame`).
         discrepancy: C^.
-        world_T_attached: (*b, 4, 4), where the attached points' frame is.
         peakiness: lambda, nats per metre of discrepancy.
     """
 
     observation: Observation
     discrepancy: Discrepancy
-    world_T_attached: Float[Tensor, "*b 4 4"]
     peakiness: float = 2.0
 
-    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
+    def cost(self, attached_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
+        """Discrepancy C^ of each pose, -log L / lambda."""
+        return self.discrepancy(attached_T_object, self.observation)
+
+    def log_likelihood(self, attached_T_object: Float[Tensor, "*b N 4 4"], /) -> Float[Tensor, "*b N"]:
         """-lambda C^ of each pose."""
-        attached_T_object = se3.inverse(self.world_T_attached)[..., None, :, :] @ world_T_object
-        return -self.peakiness * self.discrepancy(
-            attached_T_object, in_attached_frame(self.observation, self.world_T_attached)
-        )
-
-    def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
-        """Attached points go with the object, fixed ones stay."""
-        return replace(self, world_T_attached=motion @ self.world_T_attached)
-
-
-@dataclass(frozen=True)
-class SensorPoints:
-    """Semantic points under the sensor model's own likelihood: log L = sum of log p(s | signed distance) (V.E).
-
-    Attributes:
-        observation: the points.
-        discrepancy: gives the signed distance function.
-        world_T_attached: (*b, 4, 4), where the attached points' frame is.
-        sensor: the sensor model.
-        floor: least probability of a point, so that one outlier does not refute a pose for good.
-    """
-
-    observation: Observation
-    discrepancy: Discrepancy
-    world_T_attached: Float[Tensor, "*b 4 4"]
-    sensor: SemanticSensor
-    floor: float = 1e-6
-
-    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
-        """Sum over points of log p(semantics | signed distance)."""
-        attached_T_object = se3.inverse(self.world_T_attached)[..., None, :, :] @ world_T_object
-        here = in_attached_frame(self.observation, self.world_T_attached)
-        probability = self.sensor(posed_distance(self.discrepancy.sdf, attached_T_object, here.points))
-        index = here.semantics[..., None, :, None].expand(*probability.shape[:-1], 1)
-        log = probability.gather(-1, index)[..., 0].clamp_min(self.floor).log()
-        return log.where(here.valid[..., None, :], log.new_zeros(())).sum(-1)
-
-    def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
-        """Attached points go with the object, fixed ones stay."""
-        return replace(self, world_T_attached=motion @ self.world_T_attached)
+        return -self.peakiness * self.cost(attached_T_object)

@@ -59,13 +59,14 @@ class Reading:
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
         """On another device, its floating numbers in another dtype."""
-        return replace(self, **{part.name: _moved(getattr(self, part.name), device, dtype) for part in fields(self)})
+        return replace(self, **{part.name: transfer(getattr(self, part.name), device, dtype) for part in fields(self)})
 
 
-def _moved(value: Any, device: torch.device | str | None, dtype: torch.dtype | None) -> Any:  # noqa: ANN401
-    """A tensor, or all that a dataclass has, elsewhere; other values as they are."""
+def transfer(value: Any, device: torch.device | str | None, dtype: torch.dtype | None) -> Any:  # noqa: ANN401
+    """A tensor, or all tensors of a dataclass, on another device or in a dtype; other values as they are."""
     if isinstance(value, Tensor):
         return value.to(device=device, dtype=dtype if value.is_floating_point() else None)
     if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{part.name: _moved(getattr(value, part.name), device, dtype) for part in fields(value)})
+        parts = {part.name: getattr(value, part.name) for part in fields(value)}
+        return replace(value, **{name: transfer(part, device, dtype) for name, part in parts.items()})
     return value

@@ -1,22 +1,19 @@
-"""What was felt so far, as log-likelihoods of poses: touches by a wrench, and contact signals of joints.
+"""Evidence of contact: points with normals that a wrench tells, and contact signals of joints.
 
-Both stand in the frame that rides with the object, as the points of the memory do: they stay true when it moves.
+Both are kept in the frame that rides with the object, as the points of the memory are: they stay true when it moves.
 """
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Self
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief
 from sdf import se3
 from sdf.base import SDF
 from sdf.posed import posed_query
-from sensors.contact_reading import FeltReading
-from sensors.evidence import KeptEvidence
+from sensors.contact_reading import ContactReading
 from sensors.reading import Reading
 from sensors.touch.contact_model import ContactModel, robot_distance
 
@@ -25,7 +22,7 @@ _EXTENT_M = 0.1  # within which an outlier may be anywhere
 
 @dataclass(frozen=True)
 class SignalSettings:
-    """What the joints' signals count for.
+    """Sensor model of the joints' contact signals.
 
     Attributes:
         true_positive: probability of a signal while the gripper touches.
@@ -57,12 +54,12 @@ class SignalSettings:
 
 
 @dataclass(frozen=True)
-class TouchedSurface:
-    """Touched points with normals, against a signed distance function: an `Evidence`.
+class ContactPointEvidence:
+    """Likelihood of contact points with normals, against a signed distance function: an `Evidence`.
 
-    log L = sum over touches of log((1 - o) exp(-v^2 / (2 s^2) - a^2 / (2 n^2)) + o u), with the signed distance v of
+    log L = sum over contacts of log((1 - o) exp(-v^2 / (2 s^2) - a^2 / (2 n^2)) + o u), with the signed distance v of
     the point, the angle a between the normals, the outliers' share o, and their uniform density u, relative to the peak
-    of the others'. A pose that fits has nearly 0, and others less.
+    of the others'. A pose that fits has nearly 0, and others less. Its gradient is that of the angle alone.
 
     Attributes:
         sdf: of the object.
@@ -80,7 +77,13 @@ class TouchedSurface:
     normal_sd: Float[Tensor, "M"]
     outlier: float
 
-    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
+    @classmethod
+    def none(cls, sdf: SDF, outlier: float, like: Tensor) -> "ContactPointEvidence":
+        """No contact, in the dtype and on the device of a tensor."""
+        empty = like.new_zeros(0, 3)
+        return cls(sdf, empty, empty, empty[:, 0], empty[:, 0], outlier)
+
+    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"], /) -> Float[Tensor, "*b N"]:
         """Of each pose, nats."""
         if len(self.points) == 0:
             return world_T_object.new_zeros(world_T_object.shape[:-2])
@@ -96,20 +99,58 @@ class TouchedSurface:
         floor = math.log(self.outlier) + uniform - peak if self.outlier > 0 else torch.full_like(peak, -torch.inf)
         return torch.logaddexp(fit + math.log1p(-self.outlier), floor.expand_as(fit)).sum(-1)
 
-    def moved(self, motion: Float[Tensor, "4 4"]) -> Self:
-        """After the object moved by a known motion."""
-        turned = se3.rotate(motion, self.normals)
-        return replace(self, points=se3.apply(motion, self.points), normals=turned)
 
-    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
-        """On another device, in a floating dtype; the signed distance function stays where it is."""
-        parts = ("points", "normals", "point_sd", "normal_sd")
-        return replace(self, **{name: getattr(self, name).to(device=device, dtype=dtype) for name in parts})
+@dataclass(frozen=True)
+class ContactPointModel:
+    """Measurement model of contact points with normals: an `EvidenceModel`.
+
+    Attributes:
+        sdf: of the object.
+        point_m: standard deviation of what moves a touched point beside the sensor's noise.
+        normal_rad: the same of its normal.
+        outlier: share of contacts that tell nothing.
+    """
+
+    sdf: SDF
+    point_m: float = 0.003
+    normal_rad: float = 0.3
+    outlier: float = 0.1
+
+    @classmethod
+    def of(cls, sdf: SDF, surface: Float[Tensor, "n 3"]) -> "ContactPointModel":
+        """For an object; the tool's surface tells nothing more."""
+        return cls(sdf)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        for name in ("point_m", "normal_rad"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if not 0 <= self.outlier < 1:
+            raise ValueError(f"Expected an outlier share in [0, 1), got {self.outlier}")
+
+    def update(
+        self, evidence: ContactPointEvidence | None, reading: Reading, world_T_attached: Float[Tensor, "K 4 4"], /
+    ) -> ContactPointEvidence | None:
+        """Evidence with the contact points of a reading; see `EvidenceModel`."""
+        if not isinstance(reading, ContactReading) or len(reading.wrench.points) == 0:
+            return evidence
+        before, new = evidence or ContactPointEvidence.none(self.sdf, self.outlier, reading.tool_pose), reading.wrench
+        own = se3.inverse(world_T_attached)[new.instant]
+        point_sd = torch.hypot(new.point_sd, torch.full_like(new.point_sd, self.point_m))
+        normal_sd = torch.hypot(new.normal_sd, torch.full_like(new.normal_sd, self.normal_rad))
+        return replace(
+            before,
+            points=torch.cat((before.points, se3.apply(own, new.points[:, None])[:, 0])),
+            normals=torch.cat((before.normals, se3.rotate(own, new.normals[:, None])[:, 0])),
+            point_sd=torch.cat((before.point_sd, point_sd)),
+            normal_sd=torch.cat((before.normal_sd, normal_sd)),
+        )
 
 
 @dataclass(frozen=True)
-class TouchedSomewhere:
-    """Contact signals: some point of the gripper's surface touched, nobody knows which; an `Evidence`.
+class ContactSignalEvidence:
+    """Likelihood of contact signals, each of some point of the gripper's surface, nobody knows which: an `Evidence`.
 
     Attributes:
         sdf: of the object.
@@ -121,134 +162,47 @@ class TouchedSomewhere:
     surface: Float[Tensor, "S n 3"]
     model: ContactModel
 
-    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
+    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"], /) -> Float[Tensor, "*b N"]:
         """Of each pose, nats."""
         if len(self.surface) == 0:
             return world_T_object.new_zeros(world_T_object.shape[:-2])
         distance = robot_distance(self.sdf, world_T_object, self.surface)
-        felt = torch.ones_like(distance, dtype=torch.bool)
-        return self.model.log_likelihood(distance, felt).sum(-1)
-
-    def moved(self, motion: Float[Tensor, "4 4"]) -> Self:
-        """After the object moved by a known motion."""
-        return replace(self, surface=se3.apply(motion, self.surface))
-
-    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
-        """On another device, in a floating dtype; the signed distance function stays where it is."""
-        return replace(self, surface=self.surface.to(device=device, dtype=dtype))
+        contact = torch.ones_like(distance, dtype=torch.bool)
+        return self.model.log_likelihood(distance, contact).sum(-1)
 
 
 @dataclass(frozen=True)
-class FeltSoFar:
-    """Both, which sum up: a `KeptEvidence`.
-
-    Attributes:
-        touched: by the wrench.
-        signalled: by the joints.
-    """
-
-    touched: TouchedSurface
-    signalled: TouchedSomewhere
-
-    def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
-        """Of each pose, nats: the sum."""
-        return self.touched.log_likelihood(world_T_object) + self.signalled.log_likelihood(world_T_object)
-
-    def moved(self, motion: Float[Tensor, "4 4"]) -> Self:
-        """After the object moved by a known motion."""
-        return replace(self, touched=self.touched.moved(motion), signalled=self.signalled.moved(motion))
-
-    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Self:
-        """On another device, in a floating dtype."""
-        return replace(self, touched=self.touched.to(device, dtype), signalled=self.signalled.to(device, dtype))
-
-
-@dataclass(frozen=True)
-class Feeling:
-    """What of one scene's readings counts beside points, and for how much: the `feel` of a `PoseFilter`.
+class ContactSignalModel:
+    """Measurement model of the joints' contact signals: an `EvidenceModel`.
 
     Attributes:
         sdf: of the object.
         surface: (n, 3), points on the gripper's surface, tool frame: where a contact signal may come from.
-        point_m: standard deviation of what moves a touched point beside the sensor's noise.
-        normal_rad: the same of its normal.
-        outlier: share of touches that tell nothing.
-        signals: of contact.
+        signals: how signals come about, and how many count.
     """
 
     sdf: SDF
     surface: Float[Tensor, "n 3"]
-    point_m: float = 0.003
-    normal_rad: float = 0.3
-    outlier: float = 0.1
     signals: SignalSettings = field(default_factory=SignalSettings)
 
-    def __post_init__(self) -> None:
-        """Refuse what cannot be."""
-        for name in ("point_m", "normal_rad"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if not 0 <= self.outlier < 1:
-            raise ValueError(f"Expected an outlier share in [0, 1), got {self.outlier}")
+    @classmethod
+    def of(cls, sdf: SDF, surface: Float[Tensor, "n 3"]) -> "ContactSignalModel":
+        """For an object and a tool with these points on its surface."""
+        return cls(sdf, surface)
 
-    def nothing(self, dtype: torch.dtype = torch.float32, device: torch.device | str | None = None) -> FeltSoFar:
-        """Before anything was felt."""
-        own, empty = self.signals, torch.zeros(0, 3, dtype=dtype, device=device)
-        model = ContactModel(own.true_positive, own.false_positive, own.decay)
-        return FeltSoFar(
-            TouchedSurface(self.sdf, empty, empty, empty[:, 0], empty[:, 0], self.outlier),
-            TouchedSomewhere(self.sdf, empty.new_zeros(0, len(self.surface), 3), model),
-        )
-
-    def __call__(self, belief: PoseBelief, reading: Reading, motion: Float[Tensor, "K 4 4"]) -> KeptEvidence | None:
-        """All that was felt, with what a reading adds; None where nothing was, now or before.
-
-        Args:
-            belief: before the reading.
-            reading: of an action.
-            motion: (K, 4, 4), of the object in the world, up to each instant.
-        """
-        felt = belief.felt
-        if not isinstance(reading, FeltReading):
-            return felt
-        signalled = reading.signals is not None and bool(reading.signals.any())
-        if len(reading.wrench.points) == 0 and not signalled:
-            return felt
-        if felt is None:
-            felt = self.nothing(reading.tool_pose.dtype, reading.tool_pose.device)
-        if not isinstance(felt, FeltSoFar):
-            raise TypeError(f"Expected what was felt to be a FeltSoFar, which further touches join, got {felt!r}")
-        return self.joined(felt, reading, motion @ belief.world_T_attached)
-
-    def joined(self, felt: FeltSoFar, reading: FeltReading, world_T_attached: Float[Tensor, "K 4 4"]) -> FeltSoFar:
-        """With what a reading adds.
-
-        Args:
-            felt: before.
-            reading: of an action.
-            world_T_attached: (K, 4, 4), the frame that rides with the object at each instant.
-        """
-        touched, signalled, new = felt.touched, felt.signalled, reading.wrench
-        if len(new.points):
-            own = se3.inverse(world_T_attached)[new.instant]
-            touched = replace(
-                touched,
-                points=torch.cat((touched.points, se3.apply(own, new.points[:, None])[:, 0])),
-                normals=torch.cat((touched.normals, se3.rotate(own, new.normals[:, None])[:, 0])),
-                point_sd=torch.cat((touched.point_sd, torch.hypot(new.point_sd, _like(self.point_m, new.point_sd)))),
-                normal_sd=torch.cat(
-                    (touched.normal_sd, torch.hypot(new.normal_sd, _like(self.normal_rad, new.normal_sd)))
-                ),
-            )
-        if reading.signals is not None and bool(reading.signals.any()):
-            index = reading.signals.nonzero()[:, 0]
-            parts = index.tensor_split(min(self.signals.most, len(index)))
-            kept = torch.stack([part[0] for part in parts])
-            own = se3.inverse(world_T_attached)[kept] @ reading.tool_pose[kept]
-            surface = self.surface.to(own)
-            signalled = replace(signalled, surface=torch.cat((signalled.surface, se3.apply(own, surface))))
-        return replace(felt, touched=touched, signalled=signalled)
-
-
-def _like(value: float, other: Tensor) -> Tensor:
-    return torch.full_like(other, value)
+    def update(
+        self, evidence: ContactSignalEvidence | None, reading: Reading, world_T_attached: Float[Tensor, "K 4 4"], /
+    ) -> ContactSignalEvidence | None:
+        """Evidence with the contact signals of a reading; see `EvidenceModel`."""
+        if not isinstance(reading, ContactReading) or reading.signals is None or not bool(reading.signals.any()):
+            return evidence
+        if evidence is None:
+            own = self.signals
+            model = ContactModel(own.true_positive, own.false_positive, own.decay)
+            evidence = ContactSignalEvidence(self.sdf, reading.tool_pose.new_zeros(0, len(self.surface), 3), model)
+        index = reading.signals.nonzero()[:, 0]
+        parts = index.tensor_split(min(self.signals.most, len(index)))
+        kept = torch.stack([part[0] for part in parts])
+        attached_T_tool = se3.inverse(world_T_attached)[kept] @ reading.tool_pose[kept]
+        surface = se3.apply(attached_T_tool, self.surface.to(attached_T_tool))
+        return replace(evidence, surface=torch.cat((evidence.surface, surface)))

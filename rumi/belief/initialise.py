@@ -7,10 +7,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.registration.descent import DescentSettings, Search
 from rumi.registration.register import RegisterSettings, register
 from rumi.seeding import uniform
+from rumi.weights import boltzmann
 from sdf import se3
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation

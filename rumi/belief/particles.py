@@ -9,22 +9,15 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.errors import DegenerateBeliefError
+from rumi.resampling import systematic
+from rumi.weights import effective_sample_size, equal_weights, normalise
 from sdf import se3
-from sdf.check import may_look
-from sensors.evidence import KeptEvidence
+from sdf.check import is_eager
+from sensors.evidence import EvidenceSet
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
 CHUNK_BYTES = 64 * 2**20
 _TEMPORARIES = 80  # numbers of a pair that live at once: a product of rotations, and what its angle needs
-
-
-def boltzmann(discrepancy: Float[Tensor, "*b N"], peakiness: float) -> Float[Tensor, "*b N"]:
-    """Log-weights -lambda C of discrepancies (RUMI, Eq 10), not normalised: the best particle's is 0.
-
-    Differences of discrepancies are exact or nearly so, products of large ones with lambda are not: taken first they
-    keep the weights right in float32 however large the discrepancies are.
-    """
-    return -peakiness * (discrepancy - discrepancy.amin(-1, keepdim=True))
 
 
 @dataclass(frozen=True)
@@ -39,14 +32,14 @@ class PoseBelief:
         attached_T_object: (*b, N, 4, 4), one pose a particle.
         log_weights: (*b, N), normalised: logsumexp is 0.
         discrepancy: (*b, N), of all observations so far (RUMI, Eq 3), metres times scale.
-        felt: what was felt so far that is no points, in the frame that rides with the object; None where nothing was.
+        evidence: of all that was sensed so far but points, in the frame that rides with the object; None without any.
     """
 
     world_T_attached: Float[Tensor, "*b 4 4"]
     attached_T_object: Float[Tensor, "*b N 4 4"]
     log_weights: Float[Tensor, "*b N"]
     discrepancy: Float[Tensor, "*b N"]
-    felt: KeptEvidence | None = None
+    evidence: EvidenceSet | None = None
 
     @classmethod
     def uniform(cls, world_T_object: Float[Tensor, "*b N 4 4"]) -> Self:
@@ -69,11 +62,8 @@ class PoseBelief:
         return self.log_weights.exp()
 
     def ess(self) -> Float[Tensor, "*b"]:
-        """Effective sample size, 1 / sum of squared weights, between 1 and N."""
-        # float64, and of weights that need not sum to 1 to the last digit: else it may come out above N
-        log = self.log_weights.double()
-        log = log - log.amax(-1, keepdim=True)
-        return (2.0 * torch.logsumexp(log, -1) - torch.logsumexp(2.0 * log, -1)).exp().to(self.log_weights.dtype)
+        """Effective sample size, between 1 and N."""
+        return effective_sample_size(self.log_weights)
 
     def mode(self, radius_m: float = 0.01, radius_rad: float = 0.175) -> Float[Tensor, "*b 4 4"]:
         """World pose of the best-weighted mode: the mean of the particles about the one with most weight around it.
@@ -121,12 +111,12 @@ class PoseBelief:
             DegenerateBeliefError: a scene's are all -inf, or some are NaN or +inf.
         """
         top = log_weights.amax(-1)
-        if may_look() and not bool(torch.isfinite(top).all()):
+        if is_eager() and not bool(torch.isfinite(top).all()):
             raise DegenerateBeliefError(
                 f"Expected a finite log-weight in each scene and none that is NaN or +inf, got {float(top.min())} as "
                 "the greatest: no particle fits what was observed, or a reading is none"
             )
-        return replace(self, log_weights=torch.log_softmax(log_weights, -1))
+        return replace(self, log_weights=normalise(log_weights))
 
     def resampled(self, index: Int[Tensor, "*b N"]) -> Self:
         """Particles `index` with equal weights."""
@@ -134,7 +124,7 @@ class PoseBelief:
         return replace(
             self,
             attached_T_object=poses,
-            log_weights=torch.log_softmax(torch.zeros_like(self.log_weights), -1),
+            log_weights=equal_weights(self.log_weights),
             discrepancy=torch.gather(self.discrepancy, -1, index),
         )
 
@@ -146,5 +136,23 @@ class PoseBelief:
             attached_T_object=self.attached_T_object.to(device=device, dtype=dtype),
             log_weights=self.log_weights.to(device=device, dtype=dtype),
             discrepancy=self.discrepancy.to(device=device, dtype=dtype),
-            felt=None if self.felt is None else self.felt.to(device, dtype),
+            evidence=None if self.evidence is None else self.evidence.to(device, dtype),
         )
+
+
+def subsample(belief: PoseBelief, count: int) -> PoseBelief:
+    """One scene's belief with at most `count` particles, evenly by weight; itself if it has no more.
+
+    Nothing is random: each particle counts as often as teeth of the comb (k + 1/2) / count fall on it.
+    """
+    if count < 1:
+        raise ValueError(f"Expected count to be 1 or more, got {count}")
+    if count >= belief.log_weights.shape[-1]:
+        return belief
+    index, times = systematic(belief.log_weights, 0.5, count).unique_consecutive(return_counts=True)
+    return replace(
+        belief,
+        attached_T_object=belief.attached_T_object[index],
+        log_weights=normalise(times.to(belief.log_weights).log()),
+        discrepancy=belief.discrepancy[index],
+    )

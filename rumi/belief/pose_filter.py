@@ -2,31 +2,29 @@
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple, Self, cast
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from rumi.belief.motion import MOTIONS, Motion, Predictor, object_motion
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.belief.prior import PosePrior
 from rumi.errors import DegenerateBeliefError
 from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
 from rumi.resampling import resample_systematic
 from rumi.seeding import Generators, normal
+from rumi.weights import boltzmann
 from sdf import se3
 from sdf import skipped_work as savings
 from sdf.check import check_near
 from sensors.discrepancy import Discrepancy
-from sensors.evidence import Evidence, KeptEvidence, in_attached_frame
+from sensors.evidence import Evidence, EvidenceModel, SemanticPoints, gather, in_attached_frame
 from sensors.observation import Observation, attach, merge
 from sensors.reading import Reading
-
-Feel = Callable[[PoseBelief, Reading, Tensor], KeptEvidence | None]
-"""All that was felt, of a belief before a reading, the reading, and the object's world motion (*b, K, 4, 4) in it."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +57,7 @@ class FilterSettings:
         level_within_rad: tilt of that frame beyond which poses are optimised along the world's floor as well: errors of
             the measured motion, which are level in the world, are then not level in the frame; only with a prior.
         still_m, still_rad: motions below these are no move: no noise, discrepancies carry over.
+        evidence: kinds of evidence that count beside semantic points, by name (`rumi.belief.evidence.EVIDENCE`).
     """
 
     peakiness: float = 2.0
@@ -79,6 +78,7 @@ class FilterSettings:
     level_within_rad: float = 0.1
     still_m: float = 1e-4
     still_rad: float = 1e-3
+    evidence: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
@@ -114,48 +114,51 @@ class FilterInfo(NamedTuple):
 
 
 class PoseFilter(nn.Module):
-    """Follows the readings with a particle belief; holds settings, never the belief.
+    """Particle filter of an object's pose; holds settings, never the belief.
 
-    What was felt that is no points (`PoseBelief.felt`) adds -log L / lambda to the discrepancies, as the prior does.
-    Eq 10 then gives all of it its own weight, exp(-lambda C) times L, in weighing, resampling and drawing anew, also at
-    every later step. The descent of poses follows the points alone.
+    Evidence of each kind adds -log L / lambda to a pose's cost: semantic points their discrepancy C^, others
+    (`PoseBelief.evidence`) their log-likelihood, as the prior does. Eq 10 then gives all of it its own weight,
+    exp(-lambda C) times L, in weighing, resampling and drawing anew, also at every later step. The descent of poses
+    follows the points alone.
 
     Args:
-        discrepancy: C^ with the settings' scale and tolerance.
-        search: "SE(2)" or "SE(3)".
         settings: how.
+        evidence: measurement models, in the order in which their evidence is summed. The first is that of semantic
+            points: C^, with the settings' scale and tolerance. A new kind of evidence is one more `EvidenceModel`.
+        search: "SE(2)" or "SE(3)".
         prior: of the pose at the start; its part is added to the discrepancy, as if it were an observation.
         pushed: says how far the object was pushed; needed for the motions "pushed" and "corrected".
-        feel: makes evidence of what readings tell beside points; None where that is nothing.
     """
 
     lattice: Tensor
 
     def __init__(
         self,
-        discrepancy: Discrepancy,
-        search: Search,
         settings: FilterSettings,
+        evidence: Sequence[Discrepancy | EvidenceModel],
+        search: Search,
         prior: PosePrior | None = None,
         pushed: Predictor | None = None,
-        feel: Feel | None = None,
     ) -> None:
         super().__init__()
         if search not in SEARCHES:
             raise ValueError(f"Expected search to be one of {', '.join(SEARCHES)}, got {search!r}")
-        self.discrepancy = discrepancy
+        points, further = evidence[0] if evidence else None, evidence[1:]
+        if not isinstance(points, Discrepancy) or any(isinstance(model, Discrepancy) for model in further):
+            raise TypeError(f"Expected one Discrepancy, of semantic points, as the first evidence, got {evidence}")
+        self.discrepancy = points
+        self.further = cast(tuple[EvidenceModel, ...], tuple(further))
         self.search: Search = "SE(2)" if prior is not None and settings.lies_flat else search
         self.settings = settings
         self.prior = prior
         self.pushed = pushed
-        self.feel = feel
         lattice = (settings.free_spacing_m, settings.free_spacing_m, settings.surface_spacing_m)
         self.register_buffer("lattice", torch.tensor(lattice))
 
-    def feeling(self, feel: Feel) -> Self:
-        """The same filter, which makes evidence of readings in this way."""
+    def with_evidence(self, *models: EvidenceModel) -> Self:
+        """The same filter with further evidence, that of these models, in place of what it had beside points."""
         other = copy.copy(self)
-        other.feel = feel
+        other.further = models
         return other
 
     def forward(
@@ -183,8 +186,7 @@ class PoseFilter(nn.Module):
         frames = motion @ belief.world_T_attached[..., None, :, :]
         new = attach(reading.observation, reading.instant, frames)
         memory, added = merge(memory, new, self.lattice)
-        if self.feel is not None:
-            belief = replace(belief, felt=self.feel(belief, reading, motion))
+        belief = replace(belief, evidence=gather(self.further, belief.evidence, reading, frames))
         before = belief
         belief, moved = self.predict(belief, motion[..., -1, :, :], generator=generator)
         belief = self.weigh(belief, before, memory, added, moved)
@@ -255,14 +257,14 @@ class PoseFilter(nn.Module):
         """Weights by the discrepancy (Alg 2), of which only the new points' part is computed where it adds up.
 
         Where no particle moved in the attached frame and no point is fixed in the world, the discrepancy of the
-        old points carries over exactly (Eq 11 and move invariance); what is felt beside points may change without any.
+        old points carries over exactly (Eq 11 and move invariance); further evidence may change without any.
         """
         same = belief.attached_T_object is before.attached_T_object or bool(
             (belief.attached_T_object == before.attached_T_object).all()
         )
         fixed = len(memory) > 0 and bool((memory.valid & ~memory.attached).any())
         with savings.work("old_points") as work:
-            if same and not fixed and belief.felt is None:
+            if same and not fixed and belief.evidence is None:
                 total = belief.discrepancy + self.discrepancy(belief.attached_T_object, added)
                 work.count(len(added), len(memory))
             else:
@@ -271,27 +273,33 @@ class PoseFilter(nn.Module):
         return self._weighted(replace(belief, discrepancy=total), total - before.discrepancy)
 
     def total(self, belief: PoseBelief, memory: Observation) -> Float[Tensor, "*b N"]:
-        """Discrepancy of all observations, and the part of prior and evidence."""
+        """Cost of each particle by all evidence and the prior."""
         here = in_attached_frame(memory, belief.world_T_attached)
-        return self.cost(belief.attached_T_object, here, belief.felt)
+        return self.cost(belief.attached_T_object, here, belief.evidence)
 
     def cost(
-        self, attached_T_object: Float[Tensor, "*b N 4 4"], here: Observation, felt: Evidence | None
+        self, attached_T_object: Float[Tensor, "*b N 4 4"], here: Observation, evidence: Evidence | None
     ) -> Float[Tensor, "*b N"]:
-        """Discrepancy of poses under points that are in the attached frame as well, and what prior and felt add."""
-        total = self.discrepancy(attached_T_object, here)
-        if self.prior is None and felt is None:
-            return total
-        return total + self.beside_points(attached_T_object, felt)
+        """Negative log-posterior of poses over lambda, up to a constant: of points, prior and further evidence.
 
-    def beside_points(
-        self, attached_T_object: Float[Tensor, "*b N 4 4"], felt: Evidence | None
+        Args:
+            attached_T_object: poses.
+            here: points that are in the attached frame as well.
+            evidence: of other kinds.
+        """
+        total = SemanticPoints(here, self.discrepancy, self.settings.peakiness).cost(attached_T_object)
+        if self.prior is None and evidence is None:
+            return total
+        return total + self.prior_and_evidence_cost(attached_T_object, evidence)
+
+    def prior_and_evidence_cost(
+        self, attached_T_object: Float[Tensor, "*b N 4 4"], evidence: Evidence | None
     ) -> Float[Tensor, "*b N"]:
-        """The discrepancy that prior (the attached frame is the world's at the start) and evidence amount to."""
+        """The cost by prior (the attached frame is the world's at the start) and evidence other than points."""
         part = torch.zeros_like(attached_T_object[..., 0, 0])
         if self.prior is not None:
-            part = self.prior.nats(attached_T_object) / self.settings.peakiness
-        return part if felt is None else part - felt.log_likelihood(attached_T_object) / self.settings.peakiness
+            part = self.prior.negative_log_density(attached_T_object) / self.settings.peakiness
+        return part if evidence is None else part - evidence.log_likelihood(attached_T_object) / self.settings.peakiness
 
     def _weighted(self, belief: PoseBelief, change: Float[Tensor, "*b N"]) -> PoseBelief:
         if not bool(torch.isfinite(belief.discrepancy).any(-1).all()):
@@ -314,7 +322,7 @@ class PoseFilter(nn.Module):
         fresh = replace(fresh, attached_T_object=self.perturb(fresh, generator=generator, rows=rows))
         here = in_attached_frame(memory, belief.world_T_attached)
         poses = self.descend(fresh, here, settings.descent)
-        total = self.cost(poses, here, belief.felt)
+        total = self.cost(poses, here, belief.evidence)
         fresh = replace(fresh, attached_T_object=poses, discrepancy=total)
         if settings.weighing == "scratch" and settings.weigh_before_resampling:
             fresh = fresh.reweighted(boltzmann(total, settings.peakiness))

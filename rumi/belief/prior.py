@@ -1,4 +1,4 @@
-"""What is known of an object's pose before anything is sensed: where it stands about, and how it may lie."""
+"""Prior distributions of an object's pose, in space and in the plane."""
 
 import math
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from torch import Tensor
 from rumi.errors import UsageError
 from rumi.seeding import uniform
 from sdf import se3
+from sdf.so3 import wrap
 
 REACH = 2.5
 """Standard deviations up to which places are taken to be possible."""
@@ -61,8 +62,8 @@ class PosePrior:
             raise UsageError(f"Expected spread_m to be positive, got {spread_m}")
         return cls(bounds.new_tensor(tuple(mean)), spread_m, torch.stack([lying(bounds, axis) for axis in up]))
 
-    def starts(self, count: int, *, generator: torch.Generator) -> Float[Tensor, "count 4 4"]:
-        """Poses evenly over all ways, yaws and places within `REACH` standard deviations: to be weighed by `nats`.
+    def spread_poses(self, count: int, *, generator: torch.Generator) -> Float[Tensor, "count 4 4"]:
+        """Poses evenly over all ways, yaws and places within `REACH` standard deviations: weigh them.
 
         Args:
             count: how many.
@@ -78,7 +79,7 @@ class PosePrior:
         planar = torch.cat((place, 2 * math.pi * share[:, :1] - math.pi), -1)
         return se3.from_planar(planar) @ self.ways[index.long() % len(self.ways)]
 
-    def nats(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
+    def negative_log_density(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
         """Minus the log-density of poses that lie in one of the ways, up to a constant."""
         off = (world_T_object[..., :2, 3] - self.mean.to(world_T_object)) / self.spread_m
         return 0.5 * off.square().sum(-1)
@@ -89,3 +90,39 @@ class PosePrior:
         for target in targets:
             mean, ways = mean.to(target), ways.to(target)
         return type(self)(mean, self.spread_m, ways)
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarPrior:
+    """Modes of one width, each a Gaussian in x, y (metres) and yaw (radians, wrapped).
+
+    Attributes:
+        means: (G, 3).
+        spread: (3,), standard deviations.
+        shares: (G), of each mode; equal if None.
+    """
+
+    means: Float[Tensor, "G 3"]
+    spread: Float[Tensor, "3"]
+    shares: Float[Tensor, "G"] | None = None
+
+    @property
+    def log_shares(self) -> Float[Tensor, "G"]:
+        """Log of each mode's share, which sum to 1."""
+        shares = torch.ones_like(self.means[:, 0]) if self.shares is None else self.shares
+        return (shares / shares.sum()).log()
+
+    def sample(self, *shape: int, generator: torch.Generator) -> Float[Tensor, "... 3"]:
+        """Independent draws."""
+        count = math.prod(shape)
+        mode = torch.multinomial(self.log_shares.exp(), max(1, count), True, generator=generator)[:count]
+        noise = torch.randn(count, 3, generator=generator, dtype=self.means.dtype)
+        return (self.means[mode] + noise * self.spread).reshape(*shape, 3)
+
+    def log_density(self, poses: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+        """Log of the density, yaw taken from each mode's by the shorter way."""
+        apart = poses[..., None, :] - self.means
+        turn = wrap(apart[..., 2])
+        scaled = torch.cat((apart[..., :2], turn[..., None]), -1) / self.spread
+        constant = 1.5 * math.log(2.0 * math.pi) + self.spread.log().sum()
+        return torch.logsumexp(self.log_shares - 0.5 * scaled.square().sum(-1), -1) - constant

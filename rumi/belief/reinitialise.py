@@ -1,4 +1,4 @@
-"""Particles drawn anew on all that was observed: where a belief starts, and before it is taken to be sure."""
+"""Reinitialisation: particles drawn anew by all evidence, at the first contact and to verify a belief that is sure."""
 
 from dataclasses import dataclass, field, replace
 
@@ -6,19 +6,26 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.settling import settled
 from rumi.registration.archive import fill
-from rumi.registration.descent import DescentSettings
-from rumi.registration.register import RegisterSettings, pose_cells, register
-from sensors.evidence import in_attached_frame
-from sensors.observation import Observation
+from rumi.registration.descent import DescentSettings, retract
+from rumi.registration.register import RegisterSettings, pose_cells, register, thinned
+from rumi.seeding import Generators, normal
+from rumi.weights import boltzmann
+from sdf import se3
+from sensors.evidence import Evidence, in_attached_frame
+from sensors.observation import Observation, concatenate
+from sensors.semantics import Semantics
+
+_FREE = 4000  # points that are no surface, by which poses are refined
+_STEPS = [(0.005 * 0.8**k, 0.1 * 0.8**k) for k in range(12)]
+"""Metres and radians of the steps by which poses are refined, one after the other."""
 
 
 @dataclass(frozen=True)
-class RenewalSettings:
+class ReinitialiseSettings:
     """How particles are drawn anew from the prior; without a prior nothing is.
 
     A resampling can lose a mode that no observation refutes, and the optimiser does not find it again.
@@ -45,7 +52,7 @@ class RenewalSettings:
     plausible: float = 0.02
 
     @classmethod
-    def never(cls) -> "RenewalSettings":
+    def never(cls) -> "ReinitialiseSettings":
         """The paper's: particles are drawn once."""
         return cls(at_contact=False, challenge=False)
 
@@ -54,7 +61,7 @@ def prior_belief(
     pose_filter: PoseFilter, memory: Observation, particles: int, *, generator: torch.Generator
 ) -> PoseBelief:
     """The belief of one scene before anything is felt: poses evenly where the prior has them, weighed by it."""
-    belief = PoseBelief.uniform(_prior(pose_filter).starts(particles, generator=generator))
+    belief = PoseBelief.uniform(_prior(pose_filter).spread_poses(particles, generator=generator))
     return _weighed(pose_filter, belief, belief.attached_T_object, pose_filter.total(belief, memory))
 
 
@@ -62,7 +69,7 @@ def redraw(
     pose_filter: PoseFilter,
     belief: PoseBelief,
     memory: Observation,
-    settings: RenewalSettings,
+    settings: ReinitialiseSettings,
     *,
     generator: torch.Generator,
 ) -> PoseBelief:
@@ -86,28 +93,28 @@ def redraw(
             plausible=settings.plausible,
             bins="SE(3)",
         ),
-        starts=prior.starts(settings.starts, generator=generator),
+        starts=prior.spread_poses(settings.starts, generator=generator),
         search=pose_filter.search,
-        further=lambda poses: pose_filter.beside_points(poses, belief.felt),
-        settled=lambda poses: settled(pose_filter, poses, here, belief.felt, generator=generator),
+        further=lambda poses: pose_filter.prior_and_evidence_cost(poses, belief.evidence),
+        settled=lambda poses: refine_poses(pose_filter, poses, here, belief.evidence, generator=generator),
         generator=generator,
     )
     renewed = _weighed(pose_filter, belief, found.frame_T_object, found.discrepancy)
     if not bool(pose_filter.tipped(belief)):
         return renewed
     poses = pose_filter.descend(renewed, here, settings.fine)
-    return _weighed(pose_filter, belief, poses, pose_filter.cost(poses, here, belief.felt))
+    return _weighed(pose_filter, belief, poses, pose_filter.cost(poses, here, belief.evidence))
 
 
-def challenge(
+def verify(
     pose_filter: PoseFilter,
     belief: PoseBelief,
     memory: Observation,
-    settings: RenewalSettings,
+    settings: ReinitialiseSettings,
     *,
     generator: torch.Generator,
 ) -> PoseBelief:
-    """The belief after poses drawn anew were put beside its particles; of both, all cells that are plausible stay."""
+    """Verify a belief by poses drawn anew beside its particles; of both, all cells that are plausible stay."""
     rivals = redraw(pose_filter, belief, memory, settings, generator=generator)
     poses = torch.cat((belief.attached_T_object, rivals.attached_T_object))
     cost = torch.cat((pose_filter.total(belief, memory), rivals.discrepancy))
@@ -116,13 +123,50 @@ def challenge(
     return _weighed(pose_filter, belief, poses[kept], cost[kept])
 
 
+def refine_poses(
+    pose_filter: PoseFilter,
+    attached_T_object: Float[Tensor, "N 4 4"],
+    here: Observation,
+    evidence: Evidence | None,
+    *,
+    generator: Generators,
+) -> Float[Tensor, "N 4 4"]:
+    """Refine poses by all evidence: steps at random, as free as the filter's search, kept where the cost falls.
+
+    Points leave poses free along some ways, where a touch's normal or a signal asks for a place to the millimetre.
+    Without evidence beside points they stay as they are.
+
+    Args:
+        pose_filter: says what a pose costs.
+        attached_T_object: (N, 4, 4), after their descent on points.
+        here: points in the attached frame.
+        evidence: of other kinds, in the same frame.
+        generator: of the steps.
+    """
+    if evidence is None:
+        return attached_T_object
+    surface = here.of_class(Semantics.SURFACE)
+    here = concatenate([here[surface], thinned(here[here.valid & ~surface], _FREE)])
+    poses, cost = attached_T_object, pose_filter.cost(attached_T_object, here, evidence)
+    shifts, turns = (2, 1) if pose_filter.search == "SE(2)" else (3, 3)
+    for shift_m, turn_rad in _STEPS:
+        sigma = torch.tensor([shift_m] * shifts + [turn_rad] * turns).to(poses)
+        noise = normal((*poses.shape[:-2], len(sigma)), generator=generator, dtype=poses.dtype, device=poses.device)
+        tried = se3.renormalised(retract(poses, sigma * noise, pose_filter.search))
+        there = pose_filter.cost(tried, here, evidence)
+        better = there < cost
+        poses = torch.where(better[..., None, None], tried, poses)
+        cost = torch.where(better, there, cost)
+    return poses
+
+
 def _spread(
     pose_filter: PoseFilter,
     poses: Float[Tensor, "N 4 4"],
     cost: Float[Tensor, "N"],
     margin: float,
     count: int,
-    settings: RenewalSettings,
+    settings: ReinitialiseSettings,
 ) -> Int[Tensor, "count"]:
     middle = pose_filter.discrepancy.sdf.bounds.mean(0)
     cells = pose_cells(poses, middle, settings.bin_rad, settings.bin_m, "SE(3)")

@@ -1,6 +1,5 @@
 """Spaces that the state of something fixed lives in, the plane and SE(3): steps within them, and differences."""
 
-import math
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -9,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf import se3
+from sdf.so3 import wrap
 
 
 @runtime_checkable
@@ -66,7 +66,7 @@ class PlaneSpace:
         apart = a - b
         if self.lever_m is None:
             return apart
-        turn = torch.remainder(apart[..., 2:] + math.pi, 2.0 * math.pi) - math.pi
+        turn = wrap(apart[..., 2:])
         return torch.cat((apart[..., :2], turn), -1)
 
 

@@ -1,4 +1,4 @@
-"""A belief over something that does not move: readings weigh it, and nothing else ever changes it.
+"""Resample-move particle filter of something that does not move: readings weigh it, and nothing else changes it.
 
 Without motion there is nothing to predict and no noise to add (time allocation, Eq. 1). Where few particles keep all
 weight, they are copied and moved by Metropolis's rule against all readings so far, which leaves the posterior as it is:
@@ -8,7 +8,7 @@ no noise blurs it, however many readings there are.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -17,21 +17,19 @@ from torch import Tensor
 from rumi.belief.state_space import StateSpace
 from rumi.errors import DegenerateBeliefError
 from rumi.resampling import resample_systematic
+from rumi.weights import effective_sample_size, equal_weights
 from sdf import skipped_work as savings
+from sensors.evidence import Evidence
 
-
-@runtime_checkable
-class StateEvidence(Protocol):
-    """What has a log-likelihood for states; of poses in SE(3) any `sensors.evidence.Evidence` will do."""
-
-    def log_likelihood(self, states: Float[Tensor, "N ..."], /) -> Float[Tensor, "N"]:
-        """Of each state, up to a constant, nats; never NaN."""
-        ...
+_KEPT = 0.5
+"""Share of the effective sample size that is left after each rise of the power."""
+_HALVINGS = 40
+"""Of the interval that the next power is looked for in."""
 
 
 @dataclass(frozen=True)
-class StaticSettings:
-    """Settings of the filter.
+class ResampleMoveSettings:
+    """Settings of the resample-move filter.
 
     Attributes:
         trigger: share of N that the effective sample size falls below before particles are resampled and moved.
@@ -62,7 +60,7 @@ class StaticSettings:
 
 @dataclass(frozen=True, eq=False)
 class StaticBelief:
-    """Particles.
+    """Weighted particles of a static state.
 
     Attributes:
         states: (N, ...), of a space.
@@ -77,7 +75,7 @@ class StaticBelief:
     @property
     def ess(self) -> float:
         """Effective sample size."""
-        return float(torch.exp(-torch.logsumexp(2.0 * self.log_weights, -1)))
+        return float(effective_sample_size(self.log_weights))
 
     @property
     def best(self) -> Tensor:
@@ -86,7 +84,7 @@ class StaticBelief:
         return self.states[held.argmax()]
 
 
-class StaticInfo(NamedTuple):
+class ResampleMoveInfo(NamedTuple):
     """What an update did.
 
     Attributes:
@@ -101,8 +99,30 @@ class StaticInfo(NamedTuple):
 
 
 @dataclass(frozen=True)
-class StaticFilter:
-    """How a belief follows readings.
+class TemperedEvidence:
+    """TemperedEvidence likelihood, all evidence with the new part of it to a power: an `Evidence`.
+
+    Attributes:
+        every: all evidence, the new one included.
+        new: what came now.
+        power: of its likelihood, in [0, 1].
+    """
+
+    every: Evidence
+    new: Evidence
+    power: float
+
+    def log_likelihood(self, states: Float[Tensor, "N ..."], /) -> Float[Tensor, "N"]:
+        """Of each state, up to a constant, nats."""
+        whole = self.every.log_likelihood(states)
+        # what cannot be at all cannot be by any power
+        less = (1.0 - self.power) * self.new.log_likelihood(states)
+        return torch.where(whole > -torch.inf, whole - less, whole)
+
+
+@dataclass(frozen=True)
+class ResampleMoveFilter:
+    """Particle filter of a static state, whose particles move by Metropolis's rule after a resampling.
 
     Attributes:
         space: of the states.
@@ -112,13 +132,13 @@ class StaticFilter:
 
     space: StateSpace
     log_prior: Callable[[Tensor], Tensor]
-    settings: StaticSettings = StaticSettings()
+    settings: ResampleMoveSettings = ResampleMoveSettings()
 
     def start(
         self,
         states: Float[Tensor, "N ..."],
         log_weights: Float[Tensor, "N"] | None = None,
-        evidence: StateEvidence | None = None,
+        evidence: Evidence | None = None,
     ) -> StaticBelief:
         """The belief of particles that were drawn from the prior, or from elsewhere and weighed for that.
 
@@ -130,14 +150,14 @@ class StaticFilter:
         log = states.new_zeros(len(states)) if log_weights is None else log_weights
         return StaticBelief(states, log.log_softmax(-1), self.log_target(states, evidence))
 
-    def log_target(self, states: Float[Tensor, "N ..."], evidence: StateEvidence | None) -> Float[Tensor, "N"]:
+    def log_target(self, states: Float[Tensor, "N ..."], evidence: Evidence | None) -> Float[Tensor, "N"]:
         """Log of prior and likelihood, up to a constant."""
         prior = self.log_prior(states)
         return prior if evidence is None else prior + evidence.log_likelihood(states)
 
     def update(
-        self, belief: StaticBelief, new: StateEvidence, every: StateEvidence, *, generator: torch.Generator
-    ) -> tuple[StaticBelief, StaticInfo]:
+        self, belief: StaticBelief, new: Evidence, every: Evidence, *, generator: torch.Generator
+    ) -> tuple[StaticBelief, ResampleMoveInfo]:
         """Weigh by new evidence, then resample and move if too few particles are left.
 
         Args:
@@ -149,7 +169,7 @@ class StaticFilter:
         Raises:
             DegenerateBeliefError: no particle is possible any more.
         """
-        belief = self._predicted(belief, generator)
+        belief = self._predict(belief, generator)
         told = new.log_likelihood(belief.states)
         log = belief.log_weights + told
         if not bool(torch.isfinite(log.logsumexp(-1))):
@@ -161,18 +181,17 @@ class StaticFilter:
         belief = StaticBelief(belief.states, log.log_softmax(-1), target)
         ess = belief.ess
         if ess >= self.settings.trigger * len(log):
-            return belief, StaticInfo(ess, False, 0.0)
+            return belief, ResampleMoveInfo(ess, False, 0.0)
         index = resample_systematic(belief.log_weights, generator=generator)
-        even = torch.zeros_like(log).log_softmax(-1)
-        belief = StaticBelief(belief.states[index], even, belief.log_target[index])
+        belief = StaticBelief(belief.states[index], equal_weights(log), belief.log_target[index])
         if self.settings.noise is not None:
-            return belief, StaticInfo(ess, True, 0.0)
-        return self.moved(belief, every, ess=ess, generator=generator)
+            return belief, ResampleMoveInfo(ess, True, 0.0)
+        return self.move(belief, every, ess=ess, generator=generator)
 
-    def moved(
-        self, belief: StaticBelief, every: StateEvidence | None, *, ess: float, generator: torch.Generator
-    ) -> tuple[StaticBelief, StaticInfo]:
-        """The same posterior by particles that Metropolis moves have set apart, at weights as they were."""
+    def move(
+        self, belief: StaticBelief, every: Evidence | None, *, ess: float, generator: torch.Generator
+    ) -> tuple[StaticBelief, ResampleMoveInfo]:
+        """Metropolis moves: the same posterior by particles that are set apart, at weights as they were."""
         states, target, taken = belief.states.clone(), belief.log_target.clone(), 0
         # one half stands still while the other moves by its differences: so each move is exact; one alone has no other
         for half in ((0, 1) if len(states) > 1 else (0,)) * self.settings.moves:
@@ -186,9 +205,49 @@ class StaticFilter:
             states[own] = torch.where(wide, proposed, states[own])
             target[own] = torch.where(accept, there, target[own])
         tried = max(1, self.settings.moves * len(target))
-        return replace(belief, states=states, log_target=target), StaticInfo(ess, True, taken / tried)
+        return replace(belief, states=states, log_target=target), ResampleMoveInfo(ess, True, taken / tried)
 
-    def _predicted(self, belief: StaticBelief, generator: torch.Generator) -> StaticBelief:
+    def update_tempered(
+        self,
+        belief: StaticBelief,
+        new: Evidence,
+        every: Evidence,
+        *,
+        power: float = 0.0,
+        generator: torch.Generator,
+    ) -> StaticBelief:
+        """Weigh by new evidence, tempered: in as many steps as it takes, particles resampled and moved between them.
+
+        For evidence too sharp for the particles at hand: where a reading is far more exact than particles are apart,
+        the one that happens to be nearest to some mode takes all weight, and every other mode dies with its particles.
+        Raised to a small power the likelihood lets many live on; moves bring them nearer before the power grows. Only
+        for a filter without noise.
+
+        Args:
+            belief: before; weighed by the new evidence to the given power already.
+            new: evidence that came now.
+            every: all evidence so far, the new one included.
+            power: that the belief has of the new evidence.
+            generator: of all draws.
+
+        Raises:
+            DegenerateBeliefError: no particle is possible any more.
+        """
+        while power < 1.0:
+            told = new.log_likelihood(belief.states)
+            rise = _rise(belief.log_weights, told, 1.0 - power)
+            power = 1.0 if rise == 1.0 - power else power + rise
+            partly = TemperedEvidence(every, new, power)
+            log = belief.log_weights + rise * told
+            belief = StaticBelief(belief.states, log.log_softmax(-1), belief.log_target + rise * told)
+            ess = belief.ess
+            if ess < self.settings.trigger * len(log):
+                index = resample_systematic(belief.log_weights, generator=generator)
+                belief = self.start(belief.states[index], evidence=partly)
+                belief, _ = self.move(belief, partly, ess=ess, generator=generator)
+        return belief
+
+    def _predict(self, belief: StaticBelief, generator: torch.Generator) -> StaticBelief:
         """The belief before the reading: as it was, unless noise is asked for."""
         count = float(len(belief.log_weights))
         with savings.work("predictions") as work:
@@ -220,3 +279,20 @@ class StaticFilter:
         across = across + self.settings.jitter_m[0] * units * torch.randn(size, dims, generator=generator, dtype=dtype)
         crossed = torch.rand(size, 1, generator=generator, dtype=dtype) < self.settings.crossed
         return torch.where(crossed, across, steps).to(others)
+
+
+def _rise(log_weights: Float[Tensor, "N"], told: Float[Tensor, "N"], most: float) -> float:
+    """By how much the power may grow."""
+    held = (log_weights > -torch.inf) & (told > -torch.inf)
+    if not bool(held.any()):
+        raise DegenerateBeliefError("No particle explains the reading: more particles, or noise that fits the sensor")
+    log, told = log_weights[held], told[held]
+    told = told - told.max()
+    least = _KEPT * effective_sample_size(log)
+    low, high = 0.0, most
+    if effective_sample_size(log + high * told) >= least:
+        return most
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if effective_sample_size(log + middle * told) >= least else (low, middle)
+    return high

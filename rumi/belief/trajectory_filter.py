@@ -1,4 +1,4 @@
-"""A particle filter for touch alone, which resamples by replaying the whole history (resample-move).
+"""Particle filter for touch alone over whole trajectories, which resamples by replaying the history (resample-move).
 
 A particle is where the object started, how it slides, and what noise its motion had; a push model makes everything else
 of the robot's path. New particles are jittered old ones, rolled through all actions and accepted by Metropolis's rule:
@@ -6,21 +6,98 @@ they follow the exact posterior under the model, with no weights invented. The t
 newcomers near the robot; it stands beside.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, get_args
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay_settings import ReplaySettings
-from rumi.belief.touch_belief import TouchAction, TouchBelief, joined
-from rumi.dynamics.along_path import Carrier, Pusher, carry, distance_to
+from rumi.belief.prior import PlanarPrior
+from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief, joined
+from rumi.dynamics.along_path import PathPush, Pusher, distance_to, push_along_path
 from rumi.dynamics.sliding import Outline, Sliding
 from rumi.resampling import resample_systematic
 from sensors.touch.contact_model import ContactModel
+
+Resampling = Literal["replay", "importance", "newcomers", "none"]
+
+
+@dataclass(frozen=True)
+class TrajectorySettings:
+    """Settings of the trajectory filter.
+
+    Attributes:
+        resampling: "replay" moves particles along the exact posterior; "importance" copies the likely ones;
+            "newcomers" is the paper's rule, near the robot where contact was felt and importance else; "none" never.
+        trigger: share of N that the effective sample size falls below before it is resampled.
+        sweeps: Metropolis moves of every particle at a resampling.
+        from_prior: share of moves that are draws from the prior, not jitter.
+        jitter_m: least and greatest standard deviation of the jitter, log-uniform.
+        jitter_rad_per_m: of yaw with it.
+        friction: range of the coefficient, uniform.
+        lever_m: range of c, uniform.
+        noise: standard deviation of each action's motion, as a share of it; 0 for none.
+        noise_tails: h of Tukey's g-and-h distribution, z exp(h z^2 / 2) of a normal z: 0 is normal, more has heavier
+            tails, for motions that now and then go quite another way.
+        noise_m_per_rad: metres of motion that a radian counts as.
+        noise_rad_per_m: of yaw with it.
+        newcomers: share of the particles that newcomers replace.
+        newcomer_mass: weight that they get in all, split by their likelihood.
+        temper: power of the likelihood: 1 for readings that err independently, below it for those that err together.
+        overlap_m: distance over which it is uncertain whether the tool, coming down, meets the object.
+        overlap_error: chance that it is wrongly taken to have met it, or not to.
+        substeps: parts of the way between two readings.
+        passes: contacts that are settled in a part, at most.
+    """
+
+    resampling: Resampling = "replay"
+    trigger: float = 0.5
+    sweeps: int = 2
+    from_prior: float = 0.1
+    jitter_m: tuple[float, float] = (1e-3, 0.05)
+    jitter_rad_per_m: float = 8.0
+    friction: tuple[float, float] = (0.1, 0.6)
+    lever_m: tuple[float, float] = (0.03, 0.06)
+    noise: float = 0.0
+    noise_tails: float = 0.0
+    noise_m_per_rad: float = 0.04
+    noise_rad_per_m: float = 10.0
+    newcomers: float = 0.2
+    newcomer_mass: float = 0.1
+    temper: float = 1.0
+    overlap_m: float = 0.002
+    overlap_error: float = 0.02
+    substeps: int = 2
+    passes: int = 2
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        if self.resampling not in get_args(Resampling):
+            raise ValueError(
+                f"Expected resampling to be one of {', '.join(get_args(Resampling))}, got {self.resampling!r}"
+            )
+        for name in ("trigger", "from_prior", "newcomers", "newcomer_mass"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"Expected {name} in [0, 1], got {getattr(self, name)}")
+        for name in ("friction", "lever_m", "jitter_m"):
+            low, high = getattr(self, name)
+            if not 0 <= low <= high < math.inf or (name != "friction" and low <= 0):
+                raise ValueError(f"Expected {name} as (low, high) above 0, got {(low, high)}")
+        for name in ("noise", "noise_tails", "noise_m_per_rad", "noise_rad_per_m", "jitter_rad_per_m"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
+        for name, least in (("sweeps", 0), ("substeps", 1), ("passes", 1)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < least:
+                raise ValueError(f"Expected {name} to be a whole number from {least} on, got {value}")
+        for name in ("temper", "overlap_m"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if not 0 < self.overlap_error < 0.5:
+            raise ValueError(f"Expected overlap_error between 0 and 0.5, got {self.overlap_error}")
 
 
 class StepInfo(NamedTuple):
@@ -37,8 +114,8 @@ class StepInfo(NamedTuple):
     accepted: float
 
 
-class TouchFilter:
-    """Follows contact signals; holds settings, never the belief.
+class TrajectoryFilter:
+    """Resample-move particle filter over trajectories, of contact signals; holds settings, never the belief.
 
     Args:
         outline: of the object.
@@ -57,14 +134,14 @@ class TouchFilter:
         pusher: Pusher,
         model: ContactModel,
         prior: PlanarPrior,
-        settings: ReplaySettings | None = None,
-        carrier: Carrier = carry,
+        settings: TrajectorySettings | None = None,
+        carrier: PathPush = push_along_path,
     ) -> None:
         self.outline, self.centre, self.pusher = outline, centre, pusher
         self.model, self.prior = model, prior
-        self.settings, self.carrier = settings or ReplaySettings(), carrier
+        self.settings, self.carrier = settings or TrajectorySettings(), carrier
 
-    def initial(self, runs: int, count: int, *, generator: torch.Generator) -> TouchBelief:
+    def initial(self, runs: int, count: int, *, generator: torch.Generator) -> TrajectoryBelief:
         """Draws from the prior, equally weighted."""
         start = self.prior.sample(runs, count, generator=generator)
         flat = torch.zeros_like(start[..., 0])
@@ -72,16 +149,16 @@ class TouchFilter:
             self._within(bounds, torch.rand(flat.shape, generator=generator, dtype=flat.dtype))
             for bounds in (self.settings.friction, self.settings.lever_m)
         )
-        return TouchBelief(start, friction, lever, (), start, flat.log_softmax(-1), flat)
+        return TrajectoryBelief(start, friction, lever, (), start, flat.log_softmax(-1), flat)
 
     def step(
         self,
-        belief: TouchBelief,
+        belief: TrajectoryBelief,
         history: Sequence[TouchAction],
         *,
         generator: torch.Generator,
         resample: bool = True,
-    ) -> tuple[TouchBelief, StepInfo]:
+    ) -> tuple[TrajectoryBelief, StepInfo]:
         """Take in the last action of a history, and resample the runs whose effective sample size is low.
 
         Args:
@@ -114,8 +191,8 @@ class TouchFilter:
         return belief, StepInfo(ess, low, accepted)
 
     def resampled(
-        self, belief: TouchBelief, history: Sequence[TouchAction], *, generator: torch.Generator
-    ) -> tuple[TouchBelief, float]:
+        self, belief: TrajectoryBelief, history: Sequence[TouchAction], *, generator: torch.Generator
+    ) -> tuple[TrajectoryBelief, float]:
         """Resample all runs, by the rule of the settings; and the share of accepted moves."""
         if self.settings.resampling == "newcomers" and history[-1].contact.shape[-1] > 0:
             touched = history[-1].contact[..., -1].expand(len(belief.start))
@@ -202,8 +279,8 @@ class TouchFilter:
         return pose, total
 
     def _sweep(
-        self, belief: TouchBelief, history: Sequence[TouchAction], generator: torch.Generator
-    ) -> tuple[TouchBelief, float]:
+        self, belief: TrajectoryBelief, history: Sequence[TouchAction], generator: torch.Generator
+    ) -> tuple[TrajectoryBelief, float]:
         """One Metropolis move of every particle on start pose, parameters and noise."""
         own, shape, dtype = self.settings, belief.friction.shape, belief.start.dtype
 
@@ -257,7 +334,7 @@ class TouchFilter:
     def _within(bounds: tuple[float, float], share: Tensor) -> Tensor:
         return bounds[0] + (bounds[1] - bounds[0]) * share
 
-    def _newcomers(self, belief: TouchBelief, action: TouchAction, generator: torch.Generator) -> TouchBelief:
+    def _newcomers(self, belief: TrajectoryBelief, action: TouchAction, generator: torch.Generator) -> TrajectoryBelief:
         """The paper's rule (App B): poses near the robot take the place of the least likely particles.
 
         Their weights are not specified there: they share `newcomer_mass` by how well they explain the last reading.

@@ -366,6 +366,7 @@ def machines(log: "Log | RunLog") -> list[str]:
     from rumi.runs.folder import provenance
 
     now, then = provenance(), json.loads(log.texts.get("made_with", "{}"))
+    then.setdefault("processor", now["processor"])  # logs of before do not tell
     return [f"recorded with {name} {_at(then, name)}, replayed with {_at(now, name)}" for name in changes(then, now)]
 
 

@@ -134,7 +134,7 @@ def _spread_plain(values: Float[Tensor, "X Y"], widths: list[int], margin: int) 
 
 @backend.register("spread", "numba", fused.supports)
 def _spread_numba(values: Float[Tensor, "X Y"], widths: list[int], margin: int) -> Float[Tensor, "X2 Y2"]:
-    from rumi.dynamics.contact_numba import spread
+    from rumi.dynamics.displacement_numba import spread
 
     result = values.new_zeros(values.shape[0] + len(widths) - 1, values.shape[1] + 2 * margin)
     spread(values.contiguous().numpy(), torch.tensor(widths).numpy(), margin, result.numpy())

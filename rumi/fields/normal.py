@@ -69,6 +69,6 @@ def _expected_normal_numba(
 ) -> Tensor:
     if not takes(sdf, world_T_object, log_weights, points_w):
         return _expected_normal(sdf, world_T_object, log_weights, points_w, where)
-    from rumi.fields.normal_fused import fused_normal
+    from rumi.fields.normal_numba import expected_normal as compiled
 
-    return fused_normal(sdf, world_T_object, log_weights, points_w, where)
+    return compiled(sdf, world_T_object, log_weights, points_w, where)

@@ -12,10 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.information.neighbours import Merged, StateMetric, check_weights, merged, neighbours
+from rumi.information.neighbours import Merged, StateMetric, merged, neighbours
+from rumi.weights import check_weights
 from sdf.check import check_shape
 
-EntropyChoice = Literal["spatial", "kernel", "neighbour", "weights"]
+EntropyChoice = Literal["spatial", "neighbour", "weights"]
 ENTROPIES: tuple[str, ...] = get_args(EntropyChoice)
 
 
@@ -32,7 +33,7 @@ def weights_entropy(log_weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b"]:
     """-sum w log w of weights that need not be normalised; 0 log 0 is 0. At most log N.
 
     Raises:
-        ValueError: see `rumi.information.neighbours.check_weights`.
+        ValueError: see `rumi.weights.check_weights`.
     """
     check_weights(log_weights)
     log = log_weights.log_softmax(-1)
@@ -122,36 +123,6 @@ class SpatialEntropy:
 
 
 @dataclass(frozen=True)
-class KernelEntropy:
-    """Plug-in of the mixture's density at the states (Eqs 3-4), each a box of the shared support or of given sides.
-
-    Attributes:
-        support: where the sides come from.
-        sides: of the box, one for each dimension; None for the shared support's.
-    """
-
-    support: SharedSupport
-    sides: tuple[float, ...] | None = None
-
-    def __call__(self, states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"]) -> Float[Tensor, "*b"]:
-        """Entropy of each set."""
-        metric = self.support.metric
-        unique = merged(states, log_weights, metric)
-        if self.sides is None:
-            sides, log_volume = self.support(states, log_weights, unique)
-        else:
-            sides = states.new_tensor(self.sides).expand(*states.shape[:-2], metric.dims)
-            log_volume = sides.log().sum(-1)
-        density = torch.zeros_like(unique.log_weights)
-        weights = unique.log_weights.exp()
-        for j in range(states.shape[-2]):  # one state at a time: memory for all pairs is not needed
-            apart = metric.difference(states, states[..., j : j + 1, :]).abs()
-            density = density + weights[..., j : j + 1] * (apart <= 0.5 * sides[..., None, :]).all(-1)
-        log = torch.where(unique.first, density.clamp_min(1e-300 if density.dtype == torch.float64 else 1e-38).log(), 0)
-        return log_volume - (weights * log).sum(-1)
-
-
-@dataclass(frozen=True)
 class NeighbourEntropy:
     """Kozachenko and Leonenko's estimate from the distance to the k-th neighbour, for weighted sets.
 
@@ -218,14 +189,12 @@ def make_entropy(choice: EntropyChoice, support: SharedSupport) -> Entropy:
     """The estimator of a name.
 
     Args:
-        choice: "spatial", "kernel", "neighbour" or "weights".
+        choice: "spatial", "neighbour" or "weights".
         support: metric and neighbours; the neighbour estimate takes one less than a box, whose count has the state
             itself.
     """
     if choice == "spatial":
         return SpatialEntropy(support)
-    if choice == "kernel":
-        return KernelEntropy(support)
     if choice == "neighbour":
         return NeighbourEntropy(support.metric, max(1, support.neighbours - 1))
     if choice == "weights":

@@ -10,9 +10,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from rumi.weights import check_weights
 from sdf import backend
 from sdf import compiled as fused
-from sdf.check import check_finite, may_look
+from sdf.check import check_finite, is_eager
+from sdf.so3 import wrap
 
 # bytes of pairwise differences that are held at once
 _BYTES = 64 << 20
@@ -60,7 +62,7 @@ class StateMetric:
         raw = a - b
         if not any(self.angles):
             return raw
-        wrapped = torch.remainder(raw + math.pi, 2.0 * math.pi) - math.pi
+        wrapped = wrap(raw)
         return torch.where(torch.tensor(self.angles, device=raw.device), wrapped, raw)
 
     def whitened(self, differences: Float[Tensor, "*b D"]) -> Float[Tensor, "*b D"]:
@@ -89,7 +91,7 @@ def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"],
         ValueError: no states, some that are not finite, or weights as `check_weights` refuses them.
     """
     check_weights(log_weights)
-    if may_look():
+    if is_eager():
         check_finite("states", states)
     log_weights = log_weights.expand(states.shape[:-1]).log_softmax(-1)
     flat, weights = states.reshape(-1, *states.shape[-2:]), log_weights.reshape(-1, states.shape[-2])
@@ -101,24 +103,6 @@ def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"],
     log = torch.where(first, torch.where(first, lead, 1.0).log(), -math.inf)
     shape = states.shape[:-1]
     return Merged(log.view(shape), first.view(shape), first.sum(-1).view(shape[:-1]))
-
-
-def check_weights(log_weights: Float[Tensor, "*b N"]) -> None:
-    """Refuse log-weights that weigh nothing.
-
-    Raises:
-        ValueError: there are none, a set's are all -inf, or some are NaN or +inf.
-    """
-    if log_weights.shape[-1] == 0:
-        raise ValueError(f"Expected one state or more in each set, got log_weights {tuple(log_weights.shape)}")
-    if not may_look() or log_weights.numel() == 0:
-        return
-    top = log_weights.detach().amax(-1)
-    if not bool(torch.isfinite(top).all()):
-        bad = float(top[~torch.isfinite(top)].reshape(-1)[0])
-        raise ValueError(
-            f"Expected a finite log-weight in each set and none that is NaN or +inf, got {bad} as a set's greatest"
-        )
 
 
 class Neighbours(NamedTuple):

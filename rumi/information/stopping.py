@@ -1,7 +1,11 @@
-"""When a belief is sure enough: by its covariance, its entropy, or the mass of target points within a tolerance."""
+"""Stopping rules: when a belief is sure enough.
+
+By its covariance, its entropy, the mass of target points within a tolerance, or by what it expects of itself (RUMI).
+"""
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -9,9 +13,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.errors import UsageError
 from rumi.information.entropy import Entropy
-from rumi.information.neighbours import check_weights
+from rumi.registry import Table
+from rumi.weights import check_weights
 from sdf.check import check_shape
+from sdf.so3 import wrap
 
 _MOST_TARGETS = 4  # whose orders are all tried
 
@@ -28,7 +35,7 @@ def covariance(
             object that looks the same half a turn on. Such a dimension is centred at its circular mean.
 
     Raises:
-        ValueError: see `rumi.information.neighbours.check_weights`.
+        ValueError: see `rumi.weights.check_weights`.
     """
     check_weights(log_weights)
     weights = log_weights.softmax(-1)
@@ -39,7 +46,7 @@ def covariance(
             turns = states[:, dim] * (2.0 * math.pi / period)
             centre = torch.atan2(weights @ turns.sin(), weights @ turns.cos()) * (period / (2.0 * math.pi))
             apart = states[:, dim] - centre
-            away[:, dim] = torch.remainder(apart + period / 2.0, period) - period / 2.0
+            away[:, dim] = wrap(apart, period)
     return away.mT @ (weights[:, None] * away)
 
 
@@ -144,7 +151,7 @@ class MassRule:
             log_weights: of the particles, normalised or not.
 
         Raises:
-            ValueError: no particles or targets, or weights as `rumi.information.neighbours.check_weights` refuses them.
+            ValueError: no particles or targets, or weights as `rumi.weights.check_weights` refuses them.
         """
         count, kinds = targets.shape[:2]
         if count == 0 or kinds == 0:
@@ -190,3 +197,72 @@ class MassRule:
     def _apart(self, guesses: Float[Tensor, "G J D"], orders: Float[Tensor, "P N J D"]) -> Float[Tensor, "G P N"]:
         """Greatest distance of a guess from its targets."""
         return (guesses[:, None, None] - orders).norm(dim=-1).amax(-1)
+
+
+class StopEvidence(NamedTuple):
+    """What a rule may stop by; nothing of the truth.
+
+    Attributes:
+        expected_nll: that the belief expects of itself, nats.
+        fit: least discrepancy of a particle.
+        apc: average pairwise chamfer distance of the particles, metres (RUMI, Eq 33).
+        diagonal: of the object's bounding box, metres.
+        contacts: actions so far that touched the object.
+    """
+
+    expected_nll: float
+    fit: float
+    apc: float
+    diagonal: float
+    contacts: int
+
+
+@dataclass(frozen=True)
+class StopSettings:
+    """The stopping rule; it never sees the truth.
+
+    Attributes:
+        rule: "self" stops where the expected nll is below `expected_nll` and some particle fits all
+            observations (`fit`); "apc" is the paper's, APC below `apc_ratio` of the object's diagonal, which
+            a mug of unknown yaw meets at once, since its handle is 6 % of its surface; "never" does not stop.
+        expected_nll: nats over 500 points.
+        fit: least discrepancy allowed, of the best particle.
+        fit_a_contact: by which more is allowed for each action that touched the object: errors of its measured motion
+            add up, so that what was felt before them no longer fits what is felt after them.
+        contacts: actions that must have touched the object.
+        apc_ratio: beta_t.
+    """
+
+    rule: str = "self"
+    expected_nll: float = 5.0
+    fit: float = 5.0
+    fit_a_contact: float = 0.5
+    contacts: int = 1
+    apc_ratio: float = 0.03
+
+    def __post_init__(self) -> None:
+        """Refuse unknown rules."""
+        if self.rule not in STOP_RULES:
+            raise UsageError(f"There is no stop rule {self.rule!r}; there are {', '.join(STOP_RULES)}")
+
+
+StopRule = Callable[[StopSettings, StopEvidence], bool]
+"""Whether the belief is sure enough to stop."""
+
+STOP_RULES: Table[StopRule] = Table("stop rule", "rumi.stop_rules")
+"""All rules by name."""
+
+
+def _self_consistent(settings: StopSettings, now: StopEvidence) -> bool:
+    fits = now.fit < settings.fit + settings.fit_a_contact * now.contacts
+    return now.expected_nll < settings.expected_nll and fits and now.contacts >= settings.contacts
+
+
+STOP_RULES.add("self", _self_consistent)
+STOP_RULES.add("apc", lambda settings, now: now.apc < settings.apc_ratio * now.diagonal)
+STOP_RULES.add("never", lambda settings, now: False)
+
+
+def converged(settings: StopSettings, now: StopEvidence) -> bool:
+    """Whether the rule of some settings holds."""
+    return STOP_RULES[settings.rule](settings, now)

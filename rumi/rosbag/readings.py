@@ -17,7 +17,7 @@ from rumi.rosbag.mapping import BagMap
 from rumi.rosbag.span import reading_starts, span_of
 from rumi.rosbag.views import Views
 from rumi.seeding import generator
-from sensors.contact_reading import FeltReading, WrenchTouch, surest
+from sensors.contact_reading import ContactReading, WrenchTouch, surest
 from sensors.log.reader import Log, Taken
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
@@ -155,7 +155,7 @@ class _Cutter:
             signals = torch.zeros(count, dtype=torch.bool)
             signals[[k for one, k in zip(mine, at, strict=True) if one.signal]] = True
         return replace(
-            taken, reading=replace(FeltReading.of(taken.reading), wrench=self._touches(mine, at), signals=signals)
+            taken, reading=replace(ContactReading.of(taken.reading), wrench=self._touches(mine, at), signals=signals)
         )
 
     def _touches(self, mine: Sequence[ContactSample], at: Sequence[int]) -> WrenchTouch:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.contact_evidence import Feeling, SignalSettings
+from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel, SignalSettings
 from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
@@ -18,6 +18,7 @@ from rumi.tasks.rummage.objects import OBJECTS, with_object
 from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec
 from rumi.tasks.rummage.settings import Settings, from_dict
 from sdf.base import SDF
+from sensors.evidence import EvidenceModel
 
 _MARGIN = 0.1  # metres about where the object and the tool are, for the workspace
 
@@ -71,22 +72,22 @@ def rummager_of_map(
     tool = Tool(bounds, shape=GripperShape(**asdict(mapping.tool)), height_m=spec.height_m)
     planner = replace(settings.planner, push_model="displacement")
     rummager = build_rummager(spec, replace(settings, method="rumi", planner=planner), model, tool)
-    feeling = feeling_of(mapping, rummager.filter.discrepancy.sdf)
-    return rummager if feeling is None else replace(rummager, filter=rummager.filter.feeling(feeling))
+    models = contact_models(mapping, rummager.filter.discrepancy.sdf)
+    return replace(rummager, filter=rummager.filter.with_evidence(*models))
 
 
-def feeling_of(mapping: BagMap, sdf: SDF) -> Feeling | None:
-    """What a mapping has count beside points; None where nothing does.
+def contact_models(mapping: BagMap, sdf: SDF) -> tuple[EvidenceModel, ...]:
+    """Measurement models of the contacts that count by a mapping; none where no contact counts.
 
     Args:
         mapping: of the recording.
         sdf: of the object.
     """
     if not (mapping.touches_count or mapping.signals_count):
-        return None
+        return ()
     signals = SignalSettings() if mapping.torques is None else mapping.torques.signals()
     surface = GripperShape(**asdict(mapping.tool)).surface(signals.spacing_m).float()
-    if mapping.wrench is None:
-        return Feeling(sdf, surface, signals=signals)
-    told = mapping.wrench
-    return Feeling(sdf, surface, told.point_m, told.normal_rad, told.outlier, signals)
+    points, wrench = ContactPointModel(sdf), mapping.wrench
+    if wrench is not None:
+        points = ContactPointModel(sdf, wrench.point_m, wrench.normal_rad, wrench.outlier)
+    return points, ContactSignalModel(sdf, surface, signals)

@@ -42,7 +42,7 @@ class WrenchMap:
         force_n, moment_nm: standard deviations of the noise.
         least_force_n, friction: see `sensors.force.force_torque.WrenchSettings`.
         likelihood: touches count with their normals too, by how sure both are
-            (`rumi.belief.contact_evidence.TouchedSurface`).
+            (`rumi.belief.contact_evidence.ContactPointEvidence`).
             Beside that a surface point weighs next to nothing; it is what the descent of poses follows.
         most: touches that count so of a reading: the surest in as many parts of them; others are of the same places.
         point_m: standard deviation of what moves a touched point beside the noise: the tool's shape, the arm's
@@ -158,7 +158,7 @@ class TorqueMap:
         gain: of the observer, 1/s.
         rest_s: seconds at the start, without contact, from which the rest is taken; 0 for a rest of 0.
         likelihood: a signal counts as a touch of some point of the gripper
-            (`rumi.belief.contact_evidence.TouchedSomewhere`).
+            (`rumi.belief.contact_evidence.ContactSignalEvidence`).
         true_positive, false_positive, decay, most, spacing_m: see `rumi.belief.contact_evidence.SignalSettings`.
     """
 

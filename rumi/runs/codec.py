@@ -18,7 +18,7 @@ from rumi.runs.plain import plain
 from rumi.runs.sketch import OutlineMap, SceneSketch
 from rumi.runs.trace import TraceWriter
 from rumi.runs.values import PARTS, read_value, write_value
-from sensors.contact_reading import FeltReading, WrenchTouch
+from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.observation import Observation
 from sensors.reading import Reading
 
@@ -54,7 +54,7 @@ def write_step(trace: TraceWriter, step: Any, previous: Any) -> None:  # noqa: A
     _write(trace, at, {"control": step.control, "truth": step.truth})
     _write(trace, f"{at}/reading", {name: getattr(step.reading, name) for name in _READING})
     _write_points(trace, f"{at}/reading", step.reading.observation)
-    if isinstance(step.reading, FeltReading):
+    if isinstance(step.reading, ContactReading):
         _write(trace, f"{at}/reading", {"signals": step.reading.signals})
         _write(trace, f"{at}/reading/wrench", {name: getattr(step.reading.wrench, name) for name in _WRENCH})
     _write_points(trace, f"{at}/added", step.added)
@@ -187,7 +187,7 @@ def _read_reading(members: Mapping[str, Any], at: str, stamp: float) -> Reading:
     if f"{at}/wrench/points" not in members:
         return reading
     wrench = WrenchTouch(**{name: _need(members, f"{at}/wrench/{name}") for name in _WRENCH})
-    return replace(FeltReading.of(reading), wrench=wrench, signals=_get(members, f"{at}/signals"))
+    return replace(ContactReading.of(reading), wrench=wrench, signals=_get(members, f"{at}/signals"))
 
 
 def _read_belief(members: Mapping[str, Any], at: str) -> PoseBelief:

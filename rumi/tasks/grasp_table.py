@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from rumi.dynamics.sliding import rotated
+from rumi.resampling import systematic
+from sdf.so3 import wrap
 
 _WITNESSES, _FINAL = 100, 8  # particles by which grasps are told apart at first, and grasps that are judged by all
 _CROWD = 0.5  # of the table's ends: poses this near to a candidate make up its local mean
@@ -64,7 +66,7 @@ def relative(
 ) -> tuple[Float[Tensor, "*b 2"], Float[Tensor, "*b"]]:
     """Offset and yaw of a box in the frame in which it is taken to stand; the yaw to the nearest half turn."""
     apart = rotated(box[..., :2] - grasp[..., :2], -grasp[..., 2])
-    yaw = torch.remainder(box[..., 2] - grasp[..., 2] + 0.5 * math.pi, math.pi) - 0.5 * math.pi
+    yaw = wrap(box[..., 2] - grasp[..., 2], math.pi)
     return apart, yaw
 
 
@@ -92,9 +94,9 @@ def best_grasp(
         candidates: particles that are tried, the likeliest in even shares of the belief.
     """
     weights = log_weights.softmax(-1)
-    few = poses[_comb(weights, _WITNESSES)]
+    few = poses[systematic(log_weights, 0.5, _WITNESSES, raw=True)]
     even = torch.full_like(few[:, 0], 1.0 / len(few))
-    tried = poses[_comb(weights, candidates)]
+    tried = poses[systematic(log_weights, 0.5, candidates, raw=True)]
     for _ in range(2):
         tried = torch.cat((tried, _local_means(tried[-candidates:], few, even, table)))
     # most are told apart by few particles; all are asked about the best
@@ -102,12 +104,6 @@ def best_grasp(
     chance = table(tried[:, None], poses) @ weights
     best = int(chance.argmax())
     return Grasp(tried[best], float(chance[best]))
-
-
-def _comb(weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
-    """Particles in the middles of equal shares of the belief."""
-    comb = (torch.arange(count, dtype=weights.dtype) + 0.5) / count
-    return torch.searchsorted(weights.cumsum(0), comb).clamp_max(len(weights) - 1)
 
 
 def _local_means(

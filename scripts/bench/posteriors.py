@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.pose_filter import FilterSettings
+from rumi.resampling import systematic
 from scripts.bench.reference import GridPosterior, boltzmann, grid_posterior
 from scripts.bench.situations import Situation
 from sdf import se3
@@ -62,7 +63,5 @@ def stand_ins(posterior: GridPosterior, count: int, offset: float = 0.5) -> Floa
     order = torch.arange(len(posterior.planar))
     for part in (y, x, yaw):
         order = order[part[order].argsort(stable=True)]
-    cumulated = posterior.log_weights[order].exp().cumsum(0)
-    places = (torch.arange(count, dtype=cumulated.dtype) + offset) / count * cumulated[-1]
-    chosen = torch.searchsorted(cumulated, places).clamp_max(len(order) - 1)
+    chosen = systematic(posterior.log_weights[order], offset, count)
     return se3.from_planar(posterior.planar[order[chosen]])

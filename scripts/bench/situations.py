@@ -138,7 +138,7 @@ def follow(
     begun = clock()
     discrepancy = Discrepancy(sdf, here.model.radius, free_scale=settings.free_scale, tolerance=settings.tolerance_m)
     search: Search = "SE(2)"
-    pose_filter = PoseFilter(discrepancy, search, settings).to(dtype)
+    pose_filter = PoseFilter(settings, [discrepancy], search).to(dtype)
     first = here.readings[0].observation.to(dtype=dtype)
     memory, _ = merge(Observation.empty(dtype=dtype), first, pose_filter.lattice)
     surface = memory.points[memory.of_class(Semantics.SURFACE)]

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.information.expected_divergence import expected_divergence, with_misses
+from rumi.information.contact_gain import expected_divergence, with_misses
 from rumi.planning.anytime import Candidate, in_descending_posterior
 from rumi.robot.motion_time import SpeedLimits, poke_time
 from rumi.seeding import split

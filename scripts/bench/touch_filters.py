@@ -10,14 +10,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay_settings import ReplaySettings
-from rumi.belief.touch_belief import TouchAction, TouchBelief
-from rumi.belief.trajectory_filter import TouchFilter
-from rumi.dynamics.along_path import Pusher, carry
+from rumi.belief.prior import PlanarPrior
+from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief
+from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
+from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.outline import RectangleOutline
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
+from sdf.so3 import wrap
 from sensors.touch.contact_model import ContactModel
 
 # particles that are carried at once: few enough for the processor's cache
@@ -79,19 +79,19 @@ class Scores(NamedTuple):
     active: Float[Tensor, "R"]
 
 
-def make_filter(setup: PushSetup, variant: Variant) -> TouchFilter:
+def make_filter(setup: PushSetup, variant: Variant) -> TrajectoryFilter:
     """The filter of a variant."""
     tp, fp = setup.rates
     decay = None if variant == "binary" else setup.decay
     rules = {"smooth+replay": "replay", "smooth+newcomers": "newcomers", "smooth+importance": "importance"}
-    settings = ReplaySettings(
+    settings = TrajectorySettings(
         resampling=rules.get(variant, "none"),  # type: ignore[arg-type]
         friction=(setup.friction, setup.friction),
         lever_m=(setup.lever_m, setup.lever_m),
         substeps=1,
     )
     like = torch.zeros(1)
-    return TouchFilter(
+    return TrajectoryFilter(
         RectangleOutline(setup.half),
         torch.zeros(2),
         Pusher.disc(setup.finger_m, like),
@@ -113,7 +113,7 @@ def truth_of(setup: PushSetup, runs: int, *, generator: torch.Generator) -> tupl
     path = torch.tensor([*setup.start, 0.0]) + share * torch.tensor([setup.length_m, 0.0, 0.0])
     outline, finger = RectangleOutline(setup.half), Pusher.disc(setup.finger_m, start)
     own = Sliding(torch.zeros(2), torch.tensor(setup.lever_m), torch.tensor(setup.friction)).expand(runs)
-    carried = carry(start, path[None], finger, outline, own, substeps=1)
+    carried = push_along_path(start, path[None], finger, outline, own, substeps=1)
     contact = carried.distance <= setup.contact_m
     if not setup.exact:
         tp, fp = setup.rates
@@ -142,8 +142,8 @@ def run_variant(
 
 
 def _follow(
-    follow: TouchFilter, actions: list[TouchAction], count: int, name: str, variant: str
-) -> tuple[TouchBelief, float]:
+    follow: TrajectoryFilter, actions: list[TouchAction], count: int, name: str, variant: str
+) -> tuple[TrajectoryBelief, float]:
     """The belief of some runs after all readings, and how often one was resampled on average."""
     runs = len(actions[0].contact)
     belief = follow.initial(runs, count, generator=split(0, f"particles/{name}"))
@@ -155,11 +155,11 @@ def _follow(
     return belief, resampled
 
 
-def score(belief: TouchBelief, truth: Float[Tensor, "R 3"], top: int = 10) -> Scores:
+def score(belief: TrajectoryBelief, truth: Float[Tensor, "R 3"], top: int = 10) -> Scores:
     """How far a belief is from the truth; see `Scores`."""
     weights, pose = belief.log_weights.exp(), belief.pose
     apart = pose - truth[:, None]
-    turn = torch.remainder(apart[..., 2] + math.pi, 2.0 * math.pi) - math.pi
+    turn = wrap(apart[..., 2])
     place = apart[..., :2].norm(dim=-1)
     heavy = weights.topk(min(top, weights.shape[1]), dim=-1).indices
     top_m, top_rad = place.gather(1, heavy), turn.gather(1, heavy).abs()

@@ -59,7 +59,7 @@ def long_run(steps: int, *, seed: int = 0, moments: int = 20, said: Callable[[in
     model = mug_model(spacing=0.004)
     tolerance, settings = 0.002, FilterSettings(free_scale=80.0, tolerance_m=0.002, trigger=2.0)
     discrepancy = Discrepancy(model.sdf, model.radius, free_scale=settings.free_scale, tolerance=tolerance)
-    follower = PoseFilter(discrepancy, "SE(2)", settings)
+    follower = PoseFilter(settings, [discrepancy], "SE(2)")
     truth = se3.from_planar(torch.tensor([0.4, 0.1, 0.3]))
     around = torch.randn(PARTICLES, 3, generator=generator) * torch.tensor([0.005, 0.005, 0.1])
     belief = PoseBelief.uniform(truth @ se3.from_planar(around))

@@ -13,7 +13,7 @@ from rumi.rosbag.readings import make_readings
 from rumi.rosbag.scene import rummager_of_map, settings_of
 from rumi.runs.replay import replay
 from rumi.task import TaskOnDevice
-from sensors.contact_reading import FeltReading
+from sensors.contact_reading import ContactReading
 from sensors.log.reader import Log
 from sensors.reading import Reading
 from sensors.semantics import Semantics
@@ -108,7 +108,7 @@ def test_touches_come_with_normals_beside_their_points(poked):
     plain, ours = made_of(poked, FINGER), made_of(poked, LIKELY)
     assert all(type(one.reading) is Reading for one in plain) and len(plain) == len(ours) == 4
     for bare, felt in zip(plain[1:], ours[1:], strict=True):
-        assert isinstance(felt.reading, FeltReading) and felt.reading.signals is None
+        assert isinstance(felt.reading, ContactReading) and felt.reading.signals is None
         touch = felt.reading.wrench
         assert len(touch.points) == 3, "the surest in three parts of it"
         assert bool((touch.instant[1:] >= touch.instant[:-1]).all())

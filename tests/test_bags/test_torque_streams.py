@@ -9,7 +9,7 @@ import torch
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.errors import UsageError
 from rumi.rosbag.mapping import mapping_of
-from rumi.rosbag.scene import feeling_of, rummager_of_map, settings_of
+from rumi.rosbag.scene import contact_models, rummager_of_map, settings_of
 from rumi.runs.replay import replay
 from sensors.semantics import Semantics
 from sensors.touch.contact_model import robot_distance
@@ -121,11 +121,11 @@ def test_signals_count_as_touches_of_some_point_of_the_gripper(pushed_arm, torqu
         places = torch.cat([taken.reading.tool_pose[:, :3, 3] for taken in made.taken])
         rummager = rummager_of_map(mapping, settings_of(mapping), places)
         belief = replay(made.taken, rummager, seed=1000).last.belief
-        feeling = feeling_of(mapping_of(likely), rummager.model.sdf)
-        assert feeling.signals == SignalSettings(most=3) and (rummager.filter.feel is None) == (name == "flags")
-        distance = robot_distance(rummager.model.sdf, belief.world_T_object, feeling.surface[None])[..., 0]
+        _, signals = contact_models(mapping_of(likely), rummager.model.sdf)
+        assert signals.signals == SignalSettings(most=3) and (rummager.filter.further == ()) == (name == "flags")
+        distance = robot_distance(rummager.model.sdf, belief.world_T_object, signals.surface[None])[..., 0]
         far[name] = float((belief.weights * distance.clamp_min(0.0)).sum())
-        assert (belief.felt is None) == (name == "flags")
+        assert (belief.evidence is None) == (name == "flags")
     assert far["signals"] < 0.5 * far["flags"], far
 
 

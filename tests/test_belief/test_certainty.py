@@ -66,12 +66,6 @@ def test_covariance_rule_looks_in_every_direction() -> None:
     )
 
 
-def test_one_state_is_sure() -> None:
-    lone = torch.zeros(1, 3)
-    assert CovarianceRule((1e-6,) * 3).holds(lone, torch.zeros(1))
-    assert MassRule(1e-6).holds(holes(lone), torch.zeros(1))
-
-
 def test_entropy_rule() -> None:
     metric = StateMetric.euclidean(2)
     states = gaussian(200, (0.01, 0.01))
@@ -145,14 +139,3 @@ def test_refuses_what_has_no_meaning() -> None:
         MassRule(0.01).aim(torch.zeros(0, 2, 2), torch.zeros(0))
     with pytest.raises(ValueError, match="alike"):
         MassRule(0.01).aim(torch.zeros(3, 5, 2), torch.zeros(3))
-
-
-def test_no_belief_is_sure_of_nothing() -> None:
-    rule, mass = CovarianceRule((1.0, 1.0)), MassRule(0.01)
-    with pytest.raises(ValueError, match="Expected one state or more"):
-        rule.holds(torch.zeros(0, 2), torch.zeros(0))
-    for weight in (-math.inf, math.nan):
-        with pytest.raises(ValueError, match="Expected a finite log-weight"):
-            rule.holds(torch.zeros(3, 2), torch.full((3,), weight))
-        with pytest.raises(ValueError, match="Expected a finite log-weight"):
-            mass.aim(torch.zeros(3, 2, 2), torch.full((3,), weight))

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from rumi.information.expected_divergence import divergence, expected_divergence, with_misses
+from rumi.information.contact_gain import divergence, expected_divergence, with_misses
 
 F64 = torch.float64
 

@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from rumi.belief import particles
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.errors import DegenerateBeliefError
+from rumi.weights import boltzmann
 from sdf import se3
 
 F64 = torch.float64

@@ -37,7 +37,7 @@ def test_an_object_with_its_origin_on_the_floor_stays_there():
 
 def test_starts_are_even_and_within_reach(generator):
     prior = box_prior()
-    poses = prior.starts(3000, generator=generator)
+    poses = prior.spread_poses(3000, generator=generator)
     off = poses[:, :2, 3] - prior.mean
     radius = off.norm(dim=-1) / prior.spread_m
     assert float(radius.max()) <= REACH
@@ -57,21 +57,21 @@ def test_starts_are_even_and_within_reach(generator):
 
 
 def test_same_seed_same_starts():
-    draw = [box_prior().starts(50, generator=torch.Generator().manual_seed(seed)) for seed in (3, 3, 4)]
+    draw = [box_prior().spread_poses(50, generator=torch.Generator().manual_seed(seed)) for seed in (3, 3, 4)]
     assert torch.equal(draw[0], draw[1]) and not torch.equal(draw[0], draw[2])
 
 
 def test_nats_are_those_of_a_normal_distribution(generator):
     prior = box_prior()
-    poses = prior.starts(20, generator=generator)
+    poses = prior.spread_poses(20, generator=generator)
     expected = torch.distributions.Normal(prior.mean, prior.spread_m).log_prob(poses[:, :2, 3]).sum(-1)
-    difference = prior.nats(poses) + expected
+    difference = prior.negative_log_density(poses) + expected
     torch.testing.assert_close(difference, difference[:1].expand(20))
 
 
 def test_moves_to_another_dtype(generator):
     prior = box_prior().to(torch.float32)
-    assert prior.starts(4, generator=generator).dtype == torch.float32
+    assert prior.spread_poses(4, generator=generator).dtype == torch.float32
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import torch
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.reinitialise import RenewalSettings, challenge, prior_belief, redraw
+from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw, verify
 from rumi.metrics.pose_error import pose_error
 from sdf import se3, so3
 from sdf.object_model import box_model
@@ -34,7 +34,7 @@ def prior(box):
 def pose_filter(box, prior):
     settings = FilterSettings()
     discrepancy = Discrepancy(box.sdf, box.radius, free_scale=settings.free_scale, tolerance=settings.tolerance_m)
-    return PoseFilter(discrepancy, "SE(3)", settings, prior)
+    return PoseFilter(settings, [discrepancy], "SE(3)", prior)
 
 
 def lying_at(prior, way, planar):
@@ -55,9 +55,9 @@ def right(box, pose, truth):
 
 def test_lying_flat_keeps_height_and_tilt(pose_filter):
     assert pose_filter.search == "SE(2)"
-    free = PoseFilter(pose_filter.discrepancy, "SE(3)", FilterSettings(lies_flat=False), pose_filter.prior)
+    free = PoseFilter(FilterSettings(lies_flat=False), [pose_filter.discrepancy], "SE(3)", pose_filter.prior)
     assert free.search == "SE(3)"
-    assert PoseFilter(pose_filter.discrepancy, "SE(3)", FilterSettings()).search == "SE(3)"
+    assert PoseFilter(FilterSettings(), [pose_filter.discrepancy], "SE(3)").search == "SE(3)"
 
 
 def test_belief_starts_as_the_prior(pose_filter, prior, generator):
@@ -77,7 +77,7 @@ def test_first_contact_leaves_every_way_that_explains_it(box, pose_filter, prior
     seen = felt(box, truth, [(-turn).tolist()])
     assert len(seen) > 3
     start = prior_belief(pose_filter, Observation.empty(), 100, generator=generator)
-    belief = redraw(pose_filter, start, seen, RenewalSettings(), generator=generator)
+    belief = redraw(pose_filter, start, seen, ReinitialiseSettings(), generator=generator)
     assert belief.log_weights.shape == (100,)
     assert float(belief.weights.sum()) == pytest.approx(1.0)
     torch.testing.assert_close(belief.discrepancy, pose_filter.total(belief, seen))
@@ -85,7 +85,8 @@ def test_first_contact_leaves_every_way_that_explains_it(box, pose_filter, prior
     assert len(up.unique()) == 3
     assert bool(right(box, belief.world_T_object, truth).any())
     assert (
-        float(belief.discrepancy.max() - belief.discrepancy.min()) < -math.log(RenewalSettings().plausible) / 2 + 1e-5
+        float(belief.discrepancy.max() - belief.discrepancy.min())
+        < -math.log(ReinitialiseSettings().plausible) / 2 + 1e-5
     )
 
 
@@ -96,7 +97,7 @@ def test_challenge_brings_back_a_lost_truth(box, pose_filter, prior, generator):
     wrong = lying_at(prior, 0, [0.42, 0.035, 0.0])
     lost = PoseBelief.uniform(wrong.expand(100, 4, 4).clone())
     assert not bool(right(box, lost.world_T_object, truth).any())
-    belief = challenge(pose_filter, lost, seen, RenewalSettings(), generator=generator)
+    belief = verify(pose_filter, lost, seen, ReinitialiseSettings(), generator=generator)
     assert bool(right(box, belief.world_T_object, truth).any())
     # the particles' own mode stays, since nothing refutes it
     assert bool(right(box, belief.world_T_object, wrong).any())
@@ -109,8 +110,8 @@ def test_challenge_keeps_what_is_plausible_only(box, pose_filter, prior, generat
     far = lying_at(prior, 0, [0.45, 0.0, 0.3])
     start = PoseBelief.uniform(torch.cat((truth.expand(99, 4, 4), far[None])))
     for plausible in (0.02, 0.5):
-        settings = RenewalSettings(plausible=plausible)
-        belief = challenge(pose_filter, start, seen, settings, generator=torch.Generator().manual_seed(0))
+        settings = ReinitialiseSettings(plausible=plausible)
+        belief = verify(pose_filter, start, seen, settings, generator=torch.Generator().manual_seed(0))
         weight = belief.log_weights - belief.log_weights.max()
         assert float(weight.exp().min()) >= plausible * (1 - 1e-4)
         assert not bool((belief.world_T_object == far).all(-1).all(-1).any())
@@ -122,7 +123,7 @@ def test_challenge_leaves_a_belief_that_is_right(box, pose_filter, prior, genera
     noise = 0.0005 * torch.randn(100, 2, generator=generator)
     poses = truth.expand(100, 4, 4).clone()
     poses[:, :2, 3] += noise
-    belief = challenge(pose_filter, PoseBelief.uniform(poses), surface, RenewalSettings(), generator=generator)
+    belief = verify(pose_filter, PoseBelief.uniform(poses), surface, ReinitialiseSettings(), generator=generator)
     share = belief.weights[right(box, belief.world_T_object, truth)].sum()
     assert float(share) > 0.999
 
@@ -134,15 +135,15 @@ def test_follows_the_attached_frame(box, pose_filter, prior, generator):
     floor = Observation.of(torch.tensor([[0.4, 0.0, 0.0], [0.45, 0.05, 0.0]]), Semantics.FREE, attached=False)
     motion = se3.from_planar(torch.tensor([0.05, -0.3, 0.7]))
     start = prior_belief(pose_filter, Observation.empty(), 100, generator=generator).moved(motion)
-    belief = redraw(pose_filter, start, concatenate([seen, floor]), RenewalSettings(), generator=generator)
+    belief = redraw(pose_filter, start, concatenate([seen, floor]), ReinitialiseSettings(), generator=generator)
     assert bool(right(box, belief.world_T_object, motion @ truth).any())
 
 
 def test_without_a_prior_there_is_nothing_to_draw_from(pose_filter, generator):
-    bare = PoseFilter(pose_filter.discrepancy, "SE(3)", FilterSettings())
+    bare = PoseFilter(FilterSettings(), [pose_filter.discrepancy], "SE(3)")
     belief = PoseBelief.uniform(se3.identity((3,), dtype=torch.float32))
     with pytest.raises(ValueError, match="prior to draw from"):
-        redraw(bare, belief, Observation.empty(), RenewalSettings(), generator=generator)
+        redraw(bare, belief, Observation.empty(), ReinitialiseSettings(), generator=generator)
 
 
 def tipped_belief(prior, angle, poses):
@@ -169,7 +170,7 @@ def test_poses_follow_level_errors_once_the_object_has_tipped(box, pose_filter, 
     else:
         # level in the frame: what is left is by how much the two are tilted
         assert float((found[:, 2] - truth[2]).abs().max()) < 1e-6
-    assert not bool(PoseFilter(pose_filter.discrepancy, "SE(2)", FilterSettings()).tipped(belief))
+    assert not bool(PoseFilter(FilterSettings(), [pose_filter.discrepancy], "SE(2)").tipped(belief))
 
 
 def test_noise_is_level_in_the_world(pose_filter, prior, generator):

@@ -8,11 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay_settings import ReplaySettings
-from rumi.belief.touch_belief import TouchAction, TouchBelief, joined
-from rumi.belief.trajectory_filter import TouchFilter
-from rumi.dynamics.along_path import Carried, Pusher
+from rumi.belief.prior import PlanarPrior
+from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief, joined
+from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
+from rumi.dynamics.along_path import PathOutcome, Pusher
 from rumi.dynamics.outline import RectangleOutline
 from sdf import backend
 from sensors.touch.contact_model import ContactModel
@@ -32,8 +31,8 @@ def prior(*, modes: int = 1) -> PlanarPrior:
     return PlanarPrior(means, torch.tensor([0.02, 0.02, 0.2], **DOUBLE))
 
 
-def follow(settings: ReplaySettings | None = None, *, modes: int = 1) -> TouchFilter:
-    return TouchFilter(
+def follow(settings: TrajectorySettings | None = None, *, modes: int = 1) -> TrajectoryFilter:
+    return TrajectoryFilter(
         RectangleOutline((0.03, 0.08)),
         torch.zeros(2, **DOUBLE),
         Pusher.disc(0.02, torch.zeros(1, **DOUBLE)),
@@ -56,7 +55,7 @@ def moments(values: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
     return mean, (weights @ (values - mean).square()).sqrt()
 
 
-def brute_force(settings: ReplaySettings, count: int = 40000) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def brute_force(settings: TrajectorySettings, count: int = 40000) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Moments of start poses and of poses now under the posterior, by weighing draws of the prior."""
     own = follow(replace(settings, resampling="none"))
     random = torch.Generator().manual_seed(9)
@@ -71,7 +70,7 @@ def brute_force(settings: ReplaySettings, count: int = 40000) -> tuple[Tensor, T
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_replay_follows_the_exact_posterior(noise: float) -> None:
     """Means and widths of 40 runs of 200 particles, which resample more than once, are those of 40000 weighed draws."""
-    settings = ReplaySettings(trigger=0.7, noise=noise, friction=(0.1, 0.6), lever_m=(0.03, 0.06))
+    settings = TrajectorySettings(trigger=0.7, noise=noise, friction=(0.1, 0.6), lever_m=(0.03, 0.06))
     own, random = follow(settings), torch.Generator().manual_seed(1)
     belief, resampled = own.initial(40, 200, generator=random), 0.0
     for t in range(len(HISTORY)):
@@ -86,7 +85,7 @@ def test_replay_follows_the_exact_posterior(noise: float) -> None:
 
 
 def test_moves_without_readings_keep_the_prior() -> None:
-    own, random = follow(ReplaySettings(noise=0.05), modes=2), torch.Generator().manual_seed(2)
+    own, random = follow(TrajectorySettings(noise=0.05), modes=2), torch.Generator().manual_seed(2)
     belief = own.initial(1, 20000, generator=random)
     silent = [TouchAction(torch.full((3, 3), 5.0, **DOUBLE), torch.zeros(2, dtype=torch.bool))]
     belief, _ = own.step(belief, silent, generator=random, resample=False)
@@ -112,7 +111,7 @@ def test_moves_without_readings_keep_the_prior() -> None:
 def test_a_replay_is_what_happened(generator: torch.Generator) -> None:
     """Poses and likelihood that the filter has worked out step by step come again from the start."""
     for noise in (0.0, 0.2):
-        own = follow(ReplaySettings(resampling="none", noise=noise))
+        own = follow(TrajectorySettings(resampling="none", noise=noise))
         belief = own.initial(3, 20, generator=generator)
         for t in range(len(HISTORY)):
             belief, _ = own.step(belief, HISTORY[: t + 1], generator=generator)
@@ -136,7 +135,7 @@ def test_history_joined_is_one_action() -> None:
 
 
 def test_runs_of_a_batch_are_weighed_by_their_own_readings(generator: torch.Generator) -> None:
-    own = follow(ReplaySettings(resampling="none"))
+    own = follow(TrajectorySettings(resampling="none"))
     belief = own.initial(2, 30, generator=generator)
     both = TouchAction(HISTORY[1].path, torch.stack((HISTORY[1].contact, ~HISTORY[1].contact)))
     together, _ = own.step(belief, [both], generator=torch.Generator().manual_seed(0))
@@ -155,7 +154,7 @@ def test_runs_of_a_batch_are_weighed_by_their_own_readings(generator: torch.Gene
 
 def test_importance_copies_and_replay_makes_new() -> None:
     for replaying in (False, True):
-        own = follow(ReplaySettings(resampling="replay" if replaying else "importance", trigger=1.0))
+        own = follow(TrajectorySettings(resampling="replay" if replaying else "importance", trigger=1.0))
         random = torch.Generator().manual_seed(0)
         belief = own.initial(1, 200, generator=random)
         before = {tuple(s) for s in belief.start[0].tolist()}
@@ -167,7 +166,7 @@ def test_importance_copies_and_replay_makes_new() -> None:
 
 
 def test_newcomers_come_near_the_robot_where_contact_was_felt(generator: torch.Generator) -> None:
-    settings = ReplaySettings(resampling="newcomers", trigger=1.0, newcomers=0.25, newcomer_mass=0.3)
+    settings = TrajectorySettings(resampling="newcomers", trigger=1.0, newcomers=0.25, newcomer_mass=0.3)
     own = follow(settings)
     belief = own.initial(2, 40, generator=generator)
     signals = torch.tensor([[True, True], [False, False]])
@@ -184,8 +183,8 @@ def test_newcomers_come_near_the_robot_where_contact_was_felt(generator: torch.G
 
 
 def test_same_seed_same_belief() -> None:
-    def run(seed: int) -> TouchBelief:
-        own, random = follow(ReplaySettings(trigger=1.0)), torch.Generator().manual_seed(seed)
+    def run(seed: int) -> TrajectoryBelief:
+        own, random = follow(TrajectorySettings(trigger=1.0)), torch.Generator().manual_seed(seed)
         belief = own.initial(2, 20, generator=random)
         for t in range(len(HISTORY)):
             belief, _ = own.step(belief, HISTORY[: t + 1], generator=random)
@@ -233,7 +232,7 @@ def test_prior_density_is_a_density() -> None:
 )
 def test_settings_without_meaning_are_refused(changes: dict[str, object], no_shape_check: None) -> None:
     with pytest.raises(ValueError, match=next(iter(changes))):
-        ReplaySettings(**changes)  # type: ignore[arg-type]
+        TrajectorySettings(**changes)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1])
@@ -242,7 +241,7 @@ def test_where_the_tool_came_down_tells_of_the_object(noise: float) -> None:
     place = torch.tensor([[0.06, 0.0, 0.0]], **DOUBLE)
     shares = {}
     for blocked in (True, False):
-        settings = ReplaySettings(noise=noise, trigger=1.0, overlap_error=0.02)
+        settings = TrajectorySettings(noise=noise, trigger=1.0, overlap_error=0.02)
         own, random = follow(settings), torch.Generator().manual_seed(3)
         history = [TouchAction(place, torch.zeros(0, dtype=torch.bool), blocked)]
         belief, info = own.step(own.initial(1, 4000, generator=random), history, generator=random)
@@ -257,7 +256,7 @@ def test_where_the_tool_came_down_tells_of_the_object(noise: float) -> None:
 
 
 def test_tempered_readings_tell_a_share() -> None:
-    whole, half = (follow(ReplaySettings(temper=power)) for power in (1.0, 0.5))
+    whole, half = (follow(TrajectorySettings(temper=power)) for power in (1.0, 0.5))
     random = torch.Generator().manual_seed(3)
     belief = whole.initial(1, 50, generator=random)
     gained = [own.roll(belief.pose, belief.friction, belief.lever, None, HISTORY[1])[1] for own in (whole, half)]
@@ -265,7 +264,7 @@ def test_tempered_readings_tell_a_share() -> None:
 
 
 def test_heavy_tails_throw_farther() -> None:
-    plain, heavy = (follow(ReplaySettings(noise=0.1, noise_tails=h)) for h in (0.0, 0.3))
+    plain, heavy = (follow(TrajectorySettings(noise=0.1, noise_tails=h)) for h in (0.0, 0.3))
     before, after = torch.zeros(1, 2, 3, **DOUBLE), torch.zeros(1, 2, 3, **DOUBLE)
     after[..., 0] = 0.05
     noise = torch.tensor([[[0.5, 0.0, 0.0], [3.0, 0.0, 0.0]]], **DOUBLE)
@@ -277,12 +276,12 @@ def test_heavy_tails_throw_farther() -> None:
 def test_another_physics_may_carry_the_particles() -> None:
     """Where nothing is ever moved, only the distances tell."""
 
-    def still(poses: Tensor, path: Tensor, pusher: Pusher, *rest: object, **options: object) -> Carried:
+    def still(poses: Tensor, path: Tensor, pusher: Pusher, *rest: object, **options: object) -> PathOutcome:
         count, parts = len(poses), path.shape[1] - 1
-        return Carried(poses[:, None].expand(count, parts, 3).clone(), torch.full((count, parts), 1.0, **DOUBLE))
+        return PathOutcome(poses[:, None].expand(count, parts, 3).clone(), torch.full((count, parts), 1.0, **DOUBLE))
 
     own = follow()
-    frozen = TouchFilter(own.outline, own.centre, own.pusher, own.model, own.prior, own.settings, still)
+    frozen = TrajectoryFilter(own.outline, own.centre, own.pusher, own.model, own.prior, own.settings, still)
     random = torch.Generator().manual_seed(3)
     belief = frozen.initial(1, 10, generator=random)
     after, _ = frozen.step(belief, [HISTORY[1]], generator=random, resample=False)
@@ -293,7 +292,7 @@ def test_another_physics_may_carry_the_particles() -> None:
 @pytest.mark.parametrize("rule", ["newcomers", "importance", "none"])
 def test_other_rules_take_in_a_tool_that_could_not_come_down(rule: str) -> None:
     place = torch.tensor([[0.04, 0.0, 0.0]], **DOUBLE)
-    own, random = follow(ReplaySettings(resampling=rule, trigger=1.0)), torch.Generator().manual_seed(3)  # type: ignore[arg-type]
+    own, random = follow(TrajectorySettings(resampling=rule, trigger=1.0)), torch.Generator().manual_seed(3)  # type: ignore[arg-type]
     history = [TouchAction(place, torch.zeros(0, dtype=torch.bool), True)]
     belief, _ = own.step(own.initial(1, 500, generator=random), history, generator=random)
     mean = float((belief.log_weights[0].exp() * belief.pose[0, :, 0]).sum())

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from rumi.belief.state_space import PlaneSpace, PoseSpace
-from rumi.belief.static_filter import StaticFilter, StaticSettings
+from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings
 from rumi.errors import DegenerateBeliefError
 from sdf import se3
 from sdf import skipped_work as savings
@@ -63,7 +63,7 @@ def test_it_is_the_posterior_of_a_gaussian():
     generator = torch.Generator().manual_seed(1)
     truth, noise, prior = torch.tensor([0.12, -0.07], dtype=F64), 0.01, 0.1
     readings = truth + noise * torch.randn(12, 2, generator=generator, dtype=F64)
-    follow = StaticFilter(PlaneSpace(None), lambda s: -0.5 * (s / prior).square().sum(-1))
+    follow = ResampleMoveFilter(PlaneSpace(None), lambda s: -0.5 * (s / prior).square().sum(-1))
     belief = follow.start(prior * torch.randn(2000, 2, generator=generator, dtype=F64))
     resampled = 0
     for k in range(len(readings)):
@@ -103,12 +103,12 @@ def test_moves_leave_a_distribution_as_it_is(space):
     def spread(states):
         return space.difference(states, centre.expand_as(states)).square().mean(0).sqrt()
 
-    follow = StaticFilter(space, log_prior, StaticSettings(moves=30))
+    follow = ResampleMoveFilter(space, log_prior, ResampleMoveSettings(moves=30))
     # too wide at first: moves must bring it in
     steps = 2.0 * widths * torch.randn(1000, space.dims, generator=generator, dtype=F64)
     belief = follow.start(space.stepped(centre.expand(1000, *centre.shape[1:]), steps))
     for _ in range(3):
-        belief, _ = follow.moved(belief, None, ess=0.0, generator=generator)
+        belief, _ = follow.move(belief, None, ess=0.0, generator=generator)
     assert torch.allclose(spread(belief.states), widths, rtol=0.15)
 
 
@@ -117,11 +117,11 @@ def test_nothing_is_predicted_unless_asked_for():
     states = drawn(PlaneSpace(), 30, generator)
     reading = Gauss(torch.zeros(1, 2, dtype=F64), 10.0)
     with savings.account() as account:
-        still = StaticFilter(PlaneSpace(), flat)
+        still = ResampleMoveFilter(PlaneSpace(), flat)
         belief, info = still.update(still.start(states), reading, reading, generator=generator)
         assert torch.equal(belief.states, states) and not info.resampled
     assert account.skipped() == {"predictions": 1.0}
-    noisy = StaticFilter(PlaneSpace(), flat, StaticSettings(noise=(0.1, 0.1, 0.2)))
+    noisy = ResampleMoveFilter(PlaneSpace(), flat, ResampleMoveSettings(noise=(0.1, 0.1, 0.2)))
     with savings.account() as account:
         belief, _ = noisy.update(noisy.start(states), reading, reading, generator=generator)
     apart = PlaneSpace().difference(belief.states, states)
@@ -140,7 +140,7 @@ def test_with_noise_the_prior_goes_on_to_count_once():
     def square(states):
         return torch.where((states.abs() <= 0.5).all(-1), 0.0, -math.inf).to(states)
 
-    follow = StaticFilter(PlaneSpace(None), square, StaticSettings(noise=(0.2, 0.2)))
+    follow = ResampleMoveFilter(PlaneSpace(None), square, ResampleMoveSettings(noise=(0.2, 0.2)))
     belief = follow.start(torch.rand(500, 2, generator=generator, dtype=F64) - 0.5)
     for _ in range(5):
         belief, _ = follow.update(belief, Nothing(), Nothing(), generator=generator)
@@ -149,8 +149,10 @@ def test_with_noise_the_prior_goes_on_to_count_once():
         assert torch.equal(belief.log_target, square(belief.states))
         assert float(belief.log_weights.exp().sum()) == pytest.approx(1.0)
     centre, wide = 0.1, 0.3
-    gauss = StaticFilter(
-        PlaneSpace(None), lambda s: -0.5 * ((s - centre) / wide).square().sum(-1), StaticSettings(noise=(0.1, 0.1))
+    gauss = ResampleMoveFilter(
+        PlaneSpace(None),
+        lambda s: -0.5 * ((s - centre) / wide).square().sum(-1),
+        ResampleMoveSettings(noise=(0.1, 0.1)),
     )
     belief = gauss.start(centre + wide * torch.randn(4000, 2, generator=generator, dtype=F64))
     for _ in range(10):
@@ -175,11 +177,11 @@ def test_one_particle_moves_as_often_as_others():
         asked.append(len(states))
         return flat(states)
 
-    follow = StaticFilter(PlaneSpace(None), log_prior, StaticSettings(moves=6))
+    follow = ResampleMoveFilter(PlaneSpace(None), log_prior, ResampleMoveSettings(moves=6))
     for count in (1, 2, 3):
         belief = follow.start(torch.zeros(count, 2, dtype=F64))
         asked.clear()
-        moved, info = follow.moved(belief, None, ess=1.0, generator=generator)
+        moved, info = follow.move(belief, None, ess=1.0, generator=generator)
         assert sum(asked) == 6 * count and info.accepted == 1.0
         assert not bool((moved.states == 0).any())
 
@@ -200,7 +202,7 @@ def test_a_mesh_in_six_dimensions_is_found():
     start = truth @ se3.exp(
         0.2 * torch.randn(600, 6, generator=generator, dtype=F64) * torch.tensor([0.1] * 3 + [1.0] * 3)
     )
-    follow = StaticFilter(space, flat)
+    follow = ResampleMoveFilter(space, flat)
     belief = follow.start(start)
     noise = TouchNoise(0.001, math.radians(2.0))
 
@@ -223,7 +225,7 @@ def test_a_reading_that_nothing_explains():
         def log_likelihood(self, states):
             return torch.full((len(states),), -math.inf, dtype=F64)
 
-    follow = StaticFilter(PlaneSpace(), flat)
+    follow = ResampleMoveFilter(PlaneSpace(), flat)
     belief = follow.start(torch.zeros(5, 3, dtype=F64))
     with pytest.raises(DegenerateBeliefError, match="No particle"):
         follow.update(belief, Impossible(), Impossible(), generator=torch.Generator().manual_seed(0))
@@ -234,4 +236,4 @@ def test_a_reading_that_nothing_explains():
 @pytest.mark.parametrize("change", [{"trigger": 2.0}, {"crossed": -1.0}, {"moves": -1}, {"jitter_m": (0.0, 1.0)}])
 def test_settings_that_cannot_be(change):
     with pytest.raises(ValueError, match="Expected"):
-        StaticSettings(**change)
+        ResampleMoveSettings(**change)

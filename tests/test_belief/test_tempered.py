@@ -6,12 +6,11 @@ import pytest
 import torch
 
 from rumi.belief.state_space import PlaneSpace
-from rumi.belief.static_filter import StaticFilter, StaticSettings
-from rumi.belief.tempered import Tempered, update_tempered
+from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings, TemperedEvidence
 from rumi.errors import DegenerateBeliefError
 
 F64 = torch.float64
-FOLLOW = StaticFilter(PlaneSpace(None), lambda states: torch.zeros(len(states), dtype=F64))
+FOLLOW = ResampleMoveFilter(PlaneSpace(None), lambda states: torch.zeros(len(states), dtype=F64))
 
 
 @dataclass
@@ -40,11 +39,11 @@ def start(seed, follow=FOLLOW):
 def test_both_modes_live_on():
     noise = 1e-4
     told = TwoPlaces(noise)
-    follow = StaticFilter(PlaneSpace(None), FOLLOW.log_prior, StaticSettings(jitter_m=(3e-5, 0.05)))
+    follow = ResampleMoveFilter(PlaneSpace(None), FOLLOW.log_prior, ResampleMoveSettings(jitter_m=(3e-5, 0.05)))
     lost = 0
     for seed in range(5):
         belief, generator = start(seed, follow)
-        after = update_tempered(follow, belief, told, told, generator=generator)
+        after = follow.update_tempered(belief, told, told, generator=generator)
         weights, left = after.log_weights.exp(), after.states[:, 0] < 0
         assert 0.3 < float(weights[left].sum()) < 0.7
         # each of the two as wide as the noise says
@@ -62,7 +61,7 @@ def test_what_is_not_sharp_goes_in_at_once():
     told = TwoPlaces(0.5)
     belief, generator = start(0)
     before = generator.get_state()
-    after = update_tempered(FOLLOW, belief, told, told, generator=generator)
+    after = FOLLOW.update_tempered(belief, told, told, generator=generator)
     plain, _ = FOLLOW.update(belief, told, told, generator=generator)
     assert torch.equal(generator.get_state(), before)
     assert torch.equal(after.states, plain.states) and torch.allclose(after.log_weights, plain.log_weights)
@@ -78,11 +77,11 @@ def test_a_power_of_the_new_evidence_alone():
     states = start(0)[0].states
     for power in (0.0, 0.3, 1.0):
         expected = old.log_likelihood(states) + power * new.log_likelihood(states)
-        assert torch.allclose(Tempered(Both(), new, power).log_likelihood(states), expected)
-    assert bool((Tempered(Nowhere(), Nowhere(), 0.5).log_likelihood(states) == -torch.inf).all())
+        assert torch.allclose(TemperedEvidence(Both(), new, power).log_likelihood(states), expected)
+    assert bool((TemperedEvidence(Nowhere(), Nowhere(), 0.5).log_likelihood(states) == -torch.inf).all())
 
 
 def test_what_no_particle_explains_is_refused():
     belief, generator = start(0)
     with pytest.raises(DegenerateBeliefError, match="No particle explains"):
-        update_tempered(FOLLOW, belief, Nowhere(), Nowhere(), generator=generator)
+        FOLLOW.update_tempered(belief, Nowhere(), Nowhere(), generator=generator)

@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from rumi.belief.particles import PoseBelief
-from rumi.belief.thinning import thinned
+from rumi.belief.particles import PoseBelief, subsample
 from sdf import se3
 
 
@@ -17,7 +16,7 @@ def belief(count: int = 100, spread: float = 1.0) -> PoseBelief:
 
 def test_keeps_the_means() -> None:
     whole = belief(2000)
-    fewer = thinned(whole, 200)
+    fewer = subsample(whole, 200)
     assert len(fewer.log_weights) <= 200
     for mean in (lambda b: (b.weights[:, None] * b.world_T_object[:, :3, 3]).sum(0),):
         torch.testing.assert_close(mean(fewer), mean(whole), atol=0.1, rtol=0)
@@ -26,7 +25,7 @@ def test_keeps_the_means() -> None:
 
 def test_heavy_particles_stay_heavy() -> None:
     whole = belief(10).reweighted(torch.tensor([0.0] * 9 + [3.0], dtype=torch.float64))
-    fewer = thinned(whole, 5)
+    fewer = subsample(whole, 5)
     heaviest = fewer.world_T_object[fewer.weights.argmax()]
     torch.testing.assert_close(heaviest, whole.world_T_object[9])
     # three of the five teeth fall on a share of e^3 / (9 + e^3)
@@ -35,7 +34,7 @@ def test_heavy_particles_stay_heavy() -> None:
 
 def test_nothing_to_do() -> None:
     whole = belief(7)
-    assert thinned(whole, 7) is whole
-    assert len(thinned(whole, 1).log_weights) == 1
+    assert subsample(whole, 7) is whole
+    assert len(subsample(whole, 1).log_weights) == 1
     with pytest.raises(ValueError, match="count"):
-        thinned(whole, 0)
+        subsample(whole, 0)

@@ -5,8 +5,14 @@ import math
 import pytest
 import torch
 
-from rumi.information.contact_gain import Outcomes, noisy, rectangle_likelihood, touch_gain
-from rumi.information.expected_divergence import with_kinds, with_misses
+from rumi.information.contact_gain import (
+    Outcomes,
+    noisy,
+    rectangle_likelihood,
+    touch_gain,
+    with_kinds,
+    with_misses,
+)
 from sdf import se3
 from sdf.sweep import sweep_rectangle
 from sensors.touch.touch_likelihood import TouchNoise

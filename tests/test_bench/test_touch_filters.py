@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi.belief.touch_belief import TouchBelief
+from rumi.belief.trajectory_belief import TrajectoryBelief
 from rumi.seeding import split
 from scripts.bench.touch_filters import PushSetup, compare, score, truth_of, wide
 
@@ -21,7 +21,7 @@ def test_scores_are_what_they_say() -> None:
     pose = torch.tensor([[[0.01, 0.0, 0.1], [0.0, 0.03, -0.2], [0.3, 0.4, 3.0]]], dtype=torch.float64)
     weights = torch.tensor([[0.6, 0.4 - 5e-5, 5e-5]], dtype=torch.float64)
     flat = torch.zeros(1, 3, dtype=torch.float64)
-    belief = TouchBelief(pose, flat, flat, (), pose, weights.log(), flat)
+    belief = TrajectoryBelief(pose, flat, flat, (), pose, weights.log(), flat)
     found = score(belief, torch.zeros(1, 3, dtype=torch.float64), top=2)
     assert float(found.top_m) == pytest.approx(0.02)
     assert float(found.top_rad) == pytest.approx(0.15)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rumi.belief.particles import PoseBelief
-from rumi.information.stop_rule import StopEvidence, StopSettings, converged
+from rumi.information.stopping import StopEvidence, StopSettings, converged
 from rumi.metrics import likelihood
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error

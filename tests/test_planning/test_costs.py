@@ -10,9 +10,8 @@ from torch import Tensor
 from rumi.dynamics.base import Paths, PushRollouts
 from rumi.fields.workspace import Workspace
 from rumi.planning.costs import InformationCost, information_cost
-from rumi.planning.objective import TrajectoryCost
+from rumi.planning.objective import TrajectoryCost, gathered_by_action
 from rumi.planning.reach_cost import ReachabilityCost, cross_correlation
-from rumi.planning.worth import gathered_by_action
 from sdf import se3
 from sdf.voxel_grid import VoxelGrid
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.information.stop_rule import StopSettings
+from rumi.information.stopping import StopSettings
 from rumi.planning.registry import POLICIES
 from rumi.runs.json_settings import setting_names
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict

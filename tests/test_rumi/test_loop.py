@@ -8,9 +8,9 @@ from rumi import loop
 from rumi.belief.initialise import InitialiseSettings
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.reinitialise import RenewalSettings
+from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.fields.workspace import Workspace
-from rumi.information.stop_rule import StopSettings
+from rumi.information.stopping import StopSettings
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.records import StepRecord
 from rumi.registration.descent import DescentSettings
@@ -50,12 +50,12 @@ def test_a_step_after_which_poses_were_drawn_anew_keeps_all_its_seconds() -> Non
     task = LogTask(taken)
     rummager = Rummager(
         box,
-        PoseFilter(Discrepancy(box.sdf, box.radius), "SE(3)", FilterSettings(descent=QUICK), prior),
+        PoseFilter(FilterSettings(descent=QUICK), [Discrepancy(box.sdf, box.radius)], "SE(3)", prior),
         RummagingPolicy(torch.ones(0)),
         Workspace.from_bounds(BOUNDS, 0.05, planar_height=0.02),
         Tool(BOUNDS[:, :2]),
         initialise=InitialiseSettings(particles=20),
-        renewal=RenewalSettings(starts=50, polished=10, coarse=QUICK, fine=QUICK),
+        renewal=ReinitialiseSettings(starts=50, polished=10, coarse=QUICK, fine=QUICK),
         stop_rule=StopSettings(expected_nll=1e6, fit=1e6),
         agreement_points=10,
     )

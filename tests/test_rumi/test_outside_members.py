@@ -34,7 +34,7 @@ def test_a_task_a_policy_and_a_stop_rule_carry_out_a_run(tmp_path):
 def test_members_are_listed_beside_rumis_own(tmp_path):
     code = (
         "from rumi.tasks.registry import TASKS; from rumi.tasks.rummage.objects import OBJECTS;"
-        "from rumi.planning.registry import POLICIES; from rumi.information.stop_rule import STOP_RULES;"
+        "from rumi.planning.registry import POLICIES; from rumi.information.stopping import STOP_RULES;"
         "print([list(t)[-1] for t in (TASKS, OBJECTS, POLICIES, STOP_RULES)], OBJECTS['can']().name)"
     )
     done = python("-c", code, cwd=tmp_path)

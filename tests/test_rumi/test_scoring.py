@@ -25,7 +25,7 @@ def rummager() -> Rummager:
     discrepancy = Discrepancy(model.sdf, model.radius)
     policy = RummagingPolicy(torch.ones(len(workspace.points)))
     return Rummager(
-        model, PoseFilter(discrepancy, "SE(2)", FilterSettings()), policy, workspace, tool, agreement_points=50
+        model, PoseFilter(FilterSettings(), [discrepancy], "SE(2)"), policy, workspace, tool, agreement_points=50
     )
 
 

@@ -10,8 +10,7 @@ pytest.importorskip("cv2")
 
 from rumi.commands.run import parse
 from rumi.errors import UsageError
-from rumi.robot.gripper import GripperShape
-from rumi.robot.gripper_body import Ellipsoid, gripper_links
+from rumi.robot.gripper import Ellipsoid, GripperShape, gripper_links
 from rumi.sim.bubble_camera import BubbleCamera
 from rumi.sim.sensor_settings import SensorSettings, degraded
 from rumi.sim.settings import SimSettings

@@ -103,7 +103,7 @@ def test_registration(generator):
 
 def test_a_belief(generator):
     poses, points = scene(generator)
-    follower = PoseFilter(Discrepancy(TABLE, 0.1, free_scale=20.0), "SE(3)", FilterSettings(motion="measured"))
+    follower = PoseFilter(FilterSettings(motion="measured"), [Discrepancy(TABLE, 0.1, free_scale=20.0)], "SE(3)")
 
     def step(poses, points):
         reading = Reading(

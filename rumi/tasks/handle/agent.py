@@ -12,12 +12,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.agent import StopReason
-from rumi.belief.contact_evidence import Feeling
+from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel
 from rumi.belief.initialise import initialise, view_starts
-from rumi.belief.particles import PoseBelief, boltzmann
-from rumi.belief.reinitialise import challenge
+from rumi.belief.particles import PoseBelief
+from rumi.belief.reinitialise import verify
 from rumi.clock import Clock
 from rumi.errors import UsageError
+from rumi.planning.policy import PlanRequest
 from rumi.records import RunResult
 from rumi.robot.tool import Tool
 from rumi.seeding import split
@@ -30,8 +31,10 @@ from rumi.tasks.rummage.agent import Rummager, RummageState, evaluate_step, firs
 from rumi.tasks.rummage.build import build_rummager
 from rumi.tasks.rummage.scenes import make_tool
 from rumi.tasks.rummage.settings import preset
+from rumi.weights import boltzmann
 from sdf.object_model import ObjectModel
-from sensors.contact_reading import FeltReading
+from sensors.contact_reading import ContactReading
+from sensors.evidence import EvidenceSet
 from sensors.observation import Observation
 from sensors.semantics import Semantics
 
@@ -80,14 +83,12 @@ class HandleAgent:
 
     Attributes:
         settings: of the run.
-        rummager: whose filter counts what is felt, and which plans.
-        feeling: that makes evidence of it.
+        rummager: whose filter counts the evidence of contact, and which plans.
         table: chance that a grasp lifts the mug, by how far off the mug is; None to grasp nothing.
     """
 
     settings: FusedSettings
     rummager: Rummager
-    feeling: Feeling
     table: HandleTable | None = None
 
     def begin(self, result: StepResult, *, seed: int, clock: Clock) -> HandleState:
@@ -97,7 +98,7 @@ class HandleAgent:
         with clock("belief"):
             belief, memory = first_belief(self.rummager, result.reading, generator=random["initialise"])
             belief = _seen(self.rummager, belief, memory, generator=random["initialise"])
-            belief = replace(belief, felt=self.feeling.nothing())
+            belief = replace(belief, evidence=EvidenceSet())
         spent_s = self._thought(began)
         record = evaluate_step(self.rummager, clock, (), result, belief, memory)
         return HandleState(record, (record,), memory, random, clock, spent_s=spent_s)
@@ -114,7 +115,7 @@ class HandleAgent:
         """Plan anew, and do the first part of it."""
         began, belief = time.perf_counter(), state.record.belief
         with state.clock("plan"):
-            plan = self.rummager.policy.act(
+            request = PlanRequest(
                 belief,
                 self.rummager.scene(state),
                 state.plan,
@@ -122,6 +123,7 @@ class HandleAgent:
                 budget_s=None if self.settings.thinking_s is not None else self._left_s(state),
                 generator=state.random["plan"],
             )
+            plan = self.rummager.policy.act(request)
         spent_s = state.spent_s + (_MOTION_S + self._thought(began))
         return replace(state, plan=plan, spent_s=spent_s), plan.controls[0]
 
@@ -133,7 +135,7 @@ class HandleAgent:
         """
         began = time.perf_counter()
         rummager, settings, reading, last = self.rummager, self.settings, result.reading, state.record
-        if not isinstance(reading, FeltReading) or reading.object_motion is None:
+        if not isinstance(reading, ContactReading) or reading.object_motion is None:
             raise UsageError(
                 f"Expected readings of a fused run, with the object's motion, got a {type(reading).__name__}"
             )
@@ -142,13 +144,13 @@ class HandleAgent:
             belief, memory, info = rummager.filter(last.belief, state.memory, reading, generator=state.random["filter"])
             located = last.contacts >= settings.renewals and bool(memory.of_class(Semantics.SURFACE).any())
             if bool(reading.in_contact.any()) and not located:
-                belief = challenge(rummager.filter, belief, memory, renewal, generator=generator)
+                belief = verify(rummager.filter, belief, memory, renewal, generator=generator)
         done = (control, state.plan, bool(info.resampled))
         record = evaluate_step(rummager, clock, state.history, result, belief, info.added, *done)
         if record.converged:
             clock.put_back(record.timings_s)
             with clock("belief"):
-                belief = challenge(rummager.filter, belief, memory, renewal, generator=generator)
+                belief = verify(rummager.filter, belief, memory, renewal, generator=generator)
             record = evaluate_step(rummager, clock, state.history, result, belief, info.added, *done)
         # where it is stated, it is part of the decision's time
         updating_s = self._thought(began) if settings.thinking_s is None else 0.0
@@ -211,9 +213,11 @@ def build_agent(
     contacts = 0 if settings.sensors == ("camera",) else settings.contacts
     stop = replace(plain.stop, fit_a_contact=settings.fit_a_contact, contacts=contacts)
     wrist, surface = settings.wrist, tool.shape.surface(settings.signals.spacing_m).float()
-    feeling = Feeling(model.sdf, surface, wrist.point_m, wrist.normal_rad, wrist.outlier, settings.signals)
-    rummager = replace(rummager, filter=rummager.filter.feeling(feeling), stop_rule=stop)
-    return HandleAgent(settings, rummager, feeling, table)
+    pose_filter = rummager.filter.with_evidence(
+        ContactPointModel(model.sdf, wrist.point_m, wrist.normal_rad, wrist.outlier),
+        ContactSignalModel(model.sdf, surface, settings.signals),
+    )
+    return HandleAgent(settings, replace(rummager, filter=pose_filter, stop_rule=stop), table)
 
 
 def total_nll(nll: Sequence[float], steps: int) -> float:

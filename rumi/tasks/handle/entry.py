@@ -18,7 +18,7 @@ from rumi.tasks.handle.simulated import FusedTask
 from rumi.tasks.registry import Role, check_preset, check_seed
 from rumi.tasks.rummage.entry import describe, ending
 from rumi.tasks.rummage.settings import PRESETS
-from sensors.contact_reading import FeltReading
+from sensors.contact_reading import ContactReading
 
 COUNTED = (
     *("seed", "preset", "renewals", "fit_a_contact", "contacts", "steps", "signals", "spread_m"),
@@ -46,7 +46,7 @@ class HandleRunSettings:
 class _Handle:
     description = "a mug seen once, then felt by bubbles, wrench and joint torques, and lifted by its handle"
     settings = HandleRunSettings
-    readings = FeltReading
+    readings = ContactReading
     presets = ("fast", *(name for name in PRESETS if name != "fast"))
 
     def preset(self, name: str) -> HandleRunSettings:

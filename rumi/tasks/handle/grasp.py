@@ -1,7 +1,5 @@
 """Where to grasp the mug: the place at which the handle is lifted at the greatest share of the belief."""
 
-import hashlib
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -13,7 +11,8 @@ from torch import Tensor
 from rumi.dynamics.sliding import rotated
 from rumi.tasks.handle.gripper import HandleGripper, grasp_xml
 from sdf import se3
-from sdf.cache import keep_arrays, load_arrays
+from sdf.cache import content_key, keep_arrays, load_arrays
+from sdf.so3 import wrap
 
 _NODES = (9, 6, 13)  # along, aside, turned
 _ENDS = (0.032, 0.040, 0.9)  # metres, metres, radians
@@ -38,7 +37,7 @@ class HandleTable:
     def __call__(self, taken: Float[Tensor, "*#b 3"], true: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b"]:
         """Chance of lifting mugs at (x, y, yaw) by grasps that take them to stand elsewhere."""
         apart = rotated(true[..., :2] - taken[..., :2], -taken[..., 2])
-        yaw = torch.remainder(true[..., 2] - taken[..., 2] + math.pi, 2.0 * math.pi) - math.pi
+        yaw = wrap(true[..., 2] - taken[..., 2])
         along, aside = apart.unbind(-1)
         sign = torch.where(aside < 0, -1.0, 1.0).to(yaw)
         place = torch.stack((along, aside.abs(), sign * yaw), -1)
@@ -65,8 +64,8 @@ def handle_table(gripper: HandleGripper, *, cache_dir: Path | None = None) -> Ha
         cache_dir: folder that keeps the table; None simulates it each time (half a minute).
     """
     text = grasp_xml(gripper.shape, gripper.body, gripper.physics, gripper.settings)
-    key = hashlib.sha256(repr((text, _NODES, _ENDS)).encode() + gripper.controls(torch.zeros(3)).tobytes())
-    path = None if cache_dir is None else cache_dir / f"handle-{key.hexdigest()[:16]}.npz"
+    key = content_key(repr((text, _NODES, _ENDS)), gripper.controls(torch.zeros(3)).tobytes())
+    path = None if cache_dir is None else cache_dir / f"handle-{key}.npz"
     kept = None if path is None else load_arrays(path, ("odds",))
     if kept is not None and kept["odds"].shape == _NODES:
         return HandleTable(torch.from_numpy(kept["odds"]))

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.agent import Parts, StopReason
-from rumi.belief.static_filter import StaticBelief, StaticFilter
+from rumi.belief.static_filter import ResampleMoveFilter, StaticBelief
 from rumi.clock import Clock, SimulatedClock
 from rumi.information.contact_gain import NOTHING, TOUCH
 from rumi.information.stopping import Aim
@@ -61,7 +61,7 @@ class PegAgent:
     settings: PegSettings
 
     @cached_property
-    def _filter(self) -> StaticFilter:
+    def _filter(self) -> ResampleMoveFilter:
         return block_filter(self.settings)
 
     def begin(self, result: StepResult, *, seed: int, clock: Clock) -> PegState:

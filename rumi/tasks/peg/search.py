@@ -8,8 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.state_space import PlaneSpace
-from rumi.belief.static_filter import StaticBelief, StaticFilter, StaticSettings
-from rumi.belief.tempered import Tempered, update_tempered
+from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings, StaticBelief, TemperedEvidence
 from rumi.information.contact_gain import NOTHING
 from rumi.resampling import resample_systematic
 from rumi.tasks.peg.cell import Felt
@@ -55,7 +54,7 @@ def lanes(settings: PegSettings) -> Float[Tensor, "K 2"]:
     return torch.tensor(corners, dtype=torch.float64)
 
 
-def table_prior(settings: PegSettings) -> StaticFilter:
+def table_prior(settings: PegSettings) -> ResampleMoveFilter:
     """The filter of the first stage: anywhere on the table's part, as likely."""
     size = torch.tensor(settings.table_m, dtype=torch.float64)
 
@@ -63,7 +62,7 @@ def table_prior(settings: PegSettings) -> StaticFilter:
         on = (places.abs() <= 0.5 * size).all(-1)
         return torch.where(on, 0.0, -torch.inf).to(places)
 
-    return StaticFilter(PlaneSpace(None), log_prior, StaticSettings(jitter_m=(1e-3, 0.1)))
+    return ResampleMoveFilter(PlaneSpace(None), log_prior, ResampleMoveSettings(jitter_m=(1e-3, 0.1)))
 
 
 def start(settings: PegSettings, *, generator: torch.Generator) -> Found:
@@ -105,7 +104,12 @@ def free_ways(felt: Felt, settings: PegSettings) -> list[tuple[Tensor, Tensor]]:
 
 
 def joined(
-    found: Found, follow: StaticFilter, every: RectangleTouches, settings: PegSettings, *, generator: torch.Generator
+    found: Found,
+    follow: ResampleMoveFilter,
+    every: RectangleTouches,
+    settings: PegSettings,
+    *,
+    generator: torch.Generator,
 ) -> StaticBelief:
     """The second stage's belief: the first's places with every yaw, weighed by what a rectangle would have felt.
 
@@ -131,16 +135,8 @@ def joined(
     poses = poses[keep]
     first = found.circle.log_likelihood(places)[:, None].expand(-1, _YAWS).reshape(-1)[keep]
     log = power * every.log_likelihood(poses) - first
-    picked = _thinned(log, settings.particles, generator)
-    partly = Tempered(every, every, power) if power < 1.0 else every
+    picked = resample_systematic(log, settings.particles, generator=generator)
+    partly = TemperedEvidence(every, every, power) if power < 1.0 else every
     belief = follow.start(poses[picked], evidence=partly)
-    belief, _ = follow.moved(belief, partly, ess=float(len(poses)), generator=generator)
-    return update_tempered(follow, belief, every, every, power=power, generator=generator)
-
-
-def _thinned(log_weights: Float[Tensor, "N"], count: int, generator: torch.Generator) -> Tensor:
-    """Indices of `count` of them by weight."""
-    weights = log_weights.softmax(-1).cumsum(-1)
-    offset = torch.rand((), generator=generator, dtype=torch.float64)
-    comb = (torch.arange(count, dtype=torch.float64) + offset) / count * weights[-1]
-    return torch.searchsorted(weights, comb, right=True).clamp_max(len(weights) - 1)
+    belief, _ = follow.move(belief, partly, ess=float(len(poses)), generator=generator)
+    return follow.update_tempered(belief, every, every, power=power, generator=generator)

@@ -11,15 +11,14 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.belief.state_space import PlaneSpace
-from rumi.belief.static_filter import StaticBelief, StaticFilter, StaticSettings
-from rumi.belief.tempered import update_tempered
+from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings, StaticBelief
 from rumi.clock import Now, SimulatedClock
 from rumi.information.contact_gain import NOTHING, TOUCH, rectangle_likelihood, touch_gain
 from rumi.information.entropy import NeighbourEntropy
 from rumi.information.neighbours import StateMetric
 from rumi.information.stopping import Aim, CovarianceRule, EntropyRule, MassRule
 from rumi.planning.anytime import Candidate, Selection, in_descending_posterior, select
-from rumi.planning.evaluation_time import EvaluationTime
+from rumi.planning.duration_model import DurationModel
 from rumi.resampling import resample_systematic
 from rumi.robot.motion_time import path_time
 from rumi.tasks.peg.cell import Felt
@@ -35,7 +34,7 @@ _FIRST_S = 0.05
 _REMEMBERED = 500
 
 
-def block_filter(settings: PegSettings) -> StaticFilter:
+def block_filter(settings: PegSettings) -> ResampleMoveFilter:
     """The filter of the second stage: the block's middle on the table's part, and any yaw."""
     size = torch.tensor(settings.table_m, dtype=torch.float64)
 
@@ -45,14 +44,14 @@ def block_filter(settings: PegSettings) -> StaticFilter:
 
     space = PlaneSpace(0.5 * settings.length_m)
     if settings.power == 1.0:
-        return StaticFilter(space, log_prior)
+        return ResampleMoveFilter(space, log_prior)
     lever = 0.5 * settings.length_m
     least = 0.3 * min(settings.point_m, lever * settings.noise.normal_rad)
-    return StaticFilter(space, log_prior, StaticSettings(jitter_m=(min(least, 3e-4), 0.05)))
+    return ResampleMoveFilter(space, log_prior, ResampleMoveSettings(jitter_m=(min(least, 3e-4), 0.05)))
 
 
 def updated(
-    follow: StaticFilter,
+    follow: ResampleMoveFilter,
     belief: StaticBelief,
     new: RectangleTouches,
     every: RectangleTouches,
@@ -62,7 +61,7 @@ def updated(
 ) -> StaticBelief:
     """The belief after a reading; one more exact than particles are apart is let in little by little."""
     if settings.power < 1.0:
-        return update_tempered(follow, belief, new, every, generator=generator)
+        return follow.update_tempered(belief, new, every, generator=generator)
     return follow.update(belief, new, every, generator=generator)[0]
 
 
@@ -194,13 +193,13 @@ class Chooser:
 
         return timed
 
-    def _evaluation(self) -> EvaluationTime:
+    def _evaluation(self) -> DurationModel:
         if self.settings.evaluation_s is not None:
-            return EvaluationTime.known(self.settings.evaluation_s)
+            return DurationModel.known(self.settings.evaluation_s)
         if not self.measured:
-            return EvaluationTime.known(_FIRST_S)
+            return DurationModel.known(_FIRST_S)
         work, seconds = zip(*self.measured, strict=True)
-        return EvaluationTime.fit(work, seconds)
+        return DurationModel.fit(work, seconds)
 
 
 class _Watch:
@@ -238,9 +237,9 @@ class _Timed:
         return candidate
 
 
-def _bound_of(making: list[float]) -> EvaluationTime | None:
+def _bound_of(making: list[float]) -> DurationModel | None:
     """How long the next candidate takes to make, as far as earlier ones tell; None where they are made in no time."""
-    return EvaluationTime.fit([1.0] * len(making), making) if making else None
+    return DurationModel.fit([1.0] * len(making), making) if making else None
 
 
 def sides_touched(pose: Float[Tensor, "3"], every: RectangleTouches) -> int:
@@ -264,7 +263,7 @@ def confirmed(
     index = resample_systematic(belief.log_weights, generator=generator)
     even = torch.zeros_like(belief.log_weights).log_softmax(-1)
     fresh = StaticBelief(belief.states[index], even, belief.log_target[index])
-    fresh, _ = block_filter(settings).moved(fresh, every, ess=belief.ess, generator=generator)
+    fresh, _ = block_filter(settings).move(fresh, every, ess=belief.ess, generator=generator)
     return fresh, aim._replace(probability=probability_of(aim.points, fresh, settings))
 
 

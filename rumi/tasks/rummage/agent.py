@@ -11,13 +11,13 @@ from rumi.agent import StopReason
 from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
-from rumi.belief.reinitialise import RenewalSettings, challenge, prior_belief, redraw
+from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw, verify
 from rumi.clock import Clock
 from rumi.fields.workspace import Workspace
-from rumi.information.stop_rule import StopEvidence, StopSettings, converged
+from rumi.information.stopping import StopEvidence, StopSettings, converged
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
-from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.records import RunResult, StepRecord
 from rumi.robot.tool import Tool
 from rumi.seeding import split
@@ -79,7 +79,7 @@ class Rummager:
     workspace: Workspace
     tool: Tool
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
-    renewal: RenewalSettings = field(default_factory=RenewalSettings)
+    renewal: ReinitialiseSettings = field(default_factory=ReinitialiseSettings)
     stop_rule: StopSettings = field(default_factory=StopSettings)
     height_m: float = 0.0
     replan_every: int = 1
@@ -112,10 +112,12 @@ class Rummager:
             belief, scene, random = state.record.belief, self.scene(state), state.random
             if self.budget_s is not None and plan is None:
                 with state.clock("warm_up"):
-                    self.policy.act(belief, scene, None, executed=0, budget_s=0.0, generator=random["warm_up"])
+                    self.policy.act(PlanRequest(belief, scene, budget_s=0.0, generator=random["warm_up"]))
             with state.clock("plan"):
                 plan = self.policy.act(
-                    belief, scene, plan, executed=executed, budget_s=self.budget_s, generator=random["plan"]
+                    PlanRequest(
+                        belief, scene, plan, executed=executed, budget_s=self.budget_s, generator=random["plan"]
+                    )
                 )
             executed = 0
         return replace(state, plan=plan, executed=executed), plan.controls[executed]
@@ -135,7 +137,7 @@ class Rummager:
         if record.converged and unseen and self.renewal.challenge:
             clock.put_back(record.timings_s)
             with clock("belief"):
-                belief = challenge(self.filter, belief, memory, self.renewal, generator=random["renewal"])
+                belief = verify(self.filter, belief, memory, self.renewal, generator=random["renewal"])
             record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
         return replace(
             state,

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from rumi.errors import UsageError
-from rumi.robot.reach import Reach
+from rumi.robot.reach import Reach, SpatialReach
 from rumi.robot.reach_table import ReachSettings
-from rumi.robot.spatial_reach import SpatialReach
 from rumi.robot.tool import Tool
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.tasks.registry import TASKS

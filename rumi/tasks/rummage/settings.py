@@ -9,9 +9,9 @@ import tyro
 
 from rumi.belief.initialise import InitialiseSettings
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.reinitialise import RenewalSettings
+from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.errors import UsageError
-from rumi.information.stop_rule import StopSettings
+from rumi.information.stopping import StopSettings
 from rumi.planning.gpvr import GPVRSettings
 from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingSettings
@@ -64,7 +64,7 @@ class Settings:
     budget_s: Annotated[float | None, tyro.conf.arg(name="plan-budget-s", metavar="SECONDS")] = None
     filter: FilterSettings = field(default_factory=FilterSettings)
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
-    renewal: RenewalSettings = field(default_factory=RenewalSettings)
+    renewal: ReinitialiseSettings = field(default_factory=ReinitialiseSettings)
     planner: RummagingSettings = field(default_factory=RummagingSettings)
     slide: SlideSettings = field(default_factory=SlideSettings)
     gpvr: GPVRSettings = field(default_factory=GPVRSettings)
@@ -174,7 +174,7 @@ def _paper() -> Settings:
             lies_flat=False,
             descent=DescentSettings(method="adam", iterations=10),
         ),
-        renewal=RenewalSettings.never(),
+        renewal=ReinitialiseSettings.never(),
         planner=RummagingSettings.paper(),
         gpvr=GPVRSettings(tolerance=0.0),
         stop=StopSettings(rule="never", apc_ratio=0.03),

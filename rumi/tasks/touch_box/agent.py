@@ -10,12 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.agent import StopReason
-from rumi.belief.planar_prior import PlanarPrior
-from rumi.belief.replay_settings import ReplaySettings
-from rumi.belief.touch_belief import TouchAction, TouchBelief
-from rumi.belief.trajectory_filter import TouchFilter
+from rumi.belief.prior import PlanarPrior
+from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief
+from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
 from rumi.clock import Clock
-from rumi.dynamics.along_path import Carrier, carry
+from rumi.dynamics.along_path import PathPush, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.information.entropy import SharedSupport
 from rumi.information.neighbours import StateMetric, merged
@@ -53,7 +52,7 @@ class TouchState:
 
     record: TouchStep
     history: tuple[TouchStep, ...]
-    belief: TouchBelief
+    belief: TrajectoryBelief
     actions: tuple[TouchAction, ...]
     random: Mapping[str, torch.Generator]
     clock: Clock
@@ -65,7 +64,9 @@ class TouchState:
 class Decide(Protocol):
     """Chooses among pokes."""
 
-    def __call__(self, belief: TouchBelief, *, generator: torch.Generator) -> tuple[Float[Tensor, "C K1 3"], Choice]:
+    def __call__(
+        self, belief: TrajectoryBelief, *, generator: torch.Generator
+    ) -> tuple[Float[Tensor, "C K1 3"], Choice]:
         """Candidates and the choice among them."""
         ...
 
@@ -90,10 +91,10 @@ class Toucher:
         settings: TouchSettings,
         robot: TouchRobot,
         table: GraspTable,
-        carrier: Carrier | None = None,
+        carrier: PathPush | None = None,
     ) -> None:
         self.task, self.settings, self.robot, self.table = task, settings, robot, table
-        self.carrier = carrier or carry
+        self.carrier = carrier or push_along_path
         self.chooser: Decide = self.decide
         rates = getattr(robot, "rates", task.rates)
         model = ContactModel(rates[0], rates[1], settings.decay, tolerance=_BINARY_M)
@@ -103,11 +104,11 @@ class Toucher:
         if settings.weigh_correlated:
             repeats = getattr(robot, "correlation", task.correlation)
             own = replace(own, temper=own.temper * (1.0 - repeats) / (1.0 + repeats))
-        self.filter = TouchFilter(task.outline, centre, robot.pusher, model, task.prior, own, carrier=self.carrier)
+        self.filter = TrajectoryFilter(task.outline, centre, robot.pusher, model, task.prior, own, carrier=self.carrier)
         self.hold = max(1, round(settings.poke.hold_m / task.spacing_m))
         self.support = SharedSupport(StateMetric.planar(0.06), settings.poke.neighbours, floor=1e-4)
 
-    def candidates(self, belief: TouchBelief, *, generator: torch.Generator) -> Float[Tensor, "C K1 3"]:
+    def candidates(self, belief: TrajectoryBelief, *, generator: torch.Generator) -> Float[Tensor, "C K1 3"]:
         """Pokes that the robot can follow; some that it cannot where there are too few others."""
         task, own = self.task, self.settings.poke
         found: list[Tensor] = []
@@ -133,7 +134,7 @@ class Toucher:
         return torch.cat(found)[: own.candidates]
 
     def rollouts(
-        self, belief: TouchBelief, paths: Float[Tensor, "C K1 3"], rows: Tensor
+        self, belief: TrajectoryBelief, paths: Float[Tensor, "C K1 3"], rows: Tensor
     ) -> tuple[Rollouts, Float[Tensor, "C T N"]]:
         """What candidates do to some particles, and how far the tool then is from each."""
         poses = belief.pose[0, rows]
@@ -155,7 +156,7 @@ class Toucher:
         even = poses.new_zeros(number).log_softmax(-1)
         return Rollouts(states, self.filter.model(distance), distance <= _TOUCH_M, even), distance
 
-    def decide(self, belief: TouchBelief, *, generator: torch.Generator) -> tuple[Float[Tensor, "C K1 3"], Choice]:
+    def decide(self, belief: TrajectoryBelief, *, generator: torch.Generator) -> tuple[Float[Tensor, "C K1 3"], Choice]:
         """Weigh candidates over some particles, drawn by weight."""
         own = self.settings.poke
         paths = self.candidates(belief, generator=generator)
@@ -181,7 +182,7 @@ class Toucher:
             generator=generator,
         )
 
-    def watch(self, belief: TouchBelief, path: Float[Tensor, "K1 3"]) -> Callable[[Touched], bool]:
+    def watch(self, belief: TrajectoryBelief, path: Float[Tensor, "K1 3"]) -> Callable[[Touched], bool]:
         """Whether to go on with a poke, asked after each reading: until the belief expects contact to have lasted.
 
         The particles are rolled along the path once; readings change their weights alone.
@@ -202,7 +203,7 @@ class Toucher:
 
         return go_on
 
-    def grasp(self, belief: TouchBelief) -> Grasp:
+    def grasp(self, belief: TrajectoryBelief) -> Grasp:
         """The best grasp of a belief."""
         return best_grasp(belief.pose[0], belief.log_weights[0], self.table)
 
@@ -250,7 +251,7 @@ class Toucher:
     def _record(
         self,
         step: int,
-        belief: TouchBelief,
+        belief: TrajectoryBelief,
         result: StepResult,
         clock: Clock,
         candidates: Tensor | None = None,
@@ -264,7 +265,7 @@ class Toucher:
         return TouchStep(step, candidates, choice, result.reading, kept, grasp, sure, result.truth, clock.take())
 
 
-def for_task(settings: ReplaySettings, task: TouchTask) -> ReplaySettings:
+def for_task(settings: TrajectorySettings, task: TouchTask) -> TrajectorySettings:
     """The filter's priors, which settings give for the default task's box, for that of another task.
 
     The limit surface's range goes by the lever of even pressure; the tool's friction keeps its place relative to the
@@ -281,7 +282,7 @@ def for_task(settings: ReplaySettings, task: TouchTask) -> ReplaySettings:
     return replace(settings, lever_m=(least, most), friction=friction)
 
 
-def likeliest(belief: TouchBelief, prior: PlanarPrior, metric: StateMetric) -> int:
+def likeliest(belief: TrajectoryBelief, prior: PlanarPrior, metric: StateMetric) -> int:
     """The particle of one run with the most weight, copies taken together.
 
     Of those that weigh the same, as all do after a resampling but for copies, the one whose start and readings are

@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.touch_belief import TouchBelief
+from rumi.belief.trajectory_belief import TrajectoryBelief
 from rumi.clock import Now
 from rumi.errors import UsageError
 from rumi.planning.anytime import Candidate, select
-from rumi.planning.evaluation_time import EvaluationTime
+from rumi.planning.duration_model import DurationModel
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.selection import Choice
 
@@ -37,7 +37,9 @@ class BudgetedChoice:
         self._toucher, self._budget_s, self._now = toucher, budget_s, now
         self._seconds: list[float] = []
 
-    def __call__(self, belief: TouchBelief, *, generator: torch.Generator) -> tuple[Float[Tensor, "C K1 3"], Choice]:
+    def __call__(
+        self, belief: TrajectoryBelief, *, generator: torch.Generator
+    ) -> tuple[Float[Tensor, "C K1 3"], Choice]:
         """The candidates that were weighed, or else the first, and the choice among them."""
         if not self._seconds:
             self._learn(belief)
@@ -55,7 +57,7 @@ class BudgetedChoice:
             [Candidate(index, 0.0) for index in range(len(paths))],
             gain,
             max(0.0, self._budget_s - (self._now() - begun)),
-            evaluation=EvaluationTime.fit([1.0] * len(self._seconds), self._seconds),
+            evaluation=DurationModel.fit([1.0] * len(self._seconds), self._seconds),
             doublings=0,
             now=self._now,
         )
@@ -66,7 +68,7 @@ class BudgetedChoice:
         value, steps = (torch.cat(parts) for parts in zip(*((own.value, own.steps) for own in weighed), strict=True))
         return paths[: len(weighed)], Choice(value, steps, int(value.argmax()))
 
-    def _learn(self, belief: TouchBelief) -> None:
+    def _learn(self, belief: TrajectoryBelief) -> None:
         """How long it takes to weigh one."""
         generator = torch.Generator().manual_seed(0)
         path = self._toucher.candidates(belief, generator=generator)[:1]
@@ -75,7 +77,7 @@ class BudgetedChoice:
             self._weighed(belief, path, generator)
             self._seconds = [self._now() - begun]
 
-    def _weighed(self, belief: TouchBelief, path: Tensor, generator: torch.Generator) -> Choice:
+    def _weighed(self, belief: TrajectoryBelief, path: Tensor, generator: torch.Generator) -> Choice:
         """What a single candidate is worth: a decision that has no other."""
         alone = copy.copy(self._toucher)
         alone.candidates = lambda belief, *, generator: path  # type: ignore[method-assign]

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.dynamics.sliding import rotated
+from rumi.resampling import systematic
 from rumi.tasks.touch_box.records import TouchRun, TouchStep
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.viz import style
@@ -66,9 +67,7 @@ def panel(
 ) -> None:
     """A belief from above: boxes of equal shares of it, over one another."""
     poses, log_weights = belief
-    comb = (torch.arange(_BOXES, dtype=torch.float64) + 0.5) / _BOXES
-    rows = torch.searchsorted(log_weights.double().softmax(-1).cumsum(0), comb).clamp_max(len(poses) - 1)
-    for pose in poses[rows]:
+    for pose in poses[systematic(log_weights, 0.5, _BOXES)]:
         draw_box(ax, pose, task, color=style.EXPECTED, linewidth=0.5, alpha=0.25)
     ax.set_title(title)
     ax.set_aspect("equal")

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.planar_prior import PlanarPrior
+from rumi.belief.prior import PlanarPrior
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import RectangleOutline
 from rumi.errors import UsageError

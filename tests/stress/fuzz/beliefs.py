@@ -6,7 +6,7 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.normal import expected_normal
 from rumi.information.binary_gain import binary_outcome, channel_capacity
@@ -15,6 +15,7 @@ from rumi.information.neighbours import StateMetric
 from rumi.metrics.intervals import bootstrap_median, mcnemar, wilson
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.resampling import resample_systematic
+from rumi.weights import boltzmann
 from scripts.reproduce.correlation import pearson, run_correlation, spearman
 from tests.stress.fuzz.draw import Draw, choice, log_weights, number, poses, sizes, tensor
 from tests.stress.fuzz.entered import out, table, target

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-from rumi.information.expected_divergence import divergence, expected_divergence
+from rumi.information.contact_gain import divergence, expected_divergence
 from rumi.metrics.pose_error import pose_error
 from sdf.mesh.triangles import Triangles, nearest, winding_number
 from sdf.symmetry import Symmetries

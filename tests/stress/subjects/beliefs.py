@@ -7,8 +7,9 @@ from functools import cache, partial
 import torch
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief, boltzmann
+from rumi.belief.particles import PoseBelief
 from rumi.resampling import systematic
+from rumi.weights import boltzmann
 from sdf import se3, so3
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Mug

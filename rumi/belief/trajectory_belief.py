@@ -1,4 +1,4 @@
-"""What a filter for touch alone keeps: what was done and felt, and particles with how the object slides."""
+"""Belief of the trajectory filter: particles with how the object slides, and the history of actions and contacts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,9 +8,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.weights import effective_sample_size, equal_weights
+
 
 class TouchAction(NamedTuple):
-    """What the robot did and felt.
+    """Action of the robot, with its contact signals.
 
     Attributes:
         path: (*b, K + 1, 3), (x, y, yaw) of the tool, where it began first.
@@ -25,8 +27,8 @@ class TouchAction(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TouchBelief:
-    """Particles of R runs; each run has N.
+class TrajectoryBelief:
+    """Weighted particles of R runs; each run has N.
 
     Attributes:
         start: (R, N, 3), (x, y, yaw) of the object before the first action.
@@ -48,31 +50,31 @@ class TouchBelief:
 
     def ess(self) -> Float[Tensor, "R"]:
         """Effective sample size of each run."""
-        return torch.exp(-torch.logsumexp(2.0 * self.log_weights, -1))
+        return effective_sample_size(self.log_weights)
 
-    def at(self, rows: Tensor) -> "TouchBelief":
+    def at(self, rows: Tensor) -> "TrajectoryBelief":
         """Some runs."""
         parts = (getattr(self, name) for name in _PARTS)
         start, friction, lever, pose, log_weights, log_likelihood = (part[rows] for part in parts)
         noise = tuple(part[rows] for part in self.noise)
-        return TouchBelief(start, friction, lever, noise, pose, log_weights, log_likelihood)
+        return TrajectoryBelief(start, friction, lever, noise, pose, log_weights, log_likelihood)
 
-    def put(self, rows: Tensor, other: "TouchBelief") -> "TouchBelief":
+    def put(self, rows: Tensor, other: "TrajectoryBelief") -> "TrajectoryBelief":
         """The same with some runs of another."""
         changes = {name: getattr(self, name).index_copy(0, rows, getattr(other, name)) for name in _PARTS}
         noise = tuple(a.index_copy(0, rows, b) for a, b in zip(self.noise, other.noise, strict=True))
         return replace(self, noise=noise, **changes)
 
-    def chosen(self, index: Tensor) -> "TouchBelief":
+    def chosen(self, index: Tensor) -> "TrajectoryBelief":
         """Particles (R, N) of each run, with equal weights."""
         wide = index[..., None].expand(*index.shape, 3)
-        return TouchBelief(
+        return TrajectoryBelief(
             self.start.gather(1, wide),
             self.friction.gather(1, index),
             self.lever.gather(1, index),
             tuple(part.gather(1, wide) for part in self.noise),
             self.pose.gather(1, wide),
-            torch.zeros_like(self.log_weights).log_softmax(-1),
+            equal_weights(self.log_weights),
             self.log_likelihood.gather(1, index),
         )
 

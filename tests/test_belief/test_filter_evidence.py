@@ -1,4 +1,4 @@
-"""The filter counts what was felt beside points wherever it weighs, resamples and draws anew, at every later step."""
+"""The filter counts further evidence wherever it weighs, resamples and draws anew, at every later step."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -6,18 +6,17 @@ from dataclasses import dataclass, fields, replace
 import pytest
 import torch
 
-from rumi.belief.contact_evidence import Feeling, FeltSoFar
+from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.reinitialise import RenewalSettings, challenge, redraw
-from rumi.belief.settling import settled
+from rumi.belief.reinitialise import ReinitialiseSettings, redraw, refine_poses, verify
 from rumi.registration.descent import DescentSettings
 from sdf import se3
 from sdf.primitives import Box
-from sensors.contact_reading import FeltReading, WrenchTouch
+from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.discrepancy import Discrepancy
-from sensors.evidence import in_attached_frame
+from sensors.evidence import EvidenceSet, in_attached_frame
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
@@ -37,23 +36,22 @@ class Leaning:
     def log_likelihood(self, world_T_object):
         return -self.slope * world_T_object[..., self.axis, 3]
 
-    def moved(self, motion):
-        return self
 
-    def to(self, device=None, dtype=None):
-        return self
-
-
-def once_touched(belief, reading, motion):
+class LeaningModel:
     """Leaning from the first contact on."""
-    return Leaning() if belief.felt is None and bool(reading.in_contact.any()) else belief.felt
+
+    def update(self, evidence, reading, world_T_attached, /):
+        return Leaning() if evidence is None and bool(reading.in_contact.any()) else evidence
 
 
-def make(dtype=torch.float64, feel=once_touched, search="SE(2)", prior=None, **changes):
+TOUCHED = (LeaningModel(),)
+
+
+def make(dtype=torch.float64, evidence=TOUCHED, search="SE(2)", prior=None, **changes):
     sdf = Box(SIDES).to(dtype)
     discrepancy = Discrepancy(sdf, 0.125, free_scale=10.0, tolerance=0.001).to(dtype)
     settings = FilterSettings(**({"trigger": math.inf} | QUIET | changes))
-    return PoseFilter(discrepancy, search, settings, prior, feel=feel).to(dtype)
+    return PoseFilter(settings, [discrepancy, *evidence], search, prior).to(dtype)
 
 
 def truth(dtype=torch.float64):
@@ -77,7 +75,7 @@ def seen(seed, dtype=torch.float64, count=60):
 def reading(observation=None, motion=None, *, contact=False, dtype=torch.float64, **further):
     observation = Observation.empty(dtype=dtype) if observation is None else observation
     identity = se3.identity((1,), dtype=dtype, device="cpu")
-    return (FeltReading if further else Reading)(
+    return (ContactReading if further else Reading)(
         observation,
         torch.zeros(len(observation), dtype=torch.long),
         identity,
@@ -137,11 +135,11 @@ def test_resampling_keeps_particles_by_what_was_felt():
     log = -2.0 * pose_filter.discrepancy(belief.attached_T_object, memory)
     log = log + Leaning().log_likelihood(belief.attached_T_object)
     torch.testing.assert_close(belief.log_weights, log.log_softmax(-1))
-    plain, _ = follow(make(trigger=0.0, trigger_percentile=1.0, feel=None), particles(), reading(seen(1)))
+    plain, _ = follow(make(trigger=0.0, trigger_percentile=1.0, evidence=()), particles(), reading(seen(1)))
     assert not torch.equal(plain[0].attached_T_object, belief.attached_T_object)
 
 
-RENEWAL = RenewalSettings(
+RENEWAL = ReinitialiseSettings(
     starts=300, polished=80, coarse=DescentSettings(iterations=5), fine=DescentSettings(iterations=5)
 )
 
@@ -163,17 +161,17 @@ def test_a_normal_decides_between_sides_that_points_leave_open(dtype):
     normal = torch.tensor([-1.0, 0.0, 0.0], dtype=dtype)
     pose_filter = make(dtype, prior=prior)
     memory = concatenate([free, Observation.of(point, Semantics.SURFACE)])
-    start = PoseBelief.uniform(prior.starts(60, generator=torch.Generator().manual_seed(1000)))
-    feeling = Feeling(pose_filter.discrepancy.sdf, torch.zeros(1, 3), point_m=0.002, normal_rad=0.1, outlier=0.05)
+    start = PoseBelief.uniform(prior.spread_poses(60, generator=torch.Generator().manual_seed(1000)))
+    model = ContactPointModel(pose_filter.discrepancy.sdf, point_m=0.002, normal_rad=0.1, outlier=0.05)
     touch = WrenchTouch(point, normal[None], point.new_tensor([0.001]), point.new_tensor([0.05]), torch.zeros(1).long())
-    felt = feeling(start, reading(dtype=dtype, wrench=touch), se3.identity((1,), dtype=dtype))
+    touched = EvidenceSet((model.update(None, reading(dtype=dtype, wrench=touch), se3.identity((1,), dtype=dtype)),))
     found = {}
-    for name, kept in (("points", None), ("felt", felt)):
+    for name, kept in (("points", None), ("normal", touched)):
         generator = torch.Generator().manual_seed(1000)
-        belief = replace(start, felt=kept)
+        belief = replace(start, evidence=kept)
         belief = redraw(pose_filter, belief, memory, RENEWAL, generator=generator)
-        again = challenge(pose_filter, belief, memory, RENEWAL, generator=generator)
-        assert again.felt is kept
+        again = verify(pose_filter, belief, memory, RENEWAL, generator=generator)
+        assert again.evidence is kept
         found[name] = again
         torch.testing.assert_close(
             again.log_weights, (-2.0 * pose_filter.total(again, memory)).log_softmax(-1), atol=1e-3, rtol=1e-3
@@ -181,7 +179,7 @@ def test_a_normal_decides_between_sides_that_points_leave_open(dtype):
     # the free space says that some side faces the tool; of a wide and a narrow one the normal is the same: a corner
     # that points at the tool is what it rules out
     corners = {name: 1.0 - sum(facing(one, normal)) for name, one in found.items()}
-    assert corners["points"] > 0.3 and corners["felt"] < 0.05, corners
+    assert corners["points"] > 0.3 and corners["normal"] < 0.05, corners
 
 
 def test_poses_drawn_anew_settle_as_freely_as_the_search():
@@ -189,60 +187,37 @@ def test_poses_drawn_anew_settle_as_freely_as_the_search():
     here = in_attached_frame(seen(1), se3.identity(dtype=torch.float64))
     poses = particles().attached_T_object
     for search, least, most in (("SE(2)", 0.0, 1e-9), ("SE(3)", 0.005, 0.1)):
-        pose_filter, felt = make(search=search), Leaning(3000.0, axis=2)
+        pose_filter, evidence = make(search=search), Leaning(3000.0, axis=2)
         generator = torch.Generator().manual_seed(1000)
-        moved = settled(pose_filter, poses, here, felt, generator=generator)
-        assert bool((pose_filter.cost(moved, here, felt) <= pose_filter.cost(poses, here, felt)).all())
+        moved = refine_poses(pose_filter, poses, here, evidence, generator=generator)
+        assert bool((pose_filter.cost(moved, here, evidence) <= pose_filter.cost(poses, here, evidence)).all())
         down = float((poses[:, 2, 3] - moved[:, 2, 3]).mean())
         assert least <= down <= most, (search, down)
-        assert settled(pose_filter, poses, here, None, generator=generator) is poses
+        assert refine_poses(pose_filter, poses, here, None, generator=generator) is poses
 
 
 @DTYPES
 def test_without_touches_the_belief_is_the_plain_filters_bit_for_bit(dtype):
-    feeling = Feeling(make(dtype).discrepancy.sdf, torch.zeros(4, 3))
+    sdf = make(dtype).discrepancy.sdf
+    models = (ContactPointModel(sdf), ContactSignalModel(sdf, torch.zeros(4, 3)))
     noisy = {"trigger": 0.5, "translation_noise_m": 0.002, "rotation_noise_rad": 0.02, "descent": DescentSettings()}
     push = se3.from_planar(torch.tensor([0.03, -0.02, 0.4], dtype=torch.float64))
     steps = [(seen(1, dtype), None), (seen(2, dtype), push), (None, None)]
     silent = {"wrench": replace(WrenchTouch.none(), points=torch.zeros(0, 3)), "signals": torch.zeros(1).bool()}
     plain, _ = follow(
-        make(dtype, None, **noisy), particles(dtype), *(reading(*s, dtype=dtype) for s in steps), dtype=dtype
+        make(dtype, (), **noisy), particles(dtype), *(reading(*s, dtype=dtype) for s in steps), dtype=dtype
     )
     ours, _ = follow(
-        make(dtype, feeling, **noisy),
+        make(dtype, models, **noisy),
         particles(dtype),
         *(reading(*s, dtype=dtype, **silent) for s in steps),
         dtype=dtype,
     )
     for a, b in zip(plain, ours, strict=True):
-        assert b.felt is None
+        assert b.evidence is None
         for part in fields(PoseBelief):
-            if part.name != "felt":
+            if part.name != "evidence":
                 assert torch.equal(getattr(a, part.name), getattr(b, part.name)), part.name
-
-
-def test_what_was_felt_goes_along_to_another_dtype():
-    feeling = Feeling(Box(SIDES), torch.zeros(4, 3))
-    touch = WrenchTouch(
-        torch.zeros(1, 3), torch.eye(3)[:1], torch.tensor([0.001]), torch.tensor([0.1]), torch.zeros(1).long()
-    )
-    single = reading(dtype=torch.float32, wrench=touch, signals=torch.ones(1).bool())
-    double = single.to(dtype=torch.float64)
-    assert double.wrench.points.dtype == double.tool_pose.dtype == torch.float64
-    assert double.wrench.instant.dtype == torch.long and double.signals.dtype == torch.bool
-    belief = particles(torch.float32)
-    belief = replace(belief, felt=feeling(belief, single, single.object_motion))
-    wide = belief.to(dtype=torch.float64)
-    assert isinstance(wide.felt, FeltSoFar) and wide.felt.touched.normals.dtype == torch.float64
-    box = Box(SIDES).double()
-    inner = replace(wide.felt, touched=replace(wide.felt.touched, sdf=box))
-    inner = replace(inner, signalled=replace(inner.signalled, sdf=box))
-    torch.testing.assert_close(
-        inner.log_likelihood(wide.attached_T_object).float(),
-        belief.felt.log_likelihood(belief.attached_T_object),
-        atol=1e-3,
-        rtol=1e-3,
-    )
 
 
 @pytest.mark.parametrize(
