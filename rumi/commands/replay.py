@@ -195,8 +195,9 @@ def _replay(
     mapping: "BagMap | None",
     cache_dir: Path,
 ) -> int:
-    from rumi.runs.folder import RunRecorder, load_run, prepare_folder
+    from rumi.runs.folder import RunRecorder, load_run, prepare_folder, write_json
     from rumi.runs.replay import replay as take_in
+    from rumi.tasks.rummage.objects import record
 
     settings = options.settings
     if options.out is not None:
@@ -222,6 +223,8 @@ def _replay(
         recorder = None
         if options.out is not None:
             recorder = stack.enter_context(RunRecorder(options.out, entry.as_dict(settings), sketch_of(agent)))
+            if (model := getattr(agent, "model", None)) is not None:
+                write_json(options.out / "object.json", record(model))
         seen = on_step if recorder is None else both(recorder, on_step)
         done = take_in(taken, agent, seed=settings.seed, on_step=seen, wrap=_on_device(settings, taken))
         if recorder is not None:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Protocol, Self, TypeVar
+from typing import Any, Literal, Protocol, Self, TypeVar, runtime_checkable
 
 from rumi.agent import Agent, Parts
 from rumi.errors import UsageError
@@ -17,6 +17,7 @@ Role = Literal["counted", "idle", "sensed"]
 what was sensed, which no replay can change."""
 
 
+@runtime_checkable
 class Recorder(Protocol):
     """Writes a run's folder while the run goes on; a context manager that closes its files."""
 
@@ -35,6 +36,7 @@ class Recorder(Protocol):
     ) -> None: ...
 
 
+@runtime_checkable
 class TaskEntry(Protocol[S]):
     """A task: a member of `TASKS`.
 
