@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sdf.check import may_look
+from sdf.check import is_eager
 
 _FLOATS = (torch.float32, torch.float64)
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
@@ -32,7 +32,7 @@ def supports(*tensors: Tensor) -> bool:
         and not graph
         and all(t.device.type == "cpu" for t in tensors)
         and all(dtype in _FLOATS for dtype in floats)
-        and may_look()
+        and is_eager()
     )
 
 

@@ -14,7 +14,7 @@ from rumi.robot.gripper import GripperShape
 from sdf import backend, se3
 from sdf import compiled as fused
 from sdf.base import SDF
-from sdf.check import check_finite, check_shape, may_look
+from sdf.check import check_finite, check_shape, is_eager
 from sdf.so3 import wrap
 
 
@@ -101,7 +101,7 @@ def push_along_path(
     """
     check_shape("poses", poses, "(E, 3)", last=(3,))
     check_shape("path", path, "(#E, K1, 3)", last=(3,))
-    if may_look():
+    if is_eager():
         check_finite("poses", poses)
         check_finite("path", path)
     sliding = sliding.expand(len(poses))

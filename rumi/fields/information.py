@@ -14,7 +14,7 @@ from sdf import backend
 from sdf import compiled as fused
 from sdf import skipped_work as savings
 from sdf.base import SDF
-from sdf.check import check_finite, check_shape, may_look
+from sdf.check import check_finite, check_shape, is_eager
 from sdf.grid_sdf import takes
 from sdf.posed import about_first, posed_distance
 
@@ -183,7 +183,7 @@ def information_field(
     check_shape("points_w", points_w, "(V, 3)", last=(3,))
     check_weights(log_weights)
     # one such pose would hide the object from all points, whatever its weight
-    if may_look():
+    if is_eager():
         check_finite("world_T_object", world_T_object)
     settings = settings or InformationSettings()
     values: dict[str, Any] = {f.name: getattr(settings, f.name) for f in fields(settings)} | parameters

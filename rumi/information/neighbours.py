@@ -13,7 +13,7 @@ from torch import Tensor
 from rumi.weights import check_weights
 from sdf import backend
 from sdf import compiled as fused
-from sdf.check import check_finite, may_look
+from sdf.check import check_finite, is_eager
 from sdf.so3 import wrap
 
 # bytes of pairwise differences that are held at once
@@ -91,7 +91,7 @@ def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"],
         ValueError: no states, some that are not finite, or weights as `check_weights` refuses them.
     """
     check_weights(log_weights)
-    if may_look():
+    if is_eager():
         check_finite("states", states)
     log_weights = log_weights.expand(states.shape[:-1]).log_softmax(-1)
     flat, weights = states.reshape(-1, *states.shape[-2:]), log_weights.reshape(-1, states.shape[-2])

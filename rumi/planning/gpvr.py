@@ -104,7 +104,9 @@ class VarianceCost:
         """Cost of each path; the field rides with the object."""
         steps = configurations.shape[:2]
         each = self._met(configurations.flatten(0, 1)[:, None], displacements.flatten(0, 1)[:, None]).view(steps)
-        return each @ self.discount ** torch.arange(steps[1], dtype=each.dtype, device=each.device)
+        weight = self.discount ** torch.arange(steps[1], dtype=each.dtype, device=each.device)
+        # a product with the vector would add up otherwise for other numbers of paths
+        return (each * weight).sum(-1)
 
 
 class GPVRPolicy(RummagingPolicy):

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf.check import check_finite, check_shape, may_look
+from sdf.check import check_finite, check_shape, is_eager
 from sdf.mesh.touched import touched_face
 from sdf.mesh.triangles import Triangles
 
@@ -79,7 +79,7 @@ def touch_log_likelihoods(
         ValueError: a shape does not fit, or a point or normal is not finite.
     """
     check_shape("points_w", points_w, "(K, 3)")
-    if may_look():
+    if is_eager():
         check_finite("points_w", points_w)
         if normals_w is not None:
             check_finite("normals_w", normals_w)

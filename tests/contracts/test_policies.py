@@ -10,9 +10,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from kmppi import MPPISettings
+from kmppi import MPPI, MPPISettings
+from kmppi.types import Objective
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.registry import EngineSettings, PushChoice
 from rumi.fields.workspace import Workspace
 from rumi.planning.gpvr import GPVRSettings
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
@@ -226,6 +228,45 @@ def test_an_ample_budget_changes_nothing(policy: Policy, scene: Scene) -> None:
         assert free.fields.keys() == ample.fields.keys()
         assert all(torch.equal(free.fields[name], ample.fields[name]) for name in free.fields)
         assert "pace" not in free.info
+
+
+@pytest.mark.parametrize("push_model", ["displacement", "quasi-static", "mujoco"])
+def test_samples_cost_alone_what_they_cost_together(
+    method: str, push_model: PushChoice, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bit, whatever processor works out how many at once: else a budget, which takes them in parts, counted."""
+    if method == "slide":
+        pytest.skip("slide takes no samples")
+    if push_model == "mujoco":
+        if method != "rumi":
+            pytest.skip("slow, and rolled out alike for each method")
+        pytest.importorskip("mujoco")
+    elif push_model == "quasi-static" and scene.tool.spatial:
+        pytest.skip("pushes level tools only")
+    few = replace(PLANNER.mppi, samples=12, warmup_iterations=1) if push_model == "mujoco" else PLANNER.mppi
+    planner = replace(PLANNER, push_model=push_model, mppi=few, engine=EngineSettings(time_step_s=0.01, action_s=0.2))
+    policy = make_policy(
+        Settings(method=method, planner=planner, gpvr=GPVR), (1.0 - scene.workspace.points[:, 0]).clamp(0, 1)
+    )
+    evaluate, random = MPPI._evaluate, torch.Generator().manual_seed(0)
+    whole: list[Tensor] = []
+
+    def in_parts(self: MPPI, objective: Objective, controls: Tensor) -> Tensor:
+        before = random.get_state()
+        whole.append(evaluate(self, objective, controls))
+        for size in (1, 2, 7, 16, 33):
+            random.set_state(before)
+            parts = [evaluate(self, objective, part) for part in controls.split(size)]
+            assert torch.equal(torch.cat(parts), whole[-1]), f"parts of {size}"
+        return whole[-1]
+
+    monkeypatch.setattr(MPPI, "_evaluate", in_parts)
+    close = put(scene, (0.3, 0.0), 0.2, scene.observed)
+    plan = policy.act(believed(), close, None, executed=0, budget_s=None, generator=random)
+    policy.act(believed(spread=0.1), close, plan, executed=1, budget_s=None, generator=random)
+    assert len(whole) >= 2
+    # some of them touch, so that they do not all cost the same
+    assert all(len(costs.unique()) > 3 for costs in whole)
 
 
 def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> None:
