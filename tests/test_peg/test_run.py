@@ -11,10 +11,9 @@ import torch
 from rumi import loop
 from rumi.belief.static_filter import StaticBelief
 from rumi.cli import main
-from rumi.information.stopping import Aim
+from rumi.information.stopping import TargetEstimate
 from rumi.tasks.peg import selection as refine
 from rumi.tasks.peg.agent import build_peg
-from rumi.tasks.peg.cell import TOP
 from rumi.tasks.peg.entry import summary
 from rumi.tasks.peg.selection import sure
 from rumi.tasks.peg.settings import PegSettings
@@ -106,7 +105,7 @@ def test_the_entropy_of_the_block_knows_no_half_turns():
     # of a normal distribution, and half a nat to each side
     nats = 1.5 * (1.0 + math.log(2.0 * math.pi)) + float(spread.log().sum())
     nothing = RectangleTouches.none(QUICK.block.half(), QUICK.noise, QUICK.radius_m)
-    aim = Aim(torch.zeros(2, 2), 0.0, 0)
+    aim = TargetEstimate(torch.zeros(2, 2), 0.0)
     for poses in (states, turned):
         belief = StaticBelief(poses, flat, flat)
         held = [
@@ -130,4 +129,4 @@ def test_the_command(tmp_path, capsys):
     assert {motion["kind"] for motion in found["motions"]} <= {"nothing", "side", "top"}
     assert len(found["decisions"]) == found["actions"]
     assert (folder / "contacts.png").stat().st_size > 10_000 and (folder / "timeline.png").stat().st_size > 10_000
-    assert TOP == 2  # the names of the kinds in the record are in this order
+    assert ContactKind.TOP == 2  # the names of the kinds in the record are in this order

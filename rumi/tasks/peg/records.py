@@ -8,8 +8,8 @@ from torch import Tensor
 
 from rumi.agent import StopReason
 from rumi.belief.static_filter import StaticBelief
-from rumi.information.contact_gain import NOTHING, TOUCH
-from rumi.information.stopping import Aim
+from rumi.information.contact_gain import ContactKind
+from rumi.information.stopping import TargetEstimate
 from rumi.tasks.peg.cell import Felt
 from rumi.tasks.peg.selection import Thought
 from rumi.tasks.peg.settings import PegSettings
@@ -36,7 +36,7 @@ class PegStep:
     thought: Thought | None
     felt: Felt
     belief: StaticBelief
-    aim: Aim | None
+    aim: TargetEstimate | None
     probability: float | None
     sure: bool
     truth: Float[Tensor, "3"]
@@ -80,7 +80,7 @@ class PegRun:
         return [record.felt for record in self.records[len(self.searched) + 1 :]]
 
     @property
-    def aim(self) -> Aim | None:
+    def aim(self) -> TargetEstimate | None:
         """Where the holes were thought to be at the end."""
         return self.records[-1].aim
 
@@ -115,7 +115,7 @@ class PegRun:
     @property
     def contact_times_s(self) -> list[float]:
         """When each side was touched."""
-        return [felt.ended_s for felt in (*self.searched, *self.felt) if felt.kind == TOUCH]
+        return [felt.ended_s for felt in (*self.searched, *self.felt) if felt.kind == ContactKind.TOUCH]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values of how it ended."""
@@ -132,8 +132,8 @@ class PegRun:
             "probability": None if self.aim is None else self.aim.probability,
             "touches": len(times),
             "actions": len(self.felt),
-            "misses": sum(felt.kind == NOTHING for felt in self.felt),
-            "tops": sum(felt.kind not in (NOTHING, TOUCH) for felt in self.felt),
+            "misses": sum(felt.kind == ContactKind.NOTHING for felt in self.felt),
+            "tops": sum(felt.kind not in (ContactKind.NOTHING, ContactKind.TOUCH) for felt in self.felt),
             "total_s": self.total_s,
             "search_s": self.searched[-1].ended_s if self.searched else 0.0,
             "thinking_s": thinking,
