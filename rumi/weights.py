@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf.check import may_look
+from sdf.check import is_eager
 
 
 def check_weights(log_weights: Float[Tensor, "*b N"]) -> None:
@@ -15,7 +15,7 @@ def check_weights(log_weights: Float[Tensor, "*b N"]) -> None:
     """
     if log_weights.shape[-1] == 0:
         raise ValueError(f"Expected one state or more in each set, got log_weights {tuple(log_weights.shape)}")
-    if not may_look() or log_weights.numel() == 0:
+    if not is_eager() or log_weights.numel() == 0:
         return
     top = log_weights.detach().amax(-1)
     if not bool(torch.isfinite(top).all()):

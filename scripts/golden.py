@@ -25,7 +25,6 @@ from unittest import mock
 import torch
 import tyro
 from llvmlite import binding
-from numba.core.registry import cpu_target
 from torch import Tensor
 
 from rumi import loop
@@ -33,8 +32,8 @@ from rumi.cli import script
 from rumi.commands.replay import rummager_of
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
+from rumi.registration.contact_terms import LocalizeSettings
 from rumi.registration.from_contacts import localize
-from rumi.registration.localize_settings import LocalizeSettings
 from rumi.runs.logbook import LogRecorder
 from rumi.runs.replay import replay
 from rumi.seeding import generator
@@ -50,6 +49,7 @@ from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import Method
 from rumi.tasks.touch_box.settings import TouchSettings
+from sdf import processor as kernels
 from sdf.mesh.mesh import TriangleMesh
 from sensors.log.reader import Log
 
@@ -224,11 +224,9 @@ RUNS: dict[str, Callable[[Trace], Record]] = {
 
 def processor() -> str:
     """All that the last bits depend on beside the code: instructions that are used, and versions."""
-    _, name, features = cpu_target.target_context.codegen().magic_tuple()  # what numba compiles for
-    hashed = hashlib.sha256(features.encode()).hexdigest()[:8]
+    own = kernels.processor()
     packages = ", ".join(f"{name} {version(name)}" for name in ("torch", "numba", "mujoco-core"))
-    capability = torch.backends.cpu.get_cpu_capability()
-    return f"{capability}, numba for {name} {hashed}, on {binding.get_host_cpu_name()}, {packages}"
+    return f"{own.torch}, numba for {own.numba} {own.features}, on {binding.get_host_cpu_name()}, {packages}"
 
 
 def difference(recorded: Record, found: Record) -> str | None:

@@ -22,7 +22,7 @@ from rumi.cli import script
 from rumi.fields.information import information_field
 from rumi.planning.gpvr import GPVRPolicy, GPVRSettings
 from rumi.planning.implicit_surface import Hyperparameters, Labelled, fit, predictive_variance
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import preset
 from scripts.reproduce.correlation import spearman
@@ -52,19 +52,10 @@ class Watched:
         self.policy = policy
         self.given: list[tuple[PoseBelief, Scene]] = []
 
-    def act(
-        self,
-        belief: PoseBelief,
-        scene: Scene,
-        previous: Plan | None,
-        *,
-        executed: int,
-        budget_s: float | None,
-        generator: torch.Generator,
-    ) -> Plan:
+    def act(self, request: PlanRequest) -> Plan:
         """Keep what was given, and plan."""
-        self.given.append((belief, scene))
-        return self.policy.act(belief, scene, previous, executed=executed, budget_s=budget_s, generator=generator)
+        self.given.append((request.belief, request.scene))
+        return self.policy.act(request)
 
 
 def situations(options: Options) -> list[tuple[PoseBelief, Scene]]:

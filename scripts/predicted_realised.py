@@ -26,7 +26,6 @@ from rumi.cli import script
 from rumi.dynamics.displacement import Hazard
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationMode
-from rumi.planning.rummaging import SUITED
 from rumi.records import StepRecord
 from rumi.runs.folder import load_run
 from rumi.runs.jsonlines import append_line, read_lines
@@ -115,7 +114,7 @@ def judged(steps: Sequence[StepRecord], rummager: Rummager, settings: Settings) 
         row["planned"] = None if planned is None else asdict(planned)
         situation = Situation(steps[index - 1], rummager.model, rummager.workspace, rummager.tool)
         row["modes"], row["swept"] = {}, {}
-        own = PushModels(planner.push_model, planner.push, planner.quasi_static)
+        own = PushModels(planner)
         for mode in MODES:
             information = replace(planner.information, mode=mode)
             row["modes"][mode] = asdict(situation.predict(after.control, information, own))
@@ -129,12 +128,12 @@ def _asked(
     situation: Situation, control: torch.Tensor, settings: Settings, random: torch.Generator
 ) -> dict[str, dict[str, Any] | None]:
     """What every push model expects of an action; None of those that cannot do with the belief."""
-    planner, rollouts = settings.planner, {name: settings.planner.suited(name).rollouts for name in SUITED}
-    makers = {"displacement": PushModels("displacement", planner.push)}
-    makers["quasi-static"] = PushModels("quasi-static", quasi_static=planner.quasi_static)
+    planner = settings.planner
+    rollouts = {name: planner.suited(name).rollouts for name in ("displacement", "quasi-static")}
+    makers = {name: PushModels(replace(planner, push_model=name)) for name in rollouts}
     asked: dict[str, tuple[PushModels, int]] = {f"{name}, likeliest": (maker, 0) for name, maker in makers.items()}
     for hazard in HAZARDS:
-        maker = PushModels("displacement", replace(planner.push, hazard=hazard))
+        maker = PushModels(replace(planner, push_model="displacement", push=replace(planner.push, hazard=hazard)))
         asked[f"displacement, mean {hazard}"] = (maker, rollouts["displacement"])
     asked["quasi-static, mean"] = (makers["quasi-static"], rollouts["quasi-static"])
     found: dict[str, dict[str, Any] | None] = {}

@@ -14,10 +14,9 @@ import torch
 import tyro
 from torch import Tensor
 
-import rumi.sim.push_model  # noqa: F401  (enters the push model)
 from rumi.cli import script
 from rumi.dynamics.quasi_static import QuasiStaticSettings
-from rumi.dynamics.registry import EngineSettings, PushModels
+from rumi.dynamics.registry import EngineSettings, PushModels, PushSettings
 from rumi.fields.information import information_field
 from rumi.robot.tool import Tool
 from rumi.sim.world import World
@@ -100,7 +99,7 @@ def errors(family: PushModels, found: list[Push], model: ObjectModel, tool: Tool
         pose = se3.from_planar(torch.tensor([[*PLACE, push.yaw]]))
         weights = torch.zeros(1)
         fields = information_field(model.sdf, pose, weights, workspace.points)
-        made = family.of_belief(model, pose, weights, tool, workspace, fields)
+        made = family.rollouts(model, pose, weights, tool, workspace, fields)
         rolled = made.likely(push.start, push.controls)
         turned = 0.0 if rolled.turns is None else float(rolled.turns[0, 0, -1])
         predicted = torch.tensor([*PLACE, push.yaw]) + torch.tensor([0.0, 0.0, turned])
@@ -132,13 +131,13 @@ def main() -> None:
     sys.stdout.write("| model | place: median, mm | mean | 90 % | yaw: median, degrees | mean | 90 % |\n")
     sys.stdout.write("|---|---|---|---|---|---|---|\n")
     sys.stdout.write(line("the mug stays", moved, turned) + "\n")
-    families = {"displacement": PushModels("displacement")}
+    families = {"displacement": PushModels(PushSettings("displacement"))}
     for ratio in options.lever_ratios:
         for friction in options.frictions:
             settings = QuasiStaticSettings(lever_ratio=ratio, friction=friction)
             name = f"quasi-static, lever ratio {ratio:g}, friction {friction:g}"
-            families[name] = PushModels("quasi-static", quasi_static=settings)
-    families["mujoco, 5 ms"] = PushModels("mujoco", engine=EngineSettings(threads=1))
+            families[name] = PushModels(PushSettings("quasi-static", quasi_static=settings))
+    families["mujoco, 5 ms"] = PushModels(PushSettings("mujoco", engine=EngineSettings(threads=1)))
     for name, family in families.items():
         place, turn, seconds = errors(family, found, model, tool)
         sys.stdout.write(line(f"{name} ({1e3 * seconds:.0f} ms)", place, turn) + "\n")

@@ -12,14 +12,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import tyro
 
 from rumi import loop
 from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.dynamics.registry import PushChoice
 from rumi.errors import DegenerateBeliefError
 from rumi.metrics.intervals import wilson
 from rumi.tasks.rummage.build import build
@@ -64,7 +63,7 @@ def settings_of(model: str, task: str, seed: int) -> Settings | None:
     own, spec = preset(task=task, seed=seed), find_task(task)
     if name == "quasi-static" and spec.spatial:
         return None
-    planner = replace(own.planner, push_model=cast("PushChoice", name))
+    planner = replace(own.planner, push_model=name)
     if few or name == "mujoco":
         mppi = replace(planner.mppi, samples=SAMPLES, horizon=HORIZON, knots=KNOTS)
         planner = replace(planner, mppi=mppi, rollouts=ROLLOUTS)

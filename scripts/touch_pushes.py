@@ -12,12 +12,12 @@ import tyro
 from torch import Tensor
 
 from rumi.cli import script
+from rumi.dynamics.registry import PUSH_MODELS
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
-from rumi.tasks.touch_box.build import make_carrier
+from rumi.tasks.touch_box.build import make_path_push
 from rumi.tasks.touch_box.gripper_robot import GripperRobot
 from rumi.tasks.touch_box.scene import TouchTask, draw_truth
-from rumi.tasks.touch_box.settings import TOUCH_PUSHES
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     task, generator = TouchTask(), split(options.seed, "pokes")
     robot = GripperRobot(task)
-    carriers = {name: make_carrier(name, task) for name in TOUCH_PUSHES}  # type: ignore[arg-type]
+    carriers = {name: make_path_push(name, task) for name in PUSH_MODELS}
     errors: dict[str, list[Tensor]] = {"stays": [], **{name: [] for name in carriers}}
     for index in range(options.pokes):
         truth = draw_truth(task, options.seed + index)

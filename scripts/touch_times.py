@@ -16,7 +16,7 @@ from rumi.cli import script
 from rumi.seeding import split
 from rumi.tasks.grasp_table import clearance_table
 from rumi.tasks.touch_box.agent import Toucher
-from rumi.tasks.touch_box.build import make_carrier
+from rumi.tasks.touch_box.build import make_path_push
 from rumi.tasks.touch_box.planar_robot import PlanarRobot
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import Method
@@ -43,7 +43,7 @@ def seconds(settings: TouchSettings, rounds: int) -> tuple[float, float]:
     task = TouchTask()
     table = clearance_table(task.half[0], task.opening_m, task.half[1])
     robot = PlanarRobot(task, table)
-    toucher = Toucher(task, settings, robot, table, make_carrier(settings.push_model, task))
+    toucher = Toucher(task, settings, robot, table, make_path_push(settings.push_model, task))
     belief = toucher.filter.initial(1, settings.count, generator=split(0, "times"))
     found = []
     for index in range(rounds + 1):  # the first compiles

@@ -1,4 +1,4 @@
-"""Arrays kept on disk: written aside and renamed, never pickled, worked out again where they cannot be read."""
+"""Disk cache of arrays: written aside and renamed, never pickled, computed again where a file cannot be read."""
 
 import hashlib
 import logging
@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from sdf.grid_sdf import GridSDF
+from sdf.processor import processor
 
 _TABLE = ("values", "origin", "spacing", "bounds", "outer", "outer_spacing")
 
@@ -30,9 +31,12 @@ _logger = logging.getLogger(__name__)
 
 
 def content_key(*parts: bytes | str) -> str:
-    """A name for what depends on these parts alone."""
+    """A name for what is worked out from these parts alone, on a processor such as this.
+
+    Another may round it otherwise, and a home is shared: a run must not hang on who filled the cache.
+    """
     digest = hashlib.sha256()
-    for part in parts:
+    for part in (*processor()[1:], *parts):
         content = part.encode() if isinstance(part, str) else part
         digest.update(len(content).to_bytes(8, "little"))
         digest.update(content)

@@ -1,4 +1,4 @@
-"""The only validators of shapes and finite values."""
+"""Validators of shapes and finite values."""
 
 import torch
 from torch import Tensor
@@ -74,7 +74,7 @@ def check_near(name: str, places: Tensor, dtype: torch.dtype | None = None) -> N
     Raises:
         ValueError: with the name, how far places may be, how far they are, and what to do.
     """
-    if places.numel() == 0 or not may_look():
+    if places.numel() == 0 or not is_eager():
         return
     epsilon = torch.finfo(dtype or places.dtype).eps
     farthest = float(places.detach().abs().amax())
@@ -91,7 +91,7 @@ def keep_within_reach(coordinates: Tensor) -> Tensor:
     return torch.nan_to_num(coordinates, nan=FAR).clamp(-FAR, FAR)
 
 
-def may_look() -> bool:
-    """Whether code may branch on what is in its tensors: not while it is compiled or under a `torch.func` transform."""
+def is_eager() -> bool:
+    """Whether code may branch on values: operations run eagerly, not compiled, nor under a `torch.func` transform."""
     # the one way to ask for transforms that torch itself uses
     return not torch.compiler.is_compiling() and not torch._C._are_functorch_transforms_active()

@@ -1,4 +1,4 @@
-"""Kernels that numba compiles for the CPU at their first use: what they need, and what is said meanwhile."""
+"""Numba kernels for the CPU, compiled at their first use and cached beside the source."""
 
 import hashlib
 import importlib.util
@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sdf.check import may_look
+from sdf.check import is_eager
 
 _FLOATS = (torch.float32, torch.float64)
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
@@ -24,7 +24,7 @@ def available() -> bool:
 
 
 def supports(*tensors: Tensor) -> bool:
-    """Whether a fused CPU version can run on these tensors: on the CPU, float32 or float64, no graph to be kept."""
+    """Whether a compiled CPU version can run on these tensors: on the CPU, float32 or float64, no graph to be kept."""
     graph = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
     floats = [t.dtype for t in tensors if t.is_floating_point()]
     return (
@@ -32,7 +32,7 @@ def supports(*tensors: Tensor) -> bool:
         and not graph
         and all(t.device.type == "cpu" for t in tensors)
         and all(dtype in _FLOATS for dtype in floats)
-        and may_look()
+        and is_eager()
     )
 
 

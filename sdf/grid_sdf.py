@@ -1,4 +1,4 @@
-"""A signed distance function tabulated on a lattice: what estimation looks up millions of times."""
+"""Tabulated signed distance function: trilinear interpolation on a lattice, with a bound beyond it."""
 
 from typing import Self, TypeGuard
 
@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf.base import SDF, SDFQuery, Sized
-from sdf.check import check_shape, keep_within_reach, may_look
+from sdf.check import check_shape, is_eager, keep_within_reach
 from sdf.lattice import Lattice, lattice_about
 from sdf.lookup import interpolate, interpolate_with_slopes
 
@@ -185,7 +185,7 @@ class GridSDF(Sized):
     def _within(self, planes: list[Tensor]) -> list[bool]:
         """By axis, whether all points are within the lattice; False where that may not or need not be known."""
         graph = torch.is_grad_enabled() and any(plane.requires_grad for plane in planes)
-        if graph or not all(plane.numel() for plane in planes) or not may_look():
+        if graph or not all(plane.numel() for plane in planes) or not is_eager():
             return [False] * len(planes)
         extremes = torch.stack([extreme for plane in planes for extreme in torch.aminmax(plane)]).tolist()
         reach = self.outer * self.outer_spacing - _EDGE * self.spacing

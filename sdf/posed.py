@@ -1,4 +1,4 @@
-"""One object at many poses: the distance of world points from each of them."""
+"""Signed distances of world points from one object at many poses."""
 
 import math
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from torch import Tensor
 
 from sdf import backend, compiled, se3
 from sdf.base import SDF, SDFQuery
-from sdf.check import FAR, check_shape, may_look
+from sdf.check import FAR, check_shape, is_eager
 from sdf.grid_sdf import GridSDF, takes
 
 # pairs looked up at once: few enough for the caches, enough that two threads do not wait for each other all the time
@@ -44,7 +44,16 @@ def posed_distance(
 
 
 def posed_query(sdf: SDF, world_T_object: Float[Tensor, "*#b N 4 4"], points_w: Float[Tensor, "*#b M 3"]) -> SDFQuery:
-    """The same with the gradient (*b, N, M, 3) in each object frame."""
+    """Signed distance (*b, N, M), metres, and gradient (*b, N, M, 3) in each object frame; else as `posed_distance`.
+
+    Args:
+        sdf: the object's.
+        world_T_object: (*b, N, 4, 4), poses.
+        points_w: (*b, M, 3), metres; one that is not finite counts as very far from the object.
+
+    Raises:
+        ValueError: if a shape does not fit.
+    """
     _check(world_T_object, points_w)
     world_T_object, points_w = about_first(world_T_object, points_w)
     version = backend.dispatch("posed_query", world_T_object, points_w, *sdf.tensors())
@@ -149,7 +158,7 @@ def common_height(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor 
     graph = torch.is_grad_enabled() and (world_T_object.requires_grad or points_w.requires_grad)
     if graph or not isinstance(sdf, GridSDF) or not world_T_object.numel() or not points_w.numel():
         return None
-    if not may_look():
+    if not is_eager():
         return None
     heights, levels = points_w[..., 2].reshape(-1), world_T_object[..., 2, 3].reshape(-1)
     upright = world_T_object[..., 2, :3] == world_T_object.new_tensor((0.0, 0.0, 1.0))

@@ -75,7 +75,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(params=["torch", "numba"])
 def version(request: pytest.FixtureRequest) -> Iterator[str]:
     """The plain versions of hot operations, then the compiled ones; for a file all of whose tests are for both."""
-    from sdf import backend, compiled
+    from sdf import backend, compiled, posed  # noqa: F401  (registers compiled versions, so that some can be forced)
 
     if request.param == "numba" and not compiled.available():
         pytest.skip("without numba")

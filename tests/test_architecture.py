@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import grimp
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -18,6 +19,10 @@ ALLOWED = {
     "sdf": {"sdf"},
     "sensors": {"sdf", "sensors"},
     "rumi": {"kmppi", "sdf", "sensors", "rumi"},
+}
+# a module of each circle that is still to go
+LEFT = {
+    "rumi.commands.replay",
 }
 HEAVY = {"mujoco", "open3d", "cv2", "matplotlib", "trimesh", "pytorch_kinematics", "numba", "triton", "gpytorch",
          "h5py", "rosbags"}  # fmt: skip
@@ -166,6 +171,30 @@ def test_direction_of_imports(package):
         if (names := imported(path.read_text()) & set(PACKAGES) - ALLOWED[package])
     }
     assert not wrong
+
+
+def circles(imports: dict[str, set[str]]) -> list[list[str]]:
+    """Modules that import each other in a circle, wherever in them: components of a graph that hang together."""
+    reached = {module: {module} for module in imports}
+    for module, found in reached.items():
+        waiting = [module]
+        while waiting:
+            fresh = imports[waiting.pop()] & set(imports) - found
+            found |= fresh
+            waiting += fresh
+    together = {frozenset(other for other in reached[module] if module in reached[other]) for module in imports}
+    return sorted(sorted(group) for group in together if len(group) > 1)
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    graph = grimp.build_graph(*PACKAGES)
+    imports = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    assert len(imports) > 300
+    assert [group for group in circles(imports) if not LEFT & set(group)] == []
+
+
+def test_circles_are_seen():
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": {"outside"}}) == [["b", "c"]]
 
 
 def test_kmppi_needs_torch_alone():

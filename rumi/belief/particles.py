@@ -12,7 +12,7 @@ from rumi.errors import DegenerateBeliefError
 from rumi.resampling import systematic
 from rumi.weights import effective_sample_size, equal_weights, normalise
 from sdf import se3
-from sdf.check import may_look
+from sdf.check import is_eager
 from sensors.evidence import EvidenceSet
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
@@ -111,7 +111,7 @@ class PoseBelief:
             DegenerateBeliefError: a scene's are all -inf, or some are NaN or +inf.
         """
         top = log_weights.amax(-1)
-        if may_look() and not bool(torch.isfinite(top).all()):
+        if is_eager() and not bool(torch.isfinite(top).all()):
             raise DegenerateBeliefError(
                 f"Expected a finite log-weight in each scene and none that is NaN or +inf, got {float(top.min())} as "
                 "the greatest: no particle fits what was observed, or a reading is none"

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rumi.belief.prior import PlanarPrior
 from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief, concatenate
-from rumi.dynamics.along_path import Carrier, Pusher, carry, distance_to
+from rumi.dynamics.along_path import PathPush, Pusher, distance_to, push_along_path
 from rumi.dynamics.sliding import Outline, Sliding
 from rumi.resampling import resample_systematic
 from sensors.touch.contact_model import ContactModel
@@ -135,7 +135,7 @@ class TrajectoryFilter:
         model: ContactModel,
         prior: PlanarPrior,
         settings: TrajectorySettings | None = None,
-        carrier: Carrier = carry,
+        carrier: PathPush = push_along_path,
     ) -> None:
         self.outline, self.centre, self.pusher = outline, centre, pusher
         self.model, self.prior = model, prior

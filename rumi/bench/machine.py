@@ -1,9 +1,7 @@
 """On what something was timed."""
 
 import os
-import platform
 import time
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -17,12 +15,14 @@ BUSY = 0.5
 
 
 def environment(device: torch.device) -> dict[str, Any]:
-    """Processor, cores, load, device, versions, threads and commit, ready for JSON."""
+    """Processor, what its kernels are chosen by, cores, load, device, versions, threads and commit, ready for JSON."""
     made_with = provenance()
+    own = dict(made_with["processor"])
     versions = {name: version for name, version in made_with["versions"].items() if version is not None}
     versions |= {name: found for name in PACKAGES if (found := version_of(name)) is not None}
     return {
-        "processor": processor(),
+        "processor": own.pop("model"),
+        "kernels": own,
         "cores": cores(),
         "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
@@ -33,16 +33,6 @@ def environment(device: torch.device) -> dict[str, Any]:
         "clock": "processor" if fitting_clock(made_with["threads"]) is time.process_time else "wall",
         "commit": made_with["commit"],
     }
-
-
-def processor() -> str:
-    """What the processor calls itself."""
-    listing = Path("/proc/cpuinfo")
-    if listing.is_file():
-        for line in listing.read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.startswith(("model name", "Hardware", "cpu model")):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
 
 
 def cores() -> int:

@@ -75,7 +75,7 @@ def localize(arguments: Sequence[str]) -> int:
         raise UsageError(f"Expected --starts of 1 or more, got {options.starts}")
     if not 0 <= options.seed < 2**63:
         raise UsageError(f"Expected --seed of 0 or more, below 2**63, got {options.seed}")
-    from rumi.registration.localize_settings import NOISE_M
+    from rumi.registration.contact_terms import NOISE_M
 
     if options.noise is not None and not NOISE_M[0] <= options.noise <= NOISE_M[1]:
         raise UsageError(

@@ -62,7 +62,8 @@ class ReplayOptions:
 
 def replay(arguments: Sequence[str]) -> int:
     """`rumi replay`: 0 if the belief became sure, 1 if not or if it is not the recorded one, 2 for bad input."""
-    from rumi.commands.replay_handle import is_of_handle, replay_handle
+    from rumi.commands.replay_handle import replay_handle
+    from rumi.tasks.handle.log import is_of_handle
 
     if not arguments or arguments[0].startswith("-"):
         if _HELP_FLAGS & set(arguments):
@@ -139,7 +140,7 @@ def recorded_settings(log: "Log", mapping: "BagMap | None") -> Settings:
         UsageError: it is of the handle task, which has others.
     """
     if mapping is None:
-        from rumi.commands.replay_handle import is_of_handle
+        from rumi.tasks.handle.log import is_of_handle
 
         if is_of_handle(log):
             raise UsageError(f"{log.path} is of the handle task, whose settings are others: `rumi replay` reads it")
@@ -224,8 +225,8 @@ def summary(
     """
     result = done.result
     used = len(done.same)
-    first, *lines = ending(result)
-    lines = [f"{name}: {first}", *lines]
+    head, *rest = ending(result)
+    lines = [f"{name}: {head}", *rest]
     if used < readings:
         lines.append(f"readings {used} of {readings}: sure before the log's end{go_on}")
     x, y, z = done.last.belief.mode()[:3, 3].tolist()
@@ -321,6 +322,7 @@ def machines(log: "Log") -> list[str]:
     from rumi.runs.folder import provenance
 
     now, then = provenance(), json.loads(log.texts.get("made_with", "{}"))
+    then.setdefault("processor", now["processor"])  # logs of before do not tell
     return [f"recorded with {name} {_at(then, name)}, replayed with {_at(now, name)}" for name in changes(then, now)]
 
 

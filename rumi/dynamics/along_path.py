@@ -1,5 +1,6 @@
-"""Particles carried along one tool path: where each is after every instant, and how far the tool then is from it."""
+"""Quasi-static pushing along tool paths: poses of objects after each instant, and the tool's distance from them."""
 
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -7,11 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.outline import GridOutline, RectangleOutline
+from rumi.dynamics.outline import GridOutline, RectangleOutline, support_of
 from rumi.dynamics.sliding import Outline, Sliding, push, rotated
-from sdf import backend
-from sdf import compiled as fused
-from sdf.check import check_finite, check_shape, may_look
+from rumi.robot.gripper import GripperShape
+from sdf import backend, compiled, se3
+from sdf.base import SDF
+from sdf.check import check_finite, check_shape, is_eager
 from sdf.so3 import wrap
 
 
@@ -37,7 +39,7 @@ class Pusher(NamedTuple):
         return Pusher(like.new_zeros(1, 2), radius)
 
 
-class Carried(NamedTuple):
+class PathOutcome(NamedTuple):
     """What a tool path did to E objects.
 
     Attributes:
@@ -51,8 +53,8 @@ class Carried(NamedTuple):
 
 
 @runtime_checkable
-class Carrier(Protocol):
-    """Says what a tool path does to objects: `carry`, or another physics with its arguments."""
+class PathPush(Protocol):
+    """Pushes objects along tool paths: `push_along_path`, or another physics with its arguments."""
 
     def __call__(
         self,
@@ -64,12 +66,12 @@ class Carrier(Protocol):
         *,
         substeps: int = 2,
         passes: int = 2,
-    ) -> Carried:
-        """Where objects are after each instant of a path; see `carry`."""
+    ) -> PathOutcome:
+        """Where objects are after each instant of a path; see `push_along_path`."""
         ...
 
 
-def carry(
+def push_along_path(
     poses: Float[Tensor, "E 3"],
     path: Float[Tensor, "#E K1 3"],
     pusher: Pusher,
@@ -78,7 +80,7 @@ def carry(
     *,
     substeps: int = 2,
     passes: int = 2,
-) -> Carried:
+) -> PathOutcome:
     """Push objects along tool paths, quasi-statically (`sliding.push` has the mechanics).
 
     Skipped, with the same poses: motions in which the tool is too far off to touch.
@@ -98,16 +100,16 @@ def carry(
     """
     check_shape("poses", poses, "(E, 3)", last=(3,))
     check_shape("path", path, "(#E, K1, 3)", last=(3,))
-    if may_look():
+    if is_eager():
         check_finite("poses", poses)
         check_finite("path", path)
     sliding = sliding.expand(len(poses))
-    version = backend.dispatch("carry", poses, path, pusher.points, *sliding)
-    found: Carried = version(poses, path, pusher, outline, sliding, substeps, passes)
+    version = backend.dispatch("push_along_path", poses, path, pusher.points, *sliding)
+    found: PathOutcome = version(poses, path, pusher, outline, sliding, substeps, passes)
     return found
 
 
-def carry_along(
+def displace_along_path(
     poses: Float[Tensor, "E 3"],
     path: Float[Tensor, "#E K1 3"],
     pusher: Pusher,
@@ -116,19 +118,19 @@ def carry_along(
     *,
     substeps: int = 2,
     passes: int = 2,
-) -> Carried:
+) -> PathOutcome:
     """The displacement model: what is touched goes with the point that touches it, and never turns.
 
-    It is the limit of `carry` in which turning is resisted without end and the contact never slips.
+    It is the limit of `push_along_path` in which turning is resisted without end and the contact never slips.
     """
     stiff = Sliding(sliding.centre, torch.full_like(sliding.lever, 1e3), torch.full_like(sliding.friction, 1e3))
-    return carry(poses, path, pusher, outline, stiff, substeps=substeps, passes=passes)
+    return push_along_path(poses, path, pusher, outline, stiff, substeps=substeps, passes=passes)
 
 
-@backend.register("carry")
-def _carry(
+@backend.register("push_along_path")
+def _push_along_path(
     poses: Tensor, path: Tensor, pusher: Pusher, outline: Outline, sliding: Sliding, substeps: int, passes: int
-) -> Carried:
+) -> PathOutcome:
     path = path.expand(len(poses), *path.shape[1:])
     reach, now = pusher.radius + outline.radius, poses
     track, distance = [], []
@@ -152,8 +154,70 @@ def _carry(
         track.append(now)
         distance.append(distance_to(now, path[:, instant + 1], pusher, outline))
     if not track:
-        return Carried(poses.new_zeros(len(poses), 0, 3), poses.new_zeros(len(poses), 0))
-    return Carried(torch.stack(track, 1), torch.stack(distance, 1))
+        return PathOutcome(poses.new_zeros(len(poses), 0, 3), poses.new_zeros(len(poses), 0))
+    return PathOutcome(torch.stack(track, 1), torch.stack(distance, 1))
+
+
+@dataclass(frozen=True)
+class PathMotion:
+    """Motion of an upright object under a planar push model, along the path that a level tool reports.
+
+    Attributes:
+        outline: of the object at the tool's height.
+        pusher: the tool.
+        sliding: how the object slides.
+        push: the model.
+        substeps: parts of the way from one instant to the next.
+    """
+
+    outline: GridOutline
+    pusher: Pusher
+    sliding: Sliding
+    push: PathPush
+    substeps: int = 1
+
+    @classmethod
+    def of(
+        cls,
+        sdf: SDF,
+        height_m: float,
+        shape: GripperShape,
+        push: PathPush,
+        *,
+        spacing_m: float,
+        lever_ratio: float = 1.0,
+        friction: float = 1.0,
+    ) -> "PathMotion":
+        """For an object and a gripper.
+
+        Args:
+            sdf: of the object.
+            height_m: of the tool, object frame.
+            shape: of the gripper.
+            push: the model.
+            spacing_m: between the points of the gripper's border.
+            lever_ratio: c of the limit surface over the mean distance of the object's base from its centre.
+            friction: coefficient between tool and object.
+        """
+        support = support_of(sdf)
+        like = support.centre
+        sliding = Sliding(like, like.new_tensor(lever_ratio * support.spread), like.new_tensor(friction))
+        return cls(GridOutline.of_slice(sdf, height_m), Pusher(shape.outline(spacing_m).to(like)), sliding, push)
+
+    @torch.no_grad()
+    def __call__(self, start: Float[Tensor, "E 3"], tool: Float[Tensor, "E K 3"]) -> Float[Tensor, "E K 4 4"]:
+        """World motion of objects from their start poses (x, y, yaw) up to each instant of a tool's path."""
+        # the way to the first instant is not reported: what depth it left is worked off on the spot
+        path = torch.cat((tool[:, :1], tool), 1)
+        outcome = self.push(
+            start,
+            unwrapped(path),
+            Pusher(self.pusher.points.to(start), self.pusher.thickness),
+            self.outline.to(start),
+            Sliding(*(part.to(start) for part in self.sliding)),
+            substeps=self.substeps,
+        )
+        return se3.from_planar(outcome.track) @ se3.inverse(se3.from_planar(start))[:, None]
 
 
 def distance_to(
@@ -173,14 +237,14 @@ def unwrapped(path: Float[Tensor, "*b T 3"]) -> Float[Tensor, "*b T 3"]:
     return torch.cat((path[..., :2], whole[..., None]), -1)
 
 
-@backend.register("carry", "numba", fused.supports)
-def _carry_numba(
+@backend.register("push_along_path", "numba", compiled.supports)
+def _push_along_path_numba(
     poses: Tensor, path: Tensor, pusher: Pusher, outline: Outline, sliding: Sliding, substeps: int, passes: int
-) -> Carried:
-    from rumi.dynamics.along_path_numba import carry as kernel
+) -> PathOutcome:
+    from rumi.dynamics.along_path_numba import push_along_path as kernel
 
     if not isinstance(outline, GridOutline | RectangleOutline):
-        return _carry(poses, path, pusher, outline, sliding, substeps, passes)
+        return _push_along_path(poses, path, pusher, outline, sliding, substeps, passes)
     count, instants = len(poses), path.shape[1] - 1
     track, distance = poses.new_empty(count, instants, 3), poses.new_empty(count, instants)
     if isinstance(outline, RectangleOutline):
@@ -195,4 +259,4 @@ def _carry_numba(
         track.numpy(),
         distance.numpy(),
     )
-    return Carried(track, distance)
+    return PathOutcome(track, distance)

@@ -1,4 +1,4 @@
-"""The fused CPU version of carrying particles; `carry.py` has the definition."""
+"""The compiled CPU version of pushes along a path; `along_path.py` has the definition."""
 
 import math
 
@@ -113,10 +113,10 @@ def _one(e, poses, path, points, table, centre, lever, friction, shape, sizes, c
         distance[e, instant] = apart - thickness
 
 
-def _carry(poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance):
+def _push_along_path(poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance):
     for e in prange(len(poses)):
         # a signed index: a parallel loop's is unsigned, which with a signed one makes no index
         _one(np.int64(e), poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance)
 
 
-carry = Kernel(_carry)
+push_along_path = Kernel(_push_along_path)

@@ -1,10 +1,19 @@
-"""What every push model is: control sequences in, predicted motion of robot and object out."""
+"""Push model: predicted motion of robot and object under controls, along a path, and in a filter."""
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+
+from rumi.dynamics.along_path import PathPush
+from rumi.dynamics.sliding import rotated
+from rumi.fields.information import WorkspaceFields
+from rumi.fields.workspace import Workspace
+from rumi.robot.gripper import GripperShape
+from rumi.robot.tool import Tool
+from sdf.object_model import ObjectModel
 
 
 class Paths(NamedTuple):
@@ -74,8 +83,8 @@ class PushRollouts(NamedTuple):
 
 
 @runtime_checkable
-class PushModel(Protocol):
-    """Predicts how the robot moves and what it does to the object."""
+class RolloutModel(Protocol):
+    """A push model under one belief: predicts how the robot moves and what it does to the object."""
 
     def rollout(
         self,
@@ -98,3 +107,145 @@ class PushModel(Protocol):
     def likely(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) that is shown as the plan: what happens more likely than not."""
         ...
+
+
+class PushDefaults(NamedTuple):
+    """Settings of the planner that were found best for a push model.
+
+    Attributes:
+        reachability_scale: weight of the reachability cost (beta_R).
+        rollouts: of each control sequence.
+    """
+
+    reachability_scale: float
+    rollouts: int
+
+
+# metres off upright or off a height at which a particle's outline is another
+LEVEL_M = 1e-3
+
+Use = Literal["rollouts", "path", "motion"]
+"""What a push model is asked for, by the name of its method."""
+
+ObjectMotion = Callable[[Float[Tensor, "E 3"], Float[Tensor, "E K 3"]], Float[Tensor, "E K 4 4"]]
+"""World motion of objects at poses (x, y, yaw), up to each instant of a tool's path (x, y, yaw)."""
+
+
+class PushModel:
+    """A model of pushing with up to three uses; a member of `rumi.dynamics.registry.PUSH_MODELS`.
+
+    A member overrides `make` and the uses that it has. A run that needs another use is refused when it is built.
+
+    Attributes:
+        defaults: of the planner.
+        objects: what it can push: "any" object, an "upright" one, or an upright one with a level tool ("planar").
+    """
+
+    defaults: ClassVar[PushDefaults]
+    objects: ClassVar[Literal["any", "upright", "planar"]] = "any"
+
+    @classmethod
+    def make(cls, settings: Any) -> Self:  # noqa: ANN401  (PushSettings, which know all members)
+        """The model that `rumi.dynamics.registry.PushSettings` describe."""
+        raise NotImplementedError
+
+    @classmethod
+    def has(cls, use: Use) -> bool:
+        """Whether it has a use."""
+        return getattr(cls, use) is not getattr(PushModel, use)
+
+    def fits(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> bool:
+        """Whether it can push particles at these poses with this tool."""
+        return True
+
+    def rollouts(
+        self,
+        model: ObjectModel,
+        world_T_object: Float[Tensor, "N 4 4"],
+        log_weights: Float[Tensor, "N"],
+        tool: Tool,
+        workspace: Workspace,
+        fields: WorkspaceFields,
+    ) -> RolloutModel:
+        """Rollouts of control sequences under one belief, for the planner.
+
+        Args:
+            model: the object.
+            world_T_object: particles.
+            log_weights: of them.
+            tool: points and free-space motion.
+            workspace: the lattice of the fields.
+            fields: of the belief.
+
+        Raises:
+            ValueError: the particles cannot be pushed.
+        """
+        raise NotImplementedError
+
+    def path(self, scene: Callable[[], Any] | None = None) -> PathPush:
+        """Pushes of given objects along given tool paths, for the filter over trajectories.
+
+        Args:
+            scene: makes the scene of a simulator (`rumi.sim.path_push.PathScene`), for a model that is one.
+        """
+        raise NotImplementedError
+
+    def motion(self, model: ObjectModel, shape: GripperShape, height_m: float, resting_m: float) -> ObjectMotion:
+        """Motion of an upright object along the path that a level tool reports, for the filter over poses.
+
+        Args:
+            model: the object.
+            shape: of the gripper.
+            height_m: of the tool above the floor.
+            resting_m: of the object's origin above the floor.
+        """
+        raise NotImplementedError
+
+
+def rigid_motions(
+    start: Float[Tensor, "E 3"], track: Float[Tensor, "E T 3"], pivot: Float[Tensor, "2"]
+) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
+    """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones."""
+    turn = track[..., 2] - start[:, None, 2]
+    arm = (pivot - start[:, :2])[:, None].expand(-1, track.shape[1], 2)
+    shift = track[..., :2] - start[:, None, :2] + rotated(arm, turn) - arm
+    still = (track == start[:, None]).all(-1, keepdim=True)
+    return torch.cat((torch.where(still, 0.0, shift), torch.zeros_like(shift[..., :1])), -1), turn
+
+
+def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
+    """Indices of the yaws in the middles of `count` equal shares of the weight, counted from opposite their mean."""
+    mean = torch.atan2(weights @ yaw.sin(), weights @ yaw.cos())
+    turned = torch.remainder(yaw - mean + torch.pi, 2.0 * torch.pi)
+    order = turned.sort(stable=True).indices
+    below = weights[order].cumsum(0)
+    middles = (torch.arange(count, dtype=below.dtype, device=below.device) + 0.5) / count
+    return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(yaw) - 1)]
+
+
+def twins(contact: Tensor) -> Int[Tensor, "K M"]:
+    """The first rollout that touches nothing for those that touch nothing, else the rollout itself."""
+    untouched = ~contact.any(-1)
+    own = torch.arange(contact.shape[1], device=contact.device).expand(untouched.shape)
+    return torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
+
+
+def rests(world_T_object: Float[Tensor, "N 4 4"]) -> bool:
+    """Whether particles are upright and at one height, so that one outline is that of all."""
+    heights = world_T_object[:, 2, 3]
+    tilted = bool((world_T_object[:, 2, 2] < 1.0 - LEVEL_M).any())
+    return not tilted and float(heights.max() - heights.min()) <= LEVEL_M
+
+
+def resting_height(world_T_object: Float[Tensor, "N 4 4"]) -> float:
+    """Z of the origin of particles that stand upright.
+
+    Raises:
+        ValueError: if they do not, or at different heights.
+    """
+    if not rests(world_T_object):
+        raise ValueError(
+            "Expected upright particles at one height to push one by one, got others: choose the push model "
+            "'displacement'"
+        )
+    return float(world_T_object[:, 2, 3].mean())

@@ -12,8 +12,7 @@ from rumi.dynamics.tool_lookup import TiedField
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.normal import expected_normal
 from rumi.fields.workspace import Workspace
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.base import SDF
 from sdf.voxel_grid import VoxelGrid
 
@@ -132,9 +131,9 @@ def _spread_plain(values: Float[Tensor, "X Y"], widths: list[int], margin: int) 
     return result[0, 0]
 
 
-@backend.register("spread", "numba", fused.supports)
+@backend.register("spread", "numba", compiled.supports)
 def _spread_numba(values: Float[Tensor, "X Y"], widths: list[int], margin: int) -> Float[Tensor, "X2 Y2"]:
-    from rumi.dynamics.contact_numba import spread
+    from rumi.dynamics.displacement_numba import spread
 
     result = values.new_zeros(values.shape[0] + len(widths) - 1, values.shape[1] + 2 * margin)
     spread(values.contiguous().numpy(), torch.tensor(widths).numpy(), margin, result.numpy())

@@ -4,20 +4,23 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Self, get_args
+from typing import Any, Literal, Self, get_args
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.dynamics.base import PushRollouts
+from rumi.dynamics.along_path import PathMotion, PathPush, displace_along_path
+from rumi.dynamics.base import PushDefaults, PushModel, PushRollouts
 from rumi.dynamics.contact import ContactBound, ContactField
 from rumi.dynamics.tool_lookup import TiedField, at_height, planar_features, world_height
+from rumi.fields.information import WorkspaceFields
+from rumi.fields.workspace import Workspace
+from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
-from sdf import backend
-from sdf import compiled as fused
-from sdf import skipped_work as savings
+from sdf import backend, compiled, skipped_work
 from sdf.check import check_shape
+from sdf.object_model import ObjectModel
 
 Hazard = Literal["per_rollout", "per_step", "per_mini_step"]
 
@@ -89,8 +92,8 @@ class Touched:
         return cls(sample, first, controls[sample], draws[rows], now, way, offset, no, no.clone())
 
 
-class DisplacementModel:
-    """RUMI's Alg 7 for a level tool, all rollouts at once.
+class DisplacementRollouts:
+    """RUMI's Alg 7 for a level tool, all rollouts at once: a `RolloutModel`.
 
     A mini step moves the tool to q', an equal part of the straight way on which its free motion would take it in a
     whole action (so that its limits are asked once an action). Contact happens with the greatest contact probability
@@ -128,11 +131,12 @@ class DisplacementModel:
             self.bound = ContactBound(probability, centres.to(self.points), float(radius))
 
     @cached_property
-    def fused(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
+    def compiled(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
         """`rollout_drawn` in one kernel; made once a model, at its first use."""
-        from rumi.dynamics.displacement_fused import FusedPush
+        from rumi.dynamics.displacement_numba import CompiledRollouts
 
-        return FusedPush(self)
+        kernel: Callable[[Tensor, Tensor, Tensor], PushRollouts] = CompiledRollouts(self, TIE)
+        return kernel
 
     def draw(
         self, samples: int, rollouts: int, horizon: int, *, generator: torch.Generator
@@ -174,7 +178,7 @@ class DisplacementModel:
         check_shape("configuration", configuration, f"({size},)", last=(size,))
         check_shape("controls", controls, "(K, H, A)")
         version = backend.dispatch("push_rollouts", configuration, controls, uniforms, self.points)
-        with savings.work("contact_checks") as work:
+        with skipped_work.work("contact_checks") as work:
             found: PushRollouts = version(self, configuration, controls, uniforms)
             whole = found.contact.numel() * self.settings.mini_steps
             work.count(found.checked * whole, whole)
@@ -334,15 +338,56 @@ class DisplacementModel:
         return pushes & (normal[:, :2].norm(dim=-1) >= normal[:, 2].abs()) if self.tool.spatial else pushes
 
 
-backend.register("push_rollouts")(DisplacementModel._rollouts)
+backend.register("push_rollouts")(DisplacementRollouts._rollouts)
 
 
-@backend.register("push_rollouts", "numba", fused.supports)
+@backend.register("push_rollouts", "numba", compiled.supports)
 def _rollouts_numba(
-    model: DisplacementModel, configuration: Tensor, controls: Tensor, uniforms: Tensor
+    model: DisplacementRollouts, configuration: Tensor, controls: Tensor, uniforms: Tensor
 ) -> PushRollouts:
     x, y, z = model.grids[0].shape
     if min(x, y) == 1 or (z > 1) != model.tool.spatial:
         # points of several heights in a plane, or a field constant along an axis: the plain version knows how
         return model._rollouts(configuration, controls, uniforms)
-    return model.fused(configuration, controls, uniforms)
+    return model.compiled(configuration, controls, uniforms)
+
+
+class DisplacementPush(PushModel):
+    """RUMI's push model: the object moves with the point that touches it, and never turns. A `PushModel`.
+
+    Args:
+        settings: of the rollouts.
+        spacing_m: between the points of the tool's border, along paths.
+    """
+
+    defaults = PushDefaults(reachability_scale=2.0, rollouts=5)
+
+    def __init__(self, settings: DisplacementSettings, spacing_m: float) -> None:
+        self.settings, self.spacing_m = settings, spacing_m
+
+    @classmethod
+    def make(cls, settings: Any) -> Self:  # noqa: ANN401
+        """The model that settings describe."""
+        return cls(settings.push, settings.quasi_static.spacing_m)
+
+    def rollouts(
+        self,
+        model: ObjectModel,
+        world_T_object: Float[Tensor, "N 4 4"],
+        log_weights: Float[Tensor, "N"],
+        tool: Tool,
+        workspace: Workspace,
+        fields: WorkspaceFields,
+    ) -> DisplacementRollouts:
+        """Rollouts under one belief."""
+        contact = ContactField.from_belief(model.sdf, world_T_object, log_weights, workspace, fields)
+        return DisplacementRollouts(contact, tool, self.settings)
+
+    def path(self, scene: Callable[[], Any] | None = None) -> PathPush:
+        """Pushes along given paths."""
+        return displace_along_path
+
+    def motion(self, model: ObjectModel, shape: GripperShape, height_m: float, resting_m: float) -> PathMotion:
+        """Motion along the path of a level tool."""
+        height = height_m - resting_m
+        return PathMotion.of(model.sdf, height, shape, displace_along_path, spacing_m=self.spacing_m)

@@ -3,19 +3,34 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Self
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.base import PushRollouts
-from rumi.dynamics.outline import GridOutline, Support
-from rumi.dynamics.sliding import Sliding, push, rotated
+from rumi.dynamics.along_path import PathMotion, PathPush, push_along_path
+from rumi.dynamics.base import (
+    LEVEL_M,
+    PushDefaults,
+    PushModel,
+    PushRollouts,
+    representatives,
+    resting_height,
+    rests,
+    rigid_motions,
+    twins,
+)
+from rumi.dynamics.outline import GridOutline, Support, support_of
+from rumi.dynamics.sliding import Sliding, push
+from rumi.fields.information import WorkspaceFields
+from rumi.fields.workspace import Workspace
+from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
-from sdf import backend, se3
-from sdf import compiled as fused
-from sdf import skipped_work as savings
+from sdf import backend, compiled, se3, skipped_work
+from sdf.base import SDF
 from sdf.check import check_shape
+from sdf.object_model import ObjectModel
 
 
 @dataclass(frozen=True)
@@ -49,8 +64,8 @@ class QuasiStaticSettings:
             raise ValueError(f"Expected friction to be 0 or more, got {self.friction}")
 
 
-class QuasiStaticModel:
-    """A planar tool that goes where it wants and pushes particles of the belief before it: a `PushModel`.
+class QuasiStaticRollouts:
+    """A planar tool that goes where it wants and pushes particles of the belief before it: a `RolloutModel`.
 
     Where the displacement model asks how likely a contact is and moves the object with the point that touches it, here
     every rollout has one pose of the object, and pushes that: it slides along the tool, turns, and slips off. The
@@ -93,11 +108,12 @@ class QuasiStaticModel:
         self.reach = float(self.points.norm(dim=-1).max()) + self.outline.radius
 
     @cached_property
-    def fused(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
+    def compiled(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
         """`rollout_poses` in one kernel; made once a model, at its first use."""
-        from rumi.dynamics.quasi_static_fused import FusedPush
+        from rumi.dynamics.quasi_static_numba import CompiledRollouts
 
-        return FusedPush(self)
+        kernel: Callable[[Tensor, Tensor, Tensor], PushRollouts] = CompiledRollouts(self)
+        return kernel
 
     def representatives(self, count: int) -> Float[Tensor, "count 3"]:
         """Poses in the middles of `count` equal shares of the belief, in the order of their yaws."""
@@ -126,7 +142,7 @@ class QuasiStaticModel:
         check_shape("configuration", configuration, "(3,)", last=(3,))
         check_shape("controls", controls, "(K, H, A)")
         version = backend.dispatch("quasi_static_rollouts", configuration, controls, poses, self.points)
-        with savings.work("pushes") as work:
+        with skipped_work.work("pushes") as work:
             found: PushRollouts = version(self, configuration, controls, poses)
             whole = found.contact.numel() * self.settings.mini_steps
             work.count(found.checked * whole, whole)
@@ -187,37 +203,76 @@ class QuasiStaticModel:
         return rigid_motions(start, track, self.pivot)
 
 
-def rigid_motions(
-    start: Float[Tensor, "E 3"], track: Float[Tensor, "E T 3"], pivot: Float[Tensor, "2"]
-) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
-    """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones."""
-    turn = track[..., 2] - start[:, None, 2]
-    arm = (pivot - start[:, :2])[:, None].expand(-1, track.shape[1], 2)
-    shift = track[..., :2] - start[:, None, :2] + rotated(arm, turn) - arm
-    still = (track == start[:, None]).all(-1, keepdim=True)
-    return torch.cat((torch.where(still, 0.0, shift), torch.zeros_like(shift[..., :1])), -1), turn
+backend.register("quasi_static_rollouts")(QuasiStaticRollouts._rollouts)
 
 
-def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
-    """Indices of the yaws in the middles of `count` equal shares of the weight, counted from opposite their mean."""
-    mean = torch.atan2(weights @ yaw.sin(), weights @ yaw.cos())
-    turned = torch.remainder(yaw - mean + torch.pi, 2.0 * torch.pi)
-    order = turned.sort(stable=True).indices
-    below = weights[order].cumsum(0)
-    middles = (torch.arange(count, dtype=below.dtype, device=below.device) + 0.5) / count
-    return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(yaw) - 1)]
+@backend.register("quasi_static_rollouts", "numba", compiled.supports)
+def _rollouts_numba(model: QuasiStaticRollouts, configuration: Tensor, controls: Tensor, poses: Tensor) -> PushRollouts:
+    return model.compiled(configuration, controls, poses)
 
 
-def twins(contact: Tensor) -> Int[Tensor, "K M"]:
-    """The first rollout that touches nothing for those that touch nothing, else the rollout itself."""
-    untouched = ~contact.any(-1)
-    own = torch.arange(contact.shape[1], device=contact.device).expand(untouched.shape)
-    return torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
+class QuasiStaticPush(PushModel):
+    """Slow pushing of single poses, which slide and turn: a `PushModel` of upright objects and a level tool.
 
+    Keeps what it needs of the object's shape, which does not change in a run.
 
-backend.register("quasi_static_rollouts")(QuasiStaticModel._rollouts)
+    Args:
+        settings: see there.
+    """
 
+    defaults = PushDefaults(reachability_scale=4.0, rollouts=8)
+    objects = "planar"
 
-@backend.register("quasi_static_rollouts", "numba", fused.supports)
-def _rollouts_numba(model: QuasiStaticModel, configuration: Tensor, controls: Tensor, poses: Tensor) -> PushRollouts:
-    return model.fused(configuration, controls, poses)
+    def __init__(self, settings: QuasiStaticSettings) -> None:
+        self.settings = settings
+        self._shape: tuple[SDF, float, GridOutline, Support] | None = None
+
+    @classmethod
+    def make(cls, settings: Any) -> Self:  # noqa: ANN401
+        """The model that settings describe."""
+        return cls(settings.quasi_static)
+
+    def fits(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> bool:
+        """Whether the tool is level and all particles stand upright at one height."""
+        return not tool.spatial and rests(world_T_object)
+
+    def rollouts(
+        self,
+        model: ObjectModel,
+        world_T_object: Float[Tensor, "N 4 4"],
+        log_weights: Float[Tensor, "N"],
+        tool: Tool,
+        workspace: Workspace,
+        fields: WorkspaceFields,
+    ) -> QuasiStaticRollouts:
+        """Rollouts under one belief.
+
+        Raises:
+            ValueError: particles do not stand upright at one height.
+        """
+        outline, support = self._shape_at(model.sdf, tool.height_m - resting_height(world_T_object))
+        return QuasiStaticRollouts(outline, support, tool, world_T_object, log_weights, self.settings)
+
+    def path(self, scene: Callable[[], Any] | None = None) -> PathPush:
+        """Pushes along given paths."""
+        return push_along_path
+
+    def motion(self, model: ObjectModel, shape: GripperShape, height_m: float, resting_m: float) -> PathMotion:
+        """Motion along the path of a level tool."""
+        own = self.settings
+        return PathMotion.of(
+            model.sdf,
+            height_m - resting_m,
+            shape,
+            push_along_path,
+            spacing_m=own.spacing_m,
+            lever_ratio=own.lever_ratio,
+            friction=own.friction,
+        )
+
+    def _shape_at(self, sdf: SDF, height: float) -> tuple[GridOutline, Support]:
+        known = self._shape
+        if known is None or known[0] is not sdf or abs(known[1] - height) > LEVEL_M:
+            known = (sdf, height, GridOutline.of_slice(sdf, height), support_of(sdf))
+            self._shape = known
+        return known[2], known[3]

@@ -1,14 +1,18 @@
-"""The fused CPU version of the quasi-static rollouts; `quasi_static.py` and `sliding.py` have the definition."""
+"""The compiled CPU version of the quasi-static rollouts; `quasi_static.py` and `sliding.py` have the definition."""
 
 import math
 
 import numpy as np
+import torch
 from numba import prange
 
+from rumi.dynamics.base import PushRollouts, twins
 from rumi.dynamics.sliding_numba import settled, slope, value
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
+
+_GROUP = 12  # points of the tool's border that one bound settles together
 
 
 @bare
@@ -69,14 +73,16 @@ def _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers,
     actions = path.shape[1] - 1
     table, base, bounds, limits = arm
     free_x, free_y, free_yaw = float(path[k, 0, 0]), float(path[k, 0, 1]), float(path[k, 0, 2])
-    left = residual(free_x, free_y, free_yaw, table, base, limits)
+    left = residual(free_x, free_y, 0.0, free_yaw, table, base, limits)
     for h in range(actions):
-        free_x, free_y, free_yaw, left = step_within(
+        free_x, free_y, _height, free_yaw, left = step_within(
             free_x,
             free_y,
+            0.0,
             free_yaw,
             free_x + controls[k, h, 0] * action_scale[0],
             free_y + controls[k, h, 1] * action_scale[1],
+            0.0,
             free_yaw + controls[k, h, 2] * action_scale[2],
             left,
             table,
@@ -179,4 +185,84 @@ def _push_rollouts(controls, action_scale, arm, path, poses, body, outline, numb
         _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers, counts, scratch, out)
 
 
-push_rollouts = Kernel(_push_rollouts)
+_push_rollouts_kernel = Kernel(_push_rollouts)
+
+
+class CompiledRollouts:
+    """The compiled version of `rollout_poses`.
+
+    Skipped besides, with the same result: groups of the tool's points that are too far from the object to hold the
+    deepest of them.
+
+    Args:
+        model: whose outline, points and friction are used.
+    """
+
+    def __init__(self, model):
+        self._model = model
+        points, outline, sliding = model.points, model.outline, model.sliding
+        owner = _groups(points)
+        order = owner.argsort(stable=True)
+        count = int(owner.max()) + 1
+        starts = torch.searchsorted(owner[order], torch.arange(count + 1))
+        sets = [points[owner == index] for index in range(count)]
+        centres = torch.stack([0.5 * (own.amin(0) + own.amax(0)) for own in sets])
+        radii = torch.stack([(own - centre).norm(dim=-1).max() for own, centre in zip(sets, centres, strict=True)])
+        self._body = _arrays(*points[order].unbind(-1), order, starts, centres.double(), radii.double())
+        self._outline = _arrays(outline.values, outline.values.flatten(), outline.origin.double())
+        width = float(points.norm(dim=-1).max())
+        numbers = (
+            outline.spacing,
+            model.reach,
+            width,
+            *sliding.centre.tolist(),
+            float(sliding.lever),
+            float(sliding.friction),
+        )
+        self._numbers = np.array(numbers)
+        self._counts = np.array((model.settings.mini_steps, model.settings.passes))
+
+    def __call__(self, configuration, controls, poses):
+        """The rollouts in which the object starts at given poses."""
+        (samples, horizon, _), rollouts = controls.shape, len(poses)
+        path = configuration.expand(samples, horizon + 1, 3).contiguous()
+        track = path.new_empty(samples, rollouts, horizon + 1, 3)
+        contact = torch.zeros(samples, rollouts, horizon, dtype=torch.bool)
+        checks = torch.zeros(samples, dtype=torch.long)
+        _push_rollouts_kernel(
+            *_arrays(controls, self._model.tool.scale),
+            self._model.tool.arm_arrays(),
+            *_arrays(path, poses.to(path)),
+            self._body,
+            self._outline,
+            self._numbers,
+            self._counts,
+            np.empty((samples, len(self._body[0])), self._body[0].dtype),
+            tuple(part.numpy() for part in (track, contact, checks)),
+        )
+        shifts, turns = self._model.motions(
+            poses.to(path).repeat(samples, 1), track.view(samples * rollouts, horizon + 1, 3)
+        )
+        whole = samples * rollouts * horizon * self._model.settings.mini_steps
+        return PushRollouts(
+            path[:, None].expand(track.shape).contiguous(),
+            shifts.view(track.shape),
+            contact,
+            int(checks.sum()) / max(1, whole),
+            twins(contact),
+            turns.view(track.shape[:3]),
+            self._model.pivot,
+        )
+
+
+def _groups(points):
+    """Number of the group of each point: near ones together."""
+    count = max(1, len(points) // _GROUP)
+    centres = points[:1]
+    while len(centres) < count:
+        centres = torch.cat((centres, points[torch.cdist(points, centres).amin(-1).argmax()][None]))
+    return torch.unique(torch.cdist(points, centres).argmin(-1), return_inverse=True)[1]
+
+
+def _arrays(*tensors):
+    return tuple(tensor.detach().contiguous().numpy() for tensor in tensors)

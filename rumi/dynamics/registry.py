@@ -1,31 +1,25 @@
-"""The family of push models by name, each made for one belief."""
+"""Registry of push models: members by name, their settings, and the one that a run uses."""
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, get_args
+from dataclasses import dataclass, field
 
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.base import PushModel
-from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings
-from rumi.dynamics.outline import GridOutline, Support, support_of
-from rumi.dynamics.quasi_static import QuasiStaticModel, QuasiStaticSettings
+from rumi.dynamics.base import PushModel, RolloutModel, Use
+from rumi.dynamics.displacement import DisplacementPush, DisplacementSettings
+from rumi.dynamics.quasi_static import QuasiStaticPush, QuasiStaticSettings
+from rumi.errors import UsageError
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
+from rumi.registry import Table
 from rumi.robot.tool import Tool
-from sdf.base import SDF
 from sdf.object_model import ObjectModel
 
-PushChoice = Literal["auto", "displacement", "quasi-static", "mujoco"]
-PUSH_MODELS: tuple[str, ...] = get_args(PushChoice)
+PUSH_MODELS: Table[type[PushModel]] = Table("push model", "rumi.push_models")
+"""Push models by name; a package from outside adds one by an entry point of the group "rumi.push_models"."""
 
-# metres off upright or off a height at which a particle's outline is another
-_LEVEL = 1e-3
-# cosine of the tilt up to which an engine takes particles to be upright where the tool moves in space, and tilts them
-_TILTED = math.cos(math.radians(15.0))
+AUTO = "auto"
+"""The quasi-static model for upright particles and a level tool, else the displacement model."""
 
 
 @dataclass(frozen=True)
@@ -57,47 +51,85 @@ class EngineSettings:
             raise ValueError(f"Expected hold_s and threads to be 0 or more, got {self.hold_s} and {self.threads}")
 
 
-Engine = Callable[[ObjectModel, Tensor, Tensor, Tool, EngineSettings], PushModel]
-"""Makes the push model of a physics engine from object, poses, log-weights and tool."""
+@dataclass(frozen=True)
+class PushSettings:
+    """Choice of a push model, and the settings of each.
 
-ENGINES: dict[str, Engine] = {}
-"""Push models that know the simulator enter themselves here, since the algorithm does not know it."""
+    Attributes:
+        push_model: how the object is expected to move: "displacement" carries it with the point that touches it, as
+            in the paper; "quasi-static" pushes single poses of the belief, which slide and turn; "mujoco" does so with
+            the simulator's physics (slow: ask for few samples); or a name that an installed package adds. "auto" is
+            the quasi-static model where it can be, with upright particles and a level tool, and the displacement model
+            elsewhere.
+        push: settings of the displacement model.
+        quasi_static: settings of the quasi-static model.
+        engine: settings of the physics.
+    """
+
+    push_model: str = AUTO
+    push: DisplacementSettings = field(default_factory=DisplacementSettings)
+    quasi_static: QuasiStaticSettings = field(default_factory=QuasiStaticSettings)
+    engine: EngineSettings = field(default_factory=EngineSettings)
+
+    def __post_init__(self) -> None:
+        """Refuse a model that there is not."""
+        if self.push_model != AUTO and self.push_model not in PUSH_MODELS:
+            names = ", ".join((AUTO, *PUSH_MODELS))
+            raise UsageError(f"Expected push_model to be one of {names}, got {self.push_model!r}")
+
+
+PUSH_MODELS.add("displacement", DisplacementPush)
+PUSH_MODELS.add("quasi-static", QuasiStaticPush)
+PUSH_MODELS.add("mujoco", "rumi.sim.push_model:MujocoPush")  # by address: only where it is chosen is MuJoCo loaded
+
+
+def push_model(name: str, use: Use, settings: PushSettings | None = None) -> PushModel:
+    """The push model of a name.
+
+    Args:
+        name: of `PUSH_MODELS`.
+        use: that it is to have.
+        settings: of the models; by default their defaults.
+
+    Raises:
+        UsageError: there is no such model, or it lacks the use; the message lists the names.
+    """
+    member = PUSH_MODELS[name]
+    if not member.has(use):
+        names = ", ".join(PUSH_MODELS)
+        raise UsageError(f"Expected a push model with the use {use!r}, got {name!r}, which lacks it: choose of {names}")
+    return member.make(settings or PushSettings())
 
 
 class PushModels:
-    """Makes push models for the beliefs of a run; keeps what they need of the object's shape, which never changes.
+    """The push models of a run, each made once.
 
     Args:
-        choice: which member; "auto" is the quasi-static one for upright particles and a level tool, else displacement.
-        displacement: settings of the displacement model.
-        quasi_static: settings of the quasi-static model.
-        engine: settings of a physics engine.
+        settings: the choice and all members' settings.
+
+    Raises:
+        UsageError: the chosen model has no rollouts.
     """
 
-    def __init__(
-        self,
-        choice: PushChoice = "displacement",
-        displacement: DisplacementSettings | None = None,
-        quasi_static: QuasiStaticSettings | None = None,
-        engine: EngineSettings | None = None,
-    ) -> None:
-        if choice not in PUSH_MODELS:
-            raise ValueError(f"Expected a push model out of {', '.join(PUSH_MODELS)}, got {choice!r}")
-        self.choice = choice
-        self.displacement = displacement or DisplacementSettings()
-        self.quasi_static = quasi_static or QuasiStaticSettings()
-        self.engine = engine or EngineSettings()
-        self._shape: tuple[SDF, float, GridOutline, Support] | None = None
+    def __init__(self, settings: PushSettings | None = None) -> None:
+        self.settings = settings or PushSettings()
+        self._made: dict[str, PushModel] = {}
+        if self.settings.push_model != AUTO:
+            self._member(self.settings.push_model)
 
     def chosen(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> str:
-        """Name of the member that pushes these particles with this tool; "displacement" for what has been toppled."""
-        if self.choice == "mujoco" and tool.spatial:
-            return "mujoco" if bool((world_T_object[:, 2, 2] >= _TILTED).all()) else "displacement"
-        if self.choice != "auto":
-            return self.choice
-        return "displacement" if tool.spatial or not stands(world_T_object) else "quasi-static"
+        """Name of the member that pushes these particles with this tool.
 
-    def of_belief(
+        That is the displacement model where "auto" has no other, and for what a tool in space has toppled.
+        """
+        name = self.settings.push_model
+        if name == AUTO:
+            return "quasi-static" if self._member("quasi-static").fits(world_T_object, tool) else "displacement"
+        if tool.spatial and not self._member(name).fits(world_T_object, tool):
+            return "displacement"
+        return name
+
+    def rollouts(
         self,
         model: ObjectModel,
         world_T_object: Float[Tensor, "N 4 4"],
@@ -105,51 +137,12 @@ class PushModels:
         tool: Tool,
         workspace: Workspace,
         fields: WorkspaceFields,
-    ) -> PushModel:
-        """The push model of one scene.
+    ) -> RolloutModel:
+        """Rollouts under one belief, by the member that suits it; see `PushModel.rollouts`."""
+        member = self._member(self.chosen(world_T_object, tool))
+        return member.rollouts(model, world_T_object, log_weights, tool, workspace, fields)
 
-        Raises:
-            ValueError: if single poses are to be pushed, and they do not stand upright at one height.
-            RuntimeError: if a physics engine is asked for that nothing has brought.
-        """
-        choice = self.chosen(world_T_object, tool)
-        if choice == "displacement":
-            contact = ContactField.from_belief(model.sdf, world_T_object, log_weights, workspace, fields)
-            return DisplacementModel(contact, tool, self.displacement)
-        height = 0.0 if tool.spatial and choice == "mujoco" else standing_height(world_T_object)
-        if choice == "quasi-static":
-            outline, support = self._shape_at(model.sdf, tool.height_m - height)
-            return QuasiStaticModel(outline, support, tool, world_T_object, log_weights, self.quasi_static)
-        if choice not in ENGINES:
-            raise RuntimeError(
-                f"Expected the push model {choice!r} to have been entered: import rumi.sim.push_model first"
-            )
-        return ENGINES[choice](model, world_T_object, log_weights, tool, self.engine)
-
-    def _shape_at(self, sdf: SDF, height: float) -> tuple[GridOutline, Support]:
-        known = self._shape
-        if known is None or known[0] is not sdf or abs(known[1] - height) > _LEVEL:
-            known = (sdf, height, GridOutline.of_slice(sdf, height), support_of(sdf))
-            self._shape = known
-        return known[2], known[3]
-
-
-def stands(world_T_object: Float[Tensor, "N 4 4"]) -> bool:
-    """Whether particles are upright and at one height, so that one outline is that of all."""
-    heights = world_T_object[:, 2, 3]
-    tilted = bool((world_T_object[:, 2, 2] < 1.0 - _LEVEL).any())
-    return not tilted and float(heights.max() - heights.min()) <= _LEVEL
-
-
-def standing_height(world_T_object: Float[Tensor, "N 4 4"]) -> float:
-    """Z of the origin of particles that stand upright.
-
-    Raises:
-        ValueError: if they do not, or at different heights.
-    """
-    if not stands(world_T_object):
-        raise ValueError(
-            "Expected upright particles at one height to push one by one, got others: choose the push model "
-            "'displacement'"
-        )
-    return float(world_T_object[:, 2, 3].mean())
+    def _member(self, name: str) -> PushModel:
+        if name not in self._made:
+            self._made[name] = push_model(name, "rollouts", self.settings)
+        return self._made[name]

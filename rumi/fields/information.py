@@ -10,11 +10,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from rumi.weights import check_weights
-from sdf import backend
-from sdf import compiled as fused
-from sdf import skipped_work as savings
+from sdf import backend, compiled, skipped_work
 from sdf.base import SDF
-from sdf.check import check_finite, check_shape, may_look
+from sdf.check import check_finite, check_shape, is_eager
 from sdf.grid_sdf import takes
 from sdf.posed import about_first, posed_distance
 
@@ -183,7 +181,7 @@ def information_field(
     check_shape("points_w", points_w, "(V, 3)", last=(3,))
     check_weights(log_weights)
     # one such pose would hide the object from all points, whatever its weight
-    if may_look():
+    if is_eager():
         check_finite("world_T_object", world_T_object)
     settings = settings or InformationSettings()
     values: dict[str, Any] = {f.name: getattr(settings, f.name) for f in fields(settings)} | parameters
@@ -196,8 +194,8 @@ def information_field(
     world_T_object, points_w = about_first(world_T_object, points_w)
     tensors = (value for value in values.values() if isinstance(value, Tensor))
     version = backend.dispatch("information_field", world_T_object, log_weights, points_w, *sdf.tensors(), *tensors)
-    with savings.work("workspace_points") as work:
-        if savings.kept():
+    with skipped_work.work("workspace_points") as work:
+        if skipped_work.kept():
             work.count(int(near.sum()), near.numel())
         return version(sdf, world_T_object, log_weights, points_w, near, values)
 
@@ -222,7 +220,7 @@ def _information_field(
     return WorkspaceFields(semantics, information)
 
 
-@backend.register("information_field", "numba", fused.supports)
+@backend.register("information_field", "numba", compiled.supports)
 def _information_field_numba(
     sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, near: Tensor, values: dict[str, Any]
 ) -> WorkspaceFields:
@@ -230,10 +228,10 @@ def _information_field_numba(
     lone = all(value.numel() == 1 for value in numbers.values() if isinstance(value, Tensor))
     if not lone or not takes(sdf, world_T_object, log_weights, points_w) or not world_T_object.shape[-3]:
         return _information_field(sdf, world_T_object, log_weights, points_w, near, values)
-    from rumi.fields.information_fused import fused_fields
+    from rumi.fields.information_numba import information_field as compiled
 
     floats = {name: value.item() if isinstance(value, Tensor) else float(value) for name, value in numbers.items()}
-    return fused_fields(sdf, world_T_object, log_weights, points_w, near, values["mode"], floats)
+    return WorkspaceFields(*compiled(sdf, world_T_object, log_weights, points_w, near, values["mode"], floats))
 
 
 def tail_distance(sharpness: float, surface_tolerance: float, tail: float) -> float:

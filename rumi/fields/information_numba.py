@@ -1,15 +1,17 @@
-"""The fused CPU version of semantics and information; `information.py` has the definition."""
+"""The compiled CPU version of semantics and information; `information.py` has the definition."""
 
 import math
 
 import numpy as np
+import torch
 from llvmlite import ir
 from numba import prange, types
 from numba.extending import intrinsic, overload
 
 from sdf.compiled import Kernel
 from sdf.grid_numba import block, fast, lattice_of, layer_value, put, value
-from sdf.posed_numba import placed_from, placed_upright_from
+from sdf.posed import common_height
+from sdf.posed_numba import placed_from, placed_upright_from, pose_planes, table_arguments
 
 # points of one task, and numbers of the modes
 _STEP = 32
@@ -225,3 +227,40 @@ def _field(
 
 
 field = Kernel(_field, fast=True)
+_MODES = {"sensor_mi": SENSOR, "surrogate": SURROGATE, "reverse_kl": REVERSE, "forward_kl": FORWARD}
+
+
+def information_field(sdf, world_T_object, log_weights, points_w, near, mode, numbers):
+    """Semantics and information of the points `near`, in one pass over the poses; others are void."""
+    batch, poses = world_T_object.shape[:-3], world_T_object.shape[-3]
+    scenes, count, dtype = math.prod(batch), points_w.shape[-2], points_w.dtype
+    semantics = points_w.new_zeros(*batch, count, 3)
+    semantics[..., 0] = 1.0
+    information = points_w.new_zeros(*batch, count)
+    log_weights = log_weights.detach().expand(*batch, poses)
+    rows, weights = pose_planes(world_T_object, log_weights.exp()[..., None, :])
+    settings = [
+        1.0,
+        numbers["peakiness"],
+        numbers["peakiness"] * numbers["free_scale"],
+        numbers["tolerance"],
+        numbers["sharpness"],
+        numbers["surface_tolerance"],
+        torch.finfo(dtype).tiny,
+    ]
+    upright, (flat, _, *rest) = table_arguments(sdf, common_height(sdf, world_T_object, points_w), dtype)
+    field(
+        near.reshape(-1).nonzero()[:, 0].numpy(),
+        points_w.detach().reshape(-1, 3).contiguous().numpy(),
+        rows.numpy(),
+        log_weights.reshape(scenes, poses).contiguous().numpy(),
+        weights[:, 0].numpy(),
+        _MODES[mode],
+        torch.tensor(settings, dtype=dtype).numpy(),
+        upright,
+        flat,
+        *rest,
+        semantics.view(scenes, count, 3).numpy(),
+        information.view(scenes, count).numpy(),
+    )
+    return semantics, information

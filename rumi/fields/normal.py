@@ -6,9 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sdf import backend
-from sdf import compiled as fused
-from sdf import skipped_work as savings
+from sdf import backend, compiled, skipped_work
 from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.grid_sdf import takes
@@ -42,8 +40,8 @@ def expected_normal(
         shape = (*world_T_object.shape[:-3], len(points_w))
         where = torch.ones(shape, dtype=torch.bool, device=points_w.device)
     version = backend.dispatch("expected_normal", world_T_object, log_weights, points_w, *sdf.tensors())
-    with savings.work("normals") as work:
-        if savings.kept():
+    with skipped_work.work("normals") as work:
+        if skipped_work.kept():
             work.count(int(where.sum()), where.numel())
         return version(sdf, world_T_object, log_weights, points_w, where)
 
@@ -63,12 +61,12 @@ def _expected_normal(sdf: SDF, world_T_object: Tensor, log_weights: Tensor, poin
     return normal
 
 
-@backend.register("expected_normal", "numba", fused.supports)
+@backend.register("expected_normal", "numba", compiled.supports)
 def _expected_normal_numba(
     sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, where: Tensor
 ) -> Tensor:
     if not takes(sdf, world_T_object, log_weights, points_w):
         return _expected_normal(sdf, world_T_object, log_weights, points_w, where)
-    from rumi.fields.normal_fused import fused_normal
+    from rumi.fields.normal_numba import expected_normal as compiled
 
-    return fused_normal(sdf, world_T_object, log_weights, points_w, where)
+    return compiled(sdf, world_T_object, log_weights, points_w, where)

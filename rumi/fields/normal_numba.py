@@ -1,10 +1,13 @@
-"""The fused CPU version of the expected normal; `normal.py` has the definition."""
+"""The compiled CPU version of the expected normal; `normal.py` has the definition."""
+
+import math
 
 from numba import prange
 
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, lattice_of, layer_value_and_gradient, value_and_gradient
-from sdf.posed_numba import placed_from, placed_upright_from
+from sdf.posed import common_height
+from sdf.posed_numba import placed_from, placed_upright_from, pose_planes, table_arguments
 
 
 def _normal(chosen, points, rows, turned, upright, flat, rise, level, numbers, sizes, result):
@@ -36,3 +39,22 @@ def _normal(chosen, points, rows, turned, upright, flat, rise, level, numbers, s
 
 
 normal = Kernel(_normal, fast=True)
+
+
+def expected_normal(sdf, world_T_object, log_weights, points_w, where):
+    """One pass over the poses for each point of `where`, 0 elsewhere."""
+    batch, poses, count = world_T_object.shape[:-3], world_T_object.shape[-3], len(points_w)
+    turned = log_weights.exp()[..., None, None] * world_T_object[..., :3, :3]
+    rows, turned = pose_planes(world_T_object, turned.expand(*batch, poses, 3, 3).reshape(*batch, poses, 9).mT)
+    upright, table = table_arguments(sdf, common_height(sdf, world_T_object, points_w), points_w.dtype)
+    result = points_w.new_zeros(*batch, count, 3)
+    normal(
+        where.expand(*batch, count).reshape(-1).nonzero()[:, 0].numpy(),
+        points_w.detach().contiguous().numpy(),
+        rows.numpy(),
+        turned.numpy(),
+        upright,
+        *table,
+        result.view(math.prod(batch), count, 3).numpy(),
+    )
+    return result

@@ -11,9 +11,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.weights import check_weights
-from sdf import backend
-from sdf import compiled as fused
-from sdf.check import check_finite, may_look
+from sdf import backend, compiled
+from sdf.check import check_finite, is_eager
 from sdf.so3 import wrap
 
 # bytes of pairwise differences that are held at once
@@ -93,7 +92,7 @@ def unique_states(
         ValueError: no states, some that are not finite, or weights as `check_weights` refuses them.
     """
     check_weights(log_weights)
-    if may_look():
+    if is_eager():
         check_finite("states", states)
     log_weights = log_weights.expand(states.shape[:-1]).log_softmax(-1)
     flat, weights = states.reshape(-1, *states.shape[-2:]), log_weights.reshape(-1, states.shape[-2])
@@ -148,7 +147,7 @@ def _leaders(flat: Float[Tensor, "B N D"], weights: Float[Tensor, "B N"], metric
     return leader
 
 
-@backend.register("leading_states", "numba", fused.supports)
+@backend.register("leading_states", "numba", compiled.supports)
 def _leaders_numba(flat: Tensor, weights: Tensor, metric: StateMetric) -> Tensor:
     from rumi.information.neighbours_numba import leaders
 
@@ -196,7 +195,7 @@ def _nearest(
     return sides, distance, mass
 
 
-@backend.register("nearest_states", "numba", fused.supports)
+@backend.register("nearest_states", "numba", compiled.supports)
 def _nearest_numba(
     flat: Tensor, first: Tensor, weights: Tensor, metric: StateMetric, used: Tensor, include_self: bool
 ) -> tuple[Tensor, Tensor, Tensor]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.clock import Now
-from rumi.planning.evaluation_time import EvaluationTime
+from rumi.planning.duration_model import DurationModel
 
 A = TypeVar("A")
 
@@ -94,8 +94,8 @@ def select(
     gain: Callable[[A], float],
     t_max_s: float,
     *,
-    evaluation: EvaluationTime,
-    generation: EvaluationTime | None = None,
+    evaluation: DurationModel,
+    generation: DurationModel | None = None,
     open_loop: Candidate[A] | None = None,
     doublings: int = 3,
     now: Now = time.perf_counter,
@@ -164,7 +164,7 @@ class _Decision(Generic[A]):
     def __init__(
         self,
         gain: Callable[[A], float],
-        evaluation: EvaluationTime,
+        evaluation: DurationModel,
         open_loop: Candidate[A] | None,
         t_max_s: float,
         now: Now,
@@ -228,7 +228,7 @@ class _Decision(Generic[A]):
         )
 
 
-def _quickest(waiting: list[Candidate[A]], evaluation: EvaluationTime) -> list[Candidate[A]]:
+def _quickest(waiting: list[Candidate[A]], evaluation: DurationModel) -> list[Candidate[A]]:
     """Those that need the least time, in the order in which they came."""
     needed = [evaluation.bound(candidate.work) + candidate.execution_s for candidate in waiting]
     kept = sorted(range(len(waiting)), key=needed.__getitem__)[:_KEPT]

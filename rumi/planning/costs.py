@@ -9,8 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from rumi.dynamics.tool_lookup import placement, planar_features
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.voxel_grid import VoxelGrid
 
 # rollouts whose marks are kept at once: few enough for the processor's cache
@@ -176,19 +175,21 @@ def _gathered(
     return gathered
 
 
-@backend.register("gathered_information", "numba", fused.supports)
+@backend.register("gathered_information", "numba", compiled.supports)
 def _gathered_numba(cells: Cells, configurations: Tensor, displacements: Tensor, discount: float) -> Tensor:
-    result = configurations.new_empty(len(configurations))
-    geometry: tuple[Tensor, ...] = (cells.scale, cells.offset, *cells.points_t.unbind(-1), cells.middle)
-    if cells.spatial:
-        from rumi.planning.costs_space_numba import gathered
-    else:
-        from rumi.planning.costs_numba import gathered
+    from rumi.planning.costs_numba import gathered
 
-        geometry = (cells.layer, *geometry[:-2], cells.middle)  # heights are told by the layers
+    result = configurations.new_empty(len(configurations))
+    along, across, up = (part.contiguous().numpy() for part in cells.points_t.unbind(-1))
     gathered(
         cells.value.contiguous().numpy(),
-        *(part.contiguous().numpy() for part in geometry),
+        None if cells.spatial else cells.layer.contiguous().numpy(),
+        cells.scale.contiguous().numpy(),
+        cells.offset.contiguous().numpy(),
+        along,
+        across,
+        up if cells.spatial else None,  # heights are given by the layers
+        cells.middle.contiguous().numpy(),
         cells.radius + _MARGIN,
         configurations.contiguous().numpy(),
         displacements.contiguous().numpy(),

@@ -1,4 +1,8 @@
-"""The fused CPU version of the trajectory information; `costs.py` has the definition."""
+"""The compiled CPU version of the trajectory information; `costs.py` has the definition.
+
+One template for a tool that moves in a plane, whose points have layers, and for one in space, whose points have
+heights: the other of `layer` and `up` is None, and numba compiles what needs it away.
+"""
 
 import math
 
@@ -10,48 +14,59 @@ from sdf.grid_numba import at, block, put
 
 
 @block
-def _cells(x, y, cos, sin, along, across, scale, offset, wide, deep, cell):
-    """Cell of every point of the tool in a layer, clamped to the box; vector instructions."""
+def _cells(x, y, z, cos, sin, along, across, up, scale, offset, wide, deep, tall, cell):
+    """Cell of every point of the tool, in a plane in its layer, clamped to the box; vector instructions."""
     kind = type(scale[0])
     none, last_x, last_y = kind(0.0), kind(wide - 1), kind(deep - 1)
     place_x, place_y = kind(x * scale[0] + offset[0]), kind(y * scale[1] + offset[1])
     cos_x, sin_x, cos_y, sin_y = kind(cos * scale[0]), kind(sin * scale[0]), kind(cos * scale[1]), kind(sin * scale[1])
+    if up is not None:
+        last_z, place_z = kind(tall - 1), kind(z * scale[2] + offset[2])
     for m in range(len(along)):
         u = place_x + cos_x * at(along, m) - sin_x * at(across, m)
         v = place_y + sin_y * at(along, m) + cos_y * at(across, m)
         u, v = u if u > none else none, v if v > none else none
         u, v = u if u < last_x else last_x, v if v < last_y else last_y
-        put(cell, m, np.int32(u) * np.int32(deep) + np.int32(v))
+        if up is None:
+            put(cell, m, np.int32(u) * np.int32(deep) + np.int32(v))
+        else:
+            w = place_z + scale[2] * at(up, m)
+            w = w if w > none else none
+            w = w if w < last_z else last_z
+            put(cell, m, (np.int32(u) * np.int32(deep) + np.int32(v)) * np.int32(tall) + np.int32(w))
 
 
 def _gathered(
-    value, layer, scale, offset, along, across, middle, radius, configurations, displacements, discount, result
+    value, layer, scale, offset, along, across, up, middle, radius, configurations, displacements, discount, result
 ):
     rollouts, horizon = configurations.shape[:2]
-    wide, deep, layers = value.shape
+    wide, deep, tall = value.shape
     worth = value.reshape(-1)
     for r in prange(rollouts):
         met = np.zeros(worth.size, np.bool_)
         cell = np.empty(along.size, np.int32)
         total, factor = 0.0, 1.0
+        last_x, last_y, last_z, last_yaw = np.inf, np.inf, np.inf, np.inf
         for h in range(horizon):
-            yaw = configurations[r, h, 2]
             x, y = configurations[r, h, 0] - displacements[r, h, 0], configurations[r, h, 1] - displacements[r, h, 1]
-            again = (
-                h > 0
-                and yaw == configurations[r, h - 1, 2]
-                and x == configurations[r, h - 1, 0] - displacements[r, h - 1, 0]
-                and y == configurations[r, h - 1, 1] - displacements[r, h - 1, 1]
-            )
+            if up is None:
+                z, yaw = 0.0, configurations[r, h, 2]
+            else:
+                z, yaw = configurations[r, h, 2], configurations[r, h, 3]
+            again = x == last_x and y == last_y and z == last_z and yaw == last_yaw
+            last_x, last_y, last_z, last_yaw = x, y, z, yaw
             if not again:
                 cos, sin = math.cos(yaw), math.sin(yaw)
                 u = (x + cos * middle[0] - sin * middle[1]) * scale[0] + offset[0]
                 v = (y + sin * middle[0] + cos * middle[1]) * scale[1] + offset[1]
                 if max(max(1.0 - u, u - (wide - 1.0)), max(1.0 - v, v - (deep - 1.0))) <= radius:
-                    _cells(x, y, cos, sin, along, across, scale, offset, wide, deep, cell)
+                    _cells(x, y, z, cos, sin, along, across, up, scale, offset, wide, deep, tall, cell)
                     gained = 0.0
                     for m in range(along.size):
-                        index = np.uint32(cell[m]) * np.uint32(layers) + np.uint32(layer[m])
+                        if layer is None:
+                            index = np.uint32(cell[m])
+                        else:
+                            index = np.uint32(cell[m]) * np.uint32(tall) + np.uint32(layer[m])
                         if not met[index]:
                             met[index] = True
                             gained += worth[index]

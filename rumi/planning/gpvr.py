@@ -24,17 +24,16 @@ from rumi.planning.implicit_surface import (
     predictive_variance,
     prepare,
 )
-from rumi.planning.objective import mean_over_rollouts
-from rumi.planning.plan_budget import Deadline
+from rumi.planning.objective import Objective, gathering, mean_over_rollouts
+from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import Plan, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
-from rumi.planning.worth import Worth, gathering
 from rumi.robot.tool import Tool
 from sdf.voxel_grid import VoxelGrid
 from sensors.observation import in_world
 from sensors.semantics import Semantics
 
-# data of the first look of a plan with a deadline, and the least that there is
+# data of the first look of a plan with a budget, and the least that there is
 _FEW_POINTS = 50
 # data that would take as long as what of a step of the fit, and of the variance, does not depend on their number
 _STEP_FIXED, _VARIANCE_FIXED = 150, 50
@@ -105,7 +104,9 @@ class VarianceCost:
         """Cost of each path; the field rides with the object."""
         steps = configurations.shape[:2]
         each = self._met(configurations.flatten(0, 1)[:, None], displacements.flatten(0, 1)[:, None]).view(steps)
-        return each @ self.discount ** torch.arange(steps[1], dtype=each.dtype, device=each.device)
+        weight = self.discount ** torch.arange(steps[1], dtype=each.dtype, device=each.device)
+        # a product with the vector would add up otherwise for other numbers of paths
+        return (each * weight).sum(-1)
 
 
 class GPVRPolicy(RummagingPolicy):
@@ -126,7 +127,7 @@ class GPVRPolicy(RummagingPolicy):
         UsageError: the library of Gaussian processes is not installed.
     """
 
-    worth_stage = "gp_fit"
+    objective_stage = "gp_fit"
 
     def __init__(
         self,
@@ -155,57 +156,57 @@ class GPVRPolicy(RummagingPolicy):
         self.gp = gp or GPVRSettings()
         self.greedy = greedy
 
-    def worth(
+    def objective(
         self,
         belief: PoseBelief,
         scene: Scene,
         fields: WorkspaceFields,
         previous: Plan | None,
-        deadline: Deadline | None = None,
-    ) -> Worth:
+        budget: PlanBudget | None = None,
+    ) -> Objective:
         """What motions are worth: the variance that they meet.
 
         Where there is no time for all, the process is fitted to fewer points, in fewer steps.
         """
         kept = None if previous is None else previous.info.get("gp_hyperparameters")
         start = None if kept is None else Hyperparameters(*kept)
-        deadline = deadline or Deadline(None, self.now)
-        begun = deadline.now()
+        budget = budget or PlanBudget(None, self.now)
+        begun = budget.now()
         surface, free = self.observed(belief, scene, fields)
-        deadline.took("gp_points", 1.0, deadline.now() - begun)
+        budget.took("gp_points", 1.0, budget.now() - begun)
         made, few = None, self._few()
-        if not deadline.open and not deadline.knows("gp_variance"):
+        if not budget.open and not budget.knows("gp_variance"):
             # what there is for sure; it also tells how long the work takes, since a step is not slower than this
-            begun = deadline.now()
-            made = self._variance(labelled(surface, free, few), scene, start, deadline, fitted=False)
-            deadline.took("gp_step", _square(made.points, _STEP_FIXED), deadline.now() - begun)
-        most = self._points_in_time(deadline)
+            begun = budget.now()
+            made = self._variance(labelled(surface, free, few), scene, start, budget, fitted=False)
+            budget.took("gp_step", _square(made.points, _STEP_FIXED), budget.now() - begun)
+        most = self._points_in_time(budget)
         if made is None or most is None or most >= made.points:
             most = None if most is None else max(most, few)
-            made = self._variance(labelled(surface, free, most), scene, start, deadline)
-        begun = deadline.now()
+            made = self._variance(labelled(surface, free, most), scene, start, budget)
+        begun = budget.now()
         share = (made.variance / made.variance.amax()).to(fields.information)
         grid = scene.workspace.grid(share)
         whole = gathering(grid, scene.tool)
-        worth = Worth(
+        objective = Objective(
             VarianceCost(grid, scene.tool, self.gp.discount),
             lambda configurations, displacements: -whole(configurations, displacements),
             {"variance": share},
             {"gp_hyperparameters": list(made.found), "gp_points": made.points},
             {"information_cost": 1.0, "reachability_cost": 1.0},
         )
-        deadline.took("gp_cost", 1.0, deadline.now() - begun)
-        return worth
+        budget.took("gp_cost", 1.0, budget.now() - begun)
+        return objective
 
     def _variance(
-        self, data: Labelled, scene: Scene, start: Hyperparameters | None, deadline: Deadline, *, fitted: bool = True
+        self, data: Labelled, scene: Scene, start: Hyperparameters | None, budget: PlanBudget, *, fitted: bool = True
     ) -> "_Fitted":
         """Fit the process, in as many steps as there is time for, and look at its variance on the lattice."""
         settings, count = self.gp, len(data.points)
         work = _square(count, _STEP_FIXED)
-        in_time = deadline.open or deadline.expected("gp_step", work) <= _FIT_SHARE * deadline.left()
+        in_time = budget.open or budget.expected("gp_step", work) <= _FIT_SHARE * budget.left()
         if fitted and not in_time:
-            deadline.ease("gp_step")
+            budget.ease("gp_step")
         found = fit(
             data,
             start,
@@ -213,24 +214,24 @@ class GPVRPolicy(RummagingPolicy):
             learning_rate=settings.learning_rate,
             tolerance=settings.tolerance,
             least_lengthscale_m=settings.least_lengthscale * settings.free_spacing * scene.workspace.spacing,
-            should_stop=None if deadline.open else _stopper(deadline, work),
+            should_stop=None if budget.open else _stopper(budget, work),
         )
-        begun = deadline.now()
+        begun = budget.now()
         variance = predictive_variance(data, found, scene.workspace.points)
-        deadline.took("gp_variance", _square(count, _VARIANCE_FIXED), deadline.now() - begun)
+        budget.took("gp_variance", _square(count, _VARIANCE_FIXED), budget.now() - begun)
         return _Fitted(found, variance, count)
 
-    def _points_in_time(self, deadline: Deadline) -> int | None:
+    def _points_in_time(self, budget: PlanBudget) -> int | None:
         """How many points there is time for; None for all."""
         most = self.gp.max_points or None
-        if deadline.open:
+        if budget.open:
             return most
-        left, fits = max(deadline.left() - deadline.expected("gp_cost"), 0.0), math.inf
+        left, fits = max(budget.left() - budget.expected("gp_cost"), 0.0), math.inf
         for kind, share, fixed in (
             ("gp_variance", _VARIANCE_SHARE, _VARIANCE_FIXED),
             ("gp_step", _FIT_SHARE / _FIT_STEPS, _STEP_FIXED),
         ):
-            each = deadline.expected(kind)
+            each = budget.expected(kind)
             if each > 0:
                 fits = min(fits, math.sqrt(max(share * left / each - fixed**2, 0.0)))
         if fits == math.inf:
@@ -240,9 +241,9 @@ class GPVRPolicy(RummagingPolicy):
     def _few(self) -> int:
         return min(_FEW_POINTS, self.gp.max_points or _FEW_POINTS)
 
-    def _least_worth(self, deadline: Deadline) -> float:
-        variance = deadline.expected("gp_variance", _square(self._few(), _VARIANCE_FIXED))
-        return deadline.expected("gp_points") + variance + deadline.expected("gp_cost")
+    def _least_objective(self, budget: PlanBudget) -> float:
+        variance = budget.expected("gp_variance", _square(self._few(), _VARIANCE_FIXED))
+        return budget.expected("gp_points") + variance + budget.expected("gp_cost")
 
     def data(self, belief: PoseBelief, scene: Scene, fields: WorkspaceFields) -> Labelled:
         """What the process is fitted to where there is time for it, as many points as the settings say.
@@ -298,16 +299,16 @@ def _square(count: int, fixed: int) -> float:
     return float(count**2 + fixed**2)
 
 
-def _stopper(deadline: Deadline, work: float) -> Callable[[], bool]:
+def _stopper(budget: PlanBudget, work: float) -> Callable[[], bool]:
     """Asked after each step of a fit, whether there is no time for another."""
-    last = deadline.now()
-    ends = last + _FIT_SHARE * max(deadline.left(), 0.0)
+    last = budget.now()
+    ends = last + _FIT_SHARE * max(budget.left(), 0.0)
 
     def stop() -> bool:
         nonlocal last
-        now = deadline.now()
-        deadline.took("gp_step", work, now - last)
+        now = budget.now()
+        budget.took("gp_step", work, now - last)
         last = now
-        return now + deadline.expected("gp_step", work) > ends
+        return now + budget.expected("gp_step", work) > ends
 
     return stop

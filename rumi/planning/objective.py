@@ -1,16 +1,42 @@
-"""What a predicted motion of robot and object costs in all (RUMI, Eq 31)."""
+"""Objective of a policy: cost of predicted motions (RUMI, Eq 31), and the information that each action gathers."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from rumi.dynamics.base import Paths, PushRollouts
+from rumi.dynamics.tool_lookup import world_height
 from rumi.planning.costs import InformationCost
 from rumi.planning.reach_cost import ReachabilityCost
-from sdf import skipped_work as savings
+from rumi.robot.tool import Tool
+from sdf import skipped_work
 from sdf.voxel_grid import VoxelGrid
+
+Gathered = Callable[[Float[Tensor, "R H Q"], Float[Tensor, "R H 3"]], Float[Tensor, "R"]]
+"""What whole paths gather, from the configurations after each action and the object's displacements by then."""
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What a policy plans for under one belief: the cost of motions, and what each of their actions gathers.
+
+    Attributes:
+        cost: of each control sequence (K,), from its rollouts.
+        gathered: what a path gathers in all; never less for a longer path.
+        maps: fields on the workspace lattice that the cost rests on, for figures.
+        info: plain values to keep with the plan.
+        skipped: costs that were left out, as 1, by name.
+    """
+
+    cost: Callable[[PushRollouts], Float[Tensor, "K"]]
+    gathered: Gathered
+    maps: dict[str, Tensor] = field(default_factory=dict)
+    info: dict[str, Any] = field(default_factory=dict)
+    skipped: dict[str, float] = field(default_factory=dict)
 
 
 class TrajectoryCost:
@@ -68,7 +94,7 @@ class TrajectoryCost:
             seen, moved = paths.riding() if self.displaced_information else paths.staying()
             total += self.information_scale * self._information(seen, moved)
         if self._reachability is not None:
-            with savings.work("reachability_sums", alike=False) as work:
+            with skipped_work.work("reachability_sums", alike=False) as work:
                 moved = paths.displacements
                 total += self.reachability_scale * self._reachability(moved, paths.turns, paths.pivot)
                 work.count(moved[..., 0].numel(), moved[..., 0].numel() * self._reachability.points)
@@ -86,8 +112,24 @@ def mean_over_rollouts(rollouts: PushRollouts, of_paths: Callable[[Paths], Float
     samples, count = twin.shape
     distinct = twin == torch.arange(count, device=twin.device)
     cost = rollouts.configurations.new_zeros(samples, count)
-    with savings.work("rollouts_valued") as work:
-        if savings.kept():
+    with skipped_work.work("rollouts_valued") as work:
+        if skipped_work.kept():
             work.count(int(distinct.sum()), distinct.numel())
         cost[distinct] = of_paths(rollouts.paths(distinct))
     return cost.gather(1, twin).mean(-1)
+
+
+def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:
+    """Minus what a tool's sensing points meet of a field along a path, each cell once."""
+    sensing = world_height(tool.info, tool.height_m).to(field.values)
+    return InformationCost(field, sensing, spatial=tool.spatial)
+
+
+def gathered_by_action(gathered: Gathered, rollout: PushRollouts) -> Float[Tensor, "H"]:
+    """What each action of one rollout (K = M = 1) gathers that those before it did not."""
+    configurations, displacements = (x[0] for x in rollout.paths(torch.ones_like(rollout.touched)).riding())
+    steps = torch.arange(len(configurations), device=configurations.device)
+    # path h stands still after action h: standing still meets nothing new
+    until = torch.minimum(steps[:, None], steps[None])
+    total = gathered(configurations[until], displacements[until])
+    return torch.diff(total, prepend=total.new_zeros(1)).clamp_min(0.0)

@@ -1,4 +1,4 @@
-"""When a plan has to be there, and what can be done until then, as far as what was done so far tells."""
+"""Time budget of a plan, and how much work fits into what is left of it, by the pace of earlier work."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -19,7 +19,7 @@ _SLOWER = 8
 """By how much an iteration's samples may be slower than those of the one before (five times was seen)."""
 
 
-class Deadline:
+class PlanBudget:
     """The time of one plan; without a budget there is always time.
 
     Times are kept by the kind of work, a unit of it each: `pace`. A plan hands its own on to the next one, so that

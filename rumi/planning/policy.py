@@ -1,6 +1,6 @@
 """What a policy is given and what it gives back."""
 
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from kmppi import ControlPlan
+from rumi import seeding
 from rumi.belief.particles import PoseBelief
 from rumi.fields.workspace import Workspace
 from rumi.robot.tool import Tool
@@ -62,29 +63,33 @@ class Plan:
     info: dict[str, Any] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class PlanRequest:
+    """The input of a policy's decision.
+
+    Attributes:
+        belief: one scene's belief (no batch axes).
+        scene: what else is known.
+        previous: the last plan, to warm-start from; None at the start.
+        executed: how many controls of `previous` were carried out.
+        budget_s: seconds that planning may take, or None for as long as it needs; the plan is the best that there was
+            time for.
+        generator: all randomness; by default one of seed 0.
+    """
+
+    belief: PoseBelief
+    scene: Scene
+    previous: Plan | None = None
+    _: KW_ONLY
+    executed: int = 0
+    budget_s: float | None = None
+    generator: torch.Generator = field(default_factory=lambda: seeding.generator(0))
+
+
 @runtime_checkable
 class Policy(Protocol):
     """Chooses the next controls from the belief; RUMI and every baseline is one."""
 
-    def act(
-        self,
-        belief: PoseBelief,
-        scene: Scene,
-        previous: Plan | None,
-        *,
-        executed: int,
-        budget_s: float | None,
-        generator: torch.Generator,
-    ) -> Plan:
-        """Plan from the belief.
-
-        Args:
-            belief: one scene's belief (no batch axes).
-            scene: what else is known.
-            previous: the last plan, to warm-start from; None at the start.
-            executed: how many controls of `previous` were carried out.
-            budget_s: seconds that planning may take, or None for as long as it needs; the plan is the best that there
-                was time for.
-            generator: all randomness.
-        """
+    def act(self, request: PlanRequest) -> Plan:
+        """Plan from the belief."""
         ...

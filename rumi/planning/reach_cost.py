@@ -48,7 +48,7 @@ class ReachabilityCost:
     fractional d this is, exactly, the same interpolation of a table over whole shifts, the cross-correlation of r and
     I: one Fourier transform for a plan and one look-up for a displacement. Turns of the object about an upright axis
     have a table for every `turn_step`, made where a turn needs it, with linear interpolation between; what turns stays
-    at its height.
+    at its height. The cost of a row is the same to the bit whatever other rows it is asked for with.
 
     Args:
         information: (X, Y, Z), 0 or more.
@@ -86,33 +86,50 @@ class ReachabilityCost:
             pivot: (2,), needed with turns; the same at every call.
         """
         check_shape("displacements", displacements, "(*b, H, 3)", last=(3,))
-        if turns is not None and pivot is not None and bool((turns != 0).any()):
-            return -self._turned_shares(displacements[..., :2], turns, pivot).mean(-1)
-        place = self._share.place(displacements.reshape(1, -1, 3))
-        return -self._share(place).view(displacements.shape[:-1]).mean(-1)
+        share = self._share(self._share.place(displacements.reshape(1, -1, 3))).view(displacements.shape[:-1])
+        if turns is not None and pivot is not None:
+            # each by itself: what a row costs must not hang on whether another one turns
+            turned = turns != 0
+            if bool(turned.any()):
+                share[turned] = self._turned_shares(displacements[turned][:, :2], turns[turned], pivot)
+        return -share.mean(-1)
 
     def _table(self, information: Tensor) -> Tensor:
         share = cross_correlation(self._reachability.values, information)
         return torch.where(self._total > 0, share / self._total, torch.zeros_like(share)).clamp(0.0, 1.0)
 
-    def _turned_shares(self, displacements: Tensor, turns: Tensor, pivot: Tensor) -> Tensor:
-        place, level = turns / self.turn_step, self._information.shape[2] - 1  # the shift by no height
-        first, last = int(place.min().floor()), int(place.max().floor()) + 1
+    def _turned_shares(
+        self, displacements: Float[Tensor, "E 2"], turns: Float[Tensor, "E"], pivot: Float[Tensor, "2"]
+    ) -> Float[Tensor, "E"]:
+        """Share that stays reachable after each displacement and turn, linear between the tables of two turns.
+
+        Written out, element by element: the library's sampler would want the turns as a share of the stack's extent,
+        and so round each by what the others are.
+        """
+        place = turns / self.turn_step
+        below = place.floor()
+        first, part = int(below.min()), place - below
         # whole turns leave the information where it was
-        needed = [index % self._steps for index in range(first, last + 1)]
-        missing = sorted(set(needed) - self._turned.keys())
-        if missing:
-            turned = torch.stack([self._turn(index * self.turn_step, pivot) for index in missing])
-            self._turned |= dict(zip(missing, self._table(turned)[..., level], strict=True))
+        needed = [index % self._steps for index in range(first, int(below.max()) + 2)]
+        for index in needed:
+            if index not in self._turned:
+                # one by one: a transform of several may round otherwise
+                self._turned[index] = self._flat_table(self._turn(index * self.turn_step, pivot))
         stack = torch.stack([self._turned[index] for index in needed])
-        angles, wide, deep = stack.shape
-        x, y = ((displacements - self._origin[:2]) / self._information.spacing).unbind(-1)
-        # the sampler wants -1 at the first node and 1 at the last, and the last axis first
-        grid = torch.stack((y * (2.0 / (deep - 1)), x * (2.0 / (wide - 1)), (place - first) * (2.0 / (angles - 1))), -1)
-        found = functional.grid_sample(
-            stack[None, None], grid.reshape(1, 1, 1, -1, 3) - 1.0, padding_mode="zeros", align_corners=True
-        )
-        return found.view(displacements.shape[:-1])
+        last = stack.new_tensor([n - 1.0 for n in stack.shape[1:]])
+        # in the frame of zeros about each table, on which all that lies outside lands
+        node = (displacements - self._origin[:2]) / self._information.spacing + 1.0
+        node = torch.minimum(node.clamp_min(0.0), last)
+        corner = torch.minimum(node.floor(), last - 1.0)
+        a, b = (node - corner).unbind(-1)
+        i, j = corner.long().unbind(-1)
+        layer = below.long() - first
+        low, high = (_bilinear(stack, layer + up, i, j, a, b) for up in (0, 1))
+        return low + part * (high - low)
+
+    def _flat_table(self, information: Float[Tensor, "X Y Z"]) -> Float[Tensor, "X3 Y3"]:
+        """Table of the shifts by no height, within a frame of zeros."""
+        return functional.pad(self._table(information)[..., information.shape[2] - 1], (1, 1, 1, 1))
 
     def _turn(self, turn: float, pivot: Tensor) -> Tensor:
         """The information turned about the pivot: each node's value goes to the four nodes about its new place."""
@@ -136,3 +153,12 @@ class ReachabilityCost:
                 inside = (i >= 0) & (j >= 0) & (i < values.shape[0]) & (j < values.shape[1])
                 result.index_put_((i[inside], j[inside]), part[inside], accumulate=True)
         return result
+
+
+def _bilinear(
+    stack: Float[Tensor, "N X Y"], layer: Tensor, i: Tensor, j: Tensor, a: Tensor, b: Tensor
+) -> Float[Tensor, "E"]:
+    """Values of layers between nodes (i, j) and (i + 1, j + 1), of which a and b are the shares of the latter."""
+    v00, v01, v10, v11 = (stack[layer, i + di, j + dj] for di in (0, 1) for dj in (0, 1))
+    near, far = v00 + b * (v01 - v00), v10 + b * (v11 - v10)
+    return near + a * (far - near)

@@ -1,20 +1,18 @@
 """The policies by name: RUMI, its ablations and the baselines."""
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
-from jaxtyping import Float
 from torch import Tensor
 
 from rumi.planning.gpvr import GPVRPolicy, GPVRSettings
 from rumi.planning.policy import Policy
-from rumi.planning.rummaging import RummagingPolicy
-from rumi.planning.rummaging_settings import RummagingSettings
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, info_only, reach_only
 from rumi.planning.slide import SlidePolicy, SlideSettings
 from rumi.registry import Table
 
 
+@runtime_checkable
 class PolicySettings(Protocol):
     """Settings of all policies; each is made from its own."""
 
@@ -39,21 +37,6 @@ MakePolicy = Callable[[PolicySettings, Tensor], Policy]
 
 POLICIES: Table[MakePolicy] = Table("method", "rumi.policies")
 """All policies by the name of their method."""
-
-
-def info_only(settings: RummagingSettings | None = None) -> RummagingPolicy:
-    """RUMI without its reachability cost: it gathers information and does not care where it pushes the object."""
-    return RummagingPolicy(None, replace(settings or RummagingSettings(), reachability_scale=0.0))
-
-
-def reach_only(reachability: Float[Tensor, "V"], settings: RummagingSettings | None = None) -> RummagingPolicy:
-    """RUMI without its information cost: it keeps the information within reach and does not care to gather it.
-
-    Args:
-        reachability: r(x) of every workspace point in [0, 1] (Eq 30).
-        settings: the rest.
-    """
-    return RummagingPolicy(reachability, replace(settings or RummagingSettings(), information_scale=0.0))
 
 
 POLICIES.add("rumi", lambda own, reach: RummagingPolicy(reach, own.planner))

@@ -11,21 +11,20 @@ from torch import Tensor
 from kmppi import MPPI, ControlPlan, Rollouts
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.clock import Now
-from rumi.dynamics.base import PushModel, PushRollouts
+from rumi.dynamics.base import PushDefaults, PushRollouts, RolloutModel
 from rumi.dynamics.registry import PushModels
 from rumi.dynamics.tool_lookup import world_height
 from rumi.fields.information import (
     WorkspaceFields,
     information_field,
 )
-from rumi.planning.objective import TrajectoryCost
-from rumi.planning.plan_budget import Deadline
-from rumi.planning.policy import Plan, Scene
-from rumi.planning.rummaging_settings import SUITED, RummagingSettings, Suited
-from rumi.planning.worth import Worth, gathered_by_action, gathering
-from sdf import skipped_work as savings
+from rumi.planning.objective import Objective, TrajectoryCost, gathered_by_action, gathering
+from rumi.planning.plan_budget import PlanBudget
+from rumi.planning.policy import Plan, PlanRequest, Scene
+from rumi.planning.rummaging_settings import RummagingSettings
+from sdf import skipped_work
 
-__all__ = ["SUITED", "RummagingPolicy", "RummagingSettings", "Suited"]
+__all__ = ["RummagingPolicy", "RummagingSettings"]
 
 # control sequences that are rolled out at once: the memory for more is not needed
 _SAMPLES = 4096
@@ -46,8 +45,8 @@ class RummagingPolicy:
         now: the clock that budgets are held against.
     """
 
-    worth_stage = "costs"
-    """What making `worth` counts as, in the seconds of a plan."""
+    objective_stage = "costs"
+    """What making the objective counts as, in the seconds of a plan."""
 
     def __init__(
         self,
@@ -59,20 +58,10 @@ class RummagingPolicy:
         self.now = now
         self.settings = settings or RummagingSettings()
         self.reachability = reachability
-        own = self.settings
-        self.push_models = PushModels(own.push_model, own.push, own.quasi_static, own.engine)
+        self.push_models = PushModels(self.settings)
 
     @torch.no_grad()
-    def act(
-        self,
-        belief: PoseBelief,
-        scene: Scene,
-        previous: Plan | None,
-        *,
-        executed: int,
-        budget_s: float | None,
-        generator: torch.Generator,
-    ) -> Plan:
+    def act(self, request: PlanRequest) -> Plan:
         """Plan from the belief; see `rumi.planning.policy.Policy`.
 
         A first plan starts from noise and takes the warm-up iterations; a later one starts from the previous plan,
@@ -83,47 +72,49 @@ class RummagingPolicy:
         of each, the plan is the previous one, later. Only a first plan is made with a few of each all the same. How
         long things take is known from the plan before (`info["pace"]`), of a first plan from a view of a few particles.
         """
-        with savings.account() as work:
-            deadline = Deadline(budget_s, self.now, None if previous is None else previous.info.get("pace"))
+        belief, scene, previous = request.belief, request.scene, request.previous
+        executed, generator = request.executed, request.generator
+        with skipped_work.account() as work:
+            budget = PlanBudget(request.budget_s, self.now, None if previous is None else previous.info.get("pace"))
             watch = _Stopwatch(self.now)
             configuration = scene.configuration.to(scene.workspace.points)
             count = self.suited(belief, scene).rollouts
             mppi = MPPI(self.settings.mppi, len(configuration), configuration.dtype, configuration.device)
             start, iterations = self._start(mppi, previous, executed, generator)
-            if previous is not None and previous.warm_start is not None and self._too_late(deadline):
-                return self._carried_on(previous, start, executed, scene, deadline)
-            view = self._view_in_time(belief, scene, previous, deadline, watch)
-            if not deadline.open and not deadline.knows("finish"):
-                deadline.timed("finish", 1.0, lambda: self._predicted(view, configuration, start, watch))
+            if previous is not None and previous.warm_start is not None and self._too_late(budget):
+                return self._carried_on(previous, start, executed, scene, budget)
+            view = self._view_in_time(belief, scene, previous, budget, watch)
+            if not budget.open and not budget.knows("finish"):
+                budget.timed("finish", 1.0, lambda: self._predicted(view, configuration, start, watch))
 
-            def objective(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
-                if deadline.open:
+            def costs_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
+                if budget.open:
                     return torch.cat([cost_of(part) for part in controls.split(_SAMPLES)])
-                return deadline.in_parts(controls, cost_of)
+                return budget.in_parts(controls, cost_of)
 
             def cost_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
                 rollouts = view.model.rollout(configuration, controls, rollouts=count, generator=generator)
                 watch.lap("dynamics")
-                costs = view.worth.cost(rollouts)
+                costs = view.objective.cost(rollouts)
                 watch.lap("costs")
                 return costs
 
-            should_stop = None if deadline.open else deadline.no_more_samples
+            should_stop = None if budget.open else budget.no_more_samples
             nominal, samples = mppi.plan(
-                start, objective, iterations=iterations, should_stop=should_stop, generator=generator
+                start, costs_of, iterations=iterations, should_stop=should_stop, generator=generator
             )
             watch.lap("planner")
-            ending = deadline.now()
+            ending = budget.now()
             plan = self._plan(view, configuration, nominal, samples, watch)
-            deadline.took("finish", 1.0, deadline.now() - ending)
-            if not deadline.open:
-                made = {"pace": deadline.pace, "particles": view.particles, "samples": deadline.samples}
+            budget.took("finish", 1.0, budget.now() - ending)
+            if not budget.open:
+                made = {"pace": budget.pace, "particles": view.particles, "samples": budget.samples}
                 plan = replace(plan, info=plan.info | made)
-        return replace(plan, skipped=work.skipped() | view.worth.skipped)
+        return replace(plan, skipped=work.skipped() | view.objective.skipped)
 
     def _plan(
         self,
-        view: "_View",
+        view: "PlanningModel",
         configuration: Float[Tensor, "Q"],
         nominal: ControlPlan,
         samples: Rollouts,
@@ -131,12 +122,12 @@ class RummagingPolicy:
     ) -> Plan:
         predicted, gathered = self._predicted(view, configuration, nominal, watch)
         moves = predicted.displacements[0, 0]
-        fields, worth = view.fields, view.worth
+        fields, objective = view.fields, view.objective
         return Plan(
             controls=nominal.controls,
             path=predicted.configurations[0, 0],
             warm_start=nominal,
-            fields={"information": fields.information, "p_free": fields.semantics[..., 0]} | worth.maps,
+            fields={"information": fields.information, "p_free": fields.semantics[..., 0]} | objective.maps,
             timings_s=watch.laps,
             info={
                 "ess": float(samples.ess),
@@ -147,68 +138,68 @@ class RummagingPolicy:
                 "predicted_information": gathered.tolist(),
                 "predicted_displacement": torch.diff(moves, dim=0).tolist(),
             }
-            | worth.info,
+            | objective.info,
         )
 
     def _predicted(
-        self, view: "_View", configuration: Float[Tensor, "Q"], nominal: ControlPlan, watch: "_Stopwatch"
+        self, view: "PlanningModel", configuration: Float[Tensor, "Q"], nominal: ControlPlan, watch: "_Stopwatch"
     ) -> tuple[PushRollouts, Float[Tensor, "H"]]:
         """What a plan is expected to do, and what each of its actions gathers."""
         predicted = view.model.likely(configuration, nominal.controls)
         watch.lap("dynamics")
-        gathered = gathered_by_action(view.worth.gathered, predicted)
+        gathered = gathered_by_action(view.objective.gathered, predicted)
         watch.lap("costs")
         return predicted, gathered
 
     def _view_in_time(
-        self, belief: PoseBelief, scene: Scene, previous: Plan | None, deadline: Deadline, watch: "_Stopwatch"
-    ) -> "_View":
+        self, belief: PoseBelief, scene: Scene, previous: Plan | None, budget: PlanBudget, watch: "_Stopwatch"
+    ) -> "PlanningModel":
         """All that motions are judged by, of as many particles as there is time for."""
         whole, used = len(belief.log_weights), belief
-        sure = deadline.open or deadline.knows("view")
+        sure = budget.open or budget.knows("view")
         if not sure:
             used = subsample(belief, _FEW)
-            fields, model = self._fields(used, scene, deadline, watch)
-        count = deadline.affordable("view", whole + _VIEW_FIXED, _VIEW_SHARE) - _VIEW_FIXED
+            fields, model = self._fields(used, scene, budget, watch)
+        count = budget.affordable("view", whole + _VIEW_FIXED, _VIEW_SHARE) - _VIEW_FIXED
         if sure or (used is not belief and (count > 2 * _FEW or count == whole)):
             used = subsample(belief, max(count, _FEW))
-            fields, model = self._fields(used, scene, deadline, watch)
-        begun = deadline.now()
-        worth = self.worth(used, scene, fields, previous, deadline)
-        deadline.took("worth", 1.0, deadline.now() - begun)
-        watch.lap(self.worth_stage)
-        return _View(len(used.log_weights), fields, model, worth)
+            fields, model = self._fields(used, scene, budget, watch)
+        begun = budget.now()
+        objective = self.objective(used, scene, fields, previous, budget)
+        budget.took("objective", 1.0, budget.now() - begun)
+        watch.lap(self.objective_stage)
+        return PlanningModel(len(used.log_weights), fields, model, objective)
 
     def _fields(
-        self, belief: PoseBelief, scene: Scene, deadline: Deadline, watch: "_Stopwatch"
-    ) -> tuple[WorkspaceFields, PushModel]:
+        self, belief: PoseBelief, scene: Scene, budget: PlanBudget, watch: "_Stopwatch"
+    ) -> tuple[WorkspaceFields, RolloutModel]:
         workspace, sdf = scene.workspace, scene.model.sdf
         poses, log_weights = belief.world_T_object, belief.log_weights
-        begun = deadline.now()
+        begun = budget.now()
         fields = information_field(sdf, poses, log_weights, workspace.points, self.settings.information)
         watch.lap("fields")
-        model = self.push_models.of_belief(scene.model, poses, log_weights, scene.tool, workspace, fields)
+        model = self.push_models.rollouts(scene.model, poses, log_weights, scene.tool, workspace, fields)
         watch.lap("push_model")
-        deadline.took("view", len(log_weights) + _VIEW_FIXED, deadline.now() - begun)
+        budget.took("view", len(log_weights) + _VIEW_FIXED, budget.now() - begun)
         return fields, model
 
-    def _too_late(self, deadline: Deadline) -> bool:
+    def _too_late(self, budget: PlanBudget) -> bool:
         """Whether there is no time for a view of few particles and an iteration of few samples."""
-        if deadline.open:
+        if budget.open:
             return False
-        view = deadline.expected("view", _FEW + _VIEW_FIXED)
-        return view + self._least_worth(deadline) + deadline.few_samples() >= deadline.left()
+        view = budget.expected("view", _FEW + _VIEW_FIXED)
+        return view + self._least_objective(budget) + budget.few_samples() >= budget.left()
 
-    def _least_worth(self, deadline: Deadline) -> float:
-        """Seconds that `worth` is expected to take at least."""
-        return deadline.expected("worth")
+    def _least_objective(self, budget: PlanBudget) -> float:
+        """Seconds that `objective` is expected to take at least."""
+        return budget.expected("objective")
 
-    def _carried_on(self, previous: Plan, start: ControlPlan, executed: int, scene: Scene, deadline: Deadline) -> Plan:
+    def _carried_on(self, previous: Plan, start: ControlPlan, executed: int, scene: Scene, budget: PlanBudget) -> Plan:
         """The previous plan, `executed` controls later, as it is."""
         configuration = scene.configuration.to(start.controls)
         free = scene.tool.free_path(configuration[None], start.controls[None], 1)[0]
         path = torch.cat((configuration[None], free))
-        info: dict[str, Any] = {"iterations": 0, "samples": 0, "particles": 0, "pace": deadline.eased()}
+        info: dict[str, Any] = {"iterations": 0, "samples": 0, "particles": 0, "pace": budget.eased()}
         for name in ("predicted_information", "predicted_displacement"):
             told = torch.tensor(previous.info[name])
             later = torch.zeros_like(told)
@@ -218,18 +209,18 @@ class RummagingPolicy:
         kept = {name: value for name, value in previous.info.items() if name.startswith("gp_")}
         return Plan(start.controls, path, warm_start=start, fields=previous.fields, info=kept | info)
 
-    def suited(self, belief: PoseBelief, scene: Scene) -> Suited:
+    def suited(self, belief: PoseBelief, scene: Scene) -> PushDefaults:
         """What is set, or else suits the push model of a scene."""
         return self.settings.suited(self.push_models.chosen(belief.world_T_object, scene.tool))
 
-    def worth(
+    def objective(
         self,
         belief: PoseBelief,
         scene: Scene,
         fields: WorkspaceFields,
         previous: Plan | None,
-        deadline: Deadline | None = None,
-    ) -> Worth:
+        budget: PlanBudget | None = None,
+    ) -> Objective:
         """What motions are worth: information gathered and kept within reach (Eq 31).
 
         Args:
@@ -237,7 +228,7 @@ class RummagingPolicy:
             scene: what else is known.
             fields: of the belief on the scene's workspace.
             previous: the last plan, None at the start.
-            deadline: by which the plan has to be there; None for no such.
+            budget: of the plan; None for no limit.
         """
         settings, workspace = self.settings, scene.workspace
         scale = self.suited(belief, scene).reachability_scale
@@ -258,7 +249,7 @@ class RummagingPolicy:
             spatial=scene.tool.spatial,
         )
         whole = gathering(information, scene.tool)
-        return Worth(
+        return Objective(
             cost,
             lambda configurations, displacements: -whole(configurations, displacements),
             {} if reachability is None else {"reachability": reachability.values.flatten()},
@@ -276,7 +267,7 @@ class RummagingPolicy:
         return mppi.shift(previous.warm_start, executed), self.settings.mppi.iterations
 
 
-class _View(NamedTuple):
+class PlanningModel(NamedTuple):
     """What one plan judges motions by.
 
     Attributes:
@@ -288,8 +279,8 @@ class _View(NamedTuple):
 
     particles: int
     fields: WorkspaceFields
-    model: PushModel
-    worth: Worth
+    model: RolloutModel
+    objective: Objective
 
 
 class _Stopwatch:
@@ -304,3 +295,18 @@ class _Stopwatch:
         now = self._now()
         self.laps[name] = self.laps.get(name, 0.0) + now - self._last
         self._last = now
+
+
+def info_only(settings: RummagingSettings | None = None) -> RummagingPolicy:
+    """RUMI that gathers information and does not care where it pushes the object."""
+    return RummagingPolicy(None, replace(settings or RummagingSettings(), reachability_scale=0.0))
+
+
+def reach_only(reachability: Float[Tensor, "V"], settings: RummagingSettings | None = None) -> RummagingPolicy:
+    """RUMI that keeps the information within reach and does not care to gather it.
+
+    Args:
+        reachability: r(x) of every workspace point in [0, 1] (Eq 30).
+        settings: the rest.
+    """
+    return RummagingPolicy(reachability, replace(settings or RummagingSettings(), information_scale=0.0))

@@ -2,29 +2,13 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple, Self
+from typing import Self
 
 from kmppi import MPPISettings
+from rumi.dynamics.base import PushDefaults
 from rumi.dynamics.displacement import DisplacementSettings
-from rumi.dynamics.quasi_static import QuasiStaticSettings
-from rumi.dynamics.registry import PUSH_MODELS, EngineSettings, PushChoice
+from rumi.dynamics.registry import PUSH_MODELS, PushSettings
 from rumi.fields.information import InformationSettings
-
-
-class Suited(NamedTuple):
-    """What depends on the push model.
-
-    Attributes:
-        reachability_scale: weight of the reachability cost (beta_R).
-        rollouts: of each control sequence.
-    """
-
-    reachability_scale: float
-    rollouts: int
-
-
-SUITED = {"displacement": Suited(2.0, 5), "quasi-static": Suited(4.0, 8), "mujoco": Suited(4.0, 8)}
-"""What was found best for each push model; the physics was not tuned by itself."""
 
 
 def _scale_free() -> MPPISettings:
@@ -33,36 +17,27 @@ def _scale_free() -> MPPISettings:
 
 
 @dataclass(frozen=True)
-class RummagingSettings:
-    """Settings of the policy. The defaults do not depend on the unit of the information; `paper()` has the paper's.
+class RummagingSettings(PushSettings):
+    """Settings of the policy, beside the `PushSettings`.
+
+    The defaults do not depend on the unit of the information; `paper()` has the paper's.
 
     Attributes:
         information: the field that is to be gathered.
-        push_model: how the object is expected to move: "displacement" carries it with the point that touches it, as
-            in the paper; "quasi-static" pushes single poses of the belief, which slide and turn; "mujoco" does so with
-            the simulator's physics (slow: ask for few samples). "auto" is the quasi-static model where it can be, with
-            upright particles and a level tool, and the displacement model elsewhere.
-        push: settings of the displacement model.
-        quasi_static: settings of the quasi-static model.
-        engine: settings of the physics.
         mppi: the planner; its iterations are `warmup_iterations` for the first plan.
         information_scale: weight of the information cost (beta_I); 0 leaves it out.
         reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out. None for what suits the push
-            model, `SUITED`.
+            model, its `defaults`.
         information_discount: factor by which information is worth less with each action until it is gathered. At 1,
             the paper's, a plan may put its touches off to the end of the horizon, and so may the next plan.
         normalise_information: count information as a share of all there is, so that both costs are in [-1, 0].
         displaced_information: count information where the object will have been moved to (Eq 29); False is the ablation
             that counts it where it is now (Eq 28).
         rollouts: how often each control sequence is rolled out; its cost is the mean. None for as many as suit the
-            push model, `SUITED`.
+            push model, its `defaults`.
     """
 
     information: InformationSettings = field(default_factory=InformationSettings)
-    push_model: PushChoice = "auto"
-    push: DisplacementSettings = field(default_factory=DisplacementSettings)
-    quasi_static: QuasiStaticSettings = field(default_factory=QuasiStaticSettings)
-    engine: EngineSettings = field(default_factory=EngineSettings)
     mppi: MPPISettings = field(default_factory=_scale_free)
     information_scale: float = 1.0
     reachability_scale: float | None = None
@@ -73,10 +48,9 @@ class RummagingSettings:
 
     def __post_init__(self) -> None:
         """Refuse what gives nothing to plan for."""
+        super().__post_init__()
         if self.rollouts is not None and self.rollouts < 1:
             raise ValueError(f"Expected rollouts to be 1 or more, got {self.rollouts}")
-        if self.push_model not in PUSH_MODELS:
-            raise ValueError(f"Expected push_model to be one of {', '.join(PUSH_MODELS)}, got {self.push_model!r}")
         reach = self.reachability_scale
         scales = (self.information_scale, math.inf if reach is None else reach)
         if not 0 < self.information_discount <= 1:
@@ -87,10 +61,10 @@ class RummagingSettings:
                 f"got {scales[0]} and {scales[1]}"
             )
 
-    def suited(self, push_model: str) -> Suited:
+    def suited(self, push_model: str) -> PushDefaults:
         """What is set, or else suits a push model other than "auto"."""
-        best, reach, rollouts = SUITED[push_model], self.reachability_scale, self.rollouts
-        return Suited(
+        best, reach, rollouts = PUSH_MODELS[push_model].defaults, self.reachability_scale, self.rollouts
+        return PushDefaults(
             best.reachability_scale if reach is None else reach, best.rollouts if rollouts is None else rollouts
         )
 

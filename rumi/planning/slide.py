@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.fields.normal import expected_normal
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from sdf import se3
 from sdf.so3 import wrap
 from sensors.semantics import Semantics
@@ -61,26 +61,18 @@ class SlidePolicy:
         self.settings = settings or SlideSettings()
 
     @torch.no_grad()
-    def act(
-        self,
-        belief: PoseBelief,
-        scene: Scene,
-        previous: Plan | None,
-        *,
-        executed: int,
-        budget_s: float | None,
-        generator: torch.Generator,
-    ) -> Plan:
+    def act(self, request: PlanRequest) -> Plan:
         """Decide on one action; see `rumi.planning.policy.Policy`.
 
         Raises:
             ValueError: the scene has no reading to tell contact by.
         """
+        belief, scene, previous = request.belief, request.scene, request.previous
         if scene.reading is None:
             raise ValueError("Expected scene.reading, by which sliding knows of contact, got None: give the last one")
         turn = None if previous is None else previous.info.get("turn")
         if turn is None:
-            heads = torch.rand((), generator=generator, device=generator.device) < 0.5
+            heads = torch.rand((), generator=request.generator, device=request.generator.device) < 0.5
             turn = CLOCKWISE if bool(heads) else COUNTER_CLOCKWISE
         configuration = scene.configuration
         centre = estimated_centre(belief, scene)

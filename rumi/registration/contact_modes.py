@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.registration.contact_terms import TouchFit, touch_terms
-from rumi.registration.localize_settings import LocalizeSettings
+from rumi.registration.contact_terms import LocalizeSettings, TouchFit, touch_terms
 from rumi.registration.touch_surface import TouchSurface
 from sdf import se3, so3
 from sdf.mesh.touched import touched_face

@@ -134,13 +134,13 @@ def _descend_numba(
     search: Search,
     settings: DescentSettings,
 ) -> Tensor:
-    from rumi.registration.descent_fused import descend as fused_descend
+    from rumi.registration.descent_numba import descend as compiled
     from sensors.discrepancy import takes
 
     sdf = discrepancy.sdf
     if settings.method != "gauss-newton" or not takes(sdf, frame_T_object, observation.points):
         return _descend(discrepancy, frame_T_object, observation, search, settings)
-    return fused_descend(sdf, discrepancy, frame_T_object, observation, search, settings)
+    return compiled(sdf, discrepancy, frame_T_object, observation, search, settings)
 
 
 def violable_pairs(

@@ -1,13 +1,14 @@
-"""The fused CPU version of a whole Gauss-Newton descent, one pose after the other; `descent.py` has the definition."""
+"""The compiled CPU version of a Gauss-Newton descent, pose by pose; `descent.py` has the definition."""
 
 import math
 
 import numpy as np
+import torch
 from numba import prange
 
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, exact, fast, lattice_of, put, value, value_and_gradient
-from sensors.discrepancy_numba import placed
+from sensors.discrepancy_numba import placed, prepare
 from sensors.tiles_numba import local, near_points
 
 
@@ -245,4 +246,35 @@ def _descend(
         passes[b, n] = done
 
 
-descend = Kernel(_descend)
+_kernel = Kernel(_descend)
+
+
+def descend(sdf, discrepancy, frame_T_object, observation, search, settings):
+    """What `descent.descend` gives by Gauss-Newton; each pose stops by itself.
+
+    Skipped, with the same result: free and occupied points that a pose cannot violate within the margin, ball by ball.
+    """
+    points, semantics, valid = observation.points, observation.semantics, observation.valid
+    ready = prepare(sdf, frame_T_object, points, semantics, valid)
+    kind = ready.poses.dtype.type
+    origin = torch.from_numpy(ready.poses)[..., :3, 3]
+    centre = 0.5 * (origin.amin(1) + origin.amax(1))
+    reach = discrepancy.radius + (origin - centre[:, None]).norm(dim=-1).amax(1)
+    result = torch.empty_like(torch.from_numpy(ready.poses))
+    passes = np.empty(ready.poses.shape[:2], np.int64)
+    _kernel(
+        *ready,
+        kind(float(discrepancy.free_scale)),
+        kind(-float(discrepancy.tolerance)),
+        kind(settings.margin_m),
+        centre.contiguous().numpy(),
+        reach.numpy(),
+        np.array((0, 1, 5) if search == "SE(2)" else (0, 1, 2, 3, 4, 5)),
+        settings.lever_m,
+        settings.iterations,
+        np.array((settings.step_limit_m, settings.step_limit_rad)),
+        settings.enough,
+        result.numpy(),
+        passes,
+    )
+    return result.view(frame_T_object.shape)

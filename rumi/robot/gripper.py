@@ -1,4 +1,4 @@
-"""Shape of the gripper that touches: a palm and two rounded pads, and points on and in it."""
+"""Gripper: a palm and two rounded pads, as points, signed distances, polyhedra and bodies of a simulator."""
 
 import math
 from dataclasses import dataclass, replace
@@ -6,6 +6,12 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+
+from sdf import se3
+from sdf.base import SDF
+from sdf.primitives import Box, Placed
+from sensors.force.tool_parts import box_tool, ellipsoid_tool
+from sensors.force.tool_surface import ConvexTool
 
 
 @dataclass(frozen=True)
@@ -168,6 +174,74 @@ class GripperShape:
             scaled = (lattice - lattice.new_tensor(center)) / lattice.new_tensor(self.pad_m)
             inside |= scaled.square().sum(-1) <= 1.0
         return lattice[inside]
+
+
+class Ellipsoid(SDF):
+    """An ellipsoid about the origin; distances are exact on its surface and to first order off it.
+
+    Args:
+        half_axes: along x, y and z, metres.
+    """
+
+    def __init__(self, half_axes: tuple[float, float, float]) -> None:
+        if not min(half_axes) > 0:
+            raise ValueError(f"Expected half axes above 0, got {half_axes}")
+        high = torch.tensor(half_axes)
+        super().__init__(torch.stack((-high, high)))
+        self.half_axes = half_axes
+
+    def distance(self, points_o: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
+        """Signed distance (*b), metres: (k - 1) k / |grad|, with k the scaled distance from the middle."""
+        axes = points_o.new_tensor(self.half_axes)
+        scaled = (points_o / axes).norm(dim=-1)
+        steep = (points_o / axes.square()).norm(dim=-1)
+        # at the very middle all directions are alike
+        inside = -axes.min() * torch.ones_like(scaled)
+        return torch.where(steep > 1e-9, scaled * (scaled - 1.0) / steep.clamp_min(1e-9), inside)
+
+
+def gripper_links(shape: GripperShape, *, grown_m: float = 0.0) -> tuple[SDF, ...]:
+    """Palm and pads in the tool's frame, each a link.
+
+    Args:
+        shape: the gripper's.
+        grown_m: by which the pads are larger, such as a membrane over them.
+    """
+    a, b, c = (half + grown_m for half in shape.pad_m)
+    palm = Box([0.5 * side for side in shape.palm_m])
+    centers = ((shape.palm_center_m, 0.0, 0.0), *shape.pad_centers)
+    members: tuple[SDF, ...] = (palm, *(Ellipsoid((a, b, c)) for _ in shape.pad_centers))
+    turn = torch.eye(3)
+    return tuple(Placed(m, se3.make(turn, torch.tensor(center))) for m, center in zip(members, centers, strict=True))
+
+
+def gripper_parts(shape: GripperShape, offset_m: Float[Tensor, "3"]) -> list[ConvexTool]:
+    """Polyhedra of pads and palm, pads first, for evidence from a wrench.
+
+    Args:
+        shape: the gripper's.
+        offset_m: (3,), of the tool frame in the sensor's, whose axes are alike.
+    """
+    offset = offset_m.double()
+    pads = [ellipsoid_tool(torch.tensor(c, dtype=torch.float64) + offset, shape.pad_m) for c in shape.pad_centers]
+    palm = torch.tensor([shape.palm_center_m, 0.0, 0.0], dtype=torch.float64) + offset
+    return [*pads, box_tool(palm, shape.palm_m)]
+
+
+def gripper_xml(shape: GripperShape, attributes: str) -> str:
+    """Palm and pads as geoms of an MJCF body in the tool's frame.
+
+    Args:
+        shape: the gripper's.
+        attributes: of each geom, such as mass and contact.
+    """
+    palm = " ".join(f"{0.5 * side:.9g}" for side in shape.palm_m)
+    pad = " ".join(f"{side:.9g}" for side in shape.pad_m)
+    pads = "\n      ".join(
+        f'<geom type="ellipsoid" size="{pad}" pos="{x:.9g} {y:.9g} {z:.9g}" {attributes}/>'
+        for x, y, z in shape.pad_centers
+    )
+    return f'<geom type="box" size="{palm}" pos="{shape.palm_center_m:.9g} 0 0" {attributes}/>\n      {pads}'
 
 
 def _count(length: float, spacing: float) -> int:

@@ -1,6 +1,5 @@
 """The table of what the arm's inverse kinematics leaves over, and its cache on disk."""
 
-import hashlib
 import json
 import logging
 import math
@@ -15,7 +14,7 @@ from torch import Tensor
 
 from rumi.robot.arm import Arm, ArmGeometry
 from sdf import se3
-from sdf.cache import keep_arrays, load_arrays
+from sdf.cache import content_key, keep_arrays, load_arrays
 
 VERSION = 1
 """Of the table's contents: raise it when the same settings give other numbers."""
@@ -182,7 +181,7 @@ def _neighbour_starts(coarse: tuple[int, ...], fine: tuple[int, int], stride: in
 def _key(settings: ReachSettings) -> str:
     content = {key: value for key, value in asdict(settings).items() if key != "tolerance_m"}
     text = json.dumps({"version": VERSION, "starts": STARTS, "sector": SECTOR_RAD, **content}, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return content_key(text)
 
 
 def _load(path: Path, settings: ReachSettings) -> ReachTable | None:

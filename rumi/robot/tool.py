@@ -143,6 +143,8 @@ class Tool(nn.Module):
     ) -> Float[Tensor, "*#b T Q"]:
         """Configurations after each mini step of some controls, if nothing is in the way: repeated `free_step`.
 
+        A path is the same to the bit whatever others it is asked for with.
+
         Args:
             q: (*b, Q), configuration now (batch axes broadcast).
             controls: (*b, H, Q), in [-1, 1].
@@ -162,13 +164,18 @@ class Tool(nn.Module):
         if len(rows) == 0:
             return path
         flat = flat.clone()
-        now_at = int(allowed[rows].to(torch.uint8).cumprod(-1).sum(-1).min())
+        # each from its own first step that meets a limit: what a path is must not hang on the others of a batch
+        begins = allowed[rows].to(torch.uint8).cumprod(-1).sum(-1)
         start = q.expand(*path.shape[:-2], q.shape[-1]).reshape(-1, q.shape[-1])[rows]
-        current = flat[rows, now_at - 1] if now_at > 0 else start
+        current = torch.where((begins > 0)[:, None], flat[rows, begins - 1], start)
         residual = None if self.reach is None else self.reach.residual(current)
-        for index in range(now_at, flat.shape[1]):
-            current, residual = self._within(current, current + steps[rows, index], residual)
-            flat[rows, index] = current
+        for index in range(int(begins.min()), flat.shape[1]):
+            held = (begins <= index).nonzero()[:, 0]
+            now = current[held]
+            now, left = self._within(now, now + steps[rows[held], index], None if residual is None else residual[held])
+            flat[rows[held], index] = current[held] = now
+            if residual is not None and left is not None:
+                residual[held] = left
         return flat.reshape(path.shape)
 
     def arm_arrays(self) -> tuple[Any, ...]:
@@ -229,9 +236,10 @@ class Tool(nn.Module):
         radius = offset.norm(dim=-1, keepdim=True)
         on_circle = base + target * (radius / target.norm(dim=-1, keepdim=True).clamp_min(1e-9))
         on_circle = torch.maximum(torch.minimum(on_circle, self.bounds[1, :2]), self.bounds[0, :2])
-        swing = torch.atan2(
-            offset[..., 0] * target[..., 1] - offset[..., 1] * target[..., 0], (offset * target).sum(-1)
-        )
+        aside = offset[..., 0] * target[..., 1] - offset[..., 1] * target[..., 0]
+        ahead = offset[..., 0] * target[..., 0] + offset[..., 1] * target[..., 1]
+        # beside each other: of two that lie by themselves, the library works out several angles at once, otherwise
+        swing = torch.atan2(*torch.stack((aside, ahead), -1).unbind(-1))
         straight = torch.cat((wanted[..., :-1], q[..., -1:]), -1)
         turning = torch.cat((on_circle, wanted[..., 2:]), -1)
         carried = torch.cat((on_circle, wanted[..., 2:-1], q[..., -1:] + swing[..., None]), -1)

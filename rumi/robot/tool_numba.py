@@ -1,7 +1,8 @@
-"""The fused CPU version of a step against the arm's reach; `tool.py` has the definition.
+"""The compiled CPU version of a step against the arm's reach; `tool.py` has the definition.
 
 What limits a step comes as `Tool.arm_arrays` gives it: four arrays, the last of numbers. As one tuple, its
-arrays would be counted in and out at every call.
+arrays would be counted in and out at every call. A tool that moves in space has a table of three axes: numba compiles
+`if table.ndim == 3` away; in a plane heights are handed through.
 """
 
 import math
@@ -15,69 +16,83 @@ def _wrapped(angle):
 
 
 @bare
-def residual(x, y, yaw, table, base, limits):
-    """What inverse kinematics leaves at a configuration, metres; bilinear in the table, the last node's beyond it."""
+def _within(value, low, high):
+    return min(max(value, low), high)
+
+
+@bare
+def residual(x, y, z, yaw, table, base, limits):
+    """What inverse kinematics leaves at a configuration, metres; linear between nodes, the last node's beyond them."""
     radius_step, sector = limits[0], limits[1]
     if limits[5] == 0.0:
         return 0.0
     dx, dy = x - base[0], y - base[1]
     radius, direction = math.sqrt(dx * dx + dy * dy), math.atan2(dy, dx)
     turned, side = abs(_wrapped(yaw - direction)), abs(_wrapped(direction - base[2]))
-    rows, columns = table.shape
+    rows, columns = table.shape[-2], table.shape[-1]
     last = (rows - 1) * radius_step
     beyond = max(radius - last, 0.0) + radius * max(side - sector, 0.0)
-    u = min(max(radius / radius_step, 0.0), rows - 1.0)
-    v = min(max(turned / math.pi * (columns - 1.0), 0.0), columns - 1.0)
+    u = _within(radius / radius_step, 0.0, rows - 1.0)
+    v = _within(turned / math.pi * (columns - 1.0), 0.0, columns - 1.0)
     i, j = min(int(u), max(rows - 2, 0)), min(int(v), max(columns - 2, 0))
-    i1, j1 = min(i + 1, rows - 1), min(j + 1, columns - 1)
     a, b = u - i, v - j
-    low = table[i, j] + b * (table[i, j1] - table[i, j])
-    high = table[i1, j] + b * (table[i1, j1] - table[i1, j])
-    return low + a * (high - low) + beyond
+    if table.ndim == 3:
+        low, high, layers = limits[6], limits[7], table.shape[0]
+        w = _within((z - low) / (high - low) * (layers - 1.0), 0.0, layers - 1.0)
+        k = min(int(w), layers - 2)
+        c = w - k
+        value = 0.0
+        for layer in range(2):
+            share = c if layer else 1.0 - c
+            for row in range(2):
+                part = share * (a if row else 1.0 - a)
+                first, second = table[k + layer, i + row, j], table[k + layer, i + row, j + 1]
+                value += part * (first + b * (second - first))
+    else:
+        i1, j1 = min(i + 1, rows - 1), min(j + 1, columns - 1)
+        near = table[i, j] + b * (table[i, j1] - table[i, j])
+        far = table[i1, j] + b * (table[i1, j1] - table[i1, j])
+        value = near + a * (far - near)
+    return value + beyond
 
 
 @bare
-def _within(value, low, high):
-    return min(max(value, low), high)
-
-
-@bare
-def step_within(x, y, yaw, to_x, to_y, to_yaw, left, table, base, bounds, limits):
-    """Where a step from (x, y, yaw) to (to_x, to_y, to_yaw) ends, and the arm's residual there; `left` is it now."""
+def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, table, base, bounds, limits):
+    """Where a step from (x, y, z, yaw) ends, and the arm's residual there; `left` is it now."""
     tolerance, slack, parts = limits[2], limits[3], int(limits[4])
     to_x = _within(to_x, bounds[0, 0], bounds[1, 0])
     to_y = _within(to_y, bounds[0, 1], bounds[1, 1])
+    if table.ndim == 3:
+        to_z = _within(to_z, bounds[0, 2], bounds[1, 2])
     if limits[5] == 0.0:
-        return to_x, to_y, to_yaw, 0.0
+        return to_x, to_y, to_z, to_yaw, 0.0
     limit = max(left, tolerance) + slack
-    rest = residual(to_x, to_y, to_yaw, table, base, limits)
+    rest = residual(to_x, to_y, to_z, to_yaw, table, base, limits)
     if rest <= limit:
-        return to_x, to_y, to_yaw, rest
+        return to_x, to_y, to_z, to_yaw, rest
     # as far as the arm gets on the straight way, a part of the step at a time
     passed = 0
     for part in range(1, parts):
         share = part / parts
-        rest = residual(
-            x + share * (to_x - x), y + share * (to_y - y), yaw + share * (to_yaw - yaw), table, base, limits
-        )
-        if rest > limit:
+        here_x, here_y, here_z = x + share * (to_x - x), y + share * (to_y - y), z + share * (to_z - z)
+        if residual(here_x, here_y, here_z, yaw + share * (to_yaw - yaw), table, base, limits) > limit:
             break
         passed = part
     share = passed / parts
-    x, y, yaw = x + share * (to_x - x), y + share * (to_y - y), yaw + share * (to_yaw - yaw)
+    x, y, z, yaw = x + share * (to_x - x), y + share * (to_y - y), z + share * (to_z - z), yaw + share * (to_yaw - yaw)
     # and from there round the limit: without the turn, along the circle, along it and turning with it
-    rest = residual(to_x, to_y, yaw, table, base, limits)
+    rest = residual(to_x, to_y, to_z, yaw, table, base, limits)
     if rest <= limit:
-        return to_x, to_y, yaw, rest
+        return to_x, to_y, to_z, yaw, rest
     from_x, from_y, aim_x, aim_y = x - base[0], y - base[1], to_x - base[0], to_y - base[1]
     stretch = math.sqrt(from_x * from_x + from_y * from_y) / max(math.sqrt(aim_x * aim_x + aim_y * aim_y), 1e-9)
     round_x = _within(base[0] + aim_x * stretch, bounds[0, 0], bounds[1, 0])
     round_y = _within(base[1] + aim_y * stretch, bounds[0, 1], bounds[1, 1])
-    rest = residual(round_x, round_y, to_yaw, table, base, limits)
+    rest = residual(round_x, round_y, to_z, to_yaw, table, base, limits)
     if rest <= limit:
-        return round_x, round_y, to_yaw, rest
+        return round_x, round_y, to_z, to_yaw, rest
     carried = yaw + math.atan2(from_x * aim_y - from_y * aim_x, from_x * aim_x + from_y * aim_y)
-    rest = residual(round_x, round_y, carried, table, base, limits)
+    rest = residual(round_x, round_y, to_z, carried, table, base, limits)
     if rest <= limit:
-        return round_x, round_y, carried, rest
-    return x, y, yaw, residual(x, y, yaw, table, base, limits)
+        return round_x, round_y, to_z, carried, rest
+    return x, y, z, yaw, residual(x, y, z, yaw, table, base, limits)

@@ -1,4 +1,4 @@
-"""What a recording's cameras saw: clouds and depth images as surface points of the object and free points about it."""
+"""Views of a recording's cameras: clouds and depth images as surface points of the object and free points about it."""
 
 from dataclasses import asdict, replace
 
@@ -8,8 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.robot.gripper import GripperShape
-from rumi.robot.gripper_body import gripper_links
+from rumi.robot.gripper import GripperShape, gripper_links
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping import BagMap
 from rumi.rosbag.streams import color_of, lens_of, lenses_of, role_of, unit_of

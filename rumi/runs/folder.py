@@ -32,6 +32,7 @@ from rumi.runs.plain import plain
 from rumi.runs.sketch import SceneSketch
 from rumi.runs.trace import TraceWriter, read_trace
 from sdf.cache import DAMAGED
+from sdf.processor import processor
 
 SCHEMA = 1
 """Version of the run folder; raised when an older reader would misread a newer folder."""
@@ -235,11 +236,12 @@ def write_belief(path: Path, belief: PoseBelief, *, stamp: float, frame: str = "
 
 
 def provenance() -> dict[str, Any]:
-    """Versions, threads and the commit that a run is made with; the same for the same installation."""
+    """Processor, versions, threads and the commit that a run is made with; the same for the same installation."""
     versions = {name: version_of(name) for name in ("rumi", "torch", "numpy", "mujoco-core", "pytorch-kinematics")}
     return {
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
+        "processor": processor()._asdict(),
         "versions": versions | {"torch": torch.__version__},
         "backend": "torch",
         "threads": torch.get_num_threads(),

@@ -1,17 +1,32 @@
 """The push model that is MuJoCo: many rollouts at once, the same to the bit with any number of threads."""
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.dynamics.base import PushRollouts
-from rumi.dynamics.quasi_static import representatives, rigid_motions, twins
-from rumi.dynamics.registry import ENGINES, EngineSettings
+from rumi.dynamics.along_path import unwrapped
+from rumi.dynamics.base import (
+    PushDefaults,
+    PushModel,
+    PushRollouts,
+    representatives,
+    resting_height,
+    rests,
+    rigid_motions,
+    twins,
+)
+from rumi.dynamics.registry import EngineSettings
+from rumi.fields.information import WorkspaceFields
+from rumi.fields.workspace import Workspace
+from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
+from rumi.sim.path_push import MujocoPathPush
 from rumi.sim.settings import PhysicsSettings
 from rumi.sim.world import World
 from sdf import se3
@@ -24,10 +39,12 @@ _ROWS = 256
 _MARGIN_M = 0.005
 # metres of motion within an action below which the object was not touched
 _STILL_M = 1e-5
+# cosine of the tilt up to which particles count as upright where the tool moves in space, and tilts them
+_TILTED = math.cos(math.radians(15.0))
 
 
-class MujocoPush:
-    """Rollouts of single poses of the belief in MuJoCo: a `PushModel`.
+class MujocoRollouts:
+    """Rollouts of single poses of the belief in MuJoCo: a `RolloutModel`.
 
     As in the quasi-static model each rollout pushes one pose of the belief; here the engine that the simulator is made
     of does it, with inertia, soft contacts and servos that lag. Slow: 20 to 100 thousand steps a second and core.
@@ -153,4 +170,89 @@ class MujocoPush:
         return torch.cat(found).to(begin)
 
 
-ENGINES["mujoco"] = MujocoPush
+class MujocoMotion:
+    """Motion of upright objects in MuJoCo, along the path that a level tool reports; one after the other.
+
+    Args:
+        model: the object; its exact shape is simulated.
+        shape: of the gripper.
+        height_m: of the level tool.
+        settings: of the engine.
+    """
+
+    def __init__(self, model: ObjectModel, shape: GripperShape, height_m: float, settings: EngineSettings) -> None:
+        self.settings = settings
+        physics = PhysicsSettings(mass_kg=settings.mass_kg, friction=settings.friction)
+        self.world = World(model.exact, shape, height_m, settings.time_step_s, physics)
+
+    @torch.no_grad()
+    def __call__(self, start: Float[Tensor, "E 3"], tool: Float[Tensor, "E K 3"]) -> Float[Tensor, "E K 4 4"]:
+        """World motion of objects from their start poses (x, y, yaw) up to each instant of a tool's path."""
+        if not len(start):
+            return start.new_zeros(0, tool.shape[1], 4, 4)
+        return torch.stack([self._motion(*row) for row in zip(start, unwrapped(tool), strict=True)]).to(start)
+
+    def _motion(self, start: Float[Tensor, "3"], path: Float[Tensor, "K 3"]) -> Float[Tensor, "K 4 4"]:
+        # the way to the first instant is not reported: it is taken to be as long as the one after it
+        before = 2.0 * path[0] - path[1] if len(path) > 1 else path[0]
+        self.world.reset(before.cpu(), start.cpu())
+        stood = self.world.world_T_object()
+        track = self.world.move(path.cpu(), self.settings.action_s, self.settings.hold_s)
+        return track.world_T_object @ se3.inverse(stood)
+
+
+class MujocoPush(PushModel):
+    """The simulator's physics: a `PushModel` of objects that stay upright, or nearly so.
+
+    Args:
+        settings: of the engine.
+    """
+
+    defaults = PushDefaults(reachability_scale=4.0, rollouts=8)  # the quasi-static model's: not tuned by itself
+    objects = "upright"
+
+    def __init__(self, settings: EngineSettings) -> None:
+        self.settings = settings
+
+    @classmethod
+    def make(cls, settings: Any) -> Self:  # noqa: ANN401
+        """The model that settings describe."""
+        return cls(settings.engine)
+
+    def fits(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> bool:
+        """Whether a tool in space has toppled nothing, or a level tool meets objects upright at one height."""
+        if tool.spatial:
+            return bool((world_T_object[:, 2, 2] >= _TILTED).all())
+        return rests(world_T_object)
+
+    def rollouts(
+        self,
+        model: ObjectModel,
+        world_T_object: Float[Tensor, "N 4 4"],
+        log_weights: Float[Tensor, "N"],
+        tool: Tool,
+        workspace: Workspace,
+        fields: WorkspaceFields,
+    ) -> MujocoRollouts:
+        """Rollouts under one belief.
+
+        Raises:
+            ValueError: particles do not stand upright at one height, where the tool is level.
+        """
+        if not tool.spatial:
+            resting_height(world_T_object)
+        return MujocoRollouts(model, world_T_object, log_weights, tool, self.settings)
+
+    def path(self, scene: Callable[[], Any] | None = None) -> MujocoPathPush:
+        """Pushes along given paths, in the scene of a task.
+
+        Raises:
+            ValueError: no scene is given.
+        """
+        if scene is None:
+            raise ValueError("Expected the scene of a simulator to push along paths in, got None: give what makes it")
+        return MujocoPathPush(scene(), self.settings.threads)
+
+    def motion(self, model: ObjectModel, shape: GripperShape, height_m: float, resting_m: float) -> MujocoMotion:
+        """Motion along the path of a level tool."""
+        return MujocoMotion(model, shape, height_m, self.settings)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.robot.gripper import GripperShape
+from rumi.robot.gripper import GripperShape, gripper_xml
 from rumi.sim.bodies import Body, Piece
 from rumi.sim.settings import PhysicsSettings
 from sdf import so3
@@ -105,19 +105,13 @@ def _framed(part: Piece, geom: str) -> str:
 
 
 def _gripper_xml(gripper: GripperShape, height_m: float | None, physics: PhysicsSettings) -> str:
-    palm = " ".join(f"{0.5 * side:.9g}" for side in gripper.palm_m)
-    pad = " ".join(f"{side:.9g}" for side in gripper.pad_m)
     kind = f'mass="0.1" contype="0" conaffinity="{_SHELL}" solref="0.01 1"'
-    pads = "\n      ".join(
-        f'<geom type="ellipsoid" size="{pad}" pos="{x:.9g} {y:.9g} {z:.9g}" {kind}/>' for x, y, z in gripper.pad_centers
-    )
     rise = f'\n      <joint name="z" type="slide" axis="0 0 1" armature="{physics.gripper_mass_kg}"/>'
     return f"""<body name="gripper" pos="0 0 {height_m or 0.0:.9g}" gravcomp="1">
       <joint name="x" type="slide" axis="1 0 0" armature="{physics.gripper_mass_kg}"/>
       <joint name="y" type="slide" axis="0 1 0" armature="{physics.gripper_mass_kg}"/>{rise * (height_m is None)}
       <joint name="yaw" type="hinge" axis="0 0 1" armature="{physics.gripper_inertia}"/>
-      <geom type="box" size="{palm}" pos="{gripper.palm_center_m:.9g} 0 0" {kind}/>
-      {pads}
+      {gripper_xml(gripper, kind)}
     </body>"""
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from rumi.clock import SimulatedClock
 from rumi.planning.anytime import Candidate, select
-from rumi.planning.evaluation_time import EvaluationTime
+from rumi.planning.duration_model import DurationModel
 from scripts.bench.ledger import Figures, Ledger
 
 Noise = Literal["exact", "lognormal", "exponential", "stalls"]
@@ -62,8 +62,8 @@ def simulated(noise: Noise, level: float, seed: int) -> Figures:
         seconds = Seconds(noise, scale * 10 ** random.uniform(-2.5, -0.5))
         motions, values = scale * random.lognormal(0.0, 0.7, _CANDIDATES), random.exponential(1.0, _CANDIDATES)
         known = seconds.draw(random, _MEASURED)
-        fitted = EvaluationTime.fit(np.ones(_MEASURED), known, level)
-        evaluation = EvaluationTime.known(seconds.mean_s) if noise == "exact" else fitted
+        fitted = DurationModel.fit(np.ones(_MEASURED), known, level)
+        evaluation = DurationModel.known(seconds.mean_s) if noise == "exact" else fitted
         for budget in BUDGETS_S:
             clock, own = SimulatedClock(), iter(seconds.draw(random, _CANDIDATES).tolist())
 

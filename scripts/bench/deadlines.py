@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
 
 import torch
 
@@ -19,8 +18,8 @@ from rumi.cache import cache_folder
 from rumi.clock import Now
 from rumi.fields.information import information_field
 from rumi.planning.anytime import select
-from rumi.planning.evaluation_time import EvaluationTime
-from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.duration_model import DurationModel
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.robot.motion_time import SpeedLimits
@@ -93,9 +92,9 @@ class _Watched:
         self.policy = policy
         self.given: list[tuple[PoseBelief, Scene]] = []
 
-    def act(self, belief: PoseBelief, scene: Scene, previous: Plan | None, **rest: Any) -> Plan:  # noqa: ANN401
-        self.given.append((belief, scene))
-        return self.policy.act(belief, scene, previous, **rest)
+    def act(self, request: PlanRequest) -> Plan:
+        self.given.append((request.belief, request.scene))
+        return self.policy.act(request)
 
 
 def decisions(where: Situations, budget_s: float, clock: str, piece: int) -> Figures:
@@ -108,7 +107,7 @@ def decisions(where: Situations, budget_s: float, clock: str, piece: int) -> Fig
     plan: Plan | None = None
     # compiled code is loaded, and the processor is awake
     for belief, scene in where.given[:2]:
-        plan = policy.act(belief, scene, plan, executed=1, budget_s=budget_s, generator=random)
+        plan = policy.act(PlanRequest(belief, scene, plan, executed=1, budget_s=budget_s, generator=random))
     gc.freeze()  # as `rumi run` does
     took, first, kept, samples = [], [], 0, []
     for index in range(PIECE):
@@ -116,7 +115,7 @@ def decisions(where: Situations, budget_s: float, clock: str, piece: int) -> Fig
         if (piece * PIECE + index) % len(where.given) == 0:
             plan = None
         begun = now()
-        plan_of = policy.act(belief, scene, plan, executed=1, budget_s=budget_s, generator=random)
+        plan_of = policy.act(PlanRequest(belief, scene, plan, executed=1, budget_s=budget_s, generator=random))
         took.append(now() - begun)
         first.append(plan is None)
         plan = plan_of
@@ -134,7 +133,7 @@ def touch_decisions(budget_s: float, clock: str, piece: int) -> Figures:
     making = _making(TouchChoice.drawn(1000, limits=_FAST), now, 1200)
     for index in range(PIECE):
         choice = TouchChoice.drawn(1000 + piece * PIECE + index, limits=_FAST)
-        evaluation = EvaluationTime.fit(work[-_MEASURED:], seconds[-_MEASURED:], 0.99)
+        evaluation = DurationModel.fit(work[-_MEASURED:], seconds[-_MEASURED:], 0.99)
         begun = now()
         made = select(
             choice.candidates(),
@@ -213,14 +212,14 @@ def _measured(choice: TouchChoice, now: Now, count: int) -> tuple[list[float], l
     return work, seconds
 
 
-def _making(choice: TouchChoice, now: Now, count: int) -> EvaluationTime:
+def _making(choice: TouchChoice, now: Now, count: int) -> DurationModel:
     """How long the next candidate takes to come."""
     seconds, source = [], choice.candidates()
     for _ in range(count):
         begun = now()
         next(source)
         seconds.append(now() - begun)
-    return EvaluationTime.fit([1.0] * count, seconds, 0.99)
+    return DurationModel.fit([1.0] * count, seconds, 0.99)
 
 
 def value_found(where: Situations, budget_s: float | None, seed: int) -> Figures:
@@ -231,9 +230,9 @@ def value_found(where: Situations, budget_s: float | None, seed: int) -> Figures
     policy = where.policy("cpu")
     assert isinstance(policy, RummagingPolicy)
     values, still = [], []
-    policy.act(*where.given[0], None, executed=0, budget_s=0.0, generator=split(seed, "warm"))
+    policy.act(PlanRequest(*where.given[0], budget_s=0.0, generator=split(seed, "warm")))
     for belief, scene in where.given:
-        made = policy.act(belief, scene, None, executed=0, budget_s=budget_s, generator=split(seed, "plan"))
+        made = policy.act(PlanRequest(belief, scene, budget_s=budget_s, generator=split(seed, "plan")))
         judge = _judge(policy, belief, scene)
         both = torch.stack((made.controls, torch.zeros_like(made.controls)))
         cost = judge(both)
@@ -245,13 +244,13 @@ def value_found(where: Situations, budget_s: float | None, seed: int) -> Figures
 def _judge(policy: RummagingPolicy, belief: PoseBelief, scene: Scene) -> Callable[[torch.Tensor], torch.Tensor]:
     poses, log_weights = belief.world_T_object, belief.log_weights
     fields = information_field(scene.model.sdf, poses, log_weights, scene.workspace.points, policy.settings.information)
-    model = policy.push_models.of_belief(scene.model, poses, log_weights, scene.tool, scene.workspace, fields)
-    worth = policy.worth(belief, scene, fields, None)
+    model = policy.push_models.rollouts(scene.model, poses, log_weights, scene.tool, scene.workspace, fields)
+    objective = policy.objective(belief, scene, fields, None)
     configuration = scene.configuration.to(fields.information)
 
     def judge(controls: torch.Tensor) -> torch.Tensor:
         random = split(0, "judge")
-        return worth.cost(model.rollout(configuration, controls, rollouts=_JUDGE_ROLLOUTS, generator=random))
+        return objective.cost(model.rollout(configuration, controls, rollouts=_JUDGE_ROLLOUTS, generator=random))
 
     return judge
 
@@ -259,7 +258,7 @@ def _judge(policy: RummagingPolicy, belief: PoseBelief, scene: Scene) -> Callabl
 def touch_value(budget_s: float, seed: int) -> Figures:
     """What choices of the next touch find, on the processor's clock: the same ones at every budget."""
     now = _CLOCKS["cpu"]
-    evaluation = EvaluationTime.fit(*_measured(TouchChoice.drawn(seed, limits=_FAST), now, 100), 0.99)
+    evaluation = DurationModel.fit(*_measured(TouchChoice.drawn(seed, limits=_FAST), now, 100), 0.99)
     values = []
     for index in range(20):
         choice = TouchChoice.drawn(seed + 1000 * index, limits=_FAST)

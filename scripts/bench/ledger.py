@@ -15,6 +15,7 @@ import torch
 
 from rumi.runs.jsonlines import append_line, read_lines
 from rumi.runs.plain import plain
+from sdf.processor import processor
 
 Settings = dict[str, Any]
 Figures = dict[str, Any]
@@ -105,7 +106,9 @@ def commit() -> str:
 def machine() -> str:
     """What the figures were measured on."""
     threads = torch.get_num_threads()
-    return f"{platform.machine()}, {os.cpu_count()} cores, {threads} threads, torch {torch.__version__}"
+    own = processor()
+    kernels = f"torch {torch.__version__} for {own.torch}, numba for {own.numba or 'none'} {own.features}".strip()
+    return f"{own.model} {platform.machine()}, {os.cpu_count()} cores, {threads} threads, {kernels}"
 
 
 def _key(settings: Settings) -> str:

@@ -12,12 +12,12 @@ from kmppi import MPPI, MPPISettings
 from rumi.belief.particles import PoseBelief
 from rumi.cache import cache_folder
 from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings
+from rumi.dynamics.displacement import DisplacementPush, DisplacementRollouts, DisplacementSettings
 from rumi.dynamics.tool_lookup import world_height
 from rumi.fields.information import information_field
 from rumi.planning.objective import TrajectoryCost
-from rumi.planning.policy import Plan, Scene
-from rumi.planning.rummaging import SUITED, RummagingPolicy, RummagingSettings
+from rumi.planning.policy import Plan, PlanRequest, Scene
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.resampling import systematic
 from rumi.robot.reach import Reach
 from rumi.robot.reach_table import ReachSettings
@@ -50,7 +50,7 @@ class PlanSettings:
 
     particles: int = 100
     samples: int = MPPISettings.samples
-    rollouts: int = SUITED["displacement"].rollouts
+    rollouts: int = DisplacementPush.defaults.rollouts
     mini_steps: int = DisplacementSettings.mini_steps
     warmup_iterations: int = MPPISettings.warmup_iterations
     iterations: int = 2
@@ -143,7 +143,7 @@ class PlanBench:
 
         def act(previous: Plan | None) -> Plan:
             noise = split(seed, "plan")
-            return policy.act(belief, scene, previous, executed=0, budget_s=None, generator=noise)
+            return policy.act(PlanRequest(belief, scene, previous, generator=noise))
 
         return act
 
@@ -162,14 +162,14 @@ class FineObjective:
         fields = information_field(sdf, poses, belief.log_weights, space.points, settings.information)
         contact = ContactField.from_belief(sdf, poses, belief.log_weights, space, fields)
         self.configuration = scene.configuration.to(fields.information)
-        self._model = DisplacementModel(contact, scene.tool, _FINE_PUSH)
+        self._model = DisplacementRollouts(contact, scene.tool, _FINE_PUSH)
         assert reach is not None
         self._cost = TrajectoryCost(
             space.grid(fields.information),
             space.grid(reach.field(space.points)),
             world_height(scene.tool.info, scene.tool.height_m),
             information_scale=settings.information_scale,
-            reachability_scale=SUITED["displacement"].reachability_scale,
+            reachability_scale=DisplacementPush.defaults.reachability_scale,
             information_discount=settings.information_discount,
             normalise=settings.normalise_information,
         )

@@ -20,7 +20,7 @@ from rumi.belief.pose_filter import PoseFilter
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.workspace import Workspace
-from rumi.planning.worth import gathering
+from rumi.planning.objective import gathering
 from rumi.records import StepRecord
 from rumi.robot.tool import Tool
 from scripts.reproduce.correlation import spearman
@@ -156,7 +156,7 @@ class Situation:
         """
         fields, field = self._fields(information)
         belief = self.before.belief
-        model = push.of_belief(self.model, belief.world_T_object, belief.log_weights, self.tool, self.workspace, fields)
+        model = push.rollouts(self.model, belief.world_T_object, belief.log_weights, self.tool, self.workspace, fields)
         start, controls = self.before.reading.configuration.to(fields.information), control[None].to(fields.information)
         if rollouts == 0:
             done = model.likely(start, controls)

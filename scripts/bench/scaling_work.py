@@ -14,16 +14,16 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.cache import cache_folder
 from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementModel
+from rumi.dynamics.displacement import DisplacementPush, DisplacementRollouts
 from rumi.dynamics.tool_lookup import world_height
 from rumi.fields.information import information_field
 from rumi.fields.normal import expected_normal
 from rumi.fields.workspace import Workspace
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.planning.costs import information_cost
-from rumi.planning.policy import Scene
+from rumi.planning.policy import PlanRequest, Scene
 from rumi.planning.reach_cost import ReachabilityCost
-from rumi.planning.rummaging import SUITED, RummagingPolicy, RummagingSettings
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.registration.descent import DescentSettings, descend
 from rumi.robot.tool import Tool
 from rumi.seeding import split
@@ -168,12 +168,12 @@ def _contact(size: Size) -> tuple[ContactField, Workspace]:
 
 def _push_model(size: Size) -> Work:
     contact, _ = _contact(size)
-    return lambda: DisplacementModel(contact, tool())
+    return lambda: DisplacementRollouts(contact, tool())
 
 
 def _rollouts(size: Size) -> Work:
-    push, wanted = DisplacementModel(_contact(size)[0], tool()), controls(size)
-    start, rollouts = torch.tensor([0.4, 0.0, 0.0]), SUITED["displacement"].rollouts
+    push, wanted = DisplacementRollouts(_contact(size)[0], tool()), controls(size)
+    start, rollouts = torch.tensor([0.4, 0.0, 0.0]), DisplacementPush.defaults.rollouts
     return lambda: push.rollout(start, wanted, rollouts=rollouts, generator=split(0, "rollouts"))
 
 
@@ -200,7 +200,7 @@ def _plan(size: Size) -> Work:
     reach = tool().reach
     assert reach is not None
     policy = RummagingPolicy(reach.field(where.points), replace(base, mppi=replace(mppi, warmup_iterations=2)))
-    return lambda: policy.act(held, scene, None, executed=0, budget_s=None, generator=split(0, "plan"))
+    return lambda: policy.act(PlanRequest(held, scene, generator=split(0, "plan")))
 
 
 WORK: dict[str, tuple[Callable[[Size], Work], tuple[Axis, ...]]] = {

@@ -13,7 +13,7 @@ from torch import Tensor
 from rumi.belief.prior import PlanarPrior
 from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief
 from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
-from rumi.dynamics.along_path import Pusher, carry
+from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.outline import RectangleOutline
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
@@ -113,7 +113,7 @@ def truth_of(setup: PushSetup, runs: int, *, generator: torch.Generator) -> tupl
     path = torch.tensor([*setup.start, 0.0]) + share * torch.tensor([setup.length_m, 0.0, 0.0])
     outline, finger = RectangleOutline(setup.half), Pusher.disc(setup.finger_m, start)
     own = Sliding(torch.zeros(2), torch.tensor(setup.lever_m), torch.tensor(setup.friction)).expand(runs)
-    carried = carry(start, path[None], finger, outline, own, substeps=1)
+    carried = push_along_path(start, path[None], finger, outline, own, substeps=1)
     contact = carried.distance <= setup.contact_m
     if not setup.exact:
         tp, fp = setup.rates

@@ -139,7 +139,7 @@ def chosen(options: ReproduceOptions) -> tuple[list[str], Selection]:
         if name not in (*EXPERIMENTS, "all"):
             raise UsageError(f"There is no experiment {name!r}; {there}")
     _among("task", options.tasks, valid_tasks())
-    _among("method", options.methods, POLICIES)
+    _among("method", options.methods, tuple(POLICIES))
     _among("preset", options.presets, valid_presets())
     if options.jobs < 1:
         raise UsageError(f"Expected jobs to be 1 or more, got {options.jobs}")

@@ -53,7 +53,7 @@ class Job:
         Raises:
             UsageError: there is no such task, method, preset or setting.
         """
-        values = to_dict(replace(preset(self.preset), task=self.task, method=self.method, seed=self.seed))  # type: ignore[arg-type]
+        values = to_dict(replace(preset(self.preset), task=self.task, method=self.method, seed=self.seed))
         return from_dict(overridden(values, self.overrides))
 
     @cached_property

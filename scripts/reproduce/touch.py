@@ -19,7 +19,7 @@ from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.report import Line, calibration, digest, figures_of, table
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import METHODS
-from rumi.tasks.touch_box.settings import TouchPush, TouchSettings
+from rumi.tasks.touch_box.settings import TouchSettings
 from scripts.bench.ledger import Ledger
 from scripts.reproduce.code import code_hash
 from scripts.reproduce.seeds import seeds_of
@@ -64,7 +64,7 @@ class TouchReproduceOptions:
 
     experiments: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT ...")]
     methods: tuple[str, ...] = METHODS
-    push_models: tuple[TouchPush, ...] = ("quasi-static",)
+    push_models: tuple[str, ...] = ("quasi-static",)
     robot: Robot = "gripper"
     seeds: str = "0-99"
     settings: TouchSettings = field(default_factory=TouchSettings)

@@ -1,4 +1,4 @@
-"""What a force-torque sensor felt: where its tool of known shape was touched, and which way the surface faces there.
+"""Contact point and normal on a tool of known shape by a wrench of a force-torque sensor, with covariance.
 
 A wrench is (fx, fy, fz, mx, my, mz), N and N m: what the world does to the tool, about the origin of the sensor's
 frame, in that frame. A driver that reports the reaction: negate it. One point is assumed to be touched, and to be
@@ -114,7 +114,7 @@ def wrench_contact(
     covariance: Float[Tensor, "6 6"],
     settings: WrenchSettings | None = None,
 ) -> WrenchContact:
-    """The touched point and the normal there, of wrenches of a contact alone (bias and weight taken off).
+    """Contact point and normal of a single point contact by its wrench (bias and weight taken off), sensor's frame.
 
     A force f at a point c has the moment c x f, so that c is on the line of force (f x m) / |f|^2 + t f; a push enters
     the tool where the line first meets it (Bicchi, Salisbury and Brock 1993). Friction need not be known for that: the
@@ -122,7 +122,7 @@ def wrench_contact(
     can be. Autograd reaches the wrench through point and normal, the face of a polyhedron held fixed.
 
     Args:
-        wrench: (*b, 6), see above.
+        wrench: (*b, 6), force then moment about the sensor's origin, N and N m.
         tool: convex, in the sensor's frame.
         covariance: (6, 6), of the wrench's noise (`WrenchNoise.covariance`).
         settings: when it counts as a touch.
@@ -200,7 +200,7 @@ def _plain(wrench: Tensor, tool: ToolSurface, covariance: Tensor, settings: Wren
 
 
 @backend.register("wrench_contact", "numba", compiled.supports)
-def _fused(wrench: Tensor, tool: ToolSurface, covariance: Tensor, settings: WrenchSettings) -> WrenchContact:
+def _contact_numba(wrench: Tensor, tool: ToolSurface, covariance: Tensor, settings: WrenchSettings) -> WrenchContact:
     from sensors.force.force_torque_numba import contacts
 
     batch = wrench.shape[:-1]

@@ -1,4 +1,4 @@
-"""Reads a log: also one that still grows, was killed, was cut short or is damaged here and there."""
+"""Reader of a log, also of one that still grows, was killed, was cut short or is damaged here and there."""
 
 import json
 from collections.abc import Mapping
@@ -13,9 +13,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sensors.log.as_closed import AsClosed
 from sensors.log.columns import reading_columns, reading_of
 from sensors.log.errors import LogError
+from sensors.log.repaired_header import RepairedHeader
 from sensors.log.stream import Sample, Stream
 from sensors.log.table import DAMAGE, Row, Table
 from sensors.log.writer import FORMAT, SCHEMA
@@ -221,7 +221,7 @@ def _opened(path: Path) -> h5py.File:
     except DAMAGE as error:
         first = error
     try:
-        return h5py.File(AsClosed(path), "r")
+        return h5py.File(RepairedHeader(path), "r")
     except DAMAGE:
         raise LogError(f"{path} is no HDF5 file, or is damaged at its head: {first}") from first
 

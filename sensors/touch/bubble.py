@@ -1,4 +1,4 @@
-"""Soft bubbles: a camera inside watches a membrane, and where that is pushed in something touches it."""
+"""Soft-bubble tactile sensor: contact by the deformation of a membrane that a camera inside watches."""
 
 import math
 from dataclasses import dataclass
@@ -121,7 +121,7 @@ def bubble_patch(
     world_T_tool: Float[Tensor, "4 4"],
     settings: BubbleSettings | None = None,
 ) -> BubblePatch:
-    """Where a bubble touches, and where there is nothing before it.
+    """Contact patch of a soft bubble, and free points before its membrane, by its deformation.
 
     A pixel touches where the membrane has moved in by more than `contact_m` and by no less than the share `top` of the
     membrane that moved most (RUMI, V.C). The deformation is along the membrane's own normal at rest: along the line of
@@ -131,7 +131,7 @@ def bubble_patch(
         bubble: at rest.
         depth: (H, W), as the camera inside gives it now.
         world_T_tool: (4, 4), where the tool was when the image was taken.
-        settings: how.
+        settings: of the contact threshold and the spacing of points.
 
     Raises:
         ValueError: an image of another size than that at rest, or in another unit, or a pose that is not finite.

@@ -1,4 +1,4 @@
-"""What a touch says about every pose, by its point and the normal there: the faces of a mesh, of a box, a rectangle."""
+"""Likelihood of contact points with normals at every pose: on the faces of a mesh, a box or a rectangle."""
 
 import math
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf.check import check_finite, check_shape, may_look
+from sdf.check import check_finite, check_shape, is_eager
 from sdf.mesh.touched import touched_face
 from sdf.mesh.triangles import Triangles
 
@@ -79,7 +79,7 @@ def touch_log_likelihoods(
         ValueError: a shape does not fit, or a point or normal is not finite.
     """
     check_shape("points_w", points_w, "(K, 3)")
-    if may_look():
+    if is_eager():
         check_finite("points_w", points_w)
         if normals_w is not None:
             check_finite("normals_w", normals_w)

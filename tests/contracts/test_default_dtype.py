@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rumi import build, preset, run
-from rumi.dynamics.along_path import Pusher, carry
+from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.outline import RectangleOutline
 from rumi.dynamics.sliding import Sliding
 from rumi.fields.workspace import Workspace
@@ -47,7 +47,7 @@ def test_carrying(kind: torch.dtype, version: str) -> None:
     path = torch.tensor([[[0.2, 0.0, 0.0], [0.04, 0.01, 0.0]]], dtype=kind)
     sliding = Sliding(still[0, :2], torch.tensor(0.03, dtype=kind), torch.tensor(0.3, dtype=kind))
     with backend.force(version):
-        carried = carry(still, path, Pusher.disc(0.01, still), RectangleOutline((0.05, 0.03)), sliding)
+        carried = push_along_path(still, path, Pusher.disc(0.01, still), RectangleOutline((0.05, 0.03)), sliding)
     assert carried.track.dtype == carried.distance.dtype == kind
     assert float(carried.track[:, -1, 0].max()) < -0.015  # it was pushed
 

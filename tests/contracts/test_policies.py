@@ -1,21 +1,24 @@
-"""What holds for every method: RUMI, its ablations and the baselines."""
+"""Laws of every policy: RUMI, its ablations and the baselines; also of one from outside."""
 
 import copy
 import importlib.util
 import json
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from kmppi import MPPISettings
+from kmppi import MPPI, MPPISettings
+from kmppi.types import Objective
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.registry import EngineSettings, PushChoice
 from rumi.fields.workspace import Workspace
 from rumi.planning.gpvr import GPVRSettings
-from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingSettings
 from rumi.robot.tool import Tool
@@ -38,12 +41,15 @@ PLANNER = RummagingSettings(
     rollouts=2,
 )
 GPVR = GPVRSettings(refit_steps=5, max_points=40)
+OUTSIDE = "wandering"
 NEEDS = {"gpvr": "gpytorch", "gpvr-greedy": "gpytorch"}
 CENTRE = torch.tensor([0.4, 0.0, 0.3])
 
 
-@pytest.fixture(params=list(POLICIES))
-def method(request: pytest.FixtureRequest) -> str:
+@pytest.fixture(params=[*POLICIES, OUTSIDE])
+def method(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    entry = EntryPoint(OUTSIDE, "tests.contracts.outside_policy:wandering", "rumi.policies")
+    monkeypatch.setitem(POLICIES.__dict__, "_outside", {OUTSIDE: entry})
     library = NEEDS.get(request.param)
     if library and importlib.util.find_spec(library) is None:
         pytest.skip(f"{request.param} needs {library}")
@@ -113,7 +119,7 @@ def believed(count: int = 15, spread: float = 1.0) -> PoseBelief:
 
 def act(policy: Policy, scene: Scene, belief: PoseBelief, previous: Plan | None = None, seed: int = 0) -> Plan:
     random = torch.Generator().manual_seed(seed)
-    return policy.act(belief, scene, previous, executed=1, budget_s=None, generator=random)
+    return policy.act(PlanRequest(belief, scene, previous, executed=1, generator=random))
 
 
 def check(plan: Plan, scene: Scene) -> None:
@@ -202,14 +208,14 @@ def test_on_top_of_the_object(policy: Policy, scene: Scene) -> None:
 
 def test_a_spent_budget(policy: Policy, scene: Scene) -> None:
     random = torch.Generator().manual_seed(0)
-    check(policy.act(believed(), scene, None, executed=0, budget_s=0.0, generator=random), scene)
+    check(policy.act(PlanRequest(believed(), scene, budget_s=0.0, generator=random)), scene)
 
 
 def test_later_plans_with_a_spent_budget(policy: Policy, scene: Scene) -> None:
     random = torch.Generator().manual_seed(0)
-    plan = policy.act(believed(), scene, None, executed=0, budget_s=5.0, generator=random)
+    plan = policy.act(PlanRequest(believed(), scene, budget_s=5.0, generator=random))
     for budget_s in (0.0, 1e-4, 0.02):
-        plan = policy.act(believed(), scene, plan, executed=1, budget_s=budget_s, generator=random)
+        plan = policy.act(PlanRequest(believed(), scene, plan, executed=1, budget_s=budget_s, generator=random))
         check(plan, scene)
 
 
@@ -218,14 +224,53 @@ def test_an_ample_budget_changes_nothing(policy: Policy, scene: Scene) -> None:
     free = ample = None
     for seed in range(3):
         one, other = (torch.Generator().manual_seed(seed) for _ in range(2))
-        free = policy.act(believed(), scene, free, executed=1, budget_s=None, generator=one)
-        ample = policy.act(believed(), scene, ample, executed=1, budget_s=600.0, generator=other)
+        free = policy.act(PlanRequest(believed(), scene, free, executed=1, generator=one))
+        ample = policy.act(PlanRequest(believed(), scene, ample, executed=1, budget_s=600.0, generator=other))
         assert torch.equal(free.controls, ample.controls)
         assert torch.equal(free.path, ample.path)
         assert {name: ample.info[name] for name in free.info} == free.info
         assert free.fields.keys() == ample.fields.keys()
         assert all(torch.equal(free.fields[name], ample.fields[name]) for name in free.fields)
         assert "pace" not in free.info
+
+
+@pytest.mark.parametrize("push_model", ["displacement", "quasi-static", "mujoco"])
+def test_samples_cost_alone_what_they_cost_together(
+    method: str, push_model: PushChoice, scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the bit, whatever processor works out how many at once: else a budget, which takes them in parts, counted."""
+    if method in ("slide", OUTSIDE):
+        pytest.skip("slide takes no samples")
+    if push_model == "mujoco":
+        if method != "rumi":
+            pytest.skip("slow, and rolled out alike for each method")
+        pytest.importorskip("mujoco")
+    elif push_model == "quasi-static" and scene.tool.spatial:
+        pytest.skip("pushes level tools only")
+    few = replace(PLANNER.mppi, samples=12, warmup_iterations=1) if push_model == "mujoco" else PLANNER.mppi
+    planner = replace(PLANNER, push_model=push_model, mppi=few, engine=EngineSettings(time_step_s=0.01, action_s=0.2))
+    policy = make_policy(
+        Settings(method=method, planner=planner, gpvr=GPVR), (1.0 - scene.workspace.points[:, 0]).clamp(0, 1)
+    )
+    evaluate, random = MPPI._evaluate, torch.Generator().manual_seed(0)
+    whole: list[Tensor] = []
+
+    def in_parts(self: MPPI, objective: Objective, controls: Tensor) -> Tensor:
+        before = random.get_state()
+        whole.append(evaluate(self, objective, controls))
+        for size in (1, 2, 7, 16, 33):
+            random.set_state(before)
+            parts = [evaluate(self, objective, part) for part in controls.split(size)]
+            assert torch.equal(torch.cat(parts), whole[-1]), f"parts of {size}"
+        return whole[-1]
+
+    monkeypatch.setattr(MPPI, "_evaluate", in_parts)
+    close = put(scene, (0.3, 0.0), 0.2, scene.observed)
+    plan = policy.act(believed(), close, None, executed=0, budget_s=None, generator=random)
+    policy.act(believed(spread=0.1), close, plan, executed=1, budget_s=None, generator=random)
+    assert len(whole) >= 2
+    # some of them touch, so that they do not all cost the same
+    assert all(len(costs.unique()) > 3 for costs in whole)
 
 
 def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> None:
@@ -253,7 +298,7 @@ def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> Non
 def test_says_what_it_predicts(method: str, policy: Policy, scene: Scene) -> None:
     """One number and one displacement an action, from every policy that rolls its plans out."""
     plan = act(policy, scene, believed())
-    if method == "slide":
+    if method in ("slide", OUTSIDE):
         assert "predicted_information" not in plan.info
         return
     gathered, moved = (torch.tensor(plan.info[f"predicted_{name}"]) for name in ("information", "displacement"))

@@ -19,7 +19,7 @@ from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
 from rumi.planning import gpvr
 from rumi.planning.gpvr import GPVRPolicy, GPVRSettings, VarianceCost
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging import RummagingSettings
 from rumi.robot.tool import Tool
 from sdf import se3
@@ -40,7 +40,7 @@ PLANNER = RummagingSettings(
 )
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 
@@ -71,7 +71,7 @@ def believed(spread: float = 1.0) -> PoseBelief:
 def act(scene: Scene, gp: GPVRSettings | None = None, previous: Plan | None = None, *, greedy: bool = False) -> Plan:
     policy = GPVRPolicy(PLANNER, gp or GPVRSettings(max_points=60), greedy=greedy)
     random = torch.Generator().manual_seed(0)
-    return policy.act(believed(), scene, previous, executed=1, budget_s=None, generator=random)
+    return policy.act(PlanRequest(believed(), scene, previous, executed=1, generator=random))
 
 
 def random_rollouts(generator: torch.Generator, samples: int = 6, count: int = 3, horizon: int = 4) -> PushRollouts:
@@ -238,7 +238,7 @@ def test_the_process_is_fitted_in_time(scene: Scene, clock: SimulatedClock, budg
     plan, made = None, []
     for _ in range(5):
         begun, random = clock(), torch.Generator().manual_seed(0)
-        plan = policy.act(believed(), scene, plan, executed=1, budget_s=budget_s, generator=random)
+        plan = policy.act(PlanRequest(believed(), scene, plan, executed=1, budget_s=budget_s, generator=random))
         assert clock() - begun <= budget_s
         assert plan.info["samples"] > 0
         made.append(plan.info["gp_points"])
@@ -248,10 +248,10 @@ def test_the_process_is_fitted_in_time(scene: Scene, clock: SimulatedClock, budg
 
 def test_without_time_for_a_fit_the_start_is_what_it_was(scene: Scene, clock: SimulatedClock) -> None:
     policy, random = GPVRPolicy(PLANNER, GPVRSettings(max_points=200), now=clock), torch.Generator().manual_seed(0)
-    hurried = policy.act(believed(), scene, None, executed=1, budget_s=0.012, generator=random)
+    hurried = policy.act(PlanRequest(believed(), scene, budget_s=0.012, generator=random))
     assert hurried.info["gp_hyperparameters"] == list(gpvr.Hyperparameters())
     assert hurried.info["gp_points"] == 50
-    ample = policy.act(believed(), scene, None, executed=1, budget_s=60.0, generator=random)
+    ample = policy.act(PlanRequest(believed(), scene, budget_s=60.0, generator=random))
     assert ample.info["gp_points"] == 126
     assert ample.info["gp_hyperparameters"] != list(gpvr.Hyperparameters())
 
@@ -259,12 +259,12 @@ def test_without_time_for_a_fit_the_start_is_what_it_was(scene: Scene, clock: Si
 def test_a_stall_of_a_fit_is_forgotten(scene: Scene, clock: SimulatedClock) -> None:
     """A step that once took long leaves no time for any; without any nothing would tell that they are quick again."""
     policy, random = GPVRPolicy(PLANNER, GPVRSettings(max_points=200), now=clock), torch.Generator().manual_seed(0)
-    plan = policy.act(believed(), scene, None, executed=1, budget_s=0.1, generator=random)
+    plan = policy.act(PlanRequest(believed(), scene, budget_s=0.1, generator=random))
     plan.info["pace"]["gp_step"] *= 30.0
     fitted = []
     for _ in range(14):
         before = plan.info["gp_hyperparameters"]
-        plan = policy.act(believed(), scene, plan, executed=1, budget_s=0.1, generator=random)
+        plan = policy.act(PlanRequest(believed(), scene, plan, executed=1, budget_s=0.1, generator=random))
         fitted.append(plan.info["gp_hyperparameters"] != before)
     assert not any(fitted[:5])
     assert any(fitted)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.fields.workspace import Workspace
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.slide import CLOCKWISE, COUNTER_CLOCKWISE, SlidePolicy, SlideSettings, estimated_centre
 from rumi.robot.tool import Tool
 from sdf import se3
@@ -62,7 +62,7 @@ def belief(*centres: Tensor) -> PoseBelief:
 
 def act(scene: Scene, settings: SlideSettings | None = None, previous: Plan | None = None, seed: int = 0) -> Plan:
     random = torch.Generator().manual_seed(seed)
-    return SlidePolicy(settings).act(belief(CENTRE), scene, previous, executed=1, budget_s=None, generator=random)
+    return SlidePolicy(settings).act(PlanRequest(belief(CENTRE), scene, previous, executed=1, generator=random))
 
 
 def on_rim(angle: float) -> Tensor:
@@ -104,7 +104,7 @@ def test_the_centre_is_the_mean_over_the_particles(scene: Scene) -> None:
     three_to_one = belief(*shifted).reweighted(torch.tensor([0.75, 0.25]).log())
     start = beside(scene, math.pi, away=0.3)
     random = torch.Generator().manual_seed(0)
-    plan = SlidePolicy().act(three_to_one, felt(start), None, executed=0, budget_s=None, generator=random)
+    plan = SlidePolicy().act(PlanRequest(three_to_one, felt(start), generator=random))
     way = plan.path[1, :2] - plan.path[0, :2]
     assert float(way[1] / way[0]) == pytest.approx(0.05 / 0.3, abs=0.03)
 

@@ -11,12 +11,14 @@ from rumi.belief.motion import object_motion, sticking_motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.pushed_motion import PushedMotion
+from rumi.dynamics.along_path import PathMotion, push_along_path
+from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.planning.rummaging_settings import RummagingSettings
 from rumi.registration.descent import DescentSettings
 from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
 from rumi.sim.world import World
-from rumi.tasks.rummage.build import predictor_of
+from rumi.tasks.rummage.build import pushed_motion
 from sdf import se3
 from sdf.grid_sdf import GridSDF
 from sdf.object_model import object_model
@@ -36,7 +38,9 @@ MODULE = Discrepancy(SDF, 0.09, free_scale=80.0)
 
 @pytest.fixture(scope="module")
 def pushed() -> PushedMotion:
-    return PushedMotion.of(SDF, HEIGHT, GripperShape())
+    own = QuasiStaticSettings()
+    numbers = {"spacing_m": own.spacing_m, "lever_ratio": own.lever_ratio, "friction": own.friction}
+    return PushedMotion(PathMotion.of(SDF, HEIGHT, GripperShape(), push_along_path, **numbers))
 
 
 def reading(path: Tensor, felt: bool = True) -> Reading:
@@ -103,7 +107,7 @@ def test_the_engine_is_near_and_the_displacement_model_never_turns(yaw: float) -
     off = {}
     for name, choice in (("quasi-static", "auto"), ("displacement", "displacement"), ("engine", "mujoco")):
         planner = RummagingSettings(push_model=choice)
-        predict = predictor_of(planner, mug, Tool(torch.tensor([[0.0, -0.5], [1.0, 0.5]])), HEIGHT, 0.0)
+        predict = pushed_motion(planner, mug, Tool(torch.tensor([[0.0, -0.5], [1.0, 0.5]])), HEIGHT, 0.0)
         motion = predict(belief(yaw), felt)
         assert motion.shape == felt.tool_pose.shape and motion.dtype == felt.tool_pose.dtype
         still = predict(belief(yaw), reading(straight(), felt=False))
@@ -127,14 +131,6 @@ def test_what_was_not_felt_did_not_move(pushed: PushedMotion) -> None:
     assert torch.equal(motion, torch.eye(4).expand(20, 4, 4))
     away = pushed(belief(0.5), reading(straight() - torch.tensor([0.3, 0.0, 0.0])))
     torch.testing.assert_close(away, torch.eye(4).expand(20, 4, 4), atol=1e-6, rtol=0)
-
-
-def test_a_batch_row_is_as_alone(pushed: PushedMotion) -> None:
-    rows = [belief(0.5), belief(2.0)]
-    paths = torch.stack((straight(), straight(count=20) + torch.tensor([0.01, 0.0, 0.0])))
-    together = pushed(both(*rows), reading(paths))
-    for index, row in enumerate(rows):
-        torch.testing.assert_close(together[index], pushed(row, reading(paths[index])), atol=1e-6, rtol=0)
 
 
 def test_the_seam_of_the_yaw_is_nowhere(pushed: PushedMotion) -> None:

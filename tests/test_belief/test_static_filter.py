@@ -10,7 +10,7 @@ from torch import Tensor
 from rumi.belief.state_space import PlaneSpace
 from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings, TemperedEvidence
 from rumi.errors import DegenerateBeliefError
-from sdf import skipped_work as savings
+from sdf import skipped_work
 from sensors.touch.rectangle_touch import RectangleTouches
 from sensors.touch.touch_likelihood import TouchNoise
 
@@ -107,13 +107,13 @@ def test_nothing_is_predicted_unless_asked_for():
     generator = torch.Generator().manual_seed(3)
     states = drawn(PlaneSpace(), 30, generator)
     reading = Gauss(torch.zeros(1, 2, dtype=F64), 10.0)
-    with savings.account() as account:
+    with skipped_work.account() as account:
         still = ResampleMoveFilter(PlaneSpace(), flat)
         belief, info = still.update(still.start(states), reading, reading, generator=generator)
         assert torch.equal(belief.states, states) and not info.resampled
     assert account.skipped() == {"predictions": 1.0}
     noisy = ResampleMoveFilter(PlaneSpace(), flat, ResampleMoveSettings(noise=(0.1, 0.1, 0.2)))
-    with savings.account() as account:
+    with skipped_work.account() as account:
         belief, _ = noisy.update(noisy.start(states), reading, reading, generator=generator)
     apart = PlaneSpace().difference(belief.states, states)
     assert 0.05 < float(apart[:, 0].std()) < 0.2 and 0.1 < float(apart[:, 2].std()) < 0.4

@@ -11,7 +11,7 @@ from torch import Tensor
 from rumi.belief.prior import PlanarPrior
 from rumi.belief.trajectory_belief import TouchAction, concatenate
 from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
-from rumi.dynamics.along_path import Carried, Pusher
+from rumi.dynamics.along_path import PathOutcome, Pusher
 from rumi.dynamics.outline import RectangleOutline
 from sdf import backend
 from sensors.touch.contact_model import ContactModel
@@ -247,9 +247,9 @@ def test_heavy_tails_throw_farther() -> None:
 def test_another_physics_may_carry_the_particles() -> None:
     """Where nothing is ever moved, only the distances tell."""
 
-    def still(poses: Tensor, path: Tensor, pusher: Pusher, *rest: object, **options: object) -> Carried:
+    def still(poses: Tensor, path: Tensor, pusher: Pusher, *rest: object, **options: object) -> PathOutcome:
         count, parts = len(poses), path.shape[1] - 1
-        return Carried(poses[:, None].expand(count, parts, 3).clone(), torch.full((count, parts), 1.0, **DOUBLE))
+        return PathOutcome(poses[:, None].expand(count, parts, 3).clone(), torch.full((count, parts), 1.0, **DOUBLE))
 
     own = follow()
     frozen = TrajectoryFilter(own.outline, own.centre, own.pusher, own.model, own.prior, own.settings, still)

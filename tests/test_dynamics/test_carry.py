@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.dynamics.along_path import Carried, Pusher, carry, distance_to
+from rumi.dynamics.along_path import Pusher, distance_to, push_along_path
 from rumi.dynamics.outline import GridOutline, RectangleOutline
 from rumi.dynamics.sliding import Outline, OutlineQuery, Sliding, push
 from sdf import backend
@@ -14,7 +14,7 @@ DOUBLE = {"dtype": torch.float64}
 BOX = RectangleOutline((0.03, 0.08))
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 
@@ -41,7 +41,7 @@ def finger(kind: str, dtype: torch.dtype = torch.float64) -> Pusher:
 def test_is_pushes_in_a_row(kind: str, generator: torch.Generator) -> None:
     poses, sliding = objects(generator)
     path, tool = straight(), finger(kind)
-    found = carry(poses, path, tool, BOX, sliding, substeps=3, passes=2)
+    found = push_along_path(poses, path, tool, BOX, sliding, substeps=3, passes=2)
     now = poses
     for k in range(12):
         way = (path[0, k + 1] - path[0, k]).expand(20, 3)
@@ -56,16 +56,6 @@ def test_is_pushes_in_a_row(kind: str, generator: torch.Generator) -> None:
     assert float((found.distance[:, -1].abs() < 1e-3).double().mean()) > 0.3
 
 
-def test_a_path_for_each_is_a_path_alone(generator: torch.Generator) -> None:
-    poses, sliding = objects(generator, 6)
-    paths = straight().expand(6, -1, -1) + 0.01 * torch.randn(6, 1, 3, generator=generator, **DOUBLE)
-    together = carry(poses, paths, finger("disc"), BOX, sliding)
-    for e in range(6):
-        row = torch.tensor([e])
-        alone = carry(poses[row], paths[row], finger("disc"), BOX, sliding.at(row))
-        torch.testing.assert_close(alone.track[0], together.track[e], atol=1e-12, rtol=0)
-
-
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("kind", ["disc", "three points"])
 @pytest.mark.parametrize("shape", ["box", "mug"])
@@ -75,25 +65,13 @@ def test_versions_agree(shape: str, kind: str, dtype: torch.dtype, generator: to
         outline = GridOutline.of_slice(Mug().to(dtype), 0.045, spacing=0.002)
     poses, sliding = objects(generator, 40, dtype)
     arguments = (poses, straight(dtype=dtype), finger(kind, dtype), outline, sliding)
-    found = carry(*arguments)
+    found = push_along_path(*arguments)
     with backend.force("torch"):
-        plain = carry(*arguments)
+        plain = push_along_path(*arguments)
     # rounding may decide which of two points is the deeper
     off = (found.track - plain.track).abs().amax((-1, -2)) > (1e-3 if dtype == torch.float32 else 1e-9)
     assert float(off.double().mean()) <= (0.1 if dtype == torch.float32 else 0.0)
     torch.testing.assert_close(found.distance[~off], plain.distance[~off], atol=1e-3, rtol=0)
-
-
-def test_nothing_to_do(generator: torch.Generator) -> None:
-    poses, sliding = objects(generator, 3)
-    still = carry(poses, straight()[:, :1], finger("disc"), BOX, sliding)
-    assert isinstance(still, Carried)
-    assert still.track.shape == (3, 0, 3)
-    none = carry(poses[:0], straight(), finger("disc"), BOX, sliding.at(torch.zeros(0, dtype=torch.long)))
-    assert none.distance.shape == (0, 12)
-    far = carry(poses + torch.tensor([1.0, 0.0, 0.0]), straight(), finger("disc"), BOX, sliding)
-    assert torch.equal(far.track[:, -1], poses + torch.tensor([1.0, 0.0, 0.0]))
-    assert float(far.distance.min()) > 0.5
 
 
 def test_other_outlines_work_too(generator: torch.Generator) -> None:
@@ -108,7 +86,9 @@ def test_other_outlines_work_too(generator: torch.Generator) -> None:
 
     _, sliding = objects(generator, 1)
     pose = torch.tensor([[0.0, 0.02, 0.0]], **DOUBLE)
-    found = carry(pose, straight(60), finger("disc"), Round(), sliding._replace(centre=torch.zeros(1, 2, **DOUBLE)))
+    found = push_along_path(
+        pose, straight(60), finger("disc"), Round(), sliding._replace(centre=torch.zeros(1, 2, **DOUBLE))
+    )
     # it ends where the finger leaves it: touching, and pushed to its own side
     assert float(found.track[0, -1, 1]) > 0.03
     assert float(found.distance[0].min()) > -1e-3
@@ -118,7 +98,7 @@ def test_gradients_reach_the_start_pose(generator: torch.Generator) -> None:
     poses, sliding = objects(generator, 3)
     with backend.force("torch"):
         poses = poses.requires_grad_()
-        found = carry(poses, straight(4), finger("disc"), BOX, sliding)
+        found = push_along_path(poses, straight(4), finger("disc"), BOX, sliding)
         found.track[:, -1].sum().backward()
     assert poses.grad is not None
     assert bool(torch.isfinite(poses.grad).all())
@@ -133,7 +113,7 @@ def test_two_threads_carry_as_one_does(each: bool, generator: torch.Generator) -
     try:
         for threads in (1, 2):
             torch.set_num_threads(threads)
-            found.append(carry(poses, path, tool, BOX, sliding))
+            found.append(push_along_path(poses, path, tool, BOX, sliding))
     finally:
         torch.set_num_threads(before)
     assert torch.equal(found[0].track, found[1].track)
@@ -146,7 +126,7 @@ def test_what_is_nowhere_is_refused(bad: float, generator: torch.Generator) -> N
     path = straight()
     path[0, 4, 1] = bad
     with pytest.raises(ValueError, match="Expected path to be finite"):
-        carry(poses, path, finger("disc"), BOX, sliding)
+        push_along_path(poses, path, finger("disc"), BOX, sliding)
     poses[1, 2] = bad
     with pytest.raises(ValueError, match="Expected poses to be finite"):
-        carry(poses, straight(), finger("disc"), BOX, sliding)
+        push_along_path(poses, straight(), finger("disc"), BOX, sliding)

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementModel, DisplacementSettings, Hazard
+from rumi.dynamics.displacement import DisplacementRollouts, DisplacementSettings, Hazard
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
+from rumi.robot.reach import SpatialReach
 from rumi.robot.reach_table import ReachTable
-from rumi.robot.spatial_reach import SpatialReach
 from rumi.robot.tool import Tool
 from sdf import backend, se3
 from sdf.drill import Drill
@@ -22,7 +22,7 @@ BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
 FREE = torch.tensor([[-5.0, -5.0, 0.03], [5.0, 5.0, 0.3]])
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 
@@ -88,7 +88,7 @@ def test_is_the_algorithm(hazard: Hazard, discs: int, reaching: bool, generator:
     field, tool = drill_field(torch.float64, generator), make_tool(torch.float64, reaching=reaching)
     start = torch.tensor([0.30, 0.02, 0.12, 0.1], dtype=torch.float64)
     controls = 1.2 * torch.rand(6, 4, 4, generator=generator, dtype=torch.float64) - 0.5
-    model = DisplacementModel(field, tool, settings)
+    model = DisplacementRollouts(field, tool, settings)
     draws = model.draw(6, 3, 4, generator=generator)
     result = model.rollout_drawn(start, controls, draws)
     states, moved, contact = reference(field, tool, settings, start, controls, draws)
@@ -107,11 +107,11 @@ def test_bound_changes_nothing_but_the_work(hazard: Hazard, generator: torch.Gen
     field, tool = drill_field(torch.float32, generator, 30), make_tool(torch.float32, reaching=True, spacing=0.012)
     controls = torch.rand(100, 8, 4, generator=generator) * 2 - 1
     start = torch.tensor([0.28, 0.0, 0.1, 0.0])
-    every = DisplacementModel(field, tool, DisplacementSettings(hazard=hazard, discs=0))
+    every = DisplacementRollouts(field, tool, DisplacementSettings(hazard=hazard, discs=0))
     draws = every.draw(100, 4, 8, generator=generator)
     exact = every.rollout_drawn(start, controls, draws)
     for discs in (1, 8):
-        lean = DisplacementModel(field, tool, DisplacementSettings(hazard=hazard, discs=discs))
+        lean = DisplacementRollouts(field, tool, DisplacementSettings(hazard=hazard, discs=discs))
         result = lean.rollout_drawn(start, controls, draws)
         assert torch.equal(result.configurations, exact.configurations)
         assert torch.equal(result.displacements, exact.displacements)
@@ -130,7 +130,7 @@ def box_field() -> ContactField:
     [((0.25, 0.0, 0.05, 0.0), (1.0, 0.0, 0.0, 0.0), True), ((0.4, 0.0, 0.19, 0.0), (0.0, 0.0, -1.0, 0.0), False)],
 )
 def test_gives_way_sideways_alone(start: tuple[float, ...], control: tuple[float, ...], pushes: bool) -> None:
-    model = DisplacementModel(box_field(), make_tool(torch.float64, spacing=0.01))
+    model = DisplacementRollouts(box_field(), make_tool(torch.float64, spacing=0.01))
     result = model.likely(torch.tensor(start, dtype=torch.float64), torch.tensor([control] * 2, dtype=torch.float64))
     assert bool(result.contact.any())
     moved = result.displacements[0, 0, -1]
@@ -143,7 +143,7 @@ def test_gives_way_sideways_alone(start: tuple[float, ...], control: tuple[float
 
 
 def test_passes_over_what_is_lower() -> None:
-    model = DisplacementModel(box_field(), make_tool(torch.float64, spacing=0.01))
+    model = DisplacementRollouts(box_field(), make_tool(torch.float64, spacing=0.01))
     over = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 6, dtype=torch.float64)
     high, low = (torch.tensor([0.1, 0.0, z, 0.0], dtype=torch.float64) for z in (0.20, 0.08))
     assert not bool(model.likely(high, over).contact.any())
@@ -155,7 +155,7 @@ def test_passes_over_what_is_lower() -> None:
 def test_versions_agree(hazard: Hazard, dtype: torch.dtype, generator: torch.Generator) -> None:
     field = drill_field(dtype, generator)
     for reaching, horizon, count in ((True, 8, 60), (False, 1, 1), (False, 3, 0)):
-        model = DisplacementModel(field, make_tool(dtype, reaching=reaching), DisplacementSettings(hazard=hazard))
+        model = DisplacementRollouts(field, make_tool(dtype, reaching=reaching), DisplacementSettings(hazard=hazard))
         start = torch.tensor([0.30, 0.0, 0.1, 0.0], dtype=dtype)
         controls = torch.rand(count, horizon, 4, generator=generator, dtype=dtype) * 2 - 1
         draws = model.draw(count, 3, horizon, generator=generator)

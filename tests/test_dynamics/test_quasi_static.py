@@ -6,9 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from rumi.dynamics.base import representatives, rests
 from rumi.dynamics.outline import GridOutline, Support, support_of
-from rumi.dynamics.quasi_static import QuasiStaticModel, QuasiStaticSettings, representatives
-from rumi.dynamics.registry import PushModels, stands
+from rumi.dynamics.quasi_static import QuasiStaticRollouts, QuasiStaticSettings
+from rumi.dynamics.registry import PushModels, PushSettings
 from rumi.dynamics.sliding import push, rotated
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
@@ -25,7 +26,7 @@ FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
 COARSE = QuasiStaticSettings(mini_steps=4, spacing_m=0.01)
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 
@@ -42,13 +43,13 @@ def make(
     settings: QuasiStaticSettings = COARSE,
     *,
     reaching: bool = False,
-) -> QuasiStaticModel:
+) -> QuasiStaticRollouts:
     """With a tool that flies freely, or one that must stay within 0.35 m of the origin."""
     radius = torch.arange(141.0)[:, None].expand(141, 61) * 0.01
     reach = Reach(ReachTable((radius - 0.35).clamp_min(0), torch.zeros(141, 61))) if reaching else None
     tool = Tool(FREE, reach, height_m=HEIGHT).to(poses)
     log_weights = torch.zeros(len(poses), dtype=poses.dtype) if weights is None else weights.log()
-    return QuasiStaticModel(*shape, tool, se3.from_planar(poses), log_weights.log_softmax(-1), settings)
+    return QuasiStaticRollouts(*shape, tool, se3.from_planar(poses), log_weights.log_softmax(-1), settings)
 
 
 def scattered(generator: torch.Generator, count: int, dtype: torch.dtype = torch.float64) -> Tensor:
@@ -198,11 +199,6 @@ def test_the_likely_rollout_pushes_the_likeliest_pose(shape: tuple[GridOutline, 
     assert bool(model.likely(START, ahead).contact.any())
 
 
-def test_the_family_refuses_what_it_does_not_have(no_shape_check: None) -> None:
-    with pytest.raises(ValueError, match="push model out of"):
-        PushModels("magnetic")  # type: ignore[arg-type]
-
-
 def test_the_family_makes_it_and_refuses_tilted_particles() -> None:
     workspace = Workspace.from_bounds(torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]]), 0.02, planar_height=HEIGHT)
     tool = Tool(FREE, height_m=HEIGHT)
@@ -210,15 +206,15 @@ def test_the_family_makes_it_and_refuses_tilted_particles() -> None:
     poses = se3.from_planar(torch.tensor([[0.4, 0.0, 0.3], [0.4, 0.0, 0.5]]))
     weights = torch.zeros(2).log_softmax(-1)
     fields = information_field(mug.sdf, poses, weights, workspace.points)
-    family = PushModels("quasi-static")
-    model = family.of_belief(mug, poses, weights, tool, workspace, fields)
-    assert isinstance(model, QuasiStaticModel)
-    again = family.of_belief(mug, poses, weights, tool, workspace, fields)
-    assert isinstance(again, QuasiStaticModel)
+    family = PushModels(PushSettings("quasi-static"))
+    model = family.rollouts(mug, poses, weights, tool, workspace, fields)
+    assert isinstance(model, QuasiStaticRollouts)
+    again = family.rollouts(mug, poses, weights, tool, workspace, fields)
+    assert isinstance(again, QuasiStaticRollouts)
     assert again.sliding.lever == model.sliding.lever
     tilted = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.2, 0.0, 0.0])) @ poses
     with pytest.raises(ValueError, match="upright"):
-        family.of_belief(mug, tilted, weights, tool, workspace, fields)
+        family.rollouts(mug, tilted, weights, tool, workspace, fields)
 
 
 @pytest.mark.parametrize(
@@ -235,4 +231,4 @@ def test_the_family_chooses_by_what_the_particles_do() -> None:
     tilted[1] = tilted[1] @ se3.make(so3.exp(torch.tensor([0.1, 0.0, 0.0])), torch.zeros(3))
     raised = standing.clone()
     raised[0, 2, 3] += 0.01
-    assert [stands(poses) for poses in (standing, standing[:1], tilted, raised)] == [True, True, False, False]
+    assert [rests(poses) for poses in (standing, standing[:1], tilted, raised)] == [True, True, False, False]

@@ -4,9 +4,8 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.robot.reach import Reach
+from rumi.robot.reach import Reach, SpatialReach
 from rumi.robot.reach_table import ReachSettings, ReachTable, table_shape
-from rumi.robot.spatial_reach import SpatialReach
 
 SETTINGS = ReachSettings(radius_step_m=0.02, yaw_steps=20)
 HEIGHTS = (0.03, 0.115, 0.20)

@@ -28,13 +28,14 @@ from sensors.log.reader import Log
 
 pytestmark = pytest.mark.sim
 
-SEED = 1001
+SEEDS = range(1001, 1041)
 SETTINGS = FusedSettings(steps=3)
 
 
 class Live(NamedTuple):
     """A short run with all sensors, of which the last action touches."""
 
+    seed: int
     folder: Path
     steps: list[StepRecord]
     outcome: HandleResult
@@ -42,15 +43,18 @@ class Live(NamedTuple):
 
 @pytest.fixture(scope="module")
 def live(tool, tmp_path_factory):
-    folder, steps = tmp_path_factory.mktemp("fused"), []
+    """The first of some seeds, one in four of which will do: which one, the last digit of a plan decides."""
     table = HandleTable(torch.ones(9, 6, 13, dtype=torch.float64))
     parts = build_fused(SETTINGS, tool=tool, table=table)
-    with FusedLogRecorder(folder / LOG, SEED, SETTINGS, {"made_with": {}}) as log:
-        outcome = loop.run(*parts, seed=SEED, on_step=both(log, steps.append))
-        log.finish(outcome)
-    last = steps[-1].reading
-    assert len(last.wrench.points) and bool(last.signals.any()) and steps[-1].contacts == 1
-    return Live(folder, steps, outcome)
+    for seed in SEEDS:
+        folder, steps = tmp_path_factory.mktemp("fused"), []
+        with FusedLogRecorder(folder / LOG, seed, SETTINGS, {"made_with": {}}) as log:
+            outcome = loop.run(*parts, seed=seed, on_step=both(log, steps.append))
+            log.finish(outcome)
+        last = steps[-1].reading
+        if len(steps) == 4 and len(last.wrench.points) and bool(last.signals.any()) and steps[-1].contacts == 1:
+            return Live(seed, folder, steps, outcome)
+    raise AssertionError(f"Expected wrist and joints to feel the third action, the first contact, of one of {SEEDS}")
 
 
 @pytest.fixture
@@ -70,7 +74,7 @@ def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
         seed, settings = recorded(log)
         taken = log.taken(ContactReading)
         assert log.problems == []
-    assert (seed, settings) == (SEED, SETTINGS)
+    assert (seed, settings) == (live.seed, SETTINGS)
     steps = []
     done = replay(taken, build_agent(settings, tool=tool), seed=seed, on_step=steps.append)
     assert done.same == [True] * 4
@@ -104,7 +108,7 @@ def test_other_settings_give_another_belief_on_the_same_readings(live, as_comman
     assert "budget_s: no effect" in said.err
     assert "differs from the recorded one from action 3 on (wrist.outlier changed)" in said.out
     assert (Path("what-if") / "trace.npz").exists()
-    assert "as it was recorded" in as_command("--joints.gain", "3", live.folder)[1].err
+    assert "as it was recorded" in as_command(live.folder, "--joints.gain", "3")[1].err
     code, said = as_command(live.folder, "--sensors", "camera")
     assert code == BAD_INPUT and "Expected sensors as it was recorded" in said.err
     assert main(["check", str(live.folder)]) == BAD_INPUT

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from rumi.robot.gripper_body import gripper_links
+from rumi.robot.gripper import gripper_links
 from rumi.sim.felt_world import FeltWorld
 from rumi.sim.joint_torques import JointFeeler, JointSettings, LevelKinematics
 from rumi.sim.world import World

@@ -12,10 +12,10 @@ from kmppi import MPPISettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.dynamics.displacement import DisplacementSettings
-from rumi.dynamics.registry import PushModels
+from rumi.dynamics.registry import PushModels, PushSettings
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.workspace import Workspace
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.records import StepRecord
 from rumi.robot.tool import Tool
@@ -178,11 +178,11 @@ def test_predicts_what_the_planner_predicted(mug: ObjectModel, workspace: Worksp
     near = torch.tensor([0.4, 0.1, -1.57])
     scene = Scene(mug, workspace, tool, near)
     random = torch.Generator().manual_seed(0)
-    plan = RummagingPolicy(None, settings).act(belief(), scene, None, executed=0, budget_s=None, generator=random)
+    plan = RummagingPolicy(None, settings).act(PlanRequest(belief(), scene, generator=random))
     told = from_plan([record(0, belief(), near), record(1, belief(), near, plan=plan)], 1)
     assert told is not None
     situation = Situation(record(0, belief(), near), mug, workspace, tool)
-    push = PushModels(displacement=settings.push)
+    push = PushModels(PushSettings("displacement", push=settings.push))
     asked = situation.predict(plan.controls[0], settings.information, push)
     assert asked.information == pytest.approx(told.information, rel=1e-5)
     assert asked.displacement_m == pytest.approx(told.displacement_m, abs=1e-6)
@@ -191,7 +191,7 @@ def test_predicts_what_the_planner_predicted(mug: ObjectModel, workspace: Worksp
     mean = situation.predict(plan.controls[0], settings.information, push, rollouts=20, generator=random)
     assert 0.2 * asked.information < mean.information < 5 * asked.information
     # and another member of the family can be asked as well
-    other = situation.predict(plan.controls[0], settings.information, PushModels("quasi-static"))
+    other = situation.predict(plan.controls[0], settings.information, PushModels(PushSettings("quasi-static")))
     assert math.isfinite(other.information)
     with pytest.raises(ValueError, match="Expected a generator"):
         situation.predict(plan.controls[0], settings.information, push, rollouts=2)

@@ -10,16 +10,16 @@ import torch
 from rumi.clock import SimulatedClock
 from rumi.planning import anytime
 from rumi.planning.anytime import Candidate, Selection, in_descending_posterior, select
-from rumi.planning.evaluation_time import EvaluationTime
+from rumi.planning.duration_model import DurationModel
 
-ONE = EvaluationTime.known(1.0)
+ONE = DurationModel.known(1.0)
 
 
 def choose(
     pairs: list[tuple[float, float]],
     t_max_s: float,
     *,
-    evaluation: EvaluationTime = ONE,
+    evaluation: DurationModel = ONE,
     takes: Callable[[], float] = lambda: 1.0,
     making_s: float = 0.0,
     **options,
@@ -56,7 +56,7 @@ def test_takes_the_best_that_fits() -> None:
 def test_the_printed_deadline_is_missed_and_ours_is_kept() -> None:
     """The best takes 8 s of 10; evaluating a short loser for 2 s more would end at 11.9 s."""
     pairs = [(8.0, 1.0), (0.5, 0.1), (0.5, 0.1)]
-    made, _ = choose(pairs, 10.0, evaluation=EvaluationTime.known(1.9), takes=lambda: 1.9)
+    made, _ = choose(pairs, 10.0, evaluation=DurationModel.known(1.9), takes=lambda: 1.9)
     assert made.candidate is not None
     assert made.candidate.action == 0
     assert made.evaluated == 1
@@ -134,7 +134,7 @@ def test_waits_for_candidates_that_come_slowly() -> None:
 
 
 def test_making_candidates_counts() -> None:
-    making = EvaluationTime.known(1.0)
+    making = DurationModel.known(1.0)
     free, _ = choose([(2.0, 0.1), (2.0, 0.2), (2.0, 0.3), (2.0, 0.4)], 6.0)
     paid, _ = choose([(2.0, 0.1), (2.0, 0.2), (2.0, 0.3), (2.0, 0.4)], 6.0, making_s=1.0, generation=making)
     assert free.candidate is not None
@@ -173,7 +173,7 @@ def test_an_open_loop_action_is_there_from_the_start() -> None:
 
 def test_candidates_of_different_work() -> None:
     clock = SimulatedClock()
-    model = EvaluationTime(0.5, 0.1)
+    model = DurationModel(0.5, 0.1)
 
     def gain(work: float) -> float:
         clock.advance(model.mean(work))
@@ -204,10 +204,10 @@ def test_never_late_where_times_are_known(seed: int) -> None:
         made, _ = choose(
             pairs,
             float(10 ** random.uniform(-1.7, 1.3)),
-            evaluation=EvaluationTime.known(step),
+            evaluation=DurationModel.known(step),
             takes=lambda step=step: step,
             making_s=0.005,
-            generation=EvaluationTime.known(0.005),
+            generation=DurationModel.known(0.005),
         )
         assert made.late_s <= 1e-9
         assert made.skipped + made.evaluated == made.generated
@@ -218,7 +218,7 @@ def test_never_late_where_times_are_known(seed: int) -> None:
 @pytest.mark.parametrize("level", [0.9, 0.99])
 def test_noisy_times_are_late_as_seldom_as_was_said(level: float) -> None:
     random = np.random.default_rng(7)
-    evaluation = EvaluationTime.fit(np.ones(2000), random.lognormal(-1.0, 0.5, 2000), level)
+    evaluation = DurationModel.fit(np.ones(2000), random.lognormal(-1.0, 0.5, 2000), level)
     late, count = 0, 600
     for _ in range(count):
         pairs = list(zip(random.uniform(0.5, 8.0, 60).tolist(), random.exponential(1.0, 60).tolist(), strict=True))

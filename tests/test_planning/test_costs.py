@@ -10,16 +10,15 @@ from torch import Tensor
 from rumi.dynamics.base import Paths, PushRollouts
 from rumi.fields.workspace import Workspace
 from rumi.planning.costs import InformationCost, information_cost
-from rumi.planning.objective import TrajectoryCost
+from rumi.planning.objective import TrajectoryCost, gathered_by_action
 from rumi.planning.reach_cost import ReachabilityCost, cross_correlation
-from rumi.planning.worth import gathered_by_action
 from sdf import se3
 from sdf.voxel_grid import VoxelGrid
 
 DOUBLE = {"dtype": torch.float64}
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

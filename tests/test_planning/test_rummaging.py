@@ -12,9 +12,8 @@ from rumi.dynamics.displacement import DisplacementSettings
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import InformationSettings
 from rumi.fields.workspace import Workspace
-from rumi.planning.policy import Plan, Scene
-from rumi.planning.registry import info_only, reach_only
-from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
+from rumi.planning.policy import Plan, PlanRequest, Scene
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, info_only, reach_only
 from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
@@ -58,7 +57,7 @@ def plan(
     policy: RummagingPolicy, scene: Scene, believed: PoseBelief, previous: Plan | None = None, seed: int = 0
 ) -> Plan:
     random = torch.Generator().manual_seed(seed)
-    return policy.act(believed, scene, previous, executed=2, budget_s=None, generator=random)
+    return policy.act(PlanRequest(believed, scene, previous, executed=2, generator=random))
 
 
 def test_a_plan_has_all_that_it_should(scene: Scene) -> None:
@@ -107,10 +106,10 @@ def test_a_later_plan_goes_on_from_the_previous_one(scene: Scene) -> None:
 def test_a_spent_budget_still_gives_a_plan(scene: Scene) -> None:
     policy = RummagingPolicy(falling(scene), SMALL)
     random = torch.Generator().manual_seed(0)
-    made = policy.act(belief(), scene, None, executed=0, budget_s=0.0, generator=random)
+    made = policy.act(PlanRequest(belief(), scene, budget_s=0.0, generator=random))
     assert made.info["iterations"] == 1
     random = torch.Generator().manual_seed(0)
-    made = policy.act(belief(), scene, None, executed=0, budget_s=600.0, generator=random)
+    made = policy.act(PlanRequest(belief(), scene, budget_s=600.0, generator=random))
     assert made.info["iterations"] == 4
 
 

@@ -15,7 +15,7 @@ from sdf import backend
 BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 
@@ -148,11 +148,42 @@ def test_path_is_repeated_steps(tool, mini_steps):
     assert 5 < int(blocked.sum()) < 40  # the case is worth its name: some paths meet a limit, some do not
 
 
-def test_rows_of_a_batch_equal_single_paths(tool):
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_rows_of_a_batch_equal_single_paths(tool, dtype):
+    """To the bit, as do parts of the batch: on the way they meet limits at different steps, or none."""
+    tool = copy.deepcopy(tool).to(dtype)
+    q, u = reachable_starts(tool, 40).to(dtype), controls(40, 5, seed=3).to(dtype)
+    batch = tool.free_path(q, u, 2)
+    held = ~tool._inside(q[:, None] + (u * tool.scale).cumsum(1)).all(-1)
+    assert 10 < int(held.sum()) < 40
+    for row in range(0, 40, 3):
+        assert torch.equal(tool.free_path(q[row], u[row], 2), batch[row])
+    for size in (2, 7, 16, 33):
+        parts = zip(q.split(size), u.split(size), strict=True)
+        assert torch.equal(torch.cat([tool.free_path(*part, 2) for part in parts]), batch)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_rows_of_a_batch_equal_single_steps_at_the_limit(tool, dtype):
+    """To the bit, also round the limit, by angles of which a processor may work out several at once."""
+    tool = copy.deepcopy(tool).to(dtype)
+    q = reachable_starts(tool, 2000).to(dtype)
+    u = (q * torch.tensor([2.0, 2.0, 0.0], dtype=dtype) + 0.3 * controls(2000, seed=4).to(dtype)).clamp(-1, 1)
+    held = ~tool._inside(q + u * tool.scale)
+    q, u = q[held], u[held]
+    batch, _ = tool.free_step(q, u)
+    turned = ((batch[:, 2] - q[:, 2] - u[:, 2] * tool.scale[2]).abs() > 1e-3).sum()
+    assert len(q) > 500 and int(turned) > 100
+    for row in range(0, 500, 50):
+        assert torch.equal(tool.free_step(q[row], u[row])[0], batch[row])
+    for size in (2, 3, 7, 16, 33, 250):
+        parts = zip(q.split(size), u.split(size), strict=True)
+        assert torch.equal(torch.cat([tool.free_step(*part)[0] for part in parts]), batch)
+
+
+def test_batches_keep_their_shape(tool):
     q, u = reachable_starts(tool, 8), controls(8, 5, seed=3)
     batch = tool.free_path(q, u, 4)
-    for row in range(8):
-        torch.testing.assert_close(tool.free_path(q[row], u[row], 4), batch[row], atol=1e-12, rtol=0)
     nested = tool.free_path(q.reshape(2, 4, 3), u.reshape(2, 4, 5, 3), 4)
     torch.testing.assert_close(nested, batch.reshape(2, 4, 20, 3))
     # one start for many control sequences

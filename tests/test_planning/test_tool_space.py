@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from rumi.robot.gripper import GripperShape
+from rumi.robot.reach import SpatialReach
 from rumi.robot.reach_table import ReachSettings, ReachTable, table_shape
-from rumi.robot.spatial_reach import SpatialReach
 from rumi.robot.tool import Tool
 from sdf import se3
 

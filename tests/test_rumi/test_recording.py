@@ -14,6 +14,7 @@ from rumi.errors import UsageError
 from rumi.runs.folder import SCHEMA, RunRecorder, holds_run, load_run, write_json
 from rumi.runs.plain import plain
 from rumi.runs.trace import TraceWriter, read_trace
+from sdf.processor import processor
 
 SETTINGS = {"task": "mug-0", "seed": 3, "stop": {"fit": float("inf")}}
 
@@ -147,6 +148,7 @@ def test_json_has_no_number_that_json_does_not_know(tmp_path, run):
     assert settings["stop"] == {"fit": None}
     assert settings["schema"] == SCHEMA
     assert settings["made_with"]["versions"]["torch"] == torch.__version__
+    assert settings["made_with"]["processor"] == processor()._asdict()
     assert json.loads((folder / "result.json").read_text())["rotation_error_deg"] is None
 
 

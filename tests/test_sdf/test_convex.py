@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 
+from sdf.mesh import convex
 from sdf.mesh.convex import ConvexSettings, convex_pieces, hull
-from sdf.mesh.mesh import MeshError, TriangleMesh, convex
+from sdf.mesh.mesh import MeshError, TriangleMesh
 from sdf.mesh.repair import enclosed_volume
 from sdf.mesh.rest import center_of_mass
 

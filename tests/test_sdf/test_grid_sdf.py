@@ -165,25 +165,6 @@ def test_transforms_of_torch_func(grid, generator):
     torch.testing.assert_close(torch.func.vmap(torch.func.grad(grid.distance))(points), query.gradient)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_not_finite_is_far_and_never_nan(grid, dtype):
-    nan, inf = math.nan, math.inf
-    points = torch.tensor([[nan] * 3, [inf, 0, 0], [0, 0, -inf], [0, nan, inf], [1e30, 0, 0]], dtype=dtype)
-    query = grid(points)
-    assert torch.isfinite(query.distance).all() and (query.distance > 1e5).all()
-    assert torch.isfinite(query.gradient).all()
-    assert torch.equal(grid.distance(points), query.distance)
-
-
-def test_state_and_dtype(mug, grid):
-    assert set(grid.state_dict()) == {"values", "bounds", "_extra_state"}
-    twice = GridSDF.from_sdf(Mug(), outer=0.0).to(torch.float64)
-    assert twice.distance(torch.zeros(1, 3, dtype=torch.float64)).dtype == torch.float64
-    assert grid.distance(torch.zeros(1, 3, dtype=torch.float64)).dtype == torch.float64
-    assert grid.distance(torch.zeros(1, 3)).dtype == torch.float32
-    assert not grid.distance(torch.zeros(1, 3)).requires_grad
-
-
 def test_compiled_look_up_equals_eager(no_shape_check, grid, generator):
     points = around(grid, 0.4, 100, generator, torch.float32)
     compiled = torch.compile(grid.distance, fullgraph=True, backend="eager")

@@ -9,7 +9,7 @@ from sdf.grid_sdf import GridSDF
 from sdf.posed import posed_distance, posed_query
 from sdf.primitives import Mug
 
-# every test of this file holds for the plain and for the fused version, but where a graph is kept
+# every test of this file holds for the plain and for the compiled version, but where a graph is kept
 pytestmark = pytest.mark.usefixtures("version")
 
 

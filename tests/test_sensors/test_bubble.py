@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from scripts.bench.known_scenes import SCENES, pressed_bubble, with_noise
+from scripts.bench.known_scenes import SCENES, pressed_bubble
 from sdf import se3
 from sensors.semantics import Semantics
 from sensors.touch.bubble import Bubble, BubbleSettings, bubble_patch
@@ -28,26 +28,9 @@ def parts(patch):
     return (observation.points[observation.of_class(s)] for s in (Semantics.SURFACE, Semantics.FREE))
 
 
-def test_the_patch_lies_on_what_is_pressed_in_and_free_points_outside(pressed):
-    surface, free = parts(bubble_patch(bubble_of(pressed), pressed.depth, se3.identity(), BubbleSettings(mean_px=1)))
-    assert len(surface) > 50 and len(free) > 200
-    assert float(pressed.distance(surface).abs().max()) < 1e-5
-    assert float(pressed.distance(free).min()) > 0
-
-
 def test_the_mean_filter_keeps_the_patch_within_a_millimetre(pressed):
     surface, free = parts(bubble_patch(bubble_of(pressed), pressed.depth, se3.identity()))
     assert float(pressed.distance(surface).abs().max()) < 0.001
-    assert float(pressed.distance(free).min()) > 0
-
-
-def test_noise_of_a_millimetre(pressed):
-    random = torch.Generator().manual_seed(0)
-    depth = with_noise(pressed.depth, 0.001, lost=0.02, generator=random)
-    surface, free = parts(bubble_patch(bubble_of(pressed), depth, se3.identity()))
-    assert len(surface) > 50
-    off = pressed.distance(surface).abs()
-    assert float(off.mean()) < 0.0006 and float((off > 0.003).double().mean()) < 0.01
     assert float(pressed.distance(free).min()) > 0
 
 
@@ -94,11 +77,9 @@ def test_at_rest_nothing_is_touched_and_all_is_free():
     assert float(gap.min()) > 0.0015 and float(gap.max()) < 0.0025
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_points_go_with_the_tool(seed):
-    random = torch.Generator().manual_seed(seed)
-    world_T_tool = se3.exp(torch.randn(6, generator=random))
-    tool_T_camera = se3.exp(torch.randn(6, generator=random))
+def test_points_go_with_the_tool(generator):
+    world_T_tool = se3.exp(torch.randn(6, generator=generator))
+    tool_T_camera = se3.exp(torch.randn(6, generator=generator))
     pressed = pressed_bubble("sphere", height=40, width=50)
     bubble = Bubble.of(pressed.rest, pressed.intrinsics, tool_T_camera)
     here = bubble_patch(replace(bubble, tool_T_camera=se3.identity()), pressed.depth, se3.identity()).observation

@@ -56,27 +56,6 @@ def scene(name):
     return shape.double(), se3.from_planar(planar.double(), 0.05)
 
 
-@pytest.mark.parametrize("name", SCENES)
-@pytest.mark.parametrize("fraction", [None, 0.95])
-def test_surface_on_and_free_outside_the_object(name, fraction):
-    shape, pose = scene(name)
-    intrinsics, world_T_camera = camera()
-    depth, mask = trace(shape, pose, intrinsics, world_T_camera)
-    observation = depth_observation(
-        depth, intrinsics, world_T_camera, mask, bounds=BOUNDS, free_spacing=0.01, free_fraction=fraction
-    )
-    surface = observation.points[observation.of_class(Semantics.SURFACE)]
-    assert len(surface) == int(mask.sum()) > 50
-    inverse = se3.inverse(pose)
-    assert float(shape.distance(se3.apply(inverse, surface)).abs().max()) < 1e-5
-    free = observation.points[observation.of_class(Semantics.FREE)]
-    assert len(free) > 500
-    assert float(shape.distance(se3.apply(inverse, free)).min()) > 0
-    assert float(free[:, 2].min()) > 0
-    assert bool(((free >= BOUNDS[0]) & (free <= BOUNDS[1])).all())
-    assert bool(observation.attached.all()) and bool(observation.valid.all())
-
-
 def test_free_points_against_a_loop():
     """Free is what lies before the least depth of the four pixels about a point's image, less the margin."""
     shape, pose = scene("box")
@@ -155,17 +134,6 @@ def test_no_bounds_no_free_points():
     depth, mask = trace(shape, pose, intrinsics, world_T_camera)
     seen = depth_observation(depth, intrinsics, world_T_camera, mask)
     assert bool((seen.semantics == Semantics.SURFACE).all())
-
-
-def test_moves_with_the_world():
-    """A rigid change of the world's frame moves the surface points and nothing else."""
-    shape, pose = scene("box")
-    intrinsics, world_T_camera = camera()
-    depth, mask = trace(shape, pose, intrinsics, world_T_camera)
-    change = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.2, -0.4, 0.5], dtype=torch.float64))
-    here = depth_observation(depth, intrinsics, world_T_camera, mask).points
-    there = depth_observation(depth, intrinsics, change @ world_T_camera, mask).points
-    torch.testing.assert_close(there, se3.apply(change, here))
 
 
 @given(

@@ -10,14 +10,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.dynamics.base import PushModel
 from rumi.dynamics.outline import GridOutline, support_of
-from rumi.dynamics.quasi_static import QuasiStaticModel
-from rumi.dynamics.registry import ENGINES, EngineSettings, PushModels
+from rumi.dynamics.quasi_static import QuasiStaticRollouts
+from rumi.dynamics.registry import EngineSettings, PushModels, PushSettings
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
 from rumi.robot.tool import Tool
-from rumi.sim.push_model import MujocoPush
+from rumi.sim.push_model import MujocoRollouts
 from rumi.sim.world import World
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import preset
@@ -38,9 +37,9 @@ def mug() -> ObjectModel:
     return object_model("mug", Mug(), Symmetries.none(), spacing=0.002, points=20)
 
 
-def make(mug: ObjectModel, yaws: list[float], settings: EngineSettings | None = None) -> MujocoPush:
+def make(mug: ObjectModel, yaws: list[float], settings: EngineSettings | None = None) -> MujocoRollouts:
     poses = se3.from_planar(torch.tensor([[0.4, 0.0, yaw] for yaw in yaws]))
-    return MujocoPush(mug, poses, torch.zeros(len(yaws)).log_softmax(-1), Tool(FREE, height_m=HEIGHT), settings)
+    return MujocoRollouts(mug, poses, torch.zeros(len(yaws)).log_softmax(-1), Tool(FREE, height_m=HEIGHT), settings)
 
 
 def ways() -> Tensor:
@@ -83,15 +82,6 @@ def test_threads_change_nothing(mug: ObjectModel) -> None:
     assert torch.equal(first.displacements, again.displacements)
 
 
-def test_who_is_not_touched_stays_to_the_bit(mug: ObjectModel) -> None:
-    model = make(mug, [0.2, 1.0])
-    found = model.rollout(START, ways(), rollouts=2)
-    assert isinstance(model, PushModel)
-    assert found.touched.tolist() == [[False, False], [True, True], [True, True]]
-    assert float(found.displacements[0].abs().max()) == 0
-    assert found.twin.tolist() == [[0, 0], [0, 1], [0, 1]]
-
-
 def test_what_is_skipped_would_have_changed_nothing(mug: ObjectModel) -> None:
     """A way of five actions of which the first come not near."""
     far = torch.tensor([0.0, 0.0, 0.0])
@@ -109,7 +99,7 @@ def test_agrees_with_the_quasi_static_model(mug: ObjectModel) -> None:
     engine = make(mug, [0.2, 1.0, 2.5, -1.5])
     outline, support = GridOutline.of_slice(mug.sdf, HEIGHT), support_of(mug.sdf)
     poses = se3.from_planar(engine.poses)
-    plain = QuasiStaticModel(outline, support, engine.tool, poses, engine.weights.log())
+    plain = QuasiStaticRollouts(outline, support, engine.tool, poses, engine.weights.log())
     a, b = (model.rollout(START, ways(), rollouts=4) for model in (engine, plain))
     assert torch.equal(a.touched, b.touched)
     assert a.turns is not None
@@ -125,7 +115,7 @@ def test_a_tool_in_space_pushes_as_a_level_one_and_passes_over(mug: ObjectModel)
     """At the level one's height; a hand above the rim touches nothing."""
     level = make(mug, [0.2, 1.0])
     space = Tool(torch.tensor([[-5.0, -5.0, 0.0], [5.0, 5.0, 0.5]]))
-    model = MujocoPush(mug, se3.from_planar(level.poses), level.weights.log(), space)
+    model = MujocoRollouts(mug, se3.from_planar(level.poses), level.weights.log(), space)
     controls = torch.cat((ways()[..., :2], torch.zeros(3, 2, 1), ways()[..., 2:]), -1)
     start = torch.tensor([0.22, 0.0, HEIGHT, 0.0])
     a, b = level.rollout(START, ways(), rollouts=2), model.rollout(start, controls, rollouts=2)
@@ -150,7 +140,7 @@ def test_what_a_tool_in_space_has_tilted_is_pushed_and_what_it_toppled_is_not(
     lean = se3.make(so3.exp(torch.tensor([0.0, math.radians(tilt), 0.0])), torch.tensor([0.0, 0.0, 0.01]))
     poses = torch.stack((se3.from_planar(torch.tensor([0.4, 0.0, 0.7])),) * 2)
     poses[1] = poses[1] @ lean
-    family = PushModels("mujoco")
+    family = PushModels(PushSettings("mujoco"))
     assert family.chosen(poses, space) == name
     level = Tool(FREE, height_m=HEIGHT)
     assert family.chosen(poses, level) == "mujoco"
@@ -158,8 +148,8 @@ def test_what_a_tool_in_space_has_tilted_is_pushed_and_what_it_toppled_is_not(
         workspace = Workspace.from_bounds(torch.tensor([[0.2, -0.2, 0.0], [0.6, 0.2, 0.1]]), 0.05)
         even = torch.zeros(2).log_softmax(-1)
         fields = information_field(mug.sdf, poses, even, workspace.points)
-        made = family.of_belief(mug, poses, even, space, workspace, fields)
-        assert isinstance(made, MujocoPush)
+        made = family.rollouts(mug, poses, even, space, workspace, fields)
+        assert isinstance(made, MujocoRollouts)
         assert float(made.poses[1, 2]) == pytest.approx(0.7, abs=0.05)
 
 
@@ -169,10 +159,9 @@ def test_a_run_may_plan_with_it(task: str, arm_tool: Tool, cache: Path) -> None:
     few = replace(settings.planner.mppi, samples=4, horizon=2, knots=2, warmup_iterations=1, iterations=1)
     planner = replace(settings.planner, push_model="mujoco", mppi=few, rollouts=1)
     parts = build(replace(settings, planner=planner), cache_dir=cache)
-    assert "mujoco" in ENGINES
     policy = parts.agent.policy
     assert isinstance(policy.push_models, PushModels)  # type: ignore[attr-defined]
-    assert policy.push_models.choice == "mujoco"  # type: ignore[attr-defined]
+    assert policy.push_models.settings.push_model == "mujoco"  # type: ignore[attr-defined]
     parts.task.close()
 
 

@@ -8,11 +8,12 @@ import torch
 
 pytest.importorskip("mujoco")
 
-from rumi.dynamics.along_path import carry
+from rumi.dynamics.along_path import push_along_path
 from rumi.dynamics.sliding import Sliding
+from rumi.sim.path_push import MujocoPathPush
 from rumi.tasks.touch_box import grasps as touch_grasps
 from rumi.tasks.touch_box.gripper_robot import GripperRobot
-from rumi.tasks.touch_box.mujoco_push import MujocoCarry
+from rumi.tasks.touch_box.mujoco_scene import path_scene
 from rumi.tasks.touch_box.robot import TouchRobot
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
 from sdf.cache import save_arrays
@@ -56,7 +57,7 @@ def test_a_poke_pushes_as_the_quasi_static_model_has_it(robot):
         path = poke(BOX, angle, aside, depth=0.0)
         touched = robot.execute(path, lambda so_far: True)
         assert float((touched.path - path)[:, :2].norm(dim=-1).max()) < 1e-3
-        expected = carry(start[None], touched.path[None], TASK.fingers, TASK.outline, slides())
+        expected = push_along_path(start[None], touched.path[None], TASK.fingers, TASK.outline, slides())
         moved = float((robot.box_pose() - start)[:2].norm())
         assert moved > 0.02
         assert float((robot.box_pose() - expected.track[0, -1])[:2].norm()) < 0.15 * moved
@@ -148,7 +149,7 @@ def test_a_box_that_a_path_begins_inside_of_stays(generator):
     inside = start + away
     outside = torch.stack((BOX, start[0] + torch.tensor([0.0385, 0.0, 0.0])))  # the second by 1.5 mm less than touching
     poses = torch.cat((inside, outside))
-    found = MujocoCarry(TASK, threads=1)(poses, path, TASK.fingers, TASK.outline, slides(5))
+    found = MujocoPathPush(path_scene(TASK), threads=1)(poses, path, TASK.fingers, TASK.outline, slides(5))
     assert torch.equal(found.track[:3], inside[:, None].expand(3, 40, 3))
     assert bool((found.distance[:3, 0] < 0).all())
     steps = torch.cat((poses[:, None], found.track), 1).diff(dim=1)[..., :2].norm(dim=-1)
@@ -161,7 +162,9 @@ def test_particles_in_the_engine_are_the_same_with_any_number_of_threads(generat
     path = poke(BOX, 0.3)[None]
     friction = 0.2 + 0.4 * torch.rand(12, generator=generator, dtype=torch.float64)
     own = slides(12)._replace(friction=friction)
-    one, two = (MujocoCarry(TASK, threads=n)(poses, path, TASK.fingers, TASK.outline, own) for n in (1, 2))
+    one, two = (
+        MujocoPathPush(path_scene(TASK), threads=n)(poses, path, TASK.fingers, TASK.outline, own) for n in (1, 2)
+    )
     assert torch.equal(one.track, two.track)
     assert torch.equal(one.distance, two.distance)
 
@@ -170,18 +173,10 @@ def test_particles_in_the_engine_go_as_quasi_static_ones_do():
     far = torch.tensor([0.45, 0.5, 0.0], dtype=torch.float64)
     poses = torch.stack((BOX, BOX + torch.tensor([0.01, 0.02, 0.1]), far))
     path = poke(BOX, 0.3, depth=0.0)[None]
-    engine = MujocoCarry(TASK)(poses, path, TASK.fingers, TASK.outline, slides(3))
-    model = carry(poses, path, TASK.fingers, TASK.outline, slides(3))
+    engine = MujocoPathPush(path_scene(TASK))(poses, path, TASK.fingers, TASK.outline, slides(3))
+    model = push_along_path(poses, path, TASK.fingers, TASK.outline, slides(3))
     moved = (model.track[:, -1] - poses)[:2, :2].norm(dim=-1)
     apart = (engine.track[:, -1] - model.track[:, -1])[:2, :2].norm(dim=-1)
     assert bool((apart < 0.2 * moved).all())
     assert torch.equal(engine.track[2, -1], far)
     assert float((engine.distance - model.distance).abs().max()) < 0.006
-
-
-def test_no_boxes_and_no_way_are_no_work():
-    own = MujocoCarry(TASK)
-    empty = own(torch.zeros(0, 3).double(), poke(BOX, 0.3)[None], TASK.fingers, TASK.outline, slides(0))
-    assert empty.track.shape == (0, 40, 3)
-    still = own(BOX[None], poke(BOX, 0.3)[None, :1], TASK.fingers, TASK.outline, slides())
-    assert still.track.shape == (1, 0, 3)

@@ -12,8 +12,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.bench.case import Case, Setup, Target, case, largest_difference
 from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
-from rumi.dynamics.registry import PushChoice
-from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.records import StepRecord
 from rumi.seeding import split
@@ -31,7 +30,7 @@ def _pass(
 ) -> Callable[[], tuple[Tensor, Plan]]:
     def run() -> tuple[Tensor, Plan]:
         random = split(_SEED, "bench/plan")
-        plan = policy.act(belief, scene, previous, executed=executed, budget_s=None, generator=random)
+        plan = policy.act(PlanRequest(belief, scene, previous, executed=executed, generator=random))
         return plan.controls, plan
 
     return run
@@ -40,7 +39,7 @@ def _pass(
 def _case(
     title: str, setup: Setup, policy: Policy, belief: PoseBelief, scene: Scene, targets: tuple[Target, ...]
 ) -> Case:
-    first = policy.act(belief, scene, None, executed=0, budget_s=None, generator=split(_SEED, "bench/first"))
+    first = policy.act(PlanRequest(belief, scene, generator=split(_SEED, "bench/first")))
     run = _pass(policy, belief, scene, first, 3)
     plan = run()[1]
     passes = [plan.timings_s] + [run()[1].timings_s for _ in range(0 if setup.tiny else 3)]
@@ -71,7 +70,7 @@ def plan_mug_pushed(setup: Setup) -> Case:
     return _mug(setup, "quasi-static")
 
 
-def _mug(setup: Setup, push_model: PushChoice) -> Case:
+def _mug(setup: Setup, push_model: str) -> Case:
     if setup.tiny:
         return _made_up(setup, mug_scene(setup), "made up", (), push_model)
     settings = preset("default", task="mug-0", seed=_SEED, device=setup.device.type)
@@ -119,7 +118,7 @@ def _made_up(
     scene: FieldScene,
     what: str,
     targets: tuple[Target, ...],
-    push_model: PushChoice = "displacement",
+    push_model: str = "displacement",
 ) -> Case:
     settings, tool = replace(preset("default").planner, push_model=push_model), bench_tool(setup)
     if setup.tiny:

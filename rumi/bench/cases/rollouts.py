@@ -13,7 +13,7 @@ from rumi.bench.case import Variant as Way
 from rumi.bench.scenes import HEIGHT_M, FieldScene, mug_scene
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementModel
+from rumi.dynamics.displacement import DisplacementRollouts
 from rumi.fields.information import information_field
 from rumi.robot.tool import Tool
 from rumi.seeding import split
@@ -40,7 +40,7 @@ class PushScene:
 
     information: VoxelGrid
     field: ContactField
-    model: DisplacementModel
+    model: DisplacementRollouts
     tool: Tool
     start: Float[Tensor, "3"]
     controls: Float[Tensor, "K H 3"]
@@ -65,7 +65,7 @@ def push_scene(setup: Setup) -> PushScene:
     tool = bench_tool(setup)
     fields = information_field(scene.model.sdf, scene.world_T_object, scene.log_weights, scene.points)
     field = ContactField.from_belief(scene.model.sdf, scene.world_T_object, scene.log_weights, scene.workspace, fields)
-    model = DisplacementModel(field, tool)
+    model = DisplacementRollouts(field, tool)
     settings = MPPISettings(samples=setup.size(500, 12), horizon=setup.size(15, 4), knots=setup.size(8, 3))
     mppi = MPPI(settings, 3, device=setup.device)
     random = split(0, "bench/push")

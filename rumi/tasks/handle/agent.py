@@ -18,6 +18,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.reinitialise import verify
 from rumi.clock import Clock
 from rumi.errors import UsageError
+from rumi.planning.policy import PlanRequest
 from rumi.records import RunResult
 from rumi.robot.tool import Tool
 from rumi.seeding import split
@@ -114,7 +115,7 @@ class HandleAgent:
         """Plan anew, and do the first part of it."""
         began, belief = time.perf_counter(), state.record.belief
         with state.clock("plan"):
-            plan = self.rummager.policy.act(
+            request = PlanRequest(
                 belief,
                 self.rummager.scene(state),
                 state.plan,
@@ -122,6 +123,7 @@ class HandleAgent:
                 budget_s=None if self.settings.thinking_s is not None else self._left_s(state),
                 generator=state.random["plan"],
             )
+            plan = self.rummager.policy.act(request)
         spent_s = state.spent_s + (_MOTION_S + self._thought(began))
         return replace(state, plan=plan, spent_s=spent_s), plan.controls[0]
 

@@ -1,6 +1,5 @@
 """Where to grasp the mug: the place at which the handle is lifted at the greatest share of the belief."""
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +11,7 @@ from torch import Tensor
 from rumi.dynamics.sliding import rotated
 from rumi.tasks.handle.gripper import HandleGripper, grasp_xml
 from sdf import se3
-from sdf.cache import keep_arrays, load_arrays
+from sdf.cache import content_key, keep_arrays, load_arrays
 from sdf.so3 import wrap
 
 _NODES = (9, 6, 13)  # along, aside, turned
@@ -65,8 +64,8 @@ def handle_table(gripper: HandleGripper, *, cache_dir: Path | None = None) -> Ha
         cache_dir: folder that keeps the table; None simulates it each time (half a minute).
     """
     text = grasp_xml(gripper.shape, gripper.body, gripper.physics, gripper.settings)
-    key = hashlib.sha256(repr((text, _NODES, _ENDS)).encode() + gripper.controls(torch.zeros(3)).tobytes())
-    path = None if cache_dir is None else cache_dir / f"handle-{key.hexdigest()[:16]}.npz"
+    key = content_key(repr((text, _NODES, _ENDS)), gripper.controls(torch.zeros(3)).tobytes())
+    path = None if cache_dir is None else cache_dir / f"handle-{key}.npz"
     kept = None if path is None else load_arrays(path, ("odds",))
     if kept is not None and kept["odds"].shape == _NODES:
         return HandleTable(torch.from_numpy(kept["odds"]))

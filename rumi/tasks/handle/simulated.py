@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.robot.gripper import gripper_parts
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.felt_world import Felt, FeltWorld
@@ -26,7 +27,7 @@ from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.contact_reading import ContactReading, WrenchTouch, surest
 from sensors.force.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus
-from sensors.force.tool_parts import box_tool, ellipsoid_tool, parts_contact
+from sensors.force.tool_parts import parts_contact
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 from sensors.touch.tactile import swept_points
@@ -66,9 +67,7 @@ class FusedTask(SensedTask):
         )
         shape, wrist = tool.shape, settings.wrist
         ahead = torch.tensor([wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
-        pads = [ellipsoid_tool(torch.tensor(c, dtype=torch.float64) + ahead, shape.pad_m) for c in shape.pad_centers]
-        palm = torch.tensor([shape.palm_center_m, 0.0, 0.0], dtype=torch.float64) + ahead
-        self._parts = [*pads, box_tool(palm, shape.palm_m)]
+        self._parts = gripper_parts(shape, ahead)
         self._noise = WrenchNoise(wrist.force_n, wrist.moment_nm)
         joints = settings.joints.without_errors() if settings.noise_free else settings.joints
         self._joints = JointFeeler(spec.base, spec.height_m, joints) if "torques" in own else None

@@ -18,7 +18,7 @@ from rumi.information.entropy import NeighbourEntropy
 from rumi.information.neighbours import StateMetric
 from rumi.information.stopping import CovarianceRule, EntropyRule, MassRule, TargetEstimate
 from rumi.planning.anytime import Candidate, Selection, in_descending_posterior, select
-from rumi.planning.evaluation_time import EvaluationTime
+from rumi.planning.duration_model import DurationModel
 from rumi.resampling import resample_systematic
 from rumi.robot.motion_time import path_time
 from rumi.tasks.peg.cell import Felt
@@ -193,13 +193,13 @@ class Chooser:
 
         return timed
 
-    def _evaluation(self) -> EvaluationTime:
+    def _evaluation(self) -> DurationModel:
         if self.settings.evaluation_s is not None:
-            return EvaluationTime.known(self.settings.evaluation_s)
+            return DurationModel.known(self.settings.evaluation_s)
         if not self.measured:
-            return EvaluationTime.known(_FIRST_S)
+            return DurationModel.known(_FIRST_S)
         work, seconds = zip(*self.measured, strict=True)
-        return EvaluationTime.fit(work, seconds)
+        return DurationModel.fit(work, seconds)
 
 
 class _Watch:
@@ -237,9 +237,9 @@ class _Timed:
         return candidate
 
 
-def _bound_of(making: list[float]) -> EvaluationTime | None:
+def _bound_of(making: list[float]) -> DurationModel | None:
     """How long the next candidate takes to make, as far as earlier ones tell; None where they are made in no time."""
-    return EvaluationTime.fit([1.0] * len(making), making) if making else None
+    return DurationModel.fit([1.0] * len(making), making) if making else None
 
 
 def sides_touched(pose: Float[Tensor, "3"], every: RectangleTouches) -> int:

@@ -17,7 +17,7 @@ from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopEvidence, StopSettings, converged
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.metrics.pose_error import pose_error
-from rumi.planning.policy import Plan, Policy, Scene
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.records import RunResult, StepRecord
 from rumi.robot.tool import Tool
 from rumi.seeding import split
@@ -112,10 +112,12 @@ class Rummager:
             belief, scene, random = state.record.belief, self.scene(state), state.random
             if self.budget_s is not None and plan is None:
                 with state.clock("warm_up"):
-                    self.policy.act(belief, scene, None, executed=0, budget_s=0.0, generator=random["warm_up"])
+                    self.policy.act(PlanRequest(belief, scene, budget_s=0.0, generator=random["warm_up"]))
             with state.clock("plan"):
                 plan = self.policy.act(
-                    belief, scene, plan, executed=executed, budget_s=self.budget_s, generator=random["plan"]
+                    PlanRequest(
+                        belief, scene, plan, executed=executed, budget_s=self.budget_s, generator=random["plan"]
+                    )
                 )
             executed = 0
         return replace(state, plan=plan, executed=executed), plan.controls[executed]

@@ -13,24 +13,25 @@ from torch import Tensor
 from rumi.agent import Parts
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
-from rumi.belief.motion import Predictor
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_motion import PushedMotion
-from rumi.dynamics.along_path import carry, carry_along
+from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
 from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
-from rumi.planning.rummaging_settings import RummagingSettings
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
 from rumi.runs.sketch import SceneSketch, sketch
+from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import with_object
-from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_task, make_tool
+from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_tool
+from rumi.tasks.rummage.sensed import SensedTask
 from rumi.tasks.rummage.settings import Settings
+from rumi.tasks.rummage.simulated import SimTask
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
@@ -64,6 +65,32 @@ def build(
     return Parts(task, build_rummager(spec, settings, model, tool))
 
 
+def make_task(
+    spec: TaskSpec | str,
+    settings: SimSettings | None = None,
+    *,
+    cache_dir: Path | None = None,
+    tool: Tool | None = None,
+    model: ObjectModel | None = None,
+) -> SimTask:
+    """Simulate a task; needs MuJoCo.
+
+    Args:
+        spec: the task or its name.
+        settings: of the simulator and its sensors.
+        cache_dir: folder that keeps the arm's reach and convex pieces of meshes; None works them out each time.
+        tool: made before by `make_tool`; None makes one.
+        model: made before by the task's `object_factory`; None makes one.
+    """
+    spec = find_task(spec) if isinstance(spec, str) else spec
+    settings = settings or SimSettings()
+    tool = tool if tool is not None else make_tool(spec, settings, cache_dir=cache_dir)
+    model = model if model is not None else spec.object_factory()
+    if settings.sensors.kind != "points":
+        return SensedTask(spec, settings, tool, model, cache_dir=cache_dir)
+    return SimTask(spec, settings, tool, model, cache_dir=cache_dir)
+
+
 def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool) -> Rummager:
     """How an object is found: filter, policy and stopping rule, on the settings' device.
 
@@ -90,7 +117,7 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     standing = 0.0 - float(model.exact.bounds[0, 2])
     pushed = None
     if following.motion in _PLANAR:
-        pushed = predictor_of(settings.planner, model, tool, spec.height_m, standing)
+        pushed = pushed_motion(settings.planner, model, tool, spec.height_m, standing)
     further: tuple[EvidenceModel, ...] = ()
     if following.evidence:
         surface = tool.shape.surface(SignalSettings().spacing_m).to(*to)
@@ -113,24 +140,23 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
     )
 
 
-def predictor_of(
-    planner: RummagingSettings, model: ObjectModel, tool: Tool, height_m: float, standing_m: float
-) -> Predictor:
-    """What says how far an object was pushed, where nothing measures it: the planner's push model.
+def pushed_motion(
+    planner: PushSettings, model: ObjectModel, tool: Tool, height_m: float, resting_m: float
+) -> PushedMotion:
+    """Motion of a pushed object that nothing measures, by the planner's push model ("auto": the quasi-static one).
 
     Args:
         planner: its settings.
         model: the object.
         tool: the gripper.
         height_m: of the level tool.
-        standing_m: of the object's origin above the floor.
-    """
-    if planner.push_model == "mujoco":
-        from rumi.sim.engine_motion import EngineMotion
+        resting_m: of the object's origin above the floor.
 
-        return EngineMotion(model, tool.shape, height_m, planner.engine)
-    carrier = carry_along if planner.push_model == "displacement" else carry
-    return PushedMotion.of(model.sdf, height_m - standing_m, tool.shape, planner.quasi_static, carrier)
+    Raises:
+        UsageError: the push model does not predict motions.
+    """
+    name = "quasi-static" if planner.push_model == AUTO else planner.push_model
+    return PushedMotion(push_model(name, "motion", planner).motion(model, tool.shape, height_m, resting_m))
 
 
 def _planar(spec: TaskSpec) -> bool:
@@ -142,18 +168,19 @@ def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
     if _planar(spec):
         return
-    upright = spec.search == "SE(2)"
-    for name, value, other in (
-        ("planner.push-model", settings.planner.push_model, "displacement or mujoco" if upright else "displacement"),
-        ("filter.motion", settings.filter.motion, "measured, sticking or estimated"),
-    ):
-        if value == "mujoco" and upright:
-            continue
-        if value in ("quasi-static", "mujoco", *_PLANAR):
-            raise UsageError(
-                f"--{name} {value} pushes upright objects with a level tool, and {spec.name} is another task: "
-                f"use {other} there"
-            )
+    upright, name = spec.search == "SE(2)", settings.planner.push_model
+    suited = ("any", "upright") if upright else ("any",)
+    if name != AUTO and PUSH_MODELS[name].objects not in suited:
+        fits = " or ".join(other for other in PUSH_MODELS if PUSH_MODELS[other].objects in suited)
+        raise UsageError(_other_task(spec, f"planner.push-model {name}", fits))
+    if settings.filter.motion in _PLANAR:
+        raise UsageError(
+            _other_task(spec, f"filter.motion {settings.filter.motion}", "measured, sticking or estimated")
+        )
+
+
+def _other_task(spec: TaskSpec, flag: str, fits: str) -> str:
+    return f"--{flag} pushes upright objects with a level tool, and {spec.name} is another task: use {fits} there"
 
 
 def prior_of(spec: TaskSpec, model: ObjectModel) -> PosePrior | None:
@@ -185,8 +212,6 @@ def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
     Raises:
         UsageError: the method needs a package that is not installed.
     """
-    if settings.planner.push_model == "mujoco":
-        import rumi.sim.push_model  # noqa: F401  (enters the push model)
     return POLICIES[settings.method](settings, reach)
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.robot.gripper_body import gripper_links
+from rumi.robot.gripper import gripper_links
 from rumi.robot.tool import Tool
 from rumi.sim.bubble_camera import BubbleCamera
 from rumi.sim.settings import PhysicsSettings, SimSettings

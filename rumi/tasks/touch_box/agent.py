@@ -14,7 +14,7 @@ from rumi.belief.prior import PlanarPrior
 from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief
 from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
 from rumi.clock import Clock
-from rumi.dynamics.along_path import Carrier, carry
+from rumi.dynamics.along_path import PathPush, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.information.entropy import SharedSupport
 from rumi.information.neighbours import StateMetric, unique_states
@@ -91,10 +91,10 @@ class Toucher:
         settings: TouchSettings,
         robot: TouchRobot,
         table: GraspTable,
-        carrier: Carrier | None = None,
+        carrier: PathPush | None = None,
     ) -> None:
         self.task, self.settings, self.robot, self.table = task, settings, robot, table
-        self.carrier = carrier or carry
+        self.carrier = carrier or push_along_path
         self.chooser: Decide = self.decide
         rates = getattr(robot, "rates", task.rates)
         model = ContactModel(rates[0], rates[1], settings.decay, tolerance=_BINARY_M)

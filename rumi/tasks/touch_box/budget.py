@@ -11,7 +11,7 @@ from rumi.belief.trajectory_belief import TrajectoryBelief
 from rumi.clock import Now
 from rumi.errors import UsageError
 from rumi.planning.anytime import Candidate, select
-from rumi.planning.evaluation_time import EvaluationTime
+from rumi.planning.duration_model import DurationModel
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.selection import Choice
 
@@ -57,7 +57,7 @@ class BudgetedChoice:
             [Candidate(index, 0.0) for index in range(len(paths))],
             gain,
             max(0.0, self._budget_s - (self._now() - begun)),
-            evaluation=EvaluationTime.fit([1.0] * len(self._seconds), self._seconds),
+            evaluation=DurationModel.fit([1.0] * len(self._seconds), self._seconds),
             doublings=0,
             now=self._now,
         )

@@ -6,13 +6,15 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from rumi.agent import Parts
-from rumi.dynamics.along_path import Carrier, carry, carry_along
+from rumi.dynamics.along_path import PathPush
+from rumi.dynamics.registry import push_model
 from rumi.errors import UsageError
 from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.touch_box.agent import Toucher
+from rumi.tasks.touch_box.mujoco_scene import path_scene
 from rumi.tasks.touch_box.robot import TouchBox, TouchRobot
 from rumi.tasks.touch_box.scene import TouchTask
-from rumi.tasks.touch_box.settings import TouchPush, TouchSettings
+from rumi.tasks.touch_box.settings import TouchSettings
 
 Robot = Literal["gripper", "arm", "planar"]
 ROBOTS: tuple[str, ...] = get_args(Robot)
@@ -40,7 +42,7 @@ def build_touch_box(
     check_robot(task, robot)
     table = grasp_table(task, cache_dir=cache_dir)
     made = make_robot(task, robot, table, cache_dir=cache_dir)
-    agent = Toucher(task, settings, made, table, make_carrier(settings.push_model, task))
+    agent = Toucher(task, settings, made, table, make_path_push(settings.push_model, task))
     return Parts(TouchBox(task, made), agent)
 
 
@@ -73,14 +75,10 @@ def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: P
     raise UsageError(f"Expected a robot out of {', '.join(ROBOTS)}, got {robot!r}")
 
 
-def make_carrier(choice: TouchPush, task: TouchTask) -> Carrier:
-    """How a tool moves boxes, by name."""
-    if choice == "quasi-static":
-        return carry
-    if choice == "displacement":
-        return carry_along
-    if choice == "mujoco":
-        from rumi.tasks.touch_box.mujoco_push import MujocoCarry
+def make_path_push(name: str, task: TouchTask) -> PathPush:
+    """How a tool moves boxes, by a push model's name.
 
-        return MujocoCarry(task)
-    raise UsageError(f"Expected a push model quasi-static, displacement or mujoco, got {choice!r}")
+    Raises:
+        UsageError: there is no such push model, or it does not push along paths.
+    """
+    return push_model(name, "path").path(lambda: path_scene(task))

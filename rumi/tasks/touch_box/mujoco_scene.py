@@ -8,10 +8,16 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import torch
+
+from rumi.sim.path_push import PathScene
+from rumi.sim.world import _import_mujoco
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
 
 CLEAR_M, TIP_M = 0.15, 0.01
 """How far the gripper is lifted between pokes, and how far above the floor its finger tips poke."""
+
+_FRICTIONS = 5  # that particles are pushed with, the nearest each: a model of the engine has one
 
 
 @dataclass(frozen=True)
@@ -125,3 +131,27 @@ def set_truth(mujoco: Any, model: Any, task: TouchTask, truth: BoxTruth) -> None
     model.body_mass[body] = truth.mass_kg
     model.body_inertia[body] = [truth.mass_kg / 12.0 * (sum(squares) - square) for square in squares]
     mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def path_scene(task: TouchTask, physics: GripperPhysics | None = None) -> PathScene:
+    """Boxes and the task's gripper for pushes along paths; needs MuJoCo.
+
+    Mass and the floor's friction are the middles of the task's ranges.
+
+    Args:
+        task: the scene.
+        physics: of the engine; by default with steps of 2 ms.
+    """
+    mujoco = _import_mujoco()
+    physics = physics or GripperPhysics(time_step_s=0.002, contact_s=0.004)
+    text = scene_xml(task, physics, grasping=False)
+    low, high = task.friction
+    frictions = tuple(low + (high - low) * (k + 0.5) / _FRICTIONS for k in range(_FRICTIONS))
+    floor, mass = (0.5 * sum(ends) for ends in (task.floor_friction, task.mass_kg))
+    models = []
+    for friction in frictions:
+        model = mujoco.MjModel.from_xml_string(text)
+        set_truth(mujoco, model, task, BoxTruth(torch.zeros(3), friction, floor, mass))
+        models.append(model)
+    drives, posture = ("x", "y", "z", "yaw", "left", "right"), (0.0, 0.0, 0.0, 0.0, task.finger_m, task.finger_m)
+    return PathScene(tuple(models), frictions, "box", drives, (0, 1, 3), posture, task.speed, physics.time_step_s)

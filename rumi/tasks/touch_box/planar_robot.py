@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.dynamics.along_path import Pusher, carry, distance_to
+from rumi.dynamics.along_path import Pusher, distance_to, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
 from rumi.tasks.grasp_table import GraspTable
@@ -69,7 +69,7 @@ class PlanarRobot:
             return Touched(path[:1], torch.zeros(0, dtype=torch.bool), True, "blocked")
         for k in range(1, len(path)):
             way = path[None, k - 1 : k + 1]
-            carried = carry(self._pose[None], way, self.pusher, outline, self._sliding, substeps=substeps)
+            carried = push_along_path(self._pose[None], way, self.pusher, outline, self._sliding, substeps=substeps)
             self._pose = carried.track[0, -1]
             contact.append(self._readings(float(carried.distance) <= self.touching_m))
             so_far = Touched(path[: k + 1], torch.tensor(contact), False, "end")

@@ -2,14 +2,11 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, get_args
 
 from rumi.belief.trajectory_filter import TrajectorySettings
+from rumi.dynamics.registry import PUSH_MODELS
 from rumi.errors import UsageError
 from rumi.tasks.touch_box.selection import METHODS, Method
-
-TouchPush = Literal["quasi-static", "displacement", "mujoco"]
-TOUCH_PUSHES: tuple[str, ...] = get_args(TouchPush)
 
 
 @dataclass(frozen=True)
@@ -87,7 +84,7 @@ class TouchSettings:
     """
 
     method: Method = "sequence"
-    push_model: TouchPush = "quasi-static"
+    push_model: str = "quasi-static"
     count: int = 800
     threshold: float = 0.92
     actions: int = 15
@@ -101,8 +98,8 @@ class TouchSettings:
         """Refuse what has no meaning."""
         if self.method not in METHODS:
             raise UsageError(f"Expected a method out of {', '.join(METHODS)}, got {self.method!r}")
-        if self.push_model not in TOUCH_PUSHES:
-            raise UsageError(f"Expected a push model out of {', '.join(TOUCH_PUSHES)}, got {self.push_model!r}")
+        if self.push_model not in PUSH_MODELS:
+            raise UsageError(f"Expected a push model out of {', '.join(PUSH_MODELS)}, got {self.push_model!r}")
         if self.count < 1 or self.actions < 0:
             raise UsageError(f"Expected count >= 1 and actions >= 0, got {self.count} and {self.actions}")
         if not 0.0 < self.threshold <= 1.0:

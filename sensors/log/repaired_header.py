@@ -1,4 +1,4 @@
-"""A view of an HDF5 file as if it had been closed: for one that still grows, whose writer was killed, or that was cut.
+"""HDF5 file whose superblock is repaired as it is read: one that still grows, was cut, or whose writer was killed.
 
 HDF5 refuses such files by what their superblock says: marks of a writer, and an end that is not the file's. (Its own
 way to read them, SWMR, waits for ever on parts that were cut off.) This view shows another superblock and zeros past
@@ -15,7 +15,7 @@ _HEAD = struct.Struct("<8sBBBBQQQQ")  # superblock of version 3, without its che
 _MASK = 0xFFFFFFFF
 
 
-class AsClosed(io.RawIOBase):
+class RepairedHeader(io.RawIOBase):
     """The file, read-only; h5py takes it in place of a path.
 
     Args:

@@ -1,4 +1,4 @@
-"""How long an evaluation will take at most, as far as earlier ones tell."""
+"""Model of the duration of evaluations: a line on average and an upper bound, fitted to earlier ones."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ _FEW = 2.0
 
 
 @dataclass(frozen=True)
-class EvaluationTime:
+class DurationModel:
     """Seconds that work takes: a straight line on average, and a bound that is kept with a given probability.
 
     Attributes:

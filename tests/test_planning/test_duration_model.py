@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from rumi.planning.evaluation_time import EvaluationTime
+from rumi.planning.duration_model import DurationModel
 
 
 def test_known_is_exact() -> None:
-    known = EvaluationTime.known(1.5)
+    known = DurationModel.known(1.5)
     assert known.bound(3.0) == known.mean(0.0) == 1.5
 
 
 def test_finds_a_line() -> None:
     work = [1.0, 2.0, 4.0, 8.0] * 50
-    found = EvaluationTime.fit(work, [0.01 + 0.002 * size for size in work], level=0.9)
+    found = DurationModel.fit(work, [0.01 + 0.002 * size for size in work], level=0.9)
     assert found.fixed_s == pytest.approx(0.01)
     assert found.per_work_s == pytest.approx(0.002)
     assert found.margin == pytest.approx(1.0)
@@ -21,12 +21,12 @@ def test_finds_a_line() -> None:
 
 
 def test_neither_part_is_negative() -> None:
-    falling = EvaluationTime.fit([1.0, 2.0, 3.0], [3.0, 2.0, 1.0])
+    falling = DurationModel.fit([1.0, 2.0, 3.0], [3.0, 2.0, 1.0])
     assert (falling.fixed_s, falling.per_work_s) == (2.0, 0.0)
-    steep = EvaluationTime.fit([1.0, 2.0, 3.0], [0.0, 2.0, 4.0])
+    steep = DurationModel.fit([1.0, 2.0, 3.0], [0.0, 2.0, 4.0])
     assert steep.fixed_s == 0.0
     assert steep.per_work_s > 0
-    assert EvaluationTime.fit([0.0], [0.0]).bound() == 0.0
+    assert DurationModel.fit([0.0], [0.0]).bound() == 0.0
 
 
 NOISES = {
@@ -45,7 +45,7 @@ def test_is_kept_as_often_as_it_says(name: str, level: float) -> None:
     draw = NOISES[name]
     single, late = [], []
     for _ in range(40):
-        bound = EvaluationTime.fit(np.ones(500), draw(random, 500), level).bound()
+        bound = DurationModel.fit(np.ones(500), draw(random, 500), level).bound()
         single.append(float((draw(random, 2000) > bound).mean()))
         first = 20.0 * random.uniform(1.0, 2.0, (40, 1)) * bound
         left = first - draw(random, 40 * 4000).reshape(40, 4000).cumsum(1)
@@ -60,7 +60,7 @@ def test_is_kept_as_often_as_it_says(name: str, level: float) -> None:
 
 def test_a_heavy_tail_asks_for_more_than_the_quantile() -> None:
     times = np.where(np.arange(1000) < 5, 300.0, 1.0)
-    found = EvaluationTime.fit(np.ones(1000), times, level=0.95)
+    found = DurationModel.fit(np.ones(1000), times, level=0.95)
     # the quantile is 1 s, and yet most of the time is spent in the few that take 300 s
     assert found.bound() > 200.0
 
@@ -69,13 +69,13 @@ def test_no_work_takes_the_time_that_it_took() -> None:
     """A line by least squares that falls below 0 at no work, where four in ten measurements are."""
     work, seconds = [0.0, 0.0, 1.0, 2.0, 3.0] * 40, [0.01, 0.01, 0.5, 1.2, 2.0] * 40
     for level in (0.9, 0.99):
-        found = EvaluationTime.fit(work, seconds, level)
+        found = DurationModel.fit(work, seconds, level)
         assert 0.01 <= found.bound(0.0) <= 0.02
         longer = sum(took > found.bound(size) for size, took in zip(work, seconds, strict=True))
         assert longer <= (1 - level) * len(work)
         assert found.bound(3.0) < 4.0
     # nothing at no work, and a line through it
-    assert EvaluationTime.fit([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]).bound(0.0) == 0.0
+    assert DurationModel.fit([0.0, 1.0, 2.0], [0.0, 1.0, 2.0]).bound(0.0) == 0.0
 
 
 @pytest.mark.parametrize("name", NOISES)
@@ -85,7 +85,7 @@ def test_rows_of_different_work_are_in_time_as_often_as_it_says(name: str) -> No
     single, spans = [], []
     for _ in range(40):
         work = random.choice([0.0, 0.1, 1.0, 10.0], 500)
-        found = EvaluationTime.fit(work, (0.01 + work) * NOISES[name](random, 500), level)
+        found = DurationModel.fit(work, (0.01 + work) * NOISES[name](random, 500), level)
         fresh = random.choice([0.0, 0.1, 1.0, 10.0], 4000)
         took = (0.01 + fresh) * NOISES[name](random, 4000)
         bound = found.margin * (found.fixed_s + found.per_work_s * fresh)
@@ -96,7 +96,7 @@ def test_rows_of_different_work_are_in_time_as_often_as_it_says(name: str) -> No
 
 
 def test_few_measurements_have_a_wide_bound() -> None:
-    assert EvaluationTime.fit([1.0, 1.0], [1.0, 3.0], level=0.99).bound() == pytest.approx(6.0)
+    assert DurationModel.fit([1.0, 1.0], [1.0, 3.0], level=0.99).bound() == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize(
@@ -111,6 +111,6 @@ def test_few_measurements_have_a_wide_bound() -> None:
 )
 def test_refuses_what_are_no_measurements(work, seconds, level, said) -> None:
     with pytest.raises(ValueError, match=said):
-        EvaluationTime.fit(work, seconds, level)
+        DurationModel.fit(work, seconds, level)
     with pytest.raises(ValueError, match="fixed_s"):
-        EvaluationTime(-1.0)
+        DurationModel(-1.0)

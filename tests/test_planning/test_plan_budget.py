@@ -1,4 +1,4 @@
-"""Plans by a deadline, on a clock that is told how long their parts take."""
+"""Plans by a budget, on a clock that is told how long their parts take."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,8 +13,8 @@ from rumi.belief.particles import PoseBelief
 from rumi.clock import SimulatedClock
 from rumi.dynamics.displacement import DisplacementSettings
 from rumi.fields.workspace import Workspace
-from rumi.planning.plan_budget import Deadline
-from rumi.planning.policy import Plan, Scene
+from rumi.planning.plan_budget import PlanBudget
+from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.robot.tool import Tool
 from sdf import se3
@@ -72,11 +72,11 @@ def slow_policy(
     policy = RummagingPolicy(None, replace(SETTINGS, reachability_scale=0.0), now=clock)
     made = policy.push_models.of_belief
 
-    def of_belief(model: Any, poses: Tensor, *rest: Any) -> Any:
+    def rollouts(model: Any, poses: Tensor, *rest: Any) -> Any:
         clock.advance(len(poses) * particle_s)
         return Slow(made(model, poses, *rest), clock, sample_s, finish_s)
 
-    policy.push_models.of_belief = of_belief  # type: ignore[method-assign]
+    policy.push_models.of_belief = rollouts  # type: ignore[method-assign]
     return policy
 
 
@@ -86,7 +86,7 @@ def act(
     """A plan, and the seconds it took."""
     begun = clock()
     random = torch.Generator().manual_seed(0)
-    made = policy.act(belief(), scene, previous, executed=1, budget_s=budget_s, generator=random)
+    made = policy.act(PlanRequest(belief(), scene, previous, executed=1, budget_s=budget_s, generator=random))
     return made, clock() - begun
 
 
@@ -193,24 +193,24 @@ def test_slow_noisy_work_is_seldom_late(scene: Scene) -> None:
 
 
 def test_pace_is_the_slowest_of_late() -> None:
-    deadline = Deadline(1.0, SimulatedClock())
-    assert deadline.affordable("view", 100, 0.5) == 100
-    deadline.took("view", 10, 0.1)
-    assert deadline.pace["view"] == pytest.approx(0.01)
-    deadline.took("view", 10, 0.05)
-    assert deadline.pace["view"] == pytest.approx(0.007)
-    deadline.took("view", 10, 0.2)
-    assert deadline.pace["view"] == pytest.approx(0.02)
-    assert deadline.affordable("view", 100, 0.5) == 20
-    assert deadline.eased()["view"] == pytest.approx(0.014)
-    assert not deadline.has_time_for("view", 100)
+    budget = PlanBudget(1.0, SimulatedClock())
+    assert budget.affordable("view", 100, 0.5) == 100
+    budget.took("view", 10, 0.1)
+    assert budget.pace["view"] == pytest.approx(0.01)
+    budget.took("view", 10, 0.05)
+    assert budget.pace["view"] == pytest.approx(0.007)
+    budget.took("view", 10, 0.2)
+    assert budget.pace["view"] == pytest.approx(0.02)
+    assert budget.affordable("view", 100, 0.5) == 20
+    assert budget.eased()["view"] == pytest.approx(0.014)
+    assert not budget.has_time_for("view", 100)
 
 
 def test_without_a_budget_there_is_always_time() -> None:
-    deadline = Deadline(None, SimulatedClock(), {"view": 1e9})
-    assert deadline.open
-    assert deadline.has_time_for("view", 1e9)
-    assert deadline.affordable("view", 100, 0.5) == 100
+    budget = PlanBudget(None, SimulatedClock(), {"view": 1e9})
+    assert budget.open
+    assert budget.has_time_for("view", 1e9)
+    assert budget.affordable("view", 100, 0.5) == 100
 
 
 def test_parts_grow_with_the_time_there_is() -> None:
@@ -223,18 +223,18 @@ def test_parts_grow_with_the_time_there_is() -> None:
         return controls[:, 0, 0]
 
     controls = torch.arange(1000.0)[:, None, None]
-    deadline = Deadline(0.3, clock)
-    costs = deadline.in_parts(controls, costs_of)
+    budget = PlanBudget(0.3, clock)
+    costs = budget.in_parts(controls, costs_of)
     assert clock() <= 0.3
     done = sum(sizes)
     assert sizes[0] == 32
     assert 200 < done < 300
     assert torch.equal(costs[:done], controls[:done, 0, 0])
     assert bool(torch.isinf(costs[done:]).all())
-    assert deadline.no_more_samples()
+    assert budget.no_more_samples()
     # the least there is to follow is worked out even so: who calls asks `no_more_samples` first
     sizes.clear()
-    late = deadline.in_parts(controls, costs_of)
+    late = budget.in_parts(controls, costs_of)
     assert sizes == [16]
     assert torch.equal(late[:16], controls[:16, 0, 0])
     assert bool(torch.isinf(late[16:]).all())
@@ -243,13 +243,13 @@ def test_parts_grow_with_the_time_there_is() -> None:
 def test_a_slower_iteration_is_not_late() -> None:
     """Samples of a later iteration push more: they take five times as long, which its first few tell."""
     clock = SimulatedClock()
-    deadline, controls = Deadline(0.05, clock), torch.zeros(200, 5, 3)
+    budget, controls = PlanBudget(0.05, clock), torch.zeros(200, 5, 3)
     for each_s in (0.0001, 0.0005):
 
         def costs_of(part: Tensor, each_s: float = each_s) -> Tensor:
             clock.advance(len(part) * each_s)
             return torch.zeros(len(part))
 
-        costs = deadline.in_parts(controls, costs_of)
+        costs = budget.in_parts(controls, costs_of)
         assert int(torch.isfinite(costs).sum()) > 40
     assert 0.045 < clock() <= 0.05
