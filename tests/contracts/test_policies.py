@@ -39,6 +39,8 @@ PLANNER = RummagingSettings(
     push=DisplacementSettings(mini_steps=2),
     rollouts=2,
 )
+
+pytestmark = pytest.mark.outcome
 GPVR = GPVRSettings(refit_steps=5, max_points=40)
 NEEDS = {"gpvr": "gpytorch", "gpvr-greedy": "gpytorch"}
 CENTRE = torch.tensor([0.4, 0.0, 0.3])

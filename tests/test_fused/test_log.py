@@ -26,7 +26,7 @@ from sensors.contact_reading import ContactReading
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
 
-pytestmark = pytest.mark.sim
+pytestmark = [pytest.mark.sim, pytest.mark.outcome]
 
 SEEDS = range(1001, 1041)
 SETTINGS = FusedSettings(steps=3)

@@ -18,6 +18,8 @@ from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 
+pytestmark = pytest.mark.outcome
+
 TASK = TouchTask(rates=(0.9, 0.05))
 TABLE = clearance_table(0.03, 0.08, 0.08)
 
