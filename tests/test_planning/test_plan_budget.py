@@ -58,9 +58,9 @@ class Slow:
         self.clock.advance(len(controls) * self.sample_s())
         return self.model.rollout(configuration, controls, **rest)
 
-    def likely(self, configuration: Tensor, controls: Tensor) -> Any:
+    def nominal_rollout(self, configuration: Tensor, controls: Tensor) -> Any:
         self.clock.advance(self.finish_s)
-        return self.model.likely(configuration, controls)
+        return self.model.nominal_rollout(configuration, controls)
 
 
 def slow_policy(
