@@ -31,6 +31,8 @@ SETTINGS = RummagingSettings(
     rollouts=1,
 )
 
+pytestmark = pytest.mark.outcome
+
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
