@@ -1,4 +1,4 @@
-"""Kernels that numba compiles for the CPU at their first use: what they need, and what is said meanwhile."""
+"""Numba kernels for the CPU, compiled at their first use and cached beside the source."""
 
 import hashlib
 import importlib.util
@@ -25,7 +25,7 @@ def available() -> bool:
 
 
 def supports(*tensors: Tensor) -> bool:
-    """Whether a fused CPU version can run on these tensors: on the CPU, float32 or float64, no graph to be kept."""
+    """Whether a compiled CPU version can run on these tensors: on the CPU, float32 or float64, no graph to be kept."""
     graph = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
     floats = [t.dtype for t in tensors if t.is_floating_point()]
     return (

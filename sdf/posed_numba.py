@@ -1,4 +1,4 @@
-"""The fused CPU versions of an object at many poses; `posed.py` has the definition.
+"""The compiled CPU versions of distances at many poses; `posed.py` has the definition.
 
 Results are (scenes, poses, points), flat. Poses come as the twelve numbers of object_T_world's upper rows, points by
 coordinate, a row of them for each scene: row `which[scene]`.

@@ -1,4 +1,4 @@
-"""Free and occupied points in boxes of boxes, so that most need no look-up; `tiles.py` says why that is exact."""
+"""Traversal of the bounding volumes of `tiles.py`, so that most points need no look-up; there is why that is exact."""
 
 import math
 

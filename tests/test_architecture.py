@@ -23,10 +23,6 @@ ALLOWED = {
 # a module of each circle that is still to go
 LEFT = {
     "rumi.commands.replay",
-    "rumi.rosbag.contacts",
-    "rumi.tasks.peg.settings",
-    "rumi.tasks.rummage.scenes",
-    "sensors.discrepancy",
 }
 HEAVY = {"mujoco", "open3d", "cv2", "matplotlib", "trimesh", "pytorch_kinematics", "numba", "triton", "gpytorch",
          "h5py", "rosbags"}  # fmt: skip

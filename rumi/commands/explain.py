@@ -1,6 +1,7 @@
 """What a run left out, since its scene did not need it: a table to read."""
 
-from rumi.records import StepRecord
+from typing import Any
+
 from sdf.skipped_work import Account, Work
 
 WORKS = {
@@ -29,8 +30,8 @@ class Decisions:
         self._account = account
         self._last: object = None
 
-    def __call__(self, step: StepRecord) -> None:
-        """Count a step."""
+    def __call__(self, step: Any) -> None:  # noqa: ANN401  (a record of any task)
+        """Count a step; those of tasks that do not plan as rummaging does count for nothing."""
         if getattr(step, "control", None) is None:
             return
         self._account.add("resamplings", Work(float(step.resampled), 1.0))

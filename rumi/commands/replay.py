@@ -62,7 +62,8 @@ class ReplayOptions:
 
 def replay(arguments: Sequence[str]) -> int:
     """`rumi replay`: 0 if the belief became sure, 1 if not or if it is not the recorded one, 2 for bad input."""
-    from rumi.commands.replay_handle import is_of_handle, replay_handle
+    from rumi.commands.replay_handle import replay_handle
+    from rumi.tasks.handle.log import is_of_handle
 
     if not arguments or arguments[0].startswith("-"):
         if _HELP_FLAGS & set(arguments):
@@ -139,7 +140,7 @@ def recorded_settings(log: "Log", mapping: "BagMap | None") -> Settings:
         UsageError: it is of the handle task, which has others.
     """
     if mapping is None:
-        from rumi.commands.replay_handle import is_of_handle
+        from rumi.tasks.handle.log import is_of_handle
 
         if is_of_handle(log):
             raise UsageError(f"{log.path} is of the handle task, whose settings are others: `rumi replay` reads it")

@@ -46,18 +46,13 @@ class FusedReplayOptions:
     figures: bool = False
 
 
-def is_of_handle(log: "Log") -> bool:
-    """Whether a log is of the handle task, also under its name before, "fused"."""
-    return (log.settings or {}).get("task") in ("handle", "fused")
-
-
 def replay_handle(log: "Log", arguments: Sequence[str], cache_dir: Path | None) -> int:
     """`rumi replay` of such a log: 0 if the belief became sure, 1 if not or if it is not the recorded one."""
     from rumi.commands.replay import machines, summary
     from rumi.runs.folder import RunRecorder, load_run, prepare_folder
     from rumi.runs.replay import replay
     from rumi.tasks.handle.agent import build_agent
-    from rumi.tasks.handle.log import IDLE, differing, recorded, refuse_other_senses
+    from rumi.tasks.handle.log import IDLE, asked_of, differing, recorded, refuse_other_senses
     from rumi.tasks.rummage.build import scene_sketch
     from sensors.contact_reading import ContactReading
 
@@ -86,7 +81,7 @@ def replay_handle(log: "Log", arguments: Sequence[str], cache_dir: Path | None) 
         if options.out is None:
             done = replay(taken, agent, seed=options.seed, on_step=progress)
         else:
-            asked = {"task": "handle", "seed": options.seed, "handle": settings}
+            asked = asked_of(options.seed, settings)
             with RunRecorder(options.out, asked) as recorder:
                 recorder.scene(scene_sketch(agent.rummager))
                 done = replay(taken, agent, seed=options.seed, on_step=both(recorder, progress))

@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.weights import check_weights
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.check import check_finite, is_eager
 from sdf.so3 import wrap
 
@@ -146,7 +145,7 @@ def _leaders(flat: Float[Tensor, "B N D"], weights: Float[Tensor, "B N"], metric
     return leader
 
 
-@backend.register("leading_states", "numba", fused.supports)
+@backend.register("leading_states", "numba", compiled.supports)
 def _leaders_numba(flat: Tensor, weights: Tensor, metric: StateMetric) -> Tensor:
     from rumi.information.neighbours_numba import leaders
 
@@ -194,7 +193,7 @@ def _nearest(
     return sides, distance, mass
 
 
-@backend.register("nearest_states", "numba", fused.supports)
+@backend.register("nearest_states", "numba", compiled.supports)
 def _nearest_numba(
     flat: Tensor, first: Tensor, weights: Tensor, metric: StateMetric, used: Tensor, include_self: bool
 ) -> tuple[Tensor, Tensor, Tensor]:

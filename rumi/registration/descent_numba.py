@@ -8,7 +8,7 @@ import torch
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, exact, fast, lattice_of, put, value, value_and_gradient
 from sdf.part_numba import indices
-from sensors.discrepancy_numba import placed
+from sensors.discrepancy_numba import placed, prepare
 from sensors.tiles_numba import local, near_points
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 from rumi.agent import Parts
 from rumi.errors import UsageError
@@ -12,6 +12,7 @@ from rumi.registry import Table
 S = TypeVar("S")
 
 
+@runtime_checkable
 class Recorder(Protocol):
     """Writes a run's folder while the run goes on; a context manager that closes its files."""
 
@@ -30,6 +31,7 @@ class Recorder(Protocol):
     ) -> None: ...
 
 
+@runtime_checkable
 class TaskEntry(Protocol[S]):
     """A task: a member of `TASKS`.
 

@@ -1,4 +1,4 @@
-"""The triangle that a touch came from, by a tree, compiled for the CPU; `touched.py` has the definition."""
+"""Data association of contacts by a tree, compiled for the CPU; `touched.py` has the definition."""
 
 import numpy as np
 

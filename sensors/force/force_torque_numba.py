@@ -1,4 +1,4 @@
-"""The touched point of a wrench, compiled for the CPU; `force_torque.py` and `tool_surface.py` have the definition."""
+"""Contact point of a wrench, compiled for the CPU; `force_torque.py` and `tool_surface.py` have the definition."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The fused CPU versions of touches of a rectangle and of ways past it; `rectangle_touch.py` has the definitions."""
+"""The compiled CPU versions of contacts of a rectangle and of ways past it; definitions in `rectangle_touch.py`."""
 
 import math
 

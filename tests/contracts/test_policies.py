@@ -1,9 +1,10 @@
-"""What holds for every method: RUMI, its ablations and the baselines."""
+"""Laws of every policy: RUMI, its ablations and the baselines; also of one from outside."""
 
 import copy
 import importlib.util
 import json
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import pytest
@@ -40,12 +41,15 @@ PLANNER = RummagingSettings(
     rollouts=2,
 )
 GPVR = GPVRSettings(refit_steps=5, max_points=40)
+OUTSIDE = "wandering"
 NEEDS = {"gpvr": "gpytorch", "gpvr-greedy": "gpytorch"}
 CENTRE = torch.tensor([0.4, 0.0, 0.3])
 
 
-@pytest.fixture(params=list(POLICIES))
-def method(request: pytest.FixtureRequest) -> str:
+@pytest.fixture(params=[*POLICIES, OUTSIDE])
+def method(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    entry = EntryPoint(OUTSIDE, "tests.contracts.outside_policy:wandering", "rumi.policies")
+    monkeypatch.setitem(POLICIES.__dict__, "_outside", {OUTSIDE: entry})
     library = NEEDS.get(request.param)
     if library and importlib.util.find_spec(library) is None:
         pytest.skip(f"{request.param} needs {library}")
@@ -235,7 +239,7 @@ def test_samples_cost_alone_what_they_cost_together(
     method: str, push_model: PushChoice, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To the bit, whatever processor works out how many at once: else a budget, which takes them in parts, counted."""
-    if method == "slide":
+    if method in ("slide", OUTSIDE):
         pytest.skip("slide takes no samples")
     if push_model == "mujoco":
         if method != "rumi":
@@ -294,7 +298,7 @@ def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> Non
 def test_says_what_it_predicts(method: str, policy: Policy, scene: Scene) -> None:
     """One number and one displacement an action, from every policy that rolls its plans out."""
     plan = act(policy, scene, believed())
-    if method == "slide":
+    if method in ("slide", OUTSIDE):
         assert "predicted_information" not in plan.info
         return
     gathered, moved = (torch.tensor(plan.info[f"predicted_{name}"]) for name in ("information", "displacement"))

@@ -27,7 +27,8 @@ def pushed(sensors, path, lost=0):
     The camera's first pictures are lost, as many as told.
     """
     from rumi.sim.settings import SimSettings
-    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.build import make_task
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_tool
 
     mug = large_handled_mug()
     spec = replace(SCENES["mug-0"], start=(0.45, 0.03, 0.6))
@@ -138,8 +139,9 @@ def test_a_recorded_run_can_be_read_by_its_map(tmp_path, monkeypatch, capsys):
 def test_the_map_of_a_run_with_a_mesh_names_the_mesh(tmp_path, monkeypatch):
     from rumi.sim.sensor_settings import SensorSettings
     from rumi.sim.settings import SimSettings
+    from rumi.tasks.rummage.build import make_task
     from rumi.tasks.rummage.objects import ObjectSettings
-    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_tool
 
     monkeypatch.chdir(tmp_path)
     spec = replace(SCENES["mug-0"], start=(0.45, 0.03, 0.6))

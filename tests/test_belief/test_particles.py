@@ -65,12 +65,6 @@ def test_an_infinite_discrepancy_has_no_weight():
     assert log.tolist() == [0.0, -math.inf, -2.0]
 
 
-@pytest.mark.parametrize("count", [1, 3, 500, 100_000])
-def test_the_effective_size_never_exceeds_the_number_of_particles(count):
-    poses = se3.identity((1,)).expand(count, 4, 4)
-    assert float(PoseBelief.uniform(poses).ess()) == count
-
-
 def test_ten_thousand_motions_leave_a_rotation(generator):
     motions = se3.exp(0.1 * torch.randn(100, 6, generator=generator))
     start = PoseBelief.uniform(se3.identity((1,)))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.bench import command, history
 from rumi.bench.case import CASES, Setup
 from rumi.cli import main
@@ -28,7 +28,7 @@ def small(at_home, monkeypatch):
 
 
 def test_times_what_is_asked_for(capsys):
-    assert main(["bench", "--quick", "--only", *SOME, "--json", "out/bench.jsonl"]) == cli.DONE
+    assert main(["bench", "--quick", "--only", *SOME, "--json", "out/bench.jsonl"]) == exit_codes.DONE
     said = capsys.readouterr()
     assert [line.split(":")[0] for line in said.out.splitlines() if line.startswith(SOME)] == list(SOME)
     assert "targets met" in said.out
@@ -42,14 +42,14 @@ def test_times_what_is_asked_for(capsys):
 
 def test_threads_are_set_and_set_back(capsys):
     before = torch.get_num_threads()
-    assert main(["bench", "--quick", "--only", "reach-mug", "--threads", "2", "--json", "a.json"]) == cli.DONE
+    assert main(["bench", "--quick", "--only", "reach-mug", "--threads", "2", "--json", "a.json"]) == exit_codes.DONE
     assert json.loads(Path("a.json").read_text())["machine"]["threads"] == 2
     assert torch.get_num_threads() == before
 
 
 def test_a_doctored_line_is_flagged(capsys):
     file = Path("bench.jsonl")
-    assert main(["bench", "--quick", "--only", "rollouts", "--json", str(file)]) == cli.DONE
+    assert main(["bench", "--quick", "--only", "rollouts", "--json", str(file)]) == exit_codes.DONE
     (run,) = history.read(file)
 
     def doctored(factor):
@@ -59,7 +59,7 @@ def test_a_doctored_line_is_flagged(capsys):
         file.write_text(json.dumps(run) + "\n")
 
     doctored(1e3)
-    assert main(["bench", "--quick", "--only", "rollouts", "--against", str(file)]) == cli.DONE
+    assert main(["bench", "--quick", "--only", "rollouts", "--against", str(file)]) == exit_codes.DONE
     assert "0 of 2 variants became worse" in capsys.readouterr().out
     doctored(1e-6)
     assert main(["bench", "--quick", "--only", "rollouts", "--against", str(file)]) == command.WRONG
@@ -82,14 +82,14 @@ def test_an_interrupt_keeps_what_was_measured(monkeypatch, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setitem(CASES, "kmppi-toy", interrupt)
-    assert main(["bench", "--quick", "--only", *SOME, "reach-mug", "--json", "bench.jsonl"]) == cli.INTERRUPTED
+    assert main(["bench", "--quick", "--only", *SOME, "reach-mug", "--json", "bench.jsonl"]) == exit_codes.INTERRUPTED
     (run,) = history.read(Path("bench.jsonl"))
     assert [case["name"] for case in run["cases"]] == ["distance-mug"]
     assert "kept what was measured: distance-mug" in capsys.readouterr().err
 
 
 def test_a_page(capsys):
-    assert main(["bench", "--quick", "--only", "reach-mug", "--markdown"]) == cli.DONE
+    assert main(["bench", "--quick", "--only", "reach-mug", "--markdown"]) == exit_codes.DONE
     shown = capsys.readouterr().out
     assert "| variant | median |" in shown and "**reach-mug**" in shown
 
@@ -99,7 +99,7 @@ def test_what_is_not_installed_is_left_out(monkeypatch, capsys):
         raise ModuleNotFoundError("No module named 'mujoco'", name="mujoco")
 
     monkeypatch.setitem(CASES, "plan-mug", lacking)
-    assert main(["bench", "--quick", "--only", "plan-mug"]) == cli.DONE
+    assert main(["bench", "--quick", "--only", "plan-mug"]) == exit_codes.DONE
     assert "left out plan-mug: No module named 'mujoco'" in capsys.readouterr().err
 
 
@@ -123,7 +123,7 @@ def test_bad_input_is_named_before_anything_is_timed(arguments, message, capsys,
     Path("folder").mkdir()
     for work in ("_carry_out", "_studies"):
         monkeypatch.setattr(command, work, lambda *a, **k: pytest.fail("timed"))
-    assert main(["bench", *arguments]) == cli.BAD_INPUT
+    assert main(["bench", *arguments]) == exit_codes.BAD_INPUT
     said = capsys.readouterr()
     assert message in said.err
     assert "Traceback" not in said.err
@@ -134,7 +134,7 @@ def test_studies_get_what_they_need(name, monkeypatch):
     asked = []
     study = types.SimpleNamespace(run=lambda **options: asked.append(options))
     monkeypatch.setitem(sys.modules, f"rumi.bench.{name}", study)
-    assert main(["bench", f"--{name}", "--quick", "--out", "here", "--json", "lines.jsonl"]) == cli.DONE
+    assert main(["bench", f"--{name}", "--quick", "--out", "here", "--json", "lines.jsonl"]) == exit_codes.DONE
     assert asked == [{"quick": True, "out": Path("here"), "jsonl": Path("lines.jsonl")}]
 
 

@@ -15,7 +15,7 @@ DOUBLE = {"dtype": torch.float64}
 BOX = RectangleOutline((0.03, 0.08))
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

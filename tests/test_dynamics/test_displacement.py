@@ -24,7 +24,7 @@ BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
 FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

@@ -26,7 +26,7 @@ FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
 COARSE = QuasiStaticSettings(mini_steps=4, spacing_m=0.01)
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

@@ -39,7 +39,7 @@ GOLDEN_NAMES = {
 }
 
 
-# every test of this file holds for the plain and for the fused version, but where a graph is kept
+# every test of this file holds for the plain and for the compiled version, but where a graph is kept
 pytestmark = pytest.mark.usefixtures("version")
 
 

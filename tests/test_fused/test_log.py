@@ -108,7 +108,7 @@ def test_other_settings_give_another_belief_on_the_same_readings(live, as_comman
     assert "budget_s: no effect" in said.err
     assert "differs from the recorded one from action 3 on (wrist.outlier changed)" in said.out
     assert (Path("what-if") / "trace.npz").exists()
-    assert "as it was recorded" in as_command("--joints.gain", "3", live.folder)[1].err
+    assert "as it was recorded" in as_command(live.folder, "--joints.gain", "3")[1].err
     code, said = as_command(live.folder, "--sensors", "camera")
     assert code == BAD_INPUT and "Expected sensors as it was recorded" in said.err
     assert main(["check", str(live.folder)]) == BAD_INPUT

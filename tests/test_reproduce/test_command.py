@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.runs.jsonlines import read_lines
@@ -67,7 +67,7 @@ def quick(monkeypatch):
 )
 def test_refuses(arguments, message, capsys, quick):
     Path("file").write_text("in the way")
-    assert main(["reproduce", *arguments]) == cli.BAD_INPUT
+    assert main(["reproduce", *arguments]) == exit_codes.BAD_INPUT
     said = capsys.readouterr()
     assert "Traceback" not in said.err
     assert re.search(message, " ".join((said.err + said.out).split()))
@@ -75,7 +75,7 @@ def test_refuses(arguments, message, capsys, quick):
 
 
 def test_help_names_the_experiments(capsys):
-    assert main(["reproduce", "--help"]) == cli.DONE
+    assert main(["reproduce", "--help"]) == exit_codes.DONE
     said = " ".join(capsys.readouterr().out.split())
     for word in (
         *experiments.EXPERIMENTS,
@@ -90,31 +90,31 @@ def test_help_names_the_experiments(capsys):
 
 
 def test_what_is_done_is_not_done_again(capsys, quick):
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     first = capsys.readouterr()
     assert sorted(quick) == sorted((method, seed) for method in toy.SETTINGS for seed in (1000, 1001))
     assert first.err == "" and "| KMPPI | 2 | 1 [1, 1] |" in first.out
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     assert len(quick) == 6
     assert capsys.readouterr().out == first.out
-    assert main(["reproduce", "fig8", "--seeds", "1001-1002", "--no-figures"]) == cli.DONE
+    assert main(["reproduce", "fig8", "--seeds", "1001-1002", "--no-figures"]) == exit_codes.DONE
     assert len(quick) == 9
     assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 9
 
 
 def test_other_code_does_it_again(monkeypatch, quick):
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     monkeypatch.setattr("scripts.reproduce.jobs.code_hash", lambda roots: "another")
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     assert len(quick) == 12
 
 
 def test_shards_together_are_the_whole(capsys, quick):
     for k in (1, 2, 3):
-        assert main([*FEW, "--shard", f"{k}/3"]) == cli.DONE
+        assert main([*FEW, "--shard", f"{k}/3"]) == exit_codes.DONE
     assert len(quick) == 6
     shards = capsys.readouterr().out
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     assert len(quick) == 6
     assert shards.endswith(capsys.readouterr().out)
 
@@ -135,7 +135,7 @@ def test_an_error_is_no_result_and_is_tried_again(capsys, monkeypatch, quick):
     (error,) = (line for line, _ in read_lines(Path("runs/reproduce/.runs.errors.jsonl")))
     assert "Traceback" in error["traceback"] and error["work"] == "toy, SMPPI, seed 1001"
     monkeypatch.setitem(KINDS, "toy", good)
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 6
 
 
@@ -148,7 +148,7 @@ def test_a_missing_package_ends_it(capsys, monkeypatch, quick):
         return good.carry_out(job, cache_dir)
 
     monkeypatch.setitem(KINDS, "toy", Kind(good.roots, lacking))
-    assert main([*FEW]) == cli.BAD_INPUT
+    assert main([*FEW]) == exit_codes.BAD_INPUT
     assert "pip install 'rumi[mesh]'" in capsys.readouterr().err
     assert quick == [("MPPI", 1000)]
 
@@ -179,19 +179,19 @@ def test_an_interrupt_keeps_what_is_done(capsys, monkeypatch, quick):
         return good.carry_out(job, cache_dir)
 
     monkeypatch.setitem(KINDS, "toy", Kind(good.roots, interrupted))
-    assert main([*FEW]) == cli.INTERRUPTED
+    assert main([*FEW]) == exit_codes.INTERRUPTED
     assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 4
     monkeypatch.setitem(KINDS, "toy", good)
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     assert len(quick) == 6
 
 
 def test_show_runs_nothing(capsys, quick):
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     ran = capsys.readouterr().out
-    assert main([*FEW, "--show"]) == cli.DONE
+    assert main([*FEW, "--show"]) == exit_codes.DONE
     assert capsys.readouterr().out == ran
-    assert main(["reproduce", "fig8", "--no-figures", "--show", "--seeds", "5"]) == cli.DONE
+    assert main(["reproduce", "fig8", "--no-figures", "--show", "--seeds", "5"]) == exit_codes.DONE
     assert "| KMPPI" not in capsys.readouterr().out
     assert len(quick) == 6
 
@@ -199,7 +199,7 @@ def test_show_runs_nothing(capsys, quick):
 def test_show_of_the_recorded_mugs_and_their_page(capsys):
     results = ROOT / "scripts" / "results" / "mugs.jsonl"
     asked = ("table5", "table6", "fig16", "--show", "--results", str(results), "--markdown", "docs/results.md")
-    assert main(["reproduce", *asked]) == cli.DONE
+    assert main(["reproduce", *asked]) == exit_codes.DONE
     summary = capsys.readouterr().out
     page = Path("docs/results.md").read_text()
     assert summary in page and "| rumi/default | 29/30 [0.83, 0.99] · 29 | 29: 29 | 28/30 |" in summary
@@ -209,7 +209,7 @@ def test_show_of_the_recorded_mugs_and_their_page(capsys):
 
 
 def test_figures_are_drawn(capsys):
-    assert main(["reproduce", "fig8", "--seeds", "1000", "--out", "here"]) == cli.DONE
+    assert main(["reproduce", "fig8", "--seeds", "1000", "--out", "here"]) == exit_codes.DONE
     assert "figure: here/figures/fig8.png" in capsys.readouterr().out
     assert Path("here/figures/fig8.png").stat().st_size > 10_000
 
@@ -236,7 +236,7 @@ def test_a_live_table_on_a_terminal_alone(quick):
     path = Path("runs/reproduce/runs.jsonl")
     shown, piped = Terminal(True), Terminal(False)
     with LiveTable(jobs, path, shown), LiveTable(jobs, path, piped):
-        assert main([*FEW, "--shard", "1/2"]) == cli.DONE
+        assert main([*FEW, "--shard", "1/2"]) == exit_codes.DONE
     assert piped.text == ""
     last = shown.text.rsplit("\x1b[J", 1)[-1].splitlines()
     assert [line.split()[0] for line in last[:3]] == ["MPPI", "SMPPI", "KMPPI"]
@@ -248,5 +248,5 @@ def test_a_live_table_on_a_terminal_alone(quick):
 
 def test_a_cluster_needs_its_extra(monkeypatch, capsys, quick):
     monkeypatch.setitem(sys.modules, "submitit", None)
-    assert main([*FEW, "--executor", "submitit"]) == cli.BAD_INPUT
+    assert main([*FEW, "--executor", "submitit"]) == exit_codes.BAD_INPUT
     assert "pip install 'rumi[cluster]'" in capsys.readouterr().err

@@ -10,7 +10,7 @@ from sdf.posed import posed_distance, posed_query
 from sdf.primitives import Mug
 from sdf.threads import using
 
-# every test of this file holds for the plain and for the fused version, but where a graph is kept
+# every test of this file holds for the plain and for the compiled version, but where a graph is kept
 pytestmark = pytest.mark.usefixtures("version")
 
 

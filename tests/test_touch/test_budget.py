@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi import cli, loop
+from rumi import exit_codes, loop
 from rumi.cli import main
 from rumi.clock import SimulatedClock
 from rumi.errors import UsageError
@@ -93,8 +93,8 @@ def test_the_command(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     quick = ["run", "touch-box", "--robot", "planar", "--count", "60", "--actions", "1", "--no-figures"]
     quick += ["--poke.candidates", "3", "--poke.particles", "20"]
-    assert main([*quick, "--plan-budget-s", "0.05", "--out", "own"]) in (cli.DONE, cli.NOT_CONVERGED)
+    assert main([*quick, "--plan-budget-s", "0.05", "--out", "own"]) in (exit_codes.DONE, exit_codes.NOT_CONVERGED)
     assert json.loads(Path("own/settings.json").read_text())["budget_s"] == 0.05
     for bad in ("0", "-1", "nan", "inf"):
-        assert main([*quick, "--plan-budget-s", bad]) == cli.BAD_INPUT
+        assert main([*quick, "--plan-budget-s", bad]) == exit_codes.BAD_INPUT
         assert "--plan-budget-s above 0 s" in capsys.readouterr().err

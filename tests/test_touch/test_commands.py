@@ -33,7 +33,7 @@ def test_a_run_leaves_its_folder(capsys):
     assert settings["task"]["rates"] == [0.9, 0.05]
     assert settings["settings"]["push_model"] == "displacement"
     said = capsys.readouterr()
-    assert "pokes, " in said.out and "poke  1: " in said.err
+    assert "pokes, " in said.out and "action 1: " in said.err
 
 
 def test_figures_are_drawn():
@@ -80,11 +80,10 @@ def test_an_interrupt_leaves_the_pokes_that_were_done(monkeypatch, capsys):
 
     monkeypatch.setattr(PlanarRobot, "execute", interrupt)
     assert main(["run", "touch-box", *QUICK, "--seed", "2001", "--out", "own"]) == INTERRUPTED
-    assert "1 poke done so far: see own" in capsys.readouterr().err
+    assert "touch-box: interrupted after 1 poke" in capsys.readouterr().out
     assert json.loads(Path("own/settings.json").read_text())["seed"] == 2001
     (poke,) = (line for line, _ in read_lines(Path("own/steps.jsonl")))
     assert len(poke["readings"]) == len(done[0].contact)
-    assert not Path("own/result.json").exists()
 
 
 def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
@@ -125,7 +124,8 @@ def test_what_cannot_be_is_refused(arguments, message, monkeypatch, capsys):
     monkeypatch.setattr("scripts.reproduce.touch.build_touch_box", lambda *a, **k: pytest.fail("it was begun"))
     Path("file").write_text("in the way")
     assert main(arguments) == BAD_INPUT
-    assert message in capsys.readouterr().err
+    # the parser puts a frame round its words
+    assert message in " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert not Path("runs").exists()
 
 

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,16 +10,16 @@ import tyro
 
 from rumi.agent import Parts
 from rumi.records import StepRecord
-from rumi.runs.folder import RunRecorder, load_run, provenance, write_json
-from rumi.runs.logbook import LOG, LogRecorder
+from rumi.runs.folder import RunRecorder, load_run, provenance
+from rumi.runs.logbook import LOG
 from rumi.runs.progress import stages
 from rumi.tasks.handle.agent import HandleAgent, HandleResult
+from rumi.tasks.handle.log import FusedLogRecorder, asked_of
 from rumi.tasks.handle.settings import SENSORS, FusedSettings
 from rumi.tasks.handle.simulated import FusedTask
 from rumi.tasks.registry import check_preset, check_seed
 from rumi.tasks.rummage.entry import describe, ending
 from rumi.tasks.rummage.settings import PRESETS
-from sensors.contact_reading import ContactReading
 
 
 @dataclass(frozen=True)
@@ -103,32 +103,28 @@ HANDLE = _Handle()
 
 
 class _Recorder(contextlib.ExitStack):
-    """Writes folder and log of a run, and grasp.json at its end."""
+    """Writes folder and log of a run."""
 
     def __init__(self, folder: Path, settings: HandleRunSettings, parts: Parts[Any, HandleAgent], *, log: bool) -> None:
         from rumi.tasks.rummage.build import scene_sketch
 
         super().__init__()
-        self._folder = folder
-        asked = {"task": "handle", "seed": settings.seed, "handle": settings.settings}
-        self._run = self.enter_context(RunRecorder(folder, asked))
-        self._log: LogRecorder | None = None
+        self._run = self.enter_context(RunRecorder(folder, asked_of(settings.seed, settings.settings)))
+        self._log: FusedLogRecorder | None = None
         if log:
-            made = LogRecorder(folder / LOG, asked, {"made_with": provenance()}, readings=ContactReading)
-            self._log = self.enter_context(made)
+            about = {"made_with": provenance()}
+            self._log = self.enter_context(FusedLogRecorder(folder / LOG, settings.seed, settings.settings, about))
         self._run.scene(scene_sketch(parts.agent.rummager))
 
     def __call__(self, step: StepRecord) -> None:
         self._run(step)
         if self._log is not None:
-            self._log(replace(step, reading=ContactReading.of(step.reading)))
+            self._log(step)
 
     def finish(self, result: HandleResult) -> None:
         self._run.finish(result)
         if self._log is not None:
             self._log.finish(result)
-        names = ("stopped_by", "lifted", "believed", "grasp", "total_nll", "total_s")
-        write_json(self._folder / "grasp.json", {name: getattr(result, name) for name in names})
 
 
 def short_of(settings: FusedSettings) -> str | None:

@@ -1,4 +1,4 @@
-"""The log of a fused run: whose settings it has, and which of them a replay may change."""
+"""The log of a run of the handle task: whose settings it has, and which of them a replay may change."""
 
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
@@ -25,6 +25,20 @@ IDLE = ("budget_s", "thinking_s")
 """Settings of what was done when, which a replay does not use."""
 
 
+_NAMES = ("handle", "fused")
+"""Names of the task in logs: now, and before."""
+
+
+def asked_of(seed: int, settings: FusedSettings) -> dict[str, Any]:
+    """What a run was asked for, as logs and folders keep it."""
+    return {"task": "handle", "seed": seed, "handle": settings}
+
+
+def is_of_handle(log: "Log") -> bool:
+    """Whether a log is of the handle task."""
+    return (log.settings or {}).get("task") in _NAMES
+
+
 class FusedLogRecorder(LogRecorder):
     """A `LogRecorder` of fused readings.
 
@@ -38,8 +52,7 @@ class FusedLogRecorder(LogRecorder):
     def __init__(
         self, path: Path | str, seed: int, settings: FusedSettings, about: Mapping[str, Any] | None = None
     ) -> None:
-        asked = {"task": "fused", "seed": seed, "fused": settings}
-        super().__init__(path, asked, about, readings=ContactReading)
+        super().__init__(path, asked_of(seed, settings), about, readings=ContactReading)
 
     def __call__(self, step: StepRecord) -> None:
         """Append a step; once this returns, a kill no longer loses it."""
@@ -47,14 +60,14 @@ class FusedLogRecorder(LogRecorder):
 
 
 def recorded(log: "Log") -> tuple[int, FusedSettings] | None:
-    """Seed and settings of the fused run that a log is of; None where it is of another one.
+    """Seed and settings of the run of the handle task that a log is of; None where it is of another one.
 
     Raises:
         UsageError: the settings are none of this rumi.
     """
     settings = log.settings or {}
     name = settings.get("task")
-    if name not in ("handle", "fused") or name not in settings:  # the name before
+    if name not in _NAMES or name not in settings:
         return None
     seed = settings.get("seed")
     if not isinstance(seed, int) or isinstance(seed, bool):

@@ -140,7 +140,7 @@ def as_record(run: PegRun, seed: int) -> dict[str, Any]:
 
 def summary(run: PegRun) -> list[str]:
     """A few lines on how a run ended."""
-    ended = "not sure" if run.stopped_by == "steps" else run.stopped_by
+    ended: str = "not sure" if run.stopped_by == "steps" else run.stopped_by
     if run.stopped_by == "nothing to do":
         weighed = run.thoughts[-1].selection.evaluated
         ended = "nothing more that a touch would tell" if weighed else "no time for any motion"

@@ -24,11 +24,14 @@ from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
 from rumi.runs.sketch import SceneSketch, sketch
+from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import with_object
-from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_task, make_tool
+from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_tool
+from rumi.tasks.rummage.sensed import SensedTask
 from rumi.tasks.rummage.settings import Settings
+from rumi.tasks.rummage.simulated import SimTask
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
@@ -60,6 +63,32 @@ def build(
     if device.type != "cpu" or dtype != torch.float32:
         task = TaskOnDevice(task, device, dtype)
     return Parts(task, build_rummager(spec, settings, model, tool))
+
+
+def make_task(
+    spec: TaskSpec | str,
+    settings: SimSettings | None = None,
+    *,
+    cache_dir: Path | None = None,
+    tool: Tool | None = None,
+    model: ObjectModel | None = None,
+) -> SimTask:
+    """Simulate a task; needs MuJoCo.
+
+    Args:
+        spec: the task or its name.
+        settings: of the simulator and its sensors.
+        cache_dir: folder that keeps the arm's reach and convex pieces of meshes; None works them out each time.
+        tool: made before by `make_tool`; None makes one.
+        model: made before by the task's `object_factory`; None makes one.
+    """
+    spec = find_task(spec) if isinstance(spec, str) else spec
+    settings = settings or SimSettings()
+    tool = tool if tool is not None else make_tool(spec, settings, cache_dir=cache_dir)
+    model = model if model is not None else spec.object_factory()
+    if settings.sensors.kind != "points":
+        return SensedTask(spec, settings, tool, model, cache_dir=cache_dir)
+    return SimTask(spec, settings, tool, model, cache_dir=cache_dir)
 
 
 def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool) -> Rummager:

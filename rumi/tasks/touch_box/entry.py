@@ -14,7 +14,7 @@ from rumi.runs.folder import write_json
 from rumi.runs.jsonlines import append_line
 from rumi.tasks.registry import check_preset, check_seed
 from rumi.tasks.touch_box.agent import Toucher
-from rumi.tasks.touch_box.build import Robot, build_touch_box, check_robot
+from rumi.tasks.touch_box.build import Robot, check_robot
 from rumi.tasks.touch_box.records import TouchRun, TouchStep, signals
 from rumi.tasks.touch_box.report import figures_of, step_of
 from rumi.tasks.touch_box.robot import TouchBox
@@ -71,6 +71,7 @@ class _TouchBox:
     def build(self, settings: TouchBoxSettings, *, cache_dir: Path | None = None) -> Parts[TouchBox, Toucher]:
         """The robot with the box, and what finds it."""
         from rumi.tasks.touch_box.budget import BudgetedChoice
+        from rumi.tasks.touch_box.build import build_touch_box
 
         parts = build_touch_box(settings.task, settings.settings, settings.robot, cache_dir=cache_dir)
         if settings.budget_s is not None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rumi.belief.prior import PlanarPrior
-from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief, joined
+from rumi.belief.trajectory_belief import TouchAction, joined
 from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
 from rumi.dynamics.along_path import PathOutcome, Pusher
 from rumi.dynamics.outline import RectangleOutline
@@ -180,35 +180,6 @@ def test_newcomers_come_near_the_robot_where_contact_was_felt(generator: torch.G
     assert float(after.log_weights[0].exp()[near[0]].sum()) == pytest.approx(0.3, abs=1e-6)
     # those that fit the contact weigh most
     assert float(after.log_weights[0][near[0]].max() - after.log_weights[0][near[0]].min()) > 1.0
-
-
-def test_same_seed_same_belief() -> None:
-    def run(seed: int) -> TrajectoryBelief:
-        own, random = follow(TrajectorySettings(trigger=1.0)), torch.Generator().manual_seed(seed)
-        belief = own.initial(2, 20, generator=random)
-        for t in range(len(HISTORY)):
-            belief, _ = own.step(belief, HISTORY[: t + 1], generator=random)
-        return belief
-
-    first, again, other = run(0), run(0), run(1)
-    assert torch.equal(first.pose, again.pose)
-    assert torch.equal(first.log_weights, again.log_weights)
-    assert not torch.equal(first.pose, other.pose)
-
-
-def test_prior_density_is_a_density() -> None:
-    """Sums to 1 over a fine lattice, yaw wrapped, and draws have its moments."""
-    own = PlanarPrior(
-        torch.tensor([[0.0, 0.0, 3.0], [0.3, 0.1, 0.0]], **DOUBLE),
-        torch.tensor([0.05, 0.04, 0.3], **DOUBLE),
-        torch.tensor([1.0, 3.0], **DOUBLE),
-    )
-    axes = [torch.linspace(-0.3, 0.6, 91), torch.linspace(-0.3, 0.4, 71), torch.linspace(-math.pi, math.pi, 64)[:-1]]
-    steps = [float(a[1] - a[0]) for a in axes]
-    grid = torch.stack(torch.meshgrid(*[a.double() for a in axes], indexing="ij"), -1)
-    assert float(own.log_density(grid).exp().sum()) * math.prod(steps) == pytest.approx(1.0, abs=1e-3)
-    draws = own.sample(4000, generator=torch.Generator().manual_seed(0))
-    assert float((draws[:, 0] > 0.15).double().mean()) == pytest.approx(0.75, abs=0.03)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ DOUBLE = {"dtype": torch.float64}
 PLANAR = StateMetric((0.06, 0.06, 0.5), (False, False, True))
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 
