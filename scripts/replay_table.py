@@ -18,14 +18,13 @@ import tyro
 
 from rumi import loop
 from rumi.cli import script
-from rumi.commands.replay import rummager_of
-from rumi.runs.folder import provenance
+from rumi.runs.folder import RunRecorder, provenance
 from rumi.runs.jsonlines import append_line, read_lines
-from rumi.runs.logbook import LogRecorder
+from rumi.runs.recorded import RunLog
 from rumi.runs.replay import replay
+from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
-from rumi.tasks.rummage.settings import from_dict, preset, to_dict
-from sensors.log.reader import Log
+from rumi.tasks.rummage.settings import preset, to_dict
 
 RESULTS = Path(__file__).parent / "results" / "replays.jsonl"
 
@@ -58,18 +57,18 @@ def record_and_replay(task_name: str, seed: int, options: Run) -> dict[str, obje
     """One run, and its replay from the file alone."""
     settings = preset("default", task=task_name, seed=seed, steps=options.steps)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "log.h5"
+        path = Path(folder) / "run"
         task, rummager = build(settings, cache_dir=options.cache)
         start = time.perf_counter()
-        with LogRecorder(path, to_dict(settings)) as log:
+        with RunRecorder(path, to_dict(settings)) as log:
             live = loop.run(task, rummager, seed=seed, steps=options.steps, on_step=log)
             log.finish(live)
         live_s = time.perf_counter() - start
         task.close()
-        with Log(path) as opened:
-            taken, again = opened.taken(), from_dict(opened.settings or {})
-        done = replay(taken, rummager_of(again, None, taken, options.cache), seed=again.seed)
-        size = path.stat().st_size
+        entry, opened = TASKS[task_name], RunLog(path)
+        taken, again = opened.taken(), entry.from_dict(opened.settings)
+        done = replay(taken, entry.agent(again, cache_dir=options.cache), seed=again.seed)
+        size = (path / "trace.npz").stat().st_size
     return {
         "task": task_name,
         "seed": seed,

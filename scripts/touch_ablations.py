@@ -23,7 +23,7 @@ from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.gripper_robot import GripperRobot
 from rumi.tasks.touch_box.mujoco_scene import GripperPhysics
-from rumi.tasks.touch_box.report import calibration, digest, figures_of, table
+from rumi.tasks.touch_box.report import calibration, digest, table
 from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
@@ -191,7 +191,7 @@ def run(options: Options, names: Sequence[str]) -> None:
 
             def work(own: Variant = own, seed: int = seed) -> dict[str, Any]:
                 with own.parts() as parts:
-                    return figures_of(loop.run(*parts, seed=seed))
+                    return loop.run(*parts, seed=seed).as_dict()
 
             if ledger.measure(asked, work):
                 sys.stderr.write(f"seed {seed}, {name}\n")

@@ -14,7 +14,7 @@ import torch
 import tyro
 
 from rumi.bench import history, peers, table
-from rumi.bench.case import CASES, SLOW, Case, Setup, threads
+from rumi.bench.case import CASES, SLOW, Case, Setup
 from rumi.bench.machine import BUSY, environment
 from rumi.bench.measure import Result, carry_out
 from rumi.bench.timing import fitting_clock
@@ -23,6 +23,7 @@ from rumi.errors import UsageError
 from rumi.exit_codes import DONE, INTERRUPTED
 from rumi.runs.folder import make_folder
 from rumi.runs.progress import say
+from sdf.threads import using
 
 QUICK, WHOLE = (1.0, 3), (6.0, 9)
 """Seconds for the rounds of a case, and rounds at least."""
@@ -47,7 +48,7 @@ class BenchOptions:
     Attributes:
         quick: fewer rounds, and without the whole run; under two minutes in all on two cores.
         only: names of the cases to time; all if none is given.
-        threads: of torch and of the fused kernels; by default what torch has.
+        threads: of torch and of the fused kernels; by default what torch has, whatever else the machine does.
         device: where this project's variants run; the others' run on the CPU only.
         json: file for the results: a line is appended to a .jsonl, any other is written anew.
         against: earlier results; this project's variants that became slower against the same baseline by over 20 %
@@ -80,7 +81,7 @@ def bench(arguments: Sequence[str]) -> int:
         config=(tyro.conf.FlagCreatePairsOff,),
     )
     _check(options)
-    with threads(options.threads):
+    with using(options.threads or torch.get_num_threads(), torch_too=True):
         if options.pareto or options.scaling:
             return _studies(options)
         return _cases(options, cache_folder())

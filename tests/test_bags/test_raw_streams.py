@@ -13,6 +13,7 @@ from rumi.rosbag.readings import make_readings
 from rumi.runs.logbook import LogRecorder
 from sdf import se3
 from sensors.log.reader import Log
+from sensors.log.writer import LogWriter
 from sensors.semantics import Semantics
 
 pytest.importorskip("mujoco")
@@ -36,7 +37,7 @@ def pushed(sensors, path, lost=0):
     if lost:
         late = iter([True] * lost + [False] * 10_000)
         task._lost = lambda: next(late)
-    with LogRecorder(path, {}, raw=task.raw.kinds()) as log:
+    with LogRecorder(path, raw=task.raw.kinds()) as log:
         task.raw.sink = log.raw
         results = [task.reset(3)]
         results += [task.step(torch.tensor(control)) for control in ([1.0, 0.3, 0.0], [1.0, 0.1, 0.0], [0.9, 0.0, 0.0])]
@@ -158,7 +159,7 @@ def test_the_map_of_a_run_with_a_mesh_names_the_mesh(tmp_path, monkeypatch):
 def test_only_what_has_raw_streams_may_be_read_by_a_map(tmp_path):
     from rumi.commands.replay import mapping_of_log
 
-    with LogRecorder(tmp_path / "log.h5", {}):
+    with LogWriter(tmp_path / "log.h5", [], settings={}):
         pass
     with Log(tmp_path / "log.h5") as log:
         assert mapping_of_log(log, None) is None

@@ -3,12 +3,13 @@ import torch
 
 from rumi.bench import table
 from rumi.bench.case import Target, Variant
-from rumi.bench.machine import cores, environment
+from rumi.bench.machine import environment
 from rumi.bench.measure import carry_out, judge
 from sdf import se3
 from sdf.posed import posed_distance
 from sdf.primitives import Sphere
 from sdf.processor import processor
+from sdf.threads import cores
 
 
 def test_a_case(made_up, clock):

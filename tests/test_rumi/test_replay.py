@@ -7,7 +7,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -22,7 +21,7 @@ pytest.importorskip("h5py")
 
 import h5py
 
-from sensors.log.reader import Log
+from sensors.log.writer import LogWriter
 
 pytestmark = pytest.mark.usefixtures("at_home")
 
@@ -33,7 +32,7 @@ STEPS = 6
 
 def record(folder, task="mug-0", *more):
     """A short run that touches the object: slide goes straight to it."""
-    asked = ["run", task, "--method", "slide", "--seed", "3", "--steps", str(STEPS), "--no-figures", "--record"]
+    asked = ["run", task, "--method", "slide", "--seed", "3", "--steps", str(STEPS), "--no-figures"]
     return main([*asked, "--out", str(folder), *SMALL, *more])
 
 
@@ -115,7 +114,7 @@ def test_a_replay_draws_figures_where_asked(recorded):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--simulator.mini-steps", "5"], "Expected simulator as it was recorded"),
+        (["--simulator.mini-steps", "5"], "Expected simulator.mini_steps as it was recorded"),
         (["mug-1"], "Expected task as it was recorded|unrecognized|Unrecognized"),
         (["--figures"], "Expected --out DIR with --figures"),
         (["--filter.peakyness", "1"], "--filter.peakiness FLOAT"),
@@ -131,10 +130,10 @@ def test_what_a_replay_cannot_do_is_named(recorded, arguments, message, capsys):
 
 def test_what_is_no_log_is_named(capsys, tmp_path):
     assert main(["replay"]) == exit_codes.BAD_INPUT
-    assert "Expected the log first" in capsys.readouterr().err
+    assert "Expected the run first" in capsys.readouterr().err
     (tmp_path / "empty").mkdir()
     assert main(["replay", "empty"]) == exit_codes.BAD_INPUT
-    assert "it was not recorded; `rumi run --record` does" in capsys.readouterr().err
+    assert "empty is no run folder: it has no settings.json" in capsys.readouterr().err
     assert main(["replay", "none.h5"]) == exit_codes.BAD_INPUT
     assert "There is no log none.h5" in capsys.readouterr().err
     with h5py.File("log.h5", "w") as file:
@@ -146,50 +145,58 @@ def test_what_is_no_log_is_named(capsys, tmp_path):
 @pytest.mark.parametrize("arguments", [["--filter.peakiness", "1", "log.h5"], ["--out", "run"]])
 def test_the_log_stands_first(arguments, capsys):
     assert main(["replay", *arguments]) == exit_codes.BAD_INPUT
-    assert "Expected the log first, its file or its run's folder" in capsys.readouterr().err
+    assert "Expected the run first, its folder or a log" in capsys.readouterr().err
 
 
 def test_replay_has_help(capsys):
     assert main(["replay", "--help"]) == exit_codes.DONE
     said = capsys.readouterr().out
-    assert "rumi replay LOG" in said
+    assert "rumi replay RUN" in said
     assert "--filter.peakiness" in said
 
 
 @pytest.mark.sim
 def test_the_settings_of_a_log_that_another_rumi_wrote_are_checked(recorded, capsys, tmp_path):
-    path = tmp_path / "log.h5"
-    path.write_bytes((recorded / "log.h5").read_bytes())
-    with Log(path) as log:
-        settings = log.settings | {"mood": "good"}
-    with h5py.File(path, "r+") as file:
-        del file["about/settings"]
-        file["about/settings"] = np.frombuffer(json.dumps(settings).encode(), np.uint8)
-    assert main(["replay", str(path)]) == exit_codes.BAD_INPUT
+    (tmp_path / "trace.npz").write_bytes((recorded / "trace.npz").read_bytes())
+    settings = json.loads((recorded / "settings.json").read_text())
+    (tmp_path / "settings.json").write_text(json.dumps(settings | {"mood": "good"}))
+    assert main(["replay", str(tmp_path)]) == exit_codes.BAD_INPUT
     assert "There is no setting mood" in capsys.readouterr().err
+
+
+@pytest.mark.sim
+def test_a_log_of_before_with_readings_replays_bit_for_bit(recorded, capsys, tmp_path):
+    """`rumi run --record` wrote readings to HDF5 beside the trace once."""
+    run = load_run(recorded)
+    asked = {name: value for name, value in run.settings.items() if name not in ("schema", "made_with")}
+    with LogWriter(tmp_path / "log.h5", [], settings=asked, about={"made_with": "{}"}) as log:
+        for step in run.steps:
+            log.reading(step.reading, control=step.control, truth=step.truth, digest=digest(step.belief))
+        log.finish({"stopped_by": "converged"})
+    for path in (tmp_path, tmp_path / "log.h5"):
+        main(["replay", str(path)])
+        assert "the recorded one, bit for bit, after each of" in said_of_beliefs(capsys)
 
 
 @pytest.mark.sim
 @pytest.mark.slow
 def test_a_run_that_was_killed_is_replayed_up_to_there(cache, capsys):
-    command = [sys.executable, "-m", "rumi", "run", "mug-0", "--method", "slide", "--no-figures", "--record"]
+    command = [sys.executable, "-m", "rumi", "run", "mug-0", "--method", "slide", "--no-figures"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "RUMI_CACHE": str(cache)}
     running = subprocess.Popen([*command, "--stop.rule", "never", "--out", "run", *SMALL], env=environment)
-    log = Path("run/log.h5")
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and running.poll() is None:
         time.sleep(0.05)
         try:
-            with Log(log) as reading:
-                if len(reading.taken()) > 3:
-                    break
+            if len(load_run("run").steps) > 3:
+                break
         except ValueError:
             continue  # not there yet
     running.send_signal(signal.SIGKILL)
     assert running.wait() == -signal.SIGKILL
     assert main(["replay", "run"]) == exit_codes.NOT_CONVERGED
     said = capsys.readouterr()
-    assert "the log was not finished: what had been written is there" in said.err
+    assert "the run was not finished: what had been written is there" in said.err
     assert "the recorded one, bit for bit, after each of" in said.out
 
 

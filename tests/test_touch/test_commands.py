@@ -30,7 +30,7 @@ def test_a_run_leaves_its_folder(capsys):
     assert code == (DONE if result["lifted"] else NOT_CONVERGED)
     assert result["actions"] == len(result["steps"]) <= 2
     settings = json.loads(Path("runs/touch-box-sequence-planar-s2001/settings.json").read_text())
-    assert settings["task"]["rates"] == [0.9, 0.05]
+    assert settings["scene"]["rates"] == [0.9, 0.05]
     assert settings["settings"]["push_model"] == "displacement"
     said = capsys.readouterr()
     assert "pokes, " in said.out and "action 1: " in said.err
@@ -39,9 +39,11 @@ def test_a_run_leaves_its_folder(capsys):
 def test_figures_are_drawn():
     pytest.importorskip("matplotlib")
     main(["run", "touch-box", *QUICK, "--out", "own", "--seed", "2002"])
-    assert {path.name for path in Path("own").iterdir()} == {
-        *("pokes.png", "sure.png", "result.json", "settings.json", "steps.jsonl"),
-    }
+    kept = {"belief.npz", "figures", "result.json", "settings.json", "steps.jsonl", "trace.npz"}
+    assert {path.name for path in Path("own").iterdir()} == kept
+    assert {path.name for path in Path("own/figures").iterdir()} == {"pokes.png", "sure.png"}
+    assert main(["plot", "own", "--out", "again"]) == DONE
+    assert Path("again/pokes.png").read_bytes() == Path("own/figures/pokes.png").read_bytes()
 
 
 @pytest.mark.parametrize("out", ["file", "file/run"])

@@ -20,20 +20,21 @@ _MOVE = style.SURFACE
 
 
 def draw_run(run: PegRun, folder: Path) -> list[Path]:
-    """Contacts (contacts.png) and time-line (timeline.png) of a run."""
-    paths = [folder / "contacts.png", folder / "timeline.png"]
+    """Contacts and time-line of a run, as files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = [folder / "contacts.png", folder / "timeline.png"]
     with style.figure(9.0, 3.6) as figure:
         whole, close = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
         draw_contacts(run, whole)
         draw_contacts(run, close, around_m=0.18)
-        figure.savefig(paths[0], metadata={"Software": "rumi"})
+        figure.savefig(written[0], metadata={"Software": "rumi"})
     with style.figure(9.0, 2.8) as figure:
         one, two = figure.subplots(1, 2)
         draw_timeline(run, one)
         if run.thoughts:
             draw_decision(run.thoughts[0], two).set_title("the first decision")
-        figure.savefig(paths[1], metadata={"Software": "rumi"})
-    return paths
+        figure.savefig(written[1], metadata={"Software": "rumi"})
+    return written
 
 
 def draw_contacts(run: PegRun, ax: "Axes", *, around_m: float | None = None) -> "Axes":
