@@ -72,7 +72,7 @@ class PegStep:
 
     def numbers(self) -> dict[str, Any]:
         """What was felt in this motion, when, and how sure the belief is."""
-        found = {"contact": self.felt.kind != NOTHING, "felt": ("nothing", "side", "top")[self.felt.kind]}
+        found = {"contact": self.felt.kind != ContactKind.NOTHING, "felt": ("nothing", "side", "top")[self.felt.kind]}
         times = {"begun_s": self.felt.begun_s, "ended_s": self.felt.ended_s}
         return {**found, **times, "probability": self.probability, "sure": self.sure}
 
