@@ -194,16 +194,6 @@ def test_scale_equivariance(factor: float, dims: int) -> None:
         assert float(scaled - plain) == pytest.approx(dims * math.log(factor), abs=1e-9)
 
 
-def test_rescaling_one_axis_shifts_by_its_log(generator: torch.Generator) -> None:
-    """With the metric rescaled along, the neighbours are the same."""
-    x, log = torch.randn(50, 3, generator=generator, **DOUBLE), torch.zeros(50, **DOUBLE)
-    plain = SpatialEntropy(SharedSupport(StateMetric((1.0, 2.0, 3.0), (False,) * 3)))(x, log)
-    other = SpatialEntropy(SharedSupport(StateMetric((1.0, 2.0, 30.0), (False,) * 3)))(
-        x * torch.tensor([1, 1, 10]), log
-    )
-    assert float(other - plain) == pytest.approx(math.log(10), abs=1e-12)
-
-
 def test_kozachenko_leonenko_is_theirs_for_equal_weights(generator: torch.Generator) -> None:
     """psi(N) - psi(k) + log c_D + D mean log distance."""
     count, dims, k = 200, 2, 4
