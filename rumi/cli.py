@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import NamedTuple, NoReturn
 
-from rumi import __version__
+from rumi import __version__, environment
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED
 
@@ -42,6 +42,9 @@ COMMANDS = {
     "stress": Command("[options]", "compare the arithmetic with higher precision", "rumi.commands.checkout:stress"),
 }  # fmt: skip
 """The subcommands by name, in the order of the help."""
+
+_OWN_THREADS = ("bench", "stress")
+"""Those that measure, and choose their threads themselves: not by what is free just now."""
 
 _EXTRAS = {
     "sim": "mujoco",
@@ -108,6 +111,18 @@ def script(work: Callable[[], object]) -> NoReturn:
 def _carry_out(name: str, arguments: Sequence[str]) -> int:
     if name not in COMMANDS:
         raise UsageError(f"There is no command {name!r}; the commands are {', '.join(COMMANDS)}")
+    if name in _OWN_THREADS:
+        return _call(name, arguments)
+    # NumPy's library of linear algebra reads this when it is loaded; its threads spin, and matrices are small
+    own = any(os.environ.get(variable) for variable in environment.LIBRARIES)
+    with environment.variables({} if own else {"OPENBLAS_NUM_THREADS": "1"}):
+        from sdf.threads import chosen  # loads torch: only now, so that help is quick
+
+        with chosen():
+            return _call(name, arguments)
+
+
+def _call(name: str, arguments: Sequence[str]) -> int:
     module, _, function = COMMANDS[name].address.partition(":")
     return int(getattr(import_module(module), function)(arguments))
 

@@ -53,6 +53,16 @@ class StepRecord:
     nll: float | None
     timings_s: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def stamp(self) -> float:
+        """Seconds since the start of the run."""
+        return self.reading.stamp
+
+    @property
+    def poses(self) -> tuple[Float[Tensor, "P 4 4"], Float[Tensor, "P"]]:
+        """The belief's particles, world_T_object and log-weights."""
+        return self.belief.world_T_object, self.belief.log_weights
+
 
 @dataclass(frozen=True)
 class RunResult:

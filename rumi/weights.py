@@ -46,7 +46,8 @@ def boltzmann(discrepancy: Float[Tensor, "*b N"], peakiness: float) -> Float[Ten
 
 def effective_sample_size(log_weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b"]:
     """Effective sample size, (sum w)^2 / sum w^2, between 1 and N, of log-weights that need not be normalised."""
-    # float64, and of weights that need not sum to 1 to the last digit: else it may come out above N
+    # float64, and of weights that need not sum to 1 to the last digit: else it may come out well above N
     log = log_weights.double()
     log = log - log.amax(-1, keepdim=True)
-    return (2.0 * torch.logsumexp(log, -1) - torch.logsumexp(2.0 * log, -1)).exp().to(log_weights.dtype)
+    size = (2.0 * torch.logsumexp(log, -1) - torch.logsumexp(2.0 * log, -1)).exp()
+    return size.clamp(1.0, float(log.shape[-1])).to(log_weights.dtype)

@@ -29,12 +29,12 @@ from torch import Tensor
 
 from rumi import loop
 from rumi.cli import script
-from rumi.commands.replay import rummager_of
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
 from rumi.registration.contact_terms import LocalizeSettings
 from rumi.registration.from_contacts import localize
-from rumi.runs.logbook import LogRecorder
+from rumi.runs.folder import RunRecorder
+from rumi.runs.recorded import RunLog
 from rumi.runs.replay import replay
 from rumi.seeding import generator
 from rumi.sim.sensor_settings import degraded
@@ -43,15 +43,15 @@ from rumi.tasks.handle.settings import SENSORS, FusedSettings, SensorName
 from rumi.tasks.peg import agent as peg_agent
 from rumi.tasks.peg.agent import build_peg
 from rumi.tasks.peg.settings import PegSettings
+from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
-from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
+from rumi.tasks.rummage.settings import Settings, preset, to_dict
 from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import Method
 from rumi.tasks.touch_box.settings import TouchSettings
 from sdf import processor as kernels
 from sdf.mesh.mesh import TriangleMesh
-from sensors.log.reader import Log
 
 DIGESTS = Path(__file__).resolve().parent.parent / "tests" / "golden" / "digests.json"
 _DIGITS = 16  # of a SHA-256
@@ -107,18 +107,19 @@ def of_rummaging(trace: Trace, settings: Settings, steps: int) -> Record:
 
 
 def of_replay(trace: Trace, settings: Settings, steps: int) -> Record:
-    """A run's log, replayed; the live run's beliefs have to be the same."""
-    live, path = Trace(trace.folder), trace.folder / "log.h5"
-    with build(settings, cache_dir=trace.folder) as parts, LogRecorder(path, to_dict(settings)) as log:
+    """A run's folder, replayed; the live run's beliefs have to be the same."""
+    live, path = Trace(trace.folder), trace.folder / "run"
+    with build(settings, cache_dir=trace.folder) as parts, RunRecorder(path, to_dict(settings)) as log:
 
         def on_step(step: StepRecord) -> None:
             log(step)
             live(step)
 
         log.finish(loop.run(*parts, seed=settings.seed, steps=steps, on_step=on_step))
-    with Log(path) as opened:
-        taken, again = opened.taken(), from_dict(opened.settings or {})
-    done = replay(taken, rummager_of(again, None, taken, trace.folder), seed=again.seed, on_step=trace)
+    entry, opened = TASKS[settings.task], RunLog(path)
+    again = entry.from_dict(opened.settings)
+    agent = entry.agent(again, cache_dir=trace.folder)
+    done = replay(opened.taken(), agent, seed=again.seed, on_step=trace)
     same = difference({"steps": live.steps}, {"steps": trace.steps}) is None and all(done.same)
     return of_result(done.result) | {"same": same}
 

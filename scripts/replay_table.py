@@ -15,13 +15,13 @@ from typing import Any
 from rumi import loop
 from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.commands.replay import rummager_of
-from rumi.runs.logbook import LogRecorder
+from rumi.runs.folder import RunRecorder
+from rumi.runs.recorded import RunLog
 from rumi.runs.replay import replay
+from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
-from rumi.tasks.rummage.settings import from_dict, preset, to_dict
+from rumi.tasks.rummage.settings import preset, to_dict
 from scripts.experiment import Experiment, Line
-from sensors.log.reader import Log
 
 STEPS = 15
 """Actions of a run at most."""
@@ -31,18 +31,18 @@ def measure(task: str, seed: int, threads: int) -> dict[str, Any]:
     """One run, and its replay from the file alone."""
     settings = preset("default", task=task, seed=seed, steps=STEPS)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "log.h5"
+        path = Path(folder) / "run"
         world, rummager = build(settings, cache_dir=cache_folder())
         start = time.perf_counter()
-        with LogRecorder(path, to_dict(settings)) as log:
+        with RunRecorder(path, to_dict(settings)) as log:
             live = loop.run(world, rummager, seed=seed, steps=STEPS, on_step=log)
             log.finish(live)
         live_s = time.perf_counter() - start
         world.close()
-        with Log(path) as opened:
-            taken, again = opened.taken(), from_dict(opened.settings or {})
-        done = replay(taken, rummager_of(again, None, taken, cache_folder()), seed=again.seed)
-        size = path.stat().st_size
+        entry, opened = TASKS[task], RunLog(path)
+        taken, again = opened.taken(), entry.from_dict(opened.settings)
+        done = replay(taken, entry.agent(again, cache_dir=cache_folder()), seed=again.seed)
+        size = (path / "trace.npz").stat().st_size
     return {
         "steps": live.steps,
         "contacts": live.contacts,

@@ -18,7 +18,7 @@ from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.gripper_robot import GripperRobot
 from rumi.tasks.touch_box.mujoco_scene import GripperPhysics
-from rumi.tasks.touch_box.report import calibration, digest, figures_of, table
+from rumi.tasks.touch_box.report import calibration, digest, table
 from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
@@ -149,7 +149,7 @@ VARIANTS: dict[str, Variant] = {
 def measure(variant: str, seed: int) -> dict[str, Any]:
     """One run."""
     with VARIANTS[variant].parts() as parts:
-        return figures_of(loop.run(*parts, seed=seed))
+        return loop.run(*parts, seed=seed).as_dict()
 
 
 def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:

@@ -1,4 +1,4 @@
-"""Which version of each hot operation runs: the one dispatch registry.
+"""Dispatch registry: which version of each hot operation runs.
 
 Every hot operation is one public function. Its plain torch version, named "torch", is the definition and takes any
 tensors; a quicker one may stand beside it and says which tensors it supports. The one registered last that supports

@@ -1,4 +1,4 @@
-"""What every signed distance function is: a callable on object-frame points."""
+"""Base class of signed distance functions: callables on object-frame points."""
 
 import math
 from contextlib import nullcontext

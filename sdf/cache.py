@@ -1,4 +1,4 @@
-"""Arrays kept on disk: written aside and renamed, never pickled, worked out again where they cannot be read."""
+"""Disk cache of arrays: written aside and renamed, never pickled, computed again where a file cannot be read."""
 
 import hashlib
 import logging

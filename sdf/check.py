@@ -1,4 +1,4 @@
-"""The only validators of shapes and finite values."""
+"""Validators of shapes and finite values."""
 
 import torch
 from torch import Tensor

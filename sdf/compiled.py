@@ -1,9 +1,9 @@
-"""Kernels that numba compiles for the CPU at their first use: what they need, and what is said meanwhile."""
+"""Numba kernels for the CPU, compiled at their first use and cached beside the source."""
 
 import hashlib
 import importlib.util
 import sys
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from sdf.check import is_eager
+from sdf.threads import count, divide
 
 _FLOATS = (torch.float32, torch.float64)
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
@@ -24,7 +25,7 @@ def available() -> bool:
 
 
 def supports(*tensors: Tensor) -> bool:
-    """Whether a fused CPU version can run on these tensors: on the CPU, float32 or float64, no graph to be kept."""
+    """Whether a compiled CPU version can run on these tensors: on the CPU, float32 or float64, no graph to be kept."""
     graph = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
     floats = [t.dtype for t in tensors if t.is_floating_point()]
     return (
@@ -49,14 +50,15 @@ def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without t
 
 
 class Kernel:
-    """A function over NumPy arrays that numba compiles, for torch's number of threads.
+    """A function over NumPy arrays that numba compiles, run by as many threads as its work is worth.
 
-    With one thread a version without any threading runs: a team of threads, even of one, waits by spinning, and where
-    several processes share the cores that is a standstill. Compiled code is kept beside the source, or where that is
-    read-only in the user's cache.
+    It is compiled once, without any threading: threads run the same code on parts of its loop, so that results are the
+    same to the bit for any number of them. Compiled code is kept beside the source, or where that is read-only in the
+    user's cache.
 
     Args:
-        function: what numba compiles; its loops over `numba.prange` run in parallel.
+        function: what numba compiles. It fills arrays that it is given; its last argument is a part, and its outermost
+            loop is over `part_numba.indices(part, count)`, of iterations that do not depend on each other.
         fast: let sums be reordered and products be added in one go, so that loops become vector instructions;
             NaN, infinity and the smallest numbers stay what they are.
     """
@@ -64,31 +66,25 @@ class Kernel:
     def __init__(self, function: FunctionType, *, fast: bool = False) -> None:
         import numba
 
-        self._numba: Any = numba
-        self._most = int(self._numba.config.NUMBA_NUM_THREADS)
-        self._label = function.__name__.strip("_")
+        compiler: Any = numba.njit
         options: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": _FAST if fast else False}
+        self._label = function.__name__.strip("_")
         name = f"{function.__name__}{_stamp(function)}"
-        self._alone = numba.njit(**options)(_renamed(function, f"{name}_alone"))
-        self._shared = numba.njit(**options, parallel=True)(_renamed(function, name))
-        self._announced: set[str] = set()
+        self._compiled: Any = compiler(**options, nogil=True)(_renamed(function, name))
+        self._announced = False
 
-    def __call__(self, *arguments: Any) -> Any:  # noqa: ANN401  (whatever the function takes and gives)
+    def __call__(self, *arguments: Any) -> None:  # noqa: ANN401  (whatever the function takes)
         """Run it."""
-        threads = min(torch.get_num_threads(), self._most)
-        if threads > 1:
-            self._numba.set_num_threads(threads)
-        compiled: Any = self._shared if threads > 1 else self._alone
-        self._announce(compiled)
-        return compiled(*arguments)
+        self._announce()
+        divide(partial(self._compiled, *arguments), count())
 
-    def _announce(self, compiled: Any) -> None:  # noqa: ANN401  (numba comes without types)
+    def _announce(self) -> None:
         """Say once that compiling takes a while, where nothing compiled is kept yet."""
-        name = compiled.py_func.__name__
-        if name in self._announced:
+        if self._announced:
             return
-        self._announced.add(name)
-        if next(Path(compiled.stats.cache_path).glob(f"*.{name}-*.nbi"), None) is None:
+        self._announced = True
+        name = self._compiled.py_func.__name__
+        if next(Path(self._compiled.stats.cache_path).glob(f"*.{name}-*.nbi"), None) is None:
             sys.stderr.write(f"rumi: compiling {self._label} for this processor (seconds, once)\n")
             sys.stderr.flush()
 

@@ -1,4 +1,4 @@
-"""Building blocks for fused CPU kernels: a `GridSDF` looked up at one object-frame point.
+"""Building blocks for compiled CPU kernels: a `GridSDF` looked up at one object-frame point.
 
 `grid_sdf.py` has the definition; what these functions take of a `GridSDF` is made at the end of this file:
 

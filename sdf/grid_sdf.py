@@ -1,4 +1,4 @@
-"""A signed distance function tabulated on a lattice: what estimation looks up millions of times."""
+"""Tabulated signed distance function: trilinear interpolation on a lattice, with a bound beyond it."""
 
 from typing import Self, TypeGuard
 

@@ -1,4 +1,4 @@
-"""Where the nodes of a table of distances are: close together about the object, far apart beyond."""
+"""Lattice of a tabulated distance: nodes close together about the object, far apart beyond."""
 
 import math
 from typing import NamedTuple

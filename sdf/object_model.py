@@ -1,4 +1,4 @@
-"""One object's shape as every other part sees it."""
+"""Object model: signed distances, surface points, symmetries and size of one object."""
 
 import copy
 from collections.abc import Sequence

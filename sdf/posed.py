@@ -1,4 +1,4 @@
-"""One object at many poses: the distance of world points from each of them."""
+"""Signed distances of world points from one object at many poses."""
 
 import math
 from collections.abc import Callable

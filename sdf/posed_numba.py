@@ -1,4 +1,4 @@
-"""The fused CPU versions of an object at many poses; `posed.py` has the definition.
+"""The compiled CPU versions of distances at many poses; `posed.py` has the definition.
 
 Results are (scenes, poses, points), flat. Poses come as the twelve numbers of object_T_world's upper rows, points by
 coordinate, a row of them for each scene: row `which[scene]`.
@@ -7,7 +7,6 @@ coordinate, a row of them for each scene: row `which[scene]`.
 import math
 
 import torch
-from numba import prange
 from torch import Tensor
 
 from sdf import se3
@@ -27,6 +26,7 @@ from sdf.grid_numba import (
     value_and_gradient,
 )
 from sdf.grid_sdf import GridSDF
+from sdf.part_numba import indices
 
 # points of one task: enough to be worth a thread's while
 _STEP = 4096
@@ -82,12 +82,12 @@ def placed_upright_from(planes, poses, j, x, y):
     )
 
 
-def _distance(rows, points, which, flat, rise, level, numbers, sizes, distance):
+def _distance(rows, points, which, flat, rise, level, numbers, sizes, distance, part):
     lattice = lattice_of(numbers, sizes)
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
     given = points.reshape(-1)
-    for task in prange(rows.shape[0] * poses * blocks):
+    for task in indices(part, rows.shape[0] * poses * blocks):
         owner, first = task // blocks, task % blocks * _STEP
         pose = row(rows, owner // poses, owner % poses)
         from_x = 3 * count * which[owner // poses]
@@ -98,12 +98,12 @@ def _distance(rows, points, which, flat, rise, level, numbers, sizes, distance):
             put(distance, to + i, value(x_o, y_o, z_o, flat, lattice))
 
 
-def _query(rows, points, which, flat, rise, level, numbers, sizes, distance, gradient):
+def _query(rows, points, which, flat, rise, level, numbers, sizes, distance, gradient, part):
     lattice = lattice_of(numbers, sizes)
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
     given = points.reshape(-1)
-    for task in prange(rows.shape[0] * poses * blocks):
+    for task in indices(part, rows.shape[0] * poses * blocks):
         owner, first = task // blocks, task % blocks * _STEP
         pose = row(rows, owner // poses, owner % poses)
         from_x = 3 * count * which[owner // poses]
@@ -118,12 +118,12 @@ def _query(rows, points, which, flat, rise, level, numbers, sizes, distance, gra
             put(gradient, 3 * (to + i) + 2, along_z)
 
 
-def _layer_distance(rows, points, which, layer, rise, level, numbers, sizes, distance):
+def _layer_distance(rows, points, which, layer, rise, level, numbers, sizes, distance, part):
     lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
     given = points.reshape(-1)
-    for task in prange(rows.shape[0] * poses * blocks):
+    for task in indices(part, rows.shape[0] * poses * blocks):
         owner, first = task // blocks, task % blocks * _STEP
         pose = row(rows, owner // poses, owner % poses)
         from_x, to = 3 * count * which[owner // poses], owner * count
@@ -134,12 +134,12 @@ def _layer_distance(rows, points, which, layer, rise, level, numbers, sizes, dis
             put(distance, to + i, layer_value(x_o, y_o, layer, lattice, height))
 
 
-def _layer_query(rows, points, which, layer, rise, level, numbers, sizes, distance, gradient):
+def _layer_query(rows, points, which, layer, rise, level, numbers, sizes, distance, gradient, part):
     lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
     poses, count = rows.shape[1], points.shape[2]
     blocks = (count + _STEP - 1) // _STEP
     given = points.reshape(-1)
-    for task in prange(rows.shape[0] * poses * blocks):
+    for task in indices(part, rows.shape[0] * poses * blocks):
         owner, first = task // blocks, task % blocks * _STEP
         pose = row(rows, owner // poses, owner % poses)
         from_x, to = 3 * count * which[owner // poses], owner * count

@@ -1,4 +1,4 @@
-"""Closed-form signed distance functions: exact, so the oracles of grids and the shapes of built-in objects."""
+"""Primitive shapes: exact signed distance functions in closed form."""
 
 import functools
 import math

@@ -1,4 +1,4 @@
-"""What was skipped, since a scene did not need it, and how much work that was.
+"""Accounts of skipped work: how much of each kind a scene did not need.
 
 Whoever skips says so with `work`; who wants to know keeps an account with `account`. Without one nothing is counted.
 """

@@ -1,4 +1,4 @@
-"""Volume, middle and inertia of what is inside a signed distance function."""
+"""Volume, centroid and inertia of the inside of a signed distance function."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Points on the surface of any exact SDF, or on triangles, uniform by area."""
+"""Surface sampling: points uniform by area on an exact SDF or on triangles."""
 
 import torch
 from jaxtyping import Float

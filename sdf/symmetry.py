@@ -1,4 +1,4 @@
-"""Rotations that leave an object as it is."""
+"""Rotational symmetry groups of objects."""
 
 import math
 import re

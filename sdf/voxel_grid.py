@@ -1,4 +1,4 @@
-"""Values on a lattice of the world: look-up between the nodes, and keys that name lattice cells."""
+"""Voxel grid of values in the world: interpolated look-up, and keys of lattice cells."""
 
 import math
 from typing import Self

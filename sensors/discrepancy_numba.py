@@ -4,13 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numba import prange
 from torch import Tensor
 
 from sdf import skipped_work
 from sdf.compiled import Kernel
 from sdf.grid_numba import Arrays, at, block, fast, grid_arguments, lattice_of, value
 from sdf.grid_sdf import GridSDF
+from sdf.part_numba import indices
 from sensors.tiles import Tiles, steepness, tiles
 from sensors.tiles_numba import local, near_points
 
@@ -71,11 +71,11 @@ def _hinge_cost(points, count, pose, flat, lattice, alpha):
     return total
 
 
-def _discrepancy(poses, scene, grid, steepness, free_scale, alpha, result, looked):
+def _discrepancy(poses, scene, grid, steepness, free_scale, alpha, result, looked, part):
     surface, hinged, signs, small_first, small_balls, large_first, large_balls, counts = scene
     flat, numbers, sizes = grid
     batch, each = result.shape
-    for row in prange(batch * each):
+    for row in indices(part, batch * each):
         b, n = row // each, row % each
         lattice = lattice_of(numbers, sizes)
         pose = placed(poses[b, n])

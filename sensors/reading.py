@@ -1,4 +1,4 @@
-"""What a robot's sensors report after one action."""
+"""Reading of a robot's sensors during one action."""
 
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, Self

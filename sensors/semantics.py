@@ -1,4 +1,4 @@
-"""Semantics of a point of space, and the sensor model that ties it to signed distance."""
+"""Semantics of points (free, occupied, surface), and the sensor model that ties them to signed distance."""
 
 from enum import IntEnum
 

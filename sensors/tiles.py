@@ -1,4 +1,4 @@
-"""An observation as arrays for the fused kernels, its free and occupied points in boxes of boxes.
+"""Two-level bounding volumes of an observation's free and occupied points, as arrays for the compiled kernels.
 
 A free point costs nothing where its signed distance is above the tolerance. In a ball of radius r no distance is less
 than that of its centre by more than r times the steepness of the table, so one look-up may settle all points of a ball:

@@ -1,12 +1,12 @@
-"""Free and occupied points in boxes of boxes, so that most need no look-up; `tiles.py` says why that is exact."""
+"""Traversal of the bounding volumes of `tiles.py`, so that most points need no look-up; there is why that is exact."""
 
 import math
 
 import numpy as np
-from numba import prange
 
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, block, exact, fast, put, value
+from sdf.part_numba import indices
 
 # small boxes along an axis of a large one
 _SPLIT = 2
@@ -50,9 +50,9 @@ def _assign(points, kinds, where, number, low_x, low_y, low_z, width, rows, colu
 
 
 def _sort_points(
-    points, kinds, edge, surface, hinged, signs, small_first, small_balls, large_first, large_balls, counts
+    points, kinds, edge, surface, hinged, signs, small_first, small_balls, large_first, large_balls, counts, part
 ):
-    for b in prange(len(points)):
+    for b in indices(part, len(points)):
         own, kind = points[b], kinds[b]
         number, seen = 0, 0
         where = np.empty(len(kind), np.int32)

@@ -18,8 +18,7 @@ from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend
 from rumi.resampling import resample_systematic
 from rumi.seeding import Generators, normal
 from rumi.weights import boltzmann
-from sdf import se3
-from sdf import skipped_work as savings
+from sdf import se3, skipped_work
 from sdf.check import check_near
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import Evidence, EvidenceModel, SemanticPoints, gather, in_attached_frame
@@ -263,7 +262,7 @@ class PoseFilter(nn.Module):
             (belief.attached_T_object == before.attached_T_object).all()
         )
         fixed = len(memory) > 0 and bool((memory.valid & ~memory.attached).any())
-        with savings.work("old_points") as work:
+        with skipped_work.work("old_points") as work:
             if same and not fixed and belief.evidence is None:
                 total = belief.discrepancy + self.discrepancy(belief.attached_T_object, added)
                 work.count(len(added), len(memory))

@@ -14,11 +14,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.state_space import StateSpace
+from rumi.belief.state_space import PlaneSpace
 from rumi.errors import DegenerateBeliefError
 from rumi.resampling import resample_systematic
 from rumi.weights import effective_sample_size, equal_weights
-from sdf import skipped_work as savings
+from sdf import skipped_work
 from sensors.evidence import Evidence
 
 _KEPT = 0.5
@@ -130,7 +130,7 @@ class ResampleMoveFilter:
         settings: of the filter.
     """
 
-    space: StateSpace
+    space: PlaneSpace
     log_prior: Callable[[Tensor], Tensor]
     settings: ResampleMoveSettings = ResampleMoveSettings()
 
@@ -250,7 +250,7 @@ class ResampleMoveFilter:
     def _predict(self, belief: StaticBelief, generator: torch.Generator) -> StaticBelief:
         """The belief before the reading: as it was, unless noise is asked for."""
         count = float(len(belief.log_weights))
-        with savings.work("predictions") as work:
+        with skipped_work.work("predictions") as work:
             if self.settings.noise is None:
                 work.count(0.0, count)
                 return belief

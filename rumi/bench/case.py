@@ -1,7 +1,6 @@
 """What is timed: a case is some work, its variants are ways to do it."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -136,15 +135,3 @@ def largest_difference(found: Any, reference: Any) -> float:  # noqa: ANN401  (t
     if isinstance(found, Tensor):
         return float((found.double() - reference[: len(found)].double()).abs().max()) if found.numel() else 0.0
     return max(largest_difference(a, b) for a, b in zip(found, reference, strict=True))
-
-
-@contextmanager
-def threads(count: int | None) -> Iterator[None]:
-    """Within the block torch, and with it the fused kernels, uses this many threads."""
-    before = torch.get_num_threads()
-    try:
-        if count is not None:
-            torch.set_num_threads(count)
-        yield
-    finally:
-        torch.set_num_threads(before)

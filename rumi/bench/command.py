@@ -12,7 +12,7 @@ import torch
 import tyro
 
 from rumi.bench import table
-from rumi.bench.case import CASES, SLOW, Case, Setup, threads
+from rumi.bench.case import CASES, SLOW, Case, Setup
 from rumi.bench.machine import BUSY, environment
 from rumi.bench.measure import Result, carry_out
 from rumi.bench.timing import fitting_clock
@@ -23,6 +23,7 @@ from rumi.runs.folder import write_json
 from rumi.runs.jsonlines import append_line, check_writable
 from rumi.runs.plain import plain
 from rumi.runs.progress import say
+from sdf.threads import using
 
 SCHEMA = 1
 QUICK, WHOLE = (1.0, 3), (6.0, 9)
@@ -47,7 +48,7 @@ class BenchOptions:
     Attributes:
         quick: fewer rounds, and without the whole run; under two minutes in all on two cores.
         only: names of the cases to time; all if none is given.
-        threads: of torch and of the compiled kernels; by default what torch has.
+        threads: of torch and of the compiled kernels; by default what torch has, whatever else the machine does.
         device: where the work is done.
         json: file for the results: a line is appended to a .jsonl, any other is written anew.
     """
@@ -69,7 +70,7 @@ def bench(arguments: Sequence[str]) -> int:
         config=(tyro.conf.FlagCreatePairsOff,),
     )
     check(options)
-    with threads(options.threads):
+    with using(options.threads or torch.get_num_threads(), torch_too=True):
         results, ended = time_cases(options)
         sys.stdout.write("\n")
         return ended or (WRONG if not all(result.agree for result in results) else DONE)

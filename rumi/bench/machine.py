@@ -8,6 +8,7 @@ import torch
 
 from rumi.bench.timing import fitting_clock
 from rumi.runs.folder import provenance, version_of
+from sdf.threads import cores
 
 PACKAGES = ("numba", "pytorch-volumetric", "chsel", "pytorch-mppi", "open3d", "ribs")
 BUSY = 0.5
@@ -33,10 +34,3 @@ def environment(device: torch.device) -> dict[str, Any]:
         "clock": "processor" if fitting_clock(made_with["threads"]) is time.process_time else "wall",
         "commit": made_with["commit"],
     }
-
-
-def cores() -> int:
-    """Processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

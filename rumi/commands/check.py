@@ -54,28 +54,28 @@ def check(arguments: Sequence[str]) -> int:
     if not six and (options.pose or "--pose" in arguments):
         raise UsageError(f"Expected --pose to be six numbers, got {' '.join(map(str, options.pose)) or 'none'}")
     out = _picture(options.out)
-    from rumi.commands.replay import log_path, made_readings, mapping_of_log, recorded_settings, rummager_of
-    from rumi.metrics.alignment import misfit
+    from rumi.commands.replay import agent_of_imported, made_readings, mapping_of_log, opened, recorded_settings
+    from rumi.metrics.alignment import align
     from rumi.rosbag.mapping import Fixed
+    from rumi.tasks.rummage.settings import Settings
     from rumi.viz.overlay import draw_overlay
-    from sensors.log.errors import LogError
 
-    try:
-        from sensors.log.reader import Log
-
-        with Log(log_path(options.log)) as log:
-            mapping = mapping_of_log(log, options.map)
-            settings = recorded_settings(log, mapping)
-            taken = log.taken() if mapping is None else made_readings(log, mapping, settings)
-            for problem in log.problems:
-                sys.stderr.write(f"rumi: {problem}\n")
-    except LogError as error:
-        raise UsageError(str(error)) from error
+    with opened(options.log, options.map) as log:
+        mapping = mapping_of_log(log, options.map)
+        entry, settings = recorded_settings(log, mapping)
+        if not isinstance(settings, Settings):
+            raise UsageError(f"Expected a recording of points in space, got {options.log}, which is of another task")
+        taken = log.taken() if mapping is None else made_readings(log, mapping, settings)
+        for problem in log.problems:
+            sys.stderr.write(f"rumi: {problem}\n")
     if not taken:
         raise UsageError("Expected a log with a first reading at least, got none: there is nothing to draw")
     if not 0 <= options.step < len(taken):
         raise UsageError(f"Expected --step 0 to {len(taken) - 1}, the readings of {options.log}, got {options.step}")
-    rummager = rummager_of(settings, mapping, taken, cache_folder())
+    if mapping is None:
+        rummager = entry.agent(settings, cache_dir=cache_folder())
+    else:
+        rummager = agent_of_imported(mapping, settings, taken, cache_folder())
     if options.pose:
         x, y, z, roll, pitch, yaw = options.pose
         pose, whose = Fixed("", "", (x, y, z), (roll, pitch, yaw)).pose(), "the pose that was given"
@@ -83,7 +83,7 @@ def check(arguments: Sequence[str]) -> int:
         pose, whose = _likeliest(taken[: options.step + 1], rummager, settings.seed), "the belief's likeliest pose"
     seen = at_the_end(taken[options.step])
     model = rummager.model.to("cpu", torch.float32)
-    found = misfit(seen, pose, rummager.model.exact)
+    found = align(seen, pose, rummager.model.exact)
     title = f"{options.log}, reading {options.step}, at {whose}"
     path = draw_overlay(seen, pose.float(), model, found, out, title=title)
     x, y, z = pose[:3, 3].tolist()

@@ -1,6 +1,5 @@
 """What a run left out, since its scene did not need it: a table to read."""
 
-from rumi.records import StepRecord
 from sdf.skipped_work import Account, Work
 
 WORKS = {
@@ -29,9 +28,9 @@ class Decisions:
         self._account = account
         self._last: object = None
 
-    def __call__(self, step: StepRecord) -> None:
+    def __call__(self, step: object) -> None:
         """Count a step."""
-        if getattr(step, "control", None) is None:
+        if not isinstance(step, StepRecord) or step.control is None:
             return
         self._account.add("resamplings", Work(float(step.resampled), 1.0))
         self._account.add("plans", Work(float(step.plan is not self._last), 1.0))

@@ -12,7 +12,7 @@ from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 
 if TYPE_CHECKING:
-    from rumi.rosbag.bag import Imported
+    from rumi.rosbag.bag import BagImport
 
 
 _LONGEST_S = 1e9  # what a stamp of 64 bits has room for
@@ -53,7 +53,7 @@ def import_bag(arguments: Sequence[str]) -> int:
     return NOT_CONVERGED if done.problems or done.lost else DONE
 
 
-def report(done: "Imported", path: Path) -> str:
+def report(done: "BagImport", path: Path) -> str:
     """What an import wrote, a line a stream."""
     width = max(map(len, done.kinds), default=0)
     lines = [f"{path}: {sum(done.rows.values())} rows of {len(done.kinds)} streams"]

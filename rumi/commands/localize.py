@@ -99,13 +99,11 @@ def localize(arguments: Sequence[str]) -> int:
     from sdf.mesh.mesh import MeshError, check_size, load_mesh
     from sdf.symmetry import Symmetries
 
-    began, threads = time.perf_counter(), torch.get_num_threads()
+    began = time.perf_counter()
     prior = None
     if options.center is not None and options.radius is not None:
         prior = PositionPrior(torch.tensor(options.center).double(), torch.tensor(options.radius).double())
     try:
-        # tensors are small, and threads that wait for each other lose much where the cores are shared
-        torch.set_num_threads(1)
         mesh = load_mesh(options.mesh, scale=options.scale)
         check_size(mesh, options.scale)
         surface = TouchSurface.of(mesh, None if options.symmetries else Symmetries.none())
@@ -128,8 +126,6 @@ def localize(arguments: Sequence[str]) -> int:
         raise UsageError(str(error)) from None
     except ValueError as error:
         raise UsageError(f"{options.contacts}: {error}") from None
-    finally:
-        torch.set_num_threads(threads)
     seconds = {"mesh": loaded - began, "localize": time.perf_counter() - loaded}
     inward = nats is not None and nats > _MUCH_BETTER
     if inward:

@@ -30,8 +30,9 @@ def plot(arguments: Sequence[str]) -> int:
     """`rumi plot`: 0 if the figures were drawn, 2 for bad input."""
     options = tyro.cli(PlotOptions, prog="rumi plot", args=arguments)
     from rumi.runs.folder import load_run
-    from rumi.viz.figures import make_figures
+    from rumi.tasks.registry import entry_of
 
-    for path in make_figures(load_run(options.run), options.out or options.run / "figures", options.steps):
+    run = load_run(options.run)
+    for path in entry_of(run).draw(run, options.out or options.run / "figures", options.steps):
         sys.stdout.write(f"{path}\n")
     return DONE

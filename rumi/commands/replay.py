@@ -1,12 +1,13 @@
-"""The command `rumi replay`: a recorded log in the robot's place."""
+"""The command `rumi replay`: a recorded run or log in the robot's place."""
 
+import contextlib
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar, cast
 
 import torch
 import tyro
@@ -14,47 +15,50 @@ import tyro
 from rumi.cache import cache_folder
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
+from rumi.records import StepRecord
 from rumi.runs.logbook import LOG
+from rumi.runs.plain import plain
 from rumi.runs.progress import Progress, both, say
-from rumi.tasks.rummage.entry import describe, ending
-from rumi.tasks.rummage.settings import Settings, from_dict, to_dict
+from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
 
 if TYPE_CHECKING:
+    from rumi.agent import Agent
     from rumi.rosbag.mapping import BagMap
-    from rumi.runs.replay import Replayed
-    from rumi.tasks.rummage.agent import Rummager
+    from rumi.runs.recorded import RunLog
+    from rumi.runs.replay import Recorded, Replayed
+    from rumi.tasks.rummage.settings import Settings
     from sensors.log.reader import Log, Taken
 
-_HELP = """Take in a recorded log as if its robot were there: the belief that the live run had, or, with other settings,
-the one that it would have had on the same readings.
+S = TypeVar("S")
+
+_HELP = """Take in a recorded run or log as if its robot were there: the belief that the live run had, or, with other
+settings, the one that it would have had on the same readings.
 
     rumi replay runs/mug-0-rumi-default-s0
-    rumi replay runs/mug-0-rumi-default-s0/log.h5 --filter.peakiness 1 --out what-if
+    rumi replay runs/mug-0-rumi-default-s0 --filter.peakiness 1 --out what-if
+    rumi replay runs/handle-all-s0 --wrist.outlier 0.3
     rumi replay pushes.h5 --map other.toml
 
-All settings of `rumi run` are flags; the log's own are where they start from. What was done is recorded, so that those
-of the planner change nothing, and those of the task and the simulator are refused. The log of a run of
-the handle task has settings of its own: rumi replay LOG --help."""
+All settings of `rumi run` are flags; the recording's own are where they start from. What was done is recorded, so that
+those of what is chosen change nothing; those of what was sensed are refused. Nothing is grasped or inserted."""
 
 _HELP_FLAGS = {"--help", "-h"}
-_RECORDED = ("task", "simulator")
-_NO_EFFECT = ("method", "preset", "replan_every", "planner", "slide", "gpvr")
 
 
 @dataclass(frozen=True)
-class ReplayOptions:
+class ReplayOptions(Generic[S]):
     """Options of `rumi replay`.
 
     Attributes:
-        log: the log, or the run's folder that it lies in.
+        log: the run's folder, or a log.
         settings: of the replay.
         map: mapping file of an imported recording, in place of the one that it was imported with.
         out: folder for the replayed run, for `rumi plot`; none is written without.
         figures: draw its figures.
     """
 
-    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
-    settings: Annotated[Settings, tyro.conf.arg(name="")]
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    settings: Annotated[S, tyro.conf.arg(name="")]
     map: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = False
@@ -62,30 +66,16 @@ class ReplayOptions:
 
 def replay(arguments: Sequence[str]) -> int:
     """`rumi replay`: 0 if the belief became sure, 1 if not or if it is not the recorded one, 2 for bad input."""
-    from rumi.commands.replay_handle import is_of_handle, replay_handle
-
     if not arguments or arguments[0].startswith("-"):
         if _HELP_FLAGS & set(arguments):
-            _parsed(arguments, Path("LOG"), Settings())
-        raise UsageError(
-            "Expected the log first, its file or its run's folder, as in `rumi replay runs/mug-0-rumi-default-s0`"
-        )
+            _parsed(arguments, Path("RUN"), entry_of_imported(), entry_of_imported().preset("default"))
+        raise UsageError("Expected the run first, its folder or a log, as in `rumi replay runs/mug-0-rumi-default-s0`")
     asked, _ = tyro.cli(_Map, args=arguments, default=_Map(), add_help=False, return_unknown_args=True)
-    from sensors.log.errors import LogError
-
-    path = log_path(Path(arguments[0]))
-    try:
-        from sensors.log.reader import Log
-
-        with Log(path) as log:
-            if is_of_handle(log):
-                return replay_handle(log, arguments, cache_folder())
-            mapping = mapping_of_log(log, asked.map)
-            recorded = recorded_settings(log, mapping)
-            options = _parsed(arguments, path, recorded)
-            return _replay(log, options, recorded, mapping, cache_folder())
-    except LogError as error:
-        raise UsageError(str(error)) from error
+    with opened(Path(arguments[0]), asked.map) as log:
+        mapping = mapping_of_log(log, asked.map)
+        entry, recorded = recorded_settings(log, mapping)
+        options = _parsed(arguments, log.path, entry, recorded)
+        return _replay(log, options, entry, recorded, mapping, cache_folder())
 
 
 @dataclass(frozen=True)
@@ -95,20 +85,50 @@ class _Map:
     map: Path | None = None
 
 
-def log_path(path: Path) -> Path:
-    """The log that is meant by a file or a run's folder.
+@contextlib.contextmanager
+def opened(path: Path, asked: Path | None) -> "Iterator[Log | RunLog]":
+    """The recording that is meant: a run's folder, or a log; of a folder with a mapping the raw streams in it.
+
+    Args:
+        path: of it.
+        asked: file of a mapping in place of the recording's own.
 
     Raises:
-        UsageError: the folder has none.
+        UsageError: there is none, or it is damaged.
     """
-    if not path.is_dir():
-        return path
-    if not (path / LOG).is_file():
-        raise UsageError(f"{path} has no {LOG}: it was not recorded; `rumi run --record` does")
-    return path / LOG
+    from rumi.runs.recorded import RunLog
+
+    if path.is_dir() and asked is None and not _logs_readings(path / LOG):
+        yield RunLog(path)
+        return
+    if path.is_dir() and not (path / LOG).is_file():
+        raise UsageError(f"{path} has no {LOG}, which --map needs: its raw streams were not recorded; `--record` does")
+    from sensors.log.errors import LogError
+
+    try:
+        from sensors.log.reader import Log
+
+        with Log(path / LOG if path.is_dir() else path) as log:
+            yield log
+    except LogError as error:
+        raise UsageError(str(error)) from error
 
 
-def mapping_of_log(log: "Log", asked: Path | None) -> "BagMap | None":
+def _logs_readings(path: Path) -> bool:
+    """Whether a log of before lies there, which has the readings too."""
+    if not path.is_file():
+        return False
+    from sensors.log.errors import LogError
+    from sensors.log.reader import Log
+
+    try:
+        with Log(path) as log:
+            return log.settings is not None
+    except LogError:
+        return False
+
+
+def mapping_of_log(log: "Log | RunLog", asked: Path | None) -> "BagMap | None":
     """The mapping by which a log's raw streams are read; None where it holds a run's readings.
 
     Args:
@@ -132,71 +152,89 @@ def mapping_of_log(log: "Log", asked: Path | None) -> "BagMap | None":
     raise UsageError(f"{log.path} holds raw streams and no mapping: give one with --map FILE")
 
 
-def recorded_settings(log: "Log", mapping: "BagMap | None") -> Settings:
-    """The settings of the run that made a log, or of the mapping of one that none made.
+def recorded_settings(log: "Log | RunLog", mapping: "BagMap | None") -> tuple[TaskEntry[Any], Any]:
+    """Task and settings of the run that was recorded; of an imported recording those of rummaging, by its mapping.
 
     Raises:
-        UsageError: it is of the handle task, which has others.
+        UsageError: they are none of this rumi.
     """
-    if mapping is None:
-        from rumi.commands.replay_handle import is_of_handle
+    if mapping is not None:
+        from rumi.rosbag.scene import settings_of
 
-        if is_of_handle(log):
-            raise UsageError(f"{log.path} is of the handle task, whose settings are others: `rumi replay` reads it")
-        return from_dict(log.settings or {})
-    from rumi.rosbag.scene import settings_of
+        return entry_of_imported(), settings_of(mapping)
+    values = log.settings or {}
+    name = values.get("task", "")
+    entry = TASKS[FORMER_NAMES.get(name, name)]
+    return entry, entry.from_dict(values)
 
-    return settings_of(mapping)
+
+def entry_of_imported() -> TaskEntry[Any]:
+    """The task that an imported recording is taken for: any of the rummaging scenes."""
+    return TASKS["mug-0"]
 
 
-def _parsed(arguments: Sequence[str], path: Path, start: Settings) -> ReplayOptions:
-    default = ReplayOptions(path, start)
-    options = tyro.cli(ReplayOptions, prog="rumi replay", description=_HELP, args=arguments, default=default)
-    for name in _RECORDED:
-        if getattr(options.settings, name) != getattr(start, name):
+def _parsed(arguments: Sequence[str], path: Path, entry: TaskEntry[S], start: S) -> ReplayOptions[S]:
+    options: ReplayOptions[S] = tyro.cli(
+        ReplayOptions[entry.settings],  # type: ignore[name-defined]
+        prog="rumi replay",
+        description=_HELP,
+        args=arguments,
+        default=ReplayOptions(path, start),
+    )
+    for name in differing(start, options.settings):
+        if entry.role(name) == "sensed":
             raise UsageError(f"Expected {name} as it was recorded, got another: a replay cannot change what was sensed")
     return options
 
 
-def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "BagMap | None", cache_dir: Path) -> int:
+def _replay(
+    log: "Log | RunLog",
+    options: ReplayOptions[Any],
+    entry: TaskEntry[Any],
+    recorded: Any,  # noqa: ANN401  (settings of any task)
+    mapping: "BagMap | None",
+    cache_dir: Path,
+) -> int:
     from rumi.runs.folder import RunRecorder, load_run, prepare_folder, write_json
     from rumi.runs.replay import replay as take_in
+    from rumi.tasks.rummage.build import sketch_of
+    from rumi.tasks.rummage.objects import record
 
     settings = options.settings
     if options.out is not None:
         prepare_folder(options.out)
     elif options.figures:
         raise UsageError("Expected --out DIR with --figures, got none: figures need a folder")
-    changed = changes(to_dict(recorded), to_dict(settings))
-    if idle := [name for name in changed if name.split(".")[0] in _NO_EFFECT]:
+    changed = differing(recorded, settings)
+    if idle := [name for name in changed if entry.role(name) == "idle"]:
         say(f"{', '.join(idle)}: no effect, since what was done is recorded")
-    taken = log.taken() if mapping is None else made_readings(log, mapping, settings)
+    taken = log.taken(entry.readings) if mapping is None else made_readings(log, mapping, settings)
     for problem in log.problems:
         say(problem)
-    if settings.steps is not None:
-        taken = taken[: settings.steps + 1]
-    rummager = rummager_of(settings, mapping, taken, cache_dir)
-    _check_object(log, rummager)
-    elsewhere = _elsewhere(settings, taken)
-    with Progress(settings.task, len(taken) - 1, describe) as progress:
-        if options.out is None:
-            done = take_in(taken, rummager, seed=settings.seed, on_step=progress, wrap=elsewhere)
-        else:
-            from rumi.tasks.rummage.build import scene_sketch
-            from rumi.tasks.rummage.objects import record
-
-            with RunRecorder(options.out, to_dict(settings)) as recorder:
-                write_json(options.out / "object.json", record(rummager.model))
-                recorder.scene(scene_sketch(rummager))
-                on_step = both(recorder, progress)
-                done = take_in(taken, rummager, seed=settings.seed, on_step=on_step, wrap=elsewhere)
-                recorder.finish(done.result)
+    if mapping is not None:
+        agent = agent_of_imported(mapping, settings, taken, cache_dir)
+    else:
+        agent = entry.agent(settings, cache_dir=cache_dir)
+    _check_object(log, agent)
+    label = getattr(settings, "task", entry.label(settings)) if mapping is not None else _name(log)
+    steps = entry.steps(settings) if mapping is None else settings.steps
+    taken = taken if steps is None else taken[: steps + 1]
+    with contextlib.ExitStack() as stack:
+        on_step = stack.enter_context(Progress(label, len(taken) - 1, entry.describe))
+        recorder = None
+        if options.out is not None:
+            recorder = stack.enter_context(RunRecorder(options.out, entry.as_dict(settings), sketch_of(agent)))
+            if (model := getattr(agent, "model", None)) is not None:
+                write_json(options.out / "object.json", record(model))
+        seen = on_step if recorder is None else both(recorder, on_step)
+        done = take_in(taken, agent, seed=settings.seed, on_step=seen, wrap=_on_device(settings, taken))
+        if recorder is not None:
+            recorder.finish(done.result)
     if options.figures and options.out is not None:
-        from rumi.viz.figures import make_figures
-
-        make_figures(load_run(options.out), options.out / "figures", None)
+        entry.draw(load_run(options.out), options.out / "figures")
     asked = [name for name in changed if name not in idle]
-    sys.stdout.write(summary(done, len(taken), asked, options.out, settings.task))
+    lines = [line for line in entry.summary(settings, done.result) if line.split(" ", 1)[0] not in _OF_LIVE]
+    sys.stdout.write(summary(done, label, lines, len(taken), asked, options.out))
     if not asked and False in done.same:
         for line in machines(log):
             say(line)
@@ -204,48 +242,54 @@ def _replay(log: "Log", options: ReplayOptions, recorded: Settings, mapping: "Ba
     return DONE if done.result.stopped_by == "sure" else NOT_CONVERGED
 
 
+_OF_LIVE = ("seconds", "clock", "grasp")
+"""Lines of a summary that are of a live run alone, by their first word."""
+
+
 def summary(
-    done: "Replayed",
-    readings: int,
-    changed: Sequence[str],
-    out: Path | None,
-    name: str,
-    go_on: str = " (--stop.rule never goes on)",
+    done: "Replayed", name: str, lines: Sequence[str], readings: int, changed: Sequence[str], out: Path | None
 ) -> str:
     """A few lines on a replay.
 
     Args:
         done: what came of it.
+        name: of the task.
+        lines: on how it ended.
         readings: that there were.
         changed: settings that are not the recorded ones and that matter.
         out: the folder that was written.
-        name: of the task.
-        go_on: how to take in readings after the belief is sure.
     """
-    result = done.result
     used = len(done.same)
-    head, *rest = ending(result)
-    lines = [f"{name}: {head}", *rest]
+    first, *rest = lines
+    lines = [f"{name}: {first}", *rest]
     if used < readings:
-        lines.append(f"readings {used} of {readings}: sure before the log's end{go_on}")
-    x, y, z = done.last.belief.mode()[:3, 3].tolist()
-    yaw = math.degrees(float(torch.atan2(*done.last.belief.mode()[[1, 0], [0, 0]])))
-    lines.append(f"likeliest at ({x:.4f}, {y:.4f}, {z:.4f}) m, x axis {yaw:.1f} degrees from the world's")
+        lines.append(f"readings {used} of {readings}: sure before the log's end")
+    if isinstance(done.last, StepRecord):
+        pose = done.last.belief.mode()
+        x, y, z = pose[:3, 3].tolist()
+        yaw = math.degrees(float(torch.atan2(*pose[[1, 0], [0, 0]])))
+        lines.append(f"likeliest at ({x:.4f}, {y:.4f}, {z:.4f}) m, x axis {yaw:.1f} degrees from the world's")
     known = [same for same in done.same if same is not None]
     if not known:
         lines.append("belief   no live run's to compare with")
     elif all(known):
         lines.append(f"belief   the recorded one, bit for bit, after each of {len(known)} readings")
     else:
-        first = done.same.index(False)
-        at = "the first view" if first == 0 else f"action {first}"
+        place = done.same.index(False)
+        at = "the first view" if place == 0 else f"action {place}"
         why = f" ({', '.join(changed)} changed)" if changed else ", though the settings are the same"
         lines.append(f"belief   differs from the recorded one from {at} on{why}")
     faster = done.robot_s / max(done.wall_s, 1e-9)
-    lines.append(f"seconds  {done.wall_s:.1f} for {done.robot_s:.1f} of the robot: {faster:.1f} times as fast")
+    told = f" for {done.robot_s:.1f} of the robot: {faster:.1f} times as fast" if done.robot_s > 0 else ""
+    lines.append(f"seconds  {done.wall_s:.1f}{told}")
     if out is not None:
         lines.append(f"folder   {out}")
     return "\n  ".join(lines) + "\n"
+
+
+def differing(before: Any, after: Any) -> list[str]:  # noqa: ANN401  (settings of one task)
+    """Names of the settings that differ, as their flags have them but with underscores."""
+    return [name.removeprefix("settings.") for name in changes(plain(before), plain(after))]
 
 
 def changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> list[str]:
@@ -260,11 +304,11 @@ def changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "
     return sorted(found)
 
 
-def made_readings(log: "Log", mapping: "BagMap", settings: Settings) -> "list[Taken]":
+def made_readings(log: "Log | RunLog", mapping: "BagMap", settings: "Settings") -> "list[Taken]":
     """The readings of an imported recording; says what could not be used."""
     from rumi.rosbag.readings import make_readings
 
-    made = make_readings(log, mapping, seed=settings.seed)
+    made = make_readings(cast("Log", log), mapping, seed=settings.seed)
     if made.wrenches:
         say("wrenches: " + ", ".join(f"{count} {name}" for name, count in made.wrenches.items() if count))
     for line in (*made.notes, *made.problems[:10]):
@@ -274,49 +318,45 @@ def made_readings(log: "Log", mapping: "BagMap", settings: Settings) -> "list[Ta
     return made.taken
 
 
-def rummager_of(
-    settings: Settings, mapping: "BagMap | None", taken: "Sequence[Taken]", cache_dir: Path | None
-) -> "Rummager":
-    """All that a replay needs beside the log; nothing of it simulates or plans.
+def agent_of_imported(
+    mapping: "BagMap", settings: "Settings", taken: "Sequence[Recorded]", cache_dir: Path | None
+) -> "Agent[Any]":
+    """What follows an imported recording.
 
     Raises:
-        UsageError: there is no such task or device, or the object cannot be used.
+        UsageError: there is no such device, or the object cannot be used.
     """
-    if mapping is not None:
-        from rumi.rosbag.scene import rummager_of_map
+    from rumi.rosbag.scene import rummager_of_map
 
-        places = torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
-        return rummager_of_map(mapping, settings, places, cache_dir)
-    from rumi.tasks.rummage.build import build_rummager
-    from rumi.tasks.rummage.objects import with_object
-    from rumi.tasks.rummage.scenes import find_task, make_tool
-
-    spec, model = with_object(find_task(settings.task), settings.object, cache_dir=cache_dir)
-    tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
-    # what plans is not used, and may need packages that are not there
-    planner = replace(settings.planner, push_model="displacement")
-    return build_rummager(spec, replace(settings, method="rumi", planner=planner), model, tool)
+    places = torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
+    return rummager_of_map(mapping, settings, places, cache_dir)
 
 
-def _elsewhere(settings: Settings, taken: "Sequence[Taken]") -> Any:  # noqa: ANN401  (what `replay` takes)
+def _name(log: "Log | RunLog") -> str:
+    """The task's name as it is today."""
+    name = str((log.settings or {}).get("task"))
+    return FORMER_NAMES.get(name, name)
+
+
+def _on_device(settings: Any, taken: "Sequence[Recorded]") -> Any:  # noqa: ANN401  (what `replay` takes)
     """What brings readings to the settings' device and dtype."""
     from rumi.task import TaskOnDevice
 
-    device, dtype = settings.torch_device, settings.torch_dtype
-    if not taken or (device.type == "cpu" and taken[0].reading.tool_pose.dtype == dtype):
+    device, dtype = getattr(settings, "torch_device", None), getattr(settings, "torch_dtype", None)
+    if device is None or not taken or (device.type == "cpu" and taken[0].reading.tool_pose.dtype == dtype):
         return lambda task: task
     return lambda task: TaskOnDevice(task, device, dtype)
 
 
-def _check_object(log: "Log", rummager: "Rummager") -> None:
+def _check_object(log: Any, agent: Any) -> None:  # noqa: ANN401
     """Say so where the mesh is not the one that was recorded with."""
     mesh = json.loads(log.texts.get("object", "{}")).get("mesh")
-    source = rummager.model.source
+    source = getattr(getattr(agent, "model", None), "source", None)
     if mesh is not None and source is not None and mesh.get("sha256") != source.sha256:
         say(f"{source.file} is not the mesh of the recorded run ({mesh.get('file')}): other beliefs will come of it")
 
 
-def machines(log: "Log") -> list[str]:
+def machines(log: "Log | RunLog") -> list[str]:
     """What this machine has other than the one that recorded a log, which may be why beliefs differ."""
     from rumi.runs.folder import provenance
 

@@ -15,7 +15,7 @@ from rumi.commands.former_flags import renamed
 from rumi.commands.tasks import listing
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
-from rumi.runs.folder import free_folder, left_if_begun, prepare_folder
+from rumi.runs.folder import free_folder, left_if_begun, load_run, prepare_folder
 from rumi.runs.progress import Progress, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
 from sdf import skipped_work
@@ -40,7 +40,7 @@ class RunOptions(Generic[S]):
         out: folder of the run; by default one in runs/, named after the settings, with a number where that is taken.
         figures: draw figures at the end.
         explain: say at the end what was skipped, since the scene did not need it, and what that saved.
-        record: write a log too, log.h5 in the run's folder, for `rumi replay`.
+        record: write what cameras and bubbles gave too, as raw streams: log.h5 in the run's folder.
     """
 
     settings: Annotated[S, tyro.conf.arg(name="")]
@@ -78,7 +78,7 @@ def run(arguments: Sequence[str]) -> int:
     interrupted = result.stopped_by == "interrupted"
     if options.figures and not interrupted:
         say("drawing figures")
-        entry.draw(folder, settings, result)
+        entry.draw(load_run(folder), folder / "figures")
     first, *lines = entry.summary(settings, result)
     sys.stdout.write("\n  ".join([f"{name}: {first}", *lines, f"folder   {folder}"]) + "\n")
     if options.explain:

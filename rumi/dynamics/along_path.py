@@ -11,8 +11,7 @@ from torch import Tensor
 from rumi.dynamics.outline import GridOutline, RectangleOutline, support_of
 from rumi.dynamics.sliding import Outline, Sliding, push, rotated
 from rumi.robot.gripper import GripperShape
-from sdf import backend, se3
-from sdf import compiled as fused
+from sdf import backend, compiled, se3
 from sdf.base import SDF
 from sdf.check import check_finite, check_shape, is_eager
 from sdf.so3 import wrap
@@ -238,7 +237,7 @@ def unwrapped(path: Float[Tensor, "*b T 3"]) -> Float[Tensor, "*b T 3"]:
     return torch.cat((path[..., :2], whole[..., None]), -1)
 
 
-@backend.register("push_along_path", "numba", fused.supports)
+@backend.register("push_along_path", "numba", compiled.supports)
 def _push_along_path_numba(
     poses: Tensor, path: Tensor, pusher: Pusher, outline: Outline, sliding: Sliding, substeps: int, passes: int
 ) -> PathOutcome:

@@ -3,10 +3,10 @@
 import math
 
 import numpy as np
-from numba import prange
 
 from rumi.dynamics.sliding_numba import settled, slope, value
 from sdf.compiled import Kernel, bare
+from sdf.part_numba import indices
 
 
 @bare
@@ -113,8 +113,8 @@ def _one(e, poses, path, points, table, centre, lever, friction, shape, sizes, c
         distance[e, instant] = apart - thickness
 
 
-def _push_along_path(poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance):
-    for e in prange(len(poses)):
+def _push_along_path(poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance, part):
+    for e in indices(part, len(poses)):
         # a signed index: a parallel loop's is unsigned, which with a signed one makes no index
         _one(np.int64(e), poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance)
 

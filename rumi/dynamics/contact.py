@@ -12,8 +12,7 @@ from rumi.dynamics.tool_lookup import TiedField
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.normal import expected_normal
 from rumi.fields.workspace import Workspace
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.base import SDF
 from sdf.voxel_grid import VoxelGrid
 
@@ -132,7 +131,7 @@ def _spread_plain(values: Float[Tensor, "X Y"], widths: list[int], margin: int) 
     return result[0, 0]
 
 
-@backend.register("spread", "numba", fused.supports)
+@backend.register("spread", "numba", compiled.supports)
 def _spread_numba(values: Float[Tensor, "X Y"], widths: list[int], margin: int) -> Float[Tensor, "X2 Y2"]:
     from rumi.dynamics.displacement_numba import spread
 

@@ -18,9 +18,7 @@ from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
-from sdf import backend
-from sdf import compiled as fused
-from sdf import skipped_work as savings
+from sdf import backend, compiled, skipped_work
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
 
@@ -164,7 +162,7 @@ class DisplacementRollouts:
         uniforms = self.draw(controls.shape[0], rollouts, controls.shape[1], generator=generator)
         return self.rollout_drawn(configuration, controls, uniforms)
 
-    def likely(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
+    def nominal_rollout(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) in which contact happens where it is more likely than not."""
         return self.rollout_drawn(configuration, controls[None], controls.new_full((1, 1, len(controls), 1), 0.5))
 
@@ -180,7 +178,7 @@ class DisplacementRollouts:
         check_shape("configuration", configuration, f"({size},)", last=(size,))
         check_shape("controls", controls, "(K, H, A)")
         version = backend.dispatch("push_rollouts", configuration, controls, uniforms, self.points)
-        with savings.work("contact_checks") as work:
+        with skipped_work.work("contact_checks") as work:
             found: PushRollouts = version(self, configuration, controls, uniforms)
             whole = found.contact.numel() * self.settings.mini_steps
             work.count(found.checked * whole, whole)
@@ -343,7 +341,7 @@ class DisplacementRollouts:
 backend.register("push_rollouts")(DisplacementRollouts._rollouts)
 
 
-@backend.register("push_rollouts", "numba", fused.supports)
+@backend.register("push_rollouts", "numba", compiled.supports)
 def _rollouts_numba(
     model: DisplacementRollouts, configuration: Tensor, controls: Tensor, uniforms: Tensor
 ) -> PushRollouts:

@@ -10,12 +10,12 @@ import math
 
 import numpy as np
 import torch
-from numba import prange
 
 from rumi.dynamics.base import PushRollouts
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
+from sdf.part_numba import indices
 from sdf.voxel_grid import VoxelGrid
 
 # columns of a group's state
@@ -326,18 +326,18 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
                 break
 
 
-def _push_rollouts(start, controls, draws, action, body, pz, fields, discs, arm, sizes, rules, scratch, out):
-    for k in prange(len(controls)):
+def _push_rollouts(start, controls, draws, action, body, pz, fields, discs, arm, sizes, rules, scratch, out, part):
+    for k in indices(part, len(controls)):
         _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, sizes, rules, scratch, out)
 
 
 push_rollouts = Kernel(_push_rollouts)
 
 
-def _spread(values, widths, margin, result):
+def _spread(values, widths, margin, result, part):
     rows, columns = values.shape
     middle = len(widths) // 2
-    for x in prange(len(result)):
+    for x in indices(part, len(result)):
         found = result[x]
         for row in range(len(widths)):
             source = x + row - 2 * middle

@@ -27,9 +27,7 @@ from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
-from sdf import backend, se3
-from sdf import compiled as fused
-from sdf import skipped_work as savings
+from sdf import backend, compiled, se3, skipped_work
 from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
@@ -132,7 +130,7 @@ class QuasiStaticRollouts:
         """Roll control sequences out from one configuration (x, y, yaw), once for each of `rollouts` poses."""
         return self.rollout_poses(configuration, controls, self.representatives(rollouts))
 
-    def likely(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "H A"]) -> PushRollouts:
+    def nominal_rollout(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) of the likeliest pose."""
         return self.rollout_poses(configuration, controls[None], self.poses[self.weights.argmax()][None])
 
@@ -144,7 +142,7 @@ class QuasiStaticRollouts:
         check_shape("configuration", configuration, "(3,)", last=(3,))
         check_shape("controls", controls, "(K, H, A)")
         version = backend.dispatch("quasi_static_rollouts", configuration, controls, poses, self.points)
-        with savings.work("pushes") as work:
+        with skipped_work.work("pushes") as work:
             found: PushRollouts = version(self, configuration, controls, poses)
             whole = found.contact.numel() * self.settings.mini_steps
             work.count(found.checked * whole, whole)
@@ -208,7 +206,7 @@ class QuasiStaticRollouts:
 backend.register("quasi_static_rollouts")(QuasiStaticRollouts._rollouts)
 
 
-@backend.register("quasi_static_rollouts", "numba", fused.supports)
+@backend.register("quasi_static_rollouts", "numba", compiled.supports)
 def _rollouts_numba(model: QuasiStaticRollouts, configuration: Tensor, controls: Tensor, poses: Tensor) -> PushRollouts:
     return model.compiled(configuration, controls, poses)
 

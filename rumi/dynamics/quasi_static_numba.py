@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import torch
-from numba import prange
 
 from rumi.dynamics.base import PushRollouts, twins
 from rumi.dynamics.sliding_numba import settled, slope, value
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
+from sdf.part_numba import indices
 
 _GROUP = 12  # points of the tool's border that one bound settles together
 
@@ -180,8 +180,8 @@ def _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers,
     checks[k] = checked
 
 
-def _push_rollouts(controls, action_scale, arm, path, poses, body, outline, numbers, counts, scratch, out):
-    for k in prange(len(path)):
+def _push_rollouts(controls, action_scale, arm, path, poses, body, outline, numbers, counts, scratch, out, part):
+    for k in indices(part, len(path)):
         _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers, counts, scratch, out)
 
 

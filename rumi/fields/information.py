@@ -10,9 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from rumi.weights import check_weights
-from sdf import backend
-from sdf import compiled as fused
-from sdf import skipped_work as savings
+from sdf import backend, compiled, skipped_work
 from sdf.base import SDF
 from sdf.check import check_finite, check_shape, is_eager
 from sdf.grid_sdf import takes
@@ -196,8 +194,8 @@ def information_field(
     world_T_object, points_w = about_first(world_T_object, points_w)
     tensors = (value for value in values.values() if isinstance(value, Tensor))
     version = backend.dispatch("information_field", world_T_object, log_weights, points_w, *sdf.tensors(), *tensors)
-    with savings.work("workspace_points") as work:
-        if savings.kept():
+    with skipped_work.work("workspace_points") as work:
+        if skipped_work.kept():
             work.count(int(near.sum()), near.numel())
         return version(sdf, world_T_object, log_weights, points_w, near, values)
 
@@ -222,7 +220,7 @@ def _information_field(
     return WorkspaceFields(semantics, information)
 
 
-@backend.register("information_field", "numba", fused.supports)
+@backend.register("information_field", "numba", compiled.supports)
 def _information_field_numba(
     sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, near: Tensor, values: dict[str, Any]
 ) -> WorkspaceFields:

@@ -5,11 +5,12 @@ import math
 import numpy as np
 import torch
 from llvmlite import ir
-from numba import prange, types
+from numba import types
 from numba.extending import intrinsic, overload
 
 from sdf.compiled import Kernel
 from sdf.grid_numba import block, fast, lattice_of, layer_value, put, value
+from sdf.part_numba import indices
 from sdf.posed import common_height
 from sdf.posed_numba import placed_from, placed_upright_from, pose_planes, table_arguments
 
@@ -166,13 +167,14 @@ def _field(
     sizes,
     semantics,
     information,
+    part,
 ):
     lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
     count, poses, real = information.shape[1], rows.shape[2], log_weights.shape[1]
     kind = type(settings[0])
     none, one, tiny = kind(0.0), kind(1.0), settings[6]
     sharpness, tolerance, margin = settings[4], settings[3], settings[5]
-    for task in prange((len(chosen) + _STEP - 1) // _STEP):
+    for task in indices(part, (len(chosen) + _STEP - 1) // _STEP):
         v = np.empty(poses, rows.dtype)
         for number in range(task * _STEP, min((task + 1) * _STEP, len(chosen))):
             scene, point = chosen[number] // count, chosen[number] % count

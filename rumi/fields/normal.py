@@ -6,9 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sdf import backend
-from sdf import compiled as fused
-from sdf import skipped_work as savings
+from sdf import backend, compiled, skipped_work
 from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.grid_sdf import takes
@@ -42,8 +40,8 @@ def expected_normal(
         shape = (*world_T_object.shape[:-3], len(points_w))
         where = torch.ones(shape, dtype=torch.bool, device=points_w.device)
     version = backend.dispatch("expected_normal", world_T_object, log_weights, points_w, *sdf.tensors())
-    with savings.work("normals") as work:
-        if savings.kept():
+    with skipped_work.work("normals") as work:
+        if skipped_work.kept():
             work.count(int(where.sum()), where.numel())
         return version(sdf, world_T_object, log_weights, points_w, where)
 
@@ -63,7 +61,7 @@ def _expected_normal(sdf: SDF, world_T_object: Tensor, log_weights: Tensor, poin
     return normal
 
 
-@backend.register("expected_normal", "numba", fused.supports)
+@backend.register("expected_normal", "numba", compiled.supports)
 def _expected_normal_numba(
     sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, where: Tensor
 ) -> Tensor:

@@ -2,19 +2,18 @@
 
 import math
 
-from numba import prange
-
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, lattice_of, layer_value_and_gradient, value_and_gradient
+from sdf.part_numba import indices
 from sdf.posed import common_height
 from sdf.posed_numba import placed_from, placed_upright_from, pose_planes, table_arguments
 
 
-def _normal(chosen, points, rows, turned, upright, flat, rise, level, numbers, sizes, result):
+def _normal(chosen, points, rows, turned, upright, flat, rise, level, numbers, sizes, result, part):
     lattice, height = lattice_of(numbers, sizes), (level[0], level[1])
     count, poses = len(points), rows.shape[2]
     none = type(numbers[0])(0.0)
-    for number in prange(len(chosen)):
+    for number in indices(part, len(chosen)):
         scene, point = chosen[number] // count, chosen[number] % count
         m, t = rows[scene].reshape(-1), turned[scene].reshape(-1)
         x, y, z = points[point, 0], points[point, 1], points[point, 2]

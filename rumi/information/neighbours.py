@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.weights import check_weights
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.check import check_finite, is_eager
 from sdf.so3 import wrap
 
@@ -70,7 +69,7 @@ class StateMetric:
         return differences / differences.new_tensor(self.scales)
 
 
-class Merged(NamedTuple):
+class UniqueStates(NamedTuple):
     """A set in which each state counts once.
 
     Attributes:
@@ -84,7 +83,9 @@ class Merged(NamedTuple):
     states: Int[Tensor, "*b"]
 
 
-def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"], metric: StateMetric) -> Merged:
+def unique_states(
+    states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"], metric: StateMetric
+) -> UniqueStates:
     """The same mixture without duplicates, as resampling leaves them; states without weight are left out too.
 
     Raises:
@@ -102,7 +103,7 @@ def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"],
     first = (leader == own) & (weights > -math.inf)
     log = torch.where(first, torch.where(first, lead, 1.0).log(), -math.inf)
     shape = states.shape[:-1]
-    return Merged(log.view(shape), first.view(shape), first.sum(-1).view(shape[:-1]))
+    return UniqueStates(log.view(shape), first.view(shape), first.sum(-1).view(shape[:-1]))
 
 
 class Neighbours(NamedTuple):
@@ -122,7 +123,7 @@ class Neighbours(NamedTuple):
 
 
 def neighbours(
-    states: Float[Tensor, "*b N D"], unique: Merged, metric: StateMetric, count: int, *, include_self: bool
+    states: Float[Tensor, "*b N D"], unique: UniqueStates, metric: StateMetric, count: int, *, include_self: bool
 ) -> Neighbours:
     """The `count` nearest states of each one, itself among them or not; all where there are fewer."""
     shape, size = states.shape[:-1], states.shape[-2]
@@ -146,7 +147,7 @@ def _leaders(flat: Float[Tensor, "B N D"], weights: Float[Tensor, "B N"], metric
     return leader
 
 
-@backend.register("leading_states", "numba", fused.supports)
+@backend.register("leading_states", "numba", compiled.supports)
 def _leaders_numba(flat: Tensor, weights: Tensor, metric: StateMetric) -> Tensor:
     from rumi.information.neighbours_numba import leaders
 
@@ -194,7 +195,7 @@ def _nearest(
     return sides, distance, mass
 
 
-@backend.register("nearest_states", "numba", fused.supports)
+@backend.register("nearest_states", "numba", compiled.supports)
 def _nearest_numba(
     flat: Tensor, first: Tensor, weights: Tensor, metric: StateMetric, used: Tensor, include_self: bool
 ) -> tuple[Tensor, Tensor, Tensor]:

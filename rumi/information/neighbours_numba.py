@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import prange
 
 from sdf.compiled import Kernel, bare
+from sdf.part_numba import indices
 
 _TURN = 2.0 * math.pi
 
@@ -16,9 +16,9 @@ def _apart(a, b, angle):
     return (d + math.pi) % _TURN - math.pi if angle else d
 
 
-def _leaders(states, log_weights, angles, leader):
+def _leaders(states, log_weights, angles, leader, part):
     size, dims = states.shape[1:]
-    for b in prange(len(states)):
+    for b in indices(part, len(states)):
         for i in range(size):
             leader[b, i] = 0
             for j in range(size):
@@ -70,9 +70,9 @@ def _around(b, i, states, first, weights, scales, angles, count, own, near, whic
         sides[b, i, d] = high - low if high >= low else 0.0
 
 
-def _nearest(states, first, weights, scales, angles, used, own, sides, distance, mass):
+def _nearest(states, first, weights, scales, angles, used, own, sides, distance, mass, part):
     size = states.shape[1]
-    for b in prange(len(states)):
+    for b in indices(part, len(states)):
         others = used[b] - 1 if own else used[b]
         near, which = np.empty(max(others, 1), np.float64), np.empty(max(others, 1), np.int64)
         for i in range(size):

@@ -7,8 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from sdf import backend, se3
-from sdf import compiled as fused
+from sdf import backend, compiled, se3
 from sdf.base import SDF
 from sdf.posed import posed_distance
 from sensors.semantics import log_surface_probability
@@ -110,7 +109,7 @@ def _size(like: Tensor, pairs: int) -> int:
     return max(1, CHUNK_BYTES // (like.element_size() * _TEMPORARIES * max(1, pairs)))
 
 
-@backend.register("self_agreement", "numba", fused.supports)
+@backend.register("self_agreement", "numba", compiled.supports)
 def _self_agreement_numba(
     pose: Tensor, log_weights: Tensor, points: Tensor, sdf: SDF, sharpness: float, tolerance: float
 ) -> tuple[Tensor, Tensor]:

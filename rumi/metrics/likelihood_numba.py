@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 from llvmlite import ir
-from numba import prange
 from numba.core import types
 from numba.extending import intrinsic
 
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, block, exact, fast, lattice_of, put, value
+from sdf.part_numba import indices
 
 _LOG2_E = 1.0 / math.log(2.0)
 # ln 2 in two parts, of which a whole number times the first is exact
@@ -135,11 +135,11 @@ def _log_likelihood(points, m, poses, j, log_weights, flat, lattice, sharpness, 
     return most + math.log(total)
 
 
-def _self_agreement(poses, log_weights, points, grid, sharpness, tolerance, nll, distance):
+def _self_agreement(poses, log_weights, points, grid, sharpness, tolerance, nll, distance, part):
     flat, numbers, sizes = grid
     batch, each = nll.shape
     count = len(points) // 3
-    for row in prange(batch * each):
+    for row in indices(part, batch * each):
         b, j = row // each, row % each
         lattice = lattice_of(numbers, sizes)
         mixture, distances = np.zeros(count, flat.dtype), np.empty(count, flat.dtype)

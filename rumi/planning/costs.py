@@ -9,8 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from rumi.dynamics.tool_lookup import placement, planar_features
-from sdf import backend
-from sdf import compiled as fused
+from sdf import backend, compiled
 from sdf.voxel_grid import VoxelGrid
 
 # rollouts whose marks are kept at once: few enough for the processor's cache
@@ -176,7 +175,7 @@ def _gathered(
     return gathered
 
 
-@backend.register("gathered_information", "numba", fused.supports)
+@backend.register("gathered_information", "numba", compiled.supports)
 def _gathered_numba(cells: Cells, configurations: Tensor, displacements: Tensor, discount: float) -> Tensor:
     from rumi.planning.costs_numba import gathered
 

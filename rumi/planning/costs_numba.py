@@ -7,10 +7,10 @@ heights: the other of `layer` and `up` is None, and numba compiles what needs it
 import math
 
 import numpy as np
-from numba import prange
 
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, block, put
+from sdf.part_numba import indices
 
 
 @block
@@ -37,12 +37,25 @@ def _cells(x, y, z, cos, sin, along, across, up, scale, offset, wide, deep, tall
 
 
 def _gathered(
-    value, layer, scale, offset, along, across, up, middle, radius, configurations, displacements, discount, result
+    value,
+    layer,
+    scale,
+    offset,
+    along,
+    across,
+    up,
+    middle,
+    radius,
+    configurations,
+    displacements,
+    discount,
+    result,
+    part,
 ):
     rollouts, horizon = configurations.shape[:2]
     wide, deep, tall = value.shape
     worth = value.reshape(-1)
-    for r in prange(rollouts):
+    for r in indices(part, rollouts):
         met = np.zeros(worth.size, np.bool_)
         cell = np.empty(along.size, np.int32)
         total, factor = 0.0, 1.0

@@ -13,7 +13,7 @@ from rumi.dynamics.tool_lookup import world_height
 from rumi.planning.costs import InformationCost
 from rumi.planning.reach_cost import ReachabilityCost
 from rumi.robot.tool import Tool
-from sdf import skipped_work as savings
+from sdf import skipped_work
 from sdf.voxel_grid import VoxelGrid
 
 Gathered = Callable[[Float[Tensor, "R H Q"], Float[Tensor, "R H 3"]], Float[Tensor, "R"]]
@@ -94,7 +94,7 @@ class TrajectoryCost:
             seen, moved = paths.riding() if self.displaced_information else paths.staying()
             total += self.information_scale * self._information(seen, moved)
         if self._reachability is not None:
-            with savings.work("reachability_sums", alike=False) as work:
+            with skipped_work.work("reachability_sums", alike=False) as work:
                 moved = paths.displacements
                 total += self.reachability_scale * self._reachability(moved, paths.turns, paths.pivot)
                 work.count(moved[..., 0].numel(), moved[..., 0].numel() * self._reachability.points)
@@ -112,8 +112,8 @@ def mean_over_rollouts(rollouts: PushRollouts, of_paths: Callable[[Paths], Float
     samples, count = twin.shape
     distinct = twin == torch.arange(count, device=twin.device)
     cost = rollouts.configurations.new_zeros(samples, count)
-    with savings.work("rollouts_valued") as work:
-        if savings.kept():
+    with skipped_work.work("rollouts_valued") as work:
+        if skipped_work.kept():
             work.count(int(distinct.sum()), distinct.numel())
         cost[distinct] = of_paths(rollouts.paths(distinct))
     return cost.gather(1, twin).mean(-1)

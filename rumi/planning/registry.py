@@ -1,7 +1,7 @@
 """The policies by name: RUMI, its ablations and the baselines."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
@@ -12,6 +12,7 @@ from rumi.planning.slide import SlidePolicy, SlideSettings
 from rumi.registry import Table
 
 
+@runtime_checkable
 class PolicySettings(Protocol):
     """Settings of all policies; each is made from its own."""
 

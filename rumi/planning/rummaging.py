@@ -22,7 +22,7 @@ from rumi.planning.objective import Objective, TrajectoryCost, gathered_by_actio
 from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.planning.rummaging_settings import RummagingSettings
-from sdf import skipped_work as savings
+from sdf import skipped_work
 
 __all__ = ["RummagingPolicy", "RummagingSettings"]
 
@@ -74,7 +74,7 @@ class RummagingPolicy:
         """
         belief, scene, previous = request.belief, request.scene, request.previous
         executed, generator = request.executed, request.generator
-        with savings.account() as work:
+        with skipped_work.account() as work:
             budget = PlanBudget(request.budget_s, self.now, None if previous is None else previous.info.get("pace"))
             watch = _Stopwatch(self.now)
             configuration = scene.configuration.to(scene.workspace.points)
@@ -145,7 +145,7 @@ class RummagingPolicy:
         self, view: "PlanningModel", configuration: Float[Tensor, "Q"], nominal: ControlPlan, watch: "_Stopwatch"
     ) -> tuple[PushRollouts, Float[Tensor, "H"]]:
         """What a plan is expected to do, and what each of its actions gathers."""
-        predicted = view.model.likely(configuration, nominal.controls)
+        predicted = view.model.nominal_rollout(configuration, nominal.controls)
         watch.lap("dynamics")
         gathered = gathered_by_action(view.objective.gathered, predicted)
         watch.lap("costs")

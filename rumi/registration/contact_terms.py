@@ -173,7 +173,7 @@ def _terms_of(surface: TouchSurface, pose: Tensor, points: Tensor, normals: Tens
 
 
 @backend.register("touch_terms", "numba", compiled.supports)
-def _terms_fused(surface: TouchSurface, pose: Tensor, points: Tensor, normals: Tensor, fit: TouchFit) -> Terms:
+def _terms_numba(surface: TouchSurface, pose: Tensor, points: Tensor, normals: Tensor, fit: TouchFit) -> Terms:
     from rumi.registration.contact_terms_numba import terms_kernel
 
     places = [x.detach().double().contiguous().numpy() for x in (pose, points, normals)]

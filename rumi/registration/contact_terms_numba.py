@@ -2,12 +2,12 @@
 
 import math
 
-import numba
 import numpy as np
 
 from sdf.compiled import Kernel, bare
 from sdf.mesh.touched_numba import search
 from sdf.mesh.tree_numba import closest
+from sdf.part_numba import indices
 
 _STACK = 64
 _ON, _LEAST = 1e-9, 1e-12
@@ -22,9 +22,9 @@ def _cell(x, low, step, count):
 
 def _terms(
     poses, points, normals, corners, owner, boxes, faces, facing, cells, low, step, exact, reach, absolute, smooth,
-    amount, objective, gradient, hessian,
+    amount, objective, gradient, hessian, part,
 ):  # fmt: skip
-    for n in numba.prange(len(poses)):
+    for n in indices(part, len(poses)):
         stack, gaps = np.empty(_STACK, np.int64), np.empty(_STACK)
         found, trial, row = np.empty(3), np.empty(3), np.empty(6)
         pose, total = poses[n], 0.0

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import torch
-from numba import prange
 
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, exact, fast, lattice_of, put, value, value_and_gradient
-from sensors.discrepancy_numba import placed
+from sdf.part_numba import indices
+from sensors.discrepancy_numba import placed, prepare
 from sensors.tiles_numba import local, near_points
 
 
@@ -206,13 +206,13 @@ def _step(gradient, hessian, freedom, damping, floor, lever, limits, system, ste
 
 def _descend(
     poses, scene, grid, steepness, free_scale, alpha, margin, centres, reaches,
-    freedom, lever, iterations, limits, enough, result, passes,
+    freedom, lever, iterations, limits, enough, result, passes, part,
 ):  # fmt: skip
     surface, hinged, signs, small_first, small_balls, large_first, large_balls, counts = scene
     flat, numbers, sizes = grid
     batch, each = passes.shape
     size = len(freedom)
-    for row in prange(batch * each):
+    for row in indices(part, batch * each):
         b, n = row // each, row % each
         lattice = lattice_of(numbers, sizes)
         own = (hinged[b], signs[b], small_first[b], small_balls[b], large_first[b], large_balls[b], counts[b])

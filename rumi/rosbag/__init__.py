@@ -1,1 +1,1 @@
-"""ROS 2 bags without ROS: what is in them becomes a log's raw streams, and a log's raw streams become readings."""
+"""ROS 2 bags without ROS: import as a log of raw streams, and readings made of these."""

@@ -1,4 +1,4 @@
-"""From a ROS 2 bag to a log of raw streams."""
+"""Import of a ROS 2 bag as a log of raw streams."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ import numpy as np
 
 from rumi.errors import UsageError
 from rumi.rosbag.mapping import BagMap, Topic
-from rumi.rosbag.mcap import Found, Walk
+from rumi.rosbag.mcap import Message, Walk
 from rumi.rosbag.messages import CONVERTERS, RowOf
 from sensors.log.errors import LogError
 from sensors.log.writer import LogWriter
@@ -19,8 +19,8 @@ _TF = {"/tf": Topic("tf"), "/tf_static": Topic("tf")}
 
 
 @dataclass
-class Imported:
-    """What came of an import.
+class BagImport:
+    """Report of an import.
 
     Attributes:
         rows: by stream.
@@ -37,7 +37,7 @@ class Imported:
     problems: list[str] = field(default_factory=list)
 
 
-def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0) -> Imported:
+def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0) -> BagImport:
     """Write a log of a bag's streams.
 
     The log is written aside and put in its place at the end. What cannot be read of a bag is told and left out; the
@@ -75,11 +75,11 @@ def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0)
 
 def _attempt(
     bag: Path, mapping: BagMap, path: Path, future_s: float, *, walk: bool
-) -> tuple[Imported | None, dict[str, str]]:
+) -> tuple[BagImport | None, dict[str, str]]:
     """The import by rosbags, or record by record; None where rosbags cannot read an MCAP file to its end."""
     from rosbags.typesys import Stores, get_typestore
 
-    store, done = get_typestore(Stores.ROS2_JAZZY), Imported()
+    store, done = get_typestore(Stores.ROS2_JAZZY), BagImport()
     topics = {**_TF, **mapping.topics}
     seen: dict[str, str] = {}
     files = _files(bag)
@@ -122,20 +122,20 @@ def _files(bag: Path) -> list[Path]:
     return found
 
 
-def _by_rosbags(bag: Path) -> Iterator[Found]:
+def _by_rosbags(bag: Path) -> Iterator[Message]:
     from rosbags.rosbag2 import Reader
 
     try:
         with Reader(bag) as reader:
             for connection, received, data in reader.messages():
-                yield Found(connection.topic, connection.msgtype, received, bytes(data))
+                yield Message(connection.topic, connection.msgtype, received, bytes(data))
     except (GeneratorExit, KeyboardInterrupt, MemoryError):
         raise
     except Exception as error:  # a damaged file may bring about any error in there
         raise _BagError(f"{type(error).__name__}: {error}") from error
 
 
-def _walked(files: list[Path], done: Imported) -> Iterator[Found]:
+def _walked(files: list[Path], done: BagImport) -> Iterator[Message]:
     for file in files:
         walk = Walk(file)
         try:
@@ -145,16 +145,16 @@ def _walked(files: list[Path], done: Imported) -> Iterator[Found]:
         done.problems += [f"{file.name}: {problem}" for problem in walk.problems]
 
 
-def _rows(found: Found, told: Topic, store: Any, done: Imported) -> Iterator[RowOf]:  # noqa: ANN401
+def _rows(found: Message, config: Topic, store: Any, done: BagImport) -> Iterator[RowOf]:  # noqa: ANN401
     """Rows of a message; what is wrong with one is counted, and the next one is read."""
     if found.kind not in CONVERTERS:
         known = ", ".join(sorted(CONVERTERS))
         raise UsageError(f"Expected {found.topic} to be of a type among {known}, got {found.kind}")
     roles, convert = CONVERTERS[found.kind]
-    if told.role not in roles:
-        raise UsageError(f"Expected {found.topic} ({found.kind}) to be {' or '.join(roles)}, got {told.role}")
+    if config.role not in roles:
+        raise UsageError(f"Expected {found.topic} ({found.kind}) to be {' or '.join(roles)}, got {config.role}")
     try:
-        rows = convert(store.deserialize_cdr(found.data, found.kind), found.topic, told)
+        rows = convert(store.deserialize_cdr(found.data, found.kind), found.topic, config)
     except (KeyboardInterrupt, MemoryError):
         raise
     except Exception as error:  # damaged bytes may bring about any error when they are unpacked
@@ -173,12 +173,12 @@ def _rows(found: Found, told: Topic, store: Any, done: Imported) -> Iterator[Row
         yield row
 
 
-def _lost(done: Imported, name: str, why: object) -> None:
+def _lost(done: BagImport, name: str, why: object) -> None:
     count, first = done.lost.get(name, (0, f"{name}: {why}"))
     done.lost[name] = (count + 1, first)
 
 
-def _add(log: LogWriter, row: RowOf, received_ns: int, done: Imported) -> None:
+def _add(log: LogWriter, row: RowOf, received_ns: int, done: BagImport) -> None:
     name = row.stream.name
     if done.kinds.get(name, row.stream.kind) != row.stream.kind:
         _lost(done, name, f"changes from {done.kinds[name]} to {row.stream.kind}")

@@ -1,4 +1,4 @@
-"""Where frames were at any time: a recording's transforms, put together along the tree and interpolated in time."""
+"""Frame tree over time: a recording's transforms, composed along the tree and interpolated between stamps."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from sensors.log.reader import Log
 
 @dataclass(frozen=True)
 class Edge:
-    """How a frame lies in its parent.
+    """Transform of a frame to its parent over time.
 
     Attributes:
         parent: its name.
@@ -48,7 +48,7 @@ class Edge:
 
 
 class FrameTree:
-    """Frames and how they lie in each other.
+    """Tree of coordinate frames over time.
 
     Args:
         edges: by child.

@@ -1,4 +1,4 @@
-"""What can still be read of an MCAP file that was cut short or is damaged: its records one after the other.
+"""Salvage of an MCAP file that was cut short or is damaged: its records one after the other.
 
 An undamaged file is read by rosbags, by its index. This needs no index, takes of a chunk that was cut short what can be
 unpacked, and goes on after a chunk that is damaged. (Format: mcap.dev/spec.)
@@ -16,8 +16,8 @@ _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _LAST = 0x01, 0x02, 0x03,
 _LONGEST = 1 << 40  # of a record; more is damage
 
 
-class Found(NamedTuple):
-    """A message.
+class Message(NamedTuple):
+    """A serialised message of a bag.
 
     Attributes:
         topic: of its channel.
@@ -48,7 +48,7 @@ class Walk:
         self._channels: dict[int, tuple[int, str]] = {}
         self.problems: list[str] = []
 
-    def messages(self) -> Iterator[Found]:
+    def messages(self) -> Iterator[Message]:
         """All messages that can be read, in the order in which they lie.
 
         Raises:
@@ -80,7 +80,7 @@ class Walk:
                     return
                 yield from self._record(code, content)
 
-    def _chunk(self, file: BinaryIO, at: int, length: int) -> Iterator[Found]:
+    def _chunk(self, file: BinaryIO, at: int, length: int) -> Iterator[Message]:
         content = file.read(length)
         try:
             _, _, whole, crc, named = struct.unpack_from("<QQQII", content)
@@ -103,7 +103,7 @@ class Walk:
         if place < whole:
             self.problems.append(f"of a chunk at byte {at} the last {whole - place} of {whole} bytes are left out")
 
-    def _record(self, code: int, content: bytes) -> Iterator[Found]:
+    def _record(self, code: int, content: bytes) -> Iterator[Message]:
         try:
             if code == _SCHEMA:
                 (key,) = struct.unpack_from("<H", content)
@@ -115,7 +115,7 @@ class Walk:
                 key, _, received, _ = struct.unpack_from("<HIQQ", content)
                 if key in self._channels:
                     schema, topic = self._channels[key]
-                    yield Found(topic, self._schemas.get(schema, ""), received, content[22:])
+                    yield Message(topic, self._schemas.get(schema, ""), received, content[22:])
         except (struct.error, UnicodeDecodeError):
             self.problems.append("a record is damaged and left out")
 

@@ -37,7 +37,7 @@ def stamp_ns(message: Any) -> int:  # noqa: ANN401  (a message of any type)
     return 0 if header is None else int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
 
-def point_cloud(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
+def point_cloud(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: ANN401
     """sensor_msgs/PointCloud2: x, y and z of floating numbers, and rgb where there is one."""
     fields = {field.name: field for field in message.fields}
     if lacking := [name for name in "xyz" if name not in fields]:
@@ -64,10 +64,10 @@ def point_cloud(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # no
     if packed is not None and kind[packed].itemsize == 4:
         word = np.ascontiguousarray(table[packed]).view(order + "u4").astype(np.uint32)
         color = np.stack([(word >> shift) & 0xFF for shift in (16, 8, 0)], -1).astype(np.uint8)
-    yield RowOf(_spec(message, topic, told, "points"), stamp_ns(message), {"points": points, "color": color})
+    yield RowOf(_spec(message, topic, config, "points"), stamp_ns(message), {"points": points, "color": color})
 
 
-def image(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
+def image(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: ANN401
     """sensor_msgs/Image: depth (16UC1, mono16, 32FC1) or colour (rgb8, bgr8, rgba8, bgra8, mono8)."""
     height, width, encoding = int(message.height), int(message.width), str(message.encoding)
     order = ">" if message.is_bigendian else "<"
@@ -77,8 +77,8 @@ def image(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: AN
         kind, channels, wanted = np.dtype("u1"), _COLORS[encoding][0], "color"
     else:
         raise ValueError(f"unknown encoding {encoding!r}; known are {', '.join([*_DEPTHS, *_COLORS])}")
-    if (told.role == "color") != (wanted == "color"):
-        raise ValueError(f"expected an image of role {told.role}, got the encoding {encoding}")
+    if (config.role == "color") != (wanted == "color"):
+        raise ValueError(f"expected an image of role {config.role}, got the encoding {encoding}")
     data = np.frombuffer(memoryview(message.data), np.uint8)
     used = width * channels * kind.itemsize
     if message.step < used or len(data) < height * message.step:
@@ -87,18 +87,18 @@ def image(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: AN
     array = rows.view(kind).reshape(height, width, channels)
     if wanted == "color":
         color = array[..., _COLORS[encoding][1]]
-        yield RowOf(_spec(message, topic, told, "color"), stamp_ns(message), {"color": color})
+        yield RowOf(_spec(message, topic, config, "color"), stamp_ns(message), {"color": color})
         return
     whole = kind.kind == "u"
-    unit = told.unit_m or (0.001 if whole else 1.0)
-    about: dict[str, Any] = {"unit_m": unit, **({"camera": told.camera.strip("/")} if told.camera else {})}
-    about |= {"rectified": True} if told.rectified else {}
-    spec = _spec(message, topic, told, "depth16" if whole else "depth", about)
+    unit = config.unit_m or (0.001 if whole else 1.0)
+    about: dict[str, Any] = {"unit_m": unit, **({"camera": config.camera.strip("/")} if config.camera else {})}
+    about |= {"rectified": True} if config.rectified else {}
+    spec = _spec(message, topic, config, "depth16" if whole else "depth", about)
     depth = array[..., 0].astype(array.dtype.newbyteorder("="))
     yield RowOf(spec, stamp_ns(message), {"depth": depth if whole else depth * np.float32(unit)})
 
 
-def camera_info(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
+def camera_info(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: ANN401
     """sensor_msgs/CameraInfo."""
     intrinsics, distortion = np.asarray(message.k, float).reshape(3, 3), np.asarray(message.d, float)
     projection = np.asarray(message.p, float)
@@ -109,17 +109,17 @@ def camera_info(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # no
         "distortion": distortion,
         "size": np.array([message.height, message.width]),
     }
-    yield RowOf(_spec(message, topic, told, "camera", about), stamp_ns(message), values)
+    yield RowOf(_spec(message, topic, config, "camera", about), stamp_ns(message), values)
 
 
-def wrench(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
+def wrench(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: ANN401
     """geometry_msgs/WrenchStamped."""
     force, torque = (np.array([part.x, part.y, part.z]) for part in (message.wrench.force, message.wrench.torque))
     _finite(force, torque)
-    yield RowOf(_spec(message, topic, told, "wrench"), stamp_ns(message), {"force": force, "torque": torque})
+    yield RowOf(_spec(message, topic, config, "wrench"), stamp_ns(message), {"force": force, "torque": torque})
 
 
-def joint_state(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
+def joint_state(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: ANN401
     """sensor_msgs/JointState; the names stand with the row too, so that others can be put in their order."""
     names = [str(name) for name in message.name]
     values = {}
@@ -130,10 +130,10 @@ def joint_state(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # no
         if np.isinf(given).any():
             raise ValueError(f"expected numbers of {name}, got some that are infinite")
         values[name] = given if len(given) else np.full(len(names), np.nan)
-    yield RowOf(_spec(message, topic, told, "joints", {"names": names}), stamp_ns(message), dict(values))
+    yield RowOf(_spec(message, topic, config, "joints", {"names": names}), stamp_ns(message), dict(values))
 
 
-def transforms(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
+def transforms(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: ANN401
     """tf2_msgs/TFMessage: a stream for each pair of frames; one that is wrong costs no other one."""
     static = topic.rstrip("/").endswith("static")
     wrong: list[str] = []
@@ -154,10 +154,10 @@ def transforms(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noq
         raise ValueError(f"{len(wrong)} of {len(message.transforms)} transforms left out, {wrong[0]}")
 
 
-def flag(message: Any, topic: str, told: Topic) -> Iterator[RowOf]:  # noqa: ANN401
+def flag(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: ANN401
     """std_msgs/Bool and the like: whether a finger touches; they have no stamp of their own."""
     touched = np.atleast_1d(np.asarray(message.data)).astype(bool).astype(np.uint8)
-    yield RowOf(_spec(message, topic, told, "contact"), stamp_ns(message), {"touched": touched})
+    yield RowOf(_spec(message, topic, config, "contact"), stamp_ns(message), {"touched": touched})
 
 
 CONVERTERS: Mapping[str, tuple[tuple[str, ...], Convert]] = {
@@ -187,10 +187,10 @@ def _finite(*arrays: np.ndarray) -> None:
 def _spec(
     message: Any,  # noqa: ANN401
     topic: str,
-    told: Topic,
+    config: Topic,
     kind: str,
     about: Mapping[str, Any] | None = None,
 ) -> StreamSpec:
     header = getattr(message, "header", None)
-    frame = told.frame or ("" if header is None else str(header.frame_id).strip("/"))
-    return StreamSpec(topic.strip("/"), kind, frame, {"topic": topic, "role": told.role, **(about or {})})
+    frame = config.frame or ("" if header is None else str(header.frame_id).strip("/"))
+    return StreamSpec(topic.strip("/"), kind, frame, {"topic": topic, "role": config.role, **(about or {})})

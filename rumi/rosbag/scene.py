@@ -1,4 +1,4 @@
-"""How an object is found in an imported recording: the parts of a run that its mapping describes."""
+"""Parts of a run on an imported recording, as its mapping describes them."""
 
 from dataclasses import asdict, replace
 from pathlib import Path

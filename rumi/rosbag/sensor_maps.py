@@ -1,4 +1,4 @@
-"""Tables of a mapping file that say how each sensor of forces, membranes and joints is read."""
+"""Tables of a mapping file for wrenches, bubbles, joint torques and the robot."""
 
 import math
 from dataclasses import asdict, dataclass

@@ -1,4 +1,4 @@
-"""From when to when a recording can be cut into readings: by when it is known where the tool was."""
+"""Time span of a recording in which the tool's pose is known, and the starts of readings in it."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""What a log's streams are to a mapping: their roles, and the cameras that took their pictures."""
+"""Roles and cameras of a log's streams by a mapping."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -37,14 +37,14 @@ MODELS = ("", "plumb_bob", "rational_polynomial")
 """Of distortion, whose coefficients are OpenCV's."""
 
 
-def _told(stream: Stream, mapping: BagMap) -> Topic | None:
+def _topic_of(stream: Stream, mapping: BagMap) -> Topic | None:
     return mapping.topics.get(str(stream.about.get("topic", stream.name)))
 
 
 def role_of(stream: Stream, mapping: BagMap) -> str:
     """What a stream is used as: what the mapping says, else what it was imported as."""
-    told = _told(stream, mapping)
-    return str(stream.about.get("role", "")) if told is None else told.role
+    config = _topic_of(stream, mapping)
+    return str(stream.about.get("role", "")) if config is None else config.role
 
 
 def lenses_of(log: Log, mapping: BagMap) -> dict[str, Lens]:
@@ -72,8 +72,8 @@ def lens_of(stream: Stream, lenses: Mapping[str, Lens], mapping: BagMap) -> Lens
     Raises:
         UsageError: it is not known, or its distortion is of an unknown model.
     """
-    told = _told(stream, mapping)
-    name = str(stream.about.get("camera", "")) if told is None or told.camera is None else told.camera.strip("/")
+    config = _topic_of(stream, mapping)
+    name = str(stream.about.get("camera", "")) if config is None or config.camera is None else config.camera.strip("/")
     if name not in lenses:
         listed = ", ".join(lenses) or "none"
         raise UsageError(
@@ -83,7 +83,7 @@ def lens_of(stream: Stream, lenses: Mapping[str, Lens], mapping: BagMap) -> Lens
     lens = lenses[name]
     if lens.intrinsics[0, 0] <= 0 or lens.intrinsics[1, 1] <= 0:
         raise UsageError(f"Expected focal lengths above 0 in {name}, got {lens.intrinsics.tolist()}: calibrate it")
-    if told.rectified if told is not None else stream.about.get("rectified", False):
+    if config.rectified if config is not None else stream.about.get("rectified", False):
         return lens.straight
     if any(lens.distortion) and lens.model not in MODELS:
         raise UsageError(
@@ -99,13 +99,13 @@ def color_of(stream: Stream, colors: Sequence[Stream], mapping: BagMap) -> Strea
     Raises:
         UsageError: there are several, or not those that are named.
     """
-    told = _told(stream, mapping)
-    if told is not None and told.color is not None:
-        named = [one for one in colors if str(one.about.get("topic", one.name)).strip("/") == told.color.strip("/")]
+    config = _topic_of(stream, mapping)
+    if config is not None and config.color is not None:
+        named = [one for one in colors if str(one.about.get("topic", one.name)).strip("/") == config.color.strip("/")]
         if not named:
             listed = ", ".join(one.name for one in colors) or "none"
             raise UsageError(
-                f"Expected {told.color}, the colours of {stream.name}, to have the role color; got {listed}"
+                f"Expected {config.color}, the colours of {stream.name}, to have the role color; got {listed}"
             )
         return named[0]
     near = [one for one in colors if one.frame == stream.frame] or list(colors)

@@ -1,4 +1,4 @@
-"""What a recording's cameras saw: clouds and depth images as surface points of the object and free points about it."""
+"""Views of a recording's cameras: clouds and depth images as surface points of the object and free points about it."""
 
 from dataclasses import asdict, replace
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from rumi.records import StepRecord
 from rumi.runs.plain import plain
 from rumi.runs.sketch import OutlineMap, SceneSketch
 from rumi.runs.trace import TraceWriter
+from rumi.runs.values import PARTS, read_value, write_value
+from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.observation import Observation
 from sensors.reading import Reading
 
@@ -23,6 +26,7 @@ from sensors.reading import Reading
 _NUMBERS = ("step", "expected_nll", "fit", "apc", "ess", "contacts", "resampled", "converged", "nll")
 _LIGHT = (bool, int, float, str, list, tuple, type(None))
 _POINTS = ("points", "semantics", "attached", "valid")
+_WRENCH = ("points", "normals", "point_sd", "normal_sd", "instant")
 _READING = ("instant", "tool_pose", "in_contact", "object_motion", "configuration", "clipped")
 # what was felt is in the readings: a trace keeps what the belief came to
 _BELIEF = ("world_T_attached", "attached_T_object", "log_weights", "discrepancy")
@@ -33,12 +37,26 @@ def numbers(step: StepRecord) -> dict[str, Any]:
     return plain({name: getattr(step, name) for name in _NUMBERS} | {"stamp": step.reading.stamp})
 
 
-def write_step(trace: TraceWriter, step: StepRecord, previous: StepRecord | None) -> None:
+def line(step: Any) -> dict[str, Any]:  # noqa: ANN401  (a record of any task)
+    """The plain numbers of a step of any task, its seconds and marks."""
+    if not isinstance(step, StepRecord):
+        return plain({"step": step.step, **step.numbers(), "timings_s": step.timings_s})
+    touched = step.control is not None and bool(step.reading.in_contact.any())
+    return numbers(step) | {"sure": step.converged, "contact": touched, "timings_s": plain(step.timings_s)}
+
+
+def write_step(trace: TraceWriter, step: Any, previous: Any) -> None:  # noqa: ANN401
     """Add a step; a plan that it shares with the previous step is not written again."""
     at = f"step_{step.step:05d}"
+    if not isinstance(step, StepRecord):
+        trace.json(f"{at}/numbers", {"kind": step.kind, "record": write_value(trace, at, step)})
+        return
     _write(trace, at, {"control": step.control, "truth": step.truth})
     _write(trace, f"{at}/reading", {name: getattr(step.reading, name) for name in _READING})
     _write_points(trace, f"{at}/reading", step.reading.observation)
+    if isinstance(step.reading, ContactReading):
+        _write(trace, f"{at}/reading", {"signals": step.reading.signals})
+        _write(trace, f"{at}/reading/wrench", {name: getattr(step.reading.wrench, name) for name in _WRENCH})
     _write_points(trace, f"{at}/added", step.added)
     _write(trace, f"{at}/belief", {name: getattr(step.belief, name) for name in _BELIEF})
     plan, about = step.plan, None
@@ -57,17 +75,22 @@ def write_step(trace: TraceWriter, step: StepRecord, previous: StepRecord | None
     trace.json(f"{at}/numbers", numbers(step) | {"plan": plain(about)})
 
 
-def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, float]]) -> list[StepRecord]:
+def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, float]]) -> list[Any]:
     """All whole steps of a trace, in order.
 
     Args:
         members: what `read_trace` gave.
         timings_s: seconds by stage of each step, as far as they are known.
     """
-    steps: list[StepRecord] = []
+    steps: list[Any] = []
     plan: Plan | None = None
     while (at := f"step_{len(steps):05d}") + "/numbers" in members:
         about = dict(members[f"{at}/numbers"])
+        if "kind" in about:
+            kinds = {kind.__name__: kind for kind in PARTS[about["kind"]]}
+            record = read_value(members, about["record"], kinds)
+            steps.append(replace(record, timings_s=timings_s.get(len(steps), {})))
+            continue
         stamp, plan_about = about.pop("stamp"), about.pop("plan")
         if plan_about is None:
             plan = None
@@ -151,7 +174,7 @@ def _read_points(members: Mapping[str, Any], at: str) -> Observation:
 
 
 def _read_reading(members: Mapping[str, Any], at: str, stamp: float) -> Reading:
-    return Reading(
+    reading = Reading(
         observation=_read_points(members, at),
         instant=_need(members, f"{at}/instant").long(),
         tool_pose=_need(members, f"{at}/tool_pose"),
@@ -161,6 +184,10 @@ def _read_reading(members: Mapping[str, Any], at: str, stamp: float) -> Reading:
         clipped=_need(members, f"{at}/clipped"),
         stamp=stamp,
     )
+    if f"{at}/wrench/points" not in members:
+        return reading
+    wrench = WrenchTouch(**{name: _need(members, f"{at}/wrench/{name}") for name in _WRENCH})
+    return replace(ContactReading.of(reading), wrench=wrench, signals=_get(members, f"{at}/signals"))
 
 
 def _read_belief(members: Mapping[str, Any], at: str) -> PoseBelief:

@@ -22,12 +22,12 @@ from typing import Any, Self
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from rumi.agent import stop_reason
-from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
-from rumi.records import RunResult, StepRecord
-from rumi.runs.codec import numbers, read_sketch, read_steps, write_sketch, write_step
+from rumi.records import RunResult
+from rumi.runs.codec import line, read_sketch, read_steps, write_sketch, write_step
 from rumi.runs.plain import plain
 from rumi.runs.sketch import SceneSketch
 from rumi.runs.trace import TraceWriter, read_trace
@@ -52,11 +52,11 @@ class RunRecorder:
 
     def __init__(self, folder: Path | str, settings: Mapping[str, Any], sketch: SceneSketch | None = None) -> None:
         self.folder = Path(folder)
-        self._last: StepRecord | None = None
+        self._last: Any = None  # a record of any task
         self._closed = False
         prepare_folder(self.folder)
         try:
-            write_json(self.folder / "settings.json", {"schema": SCHEMA, **plain(settings), "made_with": provenance()})
+            _claim(self.folder, {"schema": SCHEMA, **plain(settings), "made_with": provenance()})
             self._trace = TraceWriter(self.folder / "trace.npz")
             self._lines = (self.folder / "steps.jsonl").open("w", encoding="utf-8")
         except OSError as error:
@@ -71,16 +71,15 @@ class RunRecorder:
         write_sketch(self._trace, sketch)
         self._trace.flush()
 
-    def __call__(self, step: StepRecord) -> None:
+    def __call__(self, step: Any) -> None:  # noqa: ANN401  (a record of any task)
         """Append a step; once this returns, a kill no longer loses it."""
         write_step(self._trace, step, self._last)
         self._trace.flush()
-        line = numbers(step) | {"timings_s": plain(step.timings_s)}
-        self._lines.write(json.dumps(line, allow_nan=False) + "\n")
+        self._lines.write(json.dumps(line(step), allow_nan=False) + "\n")
         self._lines.flush()
         self._last = step
 
-    def finish(self, result: RunResult) -> None:
+    def finish(self, result: Any) -> None:  # noqa: ANN401  (of any task)
         """Write how the run ended, and close."""
         self.close()
         write_json(self.folder / "result.json", {"schema": SCHEMA, **plain(result.as_dict())})
@@ -92,8 +91,8 @@ class RunRecorder:
         self._closed = True
         self._trace.close()
         self._lines.close()
-        if self._last is not None:
-            write_belief(self.folder / "belief.npz", self._last.belief, stamp=self._last.reading.stamp)
+        if self._last is not None and (poses := self._last.poses) is not None:
+            write_belief(self.folder / "belief.npz", *poses, stamp=self._last.stamp)
 
     def __enter__(self) -> Self:
         return self
@@ -112,15 +111,23 @@ class Run:
         folder: where it lies.
         settings: what it was asked for.
         sketch: what figures need beside the steps; None where the recorder was given none.
-        steps: all whole steps.
-        result: how it ended, None for a run that still goes on or was killed.
+        steps: the records of all whole steps, of the task's own kind.
+        result: how it ended, of a task without an own kind of record; None for a run that still goes on or was killed.
+        ended: result.json as it is, with today's word for why it ended; None as `result`.
     """
 
     folder: Path
     settings: dict[str, Any]
     sketch: SceneSketch | None
-    steps: list[StepRecord]
+    steps: list[Any]
     result: RunResult | None
+    ended: dict[str, Any] | None = None
+
+    @property
+    def task(self) -> str:
+        """Its name, also where a folder of before calls it otherwise."""
+        name = self.settings.get("task")
+        return {"fused": "handle"}.get(name, name) if isinstance(name, str) else "touch-box"
 
 
 def load_run(folder: Path | str) -> Run:
@@ -143,9 +150,11 @@ def load_run(folder: Path | str) -> Run:
         )
     ended = _read_json(folder, "result.json")
     try:
-        result = None if ended is None else _result(ended)
+        if ended is not None:
+            ended["stopped_by"] = stop_reason(str(ended["stopped_by"]))
+        result = None if ended is None or "expected_nll" not in ended else _result(ended)
         actions = 0 if result is None else int(result.steps)
-    except (ValueError, TypeError, OverflowError) as error:
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise UsageError(f"{folder / 'result.json'} is damaged: {error}") from error
     try:
         members = read_trace(folder / "trace.npz")
@@ -156,7 +165,7 @@ def load_run(folder: Path | str) -> Run:
     lost = 0 if result is None else actions + 1 - len(steps)
     if result is not None and lost not in ((0, 1) if result.stopped_by == "interrupted" else (0,)):
         raise UsageError(f"{folder / 'trace.npz'} is damaged: {len(steps)} steps are whole of {actions + 1}")
-    return Run(folder, settings, sketch, steps, result)
+    return Run(folder, settings, sketch, steps, result, ended)
 
 
 def prepare_folder(folder: Path) -> None:
@@ -195,12 +204,34 @@ def holds_run(folder: Path | str) -> bool:
 
 
 def free_folder(folder: Path) -> Path:
-    """The folder, with a number behind its name where a run is in it already."""
+    """Make the folder, with a number behind its name where there is one of that name: no other process has it then.
+
+    Raises:
+        UsageError: it cannot be made.
+    """
     found, number = folder, 1
-    while holds_run(found):
-        number += 1
-        found = folder.with_name(f"{folder.name}-{number}")
-    return found
+    while True:
+        try:
+            found.mkdir(parents=True)
+            return found
+        except FileExistsError:
+            number += 1
+            found = folder.with_name(f"{folder.name}-{number}")
+        except OSError as error:
+            raise _unwritable(found, error) from error
+
+
+def _claim(folder: Path, settings: Any) -> None:  # noqa: ANN401  (plain values)
+    """Write settings.json in one go, by which the folder is this run's; of two at the same time one is refused."""
+    path, aside = folder / "settings.json", folder / f".settings-{os.getpid()}.part"
+    write_json(aside, settings)
+    try:
+        os.link(aside, path)
+    except FileExistsError:
+        raise UsageError(f"{folder} holds a run already: give another folder, or remove this one") from None
+    except OSError:  # where the file system knows no links
+        aside.replace(path)
+    aside.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -221,15 +252,15 @@ def write_json(path: Path, value: Any) -> None:  # noqa: ANN401  (whatever `plai
     aside.replace(path)
 
 
-def write_belief(path: Path, belief: PoseBelief, *, stamp: float, frame: str = "world") -> None:
+def write_belief(path: Path, poses: Tensor, log_weights: Tensor, *, stamp: float, frame: str = "world") -> None:
     """Write a belief for other programs, in one go.
 
     `poses` (P, 4, 4) map the object's frame to `frame`, `log_weights` (P) are normalised, `stamp` is in seconds.
     """
     aside = path.with_name(path.name + ".part")
     with TraceWriter(aside) as archive:
-        archive.array("poses", belief.world_T_object.detach().cpu().numpy())
-        archive.array("log_weights", belief.log_weights.detach().cpu().numpy())
+        archive.array("poses", poses.detach().cpu().numpy())
+        archive.array("log_weights", log_weights.detach().cpu().numpy())
         archive.array("stamp", np.asarray(stamp))
         archive.array("frame", np.asarray(frame))
     aside.replace(path)
@@ -285,7 +316,6 @@ def _result(values: Mapping[str, Any]) -> RunResult:
     known = {field.name: values.get(field.name) for field in fields(RunResult)}
     for name in ("apc", "expected_nll"):  # numbers that are always there: null stands for one that is not finite
         known[name] = float("nan") if known[name] is None else known[name]
-    known["stopped_by"] = stop_reason(str(known["stopped_by"]))
     return RunResult(**known)  # type: ignore[arg-type]
 
 
@@ -293,9 +323,9 @@ def _timings(folder: Path) -> dict[int, dict[str, float]]:
     """Seconds by stage of each step; they are for people, so that a line cut short is no error."""
     found: dict[int, dict[str, float]] = {}
     path = folder / "steps.jsonl"
-    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
+    for text in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
         try:
-            values = json.loads(line)
+            values = json.loads(text)
         except ValueError:
             break
         found[values["step"]] = values["timings_s"]

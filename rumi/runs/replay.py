@@ -68,7 +68,7 @@ class Replayed:
     @property
     def robot_s(self) -> float:
         """Seconds that the robot took for the steps replayed, by the readings' stamps."""
-        return float(self.steps[-1].reading.stamp - self.steps[0].reading.stamp)
+        return float(self.steps[-1].stamp - self.steps[0].stamp)
 
 
 class LogTask:

@@ -10,6 +10,7 @@ from torch import Tensor
 from rumi.dynamics.along_path import PathOutcome, Pusher, distance_to
 from rumi.dynamics.sliding import Outline, Sliding
 from rumi.sim.world import _import_mujoco
+from sdf.threads import count
 
 # rows that are rolled out at once: every step's state of each is kept
 _ROWS = 128
@@ -131,7 +132,7 @@ class MujocoPathPush:
         planar = planar.reshape(len(rows), -1, 3)
         controls = np.tile(np.array(self.scene.posture), (*planar.shape[:2], 1))
         controls[..., list(self.scene.planar)] = planar
-        threads = self.threads or torch.get_num_threads()
+        threads = self.threads or count()
         data = [self._mujoco.MjData(model) for _ in range(max(1, threads))]
         with rollout.Rollout(nthread=threads if threads > 1 else 0) as engine:
             found, _ = engine.rollout(model, data, states, controls)

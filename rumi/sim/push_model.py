@@ -32,6 +32,7 @@ from rumi.sim.world import World
 from sdf import se3
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
+from sdf.threads import count
 
 # rows that are rolled out at once: MuJoCo keeps every step's state of each
 _ROWS = 256
@@ -98,7 +99,7 @@ class MujocoRollouts:
         chosen = representatives(self.poses[:, 2], self.weights, rollouts)
         return self.rollout_poses(configuration, controls, self.poses[chosen])
 
-    def likely(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
+    def nominal_rollout(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) of the likeliest pose."""
         return self.rollout_poses(configuration, controls[None], self.poses[self.weights.argmax()][None])
 
@@ -161,7 +162,7 @@ class MujocoRollouts:
         """Carry out one action in some rows; their states are changed in place."""
         found = []
         own = self.settings
-        threads = own.threads or torch.get_num_threads()
+        threads = own.threads or count()
         for part in rows.split(_ROWS):
             index = part.numpy()
             ways = np.stack((begin[part].double().numpy(), end[part].double().numpy()), 1)

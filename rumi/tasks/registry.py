@@ -1,17 +1,23 @@
 """The tasks by name, and what a task has to bring so that `rumi run` can carry it out."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Literal, Protocol, Self, TypeVar, runtime_checkable
 
-from rumi.agent import Parts
+from rumi.agent import Agent, Parts
 from rumi.errors import UsageError
 from rumi.registry import Table
+from rumi.runs.folder import Run
+from sensors.reading import Reading
 
 S = TypeVar("S")
+Role = Literal["counted", "idle", "sensed"]
+"""Of a setting to a replay: it changes the belief; it changes nothing, since what was done is recorded; or it decided
+what was sensed, which no replay can change."""
 
 
+@runtime_checkable
 class Recorder(Protocol):
     """Writes a run's folder while the run goes on; a context manager that closes its files."""
 
@@ -30,6 +36,7 @@ class Recorder(Protocol):
     ) -> None: ...
 
 
+@runtime_checkable
 class TaskEntry(Protocol[S]):
     """A task: a member of `TASKS`.
 
@@ -38,11 +45,13 @@ class TaskEntry(Protocol[S]):
         settings: dataclass of all that decides a run, the `seed` among it; each field is a flag of `rumi run`, nested
             ones with dots.
         presets: names that `preset` takes, first the one that counts where none is asked for.
+        readings: kind of the readings in logs of before, which were HDF5.
     """
 
     description: str
     settings: type[S]
     presets: Sequence[str]
+    readings: type[Reading]
 
     def preset(self, name: str) -> S:
         """The settings of a preset.
@@ -93,8 +102,34 @@ class TaskEntry(Protocol[S]):
         """Lines on how a run ended, for people; the first one goes behind the task's name."""
         ...
 
-    def draw(self, folder: Path, settings: S, result: Any) -> Sequence[Path]:  # noqa: ANN401
-        """Draw the figures of a run into its folder; their files."""
+    def as_dict(self, settings: S) -> dict[str, Any]:
+        """Settings as settings.json has them: plain values or dataclasses, `task` and `seed` among them."""
+        ...
+
+    def from_dict(self, values: Mapping[str, Any]) -> S:
+        """The settings of a settings.json.
+
+        Raises:
+            UsageError: they are none of this task.
+        """
+        ...
+
+    def agent(self, settings: S, *, cache_dir: Path | None = None) -> Agent[Any]:
+        """The agent alone, for replays: nothing of it simulates or plans where that can be helped."""
+        ...
+
+    def role(self, name: str) -> Role:
+        """What a setting, named as its flag but with underscores, is to a replay."""
+        ...
+
+    def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
+        """Draw the figures of a recorded run; their files.
+
+        Args:
+            run: as `rumi.runs.folder.load_run` gives it.
+            out: folder of the figures; made if need be.
+            steps: that have a figure of their own, where the task draws such; by default the telling ones.
+        """
         ...
 
 
@@ -108,6 +143,11 @@ TASKS.add("handle", "rumi.tasks.handle.entry:HANDLE")
 
 FORMER_NAMES = {"fused": "handle"}
 """Names that tasks had before."""
+
+
+def entry_of(run: Run) -> TaskEntry[Any]:
+    """The task that a run is of; a recording that was imported is drawn as the first rummaging scene is."""
+    return TASKS[run.task] if run.task in TASKS else next(TASKS[name] for name in TASKS)
 
 
 def check_seed(seed: int) -> None:

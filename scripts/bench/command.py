@@ -11,7 +11,6 @@ from typing import Annotated
 import torch
 import tyro
 
-from rumi.bench.case import threads
 from rumi.bench.command import WRONG, BenchOptions, check, time_cases
 from rumi.bench.machine import environment
 from rumi.errors import UsageError
@@ -20,6 +19,7 @@ from rumi.runs.plain import plain
 from scripts.bench import history, registration  # noqa: F401  (enters its cases)
 from scripts.bench.comparisons import beside
 from scripts.bench.targets import markdown, verdicts
+from sdf.threads import using
 
 _HELP = """Time the work against the straightforward way and public libraries, against targets and earlier results.
 
@@ -66,7 +66,7 @@ def bench(arguments: Sequence[str] | None = None) -> None:
     studies = [name for name in _STUDIES if getattr(options, name)]
     if studies and (options.only or options.against):
         raise UsageError("--only and --against are about the cases: leave them out with --pareto and --scaling")
-    with threads(options.threads):
+    with using(options.threads or torch.get_num_threads(), torch_too=True):
         if studies:
             make_folder(options.out)
             logging.basicConfig(level=logging.INFO, format="%(message)s")  # they tell how far they are

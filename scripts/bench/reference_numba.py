@@ -3,9 +3,9 @@
 import math
 
 import numba
-from numba import prange
 
 from sdf.compiled import Kernel
+from sdf.part_numba import indices
 
 
 @numba.njit(error_model="numpy")
@@ -39,8 +39,8 @@ def _mug(x, y, z, mug):
     return min(cup, handle - tube)
 
 
-def _mug_totals(planar, surface, hinged, sign, free_scale, tolerance, mug, totals):
-    for g in prange(len(planar)):
+def _mug_totals(planar, surface, hinged, sign, free_scale, tolerance, mug, totals, part):
+    for g in indices(part, len(planar)):
         cos, sin = math.cos(planar[g, 2]), math.sin(planar[g, 2])
         total = 0.0
         for m in range(len(surface)):

@@ -8,11 +8,12 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from rumi.environment import LIBRARIES, variables
 from rumi.errors import UsageError
 from scripts.reproduce.records import Records
 from scripts.reproduce.worker import PAUSE_S, Errand, failures, work, work_until_parent_ends
 
-_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+_ONE_THREAD = dict.fromkeys(LIBRARIES, "1")
 GRACE_S = 3.0
 
 
@@ -32,23 +33,16 @@ def on_this_machine(errand: Errand, jobs: int) -> None:
         work(errand)
         return
     context = get_context("spawn")
-    # a process reads these when it loads torch
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
     processes = [
         context.Process(target=work_until_parent_ends, args=(errand, k, jobs), daemon=True) for k in range(jobs)
     ]
     try:
-        for process in processes:
-            process.start()
+        with variables(_ONE_THREAD):  # which a process reads when it loads torch
+            for process in processes:
+                process.start()
         for process in processes:
             process.join()
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name)
-            else:
-                os.environ[name] = value
         _end(processes)
 
 
@@ -101,7 +95,7 @@ def on_a_cluster(
 
 
 def _clustered(errand: Errand, first: int, of: int) -> None:
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    os.environ.update(_ONE_THREAD)
     work(errand, first, of)
 
 

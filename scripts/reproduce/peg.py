@@ -29,6 +29,8 @@ def carry_out(overrides: Sequence[str], seed: int) -> dict[str, Any]:
     run = loop.run(*build_peg(settings_of(overrides)), seed=seed)
     figures = run.as_dict()
     contact = figures.pop(_LIST)
+    for name in ("truth", "holes_m", "inserted_m"):
+        del figures[name]
     return {
         "figures": figures,
         "timings": {"wall_s": time.perf_counter() - begun},

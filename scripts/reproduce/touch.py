@@ -16,7 +16,7 @@ from rumi.exit_codes import DONE
 from rumi.runs.folder import make_folder
 from rumi.runs.jsonlines import check_writable
 from rumi.tasks.touch_box.build import Robot, build_touch_box
-from rumi.tasks.touch_box.report import Line, calibration, digest, figures_of, table
+from rumi.tasks.touch_box.report import Line, calibration, digest, table
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import METHODS
 from rumi.tasks.touch_box.settings import TouchSettings
@@ -147,7 +147,7 @@ def run_all(options: TouchReproduceOptions, cache_dir: Path | None) -> dict[str,
 
                 def work(settings: TouchSettings = settings, seed: int = seed) -> Line:
                     with build_touch_box(options.task, settings, options.robot, cache_dir=cache_dir) as parts:
-                        return figures_of(loop.run(*parts, seed=seed))
+                        return loop.run(*parts, seed=seed).as_dict()
 
                 if store.measure(asked, work):
                     sys.stderr.write(f"rumi: seed {seed}, {name}\n")

@@ -11,11 +11,11 @@ from multiprocessing import parent_process
 from pathlib import Path
 from typing import Self
 
-from rumi.bench.case import threads
 from rumi.errors import UsageError
 from rumi.runs.jsonlines import Claims, append_line, read_lines
 from scripts.reproduce.jobs import Job
 from scripts.reproduce.records import Records
+from sdf.threads import using
 
 PAUSE_S = 0.5
 """How often someone who waits for others looks whether they are done."""
@@ -78,7 +78,7 @@ def work(errand: Errand, first: int = 0, of: int = 1) -> None:
         raise UsageError(f"The code changed since the command was given (of {', '.join(changed)}): give it again")
     records, claims = Records(errand.path), Claims(errand.claims)
     waiting = [*errand.jobs[first::of], *(job for k, job in enumerate(errand.jobs) if k % of != first)]
-    with threads(1):
+    with using(1):
         while waiting:
             left = [job for job in waiting if not _settle(job, errand, records, claims)]
             records.refresh()

@@ -1,4 +1,4 @@
-"""A table of signed distances from a triangle mesh."""
+"""Tabulated signed distances of a triangle mesh."""
 
 import logging
 import math

@@ -1,4 +1,4 @@
-"""Convex pieces of a solid mesh: what a physics engine collides."""
+"""Convex decomposition of a solid mesh, for a physics engine."""
 
 import importlib.util
 import logging

@@ -1,4 +1,4 @@
-"""Distances and sides of the nodes of a lattice about a mesh."""
+"""Unsigned distances and inside flags of lattice nodes about a mesh."""
 
 from collections.abc import Callable
 
@@ -29,7 +29,7 @@ def unsigned_distances(
         surface: what they are distances from.
         band: metres; nodes beyond may have values interpolated between every fourth node along each axis (and every
             one in the wide cells), which are exact. None for exact ones everywhere.
-        progress: told how far it is.
+        progress: called with what is being done and how much of it is done, from 0 to 1.
     """
     axes = [axis.numpy() for axis in lattice.axes]
     result = np.empty([len(axis) for axis in axes], dtype=np.float32)
@@ -74,7 +74,7 @@ def inside_nodes(
         repair: the mesh.
         bounds: (2, 3), metres, of the mesh.
         distance: (X, Y, Z), metres, of the nodes from its surface.
-        progress: told how far it is.
+        progress: called with what is being done and how much of it is done, from 0 to 1.
     """
     from scipy import ndimage
 

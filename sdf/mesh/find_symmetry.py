@@ -1,4 +1,4 @@
-"""Which rotations and mirrors leave an object as it is, within a tolerance: found on its surface."""
+"""Symmetry detection: rotations and mirrors of an object within a tolerance, found on its surface."""
 
 import math
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Triangle meshes: what they hold, and how they are read from a file."""
+"""Triangle meshes, and reading them from a file."""
 
 import contextlib
 import itertools

@@ -1,4 +1,4 @@
-"""What a mesh is like, what is wrong with it, and what is done about that."""
+"""Report on a mesh: size, defects, and how each is repaired."""
 
 import math
 from dataclasses import asdict, dataclass

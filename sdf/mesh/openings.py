@@ -1,4 +1,4 @@
-"""Openings of a mesh: where they are, and fans that close them."""
+"""Boundary loops of an open mesh, and triangle fans that close them."""
 
 from dataclasses import dataclass
 

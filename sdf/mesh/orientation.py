@@ -1,4 +1,4 @@
-"""Which side of a mesh's faces is out: faces agree with their neighbours, parts with what is about them."""
+"""Consistent orientation of a mesh: faces agree with their neighbours, parts with what is about them."""
 
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Faces that lie inside of other parts of a mesh, and so are no surface."""
+"""Interior faces of a mesh: those inside of other parts, which are no surface."""
 
 import numpy as np
 import torch

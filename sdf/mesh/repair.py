@@ -1,4 +1,4 @@
-"""A mesh put right, as far as its sign and its distances need: oriented outward, holes closed, inner faces left out."""
+"""Mesh repair, as far as signed distances need: oriented outward, holes closed, interior faces left out."""
 
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""How an object stands by itself on a level floor."""
+"""Stable resting poses of an object on a level floor."""
 
 import math
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-"""Which triangle a touch came from: near the point, and facing as the touch says."""
+"""Data association of a contact with a triangle: by nearness of the point and agreement of the normal."""
 
 import torch
 from jaxtyping import Float
@@ -53,7 +53,7 @@ def _touched_plain(points: Tensor, normals: Tensor, triangles: Triangles, reach:
 
 
 @backend.register("touched_face", "numba", compiled.supports)
-def _touched_fused(points: Tensor, normals: Tensor, triangles: Triangles, reach: float) -> tuple[Tensor, Tensor]:
+def _touched_numba(points: Tensor, normals: Tensor, triangles: Triangles, reach: float) -> tuple[Tensor, Tensor]:
     from sdf.mesh.touched_numba import touched_kernel
 
     places, facing = (x.detach().double().contiguous() for x in (points, normals))

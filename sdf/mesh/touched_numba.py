@@ -1,10 +1,10 @@
-"""The triangle that a touch came from, by a tree, compiled for the CPU; `touched.py` has the definition."""
+"""Data association of contacts by a tree, compiled for the CPU; `touched.py` has the definition."""
 
-import numba
 import numpy as np
 
 from sdf.compiled import Kernel, bare
 from sdf.mesh.tree_numba import closest, next_leaf, to_box
+from sdf.part_numba import indices
 
 _BLOCK = 64
 # of a path from the root with the sibling of each node on it: enough for 2^60 leaves
@@ -44,10 +44,10 @@ def search(px, py, pz, nx, ny, nz, square, corners, owner, boxes, facing, start,
     return piece
 
 
-def _touched(points, normals, corners, owner, boxes, facing, reach, face, found):
+def _touched(points, normals, corners, owner, boxes, facing, reach, face, found, part):
     """Blocks of points, each begun with what the point before it had."""
     count = len(points)
-    for block in numba.prange((count + _BLOCK - 1) // _BLOCK):
+    for block in indices(part, (count + _BLOCK - 1) // _BLOCK):
         stack, gaps, trial = np.empty(_STACK, np.int64), np.empty(_STACK), np.empty(3)
         piece = 0
         for i in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):

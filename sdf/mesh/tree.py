@@ -1,4 +1,4 @@
-"""A tree over triangles: groups of ever fewer of them, with their boxes and dipoles."""
+"""Bounding volume hierarchy of triangles, with a dipole a node for winding numbers."""
 
 import math
 from typing import NamedTuple

@@ -2,10 +2,10 @@
 
 import math
 
-import numba
 import numpy as np
 
 from sdf.compiled import Kernel, bare
+from sdf.part_numba import indices
 
 _BLOCK = 256
 # of a path from the root with the sibling of each node on it: enough for 2^60 leaves
@@ -114,10 +114,10 @@ def _search(px, py, pz, corners, boxes, start, stack, gaps, found):
     return piece
 
 
-def _nearest(points, corners, owner, boxes, face, found):
+def _nearest(points, corners, owner, boxes, face, found, part):
     """Blocks of points, each begun with what is nearest to the point before it."""
     count = len(points)
-    for block in numba.prange((count + _BLOCK - 1) // _BLOCK):
+    for block in indices(part, (count + _BLOCK - 1) // _BLOCK):
         stack, gaps = np.empty(_STACK, np.int64), np.empty(_STACK)
         piece = 0
         for i in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
@@ -168,9 +168,9 @@ def _winding_at(px, py, pz, corners, dipoles, square, stack):
     return (2.0 * angle + flux) / (4.0 * math.pi)
 
 
-def _winding(points, corners, dipoles, accuracy, result):
+def _winding(points, corners, dipoles, accuracy, result, part):
     count = len(points)
-    for block in numba.prange((count + _BLOCK - 1) // _BLOCK):
+    for block in indices(part, (count + _BLOCK - 1) // _BLOCK):
         stack = np.empty(_STACK, np.int64)
         for i in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
             result[i] = _winding_at(

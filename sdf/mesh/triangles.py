@@ -1,6 +1,6 @@
-"""Many triangles to be asked about at many points: the nearest, and how often they wind about a point.
+"""Nearest triangle and generalised winding number at many points.
 
-Two hot operations. Their plain versions go over all pairs, in chunks; the fused ones over a tree.
+Two hot operations. Their plain versions go over all pairs, in chunks; the compiled ones over a tree.
 """
 
 import math
@@ -91,7 +91,7 @@ def winding_number(
     """How many times the triangles wind about each point: 1 inside a closed surface, 0 outside, between at a hole.
 
     The sum of the triangles' solid angles over 4 pi (Jacobson et al. 2013, eq. 5; Van Oosterom and Strackee 1983). The
-    plain version is exact and differentiable. The fused one takes a group of triangles that is `accuracy` times its
+    plain version is exact and differentiable. The compiled one takes a group of triangles that is `accuracy` times its
     radius away for one dipole (Barill et al. 2018): its error is below 0.05 at 3 for each time that
     a surface winds, and none at inf.
 
@@ -127,7 +127,7 @@ def _winding_plain(points: Tensor, triangles: Triangles, accuracy: float) -> Ten
 
 
 @backend.register("nearest_triangle", "numba", compiled.supports)
-def _nearest_fused(points: Tensor, triangles: Triangles) -> tuple[Tensor, Tensor]:
+def _nearest_numba(points: Tensor, triangles: Triangles) -> tuple[Tensor, Tensor]:
     from sdf.mesh.tree_numba import nearest_kernel
 
     places = points.detach().double().contiguous()
@@ -138,7 +138,7 @@ def _nearest_fused(points: Tensor, triangles: Triangles) -> tuple[Tensor, Tensor
 
 
 @backend.register("winding_number", "numba", compiled.supports)
-def _winding_fused(points: Tensor, triangles: Triangles, accuracy: float) -> Tensor:
+def _winding_numba(points: Tensor, triangles: Triangles, accuracy: float) -> Tensor:
     from sdf.mesh.tree_numba import winding_kernel
 
     places = points.detach().double().contiguous()

@@ -1,4 +1,4 @@
-"""How thin a mesh's walls are."""
+"""Wall thickness of a mesh."""
 
 import torch
 

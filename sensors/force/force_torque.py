@@ -1,4 +1,4 @@
-"""What a force-torque sensor felt: where its tool of known shape was touched, and which way the surface faces there.
+"""Contact point and normal on a tool of known shape by a wrench of a force-torque sensor, with covariance.
 
 A wrench is (fx, fy, fz, mx, my, mz), N and N m: what the world does to the tool, about the origin of the sensor's
 frame, in that frame. A driver that reports the reaction: negate it. One point is assumed to be touched, and to be
@@ -200,7 +200,7 @@ def _plain(wrench: Tensor, tool: ToolSurface, covariance: Tensor, settings: Wren
 
 
 @backend.register("wrench_contact", "numba", compiled.supports)
-def _fused(wrench: Tensor, tool: ToolSurface, covariance: Tensor, settings: WrenchSettings) -> WrenchContact:
+def _contact_numba(wrench: Tensor, tool: ToolSurface, covariance: Tensor, settings: WrenchSettings) -> WrenchContact:
     from sensors.force.force_torque_numba import contacts
 
     batch = wrench.shape[:-1]

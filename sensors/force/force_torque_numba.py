@@ -1,10 +1,9 @@
-"""The touched point of a wrench, compiled for the CPU; `force_torque.py` and `tool_surface.py` have the definition."""
+"""Contact point of a wrench, compiled for the CPU; `force_torque.py` and `tool_surface.py` have the definition."""
 
 import math
 
-from numba import prange
-
 from sdf.compiled import Kernel, bare
+from sdf.part_numba import indices
 
 _NONE, _CONTACT, _TWIST, _MISS, _FRICTION = 0, 1, 2, 3, 4
 _STEPS = 64
@@ -172,9 +171,9 @@ def _row(beside, force, square, twist, d, point):
     )
 
 
-def _contacts(wrenches, sphere, planes, noise, least, friction, twist_m, sigmas, numbers, status):
+def _contacts(wrenches, sphere, planes, noise, least, friction, twist_m, sigmas, numbers, status, part):
     cone = math.atan(friction)
-    for b in prange(len(wrenches)):
+    for b in indices(part, len(wrenches)):
         w = wrenches[b]
         force, moment = (w[0], w[1], w[2]), (w[3], w[4], w[5])
         square = _dot(force, force)

@@ -1,4 +1,4 @@
-"""Contact from joint torques: what torque the world adds to the motors', by the change of a robot's momentum.
+"""Generalised-momentum observer: external joint torques, and contact signals of them.
 
 M(q) a + bias(q, v) = torque + external. The generalised-momentum observer (De Luca and Mattone 2003; Haddadin, De Luca
 and Albu-Schaeffer 2017) gives the external torque behind a first-order filter of gain K and needs no acceleration.

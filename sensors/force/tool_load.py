@@ -1,4 +1,4 @@
-"""What a force-torque sensor reads without any contact: its bias, and the weight of the tool that hangs from it."""
+"""Payload identification and compensation: a force-torque sensor's bias and the weight of its tool."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Self

@@ -1,4 +1,4 @@
-"""A wrench at a tool of several convex parts: the part that the line of force meets first is the one that is pushed."""
+"""Wrench contact on a tool of several convex parts: on the part that the line of force meets first."""
 
 import math
 from collections.abc import Sequence

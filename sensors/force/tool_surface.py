@@ -1,4 +1,4 @@
-"""Convex tools that are touched: where a line first meets their surface."""
+"""Convex tool surfaces: the first intersection of a line with a ball or polyhedron."""
 
 import math
 from collections.abc import Callable
@@ -20,7 +20,7 @@ _CONVEX = 1e-5
 _STEPS = 64
 
 
-class Struck(NamedTuple):
+class LineIntersection(NamedTuple):
     """Where lines first meet a surface.
 
     Attributes:
@@ -41,12 +41,12 @@ class ToolSurface(Protocol):
     sphere: Float[Tensor, "4"]  # centre and radius, metres; a radius of 0 for a polyhedron
     planes: Float[Tensor, "F 4"]  # outward unit normals and offsets: inside is n . x <= offset; none for a sphere
 
-    def strike(self, origin: Float[Tensor, "*b 3"], direction: Float[Tensor, "*b 3"]) -> Struck:
+    def strike(self, origin: Float[Tensor, "*b 3"], direction: Float[Tensor, "*b 3"]) -> LineIntersection:
         """Where lines that come from afar along unit directions first meet the surface."""
         ...
 
     def normal_sd(
-        self, struck: Struck, direction: Float[Tensor, "*b 3"], roots: Float[Tensor, "*b 2 3"], least: float
+        self, struck: LineIntersection, direction: Float[Tensor, "*b 3"], roots: Float[Tensor, "*b 2 3"], least: float
     ) -> Float[Tensor, "*b"]:
         """Standard deviation (*b) of the normal about each axis, radians, of lines displaced by +- the two roots.
 
@@ -71,7 +71,7 @@ class SphereTool:
         self.sphere = torch.cat((center_s.double().cpu(), torch.tensor([float(radius_m)], dtype=torch.float64)))
         self.planes = torch.zeros(0, 4, dtype=torch.float64)
 
-    def strike(self, origin: Float[Tensor, "*b 3"], direction: Float[Tensor, "*b 3"]) -> Struck:
+    def strike(self, origin: Float[Tensor, "*b 3"], direction: Float[Tensor, "*b 3"]) -> LineIntersection:
         """In closed form; see `ToolSurface`."""
         center, radius = self.sphere[:3].to(origin), self.sphere[3].to(origin)
         apart = origin - center
@@ -86,10 +86,10 @@ class SphereTool:
         normal = torch.where(meets[..., None], (foot - back[..., None] * direction) / radius, foot / far[..., None])
         some = square > 0
         distance = torch.where(some, torch.where(some, square, 1.0).sqrt(), 0.0)
-        return Struck(center + radius * normal, normal, distance - radius)
+        return LineIntersection(center + radius * normal, normal, distance - radius)
 
     def normal_sd(
-        self, struck: Struck, direction: Float[Tensor, "*b 3"], roots: Float[Tensor, "*b 2 3"], least: float
+        self, struck: LineIntersection, direction: Float[Tensor, "*b 3"], roots: Float[Tensor, "*b 2 3"], least: float
     ) -> Float[Tensor, "*b"]:
         """In closed form, to first order; see `ToolSurface`."""
         slant = _dot(struck.normal, direction).clamp(max=-least)
@@ -146,7 +146,7 @@ class ConvexTool:
             first.setdefault(key, index)
         return cls(planes[list(first.values())])
 
-    def strike(self, origin: Float[Tensor, "*b 3"], direction: Float[Tensor, "*b 3"]) -> Struck:
+    def strike(self, origin: Float[Tensor, "*b 3"], direction: Float[Tensor, "*b 3"]) -> LineIntersection:
         """By the planes: a line is inside between the last that it enters by and the first that it leaves by."""
         normals, offsets = self.planes[:, :3].to(origin), self.planes[:, 3].to(origin)
         rate, room = direction @ normals.mT, offsets - origin @ normals.mT
@@ -160,10 +160,10 @@ class ConvexTool:
         normal = normals[face]
         point = origin + torch.where(meets, enter.values, at)[..., None] * direction
         point = torch.where(meets[..., None], point, point - gap[..., None] * normal)
-        return Struck(point, normal, gap)
+        return LineIntersection(point, normal, gap)
 
     def normal_sd(
-        self, struck: Struck, direction: Float[Tensor, "*b 3"], roots: Float[Tensor, "*b 2 3"], least: float
+        self, struck: LineIntersection, direction: Float[Tensor, "*b 3"], roots: Float[Tensor, "*b 2 3"], least: float
     ) -> Float[Tensor, "*b"]:
         """By striking with the displaced lines, which may meet other faces; see `ToolSurface`."""
         total = torch.zeros_like(struck.gap)

@@ -1,4 +1,4 @@
-"""What a row of a log's tables holds: the kinds of raw streams, and readings as their dataclass has them."""
+"""Columns of a log's tables: by kind of raw stream, and of readings by the fields of their dataclass."""
 
 import dataclasses
 import types

@@ -1,4 +1,4 @@
-"""Reads a log: also one that still grows, was killed, was cut short or is damaged here and there."""
+"""Reader of a log, also of one that still grows, was killed, was cut short or is damaged here and there."""
 
 import json
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""One raw stream of a log, as it is read."""
+"""Raw stream of a log: its samples by time."""
 
 import json
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Rows in an HDF5 file: appended so that a kill loses no row that was whole, read so that damage costs no other row.
+"""Append-only tables in an HDF5 file: a kill loses no whole row, and damage to one row costs no other.
 
 Rows are only ever appended. A kill while HDF5 writes may cut the last of them short, so that each row has a checksum,
 which is written after all of the row: rows without one do not count. Chunks of a file that grows are neither
@@ -137,8 +137,8 @@ class Table:
     def __init__(self, group: "h5py.Group") -> None:
         self._group, self.name = group, str(group.name)
         try:
-            told = json.loads(group.attrs["columns"])
-            self.columns = tuple(Column(**{**column, "tail": tuple(map(int, column["tail"]))}) for column in told)
+            recorded = json.loads(group.attrs["columns"])
+            self.columns = tuple(Column(**{**column, "tail": tuple(map(int, column["tail"]))}) for column in recorded)
             for column in self.columns:
                 np.dtype(column.dtype)  # raises where damage made it no type
                 if not isinstance(column.name, str) or column.variable not in (0, 1, 2):

@@ -1,4 +1,4 @@
-"""Writes a log while sensors run: raw streams by name, and what a run takes in step by step."""
+"""Writer of a log while sensors run: raw streams by name, and the readings of a run step by step."""
 
 import enum
 import json

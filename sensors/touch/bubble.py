@@ -1,4 +1,4 @@
-"""Soft bubbles: a camera inside watches a membrane, and where that is pushed in something touches it."""
+"""Soft-bubble tactile sensor: contact by the deformation of a membrane that a camera inside watches."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What touching a rectangle says of its middle alone: it lies within a circle, and fills it by its unknown yaw."""
+"""Likelihood of a rectangle's centre under unknown yaw, given contacts and free ways."""
 
 import math
 from dataclasses import dataclass, replace

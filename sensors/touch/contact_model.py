@@ -1,4 +1,4 @@
-"""Binary contact as evidence: how likely a contact signal is, given how far the robot is from the object.
+"""Binary contact model: probability of a contact signal by the robot's distance from the object.
 
 A reading says contact or none, for the robot as a whole. In the proximity model (touch-only paper, Eq 10) the chance
 of a contact signal falls off with the distance of the robot's surface from the object, over all links; the binary model

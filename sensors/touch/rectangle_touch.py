@@ -1,4 +1,4 @@
-"""What touching a rectangle says of its planar pose: sides and corners, its top, and ways on which nothing was met."""
+"""Likelihood of a rectangle's planar pose, given contacts of sides, corners and top, and free ways."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -68,7 +68,7 @@ def _touches_plain(
 
 
 @backend.register("rectangle_touches", "numba", compiled.supports)
-def _touches_fused(
+def _touches_numba(
     poses: Tensor, points_w: Tensor, normals_w: Tensor, half: Tensor, noise: TouchNoise, corners: bool
 ) -> Tensor:
     from sensors.touch.rectangle_touch_numba import touches_kernel
@@ -97,7 +97,7 @@ def _clearances_plain(
 
 
 @backend.register("way_clearances", "numba", compiled.supports)
-def _clearances_fused(poses: Tensor, half: Tensor, ways_w: Tensor) -> Tensor:
+def _clearances_numba(poses: Tensor, half: Tensor, ways_w: Tensor) -> Tensor:
     from sensors.touch.rectangle_touch_numba import clearances_kernel
 
     arrays = (part.detach().double().contiguous().numpy() for part in (poses, ways_w))

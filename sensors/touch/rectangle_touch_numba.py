@@ -1,11 +1,11 @@
-"""The fused CPU versions of touches of a rectangle and of ways past it; `rectangle_touch.py` has the definitions."""
+"""The compiled CPU versions of contacts of a rectangle and of ways past it; definitions in `rectangle_touch.py`."""
 
 import math
 
 import numpy as np
-from numba import prange
 
 from sdf.compiled import Kernel, bare
+from sdf.part_numba import indices
 
 
 @bare
@@ -15,8 +15,8 @@ def _face(along, across, reach, width, facing, other):
     return (along - reach) ** 2 + over * over, (facing - 1.0) ** 2 + other * other
 
 
-def _touches(poses, points, normals, hx, hy, per_point, per_normal, corners, out):
-    for k in prange(len(points)):
+def _touches(poses, points, normals, hx, hy, per_point, per_normal, corners, out, part):
+    for k in indices(part, len(points)):
         for i in range(len(poses)):
             c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
             dx, dy = points[k, 0] - poses[i, 0], points[k, 1] - poses[i, 1]
@@ -51,9 +51,9 @@ def _beside(x, y, hx, hy):
     return math.sqrt(ox * ox + oy * oy)
 
 
-def _clearances(poses, ways, hx, hy, out):
+def _clearances(poses, ways, hx, hy, out, part):
     tiny = np.finfo(np.float64).tiny
-    for w in prange(len(ways)):
+    for w in indices(part, len(ways)):
         for i in range(len(poses)):
             c, s = math.cos(poses[i, 2]), math.sin(poses[i, 2])
             ax, ay = ways[w, 0, 0] - poses[i, 0], ways[w, 0, 1] - poses[i, 1]

@@ -1,4 +1,4 @@
-"""Touch: which points of a tool felt the object, and the space that its body swept."""
+"""Tactile pads: contact points of a tool, and the free space that its body swept."""
 
 from typing import NamedTuple
 

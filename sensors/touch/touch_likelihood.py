@@ -1,4 +1,4 @@
-"""What a touch says about every pose, by its point and the normal there: the faces of a mesh, of a box, a rectangle."""
+"""Likelihood of contact points with normals at every pose: on the faces of a mesh, a box or a rectangle."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Which pixels of a depth image can be relied on."""
+"""Filters of a depth image: edges, grazing views and neighbours of unknown pixels."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Depth images as cameras give them: units, unknown pixels, lens distortion. OpenCV is loaded at its first use."""
+"""Raw depth images: units, unknown pixels, lens distortion. OpenCV is loaded at its first use."""
 
 import math
 from collections.abc import Sequence

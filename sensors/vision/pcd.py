@@ -1,4 +1,4 @@
-"""The PCD files of the Point Cloud Library, version 0.7 and before: ASCII, binary and compressed (LZF)."""
+"""PCD files of the Point Cloud Library, version 0.7 and before: ASCII, binary and compressed (LZF)."""
 
 import struct
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Which pixels of a camera have shown the same surface for long enough."""
+"""Temporal filter of depth pixels: those that have shown the same surface for long enough."""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 
-class Seen(NamedTuple):
+class PersistentSurface(NamedTuple):
     """What has lasted.
 
     Attributes:
@@ -60,7 +60,7 @@ class Persistence:
         window_s: float = 0.4,
         tolerance_m: float = 0.01,
         gap_s: float = 0.1,
-    ) -> tuple[Self, Seen]:
+    ) -> tuple[Self, PersistentSurface]:
         """Take in a frame.
 
         Args:
@@ -118,4 +118,4 @@ class Persistence:
         shown, mask = torch.zeros_like(depth.reshape(-1)), torch.zeros(depth.numel(), dtype=torch.bool)
         mask[now] = lasting
         shown[now[lasting]] = mean[lasting]
-        return state, Seen(mask.reshape(self.shape), shown.reshape(self.shape))
+        return state, PersistentSurface(mask.reshape(self.shape), shown.reshape(self.shape))

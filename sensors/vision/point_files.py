@@ -1,4 +1,4 @@
-"""Point clouds from files: PLY, PCD and NPZ, organised as an image or not."""
+"""Point cloud files: PLY, PCD and NPZ, organised as an image or not."""
 
 import io
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The robot's own body in what its sensors see: rigid links at the measured joints."""
+"""Self-filter: the robot's own rigid links at the measured joints."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Which part of an image or a cloud is the object: by its colour, or as what stands on a plane."""
+"""Segmentation of the object in an image or a cloud: by colour, or as what stands on a plane."""
 
 import math
 from typing import NamedTuple

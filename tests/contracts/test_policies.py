@@ -1,9 +1,10 @@
-"""What holds for every method: RUMI, its ablations and the baselines."""
+"""Laws of every policy: RUMI, its ablations and the baselines; also of one from outside."""
 
 import copy
 import importlib.util
 import json
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from typing import Any
 
 import pytest
@@ -14,7 +15,7 @@ from kmppi import MPPI, MPPISettings
 from kmppi.types import Objective
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement import DisplacementSettings
-from rumi.dynamics.registry import EngineSettings, PushChoice
+from rumi.dynamics.registry import EngineSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.gpvr import GPVRSettings
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
@@ -39,13 +40,18 @@ PLANNER = RummagingSettings(
     push=DisplacementSettings(mini_steps=2),
     rollouts=2,
 )
+
+pytestmark = pytest.mark.outcome
 GPVR = GPVRSettings(refit_steps=5, max_points=40)
+OUTSIDE = "wandering"
 NEEDS = {"gpvr": "gpytorch", "gpvr-greedy": "gpytorch"}
 CENTRE = torch.tensor([0.4, 0.0, 0.3])
 
 
-@pytest.fixture(params=list(POLICIES))
-def method(request: pytest.FixtureRequest) -> str:
+@pytest.fixture(params=[*POLICIES, OUTSIDE])
+def method(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    entry = EntryPoint(OUTSIDE, "tests.contracts.outside_policy:wandering", "rumi.policies")
+    monkeypatch.setitem(POLICIES.__dict__, "_outside", {OUTSIDE: entry})
     library = NEEDS.get(request.param)
     if library and importlib.util.find_spec(library) is None:
         pytest.skip(f"{request.param} needs {library}")
@@ -232,10 +238,10 @@ def test_an_ample_budget_changes_nothing(policy: Policy, scene: Scene) -> None:
 
 @pytest.mark.parametrize("push_model", ["displacement", "quasi-static", "mujoco"])
 def test_samples_cost_alone_what_they_cost_together(
-    method: str, push_model: PushChoice, scene: Scene, monkeypatch: pytest.MonkeyPatch
+    method: str, push_model: str, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To the bit, whatever processor works out how many at once: else a budget, which takes them in parts, counted."""
-    if method == "slide":
+    if method in ("slide", OUTSIDE):
         pytest.skip("slide takes no samples")
     if push_model == "mujoco":
         if method != "rumi":
@@ -262,8 +268,8 @@ def test_samples_cost_alone_what_they_cost_together(
 
     monkeypatch.setattr(MPPI, "_evaluate", in_parts)
     close = put(scene, (0.3, 0.0), 0.2, scene.observed)
-    plan = policy.act(believed(), close, None, executed=0, budget_s=None, generator=random)
-    policy.act(believed(spread=0.1), close, plan, executed=1, budget_s=None, generator=random)
+    plan = policy.act(PlanRequest(believed(), close, generator=random))
+    policy.act(PlanRequest(believed(spread=0.1), close, plan, executed=1, generator=random))
     assert len(whole) >= 2
     # some of them touch, so that they do not all cost the same
     assert all(len(costs.unique()) > 3 for costs in whole)
@@ -294,7 +300,7 @@ def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> Non
 def test_says_what_it_predicts(method: str, policy: Policy, scene: Scene) -> None:
     """One number and one displacement an action, from every policy that rolls its plans out."""
     plan = act(policy, scene, believed())
-    if method == "slide":
+    if method in ("slide", OUTSIDE):
         assert "predicted_information" not in plan.info
         return
     gathered, moved = (torch.tensor(plan.info[f"predicted_{name}"]) for name in ("information", "displacement"))

@@ -1,7 +1,6 @@
 """What a killed command may leave: all that it had said, as an undisturbed one says it, and nothing half-written."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from rumi.errors import UsageError
 from rumi.records import StepRecord
 from rumi.runs.folder import Run, load_run
 from rumi.runs.jsonlines import read_lines
-from rumi.runs.logbook import LOG
 from sdf.cache import load_arrays
 
 
@@ -50,29 +48,6 @@ def _same_step(a: StepRecord, b: StepRecord) -> bool:
     if a.control is not None and b.control is not None:
         pairs.append((a.control, b.control))
     return a.step == b.step and all(torch.equal(x, y) for x, y in pairs)
-
-
-def digests(folder: Path) -> list[bytes | None]:
-    """Of the beliefs that a log holds, in order."""
-    from sensors.log.reader import Log
-
-    with Log(folder / LOG) as log:
-        return [taken.digest for taken in log.taken()]
-
-
-def check_log(folder: Path, said: int, whole: Sequence[bytes | None]) -> None:
-    """A log holds the readings of all steps that were said, with the beliefs of the undisturbed run."""
-    if not (folder / LOG).exists():
-        found: list[bytes | None] = []
-    else:
-        try:
-            found = digests(folder)
-        except ValueError as error:
-            if said:
-                raise AssertionError(f"a log of {said} readings cannot be read: {error}") from error
-            return
-    if len(found) < said or found != list(whole[: len(found)]):
-        raise AssertionError(f"of {said} readings {len(found)} are left, or they are others")
 
 
 def arrays(path: Path) -> dict[str, Any]:

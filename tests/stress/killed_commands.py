@@ -7,7 +7,6 @@ it ends as if it had never been killed.
 import itertools
 import shutil
 from collections.abc import Callable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.folder import load_run
-from tests.stress.killed_checks import arrays, check_log, check_run, check_same, digests, results
+from tests.stress.killed_checks import arrays, check_run, check_same, results
 from tests.stress.kills import Killed
 from tests.stress.processes import Command, Commands
 
@@ -34,7 +33,7 @@ SEEDS = 3
 REPRODUCE = ["reproduce", "table6", "--tasks", TASK, "--methods", "rumi", "slide", "--presets", "default"]
 REPRODUCE += ["--seeds", f"1000-{999 + SEEDS}", "--no-figures", "--set", "steps=2"]
 REPRODUCE += [f"{name.replace('-', '_')}={value}" for name, value in QUICK.items()]
-ORDER = ("run", "record", "reproduce", "cache", "run", "record", "reproduce")
+ORDER = ("run", "reproduce", "cache", "run", "reproduce")
 """The kinds by turn; caches take longest."""
 
 
@@ -60,30 +59,26 @@ class Kind(Protocol):
 
 
 class RunKind:
-    """`rumi run`, with `--record` or without.
+    """`rumi run`.
 
     Args:
         commands: starts them.
         folder: to work in.
         cache: a folder of caches that holds the reach of the arm.
-        record: write a log too.
 
     Attributes:
         whole: the undisturbed run.
-        taken: what its log says of each belief, None without a log.
     """
 
-    def __init__(self, commands: Commands, folder: Path, cache: Path, *, record: bool = False) -> None:
+    def __init__(self, commands: Commands, folder: Path, cache: Path) -> None:
         self._commands, self._folder, self._cache = commands, folder, cache
-        self._arguments = [*RUN, *(["--record"] if record else [])]
         if not any(cache.glob("reach-*.npz")):  # seconds that the others do not take
             self._begin("first").finish((NOT_CONVERGED,))
         self._seconds = self._begin("whole").finish((NOT_CONVERGED,))
         self.whole = load_run(folder / "whole")
-        self.taken = digests(folder / "whole") if record else None
 
     def _begin(self, name: str) -> Command:
-        return self._commands.begin([*self._arguments, "--out", name], self._folder, name, cache=self._cache)
+        return self._commands.begin([*RUN, "--out", name], self._folder, name, cache=self._cache)
 
     def turn(self, random: np.random.Generator, number: int) -> int:
         """Kill a run and read its folder."""
@@ -94,8 +89,6 @@ class RunKind:
         said = sum(line.startswith(("first view:", "action ")) for line in command.err.read_text().splitlines())
         run = self._folder / name
         check_run(run, said, self.whole)
-        if self.taken is not None:
-            check_log(run, said, self.taken)
         shutil.rmtree(run, ignore_errors=True)
         return 1
 
@@ -199,12 +192,9 @@ def kinds(commands: Commands, folder: Path) -> dict[str, Callable[[], Kind]]:
     cache = folder / "caches"
     made: dict[str, Callable[[], Kind]] = {
         "run": lambda: RunKind(commands, folder / "run", cache),
-        "record": lambda: RunKind(commands, folder / "record", cache, record=True),
         "reproduce": lambda: ReproduceKind(commands, folder / "reproduce", cache),
         "cache": lambda: CacheKind(commands, folder / "cache"),
     }
-    if find_spec("h5py") is None:
-        del made["record"]
     return made
 
 

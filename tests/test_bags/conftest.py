@@ -208,7 +208,8 @@ class Recorded:
 
 def pushes(steps: int = 5):
     """A simulated robot that goes to a mug and pushes it a little: its task, first result and results."""
-    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.build import make_task
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_tool
 
     spec = replace(SCENES["mug-0"], start=(0.55, 0.03, 0.6))
     task = make_task(spec, tool=make_tool(spec, free_flying=True), model=large_handled_mug())

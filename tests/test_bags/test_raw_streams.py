@@ -13,6 +13,7 @@ from rumi.rosbag.readings import make_readings
 from rumi.runs.logbook import LogRecorder
 from sdf import se3
 from sensors.log.reader import Log
+from sensors.log.writer import LogWriter
 from sensors.semantics import Semantics
 
 pytest.importorskip("mujoco")
@@ -27,7 +28,8 @@ def pushed(sensors, path, lost=0):
     The camera's first pictures are lost, as many as told.
     """
     from rumi.sim.settings import SimSettings
-    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.build import make_task
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_tool
 
     mug = large_handled_mug()
     spec = replace(SCENES["mug-0"], start=(0.45, 0.03, 0.6))
@@ -35,7 +37,7 @@ def pushed(sensors, path, lost=0):
     if lost:
         late = iter([True] * lost + [False] * 10_000)
         task._lost = lambda: next(late)
-    with LogRecorder(path, {}, raw=task.raw.kinds()) as log:
+    with LogRecorder(path, raw=task.raw.kinds()) as log:
         task.raw.sink = log.raw
         results = [task.reset(3)]
         results += [task.step(torch.tensor(control)) for control in ([1.0, 0.3, 0.0], [1.0, 0.1, 0.0], [0.9, 0.0, 0.0])]
@@ -138,8 +140,9 @@ def test_a_recorded_run_can_be_read_by_its_map(tmp_path, monkeypatch, capsys):
 def test_the_map_of_a_run_with_a_mesh_names_the_mesh(tmp_path, monkeypatch):
     from rumi.sim.sensor_settings import SensorSettings
     from rumi.sim.settings import SimSettings
+    from rumi.tasks.rummage.build import make_task
     from rumi.tasks.rummage.objects import ObjectSettings
-    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_tool
 
     monkeypatch.chdir(tmp_path)
     spec = replace(SCENES["mug-0"], start=(0.45, 0.03, 0.6))
@@ -156,7 +159,7 @@ def test_the_map_of_a_run_with_a_mesh_names_the_mesh(tmp_path, monkeypatch):
 def test_only_what_has_raw_streams_may_be_read_by_a_map(tmp_path):
     from rumi.commands.replay import mapping_of_log
 
-    with LogRecorder(tmp_path / "log.h5", {}):
+    with LogWriter(tmp_path / "log.h5", [], settings={}):
         pass
     with Log(tmp_path / "log.h5") as log:
         assert mapping_of_log(log, None) is None

@@ -40,7 +40,8 @@ def felt_run(bags, tmp_path_factory):
     import rumi.tasks.rummage.sensed as module
     from rumi.sim.sensor_settings import SensorSettings
     from rumi.sim.settings import SimSettings
-    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_task, make_tool
+    from rumi.tasks.rummage.build import make_task
+    from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_tool
 
     taken = []
     read = module.bubble_patch

@@ -40,7 +40,7 @@ PLANNER = RummagingSettings(
 )
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

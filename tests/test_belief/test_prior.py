@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from rumi.belief.prior import REACH, PosePrior, lying
+from rumi.belief.prior import REACH, PlanarPrior, PosePrior, lying
 from rumi.errors import UsageError
 from sdf import se3
 from sdf.drill import Drill
@@ -35,7 +35,7 @@ def test_an_object_with_its_origin_on_the_floor_stays_there():
     assert torch.equal(lying(Drill().bounds, "z"), torch.eye(4))
 
 
-def test_starts_are_even_and_within_reach(generator):
+def test_spread_poses_are_even_and_within_reach(generator):
     prior = box_prior()
     poses = prior.spread_poses(3000, generator=generator)
     off = poses[:, :2, 3] - prior.mean
@@ -56,12 +56,12 @@ def test_starts_are_even_and_within_reach(generator):
         assert float(counts.min()) > 100
 
 
-def test_same_seed_same_starts():
+def test_the_same_seed_gives_the_same_poses():
     draw = [box_prior().spread_poses(50, generator=torch.Generator().manual_seed(seed)) for seed in (3, 3, 4)]
     assert torch.equal(draw[0], draw[1]) and not torch.equal(draw[0], draw[2])
 
 
-def test_nats_are_those_of_a_normal_distribution(generator):
+def test_the_density_is_that_of_a_normal_distribution(generator):
     prior = box_prior()
     poses = prior.spread_poses(20, generator=generator)
     expected = torch.distributions.Normal(prior.mean, prior.spread_m).log_prob(poses[:, :2, 3]).sum(-1)
@@ -80,3 +80,18 @@ def test_moves_to_another_dtype(generator):
 def test_refuses_what_has_no_meaning(changes, message):
     with pytest.raises(UsageError, match=message):
         box_prior(**changes)
+
+
+def test_prior_density_is_a_density() -> None:
+    """Sums to 1 over a fine lattice, yaw wrapped, and draws have its moments."""
+    own = PlanarPrior(
+        torch.tensor([[0.0, 0.0, 3.0], [0.3, 0.1, 0.0]], dtype=torch.float64),
+        torch.tensor([0.05, 0.04, 0.3], dtype=torch.float64),
+        torch.tensor([1.0, 3.0], dtype=torch.float64),
+    )
+    axes = [torch.linspace(-0.3, 0.6, 91), torch.linspace(-0.3, 0.4, 71), torch.linspace(-math.pi, math.pi, 64)[:-1]]
+    steps = [float(a[1] - a[0]) for a in axes]
+    grid = torch.stack(torch.meshgrid(*[a.double() for a in axes], indexing="ij"), -1)
+    assert float(own.log_density(grid).exp().sum()) * math.prod(steps) == pytest.approx(1.0, abs=1e-3)
+    draws = own.sample(4000, generator=torch.Generator().manual_seed(0))
+    assert float((draws[:, 0] > 0.15).double().mean()) == pytest.approx(0.75, abs=0.03)

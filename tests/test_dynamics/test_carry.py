@@ -9,12 +9,13 @@ from rumi.dynamics.outline import GridOutline, RectangleOutline
 from rumi.dynamics.sliding import Outline, OutlineQuery, Sliding, push
 from sdf import backend
 from sdf.primitives import Mug
+from sdf.threads import using
 
 DOUBLE = {"dtype": torch.float64}
 BOX = RectangleOutline((0.03, 0.08))
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 
@@ -106,16 +107,14 @@ def test_gradients_reach_the_start_pose(generator: torch.Generator) -> None:
 
 
 @pytest.mark.parametrize("each", [False, True], ids=["one path", "a path for each"])
-def test_two_threads_carry_as_one_does(each: bool, generator: torch.Generator) -> None:
-    poses, sliding = objects(generator)
-    path, tool, before = straight().expand(20 if each else 1, -1, 3), finger("disc"), torch.get_num_threads()
+def test_two_threads_carry_as_one_does(each: bool, generator: torch.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sdf.threads.team", lambda threads, work_s: threads)  # however little work it is
+    poses, sliding = objects(generator, 40)
+    path, tool = straight().expand(40 if each else 1, -1, 3), finger("disc")
     found = []
-    try:
-        for threads in (1, 2):
-            torch.set_num_threads(threads)
+    for threads in (1, 2):
+        with using(threads):
             found.append(push_along_path(poses, path, tool, BOX, sliding))
-    finally:
-        torch.set_num_threads(before)
     assert torch.equal(found[0].track, found[1].track)
     assert torch.equal(found[0].distance, found[1].distance)
 

@@ -24,7 +24,7 @@ BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
 FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 
@@ -143,7 +143,7 @@ def drive(
 ) -> PushRollouts:
     tool = tool or make_tool(torch.float64, spacing=0.006)
     controls = torch.tensor(control, dtype=torch.float64).expand(steps, 3)
-    return DisplacementRollouts(field, tool).likely(torch.tensor(start, dtype=torch.float64), controls)
+    return DisplacementRollouts(field, tool).nominal_rollout(torch.tensor(start, dtype=torch.float64), controls)
 
 
 def test_pushing_a_ball_head_on_moves_it_along() -> None:

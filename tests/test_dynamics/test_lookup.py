@@ -12,7 +12,7 @@ from sdf.voxel_grid import VoxelGrid
 DOUBLE = {"dtype": torch.float64}
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

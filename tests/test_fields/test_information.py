@@ -26,6 +26,7 @@ from sdf.base import SDF
 from sdf.grid_sdf import GridSDF
 from sdf.posed import posed_distance
 from sdf.primitives import Box, Mug, Sphere
+from sdf.threads import using
 from sensors.semantics import semantics_probability
 
 MODES = get_args(InformationMode)
@@ -38,7 +39,7 @@ GOLDEN_NAMES = {
 }
 
 
-# every test of this file holds for the plain and for the fused version, but where a graph is kept
+# every test of this file holds for the plain and for the compiled version, but where a graph is kept
 pytestmark = pytest.mark.usefixtures("version")
 
 
@@ -333,20 +334,19 @@ def test_versions_agree(
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_the_same_for_any_number_of_threads(mode: InformationMode, mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
+def test_the_same_for_any_number_of_threads(
+    mode: InformationMode, mug: SDF, beliefs: Beliefs, points: Tensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sdf.threads.team", lambda threads, work_s: threads)  # however little work it is
     poses, log_weights = beliefs(count=20)
     settings = InformationSettings(mode)
-    before = torch.get_num_threads()
     found = []
-    try:
-        for threads in (1, 2):
-            torch.set_num_threads(threads)
+    for threads in (1, 2, 3):
+        with using(threads):
             fields = information_field(mug, poses, log_weights, points, settings)
-            found.append((fields, expected_normal(mug, poses, log_weights, points)))
-    finally:
-        torch.set_num_threads(before)
-    close(found[0][0], found[1][0], atol=1e-13)
-    torch.testing.assert_close(found[0][1], found[1][1], atol=1e-12, rtol=0)
+            found.append((fields.semantics, fields.information, expected_normal(mug, poses, log_weights, points)))
+    for other in found[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(found[0], other, strict=True))
 
 
 def test_certainty_and_points_far_off_leave_nothing_undefined(mug: SDF) -> None:

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from numba import prange
 
 from rumi.fields.information_numba import _exp_minus, _log
 from sdf.compiled import Kernel
+from sdf.part_numba import indices
 
 
-def _both(u, x, exponential, logarithm):
-    for i in prange(len(u)):
+def _both(u, x, exponential, logarithm, part):
+    for i in indices(part, len(u)):
         exponential[i] = _exp_minus(u[i])
         logarithm[i] = _log(x[i])
 

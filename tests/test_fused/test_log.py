@@ -1,6 +1,7 @@
-"""A recorded log gives the belief that the live run had, and with other settings another one."""
+"""A recorded run gives the belief that the live run had, and with other settings another one; logs of before do too."""
 
-from dataclasses import fields, is_dataclass, replace
+import json
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,19 +15,22 @@ from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.records import StepRecord
-from rumi.runs.logbook import LOG, LogRecorder
+from rumi.runs.folder import load_run
+from rumi.runs.logbook import LOG
+from rumi.runs.plain import plain
 from rumi.runs.progress import both
+from rumi.runs.recorded import RunLog
 from rumi.runs.replay import digest, replay
 from rumi.tasks.handle.agent import HandleResult, build_agent
 from rumi.tasks.handle.build import build_fused
+from rumi.tasks.handle.entry import HANDLE, HandleRunSettings
 from rumi.tasks.handle.grasp import HandleTable
-from rumi.tasks.handle.log import COUNTED, IDLE, FusedLogRecorder, recorded, refuse_other_senses
 from rumi.tasks.handle.settings import FusedSettings
 from sensors.contact_reading import ContactReading
-from sensors.log.errors import LogError
 from sensors.log.reader import Log
+from sensors.log.writer import LogWriter
 
-pytestmark = pytest.mark.sim
+pytestmark = [pytest.mark.sim, pytest.mark.outcome]
 
 SEEDS = range(1001, 1041)
 SETTINGS = FusedSettings(steps=3)
@@ -48,9 +52,9 @@ def live(tool, tmp_path_factory):
     parts = build_fused(SETTINGS, tool=tool, table=table)
     for seed in SEEDS:
         folder, steps = tmp_path_factory.mktemp("fused"), []
-        with FusedLogRecorder(folder / LOG, seed, SETTINGS, {"made_with": {}}) as log:
-            outcome = loop.run(*parts, seed=seed, on_step=both(log, steps.append))
-            log.finish(outcome)
+        with HANDLE.recorder(folder, HandleRunSettings(SETTINGS, seed), parts, log=False) as recorder:
+            outcome = loop.run(*parts, seed=seed, on_step=both(recorder, steps.append))
+            recorder.finish(outcome)
         last = steps[-1].reading
         if len(steps) == 4 and len(last.wrench.points) and bool(last.signals.any()) and steps[-1].contacts == 1:
             return Live(seed, folder, steps, outcome)
@@ -69,16 +73,25 @@ def as_command(tool, live, monkeypatch, capsys, tmp_path):
     return call
 
 
+@pytest.fixture(scope="module")
+def log_of_before(live, tmp_path_factory):
+    """The log that `rumi run fused --record` wrote when readings were in HDF5 and the task was called so."""
+    path = tmp_path_factory.mktemp("before") / LOG
+    asked = {"task": "fused", "seed": live.seed, "fused": plain(SETTINGS)}
+    with LogWriter(path, [], settings=asked, about={"made_with": "{}"}, readings=ContactReading) as log:
+        for step in live.steps:
+            reading = ContactReading.of(step.reading)
+            log.reading(reading, control=step.control, truth=step.truth, digest=digest(step.belief))
+        log.finish({"stopped_by": "steps"})
+    return path
+
+
 def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
-    with Log(live.folder / LOG) as log:
-        seed, settings = recorded(log)
-        taken = log.taken(ContactReading)
-        assert log.problems == []
-    assert (seed, settings) == (live.seed, SETTINGS)
-    steps = []
-    done = replay(taken, build_agent(settings, tool=tool), seed=seed, on_step=steps.append)
+    opened = RunLog(live.folder)
+    assert HANDLE.from_dict(opened.settings) == HandleRunSettings(SETTINGS, live.seed) and opened.problems == []
+    done = replay(opened.taken(), build_agent(SETTINGS, tool=tool), seed=live.seed)
     assert done.same == [True] * 4
-    for ours, theirs in zip(steps, live.steps, strict=True):
+    for ours, theirs in zip(done.steps, live.steps, strict=True):
         assert digest(ours.belief) == digest(theirs.belief)
         assert (ours.nll, ours.contacts, ours.converged) == (theirs.nll, theirs.contacts, theirs.converged)
     ours, theirs = done.result.as_dict(), live.outcome.as_dict()
@@ -88,18 +101,19 @@ def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
     assert ours == theirs
 
 
-def test_readings_come_back_whole(live):
-    with Log(live.folder / LOG) as log:
-        taken = log.taken(ContactReading)
-    assert taken[0].reading.signals is None and len(taken[0].reading.wrench.points) == 0
-    for one, step in zip(taken[1:], live.steps[1:], strict=True):
-        ours, theirs = one.reading, step.reading
-        assert torch.equal(ours.signals, theirs.signals)
-        for name in ("points", "normals", "point_sd", "normal_sd", "instant"):
-            a, b = getattr(ours.wrench, name), getattr(theirs.wrench, name)
-            assert a.dtype == b.dtype and torch.equal(a, b), name
-        assert torch.equal(ours.observation.points, theirs.observation.points)
-        assert torch.equal(one.control, step.control)
+def test_readings_come_back_whole(live, log_of_before):
+    with Log(log_of_before) as log:
+        before = log.taken(ContactReading)
+    assert before[0].reading.signals is None and len(before[0].reading.wrench.points) == 0
+    for taken in (before, RunLog(live.folder).taken()):
+        for one, step in zip(taken[1:], live.steps[1:], strict=True):
+            ours, theirs = one.reading, step.reading
+            assert torch.equal(ours.signals, theirs.signals)
+            for name in ("points", "normals", "point_sd", "normal_sd", "instant"):
+                a, b = getattr(ours.wrench, name), getattr(theirs.wrench, name)
+                assert a.dtype == b.dtype and torch.equal(a, b), name
+            assert torch.equal(ours.observation.points, theirs.observation.points)
+            assert torch.equal(one.control, step.control)
 
 
 def test_other_settings_give_another_belief_on_the_same_readings(live, as_command):
@@ -107,20 +121,24 @@ def test_other_settings_give_another_belief_on_the_same_readings(live, as_comman
     assert code in (DONE, NOT_CONVERGED)
     assert "budget_s: no effect" in said.err
     assert "differs from the recorded one from action 3 on (wrist.outlier changed)" in said.out
-    assert (Path("what-if") / "trace.npz").exists()
-    assert "as it was recorded" in as_command("--joints.gain", "3", live.folder)[1].err
+    assert len(load_run("what-if").steps) == 4
+    for changed in (["--joints.gain", "3"], ["--noise-free"], ["--wrist.behind-m", "0.2"]):
+        code, said = as_command(live.folder, *changed)
+        name = changed[0].removeprefix("--").replace("-", "_")
+        assert code == BAD_INPUT and f"Expected {name} as it was recorded" in said.err
     code, said = as_command(live.folder, "--sensors", "camera")
     assert code == BAD_INPUT and "Expected sensors as it was recorded" in said.err
     assert main(["check", str(live.folder)]) == BAD_INPUT
 
 
-def test_the_same_settings_by_the_command(live, as_command):
-    _, said = as_command(live.folder / LOG)
-    assert "the recorded one, bit for bit, after each of 4 readings" in said.out
+def test_the_same_settings_by_the_command(live, log_of_before, as_command):
+    for recording in (live.folder, log_of_before):
+        _, said = as_command(recording)
+        assert "the recorded one, bit for bit, after each of 4 readings" in said.out
 
 
-def test_of_a_log_that_was_cut_short_the_start_is_replayed(live, as_command, tmp_path):
-    data = (live.folder / LOG).read_bytes()
+def test_of_a_log_that_was_cut_short_the_start_is_replayed(log_of_before, as_command, tmp_path):
+    data = log_of_before.read_bytes()
     (tmp_path / "cut.h5").write_bytes(data[: int(0.9 * len(data))])
     code, said = as_command("cut.h5")
     assert code == NOT_CONVERGED and "the log was not finished" in said.err
@@ -136,35 +154,31 @@ def test_what_is_not_there_is_named(as_command, tool, tmp_path):
     assert code == BAD_INPUT and "There is no log nothing.h5" in said.err
     (tmp_path / "run").mkdir()
     code, said = as_command("run")
-    assert code == BAD_INPUT and "was not recorded" in said.err
+    assert code == BAD_INPUT and "is no run folder" in said.err
     with pytest.raises(UsageError, match="nothing to replay"):
         replay([], build_agent(SETTINGS, tool=tool), seed=0)
 
 
-def test_settings_of_what_was_sensed_are_refused():
-    for changed in (
-        replace(SETTINGS, noise_free=True),
-        replace(SETTINGS, wrist=replace(SETTINGS.wrist, behind_m=0.2)),
-        replace(SETTINGS, joints=replace(SETTINGS.joints, threshold_nm=1.0)),
-    ):
-        with pytest.raises(UsageError, match="cannot change what was sensed"):
-            refuse_other_senses(SETTINGS, changed)
-    refuse_other_senses(SETTINGS, replace(SETTINGS, fit_a_contact=1.0, preset="default", budget_s=5.0))
-    names = {name for field in fields(FusedSettings) for name in (field.name, *_inner(field))}
-    assert {*COUNTED, *IDLE} <= names
+def test_a_folder_of_before_is_read(live, tmp_path):
+    """The task was called fused, its end by another word, and figures of the grasp had a file of their own."""
+    for name in ("trace.npz", "steps.jsonl"):
+        (tmp_path / name).write_bytes((live.folder / name).read_bytes())
+    values = json.loads((live.folder / "settings.json").read_text())
+    (tmp_path / "settings.json").write_text(
+        json.dumps({**values, "task": "fused", "fused": values["handle"]} | {"handle": None})
+    )
+    ended = json.loads((live.folder / "result.json").read_text()) | {"stopped_by": "converged"}
+    (tmp_path / "result.json").write_text(json.dumps(ended))
+    run = load_run(tmp_path)
+    assert run.task == "handle" and run.result.stopped_by == "sure" and len(run.steps) == 4
+    before = {name: value for name, value in run.settings.items() if name != "handle"}
+    assert HANDLE.from_dict(before) == HandleRunSettings(SETTINGS, live.seed)
 
 
-def _inner(field):
-    kind = type(getattr(SETTINGS, field.name))
-    return [f"{field.name}.{inner.name}" for inner in fields(kind)] if is_dataclass(kind) else []
-
-
-def test_logs_of_other_runs_are_told_apart(live, tmp_path):
-    """Those without the further columns hold fused readings too, with nothing in them; the other way is refused."""
-    with LogRecorder(tmp_path / "plain.h5", {"task": "mug-0"}) as log:
-        log(live.steps[0])
-    with Log(tmp_path / "plain.h5") as log:
-        assert recorded(log) is None
-        assert len(log.taken(ContactReading)[0].reading.wrench.points) == 0
-    with Log(live.folder / LOG) as log, pytest.raises(LogError, match="reading/signals, which this rumi"):
-        log.taken()
+def test_settings_count_do_nothing_or_decided_what_was_sensed():
+    counted = ("fit_a_contact", "preset", "signals.spacing_m", "wrist.point_m", "seed")
+    sensed = ("noise_free", "wrist.behind_m", "joints.threshold_nm", "sensors")
+    roles = {"counted": counted, "idle": ("budget_s", "thinking_s"), "sensed": sensed}
+    for role, names in roles.items():
+        assert [HANDLE.role(name) for name in names] == [role] * len(names)
+    assert replace(SETTINGS, preset="default") != SETTINGS

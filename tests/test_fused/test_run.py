@@ -6,14 +6,15 @@ import pytest
 import torch
 
 from rumi import loop
-from rumi.commands.run_handle import fused, sensors_of, short_of, thinking_of
+from rumi.cli import main
 from rumi.errors import UsageError
-from rumi.exit_codes import DONE, NOT_CONVERGED
+from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.robot.gripper import GripperShape
 from rumi.tasks.handle.agent import total_nll
 from rumi.tasks.handle.build import build_fused
+from rumi.tasks.handle.entry import short_of
 from rumi.tasks.handle.grasp import HandleTable
-from rumi.tasks.handle.settings import SENSORS, FusedSettings
+from rumi.tasks.handle.settings import SENSORS, FusedSettings, sensors_of
 
 
 def test_the_surface_is_all_around_palm_and_pads():
@@ -61,15 +62,11 @@ def test_the_same_seed_gives_the_same_run(tool):
     assert found[0]["total_s"] == pytest.approx(1.0 + 2 * 2.1 + 2.1) and found[0]["stopped_by"] == "steps"
 
 
-def test_sensors_and_thinking_are_told_in_words():
+def test_sensors_are_told_in_words():
     assert sensors_of("all") == SENSORS and sensors_of("wrench,camera") == ("camera", "wrench")
-    assert thinking_of("real") is None and thinking_of("0.5") == 0.5
     for wrong in ("eyes", "camera,", ""):
         with pytest.raises(UsageError, match="camera"):
             sensors_of(wrong)
-    for wrong in ("soon", "-1", "nan", "inf"):
-        with pytest.raises(UsageError, match="thinking"):
-            thinking_of(wrong)
 
 
 @pytest.mark.parametrize(
@@ -92,22 +89,24 @@ def test_a_budget_that_the_first_look_and_the_grasp_exceed_is_told():
     assert "less than the 2.1 s" in short_of(FusedSettings(budget_s=1.0, thinking_s=None))
 
 
-def test_what_cannot_be_leaves_no_folder(tmp_path, monkeypatch):
+_WRONG = ("--preset nope", "--run-budget-s inf", "--thinking-s -1", "--seed -1", "--sensors eye")
+
+
+@pytest.mark.parametrize("wrong", _WRONG)
+def test_what_cannot_be_leaves_no_folder(wrong, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for wrong in (["--preset", "nope"], ["--budget", "inf"], ["--thinking", "inf"], ["--seed", "-1"]):
-        with pytest.raises(UsageError):
-            fused([*wrong, "--out", "run"])
+    assert main(["run", "handle", *wrong.split(), "--out", "run"]) == BAD_INPUT
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.sim
 @pytest.mark.slow
-def test_the_command_leaves_a_run_that_can_be_drawn_again(tmp_path, capsys):
+def test_the_command_leaves_a_run_that_can_be_drawn_again(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("RUMI_CACHE", str(tmp_path / "cache"))
     out = tmp_path / "run"
-    code = fused(["--seed", "1001", "--budget", "9", "--out", str(out)], cache_dir=tmp_path / "cache")
+    code = main(["run", "handle", "--seed", "1001", "--run-budget-s", "9", "--out", str(out)])
     said = capsys.readouterr().out
-    assert code in (DONE, NOT_CONVERGED) and ("not lifted" in said) == (code == NOT_CONVERGED)
+    sure = "handle: sure" in said and "not lifted" not in said
+    assert code == (DONE if sure else NOT_CONVERGED)
     assert {"result.json", "settings.json", "trace.npz", "figures"} <= {p.name for p in out.iterdir()}
-    from rumi.commands.run import draw_figures
-
-    assert draw_figures(out, tmp_path / "again", None)
+    assert main(["plot", str(out), "--out", str(tmp_path / "again")]) == DONE

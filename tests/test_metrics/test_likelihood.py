@@ -18,7 +18,7 @@ from sdf.symmetry import Symmetries
 F64 = torch.float64
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

@@ -11,10 +11,10 @@ import torch
 from rumi import loop
 from rumi.belief.static_filter import StaticBelief
 from rumi.cli import main
-from rumi.information.stopping import Aim
+from rumi.information.stopping import TargetEstimate
+from rumi.runs.jsonlines import read_lines
 from rumi.tasks.peg import selection as refine
 from rumi.tasks.peg.agent import build_peg
-from rumi.tasks.peg.cell import TOP
 from rumi.tasks.peg.entry import summary
 from rumi.tasks.peg.selection import sure
 from rumi.tasks.peg.settings import PegSettings
@@ -106,7 +106,7 @@ def test_the_entropy_of_the_block_knows_no_half_turns():
     # of a normal distribution, and half a nat to each side
     nats = 1.5 * (1.0 + math.log(2.0 * math.pi)) + float(spread.log().sum())
     nothing = RectangleTouches.none(QUICK.block.half(), QUICK.noise, QUICK.radius_m)
-    aim = Aim(torch.zeros(2, 2), 0.0, 0)
+    aim = TargetEstimate(torch.zeros(2, 2), 0.0)
     for poses in (states, turned):
         belief = StaticBelief(poses, flat, flat)
         held = [
@@ -126,8 +126,13 @@ def test_the_command(tmp_path, capsys):
     assert main([*arguments, "--point-m", "0.001", "--normal-deg", "2", "--particles", "200"]) == 0
     assert "touches" in capsys.readouterr().out
     found = json.loads((folder / "result.json").read_text())
-    assert found["settings"]["t_max_s"] == 10.0 and found["in_hole"]
-    assert {motion["kind"] for motion in found["motions"]} <= {"nothing", "side", "top"}
-    assert len(found["decisions"]) == found["actions"]
-    assert (folder / "contacts.png").stat().st_size > 10_000 and (folder / "timeline.png").stat().st_size > 10_000
-    assert TOP == 2  # the names of the kinds in the record are in this order
+    assert json.loads((folder / "settings.json").read_text())["peg"]["t_max_s"] == 10.0 and found["in_hole"]
+    steps = [line for line, _ in read_lines(folder / "steps.jsonl")]
+    assert {step["felt"] for step in steps} <= {"nothing", "side", "top"} and steps[-1]["sure"]
+    pictures = [folder / "figures" / name for name in ("contacts.png", "timeline.png")]
+    assert all(path.stat().st_size > 10_000 for path in pictures)
+    assert main(["plot", str(folder), "--out", str(tmp_path / "again")]) == 0
+    assert (tmp_path / "again/timeline.png").read_bytes() == pictures[1].read_bytes()
+    assert main(["replay", str(folder)]) == 0
+    assert f"the recorded one, bit for bit, after each of {len(steps)} readings" in capsys.readouterr().out
+    assert ContactKind.TOP == 2  # the names of the kinds in the record are in this order

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.runs.json_settings import dataclass_of
@@ -52,7 +52,7 @@ QUICK += ["--most-actions", "3"]
 )
 def test_settings_that_cannot_be(flag, words, tmp_path, capsys):
     asked = ["run", "peg", "--no-figures", "--out", str(tmp_path / "run"), *flag.split()]
-    assert main(asked) == cli.BAD_INPUT
+    assert main(asked) == exit_codes.BAD_INPUT
     said = capsys.readouterr().err
     assert words in said and "RUMI_DEBUG" not in said
     assert not (tmp_path / "run").exists()
@@ -84,7 +84,7 @@ def test_a_folder_that_has_a_run_is_left_alone(tmp_path, monkeypatch, capsys):
     assert found == ["peg-t10-mass-s3", "peg-t10-mass-s3-2", "peg-t12-mass-s3"]
     records = [json.loads((tmp_path / "runs" / name / "result.json").read_text()) for name in found]
     assert [record["settings"]["t_max_s"] for record in records] == [10.0, 10.0, 12]
-    assert main([*command, "--out", "runs/peg-t10-mass-s3"]) == cli.BAD_INPUT
+    assert main([*command, "--out", "runs/peg-t10-mass-s3"]) == exit_codes.BAD_INPUT
     assert "holds a run already" in capsys.readouterr().err
 
 

@@ -15,7 +15,7 @@ from sdf import backend
 BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

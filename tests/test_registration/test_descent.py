@@ -23,7 +23,7 @@ BOX = Box((0.04, 0.06, 0.1)).double()
 TABLE = GridSDF.from_sdf(BOX, 0.004)
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

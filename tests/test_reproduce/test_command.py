@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.runs.jsonlines import read_lines
@@ -64,7 +64,7 @@ def quick(monkeypatch):
 )
 def test_refuses(arguments, message, capsys, quick):
     Path("file").write_text("in the way")
-    assert main(["reproduce", *arguments]) == cli.BAD_INPUT
+    assert main(["reproduce", *arguments]) == exit_codes.BAD_INPUT
     said = capsys.readouterr()
     assert "Traceback" not in said.err
     assert re.search(message, " ".join((said.err + said.out).split()))
@@ -72,31 +72,31 @@ def test_refuses(arguments, message, capsys, quick):
 
 
 def test_what_is_done_is_not_done_again(capsys, quick):
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     first = capsys.readouterr()
     assert sorted(quick) == sorted((method, seed) for method in toy.SETTINGS for seed in (1000, 1001))
     assert first.err == "" and "| KMPPI | 2 | 1 [1, 1] |" in first.out
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     assert len(quick) == 6
     assert capsys.readouterr().out == first.out
-    assert main(["reproduce", "fig8", "--seeds", "1001-1002", "--no-figures"]) == cli.DONE
+    assert main(["reproduce", "fig8", "--seeds", "1001-1002", "--no-figures"]) == exit_codes.DONE
     assert len(quick) == 9
     assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 9
 
 
 def test_other_code_does_it_again(monkeypatch, quick):
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     monkeypatch.setattr("scripts.reproduce.jobs.code_of", lambda kind: "another")
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     assert len(quick) == 12
 
 
 def test_shards_together_are_the_whole(capsys, quick):
     for k in (1, 2, 3):
-        assert main([*FEW, "--shard", f"{k}/3"]) == cli.DONE
+        assert main([*FEW, "--shard", f"{k}/3"]) == exit_codes.DONE
     assert len(quick) == 6
     shards = capsys.readouterr().out
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     assert len(quick) == 6
     assert shards.endswith(capsys.readouterr().out)
 
@@ -117,7 +117,7 @@ def test_an_error_is_no_result_and_is_tried_again(capsys, monkeypatch, quick):
     (error,) = (line for line, _ in read_lines(Path("runs/reproduce/.runs.errors.jsonl")))
     assert "Traceback" in error["traceback"] and error["work"] == "toy, SMPPI, seed 1001"
     monkeypatch.setitem(KINDS, "toy", good)
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 6
 
 
@@ -147,18 +147,18 @@ def test_an_interrupt_keeps_what_is_done(capsys, monkeypatch, quick):
         return good(job, cache_dir)
 
     monkeypatch.setitem(KINDS, "toy", interrupted)
-    assert main([*FEW]) == cli.INTERRUPTED
+    assert main([*FEW]) == exit_codes.INTERRUPTED
     assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 4
     monkeypatch.setitem(KINDS, "toy", good)
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     assert len(quick) == 6
 
 
 def test_show_runs_nothing(capsys, quick):
-    assert main([*FEW]) == cli.DONE
+    assert main([*FEW]) == exit_codes.DONE
     ran = capsys.readouterr().out
-    assert main([*FEW, "--show"]) == cli.DONE
+    assert main([*FEW, "--show"]) == exit_codes.DONE
     assert capsys.readouterr().out == ran
-    assert main(["reproduce", "fig8", "--no-figures", "--show", "--seeds", "5"]) == cli.DONE
+    assert main(["reproduce", "fig8", "--no-figures", "--show", "--seeds", "5"]) == exit_codes.DONE
     assert "| KMPPI" not in capsys.readouterr().out
     assert len(quick) == 6

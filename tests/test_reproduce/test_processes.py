@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.runs.jsonlines import read_lines
 from scripts.reproduce.records import Records
@@ -36,7 +36,7 @@ def start(*arguments, **changes):
 
 def finish(process):
     out, err = process.communicate(timeout=300)
-    assert process.returncode == cli.DONE, err
+    assert process.returncode == exit_codes.DONE, err
     return out
 
 
@@ -126,7 +126,7 @@ def test_ctrl_c_leaves_what_is_done(jobs):
     wait_for(Path("stopped/runs.jsonl"), 3)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=60)
-    assert process.returncode == cli.INTERRUPTED
+    assert process.returncode == exit_codes.INTERRUPTED
     assert out == "" and err == "rumi: interrupted\n"
     kept = results("stopped")
     assert 3 <= len(kept) < 300
@@ -150,7 +150,7 @@ def test_jobs_of_a_cluster(tmp_path):
 @pytest.mark.sim
 def test_runs_of_a_task(capsys):
     asked = ("--tasks", "mug-0", "--methods", "rumi", "info-only", "--presets", "default", "--seeds", "1000")
-    assert main(["reproduce", "table5", "table7", "fig13", *asked, "--set", *SMALL]) == cli.DONE
+    assert main(["reproduce", "table5", "table7", "fig13", *asked, "--set", *SMALL]) == exit_codes.DONE
     said = capsys.readouterr().out
     first, second = Records(Path("runs/reproduce/runs.jsonl")).every
     assert (first.method, second.method) == ("rumi", "info-only")
@@ -163,4 +163,4 @@ def test_runs_of_a_task(capsys):
     for word in (f"rumi/default {' '.join(sorted(SMALL))}", "dynamics", "figures/fig13-default.png"):
         assert word in said
     again = main(["reproduce", "table5", *asked, "--set", *SMALL])
-    assert again == cli.DONE and len(Records(Path("runs/reproduce/runs.jsonl")).every) == 2
+    assert again == exit_codes.DONE and len(Records(Path("runs/reproduce/runs.jsonl")).every) == 2

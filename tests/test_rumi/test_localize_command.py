@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.commands.contact_files import read_contacts
 from rumi.errors import UsageError
@@ -62,7 +62,9 @@ def touched(tmp_path):
 def test_a_pose_comes_back(wedge, touched, capsys):
     path, pose = touched
     for extra in ([], ["--normals"], ["--center", "0.4", "0.1", "0.2", "--radius", "0.02", "0.02", "0.02", "--clip"]):
-        assert main(["localize", wedge, path, "--json", "--starts", "200", "--no-symmetries", *extra]) == cli.DONE
+        assert (
+            main(["localize", wedge, path, "--json", "--starts", "200", "--no-symmetries", *extra]) == exit_codes.DONE
+        )
         found = json.loads(capsys.readouterr().out)
         best = found["modes"][found["best"]]
         assert torch.allclose(torch.tensor(best["world_T_object"], dtype=torch.float64), pose, atol=2e-3)
@@ -81,18 +83,18 @@ def test_normals_into_the_object_are_named(wedge, touched, tmp_path, capsys):
         outward.write_text("\n".join(",".join(row) for row in some) + "\n")
         for file, wrong in ((inward, True), (outward, False)):
             arguments = ["localize", wedge, str(file), "--starts", "200", "--no-symmetries"]
-            assert main([*arguments, "--normals", "--json"]) == cli.DONE
+            assert main([*arguments, "--normals", "--json"]) == exit_codes.DONE
             said = capsys.readouterr()
             found = json.loads(said.out)
             assert found["normals_inward"] is wrong and ("seem to point into the object" in said.err) is wrong
             assert (found["turned_normals_gain_nats"] > 5.0) is wrong
-            assert main([*arguments, "--json"]) == cli.DONE
+            assert main([*arguments, "--json"]) == exit_codes.DONE
             said = capsys.readouterr()
             assert "normals_inward" not in json.loads(said.out) and "into the object" not in said.err
 
 
 def test_for_people(wedge, touched, capsys):
-    assert main(["localize", wedge, touched[0], "--starts", "200"]) == cli.DONE
+    assert main(["localize", wedge, touched[0], "--starts", "200"]) == exit_codes.DONE
     said = capsys.readouterr()
     assert "1 mode from 48 points" in said.out and "seconds:" in said.out and said.err.count("Error") == 0
 
@@ -120,7 +122,7 @@ def test_for_people(wedge, touched, capsys):
     ],
 )
 def test_options_that_cannot_be(wedge, touched, arguments, words, capsys):
-    assert main(["localize", wedge, touched[0], "--no-symmetries", *arguments]) == cli.BAD_INPUT
+    assert main(["localize", wedge, touched[0], "--no-symmetries", *arguments]) == exit_codes.BAD_INPUT
     assert words in capsys.readouterr().err
 
 
@@ -156,7 +158,7 @@ def test_options_that_cannot_be(wedge, touched, arguments, words, capsys):
 def test_contacts_that_cannot_be(wedge, tmp_path, name, text, words, capsys):
     path = tmp_path / name
     path.write_text(text)
-    assert main(["localize", wedge, str(path), "--no-symmetries"]) == cli.BAD_INPUT
+    assert main(["localize", wedge, str(path), "--no-symmetries"]) == exit_codes.BAD_INPUT
     assert words in capsys.readouterr().err
 
 
@@ -175,7 +177,7 @@ def test_arrays_that_are_no_points(wedge, tmp_path, points, words, capsys):
             np.savez(tmp_path / name, points=points)
         else:
             np.save(tmp_path / name, points)
-        assert main(["localize", wedge, str(tmp_path / name), "--no-symmetries"]) == cli.BAD_INPUT
+        assert main(["localize", wedge, str(tmp_path / name), "--no-symmetries"]) == exit_codes.BAD_INPUT
         assert words in capsys.readouterr().err
 
 
@@ -191,29 +193,29 @@ def test_commas_that_part_numbers(tmp_path):
 @pytest.mark.parametrize("noise", ["1e-9", "1e3"])
 def test_any_noise_that_is_allowed_lists_modes(wedge, touched, noise, capsys):
     arguments = ["localize", wedge, touched[0], "--no-symmetries", "--starts", "50", "--json", "--noise", noise]
-    assert main(arguments) == cli.DONE
+    assert main(arguments) == exit_codes.DONE
     found = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert found["modes"] and sum(mode["weight"] for mode in found["modes"]) == pytest.approx(1.0)
 
 
 def test_files_that_are_not_there(wedge, touched, tmp_path, capsys):
-    assert main(["localize", wedge, str(tmp_path / "none.csv")]) == cli.BAD_INPUT
+    assert main(["localize", wedge, str(tmp_path / "none.csv")]) == exit_codes.BAD_INPUT
     assert "no such file" in capsys.readouterr().err
-    assert main(["localize", str(tmp_path / "none.obj"), touched[0]]) == cli.BAD_INPUT
+    assert main(["localize", str(tmp_path / "none.obj"), touched[0]]) == exit_codes.BAD_INPUT
     assert "no such file" in capsys.readouterr().err
     cloud = tmp_path / "cloud.off"
     cloud.write_text("OFF\n3 0 0\n0 0 0\n0 0 1\n0 1 0\n")
-    assert main(["localize", str(cloud), touched[0]]) == cli.BAD_INPUT
+    assert main(["localize", str(cloud), touched[0]]) == exit_codes.BAD_INPUT
     assert "without faces" in capsys.readouterr().err
 
 
 def test_normals_that_are_not_there_or_not_unit(wedge, tmp_path, capsys):
     path = tmp_path / "points.csv"
     path.write_text("0 0 0\n0 0 0.05\n0 0.1 0\n")
-    assert main(["localize", wedge, str(path), "--normals", "--no-symmetries"]) == cli.BAD_INPUT
+    assert main(["localize", wedge, str(path), "--normals", "--no-symmetries"]) == exit_codes.BAD_INPUT
     assert "points alone" in capsys.readouterr().err
     path.write_text("0 0 0 0 0 2\n0 0 0.05 0 0 1\n0 0.1 0 0 0 1\n")
-    assert main(["localize", wedge, str(path), "--normals", "--no-symmetries"]) == cli.BAD_INPUT
+    assert main(["localize", wedge, str(path), "--normals", "--no-symmetries"]) == exit_codes.BAD_INPUT
     assert "unit normals" in capsys.readouterr().err
 
 

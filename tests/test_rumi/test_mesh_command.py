@@ -5,7 +5,7 @@ import json
 import pytest
 import torch
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 
 pytest.importorskip("trimesh")
@@ -30,7 +30,7 @@ def box(tmp_path):
 
 
 def test_a_good_mesh(box, capsys):
-    assert main(["mesh", box()]) == cli.DONE
+    assert main(["mesh", box()]) == exit_codes.DONE
     said = capsys.readouterr()
     assert "box.obj" in said.out and "60 x 80 x 100 mm" in said.out and "nothing is wrong" in said.out
     assert said.err == ""
@@ -38,14 +38,14 @@ def test_a_good_mesh(box, capsys):
 
 def test_symmetries_are_said(box, capsys):
     """A box of three lengths: half a turn about each of its axes."""
-    assert main(["mesh", box()]) == cli.DONE
+    assert main(["mesh", box()]) == exit_codes.DONE
     line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("  symmetry"))
     assert "half a turn about" in line and "3 mirror planes" in line
     assert all(axis in line for axis in ("(1.00, 0.00, 0.00)", "(0.00, 1.00, 0.00)", "(0.00, 0.00, 1.00)"))
 
 
 def test_json(box, capsys):
-    assert main(["mesh", box(sides=SIDES[1:]), "--json", "--spacing", "0.004"]) == cli.DONE
+    assert main(["mesh", box(sides=SIDES[1:]), "--json", "--spacing", "0.004"]) == exit_codes.DONE
     found = json.loads(capsys.readouterr().out)
     assert found["usable"] is True and found["watertight"] is False and found["spacing_m"] == 0.004
     assert found["findings"][0]["level"] == "warning"
@@ -53,18 +53,18 @@ def test_json(box, capsys):
 
 def test_millimetres(box, capsys):
     path = box(unit=1)
-    assert main(["mesh", path]) == cli.BAD_INPUT
+    assert main(["mesh", path]) == exit_codes.BAD_INPUT
     assert "millimetres (0.001)" in capsys.readouterr().out
-    assert main(["mesh", path, "--scale", "0.001"]) == cli.DONE
+    assert main(["mesh", path, "--scale", "0.001"]) == exit_codes.DONE
     capsys.readouterr()
-    assert main(["mesh", path, "--scale", "1000"]) == cli.BAD_INPUT
+    assert main(["mesh", path, "--scale", "1000"]) == exit_codes.BAD_INPUT
     assert "in millimetres (0.001)" in capsys.readouterr().out
-    assert main(["mesh", box(unit=0.001), "--scale", "1000"]) == cli.BAD_INPUT
+    assert main(["mesh", box(unit=0.001), "--scale", "1000"]) == exit_codes.BAD_INPUT
     assert "in metres (1)" in capsys.readouterr().out
 
 
 def test_no_volume(box, capsys):
-    assert main(["mesh", box(sides=SIDES[:1])]) == cli.BAD_INPUT
+    assert main(["mesh", box(sides=SIDES[:1])]) == exit_codes.BAD_INPUT
     assert "encloses a volume" in capsys.readouterr().out
 
 
@@ -82,7 +82,7 @@ def test_no_volume(box, capsys):
 def test_what_cannot_be_read(tmp_path, capsys, name, content, words):
     if content is not None:
         (tmp_path / name).write_text(content)
-    assert main(["mesh", str(tmp_path / name)]) == cli.BAD_INPUT
+    assert main(["mesh", str(tmp_path / name)]) == exit_codes.BAD_INPUT
     said = capsys.readouterr()
     assert words in said.err and "RUMI_DEBUG" not in said.err and "Traceback" not in said.err
     assert said.err.startswith("rumi: ")
@@ -90,5 +90,5 @@ def test_what_cannot_be_read(tmp_path, capsys, name, content, words):
 
 @pytest.mark.parametrize("arguments", [[], ["box.obj", "--scale", "0"], ["box.obj", "--spacing", "-1"], ["a", "--no"]])
 def test_bad_options(arguments, capsys):
-    assert main(["mesh", *arguments]) == cli.BAD_INPUT
+    assert main(["mesh", *arguments]) == exit_codes.BAD_INPUT
     assert "Traceback" not in capsys.readouterr().err

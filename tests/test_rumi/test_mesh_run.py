@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.runs.folder import load_run
 from rumi.runs.json_settings import setting_names
@@ -43,7 +43,7 @@ def run_small(*more):
 
 def test_a_run_with_a_mesh(mesh, capsys, cache):
     options = (*SMALL, "--mesh", str(mesh), "--mass", "0.5", "--friction", "0.4", "--upright", "0", "0", "20")
-    assert run_small(*options) == cli.NOT_CONVERGED
+    assert run_small(*options) == exit_codes.NOT_CONVERGED
     folder = Path("runs/mug-0-my-mug-rumi-default-s0")
     run = load_run(folder)
     assert len(run.steps) == 2
@@ -58,14 +58,14 @@ def test_a_run_with_a_mesh(mesh, capsys, cache):
     # drawn from the folder alone
     mesh.unlink()
     pytest.importorskip("matplotlib")
-    assert main(["plot", str(folder)]) == cli.DONE
+    assert main(["plot", str(folder)]) == exit_codes.DONE
     assert len(list((folder / "figures").glob("*.png"))) >= 2
     assert "Traceback" not in capsys.readouterr().err
 
 
 def test_the_tasks_own_object_is_described_too():
     small = SMALL[:-4]
-    assert run_small(*small, "--out", "own") == cli.NOT_CONVERGED
+    assert run_small(*small, "--out", "own") == exit_codes.NOT_CONVERGED
     said = json.loads(Path("own/object.json").read_text())
     assert (said["name"], said["mesh"]) == ("mug", None)
 
@@ -85,7 +85,9 @@ def test_the_tasks_own_object_is_described_too():
 )
 def test_bad_input_is_refused(mesh, options, said, capsys):
     Path("text.obj").write_text("nothing to see\n")
-    assert run_small(*(SMALL if "--mesh" in options else SMALL[:-4]), *options, "--out", "there") == cli.BAD_INPUT
+    assert (
+        run_small(*(SMALL if "--mesh" in options else SMALL[:-4]), *options, "--out", "there") == exit_codes.BAD_INPUT
+    )
     error = capsys.readouterr().err
     assert said in error and "Traceback" not in error
     # nothing was begun: the folder can be used again
@@ -95,5 +97,5 @@ def test_bad_input_is_refused(mesh, options, said, capsys):
 def test_flags_are_known_by_their_short_names(capsys):
     names = {"mesh", "scale", "mass", "friction", "upright", "symmetry", "spacing", "collision"}
     assert names <= set(setting_names(Settings))
-    assert run_small("--mas", "1") == cli.BAD_INPUT
+    assert run_small("--mas", "1") == exit_codes.BAD_INPUT
     assert "did you mean --mass" in capsys.readouterr().err

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
-from rumi.metrics.alignment import misfit
+from rumi.metrics.alignment import align
 from rumi.rosbag.mapping import read_mapping
 from rumi.rosbag.scene import rummager_of_map, settings_of
 from rumi.runs.replay import replay
@@ -112,7 +112,7 @@ def test_its_raw_streams_give_the_object_too(found, capsys, monkeypatch, tmp_pat
     folder, _ = found
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("RUMI_CACHE", str(tmp_path))
-    assert main(["replay", str(folder)]) in (cli.DONE, cli.NOT_CONVERGED)
+    assert main(["replay", str(folder)]) in (exit_codes.DONE, exit_codes.NOT_CONVERGED)
     said = capsys.readouterr()
     assert "left out" not in said.err
     (line,) = [line for line in said.out.splitlines() if "likeliest at" in line]
@@ -128,13 +128,13 @@ def test_check_finds_a_camera_that_is_off(script, capsys, monkeypatch, tmp_path)
         with script.LogWriter(tmp_path / name, script.STREAMS, about={"map": mapping.text}) as log:
             script.OwnRobot(script.FakeDriver(TRUTH, camera_off_m=off), mapping, log).reset(0)
     pose = ["--pose", "0.56", "0.03", "0", "0", "0", "40.107"]
-    assert main(["check", "good.h5", *pose]) == cli.DONE
+    assert main(["check", "good.h5", *pose]) == exit_codes.DONE
     good = capsys.readouterr().out
     assert "0.0 % beyond 6 mm" in good and " 0 of them inside the object" in good
     assert Path("check.png").stat().st_size > 10_000
-    assert main(["check", "good.h5", "--step", "99"]) == cli.BAD_INPUT
+    assert main(["check", "good.h5", "--step", "99"]) == exit_codes.BAD_INPUT
     assert "Expected --step 0 to" in capsys.readouterr().err
-    assert main(["check", "off.h5", *pose, "--out", "off"]) == cli.DONE
+    assert main(["check", "off.h5", *pose, "--out", "off"]) == exit_codes.DONE
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "nearest" in line]
     shift = [float(word.strip("(,)")) for word in line.split("moved by ")[1].split()[:3]]
     assert abs(shift[0] + 10.0) < 0.5 and abs(shift[1]) < 0.5 and abs(shift[2]) < 0.5
@@ -157,7 +157,7 @@ def test_check_of_a_log_without_a_reading_says_so(script, capsys, monkeypatch, t
     settings = to_dict(preset("default", task="mug-0"))
     with script.LogWriter(tmp_path / "log.h5", settings=settings):
         pass
-    assert main(["check", "log.h5"]) == cli.BAD_INPUT
+    assert main(["check", "log.h5"]) == exit_codes.BAD_INPUT
     assert "Expected a log with a first reading at least, got none: there is nothing to draw" in capsys.readouterr().err
 
 
@@ -175,13 +175,13 @@ def test_check_names_the_picture_that_it_writes(out, written, monkeypatch, tmp_p
 
 def test_check_refuses_what_it_cannot_draw(capsys):
     pose = ["--pose", "0.5", "nan", "0", "0", "0", "0"]
-    assert main(["check", "none.h5", *pose]) == cli.BAD_INPUT
+    assert main(["check", "none.h5", *pose]) == exit_codes.BAD_INPUT
     assert "Expected --pose to be six numbers, got 0.5 nan" in capsys.readouterr().err
-    assert main(["check", "none.h5", "--pose", "0.5", "1"]) == cli.BAD_INPUT
+    assert main(["check", "none.h5", "--pose", "0.5", "1"]) == exit_codes.BAD_INPUT
     assert "Expected --pose to be six numbers, got 0.5 1.0" in capsys.readouterr().err
-    assert main(["check", "none.h5", "--pose"]) == cli.BAD_INPUT
+    assert main(["check", "none.h5", "--pose"]) == exit_codes.BAD_INPUT
     assert "Expected --pose to be six numbers, got none" in capsys.readouterr().err
-    assert main(["check", "none.h5", "--out", "pic.xyz"]) == cli.BAD_INPUT
+    assert main(["check", "none.h5", "--out", "pic.xyz"]) == exit_codes.BAD_INPUT
     assert "Expected --out to end in .png, .pdf" in capsys.readouterr().err
 
 
@@ -192,7 +192,7 @@ def test_misfit_of_a_box_is_undone(generator):
     on = points_on(box, 600, generator)
     seen = Observation.of(se3.apply(pose @ off, on), Semantics.SURFACE)
     inside = Observation.of(pose[None, :3, 3].clone(), Semantics.FREE)
-    found = misfit(concatenate([seen, inside]), pose, box)
+    found = align(concatenate([seen, inside]), pose, box)
     assert float(found.corrected.abs().max()) < 1e-6
     at = se3.make(torch.eye(3, dtype=torch.float64), pose[:3, 3])
     expected = se3.inverse(at) @ pose @ se3.inverse(off) @ se3.inverse(pose) @ at
@@ -204,7 +204,7 @@ def test_misfit_of_a_box_is_undone(generator):
 def test_what_points_do_not_tell_is_left_alone(generator):
     ball = Sphere(0.05)
     seen = points_on(ball, 200, generator) + torch.tensor([0.003, 0.0, 0.0], dtype=torch.float64)
-    found = misfit(Observation.of(seen, Semantics.SURFACE), torch.eye(4, dtype=torch.float64), ball)
+    found = align(Observation.of(seen, Semantics.SURFACE), torch.eye(4, dtype=torch.float64), ball)
     assert float(found.corrected.abs().max()) < 1e-6
     expected = torch.tensor([-0.003, 0.0, 0.0], dtype=torch.float64)
     torch.testing.assert_close(found.correction[:3, 3], expected, atol=1e-4, rtol=0)
@@ -213,6 +213,6 @@ def test_what_points_do_not_tell_is_left_alone(generator):
 
 def test_few_points_give_no_correction():
     seen = Observation.of(torch.zeros(3, 3), Semantics.SURFACE)
-    found = misfit(seen, torch.eye(4), Sphere(0.05))
+    found = align(seen, torch.eye(4), Sphere(0.05))
     assert found.correction is None
     assert "surface  3 points" in found.text() and "nearest" not in found.text()

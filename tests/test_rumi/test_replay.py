@@ -7,14 +7,13 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
-from rumi import cli
+from rumi import exit_codes
 from rumi.belief.particles import PoseBelief
 from rumi.cli import main
-from rumi.commands.replay import _named, changes
+from rumi.commands.replay import changes
 from rumi.runs.folder import load_run
 from rumi.runs.replay import digest
 
@@ -22,9 +21,9 @@ pytest.importorskip("h5py")
 
 import h5py
 
-from sensors.log.reader import Log
+from sensors.log.writer import LogWriter
 
-pytestmark = pytest.mark.usefixtures("at_home")
+pytestmark = [pytest.mark.usefixtures("at_home"), pytest.mark.outcome]
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SMALL = ("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12")
@@ -33,7 +32,7 @@ STEPS = 6
 
 def record(folder, task="mug-0", *more):
     """A short run that touches the object: slide goes straight to it."""
-    asked = ["run", task, "--method", "slide", "--seed", "3", "--steps", str(STEPS), "--no-figures", "--record"]
+    asked = ["run", task, "--method", "slide", "--seed", "3", "--steps", str(STEPS), "--no-figures"]
     return main([*asked, "--out", str(folder), *SMALL, *more])
 
 
@@ -43,7 +42,7 @@ def recorded(tmp_path_factory, cache):
     folder = tmp_path_factory.mktemp("recorded") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("RUMI_CACHE", str(cache))
-        assert record(folder) in (cli.DONE, cli.NOT_CONVERGED)
+        assert record(folder) in (exit_codes.DONE, exit_codes.NOT_CONVERGED)
     assert load_run(folder).result.contacts > 0
     return folder
 
@@ -57,7 +56,7 @@ def test_a_replay_gives_the_recorded_beliefs_bit_for_bit(recorded, capsys):
     code = main(["replay", str(recorded), "--out", "again"])
     assert "the recorded one, bit for bit, after each of" in said_of_beliefs(capsys)
     live, again = load_run(recorded), load_run("again")
-    assert code == (cli.DONE if live.result.stopped_by == "sure" else cli.NOT_CONVERGED)
+    assert code == (exit_codes.DONE if live.result.stopped_by == "sure" else exit_codes.NOT_CONVERGED)
     assert len(again.steps) == len(live.steps)
     for ours, theirs in zip(again.steps, live.steps, strict=True):
         for name in ("world_T_attached", "attached_T_object", "log_weights", "discrepancy"):
@@ -115,93 +114,89 @@ def test_a_replay_draws_figures_where_asked(recorded):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--simulator.mini-steps", "5"], "Expected simulator as it was recorded"),
+        (["--simulator.mini-steps", "5"], "Expected simulator.mini_steps as it was recorded"),
         (["mug-1"], "Expected task as it was recorded|unrecognized|Unrecognized"),
         (["--figures"], "Expected --out DIR with --figures"),
-        (["--filter.peakyness", "1"], "did you mean --filter.peakiness"),
+        (["--filter.peakyness", "1"], "--filter.peakiness FLOAT"),
     ],
 )
 def test_what_a_replay_cannot_do_is_named(recorded, arguments, message, capsys):
     import re
 
-    assert main(["replay", str(recorded), *arguments]) == cli.BAD_INPUT
+    assert main(["replay", str(recorded), *arguments]) == exit_codes.BAD_INPUT
     said = capsys.readouterr()
     assert re.search(message, said.err + said.out)
 
 
 def test_what_is_no_log_is_named(capsys, tmp_path):
-    assert main(["replay"]) == cli.BAD_INPUT
-    assert "Which log?" in capsys.readouterr().err
+    assert main(["replay"]) == exit_codes.BAD_INPUT
+    assert "Expected the run first" in capsys.readouterr().err
     (tmp_path / "empty").mkdir()
-    assert main(["replay", "empty"]) == cli.BAD_INPUT
-    assert "it was not recorded; `rumi run --record` does" in capsys.readouterr().err
-    assert main(["replay", "none.h5"]) == cli.BAD_INPUT
+    assert main(["replay", "empty"]) == exit_codes.BAD_INPUT
+    assert "empty is no run folder: it has no settings.json" in capsys.readouterr().err
+    assert main(["replay", "none.h5"]) == exit_codes.BAD_INPUT
     assert "There is no log none.h5" in capsys.readouterr().err
     with h5py.File("log.h5", "w") as file:
         file["a"] = [1]
-    assert main(["replay", "log.h5"]) == cli.BAD_INPUT
+    assert main(["replay", "log.h5"]) == exit_codes.BAD_INPUT
     assert "is no log of rumi" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "log", "told"),
-    [
-        (["log.h5", "--filter.peakiness", "1"], "log.h5", None),
-        (["--filter.peakiness", "1", "log.h5"], "log.h5", None),
-        (["--map", "m.toml", "log.h5"], "log.h5", "m.toml"),
-        (["--out", "run", "--map=m.toml", "log.h5", "--figures"], "log.h5", "m.toml"),
-        (["--figures", "log.h5"], "log.h5", None),
-        (["--filter.surface-spacing-m", "0.01", "--help", "log.h5"], "log.h5", None),
-        (["--out", "run"], None, None),
-        (["log.h5", "--seed", "no"], "log.h5", None),
-    ],
-)
-def test_the_log_may_stand_anywhere(arguments, log, told):
-    found = _named(arguments)
-    assert found == (None if log is None else Path(log), None if told is None else Path(told))
+@pytest.mark.parametrize("arguments", [["--filter.peakiness", "1", "log.h5"], ["--out", "run"]])
+def test_the_log_stands_first(arguments, capsys):
+    assert main(["replay", *arguments]) == exit_codes.BAD_INPUT
+    assert "Expected the run first, its folder or a log" in capsys.readouterr().err
 
 
 def test_replay_has_help(capsys):
-    assert main(["replay", "--help"]) == cli.DONE
+    assert main(["replay", "--help"]) == exit_codes.DONE
     said = capsys.readouterr().out
-    assert "rumi replay LOG" in said
+    assert "rumi replay RUN" in said
     assert "--filter.peakiness" in said
 
 
 @pytest.mark.sim
 def test_the_settings_of_a_log_that_another_rumi_wrote_are_checked(recorded, capsys, tmp_path):
-    path = tmp_path / "log.h5"
-    path.write_bytes((recorded / "log.h5").read_bytes())
-    with Log(path) as log:
-        settings = log.settings | {"mood": "good"}
-    with h5py.File(path, "r+") as file:
-        del file["about/settings"]
-        file["about/settings"] = np.frombuffer(json.dumps(settings).encode(), np.uint8)
-    assert main(["replay", str(path)]) == cli.BAD_INPUT
+    (tmp_path / "trace.npz").write_bytes((recorded / "trace.npz").read_bytes())
+    settings = json.loads((recorded / "settings.json").read_text())
+    (tmp_path / "settings.json").write_text(json.dumps(settings | {"mood": "good"}))
+    assert main(["replay", str(tmp_path)]) == exit_codes.BAD_INPUT
     assert "There is no setting mood" in capsys.readouterr().err
+
+
+@pytest.mark.sim
+def test_a_log_of_before_with_readings_replays_bit_for_bit(recorded, capsys, tmp_path):
+    """`rumi run --record` wrote readings to HDF5 beside the trace once."""
+    run = load_run(recorded)
+    asked = {name: value for name, value in run.settings.items() if name not in ("schema", "made_with")}
+    with LogWriter(tmp_path / "log.h5", [], settings=asked, about={"made_with": "{}"}) as log:
+        for step in run.steps:
+            log.reading(step.reading, control=step.control, truth=step.truth, digest=digest(step.belief))
+        log.finish({"stopped_by": "converged"})
+    for path in (tmp_path, tmp_path / "log.h5"):
+        main(["replay", str(path)])
+        assert "the recorded one, bit for bit, after each of" in said_of_beliefs(capsys)
 
 
 @pytest.mark.sim
 @pytest.mark.slow
 def test_a_run_that_was_killed_is_replayed_up_to_there(cache, capsys):
-    command = [sys.executable, "-m", "rumi", "run", "mug-0", "--method", "slide", "--no-figures", "--record"]
+    command = [sys.executable, "-m", "rumi", "run", "mug-0", "--method", "slide", "--no-figures"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "RUMI_CACHE": str(cache)}
     running = subprocess.Popen([*command, "--stop.rule", "never", "--out", "run", *SMALL], env=environment)
-    log = Path("run/log.h5")
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and running.poll() is None:
         time.sleep(0.05)
         try:
-            with Log(log) as reading:
-                if len(reading.taken()) > 3:
-                    break
+            if len(load_run("run").steps) > 3:
+                break
         except ValueError:
             continue  # not there yet
     running.send_signal(signal.SIGKILL)
     assert running.wait() == -signal.SIGKILL
-    assert main(["replay", "run"]) == cli.NOT_CONVERGED
+    assert main(["replay", "run"]) == exit_codes.NOT_CONVERGED
     said = capsys.readouterr()
-    assert "the log was not finished: what had been written is there" in said.err
+    assert "the run was not finished: what had been written is there" in said.err
     assert "the recorded one, bit for bit, after each of" in said.out
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rumi import build, cli, preset, run
+from rumi import build, cli, exit_codes, preset, run
 from rumi.errors import UsageError
 from rumi.tasks.rummage.scenes import SCENES
 from sensors.semantics import Semantics
@@ -29,12 +29,12 @@ def load(path):
 @pytest.mark.parametrize(
     ("error", "code", "message"),
     [
-        (UsageError("no such seeds"), cli.BAD_INPUT, "rumi: no such seeds\n"),
-        (KeyboardInterrupt(), cli.INTERRUPTED, "rumi: interrupted\n"),
-        (SystemExit("no data"), cli.BAD_INPUT, "rumi: no data\n"),
+        (UsageError("no such seeds"), exit_codes.BAD_INPUT, "rumi: no such seeds\n"),
+        (KeyboardInterrupt(), exit_codes.INTERRUPTED, "rumi: interrupted\n"),
+        (SystemExit("no data"), exit_codes.BAD_INPUT, "rumi: no data\n"),
         (SystemExit(1), 1, ""),
-        (SystemExit(), cli.DONE, ""),
-        (None, cli.DONE, ""),
+        (SystemExit(), exit_codes.DONE, ""),
+        (None, exit_codes.DONE, ""),
     ],
 )
 def test_a_script_ends_as_the_command_does(error, code, message, capsys):
@@ -65,7 +65,7 @@ def test_what_a_script_cannot_do_is_said_in_a_line(name, arguments, message, mon
     monkeypatch.setattr(sys, "argv", [str(path), *arguments])
     with pytest.raises(SystemExit) as end:
         runpy.run_path(str(path), run_name="__main__")
-    assert end.value.code == cli.BAD_INPUT
+    assert end.value.code == exit_codes.BAD_INPUT
     assert capsys.readouterr().err.startswith(message)
 
 

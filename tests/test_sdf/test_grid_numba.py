@@ -4,7 +4,6 @@ import math
 
 import pytest
 import torch
-from numba import prange
 
 from sdf.compiled import Kernel
 from sdf.grid_numba import (
@@ -17,20 +16,21 @@ from sdf.grid_numba import (
     value_and_gradient,
 )
 from sdf.grid_sdf import GridSDF
+from sdf.part_numba import indices
 from sdf.primitives import Mug
 
 
-def _look_up(points, flat, numbers, sizes, result):
+def _look_up(points, flat, numbers, sizes, result, part):
     lattice = lattice_of(numbers, sizes)
-    for i in prange(len(points)):
+    for i in indices(part, len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         result[i, 0] = value(x, y, z, flat, lattice)
         result[i, 1], result[i, 2], result[i, 3], result[i, 4] = value_and_gradient(x, y, z, flat, lattice)
 
 
-def _look_up_layer(points, layer, rise, level, numbers, sizes, result):
+def _look_up_layer(points, layer, rise, level, numbers, sizes, result, part):
     lattice = lattice_of(numbers, sizes)
-    for i in prange(len(points)):
+    for i in indices(part, len(points)):
         x, y = points[i, 0], points[i, 1]
         result[i, 0] = layer_value(x, y, layer, lattice, level)
         result[i, 1], result[i, 2], result[i, 3], result[i, 4] = layer_value_and_gradient(

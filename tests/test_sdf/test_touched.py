@@ -19,7 +19,7 @@ def touches(shape, dtype=torch.float64):
     return points, normals
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

@@ -10,7 +10,7 @@ from sdf.mesh.tree import build_tree, split_long
 from sdf.mesh.triangles import Triangles, area_vectors, nearest, solid_angle, winding_number
 from sdf.primitives import Box
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

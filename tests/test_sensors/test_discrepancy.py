@@ -13,7 +13,7 @@ from sensors.semantics import Semantics
 F64 = torch.float64
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

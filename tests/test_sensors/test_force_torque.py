@@ -25,7 +25,7 @@ F64 = torch.float64
 RADIUS = 0.0125
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

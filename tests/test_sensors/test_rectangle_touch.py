@@ -16,7 +16,7 @@ NOISE = TouchNoise()
 RADIUS = 0.0125
 
 
-# every test of this file holds for the plain and for the fused version
+# every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 

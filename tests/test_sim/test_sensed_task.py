@@ -14,8 +14,8 @@ from rumi.robot.gripper import Ellipsoid, GripperShape, gripper_links
 from rumi.sim.bubble_camera import BubbleCamera
 from rumi.sim.sensor_settings import SensorSettings, degraded
 from rumi.sim.settings import SimSettings
-from rumi.tasks.rummage.build import build_rummager
-from rumi.tasks.rummage.scenes import SCENES, make_task
+from rumi.tasks.rummage.build import build_rummager, make_task
+from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import from_dict, preset, to_dict
 from sdf import se3
 from sensors.semantics import Semantics

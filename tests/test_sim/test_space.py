@@ -11,8 +11,8 @@ from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.world import World
-from rumi.tasks.rummage.build import build_rummager
-from rumi.tasks.rummage.scenes import SCENES, find_task, make_task, make_tool
+from rumi.tasks.rummage.build import build_rummager, make_task
+from rumi.tasks.rummage.scenes import SCENES, find_task, make_tool
 from rumi.tasks.rummage.settings import preset
 from sdf import se3
 from sdf.drill import Drill, drill_model

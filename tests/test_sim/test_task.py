@@ -8,7 +8,8 @@ import torch
 
 from rumi.errors import UsageError
 from rumi.sim.settings import SimSettings
-from rumi.tasks.rummage.scenes import SCENES, make_task
+from rumi.tasks.rummage.build import make_task
+from rumi.tasks.rummage.scenes import SCENES
 from sdf import se3
 from sensors.observation import attach
 from sensors.semantics import Semantics

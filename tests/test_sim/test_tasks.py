@@ -12,7 +12,8 @@ import torch
 from rumi.errors import UsageError
 from rumi.robot.arm import ArmGeometry
 from rumi.sim.settings import SimSettings
-from rumi.tasks.rummage.scenes import SCENES, find_task, make_task, make_tool
+from rumi.tasks.rummage.build import make_task
+from rumi.tasks.rummage.scenes import SCENES, find_task, make_tool
 from sdf import se3
 from sensors.semantics import Semantics
 

@@ -1,8 +1,7 @@
 """The handle task as a member of the tasks' table."""
 
-import contextlib
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,16 +9,25 @@ import tyro
 
 from rumi.agent import Parts
 from rumi.records import StepRecord
-from rumi.runs.folder import RunRecorder, load_run, provenance, write_json
-from rumi.runs.logbook import LOG, LogRecorder
+from rumi.runs.folder import Run, RunRecorder
+from rumi.runs.json_settings import dataclass_of
 from rumi.runs.progress import stages
-from rumi.tasks.handle.agent import HandleAgent, HandleResult
+from rumi.tasks.handle.agent import HandleAgent, HandleResult, build_agent
 from rumi.tasks.handle.settings import SENSORS, FusedSettings
 from rumi.tasks.handle.simulated import FusedTask
-from rumi.tasks.registry import check_preset, check_seed
+from rumi.tasks.registry import Role, check_preset, check_seed
 from rumi.tasks.rummage.entry import describe, ending
 from rumi.tasks.rummage.settings import PRESETS
 from sensors.contact_reading import ContactReading
+
+COUNTED = (
+    *("seed", "preset", "renewals", "fit_a_contact", "contacts", "steps", "signals", "spread_m"),
+    *("wrist.point_m", "wrist.normal_rad", "wrist.outlier"),
+)
+"""Settings of what readings count for, which a replay may change; all others decided what was sensed."""
+
+IDLE = ("budget_s", "thinking_s")
+"""Settings of what was done when, which a replay does not use."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +46,7 @@ class HandleRunSettings:
 class _Handle:
     description = "a mug seen once, then felt by bubbles, wrench and joint torques, and lifted by its handle"
     settings = HandleRunSettings
+    readings = ContactReading
     presets = ("fast", *(name for name in PRESETS if name != "fast"))
 
     def preset(self, name: str) -> HandleRunSettings:
@@ -68,9 +77,30 @@ class _Handle:
 
     def recorder(
         self, folder: Path, settings: HandleRunSettings, parts: Parts[Any, HandleAgent], *, log: bool
-    ) -> "_Recorder":
+    ) -> RunRecorder:
         """Writes the run's folder."""
-        return _Recorder(folder, settings, parts, log=log)
+        from rumi.tasks.rummage.build import scene_sketch
+
+        return RunRecorder(folder, self.as_dict(settings), scene_sketch(parts.agent.rummager))
+
+    def role(self, name: str) -> Role:
+        """What a setting is to a replay."""
+        if name in IDLE:
+            return "idle"
+        return "counted" if any(name == one or name.startswith(f"{one}.") for one in COUNTED) else "sensed"
+
+    def as_dict(self, settings: HandleRunSettings) -> dict[str, Any]:
+        """Settings as settings.json has them."""
+        return {"task": "handle", "seed": settings.seed, "handle": asdict(settings.settings)}
+
+    def from_dict(self, values: Mapping[str, Any]) -> HandleRunSettings:
+        """The settings of a settings.json, also of one of before, when the task was called "fused"."""
+        own = values["handle"] if "handle" in values else values["fused"]
+        return HandleRunSettings(dataclass_of(FusedSettings, own), values["seed"])
+
+    def agent(self, settings: HandleRunSettings, *, cache_dir: Path | None = None) -> HandleAgent:
+        """What finds the mug, and grasps nothing."""
+        return build_agent(settings.settings, cache_dir=cache_dir)
 
     def describe(self, step: StepRecord) -> str:
         """The numbers of a step that tell how it goes."""
@@ -92,43 +122,14 @@ class _Handle:
         lines.append(f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}")
         return lines
 
-    def draw(self, folder: Path, settings: HandleRunSettings, result: HandleResult) -> Sequence[Path]:
+    def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
         """Overview, scenes and animation."""
         from rumi.viz.figures import make_figures
 
-        return make_figures(load_run(folder), folder / "figures", None)
+        return make_figures(run, out, steps)
 
 
 HANDLE = _Handle()
-
-
-class _Recorder(contextlib.ExitStack):
-    """Writes folder and log of a run, and grasp.json at its end."""
-
-    def __init__(self, folder: Path, settings: HandleRunSettings, parts: Parts[Any, HandleAgent], *, log: bool) -> None:
-        from rumi.tasks.rummage.build import scene_sketch
-
-        super().__init__()
-        self._folder = folder
-        asked = {"task": "handle", "seed": settings.seed, "handle": settings.settings}
-        self._run = self.enter_context(RunRecorder(folder, asked))
-        self._log: LogRecorder | None = None
-        if log:
-            made = LogRecorder(folder / LOG, asked, {"made_with": provenance()}, readings=ContactReading)
-            self._log = self.enter_context(made)
-        self._run.scene(scene_sketch(parts.agent.rummager))
-
-    def __call__(self, step: StepRecord) -> None:
-        self._run(step)
-        if self._log is not None:
-            self._log(replace(step, reading=ContactReading.of(step.reading)))
-
-    def finish(self, result: HandleResult) -> None:
-        self._run.finish(result)
-        if self._log is not None:
-            self._log.finish(result)
-        names = ("stopped_by", "lifted", "believed", "grasp", "total_nll", "total_s")
-        write_json(self._folder / "grasp.json", {name: getattr(result, name) for name in names})
 
 
 def short_of(settings: FusedSettings) -> str | None:

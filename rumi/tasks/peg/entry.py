@@ -1,19 +1,21 @@
 """The peg task as a member of the tasks' table."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
 from rumi.agent import Parts
-from rumi.runs.folder import write_json
+from rumi.runs.folder import Run, RunRecorder
+from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.peg.agent import PegAgent, build_peg
 from rumi.tasks.peg.records import PegRun, PegStep
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.peg.simulated import PegTask
-from rumi.tasks.registry import check_preset, check_seed
+from rumi.tasks.registry import Role, check_preset, check_seed
+from sensors.reading import Reading
 
 _KINDS = ("nothing", "side", "top")
 
@@ -35,6 +37,7 @@ class _Peg:
     description = "a block with two holes on a table, found by touch under a deadline, and a peg put into it"
     settings = PegRunSettings
     presets = ("default", "paper")
+    readings = Reading
 
     def preset(self, name: str) -> PegRunSettings:
         """The default, or the paper's stop: four contacts on two sides."""
@@ -57,9 +60,29 @@ class _Peg:
         """The cell and what finds the block."""
         return build_peg(settings.settings)
 
-    def recorder(self, folder: Path, settings: PegRunSettings, parts: Parts[Any, Any], *, log: bool) -> "_Recorder":
-        """Writes how the run ended."""
-        return _Recorder(folder, settings)
+    def recorder(self, folder: Path, settings: PegRunSettings, parts: Parts[Any, Any], *, log: bool) -> RunRecorder:
+        """Writes the run's folder."""
+        return RunRecorder(folder, self.as_dict(settings))
+
+    def role(self, name: str) -> Role:
+        """What a setting is to a replay."""
+        counted = ("seed", "particles", "search_particles", "stop", "probability", "contacts", "sides", "most_nats")
+        if name in (*counted, "spread_m", "spread_deg"):
+            return "counted"
+        thought = ("t_max_s", "evaluation_s", "readings", "sampled", "configurations", "doublings", "most_actions")
+        return "idle" if name in thought else "sensed"
+
+    def as_dict(self, settings: PegRunSettings) -> dict[str, Any]:
+        """Settings as settings.json has them."""
+        return {"task": "peg", "seed": settings.seed, "peg": asdict(settings.settings)}
+
+    def from_dict(self, values: Mapping[str, Any]) -> PegRunSettings:
+        """The settings of a settings.json."""
+        return PegRunSettings(dataclass_of(PegSettings, values["peg"]), values["seed"])
+
+    def agent(self, settings: PegRunSettings, *, cache_dir: Path | None = None) -> PegAgent:
+        """What finds the block."""
+        return PegAgent(settings.settings)
 
     def describe(self, step: PegStep) -> str:
         """What was touched, and how well the holes are known."""
@@ -74,74 +97,20 @@ class _Peg:
         """A few lines on how a run ended."""
         return summary(run)
 
-    def draw(self, folder: Path, settings: PegRunSettings, run: PegRun) -> Sequence[Path]:
+    def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
         """Contacts and time-line."""
         from rumi.tasks.peg.figures import draw_run
 
-        return draw_run(run, folder)
+        return draw_run(PegRun.of(run, self.from_dict(run.settings).settings), out)
 
 
 PEG = _Peg()
 
 
-class _Recorder:
-    """Writes result.json at the end."""
-
-    def __init__(self, folder: Path, settings: PegRunSettings) -> None:
-        self._folder, self._settings = folder, settings
-
-    def __call__(self, step: PegStep) -> None:
-        pass
-
-    def finish(self, run: PegRun) -> None:
-        write_json(self._folder / "result.json", as_record(run, self._settings.seed))
-
-    def __enter__(self) -> "_Recorder":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-
-def as_record(run: PegRun, seed: int) -> dict[str, Any]:
-    """A run as plain values: how it ended, its settings, and every motion."""
-    motions = [
-        {
-            "kind": _KINDS[felt.kind],
-            "begun_s": felt.begun_s,
-            "ended_s": felt.ended_s,
-            "path": felt.path.tolist(),
-            "point": felt.point.tolist(),
-            "normal": felt.normal.tolist(),
-        }
-        for felt in (*run.searched, *run.felt)
-    ]
-    decisions = [
-        {
-            "begun_s": thought.begun_s,
-            "ended_s": thought.ended_s,
-            "gain": thought.selection.gain,
-            "evaluated": thought.selection.evaluated,
-            "skipped": thought.selection.skipped,
-            "late_s": thought.selection.late_s,
-        }
-        for thought in run.thoughts
-    ]
-    return {
-        "seed": seed,
-        "truth": run.truth.tolist(),
-        "holes_m": None if run.aim is None else run.aim.points.tolist(),
-        **run.as_dict(),
-        "settings": run.settings.as_dict(),
-        "motions": motions,
-        "decisions": decisions,
-    }
-
-
 def summary(run: PegRun) -> list[str]:
     """A few lines on how a run ended."""
-    ended = "not sure" if run.stopped_by == "steps" else run.stopped_by
-    if run.stopped_by == "nothing to do":
+    ended: str = "not sure" if run.stopped_by == "steps" else run.stopped_by
+    if run.stopped_by == "nothing to do" and run.thoughts:
         weighed = run.thoughts[-1].selection.evaluated
         ended = "nothing more that a touch would tell" if weighed else "no time for any motion"
     found = run.as_dict()

@@ -1,19 +1,24 @@
 """What a run of the peg task leaves behind: a record a step, and how it ended."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from rumi.agent import StopReason
 from rumi.belief.static_filter import StaticBelief
-from rumi.information.contact_gain import NOTHING, TOUCH
-from rumi.information.stopping import Aim
-from rumi.tasks.peg.cell import Felt
+from rumi.information.contact_gain import ContactKind
+from rumi.information.stopping import TargetEstimate
+from rumi.planning.anytime import Candidate, Evaluated, Selection
+from rumi.runs.folder import Run
+from rumi.tasks.peg.cell import Felt, TimedPath
+from rumi.tasks.peg.moves import Motion
 from rumi.tasks.peg.selection import Thought
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.peg.simulated import Insertion
+from sdf import se3
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +41,40 @@ class PegStep:
     thought: Thought | None
     felt: Felt
     belief: StaticBelief
-    aim: Aim | None
+    aim: TargetEstimate | None
     probability: float | None
     sure: bool
     truth: Float[Tensor, "3"]
     timings_s: dict[str, float] = field(default_factory=dict)
+    kind: ClassVar[str] = "peg"
+
+    @property
+    def reading(self) -> Felt:
+        """What was felt."""
+        return self.felt
+
+    @property
+    def control(self) -> TimedPath | None:
+        """The motion, as it was carried out."""
+        return TimedPath(self.felt.path, self.felt.begun_s) if self.step else None
+
+    @property
+    def stamp(self) -> float:
+        """Seconds on the run's clock."""
+        return self.felt.ended_s
+
+    @property
+    def poses(self) -> tuple[Float[Tensor, "N 4 4"], Float[Tensor, "N"]] | None:
+        """The belief in space, world_T_object and log-weights; None during the search, which knows no yaw."""
+        if self.belief.states.shape[-1] != 3:
+            return None
+        return se3.from_planar(self.belief.states), self.belief.log_weights
+
+    def numbers(self) -> dict[str, Any]:
+        """What was felt in this motion, when, and how sure the belief is."""
+        found = {"contact": self.felt.kind != ContactKind.NOTHING, "felt": ("nothing", "side", "top")[self.felt.kind]}
+        times = {"begun_s": self.felt.begun_s, "ended_s": self.felt.ended_s}
+        return {**found, **times, "probability": self.probability, "sure": self.sure}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +97,18 @@ class PegRun:
     inserted: Insertion | None
     total_s: float
 
+    @classmethod
+    def of(cls, run: Run, settings: PegSettings) -> "PegRun":
+        """A recorded run, also one that goes on or was killed."""
+        ended, records = run.ended or {}, tuple(run.steps)
+        thoughts = tuple(record.thought for record in records if record.thought is not None)
+        inserted = None
+        if ended.get("inserted_m") is not None:
+            at = torch.tensor(ended["inserted_m"], dtype=torch.float64)
+            inserted = Insertion(at, ended["in_hole"], 1e-3 * ended["off_mm"], ended["total_s"])
+        total_s = ended.get("total_s", records[-1].felt.ended_s)
+        return cls(settings, records, thoughts, ended.get("stopped_by", "interrupted"), inserted, total_s)
+
     @property
     def truth(self) -> Float[Tensor, "3"]:
         """Pose of the block."""
@@ -80,7 +126,7 @@ class PegRun:
         return [record.felt for record in self.records[len(self.searched) + 1 :]]
 
     @property
-    def aim(self) -> Aim | None:
+    def aim(self) -> TargetEstimate | None:
         """Where the holes were thought to be at the end."""
         return self.records[-1].aim
 
@@ -115,7 +161,7 @@ class PegRun:
     @property
     def contact_times_s(self) -> list[float]:
         """When each side was touched."""
-        return [felt.ended_s for felt in (*self.searched, *self.felt) if felt.kind == TOUCH]
+        return [felt.ended_s for felt in (*self.searched, *self.felt) if felt.kind == ContactKind.TOUCH]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values of how it ended."""
@@ -129,11 +175,14 @@ class PegRun:
             "hole_error_mm": _mm(self.hole_error_m),
             "middle_error_mm": _mm(self.middle_error_m),
             "stopped_by": self.stopped_by,
+            "truth": self.truth.tolist(),
+            "holes_m": None if self.aim is None else self.aim.points.tolist(),
+            "inserted_m": None if self.inserted is None else self.inserted.at.tolist(),
             "probability": None if self.aim is None else self.aim.probability,
             "touches": len(times),
             "actions": len(self.felt),
-            "misses": sum(felt.kind == NOTHING for felt in self.felt),
-            "tops": sum(felt.kind not in (NOTHING, TOUCH) for felt in self.felt),
+            "misses": sum(felt.kind == ContactKind.NOTHING for felt in self.felt),
+            "tops": sum(felt.kind not in (ContactKind.NOTHING, ContactKind.TOUCH) for felt in self.felt),
             "total_s": self.total_s,
             "search_s": self.searched[-1].ended_s if self.searched else 0.0,
             "thinking_s": thinking,
@@ -152,3 +201,7 @@ def _mm(metres: float | None) -> float | None:
 
 def _median(values: list[float]) -> float | None:
     return sorted(values)[len(values) // 2] if values else None
+
+
+PARTS = (PegStep, Thought, Selection, Candidate, Motion, Evaluated, Felt, StaticBelief, TargetEstimate)
+"""What records are made of, for `rumi.runs.values`."""

@@ -13,9 +13,9 @@ from torch import Tensor
 from rumi.agent import Parts
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
+from rumi.belief.motion import PushedMotion
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.pushed_motion import PushedMotion
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
@@ -24,11 +24,14 @@ from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
 from rumi.runs.sketch import SceneSketch, sketch
+from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import with_object
-from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_task, make_tool
+from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_tool
+from rumi.tasks.rummage.sensed import SensedTask
 from rumi.tasks.rummage.settings import Settings
+from rumi.tasks.rummage.simulated import SimTask
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
@@ -62,7 +65,35 @@ def build(
     return Parts(task, build_rummager(spec, settings, model, tool))
 
 
-def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool) -> Rummager:
+def make_task(
+    spec: TaskSpec | str,
+    settings: SimSettings | None = None,
+    *,
+    cache_dir: Path | None = None,
+    tool: Tool | None = None,
+    model: ObjectModel | None = None,
+) -> SimTask:
+    """Simulate a task; needs MuJoCo.
+
+    Args:
+        spec: the task or its name.
+        settings: of the simulator and its sensors.
+        cache_dir: folder that keeps the arm's reach and convex pieces of meshes; None works them out each time.
+        tool: made before by `make_tool`; None makes one.
+        model: made before by the task's `object_factory`; None makes one.
+    """
+    spec = find_task(spec) if isinstance(spec, str) else spec
+    settings = settings or SimSettings()
+    tool = tool if tool is not None else make_tool(spec, settings, cache_dir=cache_dir)
+    model = model if model is not None else spec.object_factory()
+    if settings.sensors.kind != "points":
+        return SensedTask(spec, settings, tool, model, cache_dir=cache_dir)
+    return SimTask(spec, settings, tool, model, cache_dir=cache_dir)
+
+
+def build_rummager(
+    spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool, workspace: Workspace | None = None
+) -> Rummager:
     """How an object is found: filter, policy and stopping rule, on the settings' device.
 
     Args:
@@ -70,9 +101,11 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         settings: of the run.
         model: the object.
         tool: the gripper.
+        workspace: lattice of the fields; by default the task's.
     """
     to = (settings.torch_device, settings.torch_dtype)
-    model, tool, workspace = model.to(*to), copy.deepcopy(tool).to(*to), workspace_of(spec).to(*to)
+    model, tool = model.to(*to), copy.deepcopy(tool).to(*to)
+    workspace = (workspace or workspace_of(spec)).to(*to)
     discrepancy = Discrepancy(
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
@@ -184,6 +217,12 @@ def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
         UsageError: the method needs a package that is not installed.
     """
     return POLICIES[settings.method](settings, reach)
+
+
+def sketch_of(agent: object) -> SceneSketch | None:
+    """What figures need to know of the scene; None where the agent neither rummages nor has one that does."""
+    rummager = getattr(agent, "rummager", agent)
+    return scene_sketch(rummager) if isinstance(rummager, Rummager) else None
 
 
 def scene_sketch(rummager: Rummager) -> SceneSketch:

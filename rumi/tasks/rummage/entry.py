@@ -3,23 +3,25 @@
 import contextlib
 import gc
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rumi.agent import Parts
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
-from rumi.runs.folder import RunRecorder, load_run, provenance, write_json
+from rumi.runs.folder import Run, RunRecorder, provenance, write_json
 from rumi.runs.logbook import LOG, LogRecorder
-from rumi.runs.progress import stages
+from rumi.runs.progress import say, stages
 from rumi.sim.sensor_settings import SensorSettings
 from rumi.task import Task
-from rumi.tasks.registry import check_seed
+from rumi.tasks.registry import Role, check_seed
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import record
 from rumi.tasks.rummage.scenes import SCENES, TaskSpec
-from rumi.tasks.rummage.settings import PRESETS, Settings, preset, to_dict
+from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
+from sensors.reading import Reading
 
 
 class RummageTask:
@@ -31,6 +33,7 @@ class RummageTask:
 
     settings = Settings
     presets = tuple(PRESETS)
+    readings = Reading
 
     def __init__(self, spec: TaskSpec) -> None:
         self.spec, self.description = spec, spec.description
@@ -91,11 +94,38 @@ class RummageTask:
         """A few lines on how a run ended."""
         return [*ending(result), f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}"]
 
-    def draw(self, folder: Path, settings: Settings, result: RunResult) -> Sequence[Path]:
+    def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
         """Overview, scenes and animation."""
         from rumi.viz.figures import make_figures
 
-        return make_figures(load_run(folder), folder / "figures", None)
+        return make_figures(run, out, steps)
+
+    def role(self, name: str) -> Role:
+        """What a setting is to a replay."""
+        first = name.partition(".")[0]
+        if first in ("task", "simulator"):
+            return "sensed"
+        return "idle" if first in ("method", "preset", "replan_every", "planner", "slide", "gpvr") else "counted"
+
+    def as_dict(self, settings: Settings) -> dict[str, Any]:
+        """Settings as settings.json has them."""
+        return to_dict(settings)
+
+    def from_dict(self, values: Mapping[str, Any]) -> Settings:
+        """The settings of a settings.json."""
+        return from_dict({name: value for name, value in values.items() if name not in ("schema", "made_with")})
+
+    def agent(self, settings: Settings, *, cache_dir: Path | None = None) -> Rummager:
+        """What finds the object; it plans by the simplest means."""
+        from rumi.tasks.rummage.build import build_rummager
+        from rumi.tasks.rummage.objects import with_object
+        from rumi.tasks.rummage.scenes import make_tool
+
+        spec, model = with_object(self.spec, settings.object, cache_dir=cache_dir)
+        tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
+        # what plans is not used, and may need packages that are not there
+        planner = replace(settings.planner, push_model="displacement")
+        return build_rummager(spec, replace(settings, method="rumi", planner=planner), model, tool)
 
 
 ENTRIES = {name: RummageTask(spec) for name, spec in SCENES.items()}
@@ -103,40 +133,32 @@ ENTRIES = {name: RummageTask(spec) for name, spec in SCENES.items()}
 
 
 class _Recorder(contextlib.ExitStack):
-    """Writes folder and log of a run."""
+    """Writes the folder of a run; with a log also what its sensors gave, before it was read."""
 
     def __init__(self, folder: Path, settings: Settings, parts: Parts[Any, Rummager], *, log: bool) -> None:
         from rumi.tasks.rummage.build import scene_sketch
 
         super().__init__()
         about = record(parts.agent.model)
-        self._settings, self._folder = settings, folder
-        self._run = self.enter_context(RunRecorder(folder, to_dict(settings)))
-        self._log: LogRecorder | None = None
-        # what the sensors give, before it is read
-        self._raw = getattr(parts.task, "raw", None)
-        if log:
-            texts = {"object": about, "made_with": provenance()}
-            kinds = None if self._raw is None else self._raw.kinds()
-            made = LogRecorder(folder / LOG, to_dict(settings), texts, dtype=settings.torch_dtype, raw=kinds)
-            self._log = self.enter_context(made)
-            if self._raw is not None:
-                self._raw.sink = self._log.raw
+        self._run = self.enter_context(RunRecorder(folder, to_dict(settings), scene_sketch(parts.agent)))
         write_json(folder / "object.json", about)
-        self._run.scene(scene_sketch(parts.agent))
+        self._map, self._log = folder / "map.toml", None
+        self._raw, self._object = getattr(parts.task, "raw", None), settings.object
+        if log and self._raw is None:
+            say("no camera, no bubbles: there are no raw streams to record; trace.npz holds the readings")
+        elif log:
+            texts = {"object": about, "made_with": provenance()}
+            self._log = self.enter_context(LogRecorder(folder / LOG, texts, self._raw.kinds()))
+            self._raw.sink = self._log.raw
 
     def __call__(self, step: StepRecord) -> None:
         self._run(step)
-        if self._log is not None:
-            self._log(step)
 
     def finish(self, result: RunResult) -> None:
         self._run.finish(result)
         if self._log is not None:
             self._log.finish(result)
-            if self._raw is not None:
-                text = self._raw.mapping(self._settings.object)
-                (self._folder / "map.toml").write_text(text, encoding="utf-8")
+            self._map.write_text(self._raw.mapping(self._object), encoding="utf-8")
 
 
 def describe(step: StepRecord) -> str:

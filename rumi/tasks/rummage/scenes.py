@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
@@ -18,9 +18,6 @@ from rumi.tasks.registry import TASKS
 from sdf.drill import drill_model
 from sdf.object_model import ObjectModel, box_model, mug_model
 from sdf.primitives import Mug
-
-if TYPE_CHECKING:
-    from rumi.tasks.rummage.simulated import SimTask
 
 
 @dataclass(frozen=True)
@@ -307,33 +304,3 @@ def make_tool(
         above = ReachSettings(height_m=spec.height_m + spec.base_below_m)
         reach = Reach.of_arm(spec.base, above, cache_dir=cache_dir)
     return make(torch.tensor(spec.bounds), reach, height_m=spec.height_m)
-
-
-def make_task(
-    spec: TaskSpec | str,
-    settings: SimSettings | None = None,
-    *,
-    cache_dir: Path | None = None,
-    tool: Tool | None = None,
-    model: ObjectModel | None = None,
-) -> "SimTask":
-    """Simulate a task; needs MuJoCo.
-
-    Args:
-        spec: the task or its name.
-        settings: of the simulator and its sensors.
-        cache_dir: folder that keeps the arm's reach and convex pieces of meshes; None works them out each time.
-        tool: made before by `make_tool`; None makes one.
-        model: made before by the task's `object_factory`; None makes one.
-    """
-    from rumi.tasks.rummage.simulated import SimTask
-
-    spec = find_task(spec) if isinstance(spec, str) else spec
-    settings = settings or SimSettings()
-    tool = tool if tool is not None else make_tool(spec, settings, cache_dir=cache_dir)
-    model = model if model is not None else spec.object_factory()
-    if settings.sensors.kind != "points":
-        from rumi.tasks.rummage.sensed import SensedTask
-
-        return SensedTask(spec, settings, tool, model, cache_dir=cache_dir)
-    return SimTask(spec, settings, tool, model, cache_dir=cache_dir)

@@ -1,7 +1,7 @@
 """The touch-box task as a member of the tasks' table."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,16 +10,16 @@ import tyro
 
 from rumi.agent import Parts
 from rumi.errors import UsageError
-from rumi.runs.folder import write_json
-from rumi.runs.jsonlines import append_line
-from rumi.tasks.registry import check_preset, check_seed
+from rumi.runs.folder import Run, RunRecorder
+from rumi.runs.json_settings import dataclass_of
+from rumi.tasks.registry import Role, check_preset, check_seed
 from rumi.tasks.touch_box.agent import Toucher
-from rumi.tasks.touch_box.build import Robot, build_touch_box, check_robot
+from rumi.tasks.touch_box.build import Robot, check_robot
 from rumi.tasks.touch_box.records import TouchRun, TouchStep, signals
-from rumi.tasks.touch_box.report import figures_of, step_of
 from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
+from sensors.reading import Reading
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,7 @@ class _TouchBox:
     description = "a box in one of two places that only touch can tell, to be found, grasped and lifted"
     settings = TouchBoxSettings
     presets = ("default",)
+    readings = Reading
 
     def preset(self, name: str) -> TouchBoxSettings:
         """The default."""
@@ -71,15 +72,43 @@ class _TouchBox:
     def build(self, settings: TouchBoxSettings, *, cache_dir: Path | None = None) -> Parts[TouchBox, Toucher]:
         """The robot with the box, and what finds it."""
         from rumi.tasks.touch_box.budget import BudgetedChoice
+        from rumi.tasks.touch_box.build import build_touch_box
 
         parts = build_touch_box(settings.task, settings.settings, settings.robot, cache_dir=cache_dir)
         if settings.budget_s is not None:
             parts.agent.chooser = BudgetedChoice(parts.agent, settings.budget_s)
         return parts
 
-    def recorder(self, folder: Path, settings: TouchBoxSettings, parts: Parts[Any, Any], *, log: bool) -> "_Recorder":
-        """Writes settings, pokes and how the run ended."""
-        return _Recorder(folder, settings)
+    def recorder(self, folder: Path, settings: TouchBoxSettings, parts: Parts[Any, Any], *, log: bool) -> RunRecorder:
+        """Writes the run's folder."""
+        return RunRecorder(folder, self.as_dict(settings))
+
+    def role(self, name: str) -> Role:
+        """What a setting is to a replay."""
+        if name.partition(".")[0] in ("task", "robot"):
+            return "sensed"
+        return (
+            "counted"
+            if name in ("seed", "count", "threshold", "decay", "push_model", "weigh_correlated")
+            or (name.startswith("filter."))
+            else "idle"
+        )
+
+    def as_dict(self, settings: TouchBoxSettings) -> dict[str, Any]:
+        """Settings as settings.json has them."""
+        values = {"task": "touch-box", **asdict(settings), "scene": asdict(settings.task)} | {"task": "touch-box"}
+        if settings.budget_s is None:
+            del values["budget_s"]
+        return values
+
+    def from_dict(self, values: Mapping[str, Any]) -> TouchBoxSettings:
+        """The settings of a settings.json."""
+        own = {name: values[name] for name in ("settings", "robot", "seed", "budget_s") if name in values}
+        return dataclass_of(TouchBoxSettings, {**own, "task": values.get("scene", {})})
+
+    def agent(self, settings: TouchBoxSettings, *, cache_dir: Path | None = None) -> Toucher:
+        """What finds the box."""
+        return self.build(settings, cache_dir=cache_dir).agent
 
     def describe(self, step: TouchStep) -> str:
         """The readings of a poke, and the believed chance of lifting."""
@@ -95,46 +124,24 @@ class _TouchBox:
 
     def summary(self, settings: TouchBoxSettings, run: TouchRun) -> Sequence[str]:
         """A few lines on how a run ended."""
-        found = figures_of(run)
+        found = run.as_dict()
         ended = "not sure" if run.stopped_by == "steps" else run.stopped_by
         seconds = ", ".join(f"{name} {value:.1f}" for name, value in run.timings_s.items())
         pokes = f"{found['actions']} poke{'s' * (found['actions'] != 1)}"
+        done = "nothing grasped" if run.lifted is None else "lifted" if run.lifted else "not lifted"
         return [
-            f"{ended} after {pokes}, {'lifted' if run.lifted else 'not lifted'}",
+            f"{ended} after {pokes}, {done}",
             f"grasp    believed {found['believed']:.2f}; off by {found['error_mm']:.1f} mm and "
             f"{found['error_deg']:.1f} degrees",
             f"seconds  {math.fsum(run.timings_s.values()):.1f}: {seconds}",
         ]
 
-    def draw(self, folder: Path, settings: TouchBoxSettings, run: TouchRun) -> Sequence[Path]:
+    def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
         """Beliefs with pokes and the grasp, and how sure the belief was."""
         from rumi.tasks.touch_box.figures import draw_run
 
-        return draw_run(run, settings.task, settings.settings.threshold, folder)
+        settings = self.from_dict(run.settings)
+        return draw_run(TouchRun.of(run), settings.task, settings.settings.threshold, out)
 
 
 TOUCH_BOX = _TouchBox()
-
-
-class _Recorder:
-    """Writes settings.json, steps.jsonl and result.json."""
-
-    def __init__(self, folder: Path, settings: TouchBoxSettings) -> None:
-        self._folder = folder
-        values = asdict(settings)
-        if settings.budget_s is None:
-            del values["budget_s"]
-        write_json(folder / "settings.json", values)
-
-    def __call__(self, step: TouchStep) -> None:
-        if step.touched is not None:
-            append_line(self._folder / "steps.jsonl", step_of(step))
-
-    def finish(self, run: TouchRun) -> None:
-        write_json(self._folder / "result.json", figures_of(run))
-
-    def __enter__(self) -> "_Recorder":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass

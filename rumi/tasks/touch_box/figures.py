@@ -28,6 +28,7 @@ def draw_run(run: TouchRun, task: TouchTask, threshold: float, folder: Path) -> 
     columns = min(_COLUMNS, len(shown) + 2)
     rows = math.ceil((len(shown) + 2) / columns)
     limits = _limits(run, task)
+    folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / "pokes.png", folder / "sure.png"]
     width = 2.0 * columns
     tall = width / columns * (limits[3] - limits[2]) / (limits[1] - limits[0]) + 0.35

@@ -1,14 +1,18 @@
 """What a run of touch alone leaves behind: a record a step, and how it ended."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.agent import StopReason
+from rumi.runs.folder import Run
 from rumi.tasks.grasp_table import Grasp
-from rumi.tasks.touch_box.robot import Touched
+from rumi.tasks.touch_box.robot import Poke, Touched
 from rumi.tasks.touch_box.selection import Choice
+from sdf import se3
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +39,38 @@ class TouchStep:
     grasp: Grasp
     sure: bool
     truth: Float[Tensor, "3"]
-    timings_s: dict[str, float]
+    timings_s: dict[str, float] = field(default_factory=dict)
+    kind: ClassVar[str] = "touch-box"
+
+    @property
+    def reading(self) -> Touched | None:
+        """What was felt."""
+        return self.touched
+
+    @property
+    def control(self) -> Poke | None:
+        """The poke, as it was carried out."""
+        return None if self.touched is None else Poke(self.touched.path, lambda touched: True)
+
+    @property
+    def stamp(self) -> float:
+        """Seconds of the pokes are not known to the agent."""
+        return 0.0
+
+    @property
+    def poses(self) -> tuple[Float[Tensor, "N 4 4"], Float[Tensor, "N"]]:
+        """The belief in space: world_T_object and log-weights."""
+        return se3.from_planar(self.belief[0]), self.belief[1]
+
+    def numbers(self) -> dict[str, Any]:
+        """What was felt in this poke, what was thought of it, and the seconds."""
+        own: dict[str, Any] = {"probability": round(self.grasp.probability, 4), "sure": self.sure}
+        if self.touched is None:
+            return {"contact": False, **own}
+        choice, felt = self.choice, self.touched.contact
+        value = None if choice is None else round(float(choice.value[choice.best]), 4)
+        told = {"readings": signals(felt), "stopped": self.touched.stopped, "value": value}
+        return {"contact": bool(felt.any()), **told, **own}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +102,32 @@ class TouchRun:
         """Before the grasp."""
         return self.records[-1]
 
+    @classmethod
+    def of(cls, run: Run) -> "TouchRun":
+        """A recorded run, also one that goes on or was killed."""
+        ended = run.ended or {"stopped_by": "interrupted", "lifted": None}
+        return cls(tuple(run.steps), ended["stopped_by"], ended["lifted"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """How the run ended and each of its pokes, as plain values."""
+        grasp, start, truth = self.end.grasp, self.first.truth, self.end.truth
+        apart = grasp.pose - truth
+        turn = math.remainder(float(apart[2]), math.pi)
+        return {
+            "stopped_by": self.stopped_by,
+            "lifted": bool(self.lifted),
+            "sure": self.end.sure,
+            "actions": len(self.steps),
+            "believed": round(grasp.probability, 4),
+            "error_mm": round(1e3 * float(apart[:2].norm()), 1),
+            "error_deg": round(math.degrees(abs(turn)), 1),
+            "moved_mm": round(1e3 * float((truth - start)[:2].norm()), 1),
+            "steps": [
+                step.numbers() | {"seconds": {name: round(value, 4) for name, value in step.timings_s.items()}}
+                for step in self.steps
+            ],
+        }
+
     @property
     def timings_s(self) -> dict[str, float]:
         """Seconds by stage, in all."""
@@ -77,3 +138,7 @@ class TouchRun:
 def signals(contact: Bool[Tensor, "K"]) -> str:
     """Readings as a word of 0 and 1."""
     return "".join("1" if one else "0" for one in contact.tolist())
+
+
+PARTS = (TouchStep, Choice, Touched, Grasp)
+"""What records are made of, for `rumi.runs.values`."""

@@ -1,4 +1,4 @@
-"""A run of touch alone as plain values, and the tables that are made of many."""
+"""Tables that are made of many runs of touch alone."""
 
 import dataclasses
 import hashlib
@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import torch
 
 from rumi.metrics.intervals import mcnemar, wilson
-from rumi.tasks.touch_box.records import TouchRun, TouchStep, signals
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 
@@ -23,37 +22,6 @@ def digest(task: TouchTask, settings: TouchSettings, robot: str) -> str:
     """A name of all that decides a run but its seed and the code."""
     values = (dataclasses.asdict(task), dataclasses.asdict(settings), robot)
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
-
-
-def figures_of(run: TouchRun) -> Line:
-    """How a run ended, and each of its pokes."""
-    grasp, start, truth = run.end.grasp, run.first.truth, run.end.truth
-    apart = grasp.pose - truth
-    turn = math.remainder(float(apart[2]), math.pi)
-    return {
-        "lifted": bool(run.lifted),
-        "sure": run.end.sure,
-        "stopped_by": run.stopped_by,
-        "actions": len(run.steps),
-        "believed": round(grasp.probability, 4),
-        "error_mm": round(1e3 * float(apart[:2].norm()), 1),
-        "error_deg": round(math.degrees(abs(turn)), 1),
-        "moved_mm": round(1e3 * float((truth - start)[:2].norm()), 1),
-        "steps": [step_of(step) for step in run.steps],
-    }
-
-
-def step_of(step: TouchStep) -> Line:
-    """A poke: what was felt, what was thought of it, and the seconds."""
-    assert step.touched is not None
-    choice = step.choice
-    return {
-        "readings": signals(step.touched.contact),
-        "stopped": step.touched.stopped,
-        "probability": round(step.grasp.probability, 4),
-        "value": None if choice is None else round(float(choice.value[choice.best]), 4),
-        "seconds": {name: round(value, 4) for name, value in step.timings_s.items()},
-    }
 
 
 class Summary(NamedTuple):

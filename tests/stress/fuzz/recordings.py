@@ -53,14 +53,15 @@ HEAD += "VIEWPOINT 0 0 1 1 0 0 0\nPOINTS 6\nDATA "
 
 @cache
 def _log() -> bytes:
-    from rumi.runs.logbook import LogRecorder
+    from rumi.runs.replay import digest
+    from sensors.log.writer import LogWriter
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log.h5"
-        with LogRecorder(path, {"seed": 0}) as recorder:
+        with LogWriter(path, [], settings={"seed": 0}) as log:
             for step in made_steps(3, points=4, particles=2):
-                recorder(step)
-            recorder.finish(made_result(2))
+                log.reading(step.reading, control=step.control, truth=step.truth, digest=digest(step.belief))
+            log.finish(made_result(2).as_dict())
         return path.read_bytes()
 
 

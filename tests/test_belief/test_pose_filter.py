@@ -278,14 +278,6 @@ def test_one_particle_that_fits_badly_triggers_only_where_the_worst_counts(perce
     assert bool(info.resampled) is expected
 
 
-def test_the_same_seed_twice_gives_the_same_bytes():
-    truth = planar(0.4, 0.0, 0.2)
-    filter_ = make(trigger=0.5, translation_noise_m=0.003)
-    runs = [run(filter_, belief(), EMPTY, reading(surface(truth, 200, 1)), seed=3)[0] for _ in range(2)]
-    assert torch.equal(runs[0].attached_T_object, runs[1].attached_T_object)
-    assert torch.equal(runs[0].log_weights, runs[1].log_weights)
-
-
 def test_golden_sticking_and_noise_about_the_object(golden):
     case = golden("rumi.sticking")
     tool = torch.tensor([case["inputs"]["E0"], case["inputs"]["E1"]], dtype=F64)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rumi.belief.prior import PlanarPrior
-from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief, joined
+from rumi.belief.trajectory_belief import TouchAction, concatenate
 from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
 from rumi.dynamics.along_path import PathOutcome, Pusher
 from rumi.dynamics.outline import RectangleOutline
@@ -115,7 +115,7 @@ def test_a_replay_is_what_happened(generator: torch.Generator) -> None:
         belief = own.initial(3, 20, generator=generator)
         for t in range(len(HISTORY)):
             belief, _ = own.step(belief, HISTORY[: t + 1], generator=generator)
-        pose, total = own.replayed(belief.start, belief.friction, belief.lever, belief.noise, HISTORY)
+        pose, total = own.replay(belief.start, belief.friction, belief.lever, belief.noise, HISTORY)
         torch.testing.assert_close(pose, belief.pose, atol=1e-9, rtol=0)
         torch.testing.assert_close(total, belief.log_likelihood, atol=1e-9, rtol=0)
         expected = (belief.log_likelihood + math.log(1 / 20)).log_softmax(-1)
@@ -124,12 +124,12 @@ def test_a_replay_is_what_happened(generator: torch.Generator) -> None:
         assert float(moved.max()) > 0.01
 
 
-def test_history_joined_is_one_action() -> None:
-    whole = joined(HISTORY)
+def test_a_concatenated_history_is_one_action() -> None:
+    whole = concatenate(HISTORY)
     assert whole.path.shape == (10, 3)
     assert whole.contact.tolist() == [s for action in HISTORY for s in action.contact.tolist()]
     # one path for all runs, signals of each
-    many = joined([HISTORY[0], TouchAction(HISTORY[1].path, HISTORY[1].contact.expand(5, 4))])
+    many = concatenate([HISTORY[0], TouchAction(HISTORY[1].path, HISTORY[1].contact.expand(5, 4))])
     assert many.contact.shape == (5, 7)
     assert many.path.shape == (8, 3)
 
@@ -171,7 +171,7 @@ def test_newcomers_come_near_the_robot_where_contact_was_felt(generator: torch.G
     belief = own.initial(2, 40, generator=generator)
     signals = torch.tensor([[True, True], [False, False]])
     action = TouchAction(torch.tensor([[-0.3, 0.5, 0.0]] * 3, **DOUBLE), signals)
-    after, _ = own.resampled(belief, [action], generator=generator)
+    after, _ = own.resample(belief, [action], generator=generator)
     tool = action.path[-1, :2]
     reach = math.sqrt(2) * (own.outline.radius + own.pusher.radius)
     near = (after.pose[..., :2] - tool).norm(dim=-1) < reach
@@ -180,35 +180,6 @@ def test_newcomers_come_near_the_robot_where_contact_was_felt(generator: torch.G
     assert float(after.log_weights[0].exp()[near[0]].sum()) == pytest.approx(0.3, abs=1e-6)
     # those that fit the contact weigh most
     assert float(after.log_weights[0][near[0]].max() - after.log_weights[0][near[0]].min()) > 1.0
-
-
-def test_same_seed_same_belief() -> None:
-    def run(seed: int) -> TrajectoryBelief:
-        own, random = follow(TrajectorySettings(trigger=1.0)), torch.Generator().manual_seed(seed)
-        belief = own.initial(2, 20, generator=random)
-        for t in range(len(HISTORY)):
-            belief, _ = own.step(belief, HISTORY[: t + 1], generator=random)
-        return belief
-
-    first, again, other = run(0), run(0), run(1)
-    assert torch.equal(first.pose, again.pose)
-    assert torch.equal(first.log_weights, again.log_weights)
-    assert not torch.equal(first.pose, other.pose)
-
-
-def test_prior_density_is_a_density() -> None:
-    """Sums to 1 over a fine lattice, yaw wrapped, and draws have its moments."""
-    own = PlanarPrior(
-        torch.tensor([[0.0, 0.0, 3.0], [0.3, 0.1, 0.0]], **DOUBLE),
-        torch.tensor([0.05, 0.04, 0.3], **DOUBLE),
-        torch.tensor([1.0, 3.0], **DOUBLE),
-    )
-    axes = [torch.linspace(-0.3, 0.6, 91), torch.linspace(-0.3, 0.4, 71), torch.linspace(-math.pi, math.pi, 64)[:-1]]
-    steps = [float(a[1] - a[0]) for a in axes]
-    grid = torch.stack(torch.meshgrid(*[a.double() for a in axes], indexing="ij"), -1)
-    assert float(own.log_density(grid).exp().sum()) * math.prod(steps) == pytest.approx(1.0, abs=1e-3)
-    draws = own.sample(4000, generator=torch.Generator().manual_seed(0))
-    assert float((draws[:, 0] > 0.15).double().mean()) == pytest.approx(0.75, abs=0.03)
 
 
 @pytest.mark.parametrize(
@@ -246,7 +217,7 @@ def test_where_the_tool_came_down_tells_of_the_object(noise: float) -> None:
         history = [TouchAction(place, torch.zeros(0, dtype=torch.bool), blocked)]
         belief, info = own.step(own.initial(1, 4000, generator=random), history, generator=random)
         assert bool(info.resampled[0])
-        _, told = own.replayed(belief.start, belief.friction, belief.lever, belief.noise, history)
+        _, told = own.replay(belief.start, belief.friction, belief.lever, belief.noise, history)
         torch.testing.assert_close(told, belief.log_likelihood)
         x = belief.pose[0, :, 0]
         # the finger's border reaches to x = 0.04, and the box's side is 0.03 ahead of its middle

@@ -10,10 +10,11 @@ import pytest
 import torch
 
 from sdf import compiled
+from sdf.part_numba import indices
 
 
-def _squares(values, result):
-    for index in numba.prange(len(values)):
+def _squares(values, result, part):
+    for index in indices(part, len(values)):
         result[index] = values[index] ** 2
 
 
@@ -46,7 +47,7 @@ def test_code_of_a_changed_building_block_is_not_taken_from_what_is_kept(tmp_pat
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "user_numba.py").write_text(
         "from part_numba import part\nfrom sdf.compiled import Kernel\n\n\n"
-        "def _fill(result):\n    result[0] = part()\n\n\nfill = Kernel(_fill)\n"
+        "def _fill(result, which):\n    result[0] = part()\n\n\nfill = Kernel(_fill)\n"
     )
     found = []
     for number in (1, 2):

@@ -1,0 +1,27 @@
+"""Environment variables, set for a while: what libraries read when they are loaded, and processes when they start."""
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+LIBRARIES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""What numerical libraries take the number of their threads from."""
+
+
+@contextmanager
+def variables(values: Mapping[str, str]) -> Iterator[None]:
+    """Within the block, environment variables have these values.
+
+    Args:
+        values: by name; the others stay as they are.
+    """
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

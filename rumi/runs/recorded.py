@@ -1,0 +1,67 @@
+"""A run's folder read as a log is: what its trace holds, in a robot's place."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from torch import Tensor
+
+from rumi.runs.folder import load_run
+from rumi.runs.replay import digest
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedStep:
+    """A step of a run, as `rumi.runs.replay.Recorded` has it.
+
+    Attributes:
+        reading: what was sensed.
+        control: the action that led there; None for the first reading.
+        truth: pose of the object then, where it is known.
+        digest: of the belief after it.
+    """
+
+    reading: Any
+    control: Any
+    truth: Tensor | None
+    digest: bytes | None
+
+
+class RunLog:
+    """The readings and actions of a run's folder, by the names that `sensors.log.reader.Log` has for a log's.
+
+    Args:
+        folder: of the run.
+
+    Raises:
+        UsageError: it is none, or damaged.
+
+    Attributes:
+        path: the folder.
+        settings: of the run.
+        texts: JSON of the object's record and of what the run was made with, by name.
+        problems: what is not as it should be.
+    """
+
+    def __init__(self, folder: Path | str) -> None:
+        self.path, self._run = Path(folder), load_run(folder)
+        self.settings = {**self._run.settings, "task": self._run.task}
+        about = self.path / "object.json"
+        made = json.dumps(self._run.settings.get("made_with", {}))
+        self.texts = {"made_with": made} | ({"object": about.read_text()} if about.is_file() else {})
+        self.problems = [] if self._run.ended else ["the run was not finished: what had been written is there"]
+        self.streams: dict[str, Any] = {}
+
+    def taken(self, kind: object = None) -> list[RecordedStep]:
+        """The steps, in order, their readings of the kind that they were recorded as."""
+        return [RecordedStep(step.reading, step.control, step.truth, digest(step.belief)) for step in self._run.steps]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
