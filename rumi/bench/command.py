@@ -135,7 +135,7 @@ def time_cases(
         ended = INTERRUPTED
     if options.json is not None and results:
         about = {"schema": SCHEMA, "stamp": datetime.now(UTC).isoformat(timespec="seconds"), "quick": options.quick}
-        cases = [result.as_dict() | more(result) for result in results]
+        cases = [{**result.as_dict(), **more(result)} for result in results]
         run = {**about, "machine": plain(machine), "cases": cases}
         (append_line if options.json.suffix == ".jsonl" else write_json)(options.json, run)
     return results, ended
