@@ -197,6 +197,7 @@ def _replay(
 ) -> int:
     from rumi.runs.folder import RunRecorder, load_run, prepare_folder, write_json
     from rumi.runs.replay import replay as take_in
+    from rumi.tasks.rummage.build import sketch_of
     from rumi.tasks.rummage.objects import record
 
     settings = options.settings
@@ -243,15 +244,6 @@ def _replay(
 
 _OF_LIVE = ("seconds", "clock", "grasp")
 """Lines of a summary that are of a live run alone, by their first word."""
-
-
-def sketch_of(agent: "Agent[Any]") -> Any:  # noqa: ANN401  (a SceneSketch)
-    """What figures need of the scene; None where the agent is none of rummaging's."""
-    from rumi.tasks.rummage.agent import Rummager
-    from rumi.tasks.rummage.build import scene_sketch
-
-    rummager = getattr(agent, "rummager", agent)
-    return scene_sketch(rummager) if isinstance(rummager, Rummager) else None
 
 
 def summary(

@@ -27,8 +27,8 @@ from rumi.tasks.handle.settings import FusedSettings, task_of
 from rumi.tasks.peg.entry import PegRunSettings
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.registry import TASKS, entry_of
-from rumi.tasks.rummage.build import build_rummager
-from rumi.tasks.rummage.scenes import make_task, make_tool
+from rumi.tasks.rummage.build import build_rummager, make_task
+from rumi.tasks.rummage.scenes import make_tool
 from rumi.tasks.rummage.settings import preset
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.entry import TouchBoxSettings

@@ -1,7 +1,9 @@
 """The peg task's agent: lanes until the first touch, then touches that tell most, until the holes are known."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -56,9 +58,11 @@ class PegAgent:
 
     Attributes:
         settings: of the task and the robot.
+        about: what a run's folder tells of the settings.
     """
 
     settings: PegSettings
+    about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     @cached_property
     def _filter(self) -> ResampleMoveFilter:

@@ -91,7 +91,9 @@ def make_task(
     return SimTask(spec, settings, tool, model, cache_dir=cache_dir)
 
 
-def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool) -> Rummager:
+def build_rummager(
+    spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool, workspace: Workspace | None = None
+) -> Rummager:
     """How an object is found: filter, policy and stopping rule, on the settings' device.
 
     Args:
@@ -99,9 +101,11 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         settings: of the run.
         model: the object.
         tool: the gripper.
+        workspace: lattice of the fields; by default the task's.
     """
     to = (settings.torch_device, settings.torch_dtype)
-    model, tool, workspace = model.to(*to), copy.deepcopy(tool).to(*to), workspace_of(spec).to(*to)
+    model, tool = model.to(*to), copy.deepcopy(tool).to(*to)
+    workspace = (workspace or workspace_of(spec)).to(*to)
     discrepancy = Discrepancy(
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
@@ -213,6 +217,12 @@ def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
         UsageError: the method needs a package that is not installed.
     """
     return POLICIES[settings.method](settings, reach)
+
+
+def sketch_of(agent: object) -> SceneSketch | None:
+    """What figures need to know of the scene; None where the agent neither rummages nor has one that does."""
+    rummager = getattr(agent, "rummager", agent)
+    return scene_sketch(rummager) if isinstance(rummager, Rummager) else None
 
 
 def scene_sketch(rummager: Rummager) -> SceneSketch:

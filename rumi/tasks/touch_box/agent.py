@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -82,6 +82,7 @@ class Toucher:
         carrier: how a tool moves boxes; by the settings' push model if None.
 
     Attributes:
+        about: what a run's folder tells of the settings.
         chooser: chooses among pokes; `decide`, or another such as `rumi.tasks.touch_box.budget.BudgetedChoice`.
     """
 
@@ -96,6 +97,7 @@ class Toucher:
         self.task, self.settings, self.robot, self.table = task, settings, robot, table
         self.carrier = carrier or push_along_path
         self.chooser: Decide = self.decide
+        self.about: Mapping[str, Any] = {}
         rates = getattr(robot, "rates", task.rates)
         model = ContactModel(rates[0], rates[1], settings.decay, tolerance=_BINARY_M)
         centre = torch.zeros(2, dtype=torch.float64)
