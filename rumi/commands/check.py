@@ -55,7 +55,7 @@ def check(arguments: Sequence[str]) -> int:
         raise UsageError(f"Expected --pose to be six numbers, got {' '.join(map(str, options.pose)) or 'none'}")
     out = _picture(options.out)
     from rumi.commands.replay import agent_of_imported, made_readings, mapping_of_log, opened, recorded_settings
-    from rumi.metrics.alignment import misfit
+    from rumi.metrics.alignment import align
     from rumi.rosbag.mapping import Fixed
     from rumi.tasks.rummage.settings import Settings
     from rumi.viz.overlay import draw_overlay
@@ -83,7 +83,7 @@ def check(arguments: Sequence[str]) -> int:
         pose, whose = _likeliest(taken[: options.step + 1], rummager, settings.seed), "the belief's likeliest pose"
     seen = at_the_end(taken[options.step])
     model = rummager.model.to("cpu", torch.float32)
-    found = misfit(seen, pose, rummager.model.exact)
+    found = align(seen, pose, rummager.model.exact)
     title = f"{options.log}, reading {options.step}, at {whose}"
     path = draw_overlay(seen, pose.float(), model, found, out, title=title)
     x, y, z = pose[:3, 3].tolist()

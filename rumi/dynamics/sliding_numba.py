@@ -1,4 +1,4 @@
-"""Building blocks of fused pushing: one contact of a tool and an object; `sliding.py` has the definition."""
+"""Building blocks of compiled pushing: one contact of a tool and an object; `sliding.py` has the definition."""
 
 import math
 

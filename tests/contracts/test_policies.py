@@ -15,7 +15,7 @@ from kmppi import MPPI, MPPISettings
 from kmppi.types import Objective
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement import DisplacementSettings
-from rumi.dynamics.registry import EngineSettings, PushChoice
+from rumi.dynamics.registry import EngineSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.gpvr import GPVRSettings
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
@@ -40,6 +40,8 @@ PLANNER = RummagingSettings(
     push=DisplacementSettings(mini_steps=2),
     rollouts=2,
 )
+
+pytestmark = pytest.mark.outcome
 GPVR = GPVRSettings(refit_steps=5, max_points=40)
 OUTSIDE = "wandering"
 NEEDS = {"gpvr": "gpytorch", "gpvr-greedy": "gpytorch"}
@@ -236,7 +238,7 @@ def test_an_ample_budget_changes_nothing(policy: Policy, scene: Scene) -> None:
 
 @pytest.mark.parametrize("push_model", ["displacement", "quasi-static", "mujoco"])
 def test_samples_cost_alone_what_they_cost_together(
-    method: str, push_model: PushChoice, scene: Scene, monkeypatch: pytest.MonkeyPatch
+    method: str, push_model: str, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """To the bit, whatever processor works out how many at once: else a budget, which takes them in parts, counted."""
     if method in ("slide", OUTSIDE):
@@ -266,8 +268,8 @@ def test_samples_cost_alone_what_they_cost_together(
 
     monkeypatch.setattr(MPPI, "_evaluate", in_parts)
     close = put(scene, (0.3, 0.0), 0.2, scene.observed)
-    plan = policy.act(believed(), close, None, executed=0, budget_s=None, generator=random)
-    policy.act(believed(spread=0.1), close, plan, executed=1, budget_s=None, generator=random)
+    plan = policy.act(PlanRequest(believed(), close, generator=random))
+    policy.act(PlanRequest(believed(spread=0.1), close, plan, executed=1, generator=random))
     assert len(whole) >= 2
     # some of them touch, so that they do not all cost the same
     assert all(len(costs.unique()) > 3 for costs in whole)

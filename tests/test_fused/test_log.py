@@ -30,7 +30,7 @@ from sensors.contact_reading import ContactReading
 from sensors.log.reader import Log
 from sensors.log.writer import LogWriter
 
-pytestmark = pytest.mark.sim
+pytestmark = [pytest.mark.sim, pytest.mark.outcome]
 
 SEEDS = range(1001, 1041)
 SETTINGS = FusedSettings(steps=3)

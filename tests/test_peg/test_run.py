@@ -11,11 +11,10 @@ import torch
 from rumi import loop
 from rumi.belief.static_filter import StaticBelief
 from rumi.cli import main
-from rumi.information.stopping import Aim
+from rumi.information.stopping import TargetEstimate
 from rumi.runs.jsonlines import read_lines
 from rumi.tasks.peg import selection as refine
 from rumi.tasks.peg.agent import build_peg
-from rumi.tasks.peg.cell import TOP
 from rumi.tasks.peg.entry import summary
 from rumi.tasks.peg.selection import sure
 from rumi.tasks.peg.settings import PegSettings
@@ -107,7 +106,7 @@ def test_the_entropy_of_the_block_knows_no_half_turns():
     # of a normal distribution, and half a nat to each side
     nats = 1.5 * (1.0 + math.log(2.0 * math.pi)) + float(spread.log().sum())
     nothing = RectangleTouches.none(QUICK.block.half(), QUICK.noise, QUICK.radius_m)
-    aim = Aim(torch.zeros(2, 2), 0.0, 0)
+    aim = TargetEstimate(torch.zeros(2, 2), 0.0)
     for poses in (states, turned):
         belief = StaticBelief(poses, flat, flat)
         held = [
@@ -136,4 +135,4 @@ def test_the_command(tmp_path, capsys):
     assert (tmp_path / "again/timeline.png").read_bytes() == pictures[1].read_bytes()
     assert main(["replay", str(folder)]) == 0
     assert f"the recorded one, bit for bit, after each of {len(steps)} readings" in capsys.readouterr().out
-    assert TOP == 2  # the names of the kinds in the record are in this order
+    assert ContactKind.TOP == 2  # the names of the kinds in the record are in this order

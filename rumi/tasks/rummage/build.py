@@ -13,9 +13,9 @@ from torch import Tensor
 from rumi.agent import Parts
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
+from rumi.belief.motion import PushedMotion
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.pushed_motion import PushedMotion
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace

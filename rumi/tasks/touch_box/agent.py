@@ -17,7 +17,7 @@ from rumi.clock import Clock
 from rumi.dynamics.along_path import PathPush, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.information.entropy import SharedSupport
-from rumi.information.neighbours import StateMetric, merged
+from rumi.information.neighbours import StateMetric, unique_states
 from rumi.resampling import resample_systematic
 from rumi.seeding import split
 from rumi.task import StepResult
@@ -290,7 +290,7 @@ def likeliest(belief: TrajectoryBelief, prior: PlanarPrior, metric: StateMetric)
     Of those that weigh the same, as all do after a resampling but for copies, the one whose start and readings are
     likeliest.
     """
-    weights = merged(belief.pose[0], belief.log_weights[0], metric).log_weights
+    weights = unique_states(belief.pose[0], belief.log_weights[0], metric).log_weights
     # sums of the same weights differ by rounding
     heaviest = weights >= weights.max() - 1e-9
     posterior = belief.log_likelihood[0] + prior.log_density(belief.start[0])
