@@ -27,6 +27,7 @@ from rumi.agent import Parts
 from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.errors import DegenerateBeliefError
+from rumi.runs.json_settings import FORMER_KEYS
 from rumi.seeding import split
 from rumi.tasks.handle.agent import HandleAgent
 from rumi.tasks.handle.build import build_fused
@@ -240,7 +241,11 @@ def settings_of(name: str) -> FusedSettings:
 
 def stamp(name: str) -> str:
     """Of the settings."""
-    return hashlib.sha256(repr(settings_of(name)).encode()).hexdigest()[:8]
+    # results on record are kept under the names that settings had then
+    told = repr(settings_of(name))
+    for former, now in FORMER_KEYS["FusedSettings"].items():
+        told = told.replace(f"{now}=", f"{former}=")
+    return hashlib.sha256(told.encode()).hexdigest()[:8]
 
 
 EXPERIMENT = Experiment(
