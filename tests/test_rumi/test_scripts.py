@@ -73,7 +73,9 @@ def test_what_a_script_cannot_do_is_said_in_a_line(name, arguments, message, mon
 
 
 # one is for people to read, and the other's results are kept under a hash of all that is in it
-@pytest.mark.parametrize("path", sorted(set(SCRIPT.parent.glob("[a-z]*.py")) - {SCRIPT, SCRIPT.parent / "open3d_table.py"}))
+@pytest.mark.parametrize(
+    "path", sorted(set(SCRIPT.parent.glob("[a-z]*.py")) - {SCRIPT, SCRIPT.parent / "open3d_table.py"})
+)
 def test_every_script_ends_so(path):
     assert "    script(" in path.read_text().split('if __name__ == "__main__":\n')[1]
 
