@@ -74,7 +74,7 @@ class RummageTask:
         from rumi.tasks.rummage.build import build
 
         parts = build(settings, cache_dir=cache_dir)
-        if settings.budget_s is not None:
+        if settings.plan_budget_s is not None:
             # to look through all that was loaded for garbage takes up to tenths of a second, in the midst of a plan
             gc.freeze()
         return parts
@@ -106,7 +106,8 @@ class RummageTask:
         first = name.partition(".")[0]
         if first in ("task", "simulator"):
             return "sensed"
-        return "idle" if first in ("method", "preset", "replan_every", "planner", "slide", "gpvr") else "counted"
+        idle = ("method", "preset", "replan_every", "plan_budget_s", "planner", "slide", "gpvr")
+        return "idle" if first in idle else "counted"
 
     def as_dict(self, settings: Settings) -> dict[str, Any]:
         """Settings as settings.json has them."""
