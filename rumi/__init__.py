@@ -8,19 +8,40 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rumi.loop import run
+    from rumi.agent import Agent
+    from rumi.api import build, plot, replay, rummager, run
+    from rumi.fields.workspace import Workspace
+    from rumi.planning.policy import PlanRequest
     from rumi.runs.folder import load_run
-    from rumi.tasks.rummage.build import build
+    from rumi.task import Task
     from rumi.tasks.rummage.settings import preset
+    from sensors.reading import Reading
 
 __version__ = "0.1.0"
-__all__ = ["build", "load_run", "preset", "run"]
+__all__ = [
+    "Agent",
+    "PlanRequest",
+    "Reading",
+    "Task",
+    "Workspace",
+    "build",
+    "load_run",
+    "plot",
+    "preset",
+    "replay",
+    "rummager",
+    "run",
+]
 
 _HOMES = {
-    "build": "rumi.tasks.rummage.build",
-    "preset": "rumi.tasks.rummage.settings",
-    "run": "rumi.loop",
+    **dict.fromkeys(("build", "plot", "replay", "rummager", "run"), "rumi.api"),
+    "Agent": "rumi.agent",
+    "PlanRequest": "rumi.planning.policy",
+    "Reading": "sensors.reading",
+    "Task": "rumi.task",
+    "Workspace": "rumi.fields.workspace",
     "load_run": "rumi.runs.folder",
+    "preset": "rumi.tasks.rummage.settings",
 }
 
 

@@ -1,11 +1,11 @@
 """Measure how well deadlines are kept and what more time is worth; what is done is kept.
 
-    python scripts/deadlines.py simulate                    # 10^4 decisions a kind, under two minutes
-    python scripts/deadlines.py real --pieces 20            # 1000 decisions a planner and budget, on the wall clock
-    python scripts/deadlines.py real --clock cpu --pieces 4 # on the processor's clock, where others share the machine
-    python scripts/deadlines.py value --seeds 4             # what first plans are worth by budget
-    python scripts/deadlines.py show                        # Markdown
-    python scripts/deadlines.py draw                        # figures into scripts/docs
+    python -m scripts.deadlines simulate                    # 10^4 decisions a kind, under two minutes
+    python -m scripts.deadlines real --pieces 20            # 1000 decisions a planner and budget, on the wall clock
+    python -m scripts.deadlines real --clock cpu --pieces 4 # on the processor's clock, where others share the machine
+    python -m scripts.deadlines value --seeds 4             # what first plans are worth by budget
+    python -m scripts.deadlines show                        # Markdown
+    python -m scripts.deadlines draw                        # figures into scripts/docs
 
 Lines go to scripts/results/deadlines.jsonl. The wall clock tells about planners only on a machine with nothing else
 to do; 20 pieces of all planners take about three quarters of an hour there, most of it waiting for none.
@@ -25,7 +25,7 @@ from rumi.cli import script
 from scripts.bench.deadline_report import draw, tables
 from scripts.bench.deadline_simulation import measure_simulated
 from scripts.bench.deadlines import PLANNERS, measure_real, measure_value
-from scripts.bench.ledger import Ledger
+from scripts.store import Store
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -118,20 +118,20 @@ Command = (
 def main(command: Command) -> None:
     """Do what is asked for."""
     torch.set_num_threads(command.threads)
-    ledger = Ledger(command.out)
+    store = Store(command.out)
     if isinstance(command, Simulate):
-        carry_on(measure_simulated(ledger, decisions=command.decisions), command.seconds)
+        carry_on(measure_simulated(store, decisions=command.decisions), command.seconds)
     elif isinstance(command, Real):
         how = {"clock": command.clock, "pieces": command.pieces, "planners": command.planners, "task": command.task}
-        carry_on(measure_real(ledger, **how), command.seconds)
+        carry_on(measure_real(store, **how), command.seconds)
     elif isinstance(command, Value):
         seeds = range(1000, 1000 + command.seeds)
-        carry_on(measure_value(ledger, seeds=seeds, planners=command.planners, task=command.task), command.seconds)
+        carry_on(measure_value(store, seeds=seeds, planners=command.planners, task=command.task), command.seconds)
     elif isinstance(command, Draw):
-        for path in draw(ledger, command.folder, command.clock):
+        for path in draw(store, command.folder, command.clock):
             print(path)
     else:
-        print(tables(ledger), end="")
+        print(tables(store), end="")
 
 
 def carry_on(work: Iterator[bool], seconds: float) -> None:

@@ -1,7 +1,7 @@
 """How far entropy estimates of weighted sets are from the truth, for uniform and Gaussian sets in 1 to 3 dimensions.
 
-python scripts/entropy_table.py                     # Markdown: mean error and standard deviation, nats
-python scripts/entropy_table.py --count 400 --neighbours 9 --sets 500
+python -m scripts.entropy_table                     # Markdown: mean error and standard deviation, nats
+python -m scripts.entropy_table --count 400 --neighbours 9 --sets 500
 """
 
 import math
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rumi.cli import script
 from rumi.information.entropy import Entropy, NeighbourEntropy, SharedSupport, SpatialEntropy
-from rumi.information.neighbours import StateMetric, merged
+from rumi.information.neighbours import StateMetric, unique_states
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class KernelEntropy:
     def __call__(self, states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"]) -> Float[Tensor, "*b"]:
         """Entropy of each set."""
         metric = self.support.metric
-        unique = merged(states, log_weights, metric)
+        unique = unique_states(states, log_weights, metric)
         sides, log_volume = self.support(states, log_weights, unique)
         density = torch.zeros_like(unique.log_weights)
         weights = unique.log_weights.exp()

@@ -1,7 +1,7 @@
 """Measure signed distances of meshes against libigl's exact ones.
 
-    python scripts/mesh_distances.py accuracy          # one JSON line a shape in scripts/results/mesh_distances.jsonl
-    python scripts/mesh_distances.py show              # Markdown, with what mesh_times.py has timed
+    python -m scripts.mesh_distances accuracy          # one JSON line a shape in scripts/results/mesh_distances.jsonl
+    python -m scripts.mesh_distances show              # Markdown, with what mesh_times.py has timed
 
 Needs libigl, and the environment variable RUMI_DATA for the drill. A line of a shape replaces an older one.
 """

@@ -1,7 +1,7 @@
 """Time tables of meshes, and the exact shape beside libigl.
 
-    python scripts/mesh_times.py --threads 2                 # all of it: minutes
-    python scripts/mesh_times.py --what table --threads 2    # the drill's table of 128^3 nodes, and from the cache
+    python -m scripts.mesh_times --threads 2                 # all of it: minutes
+    python -m scripts.mesh_times --what table --threads 2    # the drill's table of 128^3 nodes, and from the cache
 
 Needs the environment variable RUMI_DATA for the drill, and libigl to compare with. A line of a timing replaces an older
 one with as many threads in scripts/results/mesh_distances.jsonl; mesh_distances.py shows them.
@@ -18,10 +18,10 @@ from typing import Any, Literal
 
 import torch
 import tyro
-from mesh_distances import PADDING_M, RESULTS, keep, say
 
 from rumi.cli import script
 from scripts.bench import meshes
+from scripts.mesh_distances import PADDING_M, RESULTS, keep, say
 from sdf.mesh.build import from_mesh
 from sdf.mesh.mesh import load_mesh
 from sdf.mesh.mesh_sdf import MeshSDF

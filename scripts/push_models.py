@@ -1,7 +1,7 @@
 """How far push models are from the simulator, for pushes of a mug whose pose they know.
 
-python scripts/push_models.py                              # 100 random pushes of two actions each
-python scripts/push_models.py --lever-ratios 1 1.25 1.5 2   # other limit surfaces of the quasi-static model
+python -m scripts.push_models                              # 100 random pushes of two actions each
+python -m scripts.push_models --lever-ratios 1 1.25 1.5 2   # other limit surfaces of the quasi-static model
 """
 
 import math
@@ -100,7 +100,7 @@ def errors(family: PushModels, found: list[Push], model: ObjectModel, tool: Tool
         weights = torch.zeros(1)
         fields = information_field(model.sdf, pose, weights, workspace.points)
         made = family.rollouts(model, pose, weights, tool, workspace, fields)
-        rolled = made.likely(push.start, push.controls)
+        rolled = made.nominal_rollout(push.start, push.controls)
         turned = 0.0 if rolled.turns is None else float(rolled.turns[0, 0, -1])
         predicted = torch.tensor([*PLACE, push.yaw]) + torch.tensor([0.0, 0.0, turned])
         predicted[:2] += rolled.displacements[0, 0, -1, :2]

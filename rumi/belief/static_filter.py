@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.state_space import StateSpace
+from rumi.belief.state_space import PlaneSpace
 from rumi.errors import DegenerateBeliefError
 from rumi.resampling import resample_systematic
 from rumi.weights import effective_sample_size, equal_weights
@@ -130,7 +130,7 @@ class ResampleMoveFilter:
         settings: of the filter.
     """
 
-    space: StateSpace
+    space: PlaneSpace
     log_prior: Callable[[Tensor], Tensor]
     settings: ResampleMoveSettings = ResampleMoveSettings()
 

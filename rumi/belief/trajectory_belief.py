@@ -65,7 +65,7 @@ class TrajectoryBelief:
         noise = tuple(a.index_copy(0, rows, b) for a, b in zip(self.noise, other.noise, strict=True))
         return replace(self, noise=noise, **changes)
 
-    def chosen(self, index: Tensor) -> "TrajectoryBelief":
+    def resampled(self, index: Tensor) -> "TrajectoryBelief":
         """Particles (R, N) of each run, with equal weights."""
         wide = index[..., None].expand(*index.shape, 3)
         return TrajectoryBelief(
@@ -82,7 +82,7 @@ class TrajectoryBelief:
 _PARTS = ("start", "friction", "lever", "pose", "log_weights", "log_likelihood")
 
 
-def joined(history: Sequence[TouchAction]) -> TouchAction:
+def concatenate(history: Sequence[TouchAction]) -> TouchAction:
     """Actions one after the other, as one; each begins where the one before ended, and none came from above."""
     first = history[0]
     paths = [first.path, *(action.path[..., 1:, :] for action in history[1:])]

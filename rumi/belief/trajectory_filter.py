@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.belief.prior import PlanarPrior
-from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief, joined
+from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief, concatenate
 from rumi.dynamics.along_path import PathPush, Pusher, distance_to, push_along_path
 from rumi.dynamics.sliding import Outline, Sliding
 from rumi.resampling import resample_systematic
@@ -186,20 +186,20 @@ class TrajectoryFilter:
         rows, accepted = low.nonzero()[:, 0], float("nan")
         if len(rows):
             some = [a._replace(path=_rows(a.path, rows, 3), contact=_rows(a.contact, rows, 2)) for a in history]
-            fresh, accepted = self.resampled(belief.at(rows), some, generator=generator)
+            fresh, accepted = self.resample(belief.at(rows), some, generator=generator)
             belief = belief.put(rows, fresh)
         return belief, StepInfo(ess, low, accepted)
 
-    def resampled(
+    def resample(
         self, belief: TrajectoryBelief, history: Sequence[TouchAction], *, generator: torch.Generator
     ) -> tuple[TrajectoryBelief, float]:
         """Resample all runs, by the rule of the settings; and the share of accepted moves."""
         if self.settings.resampling == "newcomers" and history[-1].contact.shape[-1] > 0:
             touched = history[-1].contact[..., -1].expand(len(belief.start))
             with_newcomers = self._newcomers(belief, history[-1], generator)
-            belief = belief.chosen(resample_systematic(belief.log_weights, generator=generator))
+            belief = belief.resampled(resample_systematic(belief.log_weights, generator=generator))
             return belief.put(touched.nonzero()[:, 0], with_newcomers.at(touched.nonzero()[:, 0])), float("nan")
-        belief = belief.chosen(resample_systematic(belief.log_weights, generator=generator))
+        belief = belief.resampled(resample_systematic(belief.log_weights, generator=generator))
         if self.settings.resampling != "replay" or self.settings.sweeps == 0:
             return belief, float("nan")
         moved = 0.0
@@ -259,7 +259,7 @@ class TrajectoryFilter:
             noise = noise * (0.5 * own.noise_tails * noise.square()).exp()
         return after + scale * noise
 
-    def replayed(
+    def replay(
         self,
         start: Float[Tensor, "R N 3"],
         friction: Float[Tensor, "R N"],
@@ -270,7 +270,7 @@ class TrajectoryFilter:
         """Poses now and the log-likelihood of all readings, from the start."""
         if self.settings.noise == 0 and all(action.blocked is None for action in history):
             # nothing happens between actions: all of them are one
-            return self.roll(start, friction, lever, None, joined(history))
+            return self.roll(start, friction, lever, None, concatenate(history))
         pose, total = start, torch.zeros_like(friction)
         each: Sequence[Tensor | None] = noise if self.settings.noise > 0 else [None] * len(history)
         for own, action in zip(each, history, strict=True):
@@ -305,7 +305,7 @@ class TrajectoryFilter:
             angle = 0.5 * torch.pi * torch.where(afresh, 1.0, (uniform() < 0.5) * torch.maximum(reach, uniform() ** 4))
             cos, sin = angle.cos()[..., None], angle.sin()[..., None]
             noise = tuple(cos * part + sin * normal() for part in noise)
-        pose, log_likelihood = self.replayed(start, friction, lever, noise, history)
+        pose, log_likelihood = self.replay(start, friction, lever, noise, history)
         # a draw from the prior is proposed as often as the prior has it
         change = self.prior.log_density(start) - self.prior.log_density(belief.start)
         odds = log_likelihood - belief.log_likelihood + torch.where(afresh, 0.0, change)

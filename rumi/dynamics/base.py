@@ -104,7 +104,7 @@ class RolloutModel(Protocol):
         """
         ...
 
-    def likely(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
+    def nominal_rollout(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) that is shown as the plan: what happens more likely than not."""
         ...
 

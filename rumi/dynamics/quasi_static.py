@@ -130,7 +130,7 @@ class QuasiStaticRollouts:
         """Roll control sequences out from one configuration (x, y, yaw), once for each of `rollouts` poses."""
         return self.rollout_poses(configuration, controls, self.representatives(rollouts))
 
-    def likely(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "H A"]) -> PushRollouts:
+    def nominal_rollout(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) of the likeliest pose."""
         return self.rollout_poses(configuration, controls[None], self.poses[self.weights.argmax()][None])
 

@@ -4,10 +4,11 @@ A motion meets the object somewhere in each state, or meets nothing, and each of
 """
 
 from collections.abc import Callable
+from enum import IntEnum
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.resampling import resample_systematic
@@ -16,8 +17,14 @@ from sdf.sweep import Sweep
 from sensors.touch.rectangle_touch import rectangle_log_likelihoods
 from sensors.touch.touch_likelihood import TouchNoise
 
-NOTHING, TOUCH = 0, 1
-"""Kinds of outcome: no contact, and a contact with a point and a normal; others are told by their kind alone."""
+
+class ContactKind(IntEnum):
+    """Kinds of outcome: no contact, and a contact with a point and a normal; others are told by their kind alone."""
+
+    NOTHING = 0
+    TOUCH = 1
+    TOP = 2
+
 
 TouchLikelihood = Callable[[Tensor, Tensor], Tensor]
 """Log-likelihood (*b, M, N) of touches, given points and normals (*b, M, D), at N states."""
@@ -27,7 +34,7 @@ class Outcomes(NamedTuple):
     """What a motion leads to in each state, wherever on its way that is.
 
     Attributes:
-        kind: (*b, N), `NOTHING`, `TOUCH`, or another number for what tells no more than itself.
+        kind: (*b, N), of `ContactKind`; all but a touch tell no more than itself.
         point: (*b, N, D), touched, metres.
         normal: (*b, N, D), outward, unit.
     """
@@ -39,7 +46,7 @@ class Outcomes(NamedTuple):
     @classmethod
     def of(cls, sweep: Sweep) -> "Outcomes":
         """Of one straight way."""
-        return cls(sweep.hit.long() * TOUCH, sweep.point, sweep.normal)
+        return cls(sweep.hit.long() * ContactKind.TOUCH, sweep.point, sweep.normal)
 
 
 def touch_gain(
@@ -78,14 +85,14 @@ def touch_gain(
         kind, point, normal = outcomes.kind[..., index], outcomes.point[..., index, :], outcomes.normal[..., index, :]
         reading_weights = log_weights.new_zeros(readings)
     if noise is not None:
-        point, normal = noisy(point, normal, noise, generator=generator)
+        point, normal = add_noise(point, normal, noise, generator=generator)
     told = likelihood(point, normal)
-    told = with_kinds(torch.where((kind == TOUCH)[..., None], told, 0.0), kind, outcomes.kind)
+    told = with_kinds(torch.where((kind == ContactKind.TOUCH)[..., None], told, 0.0), kind, outcomes.kind)
     gains = expected_divergence(log_weights.expand(*shape, size), told, reading_weights.expand(*shape, kind.shape[-1]))
     return gains
 
 
-def noisy(
+def add_noise(
     points: Float[Tensor, "*b D"],
     normals: Float[Tensor, "*b D"],
     noise: TouchNoise,
@@ -166,23 +173,6 @@ def expected_divergence(
         reading_log_weights = log_weights if readings == states else log_weights.new_zeros(readings)
     weights = reading_log_weights.softmax(-1)
     return (weights * divergence(log_weights[..., None, :], log_likelihood)).sum(-1)
-
-
-def with_misses(
-    log_likelihood: Float[Tensor, "*b M N"], reading_hits: Bool[Tensor, "*b M"], state_hits: Bool[Tensor, "*b N"]
-) -> Float[Tensor, "*b M N"]:
-    """The likelihoods where a motion touches some states and misses others, and that is a reading too.
-
-    A state that the motion misses leads to no contact surely: it explains no reading of a touch, and a reading of no
-    contact is explained by all that it misses, and by no other.
-
-    Args:
-        log_likelihood: of readings as touches; rows of no contact may hold anything.
-        reading_hits: whether each reading is one of a touch.
-        state_hits: whether the motion touches the object at each state.
-    """
-    told = torch.where(reading_hits[..., :, None], log_likelihood, torch.zeros_like(log_likelihood))
-    return with_kinds(told, reading_hits.long(), state_hits.long())
 
 
 def with_kinds(

@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.information.neighbours import Merged, StateMetric, merged, neighbours
+from rumi.information.neighbours import StateMetric, UniqueStates, neighbours, unique_states
 from rumi.weights import check_weights
 from sdf.check import check_shape
 
-EntropyChoice = Literal["spatial", "neighbour", "weights"]
+EntropyChoice = Literal["spatial", "neighbour"]
 ENTROPIES: tuple[str, ...] = get_args(EntropyChoice)
 
 
@@ -88,11 +88,11 @@ class SharedSupport:
             raise ValueError(f"Expected one floor or one for each of {self.metric.dims} dimensions, got {len(floors)}")
 
     def __call__(
-        self, states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"], unique: Merged | None = None
+        self, states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"], unique: UniqueStates | None = None
     ) -> Support:
-        """Support of each set; `unique` may be given where `merged` was asked before."""
+        """Support of each set; `unique` may be given where `unique_states` was asked before."""
         check_shape("states", states, "(*b, N, D)", last=(self.metric.dims,))
-        unique = merged(states, log_weights, self.metric) if unique is None else unique
+        unique = unique_states(states, log_weights, self.metric) if unique is None else unique
         near = neighbours(states, unique, self.metric, self.neighbours, include_self=self.include_self)
         floor = states.new_tensor(self.floor)
         count = unique.states.clamp_min(1).to(states.dtype)[..., None]
@@ -118,7 +118,7 @@ class SpatialEntropy:
 
     def __call__(self, states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"]) -> Float[Tensor, "*b"]:
         """Entropy of each set."""
-        unique = merged(states, log_weights, self.support.metric)
+        unique = unique_states(states, log_weights, self.support.metric)
         return weights_entropy(unique.log_weights) + self.support(states, log_weights, unique).log_volume
 
 
@@ -145,7 +145,7 @@ class NeighbourEntropy:
         dims, dtype = self.metric.dims, states.dtype
         # in float64: weights of 1e-300 are weights, and of a state that has nearly all the others' share is divided by
         states, log_weights = states.double(), log_weights.double()
-        unique = merged(states, log_weights, self.metric)
+        unique = unique_states(states, log_weights, self.metric)
         near = neighbours(states, unique, self.metric, self.neighbours, include_self=False)
         weights = unique.log_weights.exp()
         tiny = torch.finfo(states.dtype).tiny
@@ -170,26 +170,11 @@ def _others(weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b N"]:
     return torch.where(heaviest, rest, 1.0 - weights)
 
 
-@dataclass(frozen=True)
-class WeightsEntropy:
-    """Weights term alone, as if states were no places but names.
-
-    Attributes:
-        metric: of the states.
-    """
-
-    metric: StateMetric
-
-    def __call__(self, states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"]) -> Float[Tensor, "*b"]:
-        """Entropy of each set."""
-        return weights_entropy(merged(states, log_weights, self.metric).log_weights)
-
-
 def make_entropy(choice: EntropyChoice, support: SharedSupport) -> Entropy:
     """The estimator of a name.
 
     Args:
-        choice: "spatial", "neighbour" or "weights".
+        choice: "spatial" or "neighbour".
         support: metric and neighbours; the neighbour estimate takes one less than a box, whose count has the state
             itself.
     """
@@ -197,6 +182,4 @@ def make_entropy(choice: EntropyChoice, support: SharedSupport) -> Entropy:
         return SpatialEntropy(support)
     if choice == "neighbour":
         return NeighbourEntropy(support.metric, max(1, support.neighbours - 1))
-    if choice == "weights":
-        return WeightsEntropy(support.metric)
     raise ValueError(f"Expected an entropy out of {', '.join(ENTROPIES)}, got {choice!r}")

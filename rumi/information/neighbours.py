@@ -69,7 +69,7 @@ class StateMetric:
         return differences / differences.new_tensor(self.scales)
 
 
-class Merged(NamedTuple):
+class UniqueStates(NamedTuple):
     """A set in which each state counts once.
 
     Attributes:
@@ -83,7 +83,9 @@ class Merged(NamedTuple):
     states: Int[Tensor, "*b"]
 
 
-def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"], metric: StateMetric) -> Merged:
+def unique_states(
+    states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"], metric: StateMetric
+) -> UniqueStates:
     """The same mixture without duplicates, as resampling leaves them; states without weight are left out too.
 
     Raises:
@@ -101,7 +103,7 @@ def merged(states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"],
     first = (leader == own) & (weights > -math.inf)
     log = torch.where(first, torch.where(first, lead, 1.0).log(), -math.inf)
     shape = states.shape[:-1]
-    return Merged(log.view(shape), first.view(shape), first.sum(-1).view(shape[:-1]))
+    return UniqueStates(log.view(shape), first.view(shape), first.sum(-1).view(shape[:-1]))
 
 
 class Neighbours(NamedTuple):
@@ -121,7 +123,7 @@ class Neighbours(NamedTuple):
 
 
 def neighbours(
-    states: Float[Tensor, "*b N D"], unique: Merged, metric: StateMetric, count: int, *, include_self: bool
+    states: Float[Tensor, "*b N D"], unique: UniqueStates, metric: StateMetric, count: int, *, include_self: bool
 ) -> Neighbours:
     """The `count` nearest states of each one, itself among them or not; all where there are fewer."""
     shape, size = states.shape[:-1], states.shape[-2]

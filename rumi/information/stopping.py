@@ -98,18 +98,16 @@ class EntropyRule:
         return float(self.entropy(states, log_weights)) <= self.most_nats
 
 
-class Aim(NamedTuple):
-    """The best guess at some target points, and how likely it is near enough.
+class TargetEstimate(NamedTuple):
+    """Estimate of target points, with the probability that it is within the tolerance.
 
     Attributes:
         points: (K, D), metres; one point where any target will do.
         probability: that the guess is within the tolerance.
-        particle: whose own targets the guess started from.
     """
 
     points: Float[Tensor, "K D"]
     probability: float
-    particle: int
 
 
 @dataclass(frozen=True)
@@ -143,7 +141,7 @@ class MassRule:
         if self.tries < 1 or self.refinements < 0:
             raise ValueError(f"Expected tries above 0 and refinements 0 or more, got {self.tries}, {self.refinements}")
 
-    def aim(self, targets: Float[Tensor, "N K D"], log_weights: Float[Tensor, "N"]) -> Aim:
+    def aim(self, targets: Float[Tensor, "N K D"], log_weights: Float[Tensor, "N"]) -> TargetEstimate:
         """The best guess.
 
         Args:
@@ -178,8 +176,7 @@ class MassRule:
             if found <= best:
                 break
             guess, best = mean, found
-        particle = first if self.which == "all" else first // kinds
-        return Aim(guess, min(best, 1.0), int(likeliest[particle]))
+        return TargetEstimate(guess, min(best, 1.0))
 
     def holds(self, targets: Float[Tensor, "N K D"], log_weights: Float[Tensor, "N"]) -> bool:
         """Whether the belief is sure."""

@@ -24,7 +24,7 @@ _WEAK = 0.03  # of the largest singular value: a direction that the points say l
 
 
 @dataclass(frozen=True)
-class Misfit:
+class Alignment:
     """Observations against a model.
 
     Attributes:
@@ -60,7 +60,7 @@ class Misfit:
         return "\n".join(lines)
 
 
-def misfit(points: Observation, world_T_object: Float[Tensor, "4 4"], sdf: SDF) -> Misfit:
+def align(points: Observation, world_T_object: Float[Tensor, "4 4"], sdf: SDF) -> Alignment:
     """Lay observations over a model.
 
     Args:
@@ -75,13 +75,13 @@ def misfit(points: Observation, world_T_object: Float[Tensor, "4 4"], sdf: SDF) 
         signed = sdf.distance(se3.apply(se3.inverse(pose), surface))
         away = sdf.distance(se3.apply(se3.inverse(pose), free))
     if len(surface) < _FEWEST:
-        return Misfit(signed, away, None, signed)
+        return Alignment(signed, away, None, signed)
     moved = _nearest(surface, pose, sdf)
     with torch.no_grad():
         corrected = sdf.distance(se3.apply(se3.inverse(pose) @ moved, surface))
     # about the object's origin, where a turn does not look like a shift
     at = se3.make(torch.eye(3, dtype=torch.float64), pose[:3, 3])
-    return Misfit(signed, away, se3.inverse(at) @ moved @ at, corrected)
+    return Alignment(signed, away, se3.inverse(at) @ moved @ at, corrected)
 
 
 def _nearest(surface: Float[Tensor, "n 3"], pose: Float[Tensor, "4 4"], sdf: SDF) -> Float[Tensor, "4 4"]:

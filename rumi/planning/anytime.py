@@ -236,19 +236,19 @@ def _quickest(waiting: list[Candidate[A]], evaluation: DurationModel) -> list[Ca
 
 
 def in_descending_posterior(
-    log_weights: Float[Tensor, "N"], of_particle: Callable[[int], Iterable[Candidate[A]]], most: int | None = None
+    log_density: Float[Tensor, "N"], of_particle: Callable[[int], Iterable[Candidate[A]]], most: int | None = None
 ) -> Iterator[Candidate[A]]:
     """Candidates of the likeliest particle, then of the next one, made only when asked for (III-C).
 
     Args:
-        log_weights: of the particles; those of no weight have no candidates. Equal ones keep their order.
+        log_density: of the particles; those of no weight have no candidates. Equal ones keep their order.
         of_particle: candidates of a particle by index.
         most: candidates in all; None for no limit.
     """
 
     def each() -> Iterator[Candidate[A]]:
-        for index in torch.argsort(log_weights, descending=True, stable=True).tolist():
-            if log_weights[index] == -torch.inf:
+        for index in torch.argsort(log_density, descending=True, stable=True).tolist():
+            if log_density[index] == -torch.inf:
                 return
             yield from of_particle(index)
 

@@ -145,7 +145,7 @@ class RummagingPolicy:
         self, view: "PlanningModel", configuration: Float[Tensor, "Q"], nominal: ControlPlan, watch: "_Stopwatch"
     ) -> tuple[PushRollouts, Float[Tensor, "H"]]:
         """What a plan is expected to do, and what each of its actions gathers."""
-        predicted = view.model.likely(configuration, nominal.controls)
+        predicted = view.model.nominal_rollout(configuration, nominal.controls)
         watch.lap("dynamics")
         gathered = gathered_by_action(view.objective.gathered, predicted)
         watch.lap("costs")

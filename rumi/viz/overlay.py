@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.metrics.alignment import GROSS_M, Misfit
+from rumi.metrics.alignment import GROSS_M, Alignment
 from rumi.viz import style
 from sdf import se3
 from sdf.object_model import ObjectModel
@@ -26,7 +26,7 @@ def draw_overlay(
     points: Observation,
     world_T_object: Float[Tensor, "4 4"],
     model: ObjectModel,
-    found: Misfit,
+    found: Alignment,
     path: Path,
     *,
     title: str = "",
@@ -66,7 +66,7 @@ def _draw_view(
     points: Observation,
     world_T_object: Tensor,
     model: ObjectModel,
-    found: Misfit,
+    found: Alignment,
     across: int,
     up: int,
 ) -> None:

@@ -159,7 +159,7 @@ class Situation:
         model = push.rollouts(self.model, belief.world_T_object, belief.log_weights, self.tool, self.workspace, fields)
         start, controls = self.before.reading.configuration.to(fields.information), control[None].to(fields.information)
         if rollouts == 0:
-            done = model.likely(start, controls)
+            done = model.nominal_rollout(start, controls)
         else:
             if generator is None:
                 raise ValueError("Expected a generator for rollouts, got None: give one, or 0 rollouts")

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.information.contact_gain import expected_divergence, with_misses
+from rumi.information.contact_gain import expected_divergence, with_kinds
 from rumi.planning.anytime import Candidate, in_descending_posterior
 from rumi.robot.motion_time import SpeedLimits, poke_time
 from rumi.seeding import split
@@ -93,7 +93,9 @@ class TouchChoice:
         own = (touched[:, None] - self.states[:, :2])[..., None, :] @ turn
         facing = felt[:, None, None, :] @ turn
         log = box_log_likelihoods(own[..., 0, :], facing[..., 0, :], _HALF, self.noise)
-        return float(expected_divergence(self.log_weights, with_misses(log, hit[index], hit)))
+        # a state that the poke misses leads to no contact surely: a reading too
+        log = with_kinds(torch.where(hit[index, None], log, 0.0), hit[index].long(), hit.long())
+        return float(expected_divergence(self.log_weights, log))
 
     def _meets(self, poke: Poke) -> tuple[Float[Tensor, "N"], Float[Tensor, "N 2"], Bool[Tensor, "N"]]:
         """How far along a poke meets the rectangle of each particle, its normal there, and whether it does."""

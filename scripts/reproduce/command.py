@@ -11,11 +11,11 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from rumi.bench.history import check_writable
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
 from rumi.planning.registry import POLICIES
 from rumi.runs.folder import make_folder
+from rumi.runs.jsonlines import check_writable
 from scripts.reproduce import touch
 from scripts.reproduce.executors import on_a_cluster, on_this_machine
 from scripts.reproduce.experiments import EXPERIMENTS, Selection, missing, valid_presets, valid_tasks, work_of

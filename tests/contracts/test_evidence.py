@@ -212,30 +212,47 @@ def test_evidence_rides_with_the_object(model):
         torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-6)
 
 
-def test_the_filter_counts_every_kind_by_name(outside):
-    """Named in the settings, or handed over: no edit of the filter; zero evidence leaves its belief as it was."""
+def filter_of(**changes) -> PoseFilter:
+    """A filter that counts all kinds by the names in its settings."""
     ball = Sphere(RADIUS).double()
-    quiet = {"trigger": math.inf, "translation_noise_m": 0.0, "rotation_noise_rad": 0.0, "motion": "sticking"}
-    settings = FilterSettings(**quiet, descent=DescentSettings(iterations=0), evidence=tuple(KINDS))
+    settings = FilterSettings(motion="sticking", evidence=tuple(KINDS), **changes)
     models = make_evidence(settings.evidence, ball, torch.zeros(1, 3, dtype=F64))
-    pose_filter = PoseFilter(settings, [Discrepancy(ball, 0.04).double(), *models], "SE(2)").double()
+    return PoseFilter(settings, [Discrepancy(ball, 0.04).double(), *models], "SE(2)").double()
+
+
+def follow(pose_filter: PoseFilter, *readings: Reading) -> tuple[PoseBelief, Observation]:
     start, memory = PoseBelief.uniform(se3.from_planar(0.02 * torch.eye(3, dtype=F64))), Observation.empty(dtype=F64)
-    seen = replace(
-        reading_of(1, contact=False),
-        observation=semantic_points().observation,
-        instant=torch.zeros(90).long(),
-    )
     generator = torch.Generator().manual_seed(0)
-    silent, memory, _ = pose_filter(start, memory, seen, generator=generator)
-    plain, _, _ = pose_filter.with_evidence()(start, Observation.empty(dtype=F64), seen, generator=generator)
-    assert silent.evidence is None and torch.equal(silent.log_weights, plain.log_weights)
-    touched, memory, _ = pose_filter(silent, memory, reading_of(1), generator=generator)
-    own = gather(models, None, reading_of(1), frames())
-    assert [member is not None for member in touched.evidence.members] == [True] * 3
-    log = -2.0 * pose_filter.discrepancy(touched.attached_T_object, memory)
-    log = log + touched.evidence.log_likelihood(touched.attached_T_object)
-    torch.testing.assert_close(touched.log_weights, log.log_softmax(-1))
-    torch.testing.assert_close(own.members[0].point_sd, touched.evidence.members[0].point_sd)
+    for reading in readings:
+        start, memory, _ = pose_filter(start, memory, reading, generator=generator)
+    return start, memory
+
+
+def view() -> Reading:
+    """Points, and sensors of contact that are silent."""
+    return replace(
+        reading_of(1, contact=False), observation=semantic_points().observation, instant=torch.zeros(90).long()
+    )
+
+
+def test_silent_sensors_leave_the_belief_as_it_was_to_the_bit(outside):
+    pose_filter = filter_of(trigger=0.5)
+    silent, plain = follow(pose_filter, view(), view())[0], follow(pose_filter.with_evidence(), view(), view())[0]
+    assert silent.evidence is None and silent.log_weights.exp().max() < 1.0
+    for part in fields(PoseBelief):
+        if part.name != "evidence":
+            assert torch.equal(getattr(silent, part.name), getattr(plain, part.name)), part.name
+
+
+def test_the_filter_sums_every_kind_without_an_edit(outside):
+    quiet = {"translation_noise_m": 0.0, "rotation_noise_rad": 0.0, "descent": DescentSettings(iterations=0)}
+    pose_filter = filter_of(trigger=math.inf, **quiet)
+    belief, memory = follow(pose_filter, view(), reading_of(1))
+    assert [member is not None for member in belief.evidence.members] == [True] * 3
+    log = -2.0 * pose_filter.discrepancy(belief.attached_T_object, memory)
+    for member in belief.evidence.members:
+        log = log + member.log_likelihood(belief.attached_T_object)
+    torch.testing.assert_close(belief.log_weights, log.log_softmax(-1))
 
 
 def test_refusals(outside, no_shape_check):

@@ -40,6 +40,8 @@ PLANNER = RummagingSettings(
     push=DisplacementSettings(mini_steps=2),
     rollouts=2,
 )
+
+pytestmark = pytest.mark.outcome
 GPVR = GPVRSettings(refit_steps=5, max_points=40)
 OUTSIDE = "wandering"
 NEEDS = {"gpvr": "gpytorch", "gpvr-greedy": "gpytorch"}

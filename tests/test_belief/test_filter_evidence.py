@@ -1,12 +1,12 @@
 """The filter counts further evidence wherever it weighs, resamples and draws anew, at every later step."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
 
-from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel
+from rumi.belief.contact_evidence import ContactPointModel
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
@@ -194,30 +194,6 @@ def test_poses_drawn_anew_settle_as_freely_as_the_search():
         down = float((poses[:, 2, 3] - moved[:, 2, 3]).mean())
         assert least <= down <= most, (search, down)
         assert refine_poses(pose_filter, poses, here, None, generator=generator) is poses
-
-
-@DTYPES
-def test_without_touches_the_belief_is_the_plain_filters_bit_for_bit(dtype):
-    sdf = make(dtype).discrepancy.sdf
-    models = (ContactPointModel(sdf), ContactSignalModel(sdf, torch.zeros(4, 3)))
-    noisy = {"trigger": 0.5, "translation_noise_m": 0.002, "rotation_noise_rad": 0.02, "descent": DescentSettings()}
-    push = se3.from_planar(torch.tensor([0.03, -0.02, 0.4], dtype=torch.float64))
-    steps = [(seen(1, dtype), None), (seen(2, dtype), push), (None, None)]
-    silent = {"wrench": replace(WrenchTouch.none(), points=torch.zeros(0, 3)), "signals": torch.zeros(1).bool()}
-    plain, _ = follow(
-        make(dtype, (), **noisy), particles(dtype), *(reading(*s, dtype=dtype) for s in steps), dtype=dtype
-    )
-    ours, _ = follow(
-        make(dtype, models, **noisy),
-        particles(dtype),
-        *(reading(*s, dtype=dtype, **silent) for s in steps),
-        dtype=dtype,
-    )
-    for a, b in zip(plain, ours, strict=True):
-        assert b.evidence is None
-        for part in fields(PoseBelief):
-            if part.name != "evidence":
-                assert torch.equal(getattr(a, part.name), getattr(b, part.name)), part.name
 
 
 @pytest.mark.parametrize(

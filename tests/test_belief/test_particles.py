@@ -20,12 +20,6 @@ def belief(count=6, batch=(), seed=0):
     return PoseBelief.uniform(poses).reweighted(torch.randn(*batch, count, generator=random, dtype=F64))
 
 
-def test_uniform_weights_and_ess():
-    start = PoseBelief.uniform(se3.identity((5,), dtype=F64, device="cpu"))
-    torch.testing.assert_close(start.weights, torch.full((5,), 0.2, dtype=F64))
-    assert float(start.ess()) == pytest.approx(5.0)
-
-
 def test_no_particles_are_refused():
     with pytest.raises(ValueError, match="at least one particle"):
         PoseBelief.uniform(torch.zeros(0, 4, 4))
@@ -108,7 +102,6 @@ def test_resampling_gathers_poses_and_discrepancies():
 
 def test_one_particle_and_coincident_particles():
     one = belief(1)
-    assert float(one.ess()) == pytest.approx(1.0)
     torch.testing.assert_close(one.mode(), one.world_T_object[0], atol=1e-9, rtol=0)
     same = PoseBelief.uniform(one.attached_T_object.expand(8, 4, 4))
     torch.testing.assert_close(same.mean(), one.world_T_object[0], atol=1e-9, rtol=0)

@@ -7,10 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.belief.motion import object_motion, sticking_motion
+from rumi.belief.motion import PushedMotion, object_motion, sticking_motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
-from rumi.belief.pushed_motion import PushedMotion
 from rumi.dynamics.along_path import PathMotion, push_along_path
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.planning.rummaging_settings import RummagingSettings

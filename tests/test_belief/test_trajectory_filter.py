@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rumi.belief.prior import PlanarPrior
-from rumi.belief.trajectory_belief import TouchAction, joined
+from rumi.belief.trajectory_belief import TouchAction, concatenate
 from rumi.belief.trajectory_filter import TrajectoryFilter, TrajectorySettings
 from rumi.dynamics.along_path import PathOutcome, Pusher
 from rumi.dynamics.outline import RectangleOutline
@@ -115,7 +115,7 @@ def test_a_replay_is_what_happened(generator: torch.Generator) -> None:
         belief = own.initial(3, 20, generator=generator)
         for t in range(len(HISTORY)):
             belief, _ = own.step(belief, HISTORY[: t + 1], generator=generator)
-        pose, total = own.replayed(belief.start, belief.friction, belief.lever, belief.noise, HISTORY)
+        pose, total = own.replay(belief.start, belief.friction, belief.lever, belief.noise, HISTORY)
         torch.testing.assert_close(pose, belief.pose, atol=1e-9, rtol=0)
         torch.testing.assert_close(total, belief.log_likelihood, atol=1e-9, rtol=0)
         expected = (belief.log_likelihood + math.log(1 / 20)).log_softmax(-1)
@@ -124,12 +124,12 @@ def test_a_replay_is_what_happened(generator: torch.Generator) -> None:
         assert float(moved.max()) > 0.01
 
 
-def test_history_joined_is_one_action() -> None:
-    whole = joined(HISTORY)
+def test_a_concatenated_history_is_one_action() -> None:
+    whole = concatenate(HISTORY)
     assert whole.path.shape == (10, 3)
     assert whole.contact.tolist() == [s for action in HISTORY for s in action.contact.tolist()]
     # one path for all runs, signals of each
-    many = joined([HISTORY[0], TouchAction(HISTORY[1].path, HISTORY[1].contact.expand(5, 4))])
+    many = concatenate([HISTORY[0], TouchAction(HISTORY[1].path, HISTORY[1].contact.expand(5, 4))])
     assert many.contact.shape == (5, 7)
     assert many.path.shape == (8, 3)
 
@@ -171,7 +171,7 @@ def test_newcomers_come_near_the_robot_where_contact_was_felt(generator: torch.G
     belief = own.initial(2, 40, generator=generator)
     signals = torch.tensor([[True, True], [False, False]])
     action = TouchAction(torch.tensor([[-0.3, 0.5, 0.0]] * 3, **DOUBLE), signals)
-    after, _ = own.resampled(belief, [action], generator=generator)
+    after, _ = own.resample(belief, [action], generator=generator)
     tool = action.path[-1, :2]
     reach = math.sqrt(2) * (own.outline.radius + own.pusher.radius)
     near = (after.pose[..., :2] - tool).norm(dim=-1) < reach
@@ -217,7 +217,7 @@ def test_where_the_tool_came_down_tells_of_the_object(noise: float) -> None:
         history = [TouchAction(place, torch.zeros(0, dtype=torch.bool), blocked)]
         belief, info = own.step(own.initial(1, 4000, generator=random), history, generator=random)
         assert bool(info.resampled[0])
-        _, told = own.replayed(belief.start, belief.friction, belief.lever, belief.noise, history)
+        _, told = own.replay(belief.start, belief.friction, belief.lever, belief.noise, history)
         torch.testing.assert_close(told, belief.log_likelihood)
         x = belief.pose[0, :, 0]
         # the finger's border reaches to x = 0.04, and the box's side is 0.03 ahead of its middle

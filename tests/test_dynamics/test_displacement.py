@@ -143,7 +143,7 @@ def drive(
 ) -> PushRollouts:
     tool = tool or make_tool(torch.float64, spacing=0.006)
     controls = torch.tensor(control, dtype=torch.float64).expand(steps, 3)
-    return DisplacementRollouts(field, tool).likely(torch.tensor(start, dtype=torch.float64), controls)
+    return DisplacementRollouts(field, tool).nominal_rollout(torch.tensor(start, dtype=torch.float64), controls)
 
 
 def test_pushing_a_ball_head_on_moves_it_along() -> None:

@@ -131,7 +131,9 @@ def box_field() -> ContactField:
 )
 def test_gives_way_sideways_alone(start: tuple[float, ...], control: tuple[float, ...], pushes: bool) -> None:
     model = DisplacementRollouts(box_field(), make_tool(torch.float64, spacing=0.01))
-    result = model.likely(torch.tensor(start, dtype=torch.float64), torch.tensor([control] * 2, dtype=torch.float64))
+    result = model.nominal_rollout(
+        torch.tensor(start, dtype=torch.float64), torch.tensor([control] * 2, dtype=torch.float64)
+    )
     assert bool(result.contact.any())
     moved = result.displacements[0, 0, -1]
     if pushes:
@@ -146,8 +148,8 @@ def test_passes_over_what_is_lower() -> None:
     model = DisplacementRollouts(box_field(), make_tool(torch.float64, spacing=0.01))
     over = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 6, dtype=torch.float64)
     high, low = (torch.tensor([0.1, 0.0, z, 0.0], dtype=torch.float64) for z in (0.20, 0.08))
-    assert not bool(model.likely(high, over).contact.any())
-    assert bool(model.likely(low, over).contact.any())
+    assert not bool(model.nominal_rollout(high, over).contact.any())
+    assert bool(model.nominal_rollout(low, over).contact.any())
 
 
 @pytest.mark.parametrize("hazard", get_args(Hazard))

@@ -196,7 +196,7 @@ def test_the_likely_rollout_pushes_the_likeliest_pose(shape: tuple[GridOutline, 
     poses = torch.tensor([[0.4, 0.3, 0.0], [0.4, 0.0, 0.0]], dtype=torch.float64)
     model = make(shape, poses, torch.tensor([0.4, 0.6], dtype=torch.float64))
     ahead = torch.tensor([[1.0, 0.0, 0.0]] * 2, dtype=torch.float64)
-    assert bool(model.likely(START, ahead).contact.any())
+    assert bool(model.nominal_rollout(START, ahead).contact.any())
 
 
 def test_the_family_makes_it_and_refuses_tilted_particles() -> None:

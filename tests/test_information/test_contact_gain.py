@@ -5,14 +5,7 @@ import math
 import pytest
 import torch
 
-from rumi.information.contact_gain import (
-    Outcomes,
-    noisy,
-    rectangle_likelihood,
-    touch_gain,
-    with_kinds,
-    with_misses,
-)
+from rumi.information.contact_gain import Outcomes, add_noise, rectangle_likelihood, touch_gain, with_kinds
 from sdf import se3
 from sdf.sweep import sweep_rectangle
 from sensors.touch.touch_likelihood import TouchNoise
@@ -103,7 +96,7 @@ def test_noise_is_what_it_says():
     generator = torch.Generator().manual_seed(5)
     for dims in (2, 3):
         normal = torch.nn.functional.normalize(torch.ones(4000, dims, dtype=F64), dim=-1)
-        points, normals = noisy(torch.zeros(4000, dims, dtype=F64), normal, NOISE, generator=generator)
+        points, normals = add_noise(torch.zeros(4000, dims, dtype=F64), normal, NOISE, generator=generator)
         assert torch.allclose(points.std(0), torch.full((dims,), 0.005, dtype=F64), rtol=0.1)
         angle = torch.acos((normals * normal).sum(-1).clamp(-1, 1))
         assert float(angle.square().mean().sqrt()) == pytest.approx(NOISE.normal_rad * math.sqrt(dims - 1), rel=0.1)
@@ -117,10 +110,6 @@ def test_kinds():
     told = with_kinds(likelihood, reading, state)
     same = reading[:, None] == state
     assert torch.equal(told[same], likelihood[same]) and bool((told[~same] == -math.inf).all())
-    hits = torch.tensor([True, False, True, False])
-    columns = torch.tensor([True, True, False, False, True])
-    missed = with_misses(likelihood, hits, columns)
-    assert torch.equal(missed[0, columns], likelihood[0, columns]) and bool((missed[1, ~columns] == 0).all())
 
 
 def test_what_cannot_be(no_shape_check):

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from rumi.information.contact_gain import divergence, expected_divergence, with_misses
+from rumi.information.contact_gain import divergence, expected_divergence, with_kinds
 
 F64 = torch.float64
 
@@ -76,12 +76,12 @@ def test_noise_free_readings_take_the_weights_of_their_states():
 def test_a_miss_is_a_reading_too():
     # half of the states are missed: which half it is, is all there is to learn where the touches are alike
     hits = torch.tensor([True, True, False, False])
-    likelihood = with_misses(torch.zeros(4, 4, dtype=F64), hits, hits)
+    likelihood = with_kinds(torch.zeros(4, 4, dtype=F64), hits.long(), hits.long())
     assert float(expected_divergence(torch.zeros(4, dtype=F64), likelihood)) == pytest.approx(math.log(2.0))
     every = torch.ones(4, dtype=torch.bool)
-    alike = with_misses(torch.zeros(4, 4, dtype=F64), every, every)
+    alike = with_kinds(torch.zeros(4, 4, dtype=F64), every.long(), every.long())
     assert float(expected_divergence(torch.zeros(4, dtype=F64), alike)) < 1e-12
-    none = with_misses(torch.zeros(4, 4, dtype=F64), ~every, ~every)
+    none = with_kinds(torch.zeros(4, 4, dtype=F64), 0 * every.long(), 0 * every.long())
     assert float(expected_divergence(torch.zeros(4, dtype=F64), none)) < 1e-12
 
 

@@ -93,9 +93,6 @@ def test_half_a_turn_is_the_same_where_the_holes_are_alike() -> None:
     targets = holes(states)
     assert MassRule(0.005).aim(targets, even(states)).probability > 0.98
     assert MassRule(0.005, alike=False).aim(targets, even(states)).probability < 0.6
-    # in the order of the best particle
-    aim = MassRule(0.005).aim(targets, even(states))
-    assert float((aim.points - targets[aim.particle]).norm(dim=-1).max()) < 0.005
 
 
 def test_any_hole_needs_only_one() -> None:
@@ -116,7 +113,7 @@ def test_two_modes_are_not_sure() -> None:
     states[600:, 0] += 0.1
     aim = MassRule(0.005).aim(holes(states), even(states))
     assert aim.probability == pytest.approx(0.6, abs=0.01)
-    assert aim.particle < 600
+    assert float(aim.points.mean(0)[0].abs()) < 0.005
 
 
 def test_the_mean_is_tried_beside_the_particles() -> None:

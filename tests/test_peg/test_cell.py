@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from rumi.clock import SimulatedClock
-from rumi.information.contact_gain import NOTHING, TOUCH
+from rumi.information.contact_gain import ContactKind
 from rumi.robot.motion_time import SpeedLimits, path_time, travel_time
-from rumi.tasks.peg.cell import TOP, Block, TouchCell, time_to
+from rumi.tasks.peg.cell import Block, TouchCell, time_to
 from sensors.touch.touch_likelihood import TouchNoise
 
 F64 = torch.float64
@@ -51,7 +51,7 @@ def test_time_to_is_the_profile(length):
 def test_it_stops_where_it_touches():
     table = cell()
     felt = table.follow(to((-0.3, 0.0, 0.03), (0.3, 0.0, 0.03)))
-    assert felt.kind == TOUCH
+    assert felt.kind == ContactKind.TOUCH
     assert felt.tip.tolist() == pytest.approx([-0.1125, 0.0, 0.03])
     assert felt.point.tolist() == pytest.approx([-0.1, 0.0], abs=1e-7)
     assert felt.normal.tolist() == pytest.approx([-1.0, 0.0], abs=1e-7)
@@ -59,7 +59,7 @@ def test_it_stops_where_it_touches():
     assert felt.free.tolist()[0][1] == pytest.approx([-0.1125, 0.0])
     # from there it gets away, and then round the block
     away = table.follow(to((-0.1125, 0.0, 0.03), (-0.15, 0.0, 0.03), (-0.15, 0.2, 0.03)))
-    assert away.kind == NOTHING and away.leaving and len(away.free) == 2
+    assert away.kind == ContactKind.NOTHING and away.leaving and len(away.free) == 2
     wanted = path_time(to((-0.1125, 0.0, 0.03), (-0.15, 0.0, 0.03), (-0.15, 0.2, 0.03)), SpeedLimits())
     assert away.ended_s - away.begun_s == pytest.approx(float(wanted))
     with pytest.raises(ValueError, match="way from the tip"):
@@ -71,17 +71,17 @@ def test_it_stops_where_it_touches():
 def test_it_passes_over_and_comes_down_on_the_top():
     table = cell(tip=(-0.3, 0.0, 0.1))
     over = table.follow(to((-0.3, 0.0, 0.1), (0.3, 0.0, 0.1)))
-    assert over.kind == NOTHING and len(over.free) == 0
+    assert over.kind == ContactKind.NOTHING and len(over.free) == 0
     down = table.follow(to((0.3, 0.0, 0.1), (0.05, 0.0, 0.1), (0.05, 0.0, 0.03)))
-    assert down.kind == TOP
+    assert down.kind == ContactKind.TOP
     assert float(down.tip[2]) == pytest.approx(0.06 + RADIUS)
     assert down.point.tolist() == pytest.approx([0.05, 0.0], abs=1e-7)
     # beside the edge by less than the radius it meets the edge, lower down; by more, nothing
     edge = cell(tip=(0.11, 0.0, 0.1)).follow(to((0.11, 0.0, 0.1), (0.11, 0.0, 0.03)))
-    assert edge.kind == TOP and edge.point.tolist() == pytest.approx([0.1, 0.0], abs=1e-7)
+    assert edge.kind == ContactKind.TOP and edge.point.tolist() == pytest.approx([0.1, 0.0], abs=1e-7)
     assert float(edge.tip[2]) == pytest.approx(0.06 + math.sqrt(RADIUS**2 - 0.01**2))
     beside = cell(tip=(0.113, 0.0, 0.1)).follow(to((0.113, 0.0, 0.1), (0.113, 0.0, 0.03)))
-    assert beside.kind == NOTHING and float(beside.tip[2]) == pytest.approx(0.03)
+    assert beside.kind == ContactKind.NOTHING and float(beside.tip[2]) == pytest.approx(0.03)
 
 
 def test_noise_is_as_stated():

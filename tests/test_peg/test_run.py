@@ -11,11 +11,10 @@ import torch
 from rumi import loop
 from rumi.belief.static_filter import StaticBelief
 from rumi.cli import main
-from rumi.information.stopping import Aim
+from rumi.information.stopping import TargetEstimate
 from rumi.runs.jsonlines import read_lines
 from rumi.tasks.peg import selection as refine
 from rumi.tasks.peg.agent import build_peg
-from rumi.tasks.peg.cell import TOP
 from rumi.tasks.peg.entry import summary
 from rumi.tasks.peg.selection import sure
 from rumi.tasks.peg.settings import PegSettings
@@ -64,7 +63,7 @@ def test_the_same_seed_twice():
 
 
 def test_it_ends_where_nothing_can_be_done():
-    allowed = replace(QUICK, t_max_s=1.0, doublings=0)
+    allowed = replace(QUICK, action_budget_s=1.0, doublings=0)
     run = run_of(allowed, 0)
     assert run.stopped_by == "nothing to do" and len(run.felt) == 0 and run.as_dict()["touches"] == 1
     assert summary(run)[0].startswith("no time for any motion after 1 touch, ")
@@ -107,7 +106,7 @@ def test_the_entropy_of_the_block_knows_no_half_turns():
     # of a normal distribution, and half a nat to each side
     nats = 1.5 * (1.0 + math.log(2.0 * math.pi)) + float(spread.log().sum())
     nothing = RectangleTouches.none(QUICK.block.half(), QUICK.noise, QUICK.radius_m)
-    aim = Aim(torch.zeros(2, 2), 0.0, 0)
+    aim = TargetEstimate(torch.zeros(2, 2), 0.0)
     for poses in (states, turned):
         belief = StaticBelief(poses, flat, flat)
         held = [
@@ -127,7 +126,7 @@ def test_the_command(tmp_path, capsys):
     assert main([*arguments, "--point-m", "0.001", "--normal-deg", "2", "--particles", "200"]) == 0
     assert "touches" in capsys.readouterr().out
     found = json.loads((folder / "result.json").read_text())
-    assert json.loads((folder / "settings.json").read_text())["peg"]["t_max_s"] == 10.0 and found["in_hole"]
+    assert json.loads((folder / "settings.json").read_text())["peg"]["action_budget_s"] == 10.0 and found["in_hole"]
     steps = [line for line, _ in read_lines(folder / "steps.jsonl")]
     assert {step["felt"] for step in steps} <= {"nothing", "side", "top"} and steps[-1]["sure"]
     pictures = [folder / "figures" / name for name in ("contacts.png", "timeline.png")]
@@ -136,4 +135,4 @@ def test_the_command(tmp_path, capsys):
     assert (tmp_path / "again/timeline.png").read_bytes() == pictures[1].read_bytes()
     assert main(["replay", str(folder)]) == 0
     assert f"the recorded one, bit for bit, after each of {len(steps)} readings" in capsys.readouterr().out
-    assert TOP == 2  # the names of the kinds in the record are in this order
+    assert ContactKind.TOP == 2  # the names of the kinds in the record are in this order

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from rumi.clock import SimulatedClock
-from rumi.information.contact_gain import NOTHING, TOUCH
+from rumi.information.contact_gain import ContactKind
 from rumi.tasks.peg import selection as refine
-from rumi.tasks.peg.cell import TOP, TouchCell
+from rumi.tasks.peg.cell import TouchCell
 from rumi.tasks.peg.moves import direct_ways, motions, outcomes, presses
 from rumi.tasks.peg.search import free_ways, joined, lanes, start, taken_in
 from rumi.tasks.peg.selection import (
@@ -44,7 +44,7 @@ def search(cell, settings, *, generator):
     for corner in lanes(settings)[1:]:
         felt = cell.follow(torch.stack((cell.tip, torch.cat((corner, cell.tip[2:])))))
         found = taken_in(found, felt, settings, generator=generator)
-        if felt.kind != NOTHING:
+        if felt.kind != ContactKind.NOTHING:
             return found
     pytest.fail("nothing was met")
 
@@ -81,7 +81,9 @@ def test_lanes_too_wide_are_refused():
 def test_the_search_keeps_the_truth_and_the_stages_meet_in_it():
     for seed in range(4):
         cell, found, every, _, belief = stage_two(seed)
-        assert found.felt[-1].kind == TOUCH and all(felt.kind == NOTHING for felt in found.felt[:-1])
+        assert found.felt[-1].kind == ContactKind.TOUCH and all(
+            felt.kind == ContactKind.NOTHING for felt in found.felt[:-1]
+        )
         circle = found.circle.log_likelihood(cell.truth[None, :2])
         best = found.circle.log_likelihood(found.belief.states).max()
         assert float(circle) > float(best) - 8.0
@@ -133,7 +135,7 @@ def test_ways_round_the_block_and_over_it():
         assert bool(((steps[:, :2].norm(dim=-1) == 0) | (steps[:, 2] == 0)).all())
         assert bool((motion.path[:, 2] >= SETTINGS.low_m).all())
         felt = outcomes(motion, pose, SETTINGS)
-        assert int(felt.kind) == TOUCH
+        assert int(felt.kind) == ContactKind.TOUCH
     press = presses(pose[0], SETTINGS)
     assert torch.equal(direct_ways(tip[:2] + 0.01 * normal, press, pose, even, SETTINGS), torch.tensor(directly))
 
@@ -155,16 +157,16 @@ def test_outcomes_are_what_the_cell_does():
             felt = cell.follow(motion.path)
             kinds.add(felt.kind)
             assert int(foreseen.kind[k]) == felt.kind
-            if felt.kind == TOUCH:
+            if felt.kind == ContactKind.TOUCH:
                 assert torch.allclose(foreseen.point[k], felt.point, atol=1e-6)
                 assert torch.allclose(foreseen.normal[k], felt.normal, atol=1e-6)
-    assert kinds == {NOTHING, TOUCH, TOP}
+    assert kinds == {ContactKind.NOTHING, ContactKind.TOUCH, ContactKind.TOP}
 
 
 def test_a_decision_keeps_its_deadline_on_the_clock():
     cell, found, _, _, belief = stage_two(1)
     for seconds in (0.5, 1.0):
-        settings = PegSettings(particles=200, evaluation_s=seconds, t_max_s=12.0)
+        settings = PegSettings(particles=200, evaluation_s=seconds, action_budget_s=12.0)
         clock = SimulatedClock()
         chooser = Chooser(settings, clock, torch.Generator().manual_seed(0), [])
         thought = chooser.choose(belief, cell.tip, found.felt[-1].normal)
@@ -193,7 +195,7 @@ def test_real_time_counts_the_making_of_candidates(monkeypatch):
         monkeypatch.setattr(refine, name, slow(getattr(refine, name), seconds))
     cell, found, _, _, belief = stage_two(1)
     clock = SimulatedClock(7.0)
-    settings = PegSettings(particles=200, evaluation_s=None, t_max_s=12.0)
+    settings = PegSettings(particles=200, evaluation_s=None, action_budget_s=12.0)
     chooser = Chooser(settings, clock, torch.Generator().manual_seed(0), [])
     for number in range(6):
         before, real = clock(), machine()

@@ -31,6 +31,8 @@ SETTINGS = RummagingSettings(
     rollouts=1,
 )
 
+pytestmark = pytest.mark.outcome
+
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
@@ -56,9 +58,9 @@ class Slow:
         self.clock.advance(len(controls) * self.sample_s())
         return self.model.rollout(configuration, controls, **rest)
 
-    def likely(self, configuration: Tensor, controls: Tensor) -> Any:
+    def nominal_rollout(self, configuration: Tensor, controls: Tensor) -> Any:
         self.clock.advance(self.finish_s)
-        return self.model.likely(configuration, controls)
+        return self.model.nominal_rollout(configuration, controls)
 
 
 def slow_policy(

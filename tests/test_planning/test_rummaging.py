@@ -29,6 +29,8 @@ SMALL = RummagingSettings(
     rollouts=2,
 )
 
+pytestmark = pytest.mark.outcome
+
 
 @pytest.fixture(scope="module")
 def mug() -> ObjectModel:

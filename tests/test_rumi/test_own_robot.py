@@ -10,7 +10,7 @@ import torch
 from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
-from rumi.metrics.alignment import misfit
+from rumi.metrics.alignment import align
 from rumi.rosbag.mapping import read_mapping
 from rumi.rosbag.scene import rummager_of_map, settings_of
 from rumi.runs.replay import replay
@@ -192,7 +192,7 @@ def test_misfit_of_a_box_is_undone(generator):
     on = points_on(box, 600, generator)
     seen = Observation.of(se3.apply(pose @ off, on), Semantics.SURFACE)
     inside = Observation.of(pose[None, :3, 3].clone(), Semantics.FREE)
-    found = misfit(concatenate([seen, inside]), pose, box)
+    found = align(concatenate([seen, inside]), pose, box)
     assert float(found.corrected.abs().max()) < 1e-6
     at = se3.make(torch.eye(3, dtype=torch.float64), pose[:3, 3])
     expected = se3.inverse(at) @ pose @ se3.inverse(off) @ se3.inverse(pose) @ at
@@ -204,7 +204,7 @@ def test_misfit_of_a_box_is_undone(generator):
 def test_what_points_do_not_tell_is_left_alone(generator):
     ball = Sphere(0.05)
     seen = points_on(ball, 200, generator) + torch.tensor([0.003, 0.0, 0.0], dtype=torch.float64)
-    found = misfit(Observation.of(seen, Semantics.SURFACE), torch.eye(4, dtype=torch.float64), ball)
+    found = align(Observation.of(seen, Semantics.SURFACE), torch.eye(4, dtype=torch.float64), ball)
     assert float(found.corrected.abs().max()) < 1e-6
     expected = torch.tensor([-0.003, 0.0, 0.0], dtype=torch.float64)
     torch.testing.assert_close(found.correction[:3, 3], expected, atol=1e-4, rtol=0)
@@ -213,6 +213,6 @@ def test_what_points_do_not_tell_is_left_alone(generator):
 
 def test_few_points_give_no_correction():
     seen = Observation.of(torch.zeros(3, 3), Semantics.SURFACE)
-    found = misfit(seen, torch.eye(4), Sphere(0.05))
+    found = align(seen, torch.eye(4), Sphere(0.05))
     assert found.correction is None
     assert "surface  3 points" in found.text() and "nearest" not in found.text()

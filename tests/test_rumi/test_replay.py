@@ -23,7 +23,7 @@ import h5py
 
 from sensors.log.writer import LogWriter
 
-pytestmark = pytest.mark.usefixtures("at_home")
+pytestmark = [pytest.mark.usefixtures("at_home"), pytest.mark.outcome]
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 SMALL = ("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12")

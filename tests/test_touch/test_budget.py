@@ -18,6 +18,8 @@ from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 
+pytestmark = pytest.mark.outcome
+
 TASK = TouchTask(rates=(0.9, 0.05))
 TABLE = clearance_table(0.03, 0.08, 0.08)
 
@@ -62,7 +64,8 @@ def test_as_many_are_weighed_as_there_is_time_for(budget_s, weighed):
     if weighed:
         # as they are weighed together
         assert torch.allclose(choice.value, all_of_them.value[:weighed], atol=1e-9)
-        assert choice.best == int(all_of_them.value[:weighed].argmax())
+        # of those that are worth the same either may come out best
+        assert float(all_of_them.value[choice.best]) >= float(all_of_them.value[:weighed].max()) - 1e-9
         assert torch.equal(choice.steps, all_of_them.steps[:weighed])
     else:
         assert choice.best == 0 and int(choice.steps[0]) == paths.shape[1] - 1
@@ -74,7 +77,8 @@ def test_other_methods_within_a_time(method):
     _, whole = toucher.decide(belief, generator=torch.Generator().manual_seed(1))
     assert took == pytest.approx(2.02) and len(choice.value) == 20
     if method != "uninformed":
-        assert choice.best == whole.best and torch.allclose(choice.value, whole.value, atol=1e-9)
+        assert torch.allclose(choice.value, whole.value, atol=1e-9)
+        assert float(whole.value[choice.best]) >= float(whole.value.max()) - 1e-9
 
 
 def test_a_run_within_a_time():
@@ -94,7 +98,7 @@ def test_the_command(monkeypatch, tmp_path, capsys):
     quick = ["run", "touch-box", "--robot", "planar", "--count", "60", "--actions", "1", "--no-figures"]
     quick += ["--poke.candidates", "3", "--poke.particles", "20"]
     assert main([*quick, "--plan-budget-s", "0.05", "--out", "own"]) in (exit_codes.DONE, exit_codes.NOT_CONVERGED)
-    assert json.loads(Path("own/settings.json").read_text())["budget_s"] == 0.05
+    assert json.loads(Path("own/settings.json").read_text())["plan_budget_s"] == 0.05
     for bad in ("0", "-1", "nan", "inf"):
         assert main([*quick, "--plan-budget-s", bad]) == exit_codes.BAD_INPUT
         assert "--plan-budget-s above 0 s" in capsys.readouterr().err

@@ -17,6 +17,8 @@ from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import choose
 from rumi.tasks.touch_box.settings import PokeSettings, TouchSettings
 
+pytestmark = pytest.mark.outcome
+
 TASK = TouchTask(rates=(0.9, 0.05))
 TABLE = clearance_table(0.03, 0.08, 0.08)
 SETTINGS = TouchSettings(count=200)

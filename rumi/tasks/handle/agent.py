@@ -2,8 +2,8 @@
 
 import math
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,11 +85,13 @@ class HandleAgent:
         settings: of the run.
         rummager: whose filter counts the evidence of contact, and which plans.
         table: chance that a grasp lifts the mug, by how far off the mug is; None to grasp nothing.
+        about: what a run's folder tells of the settings.
     """
 
     settings: FusedSettings
     rummager: Rummager
     table: HandleTable | None = None
+    about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def begin(self, result: StepResult, *, seed: int, clock: Clock) -> HandleState:
         """Believe what the first view shows, and the prior."""
@@ -182,7 +184,7 @@ class HandleAgent:
 
     def _left_s(self, state: HandleState) -> float:
         """Seconds for a plan, beside what has to come after it."""
-        return self.settings.budget_s - state.spent_s - _MOTION_S - state.updating_s - GRASP_S
+        return self.settings.run_budget_s - state.spent_s - _MOTION_S - state.updating_s - GRASP_S
 
     def _thought(self, began: float) -> float:
         """Seconds on the run's clock for what was thought since."""

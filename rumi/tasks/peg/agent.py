@@ -1,7 +1,9 @@
 """The peg task's agent: lanes until the first touch, then touches that tell most, until the holes are known."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -10,8 +12,8 @@ from torch import Tensor
 from rumi.agent import Parts, StopReason
 from rumi.belief.static_filter import ResampleMoveFilter, StaticBelief
 from rumi.clock import Clock, SimulatedClock
-from rumi.information.contact_gain import NOTHING, TOUCH
-from rumi.information.stopping import Aim
+from rumi.information.contact_gain import ContactKind
+from rumi.information.stopping import TargetEstimate
 from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.peg.cell import Felt, TimedPath
@@ -56,9 +58,11 @@ class PegAgent:
 
     Attributes:
         settings: of the task and the robot.
+        about: what a run's folder tells of the settings.
     """
 
     settings: PegSettings
+    about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     @cached_property
     def _filter(self) -> ResampleMoveFilter:
@@ -111,7 +115,7 @@ class PegAgent:
                 found = taken_in(found, felt, own, generator=draws)
                 belief = found.belief
                 now.advance(own.update_s)
-                if felt.kind != NOTHING:
+                if felt.kind != ContactKind.NOTHING:
                     every = RectangleTouches.none(own.block.half(), own.noise, own.radius_m)
                     for one in found.felt:
                         every = every.joined(evidence_of(one, own))
@@ -157,10 +161,10 @@ def build_peg(settings: PegSettings) -> Parts[PegTask, PegAgent]:
 
 def _away(felt: Felt) -> Float[Tensor, "2"] | None:
     """Normal of the side that the ball rests against."""
-    return felt.normal if felt.kind == TOUCH else None
+    return felt.normal if felt.kind == ContactKind.TOUCH else None
 
 
-def _better_hole(belief: StaticBelief, aim: Aim, settings: PegSettings) -> Float[Tensor, "2"]:
+def _better_hole(belief: StaticBelief, aim: TargetEstimate, settings: PegSettings) -> Float[Tensor, "2"]:
     """The hole that is more probably where it is thought to be."""
     holes = settings.block.holes(belief.states)
     near = (holes[:, None] - aim.points[:, None]).norm(dim=-1).amin(-1) < settings.tolerance_m

@@ -16,13 +16,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.clock import SimulatedClock
-from rumi.information.contact_gain import NOTHING, TOUCH, noisy
+from rumi.information.contact_gain import ContactKind, add_noise
 from rumi.robot.motion_time import SpeedLimits, travel_time
 from sdf.sweep import nearest_on_rectangle, sweep_rectangle, turned
 from sensors.touch.touch_likelihood import TouchNoise
-
-TOP = 2
-"""Kind of contact from above, beside those of `rumi.information.contact_gain`."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,7 @@ class Felt:
     """How a motion ended.
 
     Attributes:
-        kind: `NOTHING`, `TOUCH` of a side, or `TOP`.
+        kind: of the contact, a `TOUCH` being one of a side.
         tip: (3,), where the ball's centre is then.
         point: (2,), touched, as the sensor has it; of no meaning where nothing was.
         normal: (2,), outward there, as the sensor has it; of no meaning but for a touch of a side.
@@ -64,7 +61,7 @@ class Felt:
         begun_s, ended_s: on the clock.
     """
 
-    kind: int
+    kind: ContactKind
     tip: Float[Tensor, "3"]
     point: Float[Tensor, "2"]
     normal: Float[Tensor, "2"]
@@ -142,11 +139,11 @@ class TouchCell:
             path.append(self.tip)
             if level and float(start[2]) < self.block.height_m + self.radius:
                 free.append(torch.stack((start[:2], self.tip[:2])))
-            if kind != NOTHING:
-                point, normal = noisy(point, normal, self._noise, generator=self._generator)
+            if kind != ContactKind.NOTHING:
+                point, normal = add_noise(point, normal, self._noise, generator=self._generator)
                 return self._felt(kind, point, normal, free, path, begun)
         nowhere = self.tip.new_zeros(2)
-        return self._felt(NOTHING, nowhere, nowhere, free, path, begun)
+        return self._felt(ContactKind.NOTHING, nowhere, nowhere, free, path, begun)
 
     def insert(self, at: Float[Tensor, "2"], low: float, tolerance_m: float = 0.005) -> tuple[bool, float]:
         """Lower the ball over a place: whether it is over a hole within a tolerance, and how far it is off.
@@ -164,36 +161,41 @@ class TouchCell:
         self.clock.advance(float(travel_time(self.tip.new_tensor(drop), self._limits)))
         return off < tolerance_m, off
 
-    def _level(self, start: Tensor, end: Tensor) -> tuple[int, float, Tensor, Tensor]:
+    def _level(self, start: Tensor, end: Tensor) -> tuple[ContactKind, float, Tensor, Tensor]:
         found = sweep_rectangle(self.truth, self.block.half(), start[:2], end[:2], self.radius)
         low = float(start[2]) < self.block.height_m + self.radius
         # a ball that rests against a side leaves it without touching it again
         leaving = float((found.normal * (end - start)[:2]).sum()) > 0 and float(found.distance) < 1e-9
         if not bool(found.hit) or not low or leaving:
-            return NOTHING, float((end - start).norm()), found.point, found.normal
-        return TOUCH, float(found.distance), found.point, found.normal
+            return ContactKind.NOTHING, float((end - start).norm()), found.point, found.normal
+        return ContactKind.TOUCH, float(found.distance), found.point, found.normal
 
-    def _upright(self, start: Tensor, end: Tensor) -> tuple[int, float, Tensor, Tensor]:
+    def _upright(self, start: Tensor, end: Tensor) -> tuple[ContactKind, float, Tensor, Tensor]:
         back = turned(-self.truth[2])
         own = (back @ (start[:2] - self.truth[:2])[:, None])[:, 0]
         half = self.block.half()
         foot, out, gap = nearest_on_rectangle(own, half)
         drop, off = float(start[2] - end[2]), max(float(gap), 0.0)
         if drop <= 0 or off >= self.radius:
-            return NOTHING, abs(drop), start[:2], start.new_tensor([1.0, 0.0])
+            return ContactKind.NOTHING, abs(drop), start[:2], start.new_tensor([1.0, 0.0])
         # the centre's height at contact with the top, or with its edge where it comes down beside it
         height = self.block.height_m + math.sqrt(self.radius**2 - off**2)
         gone = float(start[2]) - height
         if gone >= drop or gone < 0:
-            return NOTHING, drop, start[:2], start.new_tensor([1.0, 0.0])
+            return ContactKind.NOTHING, drop, start[:2], start.new_tensor([1.0, 0.0])
         touched = own if off == 0.0 else foot
-        return TOP, gone, (back.mT @ touched[:, None])[:, 0] + self.truth[:2], (back.mT @ out[:, None])[:, 0]
+        return (
+            ContactKind.TOP,
+            gone,
+            (back.mT @ touched[:, None])[:, 0] + self.truth[:2],
+            (back.mT @ out[:, None])[:, 0],
+        )
 
     def _felt(
-        self, kind: int, point: Tensor, normal: Tensor, free: list[Tensor], path: list[Tensor], begun: float
+        self, kind: ContactKind, point: Tensor, normal: Tensor, free: list[Tensor], path: list[Tensor], begun: float
     ) -> Felt:
         ways = torch.stack(free) if free else self.tip.new_zeros(0, 2, 2)
-        self._resting = kind == TOUCH
+        self._resting = kind == ContactKind.TOUCH
         return Felt(kind, self.tip, point, normal, ways, self._leaving, torch.stack(path), begun, self.clock())
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from rumi.information.contact_gain import NOTHING, TOUCH
+from rumi.information.contact_gain import ContactKind
 from rumi.tasks.peg.records import PegRun
 from rumi.tasks.peg.selection import Thought
 from rumi.viz import style
@@ -66,13 +66,13 @@ def draw_contacts(run: PegRun, ax: "Axes", *, around_m: float | None = None) -> 
         ax.plot(*guess, marker="+", color=style.CONTACT, ms=7, zorder=5)
     count = 0
     for felt in (*run.searched, *run.felt):
-        if felt.kind == NOTHING:
+        if felt.kind == ContactKind.NOTHING:
             ax.plot(*felt.tip[:2].tolist(), marker="x", color=style.QUIET, ms=4, zorder=4)
             continue
-        count += felt.kind == TOUCH
+        count += felt.kind == ContactKind.TOUCH
         px, py = felt.point.tolist()
-        ax.plot(px, py, marker="o" if felt.kind == TOUCH else "s", color=style.CONTACT, ms=3.5, zorder=4)
-        if felt.kind == TOUCH:
+        ax.plot(px, py, marker="o" if felt.kind == ContactKind.TOUCH else "s", color=style.CONTACT, ms=3.5, zorder=4)
+        if felt.kind == ContactKind.TOUCH:
             nx, ny = (0.02 * felt.normal).tolist()
             ax.plot([px, px + nx], [py, py + ny], color=style.CONTACT, lw=1.0, zorder=4)
             ax.annotate(str(count), (px + 1.6 * nx, py + 1.6 * ny), ha="center", va="center", fontsize=7, zorder=6,
@@ -100,8 +100,8 @@ def draw_timeline(run: PegRun, ax: "Axes") -> "Axes":
         _bar(ax, 2, felt.begun_s, felt.ended_s, _MOVE)
         moved += felt.ended_s - felt.begun_s
     for felt in (*run.searched, *run.felt):
-        if felt.kind != NOTHING:
-            shape = "o" if felt.kind == TOUCH else "s"
+        if felt.kind != ContactKind.NOTHING:
+            shape = "o" if felt.kind == ContactKind.TOUCH else "s"
             row = 0 if felt.ended_s <= run.searched[-1].ended_s else 2
             ax.plot(felt.ended_s, row, marker=shape, color=style.CONTACT, ms=4, zorder=3)
     _bar(ax, 3, run.felt[-1].ended_s if run.felt else run.searched[-1].ended_s, run.total_s, style.NLL)

@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.information.contact_gain import TOUCH, Outcomes
-from rumi.tasks.peg.cell import TOP
+from rumi.information.contact_gain import ContactKind, Outcomes
 from rumi.tasks.peg.settings import PegSettings
 from sdf.sweep import Sweep, sweep_rectangle, turned
 from sensors.touch.rectangle_touch import way_clearances
@@ -123,7 +122,7 @@ def outcomes(motion: Motion, poses: Float[Tensor, "N 3"], settings: PegSettings)
     on_top = way_clearances(poses, half, points[-2].expand(1, 2, 2))[0] < radius
     plain = Outcomes.of(felt)
     place = points[-2].expand_as(plain.point)
-    kind = torch.where(on_top, TOP, plain.kind * TOUCH)
+    kind = torch.where(on_top, ContactKind.TOP, plain.kind * ContactKind.TOUCH)
     return Outcomes(kind, torch.where(on_top[:, None], place, plain.point), plain.normal)
 
 

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from rumi.agent import StopReason
 from rumi.belief.static_filter import StaticBelief
-from rumi.information.contact_gain import NOTHING, TOUCH
-from rumi.information.stopping import Aim
+from rumi.information.contact_gain import ContactKind
+from rumi.information.stopping import TargetEstimate
 from rumi.planning.anytime import Candidate, Evaluated, Selection
 from rumi.runs.folder import Run
 from rumi.tasks.peg.cell import Felt, TimedPath
@@ -41,7 +41,7 @@ class PegStep:
     thought: Thought | None
     felt: Felt
     belief: StaticBelief
-    aim: Aim | None
+    aim: TargetEstimate | None
     probability: float | None
     sure: bool
     truth: Float[Tensor, "3"]
@@ -72,7 +72,7 @@ class PegStep:
 
     def numbers(self) -> dict[str, Any]:
         """What was felt in this motion, when, and how sure the belief is."""
-        found = {"contact": self.felt.kind != NOTHING, "felt": ("nothing", "side", "top")[self.felt.kind]}
+        found = {"contact": self.felt.kind != ContactKind.NOTHING, "felt": ("nothing", "side", "top")[self.felt.kind]}
         times = {"begun_s": self.felt.begun_s, "ended_s": self.felt.ended_s}
         return {**found, **times, "probability": self.probability, "sure": self.sure}
 
@@ -126,7 +126,7 @@ class PegRun:
         return [record.felt for record in self.records[len(self.searched) + 1 :]]
 
     @property
-    def aim(self) -> Aim | None:
+    def aim(self) -> TargetEstimate | None:
         """Where the holes were thought to be at the end."""
         return self.records[-1].aim
 
@@ -161,7 +161,7 @@ class PegRun:
     @property
     def contact_times_s(self) -> list[float]:
         """When each side was touched."""
-        return [felt.ended_s for felt in (*self.searched, *self.felt) if felt.kind == TOUCH]
+        return [felt.ended_s for felt in (*self.searched, *self.felt) if felt.kind == ContactKind.TOUCH]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values of how it ended."""
@@ -181,8 +181,8 @@ class PegRun:
             "probability": None if self.aim is None else self.aim.probability,
             "touches": len(times),
             "actions": len(self.felt),
-            "misses": sum(felt.kind == NOTHING for felt in self.felt),
-            "tops": sum(felt.kind not in (NOTHING, TOUCH) for felt in self.felt),
+            "misses": sum(felt.kind == ContactKind.NOTHING for felt in self.felt),
+            "tops": sum(felt.kind not in (ContactKind.NOTHING, ContactKind.TOUCH) for felt in self.felt),
             "total_s": self.total_s,
             "search_s": self.searched[-1].ended_s if self.searched else 0.0,
             "thinking_s": thinking,
@@ -203,5 +203,5 @@ def _median(values: list[float]) -> float | None:
     return sorted(values)[len(values) // 2] if values else None
 
 
-PARTS = (PegStep, Thought, Selection, Candidate, Motion, Evaluated, Felt, StaticBelief, Aim)
+PARTS = (PegStep, Thought, Selection, Candidate, Motion, Evaluated, Felt, StaticBelief, TargetEstimate)
 """What records are made of, for `rumi.runs.values`."""

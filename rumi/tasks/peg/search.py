@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rumi.belief.state_space import PlaneSpace
 from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings, StaticBelief, TemperedEvidence
-from rumi.information.contact_gain import NOTHING
+from rumi.information.contact_gain import ContactKind
 from rumi.resampling import resample_systematic
 from rumi.tasks.peg.cell import Felt
 from rumi.tasks.peg.settings import PegSettings
@@ -78,7 +78,7 @@ def taken_in(found: Found, felt: Felt, settings: PegSettings, *, generator: torc
     new, circle = CircleTouches.none(settings.block.half(), settings.radius_m, settings.point_m), found.circle
     for way in free_ways(felt, settings):
         new, circle = new.with_way(*way), circle.with_way(*way)
-    if felt.kind != NOTHING:
+    if felt.kind != ContactKind.NOTHING:
         new, circle = (part.with_touch(felt.point, felt.normal) for part in (new, circle))
     belief, _ = table_prior(settings).update(found.belief, new, circle, generator=generator)
     return Found((*found.felt, felt), belief, circle)
@@ -95,7 +95,7 @@ def free_ways(felt: Felt, settings: PegSettings) -> list[tuple[Tensor, Tensor]]:
     for number, (start, end) in enumerate(felt.free):
         length = float((end - start).norm())
         begins = felt.leaving and number == 0
-        ends = felt.kind != NOTHING and number == len(felt.free) - 1
+        ends = felt.kind != ContactKind.NOTHING and number == len(felt.free) - 1
         left = length - margin * (begins + ends)
         if left > 0:
             along = (end - start) / length

@@ -13,10 +13,10 @@ from torch import Tensor
 from rumi.belief.state_space import PlaneSpace
 from rumi.belief.static_filter import ResampleMoveFilter, ResampleMoveSettings, StaticBelief
 from rumi.clock import Now, SimulatedClock
-from rumi.information.contact_gain import NOTHING, TOUCH, rectangle_likelihood, touch_gain
+from rumi.information.contact_gain import ContactKind, rectangle_likelihood, touch_gain
 from rumi.information.entropy import NeighbourEntropy
 from rumi.information.neighbours import StateMetric
-from rumi.information.stopping import Aim, CovarianceRule, EntropyRule, MassRule
+from rumi.information.stopping import CovarianceRule, EntropyRule, MassRule, TargetEstimate
 from rumi.planning.anytime import Candidate, Selection, in_descending_posterior, select
 from rumi.planning.duration_model import DurationModel
 from rumi.resampling import resample_systematic
@@ -70,9 +70,9 @@ def evidence_of(felt: Felt, settings: PegSettings) -> RectangleTouches:
     new = RectangleTouches.none(settings.block.half(), settings.noise, settings.radius_m)
     for way in free_ways(felt, settings):
         new = new.with_way(*way)
-    if felt.kind == TOUCH:
+    if felt.kind == ContactKind.TOUCH:
         new = new.with_touch(felt.point, felt.normal)
-    elif felt.kind != NOTHING:
+    elif felt.kind != ContactKind.NOTHING:
         new = new.with_top(felt.point)
     return new
 
@@ -135,7 +135,7 @@ class Chooser:
         selection = select(
             made,
             self._stated(self._gain(belief)),
-            max(own.t_max_s - before, 0.0),
+            max(own.action_budget_s - before, 0.0),
             evaluation=self._evaluation(),
             generation=_bound_of(self.making),
             doublings=own.doublings,
@@ -253,8 +253,13 @@ def sides_touched(pose: Float[Tensor, "3"], every: RectangleTouches) -> int:
 
 
 def confirmed(
-    belief: StaticBelief, every: RectangleTouches, aim: Aim, settings: PegSettings, *, generator: torch.Generator
-) -> tuple[StaticBelief, Aim]:
+    belief: StaticBelief,
+    every: RectangleTouches,
+    aim: TargetEstimate,
+    settings: PegSettings,
+    *,
+    generator: torch.Generator,
+) -> tuple[StaticBelief, TargetEstimate]:
     """Other particles of the same posterior, and how probable the aim is by them.
 
     The aim was chosen for the particles that it is judged by, after each of many readings: by these it would seem
@@ -274,7 +279,7 @@ def probability_of(points: Float[Tensor, "2 2"], belief: StaticBelief, settings:
     return float((apart <= settings.tolerance_m).to(holes) @ belief.log_weights.exp())
 
 
-def sure(belief: StaticBelief, every: RectangleTouches, aim: Aim, settings: PegSettings) -> bool:
+def sure(belief: StaticBelief, every: RectangleTouches, aim: TargetEstimate, settings: PegSettings) -> bool:
     """Whether the rule to stop holds."""
     if len(every.points_w) < settings.contacts:
         return False
@@ -292,7 +297,7 @@ def sure(belief: StaticBelief, every: RectangleTouches, aim: Aim, settings: PegS
     return aim.probability >= settings.probability
 
 
-def aim_of(belief: StaticBelief, settings: PegSettings) -> Aim:
+def aim_of(belief: StaticBelief, settings: PegSettings) -> TargetEstimate:
     """Where the holes most probably are, both within the tolerance."""
     rule = MassRule(settings.tolerance_m, settings.probability)
     return rule.aim(settings.block.holes(belief.states), belief.log_weights)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from rumi.clock import SimulatedClock
 from rumi.errors import UsageError
-from rumi.information.contact_gain import NOTHING
+from rumi.information.contact_gain import ContactKind
 from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.peg.cell import Felt, TimedPath, TouchCell
@@ -62,7 +62,9 @@ class PegTask:
         clock, noise = SimulatedClock(), split(seed, "sensor")
         self._cell = TouchCell(truth, own.block, own.radius_m, own.noise, own.limits, tip, clock, noise)
         nowhere = tip.new_zeros(2)
-        still = Felt(NOTHING, tip, nowhere, nowhere, tip.new_zeros(0, 2, 2), False, tip[None], clock(), clock())
+        still = Felt(
+            ContactKind.NOTHING, tip, nowhere, nowhere, tip.new_zeros(0, 2, 2), False, tip[None], clock(), clock()
+        )
         return StepResult(still, truth)
 
     def step(self, action: TimedPath) -> StepResult:

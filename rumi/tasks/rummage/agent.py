@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -71,6 +72,7 @@ class Rummager:
         budget_s: seconds that one plan may take, or None.
         nll_threshold, position_tolerance_m, rotation_tolerance_rad: what counts as right (metrics only).
         agreement_points: sample of the surface that the belief compares itself on.
+        about: what a run's folder tells of the settings.
     """
 
     model: ObjectModel
@@ -88,6 +90,7 @@ class Rummager:
     position_tolerance_m: float = 0.005
     rotation_tolerance_rad: float = 0.17453
     agreement_points: int = 200
+    about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def begin(self, result: StepResult | Reading, *, seed: int, clock: Clock) -> RummageState:
         """Believe what the first view shows (Alg 1, lines 1-3)."""

@@ -13,9 +13,9 @@ from torch import Tensor
 from rumi.agent import Parts
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
+from rumi.belief.motion import PushedMotion
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.pushed_motion import PushedMotion
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
@@ -91,7 +91,9 @@ def make_task(
     return SimTask(spec, settings, tool, model, cache_dir=cache_dir)
 
 
-def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool) -> Rummager:
+def build_rummager(
+    spec: TaskSpec, settings: Settings, model: ObjectModel, tool: Tool, workspace: Workspace | None = None
+) -> Rummager:
     """How an object is found: filter, policy and stopping rule, on the settings' device.
 
     Args:
@@ -99,9 +101,11 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         settings: of the run.
         model: the object.
         tool: the gripper.
+        workspace: lattice of the fields; by default the task's.
     """
     to = (settings.torch_device, settings.torch_dtype)
-    model, tool, workspace = model.to(*to), copy.deepcopy(tool).to(*to), workspace_of(spec).to(*to)
+    model, tool = model.to(*to), copy.deepcopy(tool).to(*to)
+    workspace = (workspace or workspace_of(spec)).to(*to)
     discrepancy = Discrepancy(
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
@@ -133,7 +137,7 @@ def build_rummager(spec: TaskSpec, settings: Settings, model: ObjectModel, tool:
         stop_rule=stop,
         height_m=standing,
         replan_every=settings.replan_every,
-        budget_s=settings.budget_s,
+        budget_s=settings.plan_budget_s,
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
@@ -213,6 +217,12 @@ def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
         UsageError: the method needs a package that is not installed.
     """
     return POLICIES[settings.method](settings, reach)
+
+
+def sketch_of(agent: object) -> SceneSketch | None:
+    """What figures need to know of the scene; None where the agent neither rummages nor has one that does."""
+    rummager = getattr(agent, "rummager", agent)
+    return scene_sketch(rummager) if isinstance(rummager, Rummager) else None
 
 
 def scene_sketch(rummager: Rummager) -> SceneSketch:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -17,7 +17,7 @@ from rumi.clock import Clock
 from rumi.dynamics.along_path import PathPush, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.information.entropy import SharedSupport
-from rumi.information.neighbours import StateMetric, merged
+from rumi.information.neighbours import StateMetric, unique_states
 from rumi.resampling import resample_systematic
 from rumi.seeding import split
 from rumi.task import StepResult
@@ -82,6 +82,7 @@ class Toucher:
         carrier: how a tool moves boxes; by the settings' push model if None.
 
     Attributes:
+        about: what a run's folder tells of the settings.
         chooser: chooses among pokes; `decide`, or another such as `rumi.tasks.touch_box.budget.BudgetedChoice`.
     """
 
@@ -96,6 +97,7 @@ class Toucher:
         self.task, self.settings, self.robot, self.table = task, settings, robot, table
         self.carrier = carrier or push_along_path
         self.chooser: Decide = self.decide
+        self.about: Mapping[str, Any] = {}
         rates = getattr(robot, "rates", task.rates)
         model = ContactModel(rates[0], rates[1], settings.decay, tolerance=_BINARY_M)
         centre = torch.zeros(2, dtype=torch.float64)
@@ -288,7 +290,7 @@ def likeliest(belief: TrajectoryBelief, prior: PlanarPrior, metric: StateMetric)
     Of those that weigh the same, as all do after a resampling but for copies, the one whose start and readings are
     likeliest.
     """
-    weights = merged(belief.pose[0], belief.log_weights[0], metric).log_weights
+    weights = unique_states(belief.pose[0], belief.log_weights[0], metric).log_weights
     # sums of the same weights differ by rounding
     heaviest = weights >= weights.max() - 1e-9
     posterior = belief.log_likelihood[0] + prior.log_density(belief.start[0])

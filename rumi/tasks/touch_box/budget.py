@@ -21,7 +21,8 @@ _REMEMBERED = 500
 class BudgetedChoice:
     """Chooses as `Toucher.decide` does, of the candidates that there is time for.
 
-    All draws but those of the candidates are alike for each of them, so that with time for all the choice is the same.
+    All draws but those of the candidates are alike for each of them, so that with time for all the choice is the same,
+    up to rounding: weighed together, a candidate's sums may be added up otherwise, in the last digits of its worth.
     Where there is no time to weigh any, the first is carried out to its end. How long one takes is learnt on the way;
     before the first decision one is weighed twice for nothing, the first time to load compiled code.
 

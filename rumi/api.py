@@ -1,0 +1,150 @@
+"""The functions of `import rumi` that take a whole run in hand: make its parts, carry it out, draw it, replay it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rumi import loop
+from rumi.agent import Agent, Parts
+from rumi.fields.workspace import Workspace
+from rumi.robot.gripper import GripperShape
+from rumi.robot.tool import Tool
+from rumi.runs.folder import RunRecorder, load_run
+from rumi.runs.progress import both
+from rumi.runs.recorded import RunLog
+from rumi.runs.replay import Replayed
+from rumi.runs.replay import replay as take_in
+from rumi.task import Task
+from rumi.tasks.registry import TASKS, entry_of
+from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.build import build_rummager, sketch_of
+from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.settings import Settings
+from rumi.tasks.rummage.settings import preset as preset_of
+from rumi.tasks.touch_box.agent import Toucher
+from sdf.object_model import ObjectModel
+
+
+def build(settings: Any, *, cache_dir: Path | None = None) -> Parts[Any, Any]:  # noqa: ANN401  (of any task)
+    """Task and agent of a run; a context manager that closes the task.
+
+    Args:
+        settings: of a run of any task, such as `preset` gives.
+        cache_dir: folder that keeps what takes seconds to work out; None keeps nothing.
+
+    Raises:
+        UsageError: there is no such task, or a setting does not suit it.
+    """
+    if isinstance(settings, Settings):
+        entry = TASKS[settings.task]
+    else:
+        entry = next(TASKS[name] for name in TASKS if isinstance(settings, TASKS[name].settings))
+    entry.check(settings)
+    parts = entry.build(settings, cache_dir=cache_dir)
+    about, agent = entry.as_dict(settings), parts.agent
+    if isinstance(agent, Toucher):
+        agent.about = about
+        return parts
+    return Parts(parts.task, replace(agent, about=about))
+
+
+def run(
+    task: Task,
+    agent: Agent[Any],
+    *,
+    seed: int,
+    steps: int | None = None,
+    folder: Path | str | None = None,
+    on_step: Callable[[Any], None] = lambda record: None,
+) -> Any:  # noqa: ANN401  (the agent's own result)
+    """Let an agent do a task (`rumi.loop.run`), and keep the run in a folder where one is named.
+
+    Args:
+        task: a simulator, hardware or a log.
+        agent: what it believes and does.
+        seed: of all randomness.
+        steps: actions at most; None for as many as the agent allows itself.
+        folder: of the run, for `load_run`, `plot` and `replay`; it must hold no run.
+        on_step: called with the record of every step, the first reading's included.
+
+    Returns:
+        the agent's `result`.
+
+    Raises:
+        UsageError: the folder cannot be written or holds a run.
+    """
+    if folder is None:
+        return loop.run(task, agent, seed=seed, steps=steps, on_step=on_step)
+    asked = {**getattr(agent, "about", {}), "seed": seed}
+    with RunRecorder(folder, asked, sketch_of(agent)) as recorder:
+        result = loop.run(task, agent, seed=seed, steps=steps, on_step=both(recorder, on_step))
+        recorder.finish(result)
+    return result
+
+
+def replay(folder: Path | str, agent: Agent[Any] | None = None, *, cache_dir: Path | None = None) -> Replayed:
+    """Take in a run's readings again: with the same settings on the same machine the same beliefs, bit for bit.
+
+    Args:
+        folder: of the run.
+        agent: whose belief follows the readings; by default the run's own.
+        cache_dir: folder that keeps what takes seconds to work out; None keeps nothing.
+
+    Raises:
+        UsageError: it is no run's folder, or of an agent that no task here has.
+    """
+    recorded = RunLog(folder)
+    if agent is None:
+        entry = TASKS[recorded.settings["task"]]
+        agent = entry.agent(entry.from_dict(recorded.settings), cache_dir=cache_dir)
+    return take_in(recorded.taken(), agent, seed=int(recorded.settings["seed"]))
+
+
+def plot(folder: Path | str, out: Path | str | None = None, steps: Sequence[int] | None = None) -> list[Path]:
+    """Draw the figures of a run; their files.
+
+    Args:
+        folder: of the run, also of one that goes on or was interrupted.
+        out: folder of the figures; by default `figures` in the run's.
+        steps: scenes to draw; by default the telling ones.
+
+    Raises:
+        UsageError: it is no run's folder, or matplotlib is missing.
+    """
+    read = load_run(folder)
+    return list(entry_of(read).draw(read, Path(out) if out is not None else read.folder / "figures", steps))
+
+
+def rummager(
+    model: ObjectModel,
+    workspace: Workspace,
+    *,
+    tool: GripperShape | None = None,
+    settings: Settings | None = None,
+) -> Rummager:
+    """The agent that finds an object by pushing it, for a robot of one's own that looks at the object first.
+
+    Args:
+        model: the object, such as `sdf.object_model` makes it.
+        workspace: lattice over which the tool moves: planar at the height of the tool, or of several layers for a tool
+            that moves in space.
+        tool: the gripper's shape.
+        settings: by default those of the preset `default`.
+    """
+    (left, bottom, low), (right, top, high) = workspace.bounds.tolist()
+    spatial = workspace.shape[2] > 1
+    spec = TaskSpec(
+        "own",
+        "an object before another robot",
+        lambda: model,
+        (0.0, 0.0, 0.0),
+        bounds=((left, bottom), (right, top)),
+        height_m=low,
+        heights_m=(low, high) if spatial else None,
+        search="SE(3)" if spatial else "SE(2)",
+    )
+    bounds = workspace.bounds if spatial else workspace.bounds[:, :2]
+    made = Tool(bounds, shape=tool or GripperShape(), height_m=low)
+    settings = settings or preset_of("default")
+    return build_rummager(spec, settings, model, made, workspace)
