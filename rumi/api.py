@@ -1,7 +1,7 @@
 """The functions of `import rumi` that take a whole run in hand: make its parts, carry it out, draw it, replay it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from rumi.tasks.rummage.build import build_rummager, sketch_of
 from rumi.tasks.rummage.scenes import TaskSpec
 from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.rummage.settings import preset as preset_of
+from rumi.tasks.touch_box.agent import Toucher
 from sdf.object_model import ObjectModel
 
 
@@ -42,10 +43,10 @@ def build(settings: Any, *, cache_dir: Path | None = None) -> Parts[Any, Any]:  
     entry.check(settings)
     parts = entry.build(settings, cache_dir=cache_dir)
     about, agent = entry.as_dict(settings), parts.agent
-    if is_dataclass(agent):
-        return Parts(parts.task, replace(agent, about=about))
-    agent.about = about
-    return parts
+    if isinstance(agent, Toucher):
+        agent.about = about
+        return parts
+    return Parts(parts.task, replace(agent, about=about))
 
 
 def run(

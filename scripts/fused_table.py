@@ -28,6 +28,7 @@ from rumi.cli import script
 from rumi.errors import DegenerateBeliefError
 from rumi.metrics.intervals import wilson
 from rumi.runs.folder import provenance
+from rumi.runs.json_settings import FORMER_KEYS
 from rumi.runs.jsonlines import append_line, read_lines
 from rumi.seeding import split
 from rumi.tasks.handle.agent import HandleAgent
@@ -292,7 +293,11 @@ def settings_of(name: str) -> FusedSettings:
 
 def stamp(name: str) -> str:
     """Of the settings."""
-    return hashlib.sha256(repr(settings_of(name)).encode()).hexdigest()[:8]
+    # results on record are kept under the names that settings had then
+    told = repr(settings_of(name))
+    for former, now in FORMER_KEYS["FusedSettings"].items():
+        told = told.replace(f"{now}=", f"{former}=")
+    return hashlib.sha256(told.encode()).hexdigest()[:8]
 
 
 def _rate(held: list[bool]) -> str:

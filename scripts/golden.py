@@ -211,7 +211,7 @@ RUNS: dict[str, Callable[[Trace], Record]] = {
     "touch-gripper-sequence": lambda trace: of_touching(trace, "gripper", "sequence", 4),
     "touch-gripper-entropy": lambda trace: of_touching(trace, "gripper", "entropy", 3),
     "peg": lambda trace: of_peg(trace, PegSettings()),
-    "peg-20s": lambda trace: of_peg(trace, PegSettings(t_max_s=20.0)),
+    "peg-20s": lambda trace: of_peg(trace, PegSettings(action_budget_s=20.0)),
     "peg-entropy": lambda trace: of_peg(trace, PegSettings(stop="entropy")),
     "fused": lambda trace: of_fused(trace, SENSORS, 4),
     "fused-wrench": lambda trace: of_fused(trace, ("wrench",), 4),

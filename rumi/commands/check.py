@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import torch
 import tyro
@@ -18,8 +18,8 @@ from rumi.exit_codes import DONE
 from sdf import se3
 
 if TYPE_CHECKING:
+    from rumi.runs.replay import Recorded
     from rumi.tasks.rummage.agent import Rummager
-    from sensors.log.reader import Taken
     from sensors.observation import Observation
 
 _SUFFIXES = (".png", ".pdf", ".svg", ".jpg", ".jpeg")
@@ -73,9 +73,10 @@ def check(arguments: Sequence[str]) -> int:
     if not 0 <= options.step < len(taken):
         raise UsageError(f"Expected --step 0 to {len(taken) - 1}, the readings of {options.log}, got {options.step}")
     if mapping is None:
-        rummager = entry.agent(settings, cache_dir=cache_folder())
+        agent = entry.agent(settings, cache_dir=cache_folder())
     else:
-        rummager = agent_of_imported(mapping, settings, taken, cache_folder())
+        agent = agent_of_imported(mapping, settings, taken, cache_folder())
+    rummager = cast("Rummager", agent)
     if options.pose:
         x, y, z, roll, pitch, yaw = options.pose
         pose, whose = Fixed("", "", (x, y, z), (roll, pitch, yaw)).pose(), "the pose that was given"
@@ -105,7 +106,7 @@ def _picture(path: Path) -> Path:
     return path
 
 
-def at_the_end(taken: "Taken") -> "Observation":
+def at_the_end(taken: "Recorded") -> "Observation":
     """The points of a reading, carried with the object to where it was at the reading's end, where that is known."""
     reading = taken.reading
     if reading.object_motion is None or len(reading.observation) == 0:
@@ -117,7 +118,7 @@ def at_the_end(taken: "Taken") -> "Observation":
     return replace(reading.observation, points=torch.where(attached, moved, reading.observation.points))
 
 
-def _likeliest(taken: "Sequence[Taken]", rummager: "Rummager", seed: int) -> Float[Tensor, "4 4"]:
+def _likeliest(taken: "Sequence[Recorded]", rummager: "Rummager", seed: int) -> Float[Tensor, "4 4"]:
     from rumi.runs.replay import replay
 
     # all of the readings, sure or not

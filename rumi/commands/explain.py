@@ -1,5 +1,6 @@
 """What a run left out, since its scene did not need it: a table to read."""
 
+from rumi.records import StepRecord
 from sdf.skipped_work import Account, Work
 
 WORKS = {

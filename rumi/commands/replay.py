@@ -98,11 +98,12 @@ def opened(path: Path, asked: Path | None) -> "Iterator[Log | RunLog]":
     """
     from rumi.runs.recorded import RunLog
 
-    if path.is_dir() and asked is None and not _logs_readings(path / LOG):
+    logged = (path / LOG).is_file()
+    if path.is_dir() and asked is not None and not logged:
+        raise UsageError(f"{path} has no {LOG}, which --map needs: its raw streams were not recorded; `--record` does")
+    if path.is_dir() and asked is None and not (logged and _is_all_there_is(path)):
         yield RunLog(path)
         return
-    if path.is_dir() and not (path / LOG).is_file():
-        raise UsageError(f"{path} has no {LOG}, which --map needs: its raw streams were not recorded; `--record` does")
     from sensors.log.errors import LogError
 
     try:
@@ -114,15 +115,15 @@ def opened(path: Path, asked: Path | None) -> "Iterator[Log | RunLog]":
         raise UsageError(str(error)) from error
 
 
-def _logs_readings(path: Path) -> bool:
-    """Whether a log of before lies there, which has the readings too."""
-    if not path.is_file():
-        return False
+def _is_all_there_is(folder: Path) -> bool:
+    """Whether a folder's log has more than its trace: of a robot that left none, or of before, with the readings."""
+    if not (folder / "trace.npz").is_file():
+        return True
     from sensors.log.errors import LogError
     from sensors.log.reader import Log
 
     try:
-        with Log(path) as log:
+        with Log(folder / LOG) as log:
             return log.settings is not None
     except LogError:
         return False
@@ -342,8 +343,10 @@ def _on_device(settings: Any, taken: "Sequence[Recorded]") -> Any:  # noqa: ANN4
     """What brings readings to the settings' device and dtype."""
     from rumi.task import TaskOnDevice
 
-    device, dtype = getattr(settings, "torch_device", None), getattr(settings, "torch_dtype", None)
-    if device is None or not taken or (device.type == "cpu" and taken[0].reading.tool_pose.dtype == dtype):
+    if not hasattr(settings, "torch_device") or not taken:
+        return lambda task: task
+    device, dtype = settings.torch_device, settings.torch_dtype
+    if device.type == "cpu" and taken[0].reading.tool_pose.dtype == dtype:
         return lambda task: task
     return lambda task: TaskOnDevice(task, device, dtype)
 

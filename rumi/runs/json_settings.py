@@ -14,7 +14,12 @@ from rumi.errors import UsageError
 
 _T = TypeVar("_T")
 
-FORMER_KEYS: dict[str, dict[str, str]] = {}
+FORMER_KEYS: dict[str, dict[str, str]] = {
+    "Settings": {"budget_s": "plan_budget_s"},
+    "TouchBoxSettings": {"budget_s": "plan_budget_s"},
+    "PegSettings": {"t_max_s": "action_budget_s"},
+    "FusedSettings": {"budget_s": "run_budget_s"},
+}
 """Keys that recorded settings have and that have another name now, by the name of their dataclass."""
 
 

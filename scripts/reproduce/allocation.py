@@ -169,12 +169,13 @@ def draw_runs(seed: int, folder: Path) -> list[Path]:
         axes = figure.subplots(1, 3, width_ratios=(1.5, 1.0, 1.0))
         peg.draw_contacts(runs[0], axes[0]).set_title("t_max 10 s, the table")
         for ax, run in zip(axes[1:], runs, strict=True):
-            peg.draw_contacts(run, ax, around_m=0.18).set_title(f"t_max {run.settings.t_max_s:g} s")
+            peg.draw_contacts(run, ax, around_m=0.18).set_title(f"t_max {run.settings.action_budget_s:g} s")
         written = [_saved(figure, folder / "allocation-contacts.png")]
     with style.figure(9.0, 4.2) as figure:
         grid = figure.subplots(2, 2)
         for row, run in zip(grid, runs, strict=True):
-            peg.draw_timeline(run, row[0]).set_title(f"t_max {run.settings.t_max_s:g} s: {run.total_s:.0f} s in all")
+            seconds = f"t_max {run.settings.action_budget_s:g} s: {run.total_s:.0f} s in all"
+            peg.draw_timeline(run, row[0]).set_title(seconds)
             if run.thoughts:
                 peg.draw_decision(run.thoughts[0], row[1]).set_title("the first decision")
         written.append(_saved(figure, folder / "allocation-timeline.png"))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rumi.errors import UsageError
+from rumi.runs.json_settings import FORMER_KEYS
 from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
 from scripts.reproduce.code import code_hash
 
@@ -62,6 +63,9 @@ class Job:
         if self.kind != "run":
             return ""
         values = {k: v for k, v in to_dict(self.settings).items() if k not in ("seed", "task")}
+        # results on record are kept under the names that settings had then
+        for former, now in FORMER_KEYS["Settings"].items():
+            values[former] = values.pop(now)
         mesh = self.settings.object.mesh
         if mesh is not None:
             values["object"]["mesh"] = hashlib.sha256(Path(mesh).read_bytes()).hexdigest()

@@ -119,7 +119,7 @@ def test_readings_come_back_whole(live, log_of_before):
 def test_other_settings_give_another_belief_on_the_same_readings(live, as_command):
     code, said = as_command(live.folder, "--wrist.outlier", "0.4", "--run-budget-s", "9", "--out", "what-if")
     assert code in (DONE, NOT_CONVERGED)
-    assert "budget_s: no effect" in said.err
+    assert "run_budget_s: no effect" in said.err
     assert "differs from the recorded one from action 3 on (wrist.outlier changed)" in said.out
     assert len(load_run("what-if").steps) == 4
     for changed in (["--joints.gain", "3"], ["--noise-free"], ["--wrist.behind-m", "0.2"]):
@@ -178,7 +178,7 @@ def test_a_folder_of_before_is_read(live, tmp_path):
 def test_settings_count_do_nothing_or_decided_what_was_sensed():
     counted = ("fit_a_contact", "preset", "signals.spacing_m", "wrist.point_m", "seed")
     sensed = ("noise_free", "wrist.behind_m", "joints.threshold_nm", "sensors")
-    roles = {"counted": counted, "idle": ("budget_s", "thinking_s"), "sensed": sensed}
+    roles = {"counted": counted, "idle": ("run_budget_s", "thinking_s"), "sensed": sensed}
     for role, names in roles.items():
         assert [HANDLE.role(name) for name in names] == [role] * len(names)
     assert replace(SETTINGS, preset="default") != SETTINGS

@@ -44,7 +44,7 @@ def parts_of(tool, **changes):
 @pytest.mark.sim
 def test_without_time_for_an_action_it_grasps_at_once(tool):
     steps = []
-    outcome = loop.run(*parts_of(tool, sensors=("camera",), budget_s=4.0), seed=1000, on_step=steps.append)
+    outcome = loop.run(*parts_of(tool, sensors=("camera",), run_budget_s=4.0), seed=1000, on_step=steps.append)
     assert outcome.stopped_by == "budget" and outcome.steps == 0 and len(steps) == 1
     assert outcome.grasp is not None and outcome.believed > 0.2
     assert outcome.total_nll == pytest.approx(21 * outcome.nll[0])
@@ -74,7 +74,7 @@ def test_sensors_are_told_in_words():
     [
         {"sensors": ()},
         {"steps": 0},
-        *({"budget_s": seconds} for seconds in (0.0, math.inf, math.nan)),
+        *({"run_budget_s": seconds} for seconds in (0.0, math.inf, math.nan)),
         *({"thinking_s": seconds} for seconds in (-1.0, math.inf, math.nan)),
     ],
 )
@@ -84,9 +84,9 @@ def test_settings_that_cannot_be_are_refused(wrong):
 
 
 def test_a_budget_that_the_first_look_and_the_grasp_exceed_is_told():
-    assert short_of(FusedSettings(budget_s=3.2)) is None
-    assert "less than the 3.1 s" in short_of(FusedSettings(budget_s=1.0))
-    assert "less than the 2.1 s" in short_of(FusedSettings(budget_s=1.0, thinking_s=None))
+    assert short_of(FusedSettings(run_budget_s=3.2)) is None
+    assert "less than the 3.1 s" in short_of(FusedSettings(run_budget_s=1.0))
+    assert "less than the 2.1 s" in short_of(FusedSettings(run_budget_s=1.0, thinking_s=None))
 
 
 _WRONG = ("--preset nope", "--run-budget-s inf", "--thinking-s -1", "--seed -1", "--sensors eye")

@@ -63,7 +63,7 @@ def test_the_same_seed_twice():
 
 
 def test_it_ends_where_nothing_can_be_done():
-    allowed = replace(QUICK, t_max_s=1.0, doublings=0)
+    allowed = replace(QUICK, action_budget_s=1.0, doublings=0)
     run = run_of(allowed, 0)
     assert run.stopped_by == "nothing to do" and len(run.felt) == 0 and run.as_dict()["touches"] == 1
     assert summary(run)[0].startswith("no time for any motion after 1 touch, ")
@@ -126,7 +126,7 @@ def test_the_command(tmp_path, capsys):
     assert main([*arguments, "--point-m", "0.001", "--normal-deg", "2", "--particles", "200"]) == 0
     assert "touches" in capsys.readouterr().out
     found = json.loads((folder / "result.json").read_text())
-    assert json.loads((folder / "settings.json").read_text())["peg"]["t_max_s"] == 10.0 and found["in_hole"]
+    assert json.loads((folder / "settings.json").read_text())["peg"]["action_budget_s"] == 10.0 and found["in_hole"]
     steps = [line for line, _ in read_lines(folder / "steps.jsonl")]
     assert {step["felt"] for step in steps} <= {"nothing", "side", "top"} and steps[-1]["sure"]
     pictures = [folder / "figures" / name for name in ("contacts.png", "timeline.png")]

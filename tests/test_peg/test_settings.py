@@ -31,9 +31,9 @@ QUICK += ["--most-actions", "3"]
         ("--particles 10.5", "--particles"),
         ("--doublings -1", "doublings to be 0 or more"),
         ("--sampled maybe", "maybe"),
-        ("--action-budget-s inf", "t_max_s to be a finite number"),
-        ("--action-budget-s nan", "t_max_s to be a finite number"),
-        ("--action-budget-s -1", "t_max_s above 0"),
+        ("--action-budget-s inf", "action_budget_s to be a finite number"),
+        ("--action-budget-s nan", "action_budget_s to be a finite number"),
+        ("--action-budget-s -1", "action_budget_s above 0"),
         ("--action-budget-s None", "--action-budget-s"),
         ("--point-m many", "--point-m"),
         ("--evaluation-s -1", "evaluation_s to be 0 or more"),
@@ -63,10 +63,10 @@ def test_settings_that_cannot_be(flag, words, tmp_path, capsys):
     [
         ({"particles": 10.5}, "particles to be of type int, got 10.5"),
         ({"sampled": 1}, "sampled to be of type bool, got 1"),
-        ({"t_max_s": True}, "t_max_s to be of type float, got True"),
+        ({"action_budget_s": True}, "action_budget_s to be of type float, got True"),
         ({"table_m": [0.8]}, "table_m to have 2 values"),
         ({"stop": "luck"}, "stop to be one of mass, contacts, covariance, entropy, got 'luck'"),
-        ({"colour": "blue"}, "There is no setting colour; there are t_max_s"),
+        ({"colour": "blue"}, "There is no setting colour; there are action_budget_s"),
     ],
 )
 def test_records_that_cannot_be(values, words):
@@ -83,7 +83,7 @@ def test_a_folder_that_has_a_run_is_left_alone(tmp_path, monkeypatch, capsys):
     found = sorted(path.name for path in (tmp_path / "runs").iterdir())
     assert found == ["peg-t10-mass-s3", "peg-t10-mass-s3-2", "peg-t12-mass-s3"]
     records = [json.loads((tmp_path / "runs" / name / "result.json").read_text()) for name in found]
-    assert [record["settings"]["t_max_s"] for record in records] == [10.0, 10.0, 12]
+    assert [record["settings"]["action_budget_s"] for record in records] == [10.0, 10.0, 12]
     assert main([*command, "--out", "runs/peg-t10-mass-s3"]) == exit_codes.BAD_INPUT
     assert "holds a run already" in capsys.readouterr().err
 

@@ -166,7 +166,7 @@ def test_outcomes_are_what_the_cell_does():
 def test_a_decision_keeps_its_deadline_on_the_clock():
     cell, found, _, _, belief = stage_two(1)
     for seconds in (0.5, 1.0):
-        settings = PegSettings(particles=200, evaluation_s=seconds, t_max_s=12.0)
+        settings = PegSettings(particles=200, evaluation_s=seconds, action_budget_s=12.0)
         clock = SimulatedClock()
         chooser = Chooser(settings, clock, torch.Generator().manual_seed(0), [])
         thought = chooser.choose(belief, cell.tip, found.felt[-1].normal)
@@ -195,7 +195,7 @@ def test_real_time_counts_the_making_of_candidates(monkeypatch):
         monkeypatch.setattr(refine, name, slow(getattr(refine, name), seconds))
     cell, found, _, _, belief = stage_two(1)
     clock = SimulatedClock(7.0)
-    settings = PegSettings(particles=200, evaluation_s=None, t_max_s=12.0)
+    settings = PegSettings(particles=200, evaluation_s=None, action_budget_s=12.0)
     chooser = Chooser(settings, clock, torch.Generator().manual_seed(0), [])
     for number in range(6):
         before, real = clock(), machine()

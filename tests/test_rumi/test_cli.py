@@ -63,7 +63,7 @@ def thaw():
 def test_a_run_by_a_budget(thaw):
     assert run_small("--plan-budget-s", "0.02", steps=3) == exit_codes.NOT_CONVERGED
     run = load_run("runs/mug-0-rumi-default-s0")
-    assert run.settings["budget_s"] == 0.02
+    assert run.settings["plan_budget_s"] == 0.02
     assert run.result.timings_s["warm_up"] > 0
     assert len(run.steps) == 4
     assert gc.get_freeze_count() > 0
@@ -248,17 +248,17 @@ def test_flags_reach_the_settings():
     assert settings.filter.free_scale == 5.0
     assert not settings.planner.mppi.include_nominal
     assert settings_of("mug-0") == preset()
-    assert settings_of("mug-0", "--plan-budget-s", "0.05") == preset(budget_s=0.05)
+    assert settings_of("mug-0", "--plan-budget-s", "0.05") == preset(plan_budget_s=0.05)
     peg = settings_of(
         "peg", "--preset=paper", "--action-budget-s", "20", "--evaluation-s", "None", "--table-m", "1", "2"
     )
-    assert (peg.settings.stop, peg.settings.t_max_s, peg.settings.evaluation_s) == ("contacts", 20.0, None)
+    assert (peg.settings.stop, peg.settings.action_budget_s, peg.settings.evaluation_s) == ("contacts", 20.0, None)
     assert peg.settings.table_m == (1.0, 2.0)
     handle = settings_of("handle", "--sensors", "wrench,camera", "--run-budget-s", "30", "--wrist.outlier", "0.2")
-    assert (handle.settings.sensors, handle.settings.budget_s) == (("camera", "wrench"), 30.0)
+    assert (handle.settings.sensors, handle.settings.run_budget_s) == (("camera", "wrench"), 30.0)
     assert (handle.settings.preset, handle.settings.wrist.outlier) == ("fast", 0.2)
     touch = settings_of("touch-box", "--plan-budget-s", "0.1", "--task.rates", "0.9", "0.05", "--filter.sweeps", "1")
-    assert (touch.budget_s, touch.task.rates, touch.settings.filter.sweeps) == (0.1, (0.9, 0.05), 1)
+    assert (touch.plan_budget_s, touch.task.rates, touch.settings.filter.sweeps) == (0.1, (0.9, 0.05), 1)
 
 
 @pytest.mark.parametrize(

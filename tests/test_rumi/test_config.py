@@ -73,8 +73,8 @@ def test_names_of_nested_settings():
         ({"seed": "one"}, "Expected seed to be of type int, got 'one'"),
         ({"seed": True}, "Expected seed to be of type int, got True"),
         ({"seed": -1}, "Expected seed to be 0 or more, got -1"),
-        ({"budget_s": -0.1}, "Expected budget to be 0 or more seconds, got -0.1"),
-        ({"budget_s": "soon"}, "Expected budget_s to be float | None, got 'soon'"),
+        ({"plan_budget_s": -0.1}, "Expected plan_budget_s to be 0 or more, got -0.1"),
+        ({"plan_budget_s": "soon"}, "Expected plan_budget_s to be float | None, got 'soon'"),
         ({"planner": {"rollouts": 0}}, "planner: Expected rollouts to be 1 or more, got 0"),
         ({"initialise": {"particles": 0}}, "initialise: Expected at least one particle, got 0"),
         ({"filter": {"rotation_noise_rad": -1.0}}, "filter: Expected rotation_noise_rad to be 0 or more, got -1.0"),
@@ -88,9 +88,9 @@ def test_what_is_wrong_is_named(values, message):
 
 
 def test_a_budget_survives_json():
-    settings = preset(budget_s=0.05)
+    settings = preset(plan_budget_s=0.05)
     assert from_dict(json.loads(json.dumps(to_dict(settings)))) == settings
-    assert to_dict(preset())["budget_s"] is None
+    assert to_dict(preset())["plan_budget_s"] is None
 
 
 def test_wrong_settings_are_refused_however_they_are_made(no_shape_check):

@@ -1,10 +1,13 @@
 """The loop with a task that is told beforehand: what its records say of each step."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import get_args
 
+import pytest
 import torch
 
 from rumi import loop
+from rumi.agent import StopReason, stop_reason
 from rumi.belief.initialise import InitialiseSettings
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
@@ -65,3 +68,99 @@ def test_a_step_after_which_poses_were_drawn_anew_keeps_all_its_seconds() -> Non
     assert [sorted(step.timings_s) for step in steps[1:]] == [["agree", "belief", "score", "simulate"]] * 2
     total = sum(sum(step.timings_s.values()) for step in steps)
     assert sum(result.timings_s.values()) == total
+
+
+@dataclass(frozen=True)
+class Counted:
+    """Record and state in one: how many actions there were."""
+
+    step: int = 0
+
+    @property
+    def record(self):
+        return self
+
+
+@dataclass(frozen=True)
+class Counter:
+    """Counts up to a number, and does nothing from another on."""
+
+    enough: int = 9
+    idle: int = 9
+
+    def begin(self, result, *, seed, clock):
+        return Counted()
+
+    def stop(self, state):
+        return "sure" if state.step >= self.enough else None
+
+    def act(self, state):
+        return state, None if state.step >= self.idle else "on"
+
+    def update(self, state, action, result):
+        return Counted(state.step + 1)
+
+    def last(self, state):
+        return None if state.step == 0 else "grasp"
+
+    def result(self, state, stopped_by, outcome):
+        return state.step, stopped_by, outcome
+
+
+class Told:
+    """A task that writes down what it is asked."""
+
+    def __init__(self, interrupt=None):
+        self.asked, self.interrupt = [], interrupt
+
+    def _ask(self, what):
+        self.asked.append(what)
+        if what == self.interrupt:
+            raise KeyboardInterrupt
+        return what
+
+    def reset(self, seed):
+        return self._ask(f"reset {seed}")
+
+    def step(self, action):
+        return self._ask(action)
+
+    def finish(self, action):
+        return self._ask(action)
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("agent", "steps", "result"),
+    [
+        (Counter(enough=2), None, (2, "sure", "grasp")),
+        (Counter(enough=2), 2, (2, "sure", "grasp")),
+        (Counter(), 1, (1, "steps", "grasp")),
+        (Counter(), 0, (0, "steps", None)),
+        (Counter(idle=2), 5, (2, "nothing to do", "grasp")),
+        (Counter(idle=0), None, (0, "nothing to do", None)),
+        (Counter(enough=0), 5, (0, "sure", None)),
+    ],
+)
+def test_it_reads_and_acts_until_there_is_a_reason_to_stop_and_then_does_the_last_thing(agent, steps, result):
+    task, seen = Told(), []
+    assert loop.run(task, agent, seed=7, steps=steps, on_step=seen.append) == result
+    done = result[0]
+    assert task.asked == ["reset 7", *["on"] * done, *(["grasp"] if done else [])]
+    assert [record.step for record in seen] == list(range(done + 1))
+
+
+def test_ctrl_c_ends_it_with_what_it_has():
+    assert loop.run(Told("on"), Counter(), seed=0) == (0, "interrupted", None)
+    assert loop.run(Told("grasp"), Counter(enough=1), seed=0) == (1, "interrupted", None)
+    with pytest.raises(KeyboardInterrupt):
+        loop.run(Told("reset 0"), Counter(), seed=0)
+
+
+def test_records_of_before_tell_their_end_in_todays_words():
+    former = {"converged": "sure", "actions": "steps", "time": "nothing to do", "stay": "nothing to do"}
+    assert {word: stop_reason(word) for word in former} == former
+    assert [stop_reason(word) for word in get_args(StopReason)] == list(get_args(StopReason))
+    assert stop_reason("degenerate") == "degenerate"

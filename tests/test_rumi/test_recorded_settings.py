@@ -1,4 +1,4 @@
-"""Settings on record load, also those whose keys had another name: of results in the checkout and of run folders."""
+"""Settings on record load, also those whose keys had another name."""
 
 import json
 from dataclasses import fields

@@ -98,7 +98,7 @@ def test_the_command(monkeypatch, tmp_path, capsys):
     quick = ["run", "touch-box", "--robot", "planar", "--count", "60", "--actions", "1", "--no-figures"]
     quick += ["--poke.candidates", "3", "--poke.particles", "20"]
     assert main([*quick, "--plan-budget-s", "0.05", "--out", "own"]) in (exit_codes.DONE, exit_codes.NOT_CONVERGED)
-    assert json.loads(Path("own/settings.json").read_text())["budget_s"] == 0.05
+    assert json.loads(Path("own/settings.json").read_text())["plan_budget_s"] == 0.05
     for bad in ("0", "-1", "nan", "inf"):
         assert main([*quick, "--plan-budget-s", bad]) == exit_codes.BAD_INPUT
         assert "--plan-budget-s above 0 s" in capsys.readouterr().err

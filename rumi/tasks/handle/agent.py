@@ -184,7 +184,7 @@ class HandleAgent:
 
     def _left_s(self, state: HandleState) -> float:
         """Seconds for a plan, beside what has to come after it."""
-        return self.settings.budget_s - state.spent_s - _MOTION_S - state.updating_s - GRASP_S
+        return self.settings.run_budget_s - state.spent_s - _MOTION_S - state.updating_s - GRASP_S
 
     def _thought(self, began: float) -> float:
         """Seconds on the run's clock for what was thought since."""

@@ -26,7 +26,7 @@ COUNTED = (
 )
 """Settings of what readings count for, which a replay may change; all others decided what was sensed."""
 
-IDLE = ("budget_s", "thinking_s")
+IDLE = ("run_budget_s", "thinking_s")
 """Settings of what was done when, which a replay does not use."""
 
 
@@ -112,7 +112,7 @@ class _Handle:
 
     def summary(self, settings: HandleRunSettings, result: HandleResult) -> Sequence[str]:
         """A few lines on how a run ended."""
-        lines, budget_s = ending(result), settings.settings.budget_s
+        lines, budget_s = ending(result), settings.settings.run_budget_s
         if result.grasp is not None and result.believed is not None:
             done = "lifted by its handle" if result.lifted else "not lifted"
             lines.append(f"grasp    {done}; believed {result.believed:.2f}")
@@ -137,9 +137,9 @@ def short_of(settings: FusedSettings) -> str | None:
     from rumi.tasks.handle.gripper import GRASP_S
 
     least_s = (settings.thinking_s or 0.0) + GRASP_S
-    if settings.budget_s >= least_s:
+    if settings.run_budget_s >= least_s:
         return None
     return (
-        f"a budget of {settings.budget_s:g} s is less than the {least_s:.1f} s that the first look's belief and the "
+        f"{settings.run_budget_s:g} s are less than the {least_s:.1f} s that the first look's belief and the "
         "grasp take: it looks, grasps at once, and is late"
     )

@@ -74,7 +74,7 @@ class FusedSettings:
     Attributes:
         sensors: whose evidence the belief takes in: all, or some of camera, bubbles, wrench and torques, with commas
             between.
-        budget_s: of time, on a clock that runs while the robot thinks, moves and grasps.
+        run_budget_s: of time, on a clock that runs while the robot thinks, moves and grasps.
         thinking_s: that a plan and a belief's update are taken to last on that clock; None for what they last here,
             and the planner then makes do with what is left.
         preset: of planner and belief.
@@ -94,7 +94,7 @@ class FusedSettings:
     """
 
     sensors: Annotated[tuple[SensorName, ...], _AS_WORDS] = SENSORS
-    budget_s: Annotated[float, tyro.conf.arg(name="run-budget-s", metavar="SECONDS")] = 60.0
+    run_budget_s: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 60.0
     thinking_s: float | None = 1.0
     preset: Annotated[str, tyro.conf.Suppress] = "fast"
     renewals: int = 3
@@ -113,11 +113,11 @@ class FusedSettings:
         """Refuse what cannot be."""
         if not self.sensors or any(name not in SENSORS for name in self.sensors):
             raise UsageError(f"Expected one or more sensors of {', '.join(SENSORS)}, got {', '.join(self.sensors)}")
-        for name in ("budget_s", "spread_m"):
+        for name in ("run_budget_s", "spread_m"):
             if not getattr(self, name) > 0:
                 raise UsageError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if not math.isfinite(self.budget_s):
-            raise UsageError(f"Expected budget_s to be finite, got {self.budget_s}: give as many seconds as there are")
+        if not math.isfinite(self.run_budget_s):
+            raise UsageError(f"Expected run_budget_s to be finite, got {self.run_budget_s}")
         if self.thinking_s is not None and not (self.thinking_s >= 0 and math.isfinite(self.thinking_s)):
             raise UsageError(f"Expected thinking_s to be 0 or more and finite, got {self.thinking_s}")
         if self.steps < 1:

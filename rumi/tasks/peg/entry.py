@@ -46,7 +46,7 @@ class _Peg:
 
     def label(self, settings: PegRunSettings) -> str:
         """Seconds of an action, stop and seed."""
-        return f"peg-t{settings.settings.t_max_s:g}-{settings.settings.stop}-s{settings.seed}"
+        return f"peg-t{settings.settings.action_budget_s:g}-{settings.settings.stop}-s{settings.seed}"
 
     def check(self, settings: PegRunSettings) -> Sequence[str]:
         """Refuse a seed that is none."""
@@ -69,8 +69,8 @@ class _Peg:
         counted = ("seed", "particles", "search_particles", "stop", "probability", "contacts", "sides", "most_nats")
         if name in (*counted, "spread_m", "spread_deg"):
             return "counted"
-        thought = ("t_max_s", "evaluation_s", "readings", "sampled", "configurations", "doublings", "most_actions")
-        return "idle" if name in thought else "sensed"
+        thought = ("action_budget_s", "evaluation_s", "readings", "sampled", "configurations", "doublings")
+        return "idle" if name in (*thought, "most_actions") else "sensed"
 
     def as_dict(self, settings: PegRunSettings) -> dict[str, Any]:
         """Settings as settings.json has them."""

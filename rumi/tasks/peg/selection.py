@@ -135,7 +135,7 @@ class Chooser:
         selection = select(
             made,
             self._stated(self._gain(belief)),
-            max(own.t_max_s - before, 0.0),
+            max(own.action_budget_s - before, 0.0),
             evaluation=self._evaluation(),
             generation=_bound_of(self.making),
             doublings=own.doublings,

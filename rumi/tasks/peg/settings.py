@@ -14,7 +14,8 @@ from sensors.touch.touch_likelihood import TouchNoise
 Stop = Literal["mass", "contacts", "covariance", "entropy"]
 
 _ABOVE_0 = (
-    *("t_max_s", "tolerance_m", "most_actions", "point_m", "normal_deg", "readings", "configurations", "speed_m_s"),
+    *("action_budget_s", "tolerance_m", "most_actions", "point_m", "normal_deg", "readings", "configurations"),
+    "speed_m_s",
     *("acceleration_m_s2", "low_m", "lane_m", "radius_m", "length_m", "width_m", "height_m", "spread_m", "spread_deg"),
 )
 _NOT_NEGATIVE = (
@@ -31,7 +32,7 @@ class PegSettings:
     """What the task and the robot are like, and how much it thinks.
 
     Attributes:
-        t_max_s: seconds for a decision and its motion together.
+        action_budget_s: seconds for a decision and its motion together.
         evaluation_s: seconds that weighing one candidate is taken to last, 1 on a slow machine. They are added to a
             simulated clock, so that a run is the same on any machine. None for what it takes on this one, measured.
         update_s: seconds that the belief takes to follow a reading.
@@ -65,7 +66,7 @@ class PegSettings:
         most_nats: differential entropy of (x, y, yaw), in metres and radians, that "entropy" stops at.
     """
 
-    t_max_s: Annotated[float, tyro.conf.arg(name="action-budget-s", metavar="SECONDS")] = 10.0
+    action_budget_s: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 10.0
     evaluation_s: float | None = 1.0
     update_s: float = 0.05
     stop: Stop = "mass"

@@ -137,7 +137,7 @@ def build_rummager(
         stop_rule=stop,
         height_m=standing,
         replan_every=settings.replan_every,
-        budget_s=settings.budget_s,
+        budget_s=settings.plan_budget_s,
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,

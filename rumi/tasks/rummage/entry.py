@@ -19,6 +19,7 @@ from rumi.task import Task
 from rumi.tasks.registry import Role, check_seed
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import record
+from rumi.tasks.rummage.raw_streams import RawStreams
 from rumi.tasks.rummage.scenes import SCENES, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 from sensors.reading import Reading
@@ -73,7 +74,7 @@ class RummageTask:
         from rumi.tasks.rummage.build import build
 
         parts = build(settings, cache_dir=cache_dir)
-        if settings.budget_s is not None:
+        if settings.plan_budget_s is not None:
             # to look through all that was loaded for garbage takes up to tenths of a second, in the midst of a plan
             gc.freeze()
         return parts
@@ -105,7 +106,8 @@ class RummageTask:
         first = name.partition(".")[0]
         if first in ("task", "simulator"):
             return "sensed"
-        return "idle" if first in ("method", "preset", "replan_every", "planner", "slide", "gpvr") else "counted"
+        idle = ("method", "preset", "replan_every", "plan_budget_s", "planner", "slide", "gpvr")
+        return "idle" if first in idle else "counted"
 
     def as_dict(self, settings: Settings) -> dict[str, Any]:
         """Settings as settings.json has them."""
@@ -142,21 +144,22 @@ class _Recorder(contextlib.ExitStack):
         about = record(parts.agent.model)
         self._run = self.enter_context(RunRecorder(folder, to_dict(settings), scene_sketch(parts.agent)))
         write_json(folder / "object.json", about)
-        self._map, self._log = folder / "map.toml", None
-        self._raw, self._object = getattr(parts.task, "raw", None), settings.object
-        if log and self._raw is None:
-            say("no camera, no bubbles: there are no raw streams to record; trace.npz holds the readings")
-        elif log:
+        self._map, self._object = folder / "map.toml", settings.object
+        self._raw: RawStreams | None = getattr(parts.task, "raw", None)
+        self._log: LogRecorder | None = None
+        if log and self._raw is not None:
             texts = {"object": about, "made_with": provenance()}
             self._log = self.enter_context(LogRecorder(folder / LOG, texts, self._raw.kinds()))
             self._raw.sink = self._log.raw
+        elif log:
+            say("no camera, no bubbles: there are no raw streams to record; trace.npz holds the readings")
 
     def __call__(self, step: StepRecord) -> None:
         self._run(step)
 
     def finish(self, result: RunResult) -> None:
         self._run.finish(result)
-        if self._log is not None:
+        if self._log is not None and self._raw is not None:
             self._log.finish(result)
             self._map.write_text(self._raw.mapping(self._object), encoding="utf-8")
 

@@ -40,8 +40,8 @@ class Settings:
         device: "cpu" or "cuda".
         dtype: of the belief and the planner.
         replan_every: actions carried out of one plan; a contact always asks for a new one.
-        budget_s: seconds that each plan may take, for which it makes do with less; runs are not the same then from one
-            time to the next. None for as long as it needs.
+        plan_budget_s: seconds that each plan may take, for which it makes do with less; runs are not the same then from
+            one time to the next. None for as long as it needs.
         filter: how the belief follows the readings.
         initialise: how the first belief is found.
         renewal: when and how particles are drawn anew, where no camera sees the object.
@@ -61,7 +61,7 @@ class Settings:
     device: Literal["cpu", "cuda"] = "cpu"
     dtype: Literal["float32", "float64"] = "float32"
     replan_every: int = 1
-    budget_s: Annotated[float | None, tyro.conf.arg(name="plan-budget-s", metavar="SECONDS")] = None
+    plan_budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
     filter: FilterSettings = field(default_factory=FilterSettings)
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
     renewal: ReinitialiseSettings = field(default_factory=ReinitialiseSettings)
@@ -82,8 +82,8 @@ class Settings:
             raise UsageError(f"Expected steps to be 0 or more, got {self.steps}")
         if self.replan_every < 1:
             raise UsageError(f"Expected replan_every to be 1 or more, got {self.replan_every}")
-        if self.budget_s is not None and self.budget_s < 0:
-            raise UsageError(f"Expected budget to be 0 or more seconds, got {self.budget_s}")
+        if self.plan_budget_s is not None and self.plan_budget_s < 0:
+            raise UsageError(f"Expected plan_budget_s to be 0 or more, got {self.plan_budget_s}")
         for name in not_numbers(self):
             raise UsageError(f"Expected {name} to be a number, got nan")
 

@@ -31,15 +31,15 @@ class TouchBoxSettings:
         task: the scene and its readings.
         robot: that pokes and grasps.
         seed: of where the box stands and of all randomness.
-        budget_s: seconds for the choice of each poke: of the candidates as many are weighed as there is time for. None
-            for as long as it needs.
+        plan_budget_s: seconds for the choice of each poke: of the candidates as many are weighed as there is time for;
+            None for as long as it needs.
     """
 
     settings: Annotated[TouchSettings, tyro.conf.arg(name="")] = field(default_factory=TouchSettings)
     task: TouchTask = field(default_factory=TouchTask)
     robot: Robot = "gripper"
     seed: int = 0
-    budget_s: Annotated[float | None, tyro.conf.arg(name="plan-budget-s", metavar="SECONDS")] = None
+    plan_budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
 
 
 class _TouchBox:
@@ -61,8 +61,8 @@ class _TouchBox:
         """Refuse rates of readings for a robot that has its own."""
         check_seed(settings.seed)
         check_robot(settings.task, settings.robot)
-        if settings.budget_s is not None and not 0 < settings.budget_s < math.inf:
-            raise UsageError(f"Expected --plan-budget-s above 0 s and finite, got {settings.budget_s}")
+        if settings.plan_budget_s is not None and not 0 < settings.plan_budget_s < math.inf:
+            raise UsageError(f"Expected --plan-budget-s above 0 s and finite, got {settings.plan_budget_s}")
         return ("grasps are simulated once and kept (a minute at first)",)
 
     def steps(self, settings: TouchBoxSettings) -> int:
@@ -75,8 +75,8 @@ class _TouchBox:
         from rumi.tasks.touch_box.build import build_touch_box
 
         parts = build_touch_box(settings.task, settings.settings, settings.robot, cache_dir=cache_dir)
-        if settings.budget_s is not None:
-            parts.agent.chooser = BudgetedChoice(parts.agent, settings.budget_s)
+        if settings.plan_budget_s is not None:
+            parts.agent.chooser = BudgetedChoice(parts.agent, settings.plan_budget_s)
         return parts
 
     def recorder(self, folder: Path, settings: TouchBoxSettings, parts: Parts[Any, Any], *, log: bool) -> RunRecorder:
@@ -96,15 +96,13 @@ class _TouchBox:
 
     def as_dict(self, settings: TouchBoxSettings) -> dict[str, Any]:
         """Settings as settings.json has them."""
-        values = {"task": "touch-box", **asdict(settings), "scene": asdict(settings.task)} | {"task": "touch-box"}
-        if settings.budget_s is None:
-            del values["budget_s"]
-        return values
+        return {**asdict(settings), "task": "touch-box", "scene": asdict(settings.task)}
 
     def from_dict(self, values: Mapping[str, Any]) -> TouchBoxSettings:
-        """The settings of a settings.json."""
-        own = {name: values[name] for name in ("settings", "robot", "seed", "budget_s") if name in values}
-        return dataclass_of(TouchBoxSettings, {**own, "task": values.get("scene", {})})
+        """The settings of a settings.json, also of one of before, where `task` is the scene."""
+        scene = values["scene"] if "scene" in values else values["task"]
+        own = {name: value for name, value in values.items() if name not in ("schema", "made_with", "scene")}
+        return dataclass_of(TouchBoxSettings, own | {"task": scene})
 
     def agent(self, settings: TouchBoxSettings, *, cache_dir: Path | None = None) -> Toucher:
         """What finds the box."""
