@@ -86,19 +86,9 @@ def log_of_before(live, tmp_path_factory):
     return path
 
 
-def test_a_replay_gives_the_beliefs_of_the_live_run_bit_for_bit(live, tool):
-    opened = RunLog(live.folder)
-    assert HANDLE.from_dict(opened.settings) == HandleRunSettings(SETTINGS, live.seed) and opened.problems == []
-    done = replay(opened.taken(), build_agent(SETTINGS, tool=tool), seed=live.seed)
-    assert done.same == [True] * 4
-    for ours, theirs in zip(done.steps, live.steps, strict=True):
-        assert digest(ours.belief) == digest(theirs.belief)
-        assert (ours.nll, ours.contacts, ours.converged) == (theirs.nll, theirs.contacts, theirs.converged)
-    ours, theirs = done.result.as_dict(), live.outcome.as_dict()
-    # a recording knows no clock, and nothing is grasped
-    for name in ("timings_s", "lifted", "believed", "grasp", "total_s"):
-        ours.pop(name), theirs.pop(name)
-    assert ours == theirs
+def test_the_clock_counts_thinking_motion_and_grasp(live):
+    """On which a decision lasts a second, a motion 1.1 and the grasp 2.1."""
+    assert live.outcome.total_s == pytest.approx(1.0 + 3 * 2.1 + 2.1)
 
 
 def test_readings_come_back_whole(live, log_of_before):

@@ -51,17 +51,6 @@ def test_without_time_for_an_action_it_grasps_at_once(tool):
     assert outcome.total_s == pytest.approx(1.0 + 2.1)
 
 
-@pytest.mark.sim
-def test_the_same_seed_gives_the_same_run(tool):
-    """Two actions with all sensors, on a clock on which thinking lasts a second."""
-    found = []
-    for _ in range(2):
-        outcome = loop.run(*parts_of(tool, steps=2), seed=1001).as_dict()
-        found.append({name: value for name, value in outcome.items() if name != "timings_s"})
-    assert found[0] == found[1]
-    assert found[0]["total_s"] == pytest.approx(1.0 + 2 * 2.1 + 2.1) and found[0]["stopped_by"] == "steps"
-
-
 def test_sensors_are_told_in_words():
     assert sensors_of("all") == SENSORS and sensors_of("wrench,camera") == ("camera", "wrench")
     for wrong in ("eyes", "camera,", ""):

@@ -56,12 +56,6 @@ def test_a_nearly_exact_sensor_does_not_take_one_side_for_another(point_m, norma
     assert run.stopped_by == "sure" and run.hole_error_m < 0.001
 
 
-def test_the_same_seed_twice():
-    first, second = (run_of(QUICK, 7) for _ in range(2))
-    assert first.as_dict() == second.as_dict()
-    assert run_of(QUICK, 8).truth.tolist() != first.truth.tolist()
-
-
 def test_it_ends_where_nothing_can_be_done():
     allowed = replace(QUICK, action_budget_s=1.0, doublings=0)
     run = run_of(allowed, 0)

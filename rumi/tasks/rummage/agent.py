@@ -72,6 +72,7 @@ class Rummager:
         budget_s: seconds that one plan may take, or None.
         nll_threshold, position_tolerance_m, rotation_tolerance_rad: what counts as right (metrics only).
         agreement_points: sample of the surface that the belief compares itself on.
+        steps: actions at most; None for as many as the loop allows.
         about: what a run's folder tells of the settings.
     """
 
@@ -90,6 +91,7 @@ class Rummager:
     position_tolerance_m: float = 0.005
     rotation_tolerance_rad: float = 0.17453
     agreement_points: int = 200
+    steps: int | None = None
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def begin(self, result: StepResult | Reading, *, seed: int, clock: Clock) -> RummageState:
@@ -102,8 +104,10 @@ class Rummager:
         return RummageState(record, (record,), memory, random, clock)
 
     def stop(self, state: RummageState) -> StopReason | None:
-        """Stop where the belief is sure."""
-        return "sure" if state.record.converged else None
+        """Stop where the belief is sure, or after as many actions as there may be."""
+        if state.record.converged:
+            return "sure"
+        return "steps" if self.steps is not None and state.record.step >= self.steps else None
 
     def act(self, state: RummageState) -> tuple[RummageState, Float[Tensor, "A"]]:
         """Follow the plan, or one made anew: a contact is not where the plan had it.

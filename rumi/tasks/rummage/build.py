@@ -62,7 +62,7 @@ def build(
     task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model)
     if device.type != "cpu" or dtype != torch.float32:
         task = TaskOnDevice(task, device, dtype)
-    return Parts(task, build_rummager(spec, settings, model, tool))
+    return Parts(task, replace(build_rummager(spec, settings, model, tool), steps=spec.steps))
 
 
 def make_task(
