@@ -64,10 +64,10 @@ def test_variants_differ_in_what_they_change():
     script = load("touch_ablations")
     digests = [variant.digest for variant in script.VARIANTS.values()]
     assert len(set(digests)) == len(digests)
-    soft = script.VARIANTS["soft contact in the truth"].toucher()
+    soft = script.VARIANTS["soft contact in the truth"].parts().agent
     assert isinstance(soft.robot, GripperRobot)
     assert soft.robot.physics.contact_s == 0.02
-    assert script.VARIANTS["default"].toucher().robot.physics.contact_s == 0.002
+    assert script.VARIANTS["default"].parts().agent.robot.physics.contact_s == 0.002
     for name, variant in script.VARIANTS.items():
         assert variant.slow == (variant.settings.push_model == "mujoco"), name
 
