@@ -1,7 +1,7 @@
 """How far entropy estimates of weighted sets are from the truth, for uniform and Gaussian sets in 1 to 3 dimensions.
 
-python scripts/entropy_table.py                     # Markdown: mean error and standard deviation, nats
-python scripts/entropy_table.py --count 400 --neighbours 9 --sets 500
+python -m scripts.entropy_table                     # Markdown: mean error and standard deviation, nats
+python -m scripts.entropy_table --count 400 --neighbours 9 --sets 500
 """
 
 import math

@@ -1,37 +1,37 @@
 """Replay recordings of a simulated finger's pokes, with what it felt as bare points and flags, or as likelihoods.
 
-    python scripts/felt_table.py run --objects box mug --seeds 1000 1001 1002
-    python scripts/felt_table.py show
+    python -m scripts.felt_table run --objects box mug --seeds 1000-1002
+    python -m scripts.felt_table show
 
 A ball on a stick pokes an object that no camera sees, and that is held fast or sticks to the ball; its wrist measures
 forces, and the three slides that carry it torques, all with noise. Each replay adds one line to
 scripts/results/felt.jsonl; those that are there are not run again.
 """
 
-import json
 import math
 import tempfile
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import torch
-import tyro
 from torch import Tensor
 
 from rumi.cli import script
 from rumi.rosbag.mapping import mapping_of
 from rumi.rosbag.readings import make_readings
 from rumi.rosbag.scene import rummager_of_map, settings_of
-from rumi.runs.folder import provenance
-from rumi.runs.jsonlines import append_line, read_lines
 from rumi.runs.replay import replay
 from rumi.tasks.rummage.scenes import large_handled_mug
+from scripts.experiment import Experiment, Line
+from scripts.reproduce.cells import table
 from sdf import se3
 from sdf.object_model import ObjectModel, box_model
 from sensors.log.reader import Log
 from sensors.log.writer import LogWriter, StreamSpec
 
-RESULTS = Path(__file__).parent / "results" / "felt.jsonl"
 CASES = {
     "wrench: points": (True, False, False),
     "wrench: likelihood": (True, False, True),
@@ -93,30 +93,6 @@ gain = 100.0
 SLIDES = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="carriage">
 <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
 <joint name="z" type="slide" axis="0 0 1"/><geom type="sphere" size="0.02" mass="1"/></body></worldbody></mujoco>"""
-
-
-@dataclass(frozen=True)
-class Run:
-    """Simulate, record and replay.
-
-    Attributes:
-        objects: that are poked.
-        seeds: of where they stand, of the pokes, the noise and the belief.
-        pokes: of each.
-        push_m: by which each poke takes the object along, which sticks to the ball.
-        threads: of torch and the compiled kernels.
-    """
-
-    objects: tuple[str, ...] = ("box", "mug")
-    seeds: tuple[int, ...] = (1000, 1001, 1002)
-    pokes: int = 5
-    push_m: float = 0.0
-    threads: int = 1
-
-
-@dataclass(frozen=True)
-class Show:
-    """Print the table."""
 
 
 def simulate(model: ObjectModel, seed: int, pokes: int, push_m: float, path: Path) -> Tensor:
@@ -194,23 +170,37 @@ def simulate(model: ObjectModel, seed: int, pokes: int, push_m: float, path: Pat
     return world_T_object
 
 
-def mapping_text(name: str, case: str, robot: Path) -> str:
+def mapping_text(model: str, case: str, robot: Path) -> str:
     """The mapping file of a case."""
     wrench, torques, likely = CASES[case]
-    text = MAP.replace("OBJECT", name)
+    text = MAP.replace("OBJECT", model)
     text += '"/wrist" = "wrench"\n' if wrench else ""
     text += '"/slides" = "torques"\n' if torques else ""
     tables = (WRENCH if wrench else "") + (TORQUES.replace("FILE", str(robot)) if torques else "")
-    for table in ("wrench", "torques"):
-        tables = tables.replace(f"[{table}]", f"[{table}]\nlikelihood = true") if likely else tables
+    for name in ("wrench", "torques"):
+        tables = tables.replace(f"[{name}]", f"[{name}]\nlikelihood = true") if likely else tables
     return text + tables
 
 
-def replayed(name: str, seed: int, case: str, log: Path, robot: Path, world_T_object: Tensor) -> dict[str, object]:
+@cache
+def recording(name: str, seed: int, pokes: int, push_m: float) -> tuple[bytes, Tensor]:
+    """A log, and world_T_object at its end."""
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "pokes.h5"
+        truth = simulate(MODELS[name](), seed, pokes, push_m, log)
+        return log.read_bytes(), truth
+
+
+def measure(object: str, case: str, seed: int, pokes: int, push_m: float) -> dict[str, Any]:
     """One replay by the case's mapping."""
-    mapping = mapping_of(mapping_text(name, case, robot))
-    with Log(log) as opened:
-        made = make_readings(opened, mapping)
+    data, world_T_object = recording(object, seed, pokes, push_m)
+    with tempfile.TemporaryDirectory() as folder:
+        log, robot = Path(folder) / "pokes.h5", Path(folder) / "slides.xml"
+        log.write_bytes(data)
+        robot.write_text(SLIDES)
+        mapping = mapping_of(mapping_text(object, case, robot))
+        with Log(log) as opened:
+            made = make_readings(opened, mapping)
     taken = [replace(one, truth=world_T_object.float()) for one in made.taken]
     places = torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
     done = replay(taken, rummager_of_map(mapping, settings_of(mapping), places), seed=seed)
@@ -224,48 +214,23 @@ def replayed(name: str, seed: int, case: str, log: Path, robot: Path, world_T_ob
     }
 
 
-def run(options: Run) -> None:
-    """All replays that are not there yet."""
-    torch.set_num_threads(options.threads)
-    known = {
-        (line["object"], line["seed"], line["pokes"], line["push_m"], line["case"]) for line, _ in read_lines(RESULTS)
-    }
-    for seed in options.seeds:
-        for name in options.objects:
-            lacking = [case for case in CASES if (name, seed, options.pokes, options.push_m, case) not in known]
-            if not lacking:
-                continue
-            with tempfile.TemporaryDirectory() as folder:
-                log, robot = Path(folder) / "pokes.h5", Path(folder) / "slides.xml"
-                robot.write_text(SLIDES)
-                truth = simulate(MODELS[name](), seed, options.pokes, options.push_m, log)
-                for case in lacking:
-                    found = replayed(name, seed, case, log, robot, truth)
-                    line = {"object": name, "seed": seed, "pokes": options.pokes, "push_m": options.push_m}
-                    line |= {"case": case} | found
-                    append_line(RESULTS, line | {"made_with": provenance()})
-                    print(json.dumps(line), flush=True)
-
-
-def show() -> None:
+def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
     """Medians over the recordings, and in how many the nll is less than that of the case before."""
-    lines = [line for line, _ in read_lines(RESULTS)]
-    print("| object | what was felt | recordings | nll | position, mm | rotation, deg | nll less in |\n|" + "---|" * 7)
+    rows = []
     for name, push_m in dict.fromkeys((line["object"], line["push_m"]) for line in lines):
         before: dict[int, float] = {}
         for case, (*_, likely) in CASES.items():
-            rows = [line for line in lines if (line["object"], line["push_m"], line["case"]) == (name, push_m, case)]
-            if rows:
-                figures = [_spread([row[key] for row in rows]) for key in ("nll", "position_mm", "rotation_deg")]
-                nll = {row["seed"]: row["nll"] for row in rows}
+            own = [line for line in lines if (line["object"], line["push_m"], line["case"]) == (name, push_m, case)]
+            if own:
+                figures = [_spread([row[key] for row in own]) for key in ("nll", "position_mm", "rotation_deg")]
+                nll = {row["seed"]: row["nll"] for row in own}
                 both = [seed for seed in nll if seed in before]
                 less = f"{sum(nll[seed] < before[seed] for seed in both)} of {len(both)}" if likely else ""
-                print(f"| {name}, {_moved(push_m)} | {case} | {len(rows)} | " + " | ".join(figures) + f" | {less} |")
+                moved = f"pushed {1e3 * push_m:.0f} mm a poke" if push_m > 0 else "held fast"
+                rows.append([f"{name}, {moved}", case, str(len(own)), *figures, less])
                 before = nll
-
-
-def _moved(push_m: float) -> str:
-    return f"pushed {1e3 * push_m:.0f} mm a poke" if push_m > 0 else "held fast"
+    heads = ("object", "what was felt", "recordings", "nll", "position, mm", "rotation, deg", "nll less in")
+    return table(heads, rows)
 
 
 def _spread(values: list[float]) -> str:
@@ -274,13 +239,15 @@ def _spread(values: list[float]) -> str:
     return f"{middle:.1f} ({ordered[0] + 0.0:.1f} to {ordered[-1]:.1f})"
 
 
-def main() -> None:
-    """Run or show."""
-    asked = tyro.extras.subcommand_cli_from_dict({"run": Run, "show": Show}, description=__doc__)
-    if isinstance(asked, Run):
-        run(asked)
-    show()
-
+EXPERIMENT = Experiment(
+    __doc__,
+    "felt.jsonl",
+    {"object": tuple(MODELS), "case": tuple(CASES)},
+    measure,
+    show,
+    seeds="1000-1002",
+    parameters={"pokes": 5, "push_m": 0.0},
+)
 
 if __name__ == "__main__":
-    script(main)
+    script(EXPERIMENT.main)

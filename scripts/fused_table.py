@@ -1,10 +1,10 @@
 """The fused run against each of its sensors alone, seed by seed; resumable.
 
-    python scripts/fused_table.py run --seeds 1000-1009 --seconds 120   # a line a run in scripts/results/fused.jsonl
-    python scripts/fused_table.py run --noise-free                      # the same with sensors that make no errors
-    python scripts/fused_table.py show                                  # Markdown
-    python scripts/fused_table.py draw                                  # scripts/docs/fused.png
-    python scripts/fused_table.py senses --pushes 100                   # how far each sense and the grasp are off
+    python -m scripts.fused_table run --seeds 1000-1009 --seconds 120   # a line a run in scripts/results/fused.jsonl
+    python -m scripts.fused_table run --sensors 'all, noise-free'       # with sensors that make no errors
+    python -m scripts.fused_table show                                  # Markdown
+    python -m scripts.fused_table draw                                  # scripts/docs/fused.png
+    python -m scripts.fused_table senses --pushes 100                   # how far each sense and the grasp are off
 
 Tune on seeds of 1000 and more.
 """
@@ -12,24 +12,22 @@ Tune on seeds of 1000 and more.
 import hashlib
 import statistics
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import torch
-import tyro
 
 from rumi import loop
 from rumi.agent import Parts
 from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.errors import DegenerateBeliefError
-from rumi.metrics.intervals import wilson
-from rumi.runs.folder import provenance
 from rumi.runs.json_settings import FORMER_KEYS
-from rumi.runs.jsonlines import append_line, read_lines
 from rumi.seeding import split
 from rumi.tasks.handle.agent import HandleAgent
 from rumi.tasks.handle.build import build_fused
@@ -37,53 +35,17 @@ from rumi.tasks.handle.gripper import HandleGripper
 from rumi.tasks.handle.settings import SENSORS, FusedSettings, SensorName, task_of
 from rumi.tasks.handle.simulated import FusedTask
 from rumi.tasks.rummage.scenes import make_tool
-from scripts.reproduce.seeds import seeds_of
+from scripts.experiment import DOCS, RESULTS, Experiment, Line
+from scripts.reproduce.cells import rate, table
+from scripts.store import Store
 from sdf import se3
 from sensors.contact_reading import ContactReading
 from sensors.semantics import Semantics
 
-ROOT = Path(__file__).resolve().parent.parent
-RESULTS = ROOT / "scripts" / "results" / "fused.jsonl"
 USED: dict[str, tuple[SensorName, ...]] = {"all": SENSORS, **{name: (name,) for name in SENSORS}}
 _FREE = ", noise-free"
 VARIANTS = (*USED, *(name + _FREE for name in USED))
 _RESAMPLES = 20_000
-
-
-@dataclass(frozen=True)
-class Run:
-    """Do the runs that are missing, all sensors of a seed one after the other.
-
-    Attributes:
-        seeds: "1000-1009", or "1000,1005".
-        sensors: which.
-        noise_free: with sensors that make no errors.
-        seconds: begin no run after so long.
-        threads: of PyTorch and of the kernels.
-        out: where the lines go.
-        cache: folder of the arm's reach and the grasps' table; the user's by default.
-    """
-
-    seeds: str = "1000-1009"
-    sensors: tuple[str, ...] = tuple(USED)
-    noise_free: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    seconds: float = float("inf")
-    threads: int = 1
-    out: Path = RESULTS
-    cache: Path | None = None
-
-
-@dataclass(frozen=True)
-class Show:
-    """Print the tables.
-
-    Attributes:
-        out: where the lines are.
-        seeds: only these.
-    """
-
-    out: Path = RESULTS
-    seeds: str | None = None
 
 
 @dataclass(frozen=True)
@@ -95,8 +57,8 @@ class Draw:
         out: of the figure.
     """
 
-    results: Path = RESULTS
-    out: Path = ROOT / "scripts" / "docs" / "fused.png"
+    results: Path = RESULTS / "fused.jsonl"
+    out: Path = DOCS / "fused.png"
 
 
 @dataclass(frozen=True)
@@ -106,43 +68,29 @@ class Senses:
     Attributes:
         pushes: how many.
         seed: the first mug's.
-        cache: folder of the arm's reach; the user's by default.
     """
 
     pushes: int = 100
     seed: int = 1000
-    cache: Path | None = None
 
 
-def run(options: Run) -> None:
-    """Carry them out, and keep a line a run."""
-    torch.set_num_threads(options.threads)
-    end = time.monotonic() + options.seconds
-    done = {(x["sensors"], x["settings"], x["seed"]) for x, _ in read_lines(options.out)}
-    parts: dict[str, Parts[FusedTask, HandleAgent]] = {}
-    for seed in seeds_of(options.seeds):
-        for name in (used + _FREE * options.noise_free for used in options.sensors):
-            if (name, stamp(name), seed) in done:
-                continue
-            if time.monotonic() > end:
-                return
-            if name not in parts:
-                parts[name] = build_fused(settings_of(name), cache_dir=options.cache or cache_folder())
-            append_line(options.out, carry_out(name, parts[name], seed))
+@cache
+def parts_of(sensors: str) -> Parts[FusedTask, HandleAgent]:
+    """What the runs of a kind share."""
+    return build_fused(settings_of(sensors), cache_dir=cache_folder())
 
 
-def carry_out(name: str, parts: Parts[FusedTask, HandleAgent], seed: int) -> dict[str, Any]:
-    """One run, ready for JSON."""
+def measure(sensors: str, seed: int) -> dict[str, Any]:
+    """One run."""
+    parts = parts_of(sensors)
     began, used = time.perf_counter(), time.process_time()
-    head = {"sensors": name, "settings": stamp(name), "seed": seed, "commit": provenance()["commit"]}
     try:
         found = loop.run(*parts, seed=seed).as_dict()
     except (DegenerateBeliefError, ValueError) as error:
         found = {"right": False, "lifted": False, "stopped_by": "error", "error": str(error)[:200]}
     found.pop("timings_s", None)
-    kept = {key: rounded(value) for key, value in found.items()}
     seconds = {"seconds": time.perf_counter() - began, "cpu_s": time.process_time() - used}
-    return head | {key: round(value, 2) for key, value in seconds.items()} | kept
+    return {key: round(value, 2) for key, value in seconds.items()} | {k: rounded(v) for k, v in found.items()}
 
 
 def _ended(line: dict[str, Any]) -> str:
@@ -157,58 +105,60 @@ def rounded(value: Any) -> Any:  # noqa: ANN401  (of a result)
     return round(value, 4) if isinstance(value, float) else value
 
 
-def show(options: Show) -> None:
-    """Markdown: each kind of run, and all sensors against each alone, seed by seed."""
-    wanted = None if options.seeds is None else set(seeds_of(options.seeds))
-    lines = [x for x, _ in read_lines(options.out) if wanted is None or x["seed"] in wanted]
+def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
+    """Each kind of run, and all sensors against each alone, seed by seed."""
     current = [x for x in lines if x["settings"] == stamp(x["sensors"])]
     by = {name: {x["seed"]: x for x in current if x["sensors"] == name} for name in VARIANTS}
     heads = (
         "sensors", "runs", "nll summed up: mean, median", "right", "stopped on a wrong pose", "lifted",
         "actions, median", "seconds on the clock, median", "off, median (mm, degrees)",
     )  # fmt: skip
-    print(_row(heads) + "\n" + "|---" * len(heads) + "|")
+    rows = []
     for name, runs in by.items():
         own = [x for x in runs.values() if _ended(x) != "error"]
         if not own:
             continue
         total = [x["total_nll"] for x in own]
-        wrong = sum(_ended(x) == "sure" and not x["right"] for x in own)
         off = [statistics.median(x[key] for x in own) for key in ("position_error_mm", "rotation_error_deg")]
-        print(
-            _row(
-                (
-                    name,
-                    str(len(runs)),
-                    f"{statistics.mean(total):.0f}, {statistics.median(total):.0f}",
-                    _rate([x["right"] for x in runs.values()]),
-                    str(wrong),
-                    _rate([x["lifted"] for x in runs.values()]),
-                    f"{statistics.median(x['steps'] for x in own):g}",
-                    f"{statistics.median(x['total_s'] for x in own):.0f}",
-                    f"{off[0]:.1f}, {off[1]:.1f}",
-                )
-            )
+        rows.append(
+            [
+                name,
+                str(len(runs)),
+                f"{statistics.mean(total):.0f}, {statistics.median(total):.0f}",
+                rate([x["right"] for x in runs.values()]),
+                str(sum(_ended(x) == "sure" and not x["right"] for x in own)),
+                rate([x["lifted"] for x in runs.values()]),
+                f"{statistics.median(x['steps'] for x in own):g}",
+                f"{statistics.median(x['total_s'] for x in own):.0f}",
+                f"{off[0]:.1f}, {off[1]:.1f}",
+            ]
         )
-    heads = ("nll summed up, all sensors less", "pairs", "mean difference [95 %]", "median", "all sensors lower in")
-    print("\n" + _row(heads) + "\n" + "|---" * len(heads) + "|")
-    fused = by["all"]
+    pairs = ("nll summed up, all sensors less", "pairs", "mean difference [95 %]", "median", "all sensors lower in")
+    fused, apart = by["all"], {}
     for name in SENSORS:
         seeds = [s for s in sorted(fused) if s in by[name] and "total_nll" in fused[s] and "total_nll" in by[name][s]]
-        if not seeds:
-            continue
-        apart = [fused[s]["total_nll"] - by[name][s]["total_nll"] for s in seeds]
-        low, high = mean_interval(apart)
-        lower = sum(x < 0 for x in apart)
-        middle = f"{statistics.mean(apart):.0f} [{low:.0f}, {high:.0f}]"
-        print(_row((name, str(len(seeds)), middle, f"{statistics.median(apart):.0f}", f"{lower} of {len(seeds)}")))
+        apart[name] = [fused[s]["total_nll"] - by[name][s]["total_nll"] for s in seeds]
+    return f"{table(heads, rows)}\n" + table(
+        pairs,
+        (
+            [
+                name,
+                str(len(x)),
+                "{:.0f} [{:.0f}, {:.0f}]".format(statistics.mean(x), *mean_interval(x)),
+                f"{statistics.median(x):.0f}",
+                f"{sum(one < 0 for one in x)} of {len(x)}",
+            ]
+            for name, x in apart.items()
+            if x
+        ),
+    )
 
 
 def draw(options: Draw) -> None:
     """Mean nll after each action, of all sensors and of each alone; a run that stopped keeps its last."""
     from rumi.viz import style
 
-    lines = [x for x, _ in read_lines(options.results)]
+    lines = Store(options.results).flat()
     with style.figure(6.4, 3.6) as figure:
         axes = figure.subplots()
         for name in USED:
@@ -226,7 +176,7 @@ def senses(options: Senses) -> None:
     """Markdown: touches by the wrench, signals of the joints, free points, grasps of the true pose."""
     torch.set_num_threads(1)
     settings = FusedSettings()
-    tool = make_tool(task_of(settings), cache_dir=options.cache or cache_folder())
+    tool = make_tool(task_of(settings), cache_dir=cache_folder())
     task = FusedTask(settings, tool, task_of(settings).object_factory())
     gripper = HandleGripper(task.model.exact, task.world.body, task.spec.physics)
     touches, said, turned, inside, told, lifted = [], [], [], [], [], []
@@ -267,15 +217,13 @@ def senses(options: Senses) -> None:
         ("off the mug, mm: median, 95 %", f"{np.median(far):.1f}, {np.quantile(far, 0.95):.1f}"),
         ("said by the sensor's noise alone, mm: median", f"{1e3 * statistics.median(said):.1f}"),
         ("normals off, degrees: median, 95 %", f"{np.median(turned):.0f}, {np.quantile(turned, 0.95):.0f}"),
-        ("signal of the joints where the mean force is above 1 N", _rate(hit)),
-        ("signal where nothing touches, nor did for 0.15 s", _rate(quiet)),
+        ("signal of the joints where the mean force is above 1 N", rate(hit)),
+        ("signal where nothing touches, nor did for 0.15 s", rate(quiet)),
         ("free points; of them inside the mug by more than 1, 2, 3 mm",
          f"{len(free_mm)}; " + ", ".join(str(int((free_mm < -depth).sum())) for depth in (1, 2, 3))),
-        ("grasps of the true pose after a push that lift", _rate(lifted)),
+        ("grasps of the true pose after a push that lift", rate(lifted)),
     )  # fmt: skip
-    print(f"| {len(lifted)} pushes | |\n|---|---|")
-    for row in rows:
-        print(_row(row))
+    print(table((f"{len(lifted)} pushes", ""), rows), end="")
 
 
 def mean_interval(values: list[float], seed: int = 0) -> tuple[float, float]:
@@ -300,22 +248,17 @@ def stamp(name: str) -> str:
     return hashlib.sha256(told.encode()).hexdigest()[:8]
 
 
-def _rate(held: list[bool]) -> str:
-    low, high = wilson(sum(held), len(held))
-    return f"{sum(held)}/{len(held)} [{low:.2f}, {high:.2f}]"
-
-
-def _row(cells: tuple[str, ...]) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def main() -> None:
-    """Run, show, draw or sense."""
-    chosen = tyro.extras.subcommand_cli_from_dict(
-        {"run": Run, "show": Show, "draw": Draw, "senses": Senses}, description=__doc__
-    )
-    {Run: run, Show: show, Draw: draw, Senses: senses}[type(chosen)](chosen)
-
+EXPERIMENT = Experiment(
+    __doc__,
+    "fused.jsonl",
+    {"sensors": VARIANTS},
+    measure,
+    show,
+    seeds="1000-1009",
+    usual={"sensors": tuple(USED)},
+    identity=lambda variant: {"settings": stamp(variant["sensors"])},
+    commands={"draw": (Draw, draw), "senses": (Senses, senses)},
+)
 
 if __name__ == "__main__":
-    script(main)
+    script(EXPERIMENT.main)

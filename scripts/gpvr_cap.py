@@ -1,6 +1,6 @@
 """What a cap on the points of GPVR's Gaussian process costs and saves, against the fit to all of them.
 
-    OMP_NUM_THREADS=1 python scripts/gpvr_cap.py --seeds 1000 --actions 0 8
+    OMP_NUM_THREADS=1 python -m scripts.gpvr_cap --seeds 1000 --actions 0 8
 
 Situations are first views of the mugs, and the state after some actions of GPVR. Of each, the process is fitted to
 all points (50 steps from its usual start) and to at most as many as each cap allows, and its variance worked out on the

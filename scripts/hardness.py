@@ -1,6 +1,6 @@
 """How hard the tasks are before anything is touched.
 
-    python scripts/hardness.py
+    python -m scripts.hardness
 
 Prints for each kind of object the nll of single poses, so that it shows what the paper's threshold lets through, and
 for each task the nll at step 0, the share of the initial information where the reachability r(x) is below 0.5,

@@ -1,7 +1,7 @@
 """Run the mug tasks with meshes in the mug's place and print the table; runs that are done are kept.
 
-    python scripts/mesh_table.py run --jobs 2      # resumes; one line a run in scripts/results/meshes.jsonl
-    python scripts/mesh_table.py show              # Markdown
+    python -m scripts.mesh_table run --jobs 2      # resumes; one line a run in scripts/results/meshes.jsonl
+    python -m scripts.mesh_table show              # Markdown
 
 The objects: the tasks' own mug as a formula, to compare with; the same mug meshed, cup and handle overlapping; the
 drill of RUMI_DATA, where that is set; and each mesh damaged, without 1 % of its faces and with a hole of 12 mm. `--mesh
@@ -16,9 +16,9 @@ from pathlib import Path
 
 import tyro
 
-from rumi.bench import drill
 from rumi.cli import script
 from rumi.tasks.rummage.scenes import large_handled_mug
+from scripts.bench import drill
 from scripts.bench.mug_mesh import damaged, mug_mesh, write_obj
 from scripts.reproduce.cells import flags, middle, numbers, rate, table
 from scripts.reproduce.command import seeds_of

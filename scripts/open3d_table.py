@@ -1,7 +1,7 @@
 """What Open3D makes of a cloud without order, beside this project's own way, on scenes in closed form.
 
-    OMP_NUM_THREADS=1 python scripts/open3d_table.py run     # a line a cell in scripts/results/open3d.jsonl, once
-    python scripts/open3d_table.py show                      # Markdown
+    OMP_NUM_THREADS=1 python -m scripts.open3d_table run     # a line a cell in scripts/results/open3d.jsonl, once
+    python -m scripts.open3d_table show                      # Markdown
 
 Both find what stands on the plane that most points show, by more than 10 mm, and keep its largest cluster: here in the
 image that the cloud is drawn into, with its edges left out; there by `segment_plane` (RANSAC, 6 mm, 1000 triples) and
@@ -9,37 +9,28 @@ image that the cloud is drawn into, with its edges left out; there by `segment_p
 point in a hundred is lost, and half of those at edges lie between the two surfaces. Open3D has no free points.
 """
 
-import hashlib
 import statistics
-import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Mapping
+from functools import cache
 
 import numpy as np
 import torch
-import tyro
 
-from rumi.runs.jsonlines import append_line, read_lines
+from rumi.cli import script
 from scripts.bench.known_scenes import SCENES, SceneView, scene_view, with_noise
+from scripts.experiment import Experiment, Line, newest
+from scripts.reproduce.cells import table
+from scripts.reproduce.code import code_of
 from sdf import se3
 from sensors.semantics import Semantics
 from sensors.vision.camera import pixel_points
 from sensors.vision.cloud import cloud_observation
 from sensors.vision.view import ViewSettings
 
-ROOT = Path(__file__).resolve().parent.parent
-RESULTS = ROOT / "scripts" / "results" / "open3d.jsonl"
 FAR_M, CLEARANCE_M, TOLERANCE_M, GAP_M = 0.006, 0.010, 0.006, 0.010
 NOISES_MM = (0.0, 1.0, 2.0, 4.0)
 SEEDS = range(1000, 1005)
-CODE = [
-    Path(__file__),
-    *(ROOT / "sensors" / f"{name}.py" for name in ("cloud", "depth_filters", "segmentation", "view")),
-    ROOT / "rumi" / "bench" / "known_scenes.py",
-]
 Way = Callable[[torch.Tensor, SceneView, int], torch.Tensor]
 
 
@@ -76,41 +67,13 @@ WAYS: dict[str, Way] = {
 }
 
 
-@dataclass(frozen=True)
-class Run:
-    """Measure the cells that are missing.
-
-    Attributes:
-        out: where the lines go.
-    """
-
-    out: Path = RESULTS
+view_of = cache(scene_view)
 
 
-@dataclass(frozen=True)
-class Show:
-    """Print the table.
-
-    Attributes:
-        out: where the lines are.
-    """
-
-    out: Path = RESULTS
-
-
-def run(options: Run) -> None:
-    """Measure, a line a cell."""
-    code = fingerprint()
-    done = {(x["way"], x["scene"], x["noise_mm"]) for x, _ in read_lines(options.out) if x.get("code") == code}
-    for name in SCENES:
-        scene = scene_view(name)
-        for noise in NOISES_MM:
-            for way, call in WAYS.items():
-                if (way, name, noise) in done:
-                    continue
-                found = [figures(call, scene, 1e-3 * noise, seed) for seed in SEEDS]
-                line = {key: round(statistics.median(x[key] for x in found), 4) for key in found[0]}
-                append_line(options.out, {"code": code, "way": way, "scene": name, "noise_mm": noise, **line})
+def measure(scene: str, noise_mm: float, way: str) -> dict[str, float]:
+    """Medians over the seeds."""
+    found = [figures(WAYS[way], view_of(scene), 1e-3 * noise_mm, seed) for seed in SEEDS]
+    return {key: round(statistics.median(x[key] for x in found), 4) for key in found[0]}
 
 
 def figures(call: Way, scene: SceneView, noise_m: float, seed: int) -> dict[str, float]:
@@ -134,38 +97,28 @@ def figures(call: Way, scene: SceneView, noise_m: float, seed: int) -> dict[str,
     }
 
 
-def show(options: Show) -> None:
-    """Markdown: three figures a cell, one a scene."""
-    code = fingerprint()
-    lines = [x for x, _ in read_lines(options.out) if x.get("code") == code]
-    heads = (
-        "way",
-        "noise (mm)",
-        "found (%)",
-        "mean off (mm)",
-        "95 % within (mm)",
-        "beyond 6 mm (%)",
-        "ms",
-    )
-    text = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
+def show(lines: list[Line], chosen: Mapping[str, tuple[object, ...]]) -> str:
+    """Three figures a cell, one a scene, by the newest code."""
+    lines = newest(lines)
+    columns = (("found", 0), ("mean_mm", 2), ("p95_mm", 2), ("far", 2), ("ms", 0))
+    rows = []
     for noise in NOISES_MM:
         for way in WAYS:
-            cells: list[dict[str, Any]] = [x for x in lines if (x["way"], x["noise_mm"]) == (way, noise)]
-            columns = (("found", 0), ("mean_mm", 2), ("p95_mm", 2), ("far", 2), ("ms", 0))
-            told = [", ".join(f"{x[name]:.{digits}f}" for x in cells) for name, digits in columns]
-            text.append(f"| {way} | {noise:g} | " + " | ".join(told) + " |")
-    sys.stdout.write("\n".join(text) + "\n")
+            own = [x for x in lines if (x["way"], x["noise_mm"]) == (way, noise)]
+            cells = [", ".join(f"{x[name]:.{digits}f}" for x in own) for name, digits in columns]
+            rows.append([way, f"{noise:g}", *cells])
+    heads = ("way", "noise (mm)", "found (%)", "mean off (mm)", "95 % within (mm)", "beyond 6 mm (%)", "ms")
+    return table(heads, rows)
 
 
-def fingerprint() -> str:
-    """Of the code that the figures depend on."""
-    digest = hashlib.sha256()
-    for path in CODE:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
-
+EXPERIMENT = Experiment(
+    __doc__,
+    "open3d.jsonl",
+    {"scene": SCENES, "noise_mm": NOISES_MM, "way": tuple(WAYS)},
+    measure,
+    show,
+    identity=lambda variant: {"code": code_of("open3d")},
+)
 
 if __name__ == "__main__":
-    kinds = {"run": Run, "show": Show}
-    options = tyro.extras.subcommand_cli_from_dict(kinds, description=__doc__)
-    {Run: run, Show: show}[type(options)](options)
+    script(EXPERIMENT.main)

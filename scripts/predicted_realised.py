@@ -1,40 +1,37 @@
 """Set what single actions were expected to do against what they did, by method, information mode and push model.
 
-    python scripts/predicted_realised.py run        # resumes; one line a run in scripts/results/prediction.jsonl
-    python scripts/predicted_realised.py show       # Markdown, with 95 % intervals over whole runs
-    python scripts/predicted_realised.py show --touching
-    python scripts/predicted_realised.py folder runs/mug-0-rumi-default-s0
+    python -m scripts.predicted_realised run        # resumes; one line a run in scripts/results/prediction.jsonl
+    python -m scripts.predicted_realised show       # Markdown, with 95 % intervals over whole runs
+    python -m scripts.predicted_realised touching                # of the actions that touched the object only
+    python -m scripts.predicted_realised folder runs/mug-0-rumi-default-s0
 
 Every mode and push model is asked about the same actions, the executed ones, from the beliefs before them. Tune on
 seeds of 1000 and more; seeds 0-9 are for the record.
 """
 
 import math
-import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
 import torch
 import tyro
-from tqdm import tqdm
 
 from rumi import loop
+from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.dynamics.displacement import Hazard
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationMode
 from rumi.records import StepRecord
 from rumi.runs.folder import load_run
-from rumi.runs.jsonlines import append_line, read_lines
 from rumi.seeding import split
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build, build_rummager
 from rumi.tasks.rummage.scenes import find_task, make_tool
 from rumi.tasks.rummage.settings import Settings, from_dict
-from scripts.bench.ledger import commit
 from scripts.bench.prediction import (
     Situation,
     actions,
@@ -45,11 +42,12 @@ from scripts.bench.prediction import (
     realised_of,
     run_spearman,
 )
-from scripts.reproduce.code import code_hash
-from scripts.reproduce.command import seeds_of
+from scripts.experiment import RESULTS, Experiment, Line
+from scripts.reproduce.cells import table
+from scripts.reproduce.code import code_of
 from scripts.reproduce.jobs import Job
+from scripts.store import Store
 
-RESULTS = Path(__file__).resolve().parent / "results" / "prediction.jsonl"
 TASKS = ("mug-0", "mug-1", "mug-2")
 COLUMNS = ("rumi/default", "rumi/paper", "info-only/default", "reach-only/default")
 MODES: tuple[str, ...] = get_args(InformationMode)
@@ -58,35 +56,14 @@ Cells = Sequence[str]
 
 
 @dataclass(frozen=True)
-class Run:
-    """Do the runs that are missing.
-
-    Attributes:
-        columns: method/preset.
-        tasks: which tasks.
-        seeds: "0-9", or "3,5".
-        out: file of results, one JSON line a run.
-        set: settings on top of the preset.
-    """
-
-    columns: tuple[str, ...] = COLUMNS
-    tasks: tuple[str, ...] = TASKS
-    seeds: str = "0-9"
-    out: Path = RESULTS
-    set: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Show:
-    """Print the tables of the newest code in a file of results.
+class Touching:
+    """Print the tables over the actions that touched the object.
 
     Attributes:
         results: the file.
-        touching: count actions that touched the object only.
     """
 
-    results: Path = RESULTS
-    touching: bool = False
+    results: Path = RESULTS / "prediction.jsonl"
 
 
 @dataclass(frozen=True)
@@ -148,8 +125,7 @@ def _asked(
 
 def one_run(settings: Settings) -> list[dict[str, Any]]:
     """Carry out one run and judge its actions."""
-    cache = Path(os.environ.get("RUMI_CACHE", Path.home() / ".cache" / "rumi"))
-    parts = build(settings, cache_dir=cache)
+    parts = build(settings, cache_dir=cache_folder())
     steps: list[StepRecord] = []
     most = find_task(settings.task).steps if settings.steps is None else settings.steps
     try:
@@ -159,49 +135,39 @@ def one_run(settings: Settings) -> list[dict[str, Any]]:
     return judged(steps, parts.agent, settings)
 
 
-def run(options: Run) -> None:
-    """Do what is missing, and append each run as it ends."""
-    torch.set_num_threads(1)
-    code, here = code_hash(("rumi.tasks.rummage.build", "rumi.loop", "scripts.bench.prediction")), commit()
-    done = {(r["task"], r["column"], r["seed"], r["settings"], r["code"]) for r, _ in read_lines(options.out)}
-    jobs = [
-        Job("run", task, *column.split("/"), seed, options.set)
-        for seed in seeds_of(options.seeds)
-        for task in options.tasks
-        for column in options.columns
-    ]
-    wanted = [job for job in jobs if (job.task, _column(job), job.seed, job.settings_hash, code) not in done]
-    for job in tqdm(wanted, file=sys.stderr):
-        line = {
-            "experiment": "prediction",
-            "column": _column(job),
-            "task": job.task,
-            "seed": job.seed,
-            "settings": job.settings_hash,
-            "changes": list(job.overrides),
-            "code": code,
-            "commit": here,
-        }
-        append_line(options.out, line | {"actions": one_run(job.settings)})
+def job(column: str, task: str, seed: int, changes: tuple[str, ...]) -> Job:
+    """The run of a variant."""
+    return Job("run", task, *column.split("/"), seed, changes)
 
 
-def _column(job: Job) -> str:
-    return f"{job.method}/{job.preset}"
+def measure(column: str, task: str, seed: int, changes: tuple[str, ...]) -> dict[str, Any]:
+    """What was expected of each action of a run, and what it did."""
+    return {"actions": one_run(job(column, task, seed, changes).settings)}
 
 
-def show(options: Show) -> None:
-    """Print the tables of a file."""
-    runs = [line for line, _ in read_lines(options.results)]
-    if not runs:
-        raise SystemExit(f"There are no runs in {options.results}: do some with `run` first")
+def identity(variant: dict[str, Any]) -> dict[str, Any]:
+    """Hashes of all settings and of the code."""
+    hashes = {"settings": job(**variant).settings_hash, "code": code_of("prediction")}
+    return {"experiment": "prediction", "changes": list(variant["changes"]), **hashes}
+
+
+def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]], *, touching: bool = False) -> str:
+    """The tables of the newest code."""
+    if not lines:
+        raise SystemExit("There are no runs: do some with `run` first")
     newest = {}
-    for r in runs:
-        if r["code"] == runs[-1]["code"]:
+    for r in lines:
+        if r["code"] == lines[-1]["code"]:
             newest[" ".join((r["column"], *r["changes"])), r["task"], r["seed"]] = r["actions"]
     columns: dict[str, list[list[dict[str, Any]]]] = {}
     for (column, _, _), found in newest.items():
         columns.setdefault(column, []).append(found)
-    print_tables(columns, options.touching)
+    return tables(columns, touching)
+
+
+def touching(options: Touching) -> None:
+    """Print the tables of the newest code."""
+    sys.stdout.write(show(Store(options.results).flat(), {}, touching=True))
 
 
 def folder(options: Folder) -> None:
@@ -213,37 +179,32 @@ def folder(options: Folder) -> None:
         settings = from_dict(recorded.settings)
         spec = find_task(settings.task)
         model = spec.object_factory()
-        cache = Path(os.environ.get("RUMI_CACHE", Path.home() / ".cache" / "rumi"))
-        tool = make_tool(spec, settings.simulator, cache_dir=cache)
+        tool = make_tool(spec, settings.simulator, cache_dir=cache_folder())
         rummager = build_rummager(spec, settings, model, tool)
         column = f"{settings.method}/{settings.preset}"
         columns.setdefault(column, []).append(judged(recorded.steps, rummager, settings))
-    print_tables(columns, options.touching)
+    sys.stdout.write(tables(columns, options.touching))
 
 
-def print_tables(columns: dict[str, list[list[dict[str, Any]]]], touching: bool) -> None:
+def tables(columns: dict[str, list[list[dict[str, Any]]]], touching: bool) -> str:
     """All tables: as planned, by information mode, by push model."""
     which = "the actions that touched the object" if touching else "all actions"
     kept = {
         column: [[a for a in one if a["realised"]["touched"] or not touching] for one in runs]
         for column, runs in columns.items()
     }
-    print(f"Rank correlations over {which}, with 95 % intervals over whole runs.\n\nAs the plans had it:\n")
+    ends = ("error, mm (median)", "moves foreseen", "false moves")
     heads = ("method/preset", "runs", "actions", "information predicted and gained", "displacement predicted and true")
-    table((*heads, "error, mm (median)", "moves foreseen", "false moves"), _planned(kept))
-    print("\nInformation by mode, asked about the same actions (likeliest push):\n")
-    heads = ("method/preset", "mode", "predicted and gained", "swept and gained", "predicted and swept")
-    table(heads, _modes(kept))
-    print("\nDisplacement and information by push model, asked about the same actions:\n")
-    heads = ("method/preset", "push model", "displacement predicted and true", "error, mm (median)", "moves foreseen")
-    table((*heads, "false moves", "information predicted and gained"), _pushes(kept))
-
-
-def table(heads: Cells, rows: Iterator[Cells]) -> None:
-    """Print a Markdown table."""
-    print("| " + " | ".join(heads) + " |\n" + "|---" * len(heads) + "|")
-    for row in rows:
-        print("| " + " | ".join(row) + " |")
+    modes = ("method/preset", "mode", "predicted and gained", "swept and gained", "predicted and swept")
+    pushes = ("method/preset", "push model", "displacement predicted and true", *ends)
+    return (
+        f"Rank correlations over {which}, with 95 % intervals over whole runs.\n\nAs the plans had it:\n\n"
+        f"{table((*heads, *ends), _planned(kept))}\n"
+        "Information by mode, asked about the same actions (likeliest push):\n\n"
+        f"{table(modes, _modes(kept))}\n"
+        "Displacement and information by push model, asked about the same actions:\n\n"
+        f"{table((*pushes, 'information predicted and gained'), _pushes(kept))}"
+    )
 
 
 def _planned(columns: dict[str, list[list[dict[str, Any]]]]) -> Iterator[Cells]:
@@ -298,12 +259,17 @@ def number(value: float, digits: int) -> str:
     return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def main() -> None:
-    """Run, show, or tell of a run's folder."""
-    commands = {"run": Run, "show": Show, "folder": Folder}
-    chosen = tyro.extras.subcommand_cli_from_dict(commands, description=__doc__)
-    {Run: run, Show: show, Folder: folder}[type(chosen)](chosen)
-
+EXPERIMENT = Experiment(
+    __doc__,
+    "prediction.jsonl",
+    {"task": TASKS, "column": COLUMNS},
+    measure,
+    show,
+    seeds="0-9",
+    parameters={"changes": ()},
+    identity=identity,
+    commands={"touching": (Touching, touching), "folder": (Folder, folder)},
+)
 
 if __name__ == "__main__":
-    script(main)
+    script(EXPERIMENT.main)

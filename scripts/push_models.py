@@ -1,7 +1,7 @@
 """How far push models are from the simulator, for pushes of a mug whose pose they know.
 
-python scripts/push_models.py                              # 100 random pushes of two actions each
-python scripts/push_models.py --lever-ratios 1 1.25 1.5 2   # other limit surfaces of the quasi-static model
+python -m scripts.push_models                              # 100 random pushes of two actions each
+python -m scripts.push_models --lever-ratios 1 1.25 1.5 2   # other limit surfaces of the quasi-static model
 """
 
 import math

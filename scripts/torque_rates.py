@@ -1,52 +1,37 @@
 """How well joint torques tell contact: rates, delays and tracking of pokes at a box by the simulated arm.
 
-python scripts/torque_rates.py run --seeds 1000-1019           # one line a poke in scripts/results/torque_rates.jsonl
-python scripts/torque_rates.py run --case motor --seeds 1000-1099 --seconds 110
-python scripts/torque_rates.py show                            # Markdown: rates by threshold, delays, tracking
-python scripts/torque_rates.py limit                           # Markdown: pokes at a box that does not move
-python scripts/torque_rates.py speed --threads 1               # microseconds a sample of the observer
+python -m scripts.torque_rates run --seeds 1000-1019           # one line a poke in scripts/results/torque_rates.jsonl
+python -m scripts.torque_rates run --cases motor --seeds 1000-1099 --seconds 110
+python -m scripts.torque_rates show                            # Markdown: rates by threshold, delays, tracking
+python -m scripts.torque_rates limit                           # Markdown: pokes at a box that does not move
+python -m scripts.torque_rates speed --threads 1               # microseconds a sample of the observer
 
 Boxes of 0.3 to 0.8 kg with friction of 0.2 to 0.6 stand about two places; half of the pokes go for them, half beside.
 Every ten pokes another arm is drawn, whose model and sensors are wrong by other amounts.
 """
 
-import hashlib
 import math
 import statistics
 import sys
-import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 import torch
-import tyro
-from tqdm import tqdm
 
 from rumi.bench.timing import fitting_clock
 from rumi.cli import script
 from rumi.metrics.intervals import wilson
-from rumi.runs.jsonlines import append_line, read_lines
 from rumi.sim.arm_motion import joint_path
 from rumi.sim.torque_arm import TorqueArm, TorqueSettings
+from scripts.experiment import Experiment, Line, newest
+from scripts.reproduce.cells import table
+from scripts.reproduce.code import code_of
 from scripts.reproduce.seeds import seeds_of
 
-ROOT = Path(__file__).resolve().parent.parent
-RESULTS = ROOT / "scripts" / "results" / "torque_rates.jsonl"
-CODE = [
-    ROOT / name
-    for name in (
-        "rumi/sim/arm_calibration.py",
-        "rumi/sim/arm_motion.py",
-        "rumi/sim/arm_scene.py",
-        "rumi/sim/torque_arm.py",
-        "rumi/sim/robot_dynamics.py",
-        "sensors/force/momentum_observer.py",
-    )
-]
-Case = Literal["usual", "raw", "motor", "friction"]
 CASES: dict[str, TorqueSettings] = {
     "usual": TorqueSettings(),
     "raw": TorqueSettings(),
@@ -65,34 +50,6 @@ POKES = 10
 """Of an arm, before another is drawn, with other errors."""
 
 THRESHOLDS = (0.1, 0.15, 0.3, 0.6, 1.0, 1.3)
-
-
-@dataclass(frozen=True)
-class Run:
-    """Poke, and keep a line a poke.
-
-    Attributes:
-        case: which sensors.
-        seeds: "1000-1099", or "1003,1005".
-        seconds: stop before the next poke after so long.
-        out: where the lines go.
-    """
-
-    case: Case = "usual"
-    seeds: str = "1000-1019"
-    seconds: float = float("inf")
-    out: Path = RESULTS
-
-
-@dataclass(frozen=True)
-class Show:
-    """Print the tables of the code as it is.
-
-    Attributes:
-        out: where the lines are.
-    """
-
-    out: Path = RESULTS
 
 
 @dataclass(frozen=True)
@@ -117,14 +74,6 @@ class Speed:
     """
 
     threads: int = 1
-
-
-def fingerprint() -> str:
-    """Of the code that the figures come from."""
-    digest = hashlib.sha256()
-    for path in CODE:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
 
 
 def poke(arm: TorqueArm, seed: int, *, fixed: bool = False) -> dict[str, Any] | None:
@@ -184,56 +133,53 @@ def poke(arm: TorqueArm, seed: int, *, fixed: bool = False) -> dict[str, Any] | 
     return line
 
 
-def run(options: Run) -> None:
-    """Poke with what is missing."""
-    torch.set_num_threads(1)
-    code, end = fingerprint(), time.monotonic() + options.seconds
-    done = {(x["case"], x["seed"]) for x, _ in read_lines(options.out) if x["code"] == code}
-    seeds = [seed for seed in seeds_of(options.seeds) if (options.case, seed) not in done]
-    # a limit that no poke reaches, so that norms are of whole pokes
-    arm = TorqueArm(HALF, HEIGHT, settings=replace(CASES[options.case], force_limit_n=60.0))
-    drawn = -1
-    for seed in tqdm(seeds, desc=options.case, disable=None):
-        if time.monotonic() > end:
-            return
-        if drawn != seed // POKES:
-            drawn = seed // POKES
-            arm.mujoco.mj_resetData(arm.model, arm.data)
-            arm.seed(drawn)
-            if options.case not in ("raw", "friction"):
-                arm.calibrate()
-        found = poke(arm, seed)
-        line = {"case": options.case, "seed": seed, "code": code, "reached": found is not None}
-        append_line(options.out, line | (found or {}))
+@lru_cache(1)
+def arm_of(case: str) -> TorqueArm:
+    """The arm of a case, with a limit that no poke reaches, so that norms are of whole pokes."""
+    return TorqueArm(HALF, HEIGHT, settings=replace(CASES[case], force_limit_n=60.0))
 
 
-def show(options: Show) -> None:
-    """Markdown."""
-    code = fingerprint()
-    rows = [x for x, _ in read_lines(options.out) if x["code"] == code]
-    out = sys.stdout.write
-    out(
-        "| case | threshold, N m | true positive | false positive | pokes that touch, felt | delay, ms | errs again |\n"
-    )
-    out("|---" * 7 + "|\n")
-    for case in get_args(Case):
-        pokes = [x for x in rows if x["case"] == case and "norm" in x]
-        for threshold in THRESHOLDS if pokes else ():
-            out(f"| {WORDS[case]} | {threshold:g} | {' | '.join(rates(pokes, threshold))} |\n")
-    out("\n| case | pokes | out of reach | stopped coming down | tracking, mm: mean, 95 %, most | largest force, N |\n")
-    out("|---" * 6 + "|\n")
-    for case in get_args(Case):
-        own = [x for x in rows if x["case"] == case]
+@lru_cache(1)
+def drawn(case: str, group: int) -> TorqueArm:
+    """The same with errors of its own."""
+    arm = arm_of(case)
+    arm.mujoco.mj_resetData(arm.model, arm.data)
+    arm.seed(group)
+    if case not in ("raw", "friction"):
+        arm.calibrate()
+    return arm
+
+
+def measure(case: str, seed: int) -> dict[str, Any]:
+    """One poke."""
+    found = poke(drawn(case, seed // POKES), seed)
+    return {"reached": found is not None} | (found or {})
+
+
+def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
+    """Rates by threshold, and how the pokes went, by the newest code."""
+    lines = newest(lines)
+    told, ends = [], []
+    for case in CASES:
+        own = [x for x in lines if x["case"] == case]
         pokes = [x for x in own if "norm" in x]
         if not pokes:
             continue
+        told += [[WORDS[case], f"{threshold:g}", *rates(pokes, threshold)] for threshold in THRESHOLDS]
         tracking = np.concatenate([x["tracking_mm"] for x in pokes])
-        force = max(max(x["force"]) for x in pokes)
-        out(
-            f"| {WORDS[case]} | {len(pokes)} | {sum(not x['reached'] for x in own)} | "
-            f"{sum(x.get('descent', 'end') != 'end' for x in own)} | {tracking.mean():.2f}, "
-            f"{np.quantile(tracking, 0.95):.2f}, {tracking.max():.2f} | {force:.1f} |\n"
+        ends.append(
+            [
+                WORDS[case],
+                str(len(pokes)),
+                str(sum(not x["reached"] for x in own)),
+                str(sum(x.get("descent", "end") != "end" for x in own)),
+                f"{tracking.mean():.2f}, {np.quantile(tracking, 0.95):.2f}, {tracking.max():.2f}",
+                f"{max(max(x['force']) for x in pokes):.1f}",
+            ]
         )
+    heads = ("case", "threshold, N m", "true positive", "false positive", "pokes that touch, felt", "delay, ms")
+    end = ("case", "pokes", "out of reach", "stopped coming down", "tracking, mm: mean, 95 %, most")
+    return f"{table((*heads, 'errs again'), told)}\n{table((*end, 'largest force, N'), ends)}"
 
 
 def rates(pokes: list[dict[str, Any]], threshold: float) -> list[str]:
@@ -266,8 +212,7 @@ def rates(pokes: list[dict[str, Any]], threshold: float) -> list[str]:
 def limit(options: Limit) -> None:
     """Markdown: who stopped, the largest estimated force, and how far the tool went on after the first reading."""
     torch.set_num_threads(1)
-    sys.stdout.write("| limit, N | pokes that touch | stopped by it | largest force, N: mean, most | box moved, mm |\n")
-    sys.stdout.write("|---" * 5 + "|\n")
+    rows = []
     for newtons in options.limits_n:
         arm = TorqueArm(HALF, HEIGHT, settings=replace(CASES["usual"], force_limit_n=newtons))
         arm.seed(0)
@@ -275,10 +220,12 @@ def limit(options: Limit) -> None:
         lines = [poke(arm, seed, fixed=True) for seed in seeds_of(options.seeds) if seed % 2 == 0]
         found = [x for x in lines if x is not None and any(x.get("touching", ()))]
         forces = [max(x["force"]) for x in found]
-        sys.stdout.write(
-            f"| {newtons:g} | {len(found)} | {sum(x['ended'] == 'force' for x in found)} | "
-            f"{statistics.mean(forces):.1f}, {max(forces):.1f} | {max(x['moved_mm'] for x in found):.1f} |\n"
-        )
+        stopped = sum(x["ended"] == "force" for x in found)
+        most = f"{max(x['moved_mm'] for x in found):.1f}"
+        cells = [str(len(found)), str(stopped), f"{statistics.mean(forces):.1f}, {max(forces):.1f}", most]
+        rows.append([f"{newtons:g}", *cells])
+    heads = ("limit, N", "pokes that touch", "stopped by it", "largest force, N: mean, most", "box moved, mm")
+    sys.stdout.write(table(heads, rows))
 
 
 def speed(options: Speed) -> None:
@@ -307,13 +254,17 @@ def speed(options: Speed) -> None:
         sys.stdout.write(f"{name}: {1e6 * sorted(took)[2]:.1f} us\n")
 
 
-def main() -> None:
-    """Run, show or time."""
-    options = tyro.extras.subcommand_cli_from_dict(
-        {"run": Run, "show": Show, "limit": Limit, "speed": Speed}, description=__doc__
-    )
-    {Run: run, Show: show, Limit: limit, Speed: speed}[type(options)](options)
-
+EXPERIMENT = Experiment(
+    __doc__,
+    "torque_rates.jsonl",
+    {"case": tuple(CASES)},
+    measure,
+    show,
+    seeds="1000-1019",
+    usual={"case": ("usual",)},
+    identity=lambda variant: {"code": code_of("torques")},
+    commands={"limit": (Limit, limit), "speed": (Speed, speed)},
+)
 
 if __name__ == "__main__":
-    script(main)
+    script(EXPERIMENT.main)

@@ -1,19 +1,14 @@
 """What each part of the touch-box task is worth, and what readings tell: runs with one thing changed at a time.
 
-python scripts/touch_ablations.py run --seeds 1000-1029             # all variants, seed by seed; again to go on
-python scripts/touch_ablations.py run --variants default 'no noise' --seconds 110
-python scripts/touch_ablations.py run --seeds 1000-1009 --slow      # particles in MuJoCo: a minute a run
-python scripts/touch_ablations.py show
+python -m scripts.touch_ablations run --seeds 1000-1029             # all variants, seed by seed; again to go on
+python -m scripts.touch_ablations run --variants default 'no noise' --seconds 110
+python -m scripts.touch_ablations run --seeds 1000-1009 --variants 'particles in MuJoCo'    # a minute a run
+python -m scripts.touch_ablations show
 """
 
-import sys
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Annotated, Any, Literal
-
-import tyro
+from typing import Any
 
 from rumi import loop
 from rumi.agent import Parts
@@ -27,11 +22,10 @@ from rumi.tasks.touch_box.report import calibration, digest, table
 from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
-from scripts.bench.ledger import Ledger
-from scripts.reproduce.code import code_hash
-from scripts.reproduce.seeds import seeds_of
+from scripts.experiment import Experiment, Line
+from scripts.reproduce.code import code_of
 
-RESULTS = Path(__file__).resolve().parent / "results" / "touch_ablations.jsonl"
+PART = "touch-ablation"
 _FILTER = TouchSettings().filter
 _EVERY = 0.2  # metres of a poke
 
@@ -45,7 +39,7 @@ class Variant:
         task: the scene and its readings.
         robot: by name.
         truth: physics of the gripper that pokes, where they are others; the table of grasps stays as it is.
-        slow: takes a minute a run; left out unless it is asked for.
+        slow: takes a minute a run; left out unless it is asked for by name.
     """
 
     settings: TouchSettings = TouchSettings()  # noqa: RUF009  (frozen)
@@ -152,74 +146,34 @@ VARIANTS: dict[str, Variant] = {
 """All by name."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """What is done.
-
-    Attributes:
-        what: run what is missing, or show what there is.
-        variants: which; by default all that are not slow.
-        seeds: of the runs; tuning starts from 1000.
-        seconds: end after this long; give the command again to go on.
-        results: file of the results.
-        slow: the slow ones, where no variants are named.
-    """
-
-    what: tyro.conf.Positional[Literal["run", "show"]]
-    variants: tuple[str, ...] = ()
-    seeds: str = "1000-1029"
-    seconds: float = float("inf")
-    results: Path = RESULTS
-    slow: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+def measure(variant: str, seed: int) -> dict[str, Any]:
+    """One run."""
+    with VARIANTS[variant].parts() as parts:
+        return loop.run(*parts, seed=seed).as_dict()
 
 
-def run(options: Options, names: Sequence[str]) -> None:
-    """All runs that the file does not hold."""
-    begun, ledger, code = time.monotonic(), Ledger(options.results), code_hash(("rumi.tasks.touch_box.build",))
-    for seed in seeds_of(options.seeds):
-        for name in names:
-            if time.monotonic() - begun > options.seconds:
-                return
-            own = VARIANTS[name]
-            asked = {
-                "part": "touch-ablation",
-                "variant": name,
-                "seed": seed,
-                "settings": own.digest,
-                "code": code,
-            }
-
-            def work(own: Variant = own, seed: int = seed) -> dict[str, Any]:
-                with own.parts() as parts:
-                    return loop.run(*parts, seed=seed).as_dict()
-
-            if ledger.measure(asked, work):
-                sys.stderr.write(f"seed {seed}, {name}\n")
-
-
-def main() -> None:
-    """Run or show."""
-    options = tyro.cli(Options, description=__doc__)
-    unknown = sorted(set(options.variants) - set(VARIANTS))
-    if unknown:
-        raise SystemExit(f"There is no variant {unknown[0]!r}; there are {', '.join(VARIANTS)}")
-    names = options.variants or tuple(VARIANTS)
-    if options.what == "run":
-        run(options, [name for name in names if options.variants or VARIANTS[name].slow == options.slow])
-    lines = Ledger(options.results).of("touch-ablation")
-    seeds = set(seeds_of(options.seeds))
+def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
+    """Each variant, and those that were asked for with their calibration."""
     groups = {}
-    for name in names:
+    for name in chosen.get("variant", VARIANTS):
         kept = {"variant": name, "settings": VARIANTS[name].digest}
-        own = [line for line in lines if line["seed"] in seeds and kept.items() <= line.items()]
         # later lines are of newer code, and count alone
-        groups[name] = list({line["seed"]: line for line in own}.values())
-    sys.stdout.write(table(groups) + "\n")
-    for name, own in groups.items():
-        if own and options.variants:
-            sys.stdout.write(f"\n{name}\n\n{calibration(own)}\n")
+        groups[name] = list({line["seed"]: line for line in lines if kept.items() <= line.items()}.values())
+    asked = [(name, own) for name, own in groups.items() if own and "variant" in chosen]
+    return "\n".join([table(groups), *(f"\n{name}\n\n{calibration(own)}" for name, own in asked)])
 
+
+EXPERIMENT = Experiment(
+    __doc__,
+    "touch_ablations.jsonl",
+    {"variant": tuple(VARIANTS)},
+    measure,
+    show,
+    seeds="1000-1029",
+    usual={"variant": tuple(name for name, variant in VARIANTS.items() if not variant.slow)},
+    identity=lambda variant: {"part": PART, "settings": VARIANTS[variant["variant"]].digest, "code": code_of(PART)},
+)
 
 if __name__ == "__main__":
     assert asdict(TouchTask())["readings"] == round(_EVERY / TouchTask().spacing_m)
-    script(main)
+    script(EXPERIMENT.main)

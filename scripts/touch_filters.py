@@ -1,8 +1,8 @@
 """Compare contact models and resampling rules on one push of a box (touch-only paper, Table II).
 
-python scripts/touch_filters.py                                # 1000 runs of 100 particles
-python scripts/touch_filters.py --exact-count 3000             # and what a next to exact filter gets
-python scripts/touch_filters.py --place-m 0.015 --turn-rad 0.15 --json table2.json
+python -m scripts.touch_filters                                # 1000 runs of 100 particles
+python -m scripts.touch_filters --exact-count 3000             # and what a next to exact filter gets
+python -m scripts.touch_filters --place-m 0.015 --turn-rad 0.15 --json table2.json
 """
 
 import json

@@ -1,6 +1,6 @@
 """How far push models are off over one poke of the box, against the simulator, its pose known.
 
-python scripts/touch_pushes.py --pokes 60
+python -m scripts.touch_pushes --pokes 60
 """
 
 import math

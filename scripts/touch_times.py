@@ -1,7 +1,7 @@
 """How long one decision takes: 20 candidates, 100 particles of the prior; seconds, the best of some.
 
-python scripts/touch_times.py                  # every method, quasi-static
-python scripts/touch_times.py --mujoco         # particles in MuJoCo as well
+python -m scripts.touch_times                  # every method, quasi-static
+python -m scripts.touch_times --mujoco         # particles in MuJoCo as well
 """
 
 import sys

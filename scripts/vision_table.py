@@ -1,28 +1,30 @@
 """How far off what cameras, clouds and bubbles report is, on scenes in closed form, and how long it takes.
 
-    python scripts/vision_table.py errors               # a line a cell in scripts/results/vision.jsonl, once
-    OMP_NUM_THREADS=2 python scripts/vision_table.py times --threads 2    # on an otherwise idle machine
-    python scripts/vision_table.py show                 # Markdown
+    python -m scripts.vision_table run                  # a line a cell in scripts/results/vision.jsonl, once
+    OMP_NUM_THREADS=2 python -m scripts.vision_table times --threads 2    # on an otherwise idle machine
+    python -m scripts.vision_table show                 # Markdown
 
 Every image has 1 % of its pixels lost, and half of those at edges mix the two depths, the noise apart.
 """
 
-import hashlib
 import statistics
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import torch
-import tyro
 
 from rumi.bench.machine import environment
 from rumi.bench.timing import fitting_clock
 from rumi.cli import script
-from rumi.runs.jsonlines import append_line, read_lines
 from scripts.bench.known_scenes import SCENES, SceneView, pressed_bubble, scene_view, with_noise
+from scripts.experiment import RESULTS, Experiment, Line, newest
+from scripts.reproduce.cells import table
+from scripts.reproduce.code import code_of
+from scripts.store import Store
 from sdf import se3
 from sdf.primitives import Capsule
 from sensors.observation import Observation
@@ -33,32 +35,11 @@ from sensors.vision.cloud import cloud_observation
 from sensors.vision.robot_body import RobotBody
 from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
 
-ROOT = Path(__file__).resolve().parent.parent
-RESULTS = ROOT / "scripts" / "results" / "vision.jsonl"
 FAR_M = 0.006
 NOISES_MM = (0.0, 0.5, 1.0, 2.0, 4.0)
 BOUNDS = torch.tensor([[0.2, -0.2, 0.0], [0.6, 0.2, 0.16]])
+DRAWS = 10
 FRAMES = 14  # at 30 Hz: the last of them is more than 0.4 s after the first
-CODE = [
-    *(
-        ROOT / "sensors" / f"{name}.py"
-        for name in ("bubble", "camera", "cloud", "depth_filters", "images", "persistence", "segmentation", "view")
-    ),
-    ROOT / "rumi" / "bench" / "known_scenes.py",
-]
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Measure the cells that are missing.
-
-    Attributes:
-        seeds: of the noise, each from 1000 on.
-        out: where the lines go.
-    """
-
-    seeds: int = 10
-    out: Path = RESULTS
 
 
 @dataclass(frozen=True)
@@ -68,45 +49,22 @@ class Times:
     Attributes:
         threads: of PyTorch and OpenCV.
         frames: each is a sample.
-        out: where the line goes.
+        results: where the line goes.
     """
 
     threads: int = 2
     frames: int = 40
-    out: Path = RESULTS
+    results: Path = RESULTS / "vision.jsonl"
 
 
-@dataclass(frozen=True)
-class Show:
-    """Print the tables.
-
-    Attributes:
-        out: where the lines are.
-    """
-
-    out: Path = RESULTS
-
-
-def errors(options: Errors) -> None:
-    """Measure, a line a cell."""
-    code = fingerprint()
-    done = {
-        (x["way"], x["scene"], x["noise_mm"])
-        for x, _ in read_lines(options.out)
-        if "way" in x and x.get("code") == code
-    }
-    for way, call in WAYS.items():
-        for scene in SCENES:
-            for noise in NOISES_MM:
-                if (way, scene, noise) in done:
-                    continue
-                seeds = [1000] if noise == 0 and way == "bubble" else range(1000, 1000 + options.seeds)
-                found = [figures(*call(scene, 1e-3 * noise, torch.Generator().manual_seed(seed))) for seed in seeds]
-                line = {name: statistics.fmean(x[name] for x in found) for name in found[0]}
-                line["deepest_mm"] = min(x["deepest_mm"] for x in found)
-                line["inside"] = sum(x["inside"] for x in found)
-                cell = {"code": code, "way": way, "scene": scene, "noise_mm": noise, "seeds": len(found)}
-                append_line(options.out, cell | {name: round(value, 4) for name, value in line.items()})
+def measure(way: str, scene: str, noise_mm: float) -> dict[str, float]:
+    """Means over some draws of the noise."""
+    seeds = [1000] if noise_mm == 0 and way == "bubble" else range(1000, 1000 + DRAWS)
+    found = [figures(*WAYS[way](scene, 1e-3 * noise_mm, torch.Generator().manual_seed(seed))) for seed in seeds]
+    line = {name: statistics.fmean(x[name] for x in found) for name in found[0]}
+    line["deepest_mm"] = min(x["deepest_mm"] for x in found)
+    line["inside"] = sum(x["inside"] for x in found)
+    return {name: round(value, 4) for name, value in line.items()} | {"seeds": len(found)}
 
 
 def figures(observation: Observation, distance: Callable[[torch.Tensor], torch.Tensor]) -> dict[str, float]:
@@ -124,13 +82,7 @@ def figures(observation: Observation, distance: Callable[[torch.Tensor], torch.T
     }
 
 
-_SCENES: dict[str, SceneView] = {}
-
-
-def _scene(name: str) -> SceneView:
-    if name not in _SCENES:
-        _SCENES[name] = scene_view(name)
-    return _SCENES[name]
+_scene = cache(scene_view)
 
 
 def _noisy(scene: SceneView, noise_m: float, generator: torch.Generator) -> torch.Tensor:
@@ -228,17 +180,13 @@ def times(options: Times) -> None:
             bubble_patch(bubble, image, se3.identity())
 
     found["pair of bubbles, 224 x 171 each"] = _samples(pair, options.frames, clock)
-    line = {
-        "code": fingerprint(),
-        "threads": options.threads,
-        "made_on": environment(torch.device("cpu")),
-        "milliseconds": {
-            name: {"median": round(1e3 * statistics.median(x), 2), "least": round(1e3 * min(x), 2)}
-            for name, x in found.items()
-        },
+    milliseconds = {
+        name: {"median": round(1e3 * statistics.median(x), 2), "least": round(1e3 * min(x), 2)}
+        for name, x in found.items()
     }
-    append_line(options.out, line)
-    sys.stdout.write(f"{line['milliseconds']}\n")
+    settings = {"code": code_of("vision"), "threads": options.threads}
+    Store(options.results).add(settings, {"made_on": environment(torch.device("cpu")), "milliseconds": milliseconds})
+    sys.stdout.write(f"{milliseconds}\n")
 
 
 def _samples(call: Callable[[], None], count: int, clock: Callable[[], float]) -> list[float]:
@@ -252,49 +200,38 @@ def _samples(call: Callable[[], None], count: int, clock: Callable[[], float]) -
     return seconds
 
 
-def show(options: Show) -> None:
-    """Markdown."""
-    code = fingerprint()
-    lines = [x for x, _ in read_lines(options.out) if x.get("code") == code]
+def show(lines: list[Line], chosen: Mapping[str, tuple[object, ...]]) -> str:
+    """Errors and times, by the newest code."""
+    lines = newest(lines)
     heads = (
         "way", "noise (mm)", "surface points", "mean off (mm)", "95 % within (mm)", "beyond 6 mm (%)", "free points",
         "of them inside", "nearest (mm)",
     )  # fmt: skip
-    print("| " + " | ".join(heads) + " |")
-    print("|---" * len(heads) + "|")
+    columns = (("points", 0), ("mean_mm", 2), ("p95_mm", 2), ("far", 2), ("free", 0), ("inside", 0))
+    rows = []
     for way, noise in dict.fromkeys((x["way"], x["noise_mm"]) for x in lines if "scene" in x):
         own = {x["scene"]: x for x in lines if "scene" in x and (x["way"], x["noise_mm"]) == (way, noise)}
         cells = [own[name] for name in SCENES if name in own]
-
-        def each(name: str, digits: int, cells: list[dict[str, Any]] = cells) -> str:
-            return ", ".join(f"{x[name]:.{digits}f}" for x in cells)
-
-        print(
-            f"| {way} | {noise:g} | {each('points', 0)} | {each('mean_mm', 2)} | {each('p95_mm', 2)} | "
-            f"{each('far', 2)} | {each('free', 0)} | {each('inside', 0)} | {min(x['deepest_mm'] for x in cells):.1f} |"
-        )
+        each = [", ".join(f"{x[name]:.{digits}f}" for x in cells) for name, digits in columns]
+        rows.append([way, f"{noise:g}", *each, f"{min(x['deepest_mm'] for x in cells):.1f}"])
+    parts = [table(heads, rows)]
     for threads, timed in {x["threads"]: x for x in lines if "milliseconds" in x}.items():
         made = timed["made_on"]
-        print(f"\n{made['processor']}, threads: {threads}, the {made['clock']}'s clock, load {made['load']}\n")
-        print("| work | median (ms) | least (ms) |\n|---|---|---|")
-        for name, x in timed["milliseconds"].items():
-            print(f"| {name} | {x['median']:g} | {x['least']:g} |")
+        parts.append(f"{made['processor']}, threads: {threads}, the {made['clock']}'s clock, load {made['load']}\n")
+        times = ([name, f"{x['median']:g}", f"{x['least']:g}"] for name, x in timed["milliseconds"].items())
+        parts.append(table(("work", "median (ms)", "least (ms)"), times))
+    return "\n".join(parts)
 
 
-def fingerprint() -> str:
-    """Of the code that the figures depend on."""
-    digest = hashlib.sha256()
-    for path in CODE:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-def main() -> None:
-    """Measure or show."""
-    kinds = {"errors": Errors, "times": Times, "show": Show}
-    options = tyro.extras.subcommand_cli_from_dict(kinds, description=__doc__)
-    {Errors: errors, Times: times, Show: show}[type(options)](options)
-
+EXPERIMENT = Experiment(
+    __doc__,
+    "vision.jsonl",
+    {"way": tuple(WAYS), "scene": SCENES, "noise_mm": NOISES_MM},
+    measure,
+    show,
+    identity=lambda variant: {"code": code_of("vision")},
+    commands={"times": (Times, times)},
+)
 
 if __name__ == "__main__":
-    script(main)
+    script(EXPERIMENT.main)

@@ -1,8 +1,8 @@
 """How far contact points from noisy wrenches are off, against the bound that comes with them; and how long they take.
 
-python scripts/wrench_table.py                         # Markdown: a ball of 25 mm, levers of 50 and 100 mm
-python scripts/wrench_table.py --count 100000 --friction 0.3
-python scripts/wrench_table.py --speed --threads 1     # microseconds, one wrench at a time and many
+python -m scripts.wrench_table                         # Markdown: a ball of 25 mm, levers of 50 and 100 mm
+python -m scripts.wrench_table --count 100000 --friction 0.3
+python -m scripts.wrench_table --speed --threads 1     # microseconds, one wrench at a time and many
 """
 
 import math

@@ -44,27 +44,6 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Target:
-    """What a variant should achieve: a time, or how many times quicker than the quickest of others it should be.
-
-    Attributes:
-        variant: which.
-        at_most_s: seconds.
-        beyond: the other variant whose time is taken off first; empty for none.
-        at_least: times quicker.
-        against: names of the others; those that were not timed do not count.
-        goal: something to aim at, not a promise.
-    """
-
-    variant: str
-    at_most_s: float | None = None
-    beyond: str = ""
-    at_least: float | None = None
-    against: tuple[str, ...] = ()
-    goal: bool = False
-
-
-@dataclass(frozen=True)
 class Case:
     """Some work and the ways to do it, on data made once.
 
@@ -75,7 +54,6 @@ class Case:
         item: what they are called.
         baselines: ratios are taken against the quickest of these.
         otherwise: what they are taken against where none of these was timed.
-        targets: see there.
         error: how far a result is from the reference's; None where no results can be compared.
         tolerance: by which all variants of this project must agree.
         reference: a result beyond doubt, where there is one; else that of the first variant.
@@ -88,11 +66,10 @@ class Case:
 
     title: str
     variants: tuple[Variant, ...]
-    baselines: tuple[str, ...]
+    baselines: tuple[str, ...] = ()
     otherwise: str = "torch"
     items: int = 1
     item: str = "pass"
-    targets: tuple[Target, ...] = ()
     error: Callable[[Any, Any], float] | None = None
     tolerance: float = 0.0
     reference: Any = None
@@ -112,14 +89,12 @@ class Setup:
         tiny: make everything small, for tests.
         quick: do less of what takes long to prepare.
         cache_dir: folder that keeps what takes seconds to work out.
-        without_peers: why the peers' variants are not there; empty where they are.
     """
 
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     tiny: bool = False
     quick: bool = False
     cache_dir: Path | None = None
-    without_peers: str = ""
 
     def size(self, whole: int, tiny: int) -> int:
         """A size, by whether everything is to be small."""
@@ -129,21 +104,6 @@ class Setup:
     def versions(self) -> tuple[str, ...]:
         """This project's versions to time on the device."""
         return ("torch", "numba") if self.device.type == "cpu" and compiled.available() else ("torch",)
-
-    @property
-    def peers(self) -> bool:
-        """Whether the peers' variants can be timed: they are installed, and the device is theirs too."""
-        return not self.without_peers and self.device.type == "cpu"
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What is to be known of the peers' distances, where they are timed."""
-        return ("CachedSDF and ComposedSDF: the nearest node of a table of 2.5 mm",) if self.peers else ()
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """What a case with peers says where they are not timed."""
-        return (f"peers: {self.without_peers or 'timed on the CPU only'}",) if not self.peers else ()
 
     def ours(self, run: Callable[[], Any], what: str = "") -> tuple[Variant, ...]:
         """The versions of one way of this project's."""

@@ -7,8 +7,9 @@ from typing import Any
 
 import torch
 
-from rumi.bench.case import By, Case, Target, Variant
+from rumi.bench.case import By, Case, Variant
 from rumi.bench.timing import Timing, time_in_turn
+from rumi.runs.plain import plain
 from sdf import backend
 
 
@@ -32,16 +33,6 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """Whether a target is met; `factor` is how many times quicker than `against` the variant is."""
-
-    target: Target
-    met: bool
-    factor: float | None = None
-    against: str | None = None
-
-
-@dataclass(frozen=True)
 class Result:
     """A case, carried out.
 
@@ -50,7 +41,6 @@ class Result:
         case: what was carried out.
         rows: one a variant.
         baseline: the variant that ratios are taken against.
-        verdicts: on the targets that could be judged.
         agree: whether all variants of this project gave the same.
         left_out: what was not timed, and why.
     """
@@ -59,7 +49,6 @@ class Result:
     case: Case
     rows: tuple[Row, ...]
     baseline: str
-    verdicts: tuple[Verdict, ...]
     agree: bool
     left_out: tuple[str, ...]
 
@@ -70,6 +59,38 @@ class Result:
     def ratio(self, row: Row) -> float:
         """How many times quicker than the baseline a variant is."""
         return self.row(self.baseline).timing.median_s / row.timing.median_s
+
+    def as_dict(self) -> dict[str, Any]:
+        """As plain values."""
+        case = self.case
+        rows = [
+            {
+                "name": row.name,
+                "by": row.by,
+                "median_s": row.timing.median_s,
+                "least_s": row.timing.least_s,
+                "quartiles_s": list(row.timing.quartiles_s),
+                "samples": len(row.timing.samples_s),
+                "quicker": self.ratio(row),
+                "error": row.error,
+                "note": row.note,
+                "ran": row.ran,
+            }
+            for row in self.rows
+        ]
+        return {
+            "name": self.name,
+            "title": case.title,
+            "items": case.items,
+            "item": case.item,
+            "baseline": self.baseline,
+            "agree": self.agree,
+            "tolerance": case.tolerance,
+            "variants": rows,
+            "facts": plain(case.facts),
+            "remarks": list(case.remarks),
+            "left_out": list(self.left_out),
+        }
 
 
 def carry_out(
@@ -133,25 +154,7 @@ def carry_out(
     there = [name for name in case.baselines if name in found] or [case.otherwise]
     medians = {row.name: row.timing.median_s for row in rows}
     baseline = min(there, key=lambda name: medians[name])
-    verdicts = tuple(verdict for target in case.targets if (verdict := judge(target, rows)) is not None)
-    return Result(name, case, rows, baseline, verdicts, agree, tuple(left_out))
-
-
-def judge(target: Target, rows: tuple[Row, ...]) -> Verdict | None:
-    """Whether a target is met; None where what it is about was not timed."""
-    medians = {row.name: row.timing.median_s for row in rows}
-    if target.variant not in medians:
-        return None
-    if target.at_most_s is not None:
-        if target.beyond and target.beyond not in medians:
-            return None
-        return Verdict(target, medians[target.variant] - medians.get(target.beyond, 0.0) <= target.at_most_s)
-    others = {name: medians[name] for name in target.against if name in medians}
-    if not others or target.at_least is None:
-        return None
-    quickest = min(others, key=lambda name: others[name])
-    factor = others[quickest] / medians[target.variant]
-    return Verdict(target, factor >= target.at_least, factor, quickest)
+    return Result(name, case, rows, baseline, agree, tuple(left_out))
 
 
 def _errors(case: Case, variants: list[Variant], found: dict[str, Any]) -> dict[str, float | None]:

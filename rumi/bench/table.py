@@ -1,13 +1,13 @@
-"""Results as text: an aligned table as it is read on a terminal, and one for a page."""
+"""Results as an aligned table, as it is read on a terminal."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
-from rumi.bench.measure import Result, Row, Verdict
+from rumi.bench.measure import Result, Row
 
-HEADER = ("variant", "median", "quartiles", "each", "quicker", "target", "", "error")
-_WIDTHS = (22, 8, 15, 8, 7, 36, 6, 7)
-_RIGHT = (False, True, True, True, True, False, False, True)
+HEADER = ("variant", "median", "quartiles", "each", "quicker", "error")
+_WIDTHS = (22, 8, 15, 8, 7, 7)
+_RIGHT = (False, True, True, True, True, True)
 
 
 def seconds(value: float) -> str:
@@ -45,11 +45,6 @@ def span(low: float, high: float) -> str:
     return f"{digits(low / size)} - {number} {unit}"
 
 
-def text(results: Iterable[Result], machine: dict[str, Any]) -> str:
-    """The whole table, with the machine above it."""
-    return "\n".join([about(machine), heading(), *(section(result) for result in results)]) + "\n"
-
-
 def about(machine: dict[str, Any]) -> str:
     """What it was measured on, in three lines."""
     versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items() if name != "rumi")
@@ -70,9 +65,9 @@ def heading() -> str:
 
 
 def section(result: Result) -> str:
-    """One case: its title, a line a variant with its targets, and what else is to be said."""
-    lines = ["", f"{result.name}: {_headline(result)}"]
-    lines += [_line(cells) for cells in _cells(result)]
+    """One case: its title, a line a variant, and what else is to be said."""
+    lines = ["", f"{result.name}: {headline(result)}"]
+    lines += [_line(row) for row in cells(result)]
     lines += [f"  {note}" for note in notes(result)]
     return "\n".join(lines)
 
@@ -105,54 +100,17 @@ def notes(result: Result) -> Iterator[str]:
         yield f"left out: {why}"
 
 
-def markdown(results: Iterable[Result], machine: dict[str, Any]) -> str:
-    """The table for a page."""
-    lines = [f"{line}\n" for line in about(machine).strip().splitlines()]
-    for result in results:
-        lines += [f"**{result.name}**: {_headline(result)}\n"]
-        names = ("variant", "median", "quartiles", "each", "quicker", "target", "met", "error")
-        lines += [f"| {' | '.join(names)} |", f"|{'---|' * len(names)}"]
-        lines += [f"| {' | '.join(cells)} |" for cells in _cells(result)]
-        lines += ["", *(f"- {note}" for note in notes(result)), ""]
-    return "\n".join(lines)
-
-
-def _cells(result: Result) -> Iterator[tuple[str, ...]]:
+def cells(result: Result) -> Iterator[tuple[str, ...]]:
+    """A row a variant, by the columns of `HEADER`."""
     for row in result.rows:
-        verdicts = [verdict for verdict in result.verdicts if verdict.target.variant == row.name]
-        first, rest = (verdicts[0], verdicts[1:]) if verdicts else (None, [])
         low, high = row.timing.quartiles_s
         each = "" if result.case.items == 1 else seconds(row.timing.median_s / result.case.items)
-        ratio = f"{digits(result.ratio(row))}x"
-        yield (
-            row.name,
-            seconds(row.timing.median_s),
-            span(low, high),
-            each,
-            "1x" if row.name == result.baseline else ratio,
-            *_target(first, result.baseline),
-            _error(row),
-        )
-        for verdict in rest:
-            yield ("", "", "", "", "", *_target(verdict, result.baseline), "")
+        ratio = "1x" if row.name == result.baseline else f"{digits(result.ratio(row))}x"
+        yield (row.name, seconds(row.timing.median_s), span(low, high), each, ratio, _error(row))
 
 
-def _target(verdict: Verdict | None, baseline: str) -> tuple[str, str]:
-    if verdict is None:
-        return "", ""
-    target = verdict.target
-    kind = "goal " if target.goal else ""
-    if target.at_most_s is not None:
-        beyond = f" beyond {target.beyond}" if target.beyond else ""
-        what = f"{kind}<= {seconds(target.at_most_s)}{beyond}"
-    else:
-        what = f"{kind}>= {target.at_least:g}x"
-        if verdict.against != baseline:
-            what += f" {verdict.against}: {digits(verdict.factor or 0.0)}x"
-    return what, "met" if verdict.met else "MISSED"
-
-
-def _headline(result: Result) -> str:
+def headline(result: Result) -> str:
+    """What was timed."""
     case = result.case
     return case.title if case.items == 1 else f"{case.title} ({case.items} {case.item}s)"
 
@@ -163,9 +121,9 @@ def _error(row: Row) -> str:
     return "0" if row.error == 0.0 else f"{row.error:.1e}"
 
 
-def _line(cells: tuple[str, ...]) -> str:
+def _line(row: tuple[str, ...]) -> str:
     padded = [
         cell.rjust(width) if right else cell.ljust(width)
-        for cell, width, right in zip(cells, _WIDTHS, _RIGHT, strict=True)
+        for cell, width, right in zip(row, _WIDTHS, _RIGHT, strict=True)
     ]
     return ("  " + "  ".join(padded)).rstrip()

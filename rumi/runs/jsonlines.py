@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from rumi.errors import UsageError
+
 if sys.platform != "win32":  # there one process at a time
     import fcntl
 
@@ -56,6 +58,27 @@ def append_line(path: Path, value: Mapping[str, Any]) -> None:
         os.fsync(file)
     finally:
         os.close(file)  # and with it the lock
+
+
+def check_writable(path: Path) -> None:
+    """Make the folder of a file, and make sure that the file can be written there.
+
+    Raises:
+        UsageError: it cannot.
+    """
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(21, "it is a folder")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # a file of lines grows; any other is written aside and put in its place
+        probe = path if path.suffix == ".jsonl" else path.with_name(path.name + ".part")
+        there = probe.exists()
+        with probe.open("a", encoding="utf-8"):
+            pass
+        if not there:
+            probe.unlink()
+    except OSError as error:
+        raise UsageError(f"Cannot write {path}: {error.strerror or error}; give another file") from error
 
 
 class Claims:

@@ -27,9 +27,9 @@ from scripts.bench.chains import (
     split_r_hat,
     tempered_chains,
 )
-from scripts.bench.ledger import Figures, Ledger, clock
 from scripts.bench.reference import boltzmann, grid_posterior
 from scripts.bench.situations import Situation
+from scripts.store import Figures, Store, clock
 from sdf import se3
 from sdf.grid_sdf import GridSDF
 from sensors.discrepancy import Discrepancy
@@ -203,19 +203,19 @@ class BoxBench:
         )
 
 
-def measure_boxes(ledger: Ledger, here: Situation, folder: Path, *, quick: bool) -> Iterator[bool]:
+def measure_boxes(store: Store, here: Situation, folder: Path, *, quick: bool) -> Iterator[bool]:
     """Do what is missing, one measurement at a time."""
     settings = ChainSettings(burn_in=1000, steps=2000) if quick else ChainSettings()
     about: dict[str, Any] = {"chains": settings.chains, "steps": settings.steps}
-    yield ledger.measure(
+    yield store.measure(
         {"part": "chains", "search": "SE(2)", "situation": here.name, "points": here.digest, **about},
         lambda: chains_on_the_plane(here, replace(settings, inverse_temperatures=(1.0, 0.5, 0.2, 0.07, 0.02))),
     )
     bench = BoxBench(settings, folder)
-    yield ledger.measure({"part": "chains", "search": "SE(3)", **about}, bench.convergence)
+    yield store.measure({"part": "chains", "search": "SE(3)", **about}, bench.convergence)
     for seed in (1000,) if quick else (1000, 1001, 1002):
         for estimate in box_estimates(quick):
-            yield ledger.measure(
+            yield store.measure(
                 {"part": "box-belief", "seed": seed, **vars(estimate), **about},
                 partial(bench.figures, estimate, seed),
             )

@@ -1,4 +1,4 @@
-"""Deadlines in tables and figures, from the lines of a ledger."""
+"""Deadlines in tables and figures, from the lines of a store."""
 
 import statistics
 from collections import defaultdict
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from rumi.metrics.intervals import wilson
 from rumi.viz import style
-from scripts.bench.ledger import Ledger
+from scripts.store import Store
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,9 +24,9 @@ def tolerance_s(budget_s: float) -> float:
     return max(0.005, 0.1 * budget_s)
 
 
-def tables(ledger: Ledger) -> str:
+def tables(store: Store) -> str:
     """Markdown of all that was measured."""
-    parts = [_simulated_table(ledger.of("simulated")), _real_table(ledger.of("real")), _value_table(ledger)]
+    parts = [_simulated_table(store.of("simulated")), _real_table(store.of("real")), _value_table(store)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -85,8 +85,8 @@ def _real_table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def _value_table(ledger: Ledger) -> str:
-    kinds = values_by_budget(ledger)
+def _value_table(store: Store) -> str:
+    kinds = values_by_budget(store)
     if not kinds:
         return ""
     lines = ["| task | planner | budget | decisions | mean value | against the budget before |", "|---" * 6 + "|"]
@@ -102,24 +102,24 @@ def _value_table(ledger: Ledger) -> str:
     return "\n".join(lines)
 
 
-def values_by_budget(ledger: Ledger) -> dict[tuple[str, str], dict[float | None, dict[tuple[int, int], float]]]:
+def values_by_budget(store: Store) -> dict[tuple[str, str], dict[float | None, dict[tuple[int, int], float]]]:
     """Values by task and planner, then budget (ascending, none last), then seed and decision."""
     kinds: dict[tuple[str, str], dict[float | None, dict[tuple[int, int], float]]] = {}
-    for row in ledger.of("value"):
+    for row in store.of("value"):
         own = kinds.setdefault((row["task"], row["planner"]), {}).setdefault(row["budget_s"], {})
         own |= {(row["seed"], index): value for index, value in enumerate(row["values"])}
     order = {kind: sorted(own, key=lambda b: (b is None, b or 0.0)) for kind, own in kinds.items()}
     return {kind: {budget: own[budget] for budget in order[kind]} for kind, own in kinds.items()}
 
 
-def draw(ledger: Ledger, out: Path, clock: str = "wall") -> list[Path]:
+def draw(store: Store, out: Path, clock: str = "wall") -> list[Path]:
     """Draw what was measured, real decisions of one clock only.
 
     Returns:
         the files written.
     """
     out.mkdir(parents=True, exist_ok=True)
-    real = [row for row in ledger.of("real") if row["clock"] == clock]
+    real = [row for row in store.of("real") if row["clock"] == clock]
     asked = {row["planner"]: set[float]() for row in real}
     for row in real:
         asked[row["planner"]].add(row["budget_s"])
@@ -129,9 +129,9 @@ def draw(ledger: Ledger, out: Path, clock: str = "wall") -> list[Path]:
     paths = [out / "deadlines.png"]
     with style.figure(11.0, 3.4) as made:
         first, second, third = made.subplots(1, 3)
-        _draw_late(ledger.of("simulated"), first)
-        _draw_gains(ledger.of("simulated"), second)
-        _draw_values(ledger, third)
+        _draw_late(store.of("simulated"), first)
+        _draw_gains(store.of("simulated"), second)
+        _draw_values(store, third)
         made.savefig(paths[0])
     if planners:
         paths.append(out / "deadline_histogram.png")
@@ -218,13 +218,13 @@ def _draw_gains(rows: list[Row], axis: "Axes") -> None:
         axis.legend(fontsize=6.5)
 
 
-def _draw_values(ledger: Ledger, axis: "Axes") -> None:
+def _draw_values(store: Store, axis: "Axes") -> None:
     """Value against that without a budget, by budget."""
     axis.set_title("What plans are worth")
     axis.set_xscale("log")
     axis.set_xlabel("budget, s (none at the right)")
     axis.set_ylabel("share of the best mean value")
-    for (task, planner), budgets in values_by_budget(ledger).items():
+    for (task, planner), budgets in values_by_budget(store).items():
         means = {budget: statistics.mean(values.values()) for budget, values in budgets.items()}
         errors = {budget: _error(list(values.values())) for budget, values in budgets.items()}
         best = max(means.values())

@@ -9,7 +9,7 @@ import numpy as np
 from rumi.clock import SimulatedClock
 from rumi.planning.anytime import Candidate, select
 from rumi.planning.duration_model import DurationModel
-from scripts.bench.ledger import Figures, Ledger
+from scripts.store import Figures, Store
 
 Noise = Literal["exact", "lognormal", "exponential", "stalls"]
 NOISES: tuple[Noise, ...] = ("exact", "lognormal", "exponential", "stalls")
@@ -82,10 +82,10 @@ def simulated(noise: Noise, level: float, seed: int) -> Figures:
     return {"decisions": _PROBLEMS, "late": late, "latest": latest, "gain": found, "doubled": doubled}
 
 
-def measure_simulated(ledger: Ledger, *, decisions: int = 10_000) -> Iterator[bool]:
+def measure_simulated(store: Store, *, decisions: int = 10_000) -> Iterator[bool]:
     """Do what is missing of the simulated decisions: so many of each noise and level."""
     for noise in NOISES:
         for level in LEVELS[:1] if noise == "exact" else LEVELS:
             for seed in range(decisions // (_PROBLEMS * len(BUDGETS_S))):
                 about = {"part": "simulated", "noise": noise, "level": level, "seed": seed}
-                yield ledger.measure(about, partial(simulated, noise, level, seed))
+                yield store.measure(about, partial(simulated, noise, level, seed))

@@ -35,8 +35,8 @@ from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import Choice
 from rumi.tasks.touch_box.settings import TouchSettings
-from scripts.bench.ledger import Figures, Ledger
 from scripts.bench.touch_choice import TouchChoice
+from scripts.store import Figures, Store
 
 REAL_BUDGETS_S = (0.05, 0.2, 1.0)
 TOUCH_BUDGETS_S = (0.02, *REAL_BUDGETS_S)
@@ -268,7 +268,7 @@ def touch_value(budget_s: float, seed: int) -> Figures:
 
 
 def measure_real(
-    ledger: Ledger, *, clock: str, pieces: int, planners: tuple[str, ...], task: str = "mug-1"
+    store: Store, *, clock: str, pieces: int, planners: tuple[str, ...], task: str = "mug-1"
 ) -> Iterator[bool]:
     """Do what is missing of the real decisions, `pieces` of 50 for each planner and budget."""
     threads = torch.get_num_threads()
@@ -277,7 +277,7 @@ def measure_real(
         for budget in TOUCH_BUDGETS_S if planner in ("touch", "pokes") else REAL_BUDGETS_S:
             for piece in range(pieces):
                 about = {"part": "real", "planner": planner, "budget_s": budget, "clock": clock, "piece": piece}
-                yield ledger.measure(about | {"threads": threads, "task": of}, partial(work, budget, clock, piece))
+                yield store.measure(about | {"threads": threads, "task": of}, partial(work, budget, clock, piece))
 
 
 def _real_work(planner: str, task: str) -> tuple[Callable[[float, str, int], Figures], str]:
@@ -289,7 +289,7 @@ def _real_work(planner: str, task: str) -> tuple[Callable[[float, str, int], Fig
     return partial(decisions, Situations(task, planner)), task
 
 
-def measure_value(ledger: Ledger, *, seeds: range, planners: tuple[str, ...], task: str = "mug-1") -> Iterator[bool]:
+def measure_value(store: Store, *, seeds: range, planners: tuple[str, ...], task: str = "mug-1") -> Iterator[bool]:
     """Do what is missing of what plans are worth by budget."""
     threads = torch.get_num_threads()
     for planner in planners:
@@ -306,7 +306,7 @@ def measure_value(ledger: Ledger, *, seeds: range, planners: tuple[str, ...], ta
                     if where is None
                     else partial(value_found, where, budget, seed)
                 )
-                yield ledger.measure(about, work)
+                yield store.measure(about, work)
 
 
 PLANNERS = ("touch", "pokes", *POLICIES)

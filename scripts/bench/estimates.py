@@ -19,11 +19,11 @@ from rumi.metrics.likelihood import negative_log_likelihood
 from rumi.metrics.pose_error import pose_error
 from rumi.seeding import generator, split
 from scripts.bench.belief_error import CoarseReference
-from scripts.bench.ledger import Figures, Ledger, Settings, median_seconds
 from scripts.bench.nearest import NearestGrid
 from scripts.bench.posteriors import reference_posterior, stand_ins
 from scripts.bench.reference import GridPosterior
 from scripts.bench.situations import Followed, Situation, follow
+from scripts.store import Figures, Settings, Store, median_seconds
 from sdf import backend, se3
 from sdf.base import SDF
 from sdf.grid_sdf import GridSDF
@@ -262,26 +262,26 @@ def belief_seconds(bench: Bench, estimate: Estimate, seed: int) -> Figures:
     return {"first_s": followed.first_s, "step_s": followed.step_s}
 
 
-def measure_estimates(ledger: Ledger, bench: Bench, seeds: tuple[int, ...], *, quick: bool) -> Iterator[bool]:
+def measure_estimates(store: Store, bench: Bench, seeds: tuple[int, ...], *, quick: bool) -> Iterator[bool]:
     """Do what is missing in one situation, one measurement at a time."""
     about: Settings = {"situation": bench.here.name, "points": bench.here.digest}
     for seed in seeds:
         for estimate in belief_estimates(quick):
             settings = {"part": "belief", **about, "seed": seed, **vars(estimate)}
-            yield ledger.measure(settings, partial(belief_figures, bench, estimate, seed))
+            yield store.measure(settings, partial(belief_figures, bench, estimate, seed))
         for estimate in field_estimates(quick):
             settings = {"part": "field", **about, "seed": seed, **vars(estimate)}
-            yield ledger.measure(settings, partial(field_figures, bench, estimate, seed))
+            yield store.measure(settings, partial(field_figures, bench, estimate, seed))
 
 
-def time_estimates(ledger: Ledger, bench: Bench, seed: int, *, quick: bool) -> Iterator[bool]:
+def time_estimates(store: Store, bench: Bench, seed: int, *, quick: bool) -> Iterator[bool]:
     """Take the times that are missing; meant for a machine with nothing else to do."""
     about: Settings = {"situation": bench.here.name, "threads": torch.get_num_threads()}
     for estimate in belief_estimates(quick):
         if estimate.source == "filter":
             settings = {"part": "belief-time", **about, **vars(estimate)}
-            yield ledger.measure(settings, partial(belief_seconds, bench, estimate, seed))
+            yield store.measure(settings, partial(belief_seconds, bench, estimate, seed))
     for estimate in field_estimates(quick):
         if estimate.source == "filter":
             settings = {"part": "field-time", **about, **vars(estimate)}
-            yield ledger.measure(settings, partial(field_seconds, bench, estimate, seed))
+            yield store.measure(settings, partial(field_seconds, bench, estimate, seed))

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from scripts.bench.boxes import measure_boxes
 from scripts.bench.estimates import Bench, measure_estimates, time_estimates
-from scripts.bench.ledger import Ledger
 from scripts.bench.plans import PlanBench, measure_plans, time_plans
 from scripts.bench.runs import measure_runs
 from scripts.bench.situations import situation
+from scripts.store import Store
 
 _logger = logging.getLogger(__name__)
 SITUATIONS = (("mug-1", "view"), ("mug-1", "handle"), ("mug-2", "handle"))
@@ -29,32 +29,32 @@ def run(*, quick: bool, out: Path, jsonl: Path | None = None) -> None:
         out: folder of the figures and of the references, which take minutes to work out and are kept there.
         jsonl: file of the results; by default `pareto.jsonl` in the folder.
     """
-    ledger = Ledger(jsonl or out / "pareto.jsonl")
-    for done in chain(measure_times(ledger, out, quick=quick), measure(ledger, out, quick=quick)):
+    store = Store(jsonl or out / "pareto.jsonl")
+    for done in chain(measure_times(store, out, quick=quick), measure(store, out, quick=quick)):
         if done:
-            _logger.info("%d measurements", sum(1 for _ in ledger.lines()))
+            _logger.info("%d measurements", len(store.lines))
     from scripts.bench.pareto_figures import draw
 
-    draw(ledger, out)
+    draw(store, out)
 
 
-def measure(ledger: Ledger, folder: Path, *, quick: bool) -> Iterator[bool]:
+def measure(store: Store, folder: Path, *, quick: bool) -> Iterator[bool]:
     """Do what is missing, one measurement at a time; gives whether each was missing."""
     many = 1 if quick else None
     for place in SITUATIONS[:many]:
         here = situation(*place)
         if place in ESTIMATES_AT:
             yield from measure_estimates(
-                ledger, Bench(here, folder, _QUICK if quick else _ENOUGH), BELIEF_SEEDS[:many], quick=quick
+                store, Bench(here, folder, _QUICK if quick else _ENOUGH), BELIEF_SEEDS[:many], quick=quick
             )
         for seed in PLAN_SEEDS[:many]:
-            yield from measure_plans(ledger, PlanBench(here, seed), quick=quick)
-    yield from measure_boxes(ledger, situation(*CHAINS_AT), folder, quick=quick)
-    yield from measure_runs(ledger, quick=quick)
+            yield from measure_plans(store, PlanBench(here, seed), quick=quick)
+    yield from measure_boxes(store, situation(*CHAINS_AT), folder, quick=quick)
+    yield from measure_runs(store, quick=quick)
 
 
-def measure_times(ledger: Ledger, folder: Path, *, quick: bool) -> Iterator[bool]:
+def measure_times(store: Store, folder: Path, *, quick: bool) -> Iterator[bool]:
     """Take the times that are missing, of one situation: a minute or three, with nothing else on the machine."""
     here = situation(*(SITUATIONS[0] if quick else TIMED_AT))
-    yield from time_estimates(ledger, Bench(here, folder, _QUICK if quick else _ENOUGH), BELIEF_SEEDS[0], quick=quick)
-    yield from time_plans(ledger, PlanBench(here, PLAN_SEEDS[0]), quick=quick)
+    yield from time_estimates(store, Bench(here, folder, _QUICK if quick else _ENOUGH), BELIEF_SEEDS[0], quick=quick)
+    yield from time_plans(store, PlanBench(here, PLAN_SEEDS[0]), quick=quick)

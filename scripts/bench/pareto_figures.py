@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rumi.metrics.intervals import wilson
 from rumi.tasks.rummage.settings import PRESETS, preset
 from rumi.viz import style
-from scripts.bench.ledger import Ledger
+from scripts.store import Store
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,11 +35,11 @@ class Dot(NamedTuple):
     standard_error: float = 0.0
 
 
-def draw(ledger: Ledger, out: Path) -> list[Path]:
-    """Draw what a ledger of `scripts.bench.pareto` holds.
+def draw(store: Store, out: Path) -> list[Path]:
+    """Draw what a store of `scripts.bench.pareto` holds.
 
     Args:
-        ledger: measurements; a panel without any is left empty.
+        store: measurements; a panel without any is left empty.
         out: folder of the pictures; made if need be.
 
     Returns:
@@ -49,10 +49,10 @@ def draw(ledger: Ledger, out: Path) -> list[Path]:
     path = out / "pareto.png"
     with style.figure(11.0, 7.2) as made:
         (fields, shares), (plans, runs) = made.subplots(2, 2)
-        _fields(field_dots(ledger), fields)
-        _beliefs(ledger, shares)
-        _plans(plan_dots(ledger), plans)
-        _runs(ledger.of("run"), runs)
+        _fields(field_dots(store), fields)
+        _beliefs(store, shares)
+        _plans(plan_dots(store), plans)
+        _runs(store.of("run"), runs)
         made.savefig(path)
     return [path]
 
@@ -66,17 +66,17 @@ def front(dots: Iterable[Dot]) -> list[Dot]:
     return best
 
 
-def field_dots(ledger: Ledger) -> list[Dot]:
+def field_dots(store: Store) -> list[Dot]:
     """Mean error of the information, nats, of the filter's fields."""
-    return _joined(ledger.of("field"), ledger.of("field-time"), "seconds", lambda row: row["information_mean"])
+    return _joined(store.of("field"), store.of("field-time"), "seconds", lambda row: row["information_mean"])
 
 
-def plan_dots(ledger: Ledger) -> list[Dot]:
+def plan_dots(store: Store) -> list[Dot]:
     """Share of what the best plan gains over standing still that a first plan loses."""
     beliefs: dict[tuple[str, int], tuple[float, float]] = {}
-    for row in ledger.of("best-plan"):
+    for row in store.of("best-plan"):
         beliefs[(row["situation"], row["seed"])] = row["least"], row["still"]
-    plans = [row for row in ledger.of("plan") if (row["situation"], row["seed"]) in beliefs]
+    plans = [row for row in store.of("plan") if (row["situation"], row["seed"]) in beliefs]
     for row in plans:  # a plan may beat the search for the best one
         least, still = beliefs[(row["situation"], row["seed"])]
         beliefs[(row["situation"], row["seed"])] = min(least, row["cost"]), still
@@ -85,7 +85,7 @@ def plan_dots(ledger: Ledger) -> list[Dot]:
         least, still = beliefs[(row["situation"], row["seed"])]
         return (row["cost"] - least) / (still - least)
 
-    return _joined(plans, ledger.of("plan-time"), "pass_s", lost)
+    return _joined(plans, store.of("plan-time"), "pass_s", lost)
 
 
 def _joined(rows: Sequence[Row], timed: Sequence[Row], clock: str, error: Callable[[Row], float]) -> list[Dot]:
@@ -175,12 +175,12 @@ def _fields(dots: Sequence[Dot], ax: "Axes") -> None:
     _finish(dots, ax)
 
 
-def _beliefs(ledger: Ledger, ax: "Axes") -> None:
+def _beliefs(store: Store, ax: "Axes") -> None:
     """Total variation over the number of particles: filter, and independent draws."""
     ax.set_title("belief against the reference posterior")
     ax.set_xlabel("particles")
     ax.set_ylabel("total variation")
-    rows = [r for r in ledger.of("belief") if r["sdf_m"] == 0.002 and r["precision"] == "float32"]
+    rows = [r for r in store.of("belief") if r["sdf_m"] == 0.002 and r["precision"] == "float32"]
     rows = [r for r in rows if r["starts"] == 2000]
     for source, colour in (("filter", style.NLL), ("draws", style.EXPECTED)):
         for name, dashes, words in (

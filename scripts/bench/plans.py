@@ -24,8 +24,8 @@ from rumi.robot.reach_table import ReachSettings
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from scripts.bench.estimates import workspace
-from scripts.bench.ledger import Figures, Ledger, clock, median_seconds
 from scripts.bench.situations import Situation, follow
+from scripts.store import Figures, Store, clock, median_seconds
 from sdf.object_model import ObjectModel
 
 _FINE_M = 0.004
@@ -220,16 +220,16 @@ def plan_seconds(bench: PlanBench, settings: PlanSettings) -> Figures:
     return {"first_s": first_s, "pass_s": median_seconds(lambda: act(first), budget_s=2.0)}
 
 
-def measure_plans(ledger: Ledger, bench: PlanBench, *, quick: bool) -> Iterator[bool]:
+def measure_plans(store: Store, bench: PlanBench, *, quick: bool) -> Iterator[bool]:
     """Do what is missing for one belief, one measurement at a time."""
     about = {"situation": bench.here.name, "points": bench.here.digest, "seed": bench.seed}
-    yield ledger.measure({"part": "best-plan", **about}, partial(best_plan, bench, quick=quick))
+    yield store.measure({"part": "best-plan", **about}, partial(best_plan, bench, quick=quick))
     for settings in plan_settings(quick):
-        yield ledger.measure({"part": "plan", **about, **vars(settings)}, partial(plan_figures, bench, settings))
+        yield store.measure({"part": "plan", **about, **vars(settings)}, partial(plan_figures, bench, settings))
 
 
-def time_plans(ledger: Ledger, bench: PlanBench, *, quick: bool) -> Iterator[bool]:
+def time_plans(store: Store, bench: PlanBench, *, quick: bool) -> Iterator[bool]:
     """Take the times that are missing; meant for a machine with nothing else to do."""
     about = {"situation": bench.here.name, "threads": torch.get_num_threads()}
     for settings in plan_settings(quick):
-        yield ledger.measure({"part": "plan-time", **about, **vars(settings)}, partial(plan_seconds, bench, settings))
+        yield store.measure({"part": "plan-time", **about, **vars(settings)}, partial(plan_seconds, bench, settings))

@@ -10,7 +10,7 @@ from rumi.cache import cache_folder
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import PRESETS, preset
-from scripts.bench.ledger import Figures, Ledger
+from scripts.store import Figures, Store
 
 TASKS = ("mug-0", "mug-1", "mug-2")
 
@@ -58,7 +58,7 @@ def run_figures(run: RunSettings) -> Figures:
     return {name: figures[name] for name in names} | took
 
 
-def measure_runs(ledger: Ledger, *, quick: bool) -> Iterator[bool]:
+def measure_runs(store: Store, *, quick: bool) -> Iterator[bool]:
     """Do the runs that are missing."""
     for run in run_settings(quick):
-        yield ledger.measure({"part": "run", **vars(run)}, partial(run_figures, run))
+        yield store.measure({"part": "run", **vars(run)}, partial(run_figures, run))

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rumi.viz import style
-from scripts.bench.ledger import Ledger
 from scripts.bench.scaling_work import SIZES, WORK
+from scripts.store import Store
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,11 +15,11 @@ _DASHES = ("-", (0, (4, 2)), (0, (1, 1)))
 _LEAST_BYTES = 1 << 20
 
 
-def draw(ledger: Ledger, out: Path) -> list[Path]:
-    """Draw what a ledger of `scripts.bench.scaling_study` holds: time above, memory beside the result below, by axis.
+def draw(store: Store, out: Path) -> list[Path]:
+    """Draw what a store of `scripts.bench.scaling_study` holds: time above, memory beside the result below, by axis.
 
     Args:
-        ledger: measurements.
+        store: measurements.
         out: folder of the picture; made if need be.
 
     Returns:
@@ -27,7 +27,7 @@ def draw(ledger: Ledger, out: Path) -> list[Path]:
     """
     out.mkdir(parents=True, exist_ok=True)
     path = out / "scaling.png"
-    rows = ledger.of("scaling")
+    rows = store.of("scaling")
     with style.figure(15.0, 6.4) as made:
         axes = made.subplots(2, len(SIZES), sharex="col", sharey="row", squeeze=False)
         for column, axis in enumerate(SIZES):

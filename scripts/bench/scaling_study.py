@@ -14,8 +14,8 @@ from pathlib import Path
 
 import torch
 
-from scripts.bench.ledger import Figures, Ledger
 from scripts.bench.scaling_work import SIZES, WORK, Axis, Size
+from scripts.store import Figures, Store
 
 _logger = logging.getLogger(__name__)
 _CALL_S = 20.0
@@ -32,27 +32,27 @@ def run(*, quick: bool, out: Path, jsonl: Path | None = None) -> None:
         out: folder of the figure.
         jsonl: file of the results; by default `scaling.jsonl` in the folder.
     """
-    ledger = Ledger(jsonl or out / "scaling.jsonl")
-    for done in measure(ledger, quick=quick):
+    store = Store(jsonl or out / "scaling.jsonl")
+    for done in measure(store, quick=quick):
         if done:
-            _logger.info("%d measurements", sum(1 for _ in ledger.lines()))
+            _logger.info("%d measurements", len(store.lines))
     from scripts.bench.scaling_figure import draw
 
-    draw(ledger, out)
+    draw(store, out)
 
 
-def measure(ledger: Ledger, *, quick: bool) -> Iterator[bool]:
+def measure(store: Store, *, quick: bool) -> Iterator[bool]:
     """Do what is missing; a series ends at the first size that takes too long or too much memory."""
     for name, (_, axes) in WORK.items():
         for axis in axes[:1] if quick else axes:
-            yield from _series(ledger, name, axis, SIZES[axis][:2] if quick else SIZES[axis])
+            yield from _series(store, name, axis, SIZES[axis][:2] if quick else SIZES[axis])
 
 
-def _series(ledger: Ledger, name: str, axis: Axis, sizes: tuple[int, ...]) -> Iterator[bool]:
+def _series(store: Store, name: str, axis: Axis, sizes: tuple[int, ...]) -> Iterator[bool]:
     for count in sizes:
         settings = {"part": "scaling", "op": name, "axis": axis, "size": count, "threads": torch.get_num_threads()}
-        yield ledger.measure(settings, partial(measure_apart, name, replace(Size(), **{axis: count})))
-        ended = [f["ended"] for f in ledger.of("scaling") if settings.items() <= f.items()]
+        yield store.measure(settings, partial(measure_apart, name, replace(Size(), **{axis: count})))
+        ended = [f["ended"] for f in store.of("scaling") if settings.items() <= f.items()]
         if ended != ["done"]:
             return
 

@@ -18,7 +18,7 @@ from rumi.seeding import split
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.build import make_task
 from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_tool
-from scripts.bench.ledger import clock
+from scripts.store import clock
 from sdf.grid_sdf import GridSDF
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy

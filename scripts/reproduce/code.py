@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import io
+import json
 import tokenize
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -12,6 +13,47 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("sdf", "sensors", "kmppi", "rumi", "scripts")
 APART = ("rumi.tasks.rummage.settings", "rumi.runs.sketch")
 """What does not count: settings, which count by their values, and what is only looked at."""
+
+ROOTS: dict[str, tuple[str, ...]] = {
+    "run": ("scripts.reproduce.runs",),
+    "toy": ("scripts.reproduce.toy",),
+    "peg": ("scripts.reproduce.peg",),
+    "peg-real": ("scripts.reproduce.peg",),
+    "touch-box": ("rumi.tasks.touch_box.build",),
+    "touch-ablation": ("rumi.tasks.touch_box.build",),
+    "push-run": ("rumi.tasks.rummage.build", "rumi.loop"),
+    "prediction": ("rumi.tasks.rummage.build", "rumi.loop", "scripts.bench.prediction"),
+    "localize": ("rumi.registration.from_contacts",),
+    "torques": ("rumi.sim.torque_arm",),
+    "vision": ("sensors.vision.cloud", "sensors.touch.bubble", "scripts.bench.known_scenes"),
+    "mesh": ("sdf.mesh.build",),
+    "open3d": ("sensors.vision.cloud", "scripts.bench.known_scenes"),
+}
+"""Modules that the results of each kind of work depend on, with all that they import."""
+
+SAME_CODE = ROOT / "scripts" / "results" / "same_code.json"
+"""Hashes of earlier code with the hash that their results count as: `scripts.reproduce.same_code` writes them."""
+
+
+def code_of(kind: str) -> str:
+    """Hash of the code that a kind of work depends on."""
+    return code_hash(ROOTS[kind])
+
+
+def present_code(code: str) -> str:
+    """The hash that one counts as: another where the code of both is on record as the same, else itself."""
+    known = same_code()
+    for _ in known:  # as often as there are steps at most
+        code = known.get(code, code)
+    return code
+
+
+@cache
+def same_code() -> dict[str, str]:
+    """Earlier hashes with the later ones that they count as."""
+    if not SAME_CODE.is_file():
+        return {}
+    return {line["old"]: line["new"] for line in json.loads(SAME_CODE.read_text(encoding="utf-8"))}
 
 
 @cache

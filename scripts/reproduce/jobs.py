@@ -11,7 +11,7 @@ from typing import Any
 from rumi.errors import UsageError
 from rumi.runs.json_settings import FORMER_KEYS
 from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
-from scripts.reproduce.code import code_hash
+from scripts.reproduce.code import code_of
 
 TOY_METHODS = ("MPPI", "SMPPI", "KMPPI")
 _MESH = "object.mesh="
@@ -45,7 +45,7 @@ class Job:
     @property
     def code(self) -> str:
         """Hash of the code that its result depends on."""
-        return code_hash(KINDS[self.kind].roots)
+        return code_of(self.kind)
 
     @cached_property
     def settings(self) -> Settings:
@@ -74,10 +74,7 @@ class Job:
     @cached_property
     def id(self) -> str:
         """Under which its result is kept: the same for the same work by the same code."""
-        whole = self.describe()
-        # of a mesh its contents decide, which are in the settings' hash
-        whole["overrides"] = [o for o in whole["overrides"] if not o.startswith(_MESH)]
-        return _digest(whole)[:16]
+        return identity(self.describe())
 
     def describe(self) -> dict[str, Any]:
         """All that decides the result."""
@@ -94,20 +91,7 @@ class Job:
 
     def carry_out(self, cache_dir: Path) -> dict[str, Any]:
         """Do it: `figures`, `timings` and `curves`, ready for JSON."""
-        return KINDS[self.kind].carry_out(self, cache_dir)
-
-
-@dataclass(frozen=True)
-class Kind:
-    """How a kind of work is done.
-
-    Attributes:
-        roots: modules that its result depends on, with all that they import.
-        carry_out: does it.
-    """
-
-    roots: tuple[str, ...]
-    carry_out: Callable[[Job, Path], dict[str, Any]]
+        return KINDS[self.kind](self, cache_dir)
 
 
 def _run(job: Job, cache_dir: Path) -> dict[str, Any]:
@@ -128,13 +112,15 @@ def _peg(job: Job, cache_dir: Path) -> dict[str, Any]:
     return carry_out(job.overrides, job.seed)
 
 
-KINDS = {
-    "run": Kind(("scripts.reproduce.runs",), _run),
-    "toy": Kind(("scripts.reproduce.toy",), _toy),
-    "peg": Kind(("scripts.reproduce.peg",), _peg),
-    "peg-real": Kind(("scripts.reproduce.peg",), _peg),
-}
+KINDS: dict[str, Callable[[Job, Path], dict[str, Any]]] = {"run": _run, "toy": _toy, "peg": _peg, "peg-real": _peg}
 """All kinds of work by name."""
+
+
+def identity(described: dict[str, Any]) -> str:
+    """The name of some work, of all that decides its result."""
+    # of a mesh its contents decide, which are in the settings' hash
+    whole = described | {"overrides": [o for o in described["overrides"] if not o.startswith(_MESH)]}
+    return _digest(whole)[:16]
 
 
 def column_name(method: str, preset_name: str, overrides: Sequence[str] = ()) -> str:

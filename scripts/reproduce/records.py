@@ -1,15 +1,15 @@
 """What was measured, as it is kept in files of JSON lines and as tables take it."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rumi.agent import stop_reason
 from rumi.errors import UsageError
-from rumi.runs.jsonlines import append_line, read_lines
-from scripts.bench.ledger import commit, machine
-from scripts.reproduce.jobs import Job, column_name, named
+from rumi.runs.jsonlines import append_line
+from scripts.reproduce.jobs import Job, column_name, identity, named
+from scripts.store import Line, Store, commit, machine
 
 SCHEMA = 1
 Key = tuple[str, str, str, str, tuple[str, ...], int]
@@ -71,21 +71,10 @@ def record_of(line: dict[str, Any]) -> Record | None:
         return _first_table(line)
     if line.get("schema") != SCHEMA or "id" not in line:
         return None
-    return Record(
-        line["kind"],
-        line["task"],
-        line["method"],
-        line["preset"],
-        line["seed"],
-        tuple(line["overrides"]),
-        _figures(line["figures"]),
-        line["timings"],
-        line["curves"],
-        line["id"],
-        line["code"],
-        line["commit"],
-        line["machine"],
-    )
+    described = {name: line[name] for name in _DESCRIBED}
+    # the name of the work by the present code, where that is on record as the same
+    about = {name: line[name] for name in _ABOUT} | {"id": identity(described)}
+    return Record(**about | {"overrides": tuple(line["overrides"]), "figures": _figures(line["figures"])})
 
 
 def _figures(figures: dict[str, Any]) -> dict[str, Any]:
@@ -93,6 +82,8 @@ def _figures(figures: dict[str, Any]) -> dict[str, Any]:
     return figures | {"stopped_by": stop_reason(figures["stopped_by"])} if "stopped_by" in figures else figures
 
 
+_DESCRIBED = ("kind", "task", "method", "preset", "overrides", "seed", "settings", "code")
+_ABOUT = (*("kind", "task", "method", "preset", "seed", "figures", "timings", "curves"), "code", "commit", "machine")
 _FIGURES = (
     *("right", "paper_success", "paper_success_at_start", "min_nll", "final_nll", "cumulative_nll", "steps"),
     *("stopped_by", "apc", "expected_nll", "position_error_mm", "rotation_error_deg", "contacts", "clipped"),
@@ -122,38 +113,28 @@ def _first_table(line: dict[str, Any]) -> Record:
     )
 
 
-@dataclass
-class Records:
+class Records(Store):
     """A file of results, read as it grows.
 
     Args:
         path: of the file, of JSON lines.
     """
 
-    path: Path
-    by_id: dict[str, Record] = field(default_factory=dict)
-    every: list[Record] = field(default_factory=list)
-    _read: int = 0
+    def __init__(self, path: Path) -> None:
+        self.by_id: dict[str, Record] = {}
+        self.every: list[Record] = []
+        super().__init__(path)
 
-    def __post_init__(self) -> None:
-        self.refresh()
-
-    def refresh(self) -> None:
-        """Read what was added since."""
-        for line, end in read_lines(self.path, self._read):
-            self._read = end
-            record = record_of(line)
-            if record is None:
-                continue
-            # the same work done twice, where locks do not reach: the first counts
-            if record.id and record.id in self.by_id:
-                continue
+    def take(self, line: Line) -> None:
+        """Take in a result; of the same work done twice, where locks do not reach, the first counts."""
+        record = record_of(line)
+        if record is not None and not (record.id and record.id in self.by_id):
             self.every.append(record)
             if record.id:
                 self.by_id[record.id] = record
 
-    def add(self, job: Job, result: dict[str, Any]) -> None:
-        """Keep a result."""
+    def keep(self, job: Job, result: dict[str, Any]) -> None:
+        """Write a result down."""
         append_line(self.path, line_of(job, result))
 
     def done(self, jobs: Iterable[Job]) -> list[Record]:

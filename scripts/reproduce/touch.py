@@ -11,18 +11,18 @@ from typing import Annotated
 import tyro
 
 from rumi import loop
-from rumi.bench.history import check_writable
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
 from rumi.runs.folder import make_folder
+from rumi.runs.jsonlines import check_writable
 from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.report import Line, calibration, digest, table
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import METHODS
 from rumi.tasks.touch_box.settings import TouchSettings
-from scripts.bench.ledger import Ledger
-from scripts.reproduce.code import code_hash
+from scripts.reproduce.code import code_of
 from scripts.reproduce.seeds import seeds_of
+from scripts.store import Store
 
 EXPERIMENTS = ("touch-table1", "touch-table2", "touch-fig3", "touch-fig4")
 PART = "touch-box"
@@ -128,8 +128,8 @@ def run_all(options: TouchReproduceOptions, cache_dir: Path | None) -> dict[str,
     """All runs of Table I, each once; what the file holds, where nothing is to be run."""
     import time
 
-    begun, ledger, columns = time.monotonic(), Ledger(options.path), _columns(options)
-    code = code_hash(("rumi.tasks.touch_box.build",))
+    begun, store, columns = time.monotonic(), Store(options.path), _columns(options)
+    code = code_of(PART)
     if not options.show:
         for seed in seeds_of(options.seeds):
             for name, settings in columns.items():
@@ -149,13 +149,13 @@ def run_all(options: TouchReproduceOptions, cache_dir: Path | None) -> dict[str,
                     with build_touch_box(options.task, settings, options.robot, cache_dir=cache_dir) as parts:
                         return loop.run(*parts, seed=seed).as_dict()
 
-                if ledger.measure(asked, work):
+                if store.measure(asked, work):
                     sys.stderr.write(f"rumi: seed {seed}, {name}\n")
     groups: dict[str, list[Line]] = {}
     seeds = set(seeds_of(options.seeds))
     for name, settings in columns.items():
         wanted = digest(options.task, settings, options.robot)
-        own = [line for line in ledger.of(PART) if line["settings"] == wanted and line["seed"] in seeds]
+        own = [line for line in store.of(PART) if line["settings"] == wanted and line["seed"] in seeds]
         if not options.show:
             own = [line for line in own if line["code"] == code]
         groups[name] = list({line["seed"]: line for line in own}.values())

@@ -141,7 +141,7 @@ def _settle(job: Job, errand: Errand, records: Records, claims: Claims) -> bool:
             said = {"session": errand.session, "id": job.id, "work": name, "error": f"{type(error).__name__}: {error}"}
             append_line(errand.errors, said | {"traceback": traceback.format_exc()})
         else:
-            records.add(job, result)
+            records.keep(job, result)
         return True
     finally:
         claims.leave(job.id)

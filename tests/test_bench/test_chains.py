@@ -47,20 +47,6 @@ def test_chains_weigh_two_modes_that_lie_apart():
     assert float(own[:, 1, 3].std()) == pytest.approx(0.004, rel=0.15)
 
 
-def test_without_evidence_chains_fill_the_prior():
-    settings = ChainSettings(chains=40, burn_in=100, steps=400, thin=2, inverse_temperatures=(1.0, 0.5))
-    high = torch.full((3,), 0.1, dtype=F64)
-    flat = tempered_chains(
-        lambda poses: poses.new_zeros(len(poses)), -high, high, "SE(3)", settings, generator=random()
-    )
-    place, rotation = flat.poses[..., :3, 3].reshape(-1, 3), flat.poses[..., :3, :3].reshape(-1, 3, 3)
-    assert float(place.abs().max()) <= 0.1
-    torch.testing.assert_close(place.std(0), torch.full((3,), 0.2 / math.sqrt(12.0), dtype=F64), rtol=0.05, atol=0)
-    torch.testing.assert_close(rotation.mean(0), torch.zeros(3, 3, dtype=F64), atol=0.04, rtol=0)
-    # of even rotations, each entry has variance 1/3
-    torch.testing.assert_close(rotation.var(0), torch.full((3, 3), 1.0 / 3.0, dtype=F64), rtol=0.08, atol=0)
-
-
 def test_r_hat_tells_chains_apart():
     draws = torch.randn(4, 1000, 2, generator=random(), dtype=F64)
     torch.testing.assert_close(split_r_hat(draws), torch.ones(2, dtype=F64), atol=0.01, rtol=0)

@@ -3,14 +3,12 @@
 import pytest
 import torch
 
-from rumi.tasks.rummage.settings import PRESETS, preset
 from scripts.bench import pareto_figures
-from scripts.bench.estimates import Estimate, belief_estimates, field_estimates
-from scripts.bench.ledger import Ledger
+from scripts.bench.estimates import Estimate
 from scripts.bench.nearest import NearestGrid
 from scripts.bench.pareto_figures import Dot, draw, front
-from scripts.bench.plans import PlanSettings, plan_settings
-from scripts.bench.runs import run_settings
+from scripts.bench.plans import PlanSettings
+from scripts.store import Store
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Sphere
 
@@ -21,32 +19,6 @@ def test_the_front_is_what_nothing_beats():
     ]
     assert [dot.settings["n"] for dot in front(dots)] == [0, 2, 4]
     assert front([]) == []
-
-
-def test_the_presets_are_among_what_is_compared():
-    for name in ("default", "fast"):
-        settings = preset(name)
-        plan = PlanSettings(
-            particles=settings.initialise.particles,
-            samples=settings.planner.mppi.samples,
-            rollouts=settings.planner.suited("displacement").rollouts,
-            mini_steps=settings.planner.push.mini_steps,
-            warmup_iterations=settings.planner.mppi.warmup_iterations,
-            iterations=settings.planner.mppi.iterations,
-        )
-        assert plan in plan_settings(quick=False)
-        start = settings.initialise
-        estimate = Estimate(particles=start.particles, starts=start.starts, polished=start.polished)
-        assert estimate in belief_estimates(quick=False)
-        assert any(e.particles == start.particles for e in field_estimates(quick=False))
-        assert plan.policy.mppi == settings.planner.mppi
-    assert {run.preset for run in run_settings(quick=True)} == set(PRESETS)
-    assert min(run.seed for run in run_settings(quick=False)) >= 1000
-
-
-def test_nothing_is_compared_twice():
-    for found in (belief_estimates(False), field_estimates(False), plan_settings(False), run_settings(False)):
-        assert len(found) == len(set(found))
 
 
 def test_nearest_look_up_is_the_value_of_the_nearest_node():
@@ -65,46 +37,46 @@ def test_nearest_look_up_is_the_value_of_the_nearest_node():
     assert float(off.mean()) > 1e-4
 
 
-def fill(ledger):
+def fill(store):
     """What a study might have found, by hand."""
     where = {"situation": "mug-1/view", "points": "x", "threads": 1}
     for particles, error, seconds in ((30, 0.02, 0.002), (100, 0.01, 0.004), (1000, 0.012, 0.05)):
         own = vars(Estimate(particles=particles))
         for seed, more in ((1000, 0.001), (1001, -0.001)):
             figures = {"information_mean": error + more}
-            ledger.measure({"part": "field", **where, "seed": seed, **own}, lambda f=figures: f)
-        ledger.measure({"part": "field-time", **where, **own}, lambda s=seconds: {"seconds": s, "plain_seconds": s})
+            store.measure({"part": "field", **where, "seed": seed, **own}, lambda f=figures: f)
+        store.measure({"part": "field-time", **where, **own}, lambda s=seconds: {"seconds": s, "plain_seconds": s})
         shares = {"total_variation": 0.5, "total_variation_yaw": 0.1}
-        ledger.measure({"part": "belief", **where, "seed": 1000, **own}, lambda f=shares: f)
+        store.measure({"part": "belief", **where, "seed": 1000, **own}, lambda f=shares: f)
     for seed, least in ((1000, -2.0), (1001, -1.5)):
         about = {"situation": "mug-1/view", "seed": seed}
-        ledger.measure({"part": "best-plan", **about}, lambda c=least: {"least": c, "still": -1.0})
+        store.measure({"part": "best-plan", **about}, lambda c=least: {"least": c, "still": -1.0})
         for samples, cost in ((50, -1.1), (500, -1.6)):
             own = vars(PlanSettings(samples=samples))
-            ledger.measure({"part": "plan", **about, **own}, lambda c=cost: {"cost": c})
+            store.measure({"part": "plan", **about, **own}, lambda c=cost: {"cost": c})
     for samples, seconds in ((50, 0.01), (500, 0.1)):
         own = vars(PlanSettings(samples=samples))
-        ledger.measure({"part": "plan-time", **where, **own}, lambda s=seconds: {"first_s": s, "pass_s": s})
+        store.measure({"part": "plan-time", **where, **own}, lambda s=seconds: {"first_s": s, "pass_s": s})
     run = {"task": "mug-0", "preset": "default", "seed": 1000, "steps": None}
-    ledger.measure({"part": "run", **run}, lambda: {"right": True, "actions": 10, "seconds": 3.0, "processor_s": 2.5})
+    store.measure({"part": "run", **run}, lambda: {"right": True, "actions": 10, "seconds": 3.0, "processor_s": 2.5})
 
 
 def test_errors_and_times_are_brought_together(tmp_path):
-    ledger = Ledger(tmp_path / "a.jsonl")
-    fill(ledger)
-    fields = {dot.settings["particles"]: dot for dot in pareto_figures.field_dots(ledger)}
+    store = Store(tmp_path / "a.jsonl")
+    fill(store)
+    fields = {dot.settings["particles"]: dot for dot in pareto_figures.field_dots(store)}
     assert fields[100].error == pytest.approx(0.01)
     assert fields[1000].seconds == 0.05
     assert [dot.settings["particles"] for dot in front(fields.values())] == [30, 100]
-    plans = {dot.settings["samples"]: dot for dot in pareto_figures.plan_dots(ledger)}
+    plans = {dot.settings["samples"]: dot for dot in pareto_figures.plan_dots(store)}
     # the second belief's best plan is one of those that were compared
     assert plans[50].error == pytest.approx(0.5 * (0.9 + 0.5 / 0.6))
     assert plans[500].error == pytest.approx(0.5 * (0.4 + 0.0))
 
 
 def test_figures_are_drawn_of_much_and_of_nothing(tmp_path):
-    ledger = Ledger(tmp_path / "a.jsonl")
-    (empty,) = draw(ledger, tmp_path / "empty")
-    fill(ledger)
-    (path,) = draw(ledger, tmp_path / "full")
+    store = Store(tmp_path / "a.jsonl")
+    (empty,) = draw(store, tmp_path / "empty")
+    fill(store)
+    (path,) = draw(store, tmp_path / "full")
     assert path.stat().st_size > empty.stat().st_size > 1000

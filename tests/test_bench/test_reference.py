@@ -59,18 +59,6 @@ def test_it_says_when_its_cells_do_not_suffice():
         grid_posterior(normal((0, 0, 0), (0.02, 0.02, 1.0)), *WIDE, largest=10000)
 
 
-def test_a_pilot_changes_nothing_where_it_is_wide_enough():
-    density = normal((0.003, -0.004, 0.5), (0.002, 0.003, 0.1))
-    whole = grid_posterior(density, *WIDE)
-    led = grid_posterior(density, *WIDE, pilot=lambda p: 0.3 * density(p))
-    torch.testing.assert_close(moments(led)[1], moments(whole)[1], atol=0, rtol=1e-3)
-
-
-def test_a_density_that_is_no_number_is_refused():
-    with pytest.raises(RuntimeError, match="finite"):
-        grid_posterior(lambda p: p[:, 0].log(), *WIDE)
-
-
 def observed(sdf, count=60):
     random = torch.Generator().manual_seed(3)
     low, high = sdf.bounds

@@ -2,24 +2,10 @@
 
 import pytest
 
-from scripts.bench import scaling_study as scaling
-from scripts.bench import scaling_work
-from scripts.bench.ledger import Ledger
-from scripts.bench.scaling_figure import draw
 from scripts.bench.scaling_study import measure_apart
-from scripts.bench.scaling_work import SIZES, WORK, Size
+from scripts.bench.scaling_work import Size
 
 pytestmark = pytest.mark.usefixtures("at_home")
-
-
-@pytest.mark.parametrize("name", WORK)
-def test_every_work_runs_along_its_axes(name):
-    make, axes = WORK[name]
-    small = Size(particles=5, points=400, samples=4, horizon=3)
-    for axis in axes:
-        grown = {"particles": 7, "points": 900, "samples": 6, "horizon": 5, "scenes": 2}[axis]
-        make(Size(**(vars(small) | {axis: grown})))()
-        assert len(SIZES[axis]) >= 2
 
 
 def test_time_and_memory_of_a_call_are_measured():
@@ -38,22 +24,3 @@ def test_too_much_memory_ends_it():
 
 def test_too_much_time_ends_it():
     assert measure_apart("posed_query", Size(particles=20_000), call_s=0.01) == {"ended": "time"}
-
-
-def test_a_series_ends_where_a_size_does_not_end_well(tmp_path, monkeypatch):
-    asked = []
-
-    def instead(name, size):
-        asked.append(size.particles)
-        if size.particles > 100:
-            return {"ended": "memory"}
-        return {"ended": "done", "seconds": 1.0, "processor_s": 1.0, "peak_bytes": 2e6, "result_bytes": 10}
-
-    monkeypatch.setattr(scaling, "measure_apart", instead)
-    monkeypatch.setattr(scaling, "WORK", {"posed_query": scaling_work.WORK["posed_query"]})
-    ledger = Ledger(tmp_path / "a.jsonl")
-    assert list(scaling.measure(ledger, quick=False)) == [True, True, True]
-    assert asked == [10, 100, 1000]
-    assert list(scaling.measure(ledger, quick=False)) == [False, False, False]
-    (path,) = draw(ledger, tmp_path)
-    assert path.stat().st_size > 1000

@@ -47,11 +47,11 @@ def test_a_belief_follows_a_situation():
 def test_a_quick_study_from_end_to_end(tmp_path):
     torch.set_num_threads(1)
     pareto.run(quick=True, out=tmp_path)
-    ledger = pareto.Ledger(tmp_path / "pareto.jsonl")
-    parts = {line["settings"]["part"] for line in ledger.lines()}
+    store = pareto.Store(tmp_path / "pareto.jsonl")
+    parts = {line["settings"]["part"] for line in store.lines}
     assert parts >= {"belief", "field", "plan", "best-plan", "run", "chains", "box-belief", "plan-time", "field-time"}
     assert (tmp_path / "pareto.png").stat().st_size > 10_000
-    numbers = [value for line in ledger.lines() for value in line["figures"].values() if isinstance(value, float)]
+    numbers = [value for line in store.lines for value in line["figures"].values() if isinstance(value, float)]
     assert all(map(math.isfinite, numbers))
     before = (tmp_path / "pareto.jsonl").read_bytes()
     pareto.run(quick=True, out=tmp_path)  # nothing is measured twice

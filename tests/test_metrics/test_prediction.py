@@ -28,7 +28,6 @@ from scripts.bench.prediction import (
     from_plan,
     information_gained,
     realised,
-    run_spearman,
 )
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
@@ -127,14 +126,6 @@ def test_information_gained_is_the_divergence(mug: ObjectModel, follower: PoseFi
     assert information_gained(prior, record(1, belief(), HERE), follower) == 0.0
 
 
-def test_points_that_tell_nothing_apart_gain_nothing(follower: PoseFilter) -> None:
-    far = Observation.of(torch.tensor([[-0.5, 0.3, 0.05]]), Semantics.FREE)
-    assert information_gained(belief(), record(1, belief(), HERE, added=far), follower) == pytest.approx(0.0, abs=1e-9)
-    alone = belief(1)
-    touched = Observation.of(torch.tensor([[0.44, 0.0, 0.05]]), Semantics.SURFACE)
-    assert information_gained(alone, record(1, alone, HERE, added=touched), follower) == 0.0
-
-
 def test_what_an_action_did(follower: PoseFilter) -> None:
     moved = se3.from_planar(torch.tensor([0.05, -0.02, 0.0]))
     start = se3.from_planar(START)
@@ -150,19 +141,6 @@ def test_what_an_action_did(follower: PoseFilter) -> None:
     blind = [replace(step, truth=None) for step in steps]
     assert realised(blind, 1, follower).displacement_m == pytest.approx((0.05, -0.02, 0.0), abs=1e-6)
     assert list(actions(steps)) == [1]
-
-
-def test_each_action_has_its_place_in_its_plan() -> None:
-    info = {
-        "predicted_information": [1.0, 2.0, 3.0],
-        "predicted_displacement": [[0.1, 0.0, 0.0], [0.2, 0.0, 0.0], [0.3, 0.0, 0.0]],
-    }
-    first, second, mute = (Plan(torch.zeros(3, 3), torch.zeros(4, 3), info=i) for i in (info, info, {"turn": "x"}))
-    plans = [None, first, first, second, first, mute]
-    steps = [record(index, belief(2), HERE, plan=plan) for index, plan in enumerate(plans)]
-    expected = [from_plan(steps, index) for index in range(1, 6)]
-    assert [e and e.information for e in expected] == [1.0, 2.0, 1.0, 1.0, None]
-    assert expected[1] == Predicted(2.0, (0.2, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("hazard", ["per_rollout", "per_mini_step"])
@@ -219,20 +197,6 @@ def test_swept_information(mug: ObjectModel, workspace: Workspace, tool: Tool) -
     ridden = situation.swept(record(1, belief(), path[-1], path=path, motion=poses @ se3.inverse(poses[:1])), settings)
     assert ridden == pytest.approx(cells(path[:1]), rel=1e-4)
     assert situation.swept(record(1, belief(), path[-1], path=path), settings) is None
-
-
-def test_rank_correlation_draws_whole_runs() -> None:
-    random = np.random.default_rng(0)
-    rising = [([*map(float, x)], [*map(float, np.exp(x))]) for x in random.normal(size=(6, 10))]
-    assert run_spearman(rising) == pytest.approx((1.0, 1.0, 1.0))
-    noisy = [(x, [v + e for v, e in zip(x, random.normal(size=10), strict=True)]) for x, _ in rising]
-    middle, low, high = run_spearman(noisy)
-    assert low < middle < high
-    assert 0.3 < middle < 0.95
-    assert (middle, low, high) == run_spearman(noisy)
-    assert math.isnan(run_spearman([([1.0, 1.0], [1.0, 2.0])])[0])
-    with pytest.raises(ValueError, match="got none"):
-        run_spearman([])
 
 
 def pair(information: float, gained: float, expected: float, true: float) -> tuple[Predicted, Realised]:

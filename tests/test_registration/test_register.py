@@ -5,10 +5,10 @@ import math
 import pytest
 import torch
 
-from rumi.bench.modes import lost_modes, plausible_modes
 from rumi.registration.descent import DescentSettings, descend
 from rumi.registration.register import RegisterSettings, net, register, uniform_starts
 from scripts.bench import box_view as patch
+from scripts.bench.modes import lost_modes, plausible_modes
 from sdf import se3, so3
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Box

@@ -9,7 +9,6 @@ from scripts.reproduce import allocation
 from scripts.reproduce.experiments import EXPERIMENTS, Selection, work_of
 from scripts.reproduce.peg import carry_out, settings_of
 from scripts.reproduce.records import Record, Records
-from scripts.reproduce.reports import reports
 
 QUICK = ("t_max_s=10", "particles=150", "search_particles=400", "point_m=0.001", "normal_deg=2")
 
@@ -27,7 +26,7 @@ def record(seed, overrides, **figures):
 def test_a_run_is_kept_and_found_again(tmp_path):
     job = replace(work_of(["allocation-table1"], Selection(seeds=(3,)))[0], overrides=QUICK)
     records = Records(tmp_path / "peg.jsonl")
-    records.add(job, job.carry_out(tmp_path))
+    records.keep(job, job.carry_out(tmp_path))
     records.refresh()
     (found,) = records.done([job])
     assert found.figures == carry_out(QUICK, 3)["figures"]
@@ -39,7 +38,7 @@ def test_a_run_is_kept_and_found_again(tmp_path):
 def test_the_settings_of_a_run():
     found = settings_of(["t_max_s=20", "stop=contacts", "table_m=[0.6, 0.4]", "evaluation_s=null"])
     assert (found.action_budget_s, found.stop, found.table_m, found.evaluation_s) == (20, "contacts", (0.6, 0.4), None)
-    with pytest.raises(UsageError, match="no setting 'time'"):
+    with pytest.raises(UsageError, match=r"no setting '?time"):
         settings_of(["time=3"])
 
 
@@ -51,30 +50,6 @@ def test_experiments_share_what_they_have_in_common():
     assert len({job.id for job in every}) == 72 - 2 - 2  # 10 s with either stop is in two of them
     for job in every:
         assert (settings_of(job.overrides).evaluation_s is None) == (job.kind == "peg-real")
-
-
-def test_the_tolerance_of_a_table_is_that_of_its_runs():
-    usual, tight = record(0, ("t_max_s=10",)), record(0, ("t_max_s=10", "tolerance_m=0.0025"))
-    assert "| both holes < 5 mm |" in allocation.accuracy([usual])
-    assert "| both holes < 2.5 mm |" in allocation.accuracy([tight])
-    assert "| both holes in tolerance |" in allocation.times([usual, tight])
-
-
-def test_table_1_beside_the_paper():
-    runs = [record(s, (f"t_max_s={t}", "stop=contacts"), total_s=60.0 + t + s) for s in range(3) for t in (10, 20)]
-    text = allocation.times(runs)
-    assert "| 10 s | 3 | 31.0 [30.0, 32.0] |" in text and "71.0 [70.0, 72.0]" in text
-    assert "| 10 s, the paper | 1 | 36.9 | 53.9 | 68.4 | 83.5 | 98.1 |" in text and "110" in text
-    assert "sooner by 10.0 [10.0, 10.0] s" in allocation.faster(runs) and "median of 3" in allocation.faster(runs)
-    assert allocation.faster(runs[:1]) == "" and allocation.times([]) == ""
-
-
-def test_how_exact():
-    runs = [record(s, ("t_max_s=10",), right=s > 0, off_mm=2.0 + s) for s in range(4)]
-    text = allocation.accuracy([*runs, record(0, ("t_max_s=10", "stop=contacts", "point_m=0.001", "normal_deg=2"))])
-    first, second = text.splitlines()[2:]
-    assert first.startswith("| 5 mm, 6 deg | P >= 0.95 | 4 |") and "| 3/4 [" in first and "| 1/4 [" in first
-    assert second.startswith("| 1 mm, 2 deg | 4 contacts on 2 sides | 1 |")
 
 
 def test_the_least_is_marked(tmp_path):
@@ -99,15 +74,3 @@ def test_the_least_is_marked(tmp_path):
     real = [record(s, ("t_max_s=7", "evaluation_s=null")) for s in range(4)]
     assert allocation.totals([*runs, *real]).splitlines()[-1].startswith("| measured, 0.004 | 7 | 4 | **100 [")
     assert allocation.draw_totals([], tmp_path / "none.png") == []
-
-
-def test_reports_with_figures(tmp_path):
-    selection = Selection(seeds=(0,))
-    runs = [record(0, (f"t_max_s={t}", "stop=contacts")) for t in (10, 20)]
-    (found,) = reports(["allocation-table1"], selection, runs, tmp_path, tmp_path)
-    assert "the paper" in found.text and len(found.figures) == 2
-    assert all(path.stat().st_size > 10_000 for path in found.figures)
-    # of several, those without a result are left out; asked for alone it says what it would show
-    (one,) = reports(["allocation-accuracy", "allocation-time"], selection, runs, None, tmp_path)
-    (two,) = reports(["allocation-time"], selection, runs, None, tmp_path)
-    assert "contacts on 2 sides" in one.text and two.figures == ()

@@ -1,7 +1,6 @@
 """`rumi reproduce`: what it refuses, does once, goes on with, and leaves behind however it ends."""
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -10,10 +9,8 @@ from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.runs.jsonlines import read_lines
-from scripts.reproduce import command, experiments, touch, toy, worker
-from scripts.reproduce.jobs import KINDS, Kind
-from scripts.reproduce.live import LiveTable
-from scripts.reproduce.live import lines as live_lines
+from scripts.reproduce import command, experiments, toy, worker
+from scripts.reproduce.jobs import KINDS
 from scripts.reproduce.records import Records
 from scripts.reproduce.worker import Errand
 
@@ -35,7 +32,7 @@ def quick(monkeypatch):
         curves = {name: [float(job.seed), 1.0] for name in ("path_x", "path_y", "plan_x", "plan_y")}
         return {"figures": figures, "timings": {"wall_s": 0.5}, "curves": curves}
 
-    monkeypatch.setitem(KINDS, "toy", Kind(("scripts.reproduce.toy",), carry_out))
+    monkeypatch.setitem(KINDS, "toy", carry_out)
     return calls
 
 
@@ -74,21 +71,6 @@ def test_refuses(arguments, message, capsys, quick):
     assert quick == []
 
 
-def test_help_names_the_experiments(capsys):
-    assert main(["reproduce", "--help"]) == exit_codes.DONE
-    said = " ".join(capsys.readouterr().out.split())
-    for word in (
-        *experiments.EXPERIMENTS,
-        *touch.EXPERIMENTS,
-        "--seconds",
-        "--shard",
-        "--executor",
-        "--jobs",
-        "submitit",
-    ):
-        assert word in said
-
-
 def test_what_is_done_is_not_done_again(capsys, quick):
     assert main([*FEW]) == exit_codes.DONE
     first = capsys.readouterr()
@@ -104,7 +86,7 @@ def test_what_is_done_is_not_done_again(capsys, quick):
 
 def test_other_code_does_it_again(monkeypatch, quick):
     assert main([*FEW]) == exit_codes.DONE
-    monkeypatch.setattr("scripts.reproduce.jobs.code_hash", lambda roots: "another")
+    monkeypatch.setattr("scripts.reproduce.jobs.code_of", lambda kind: "another")
     assert main([*FEW]) == exit_codes.DONE
     assert len(quick) == 12
 
@@ -126,9 +108,9 @@ def test_an_error_is_no_result_and_is_tried_again(capsys, monkeypatch, quick):
         seen.append(job.seed)
         if (job.method, job.seed) == ("SMPPI", 1001):
             raise RuntimeError("out of luck")
-        return good.carry_out(job, cache_dir)
+        return good(job, cache_dir)
 
-    monkeypatch.setitem(KINDS, "toy", Kind(good.roots, bad))
+    monkeypatch.setitem(KINDS, "toy", bad)
     assert main([*FEW]) == command.FAILED
     assert "rumi: toy, SMPPI, seed 1001 failed: RuntimeError: out of luck" in capsys.readouterr().err
     assert len(seen) == 6 and len(Records(Path("runs/reproduce/runs.jsonl")).every) == 5
@@ -137,20 +119,6 @@ def test_an_error_is_no_result_and_is_tried_again(capsys, monkeypatch, quick):
     monkeypatch.setitem(KINDS, "toy", good)
     assert main([*FEW]) == exit_codes.DONE
     assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 6
-
-
-def test_a_missing_package_ends_it(capsys, monkeypatch, quick):
-    good = KINDS["toy"]
-
-    def lacking(job, cache_dir):
-        if job.method == "SMPPI":
-            raise ModuleNotFoundError("No module named 'trimesh'", name="trimesh")
-        return good.carry_out(job, cache_dir)
-
-    monkeypatch.setitem(KINDS, "toy", Kind(good.roots, lacking))
-    assert main([*FEW]) == exit_codes.BAD_INPUT
-    assert "pip install 'rumi[mesh]'" in capsys.readouterr().err
-    assert quick == [("MPPI", 1000)]
 
 
 def test_what_a_process_could_not_go_on_with_is_said(tmp_path, monkeypatch):
@@ -176,9 +144,9 @@ def test_an_interrupt_keeps_what_is_done(capsys, monkeypatch, quick):
     def interrupted(job, cache_dir):
         if len(quick) == 4:
             raise KeyboardInterrupt
-        return good.carry_out(job, cache_dir)
+        return good(job, cache_dir)
 
-    monkeypatch.setitem(KINDS, "toy", Kind(good.roots, interrupted))
+    monkeypatch.setitem(KINDS, "toy", interrupted)
     assert main([*FEW]) == exit_codes.INTERRUPTED
     assert len(Records(Path("runs/reproduce/runs.jsonl")).every) == 4
     monkeypatch.setitem(KINDS, "toy", good)
@@ -194,59 +162,3 @@ def test_show_runs_nothing(capsys, quick):
     assert main(["reproduce", "fig8", "--no-figures", "--show", "--seeds", "5"]) == exit_codes.DONE
     assert "| KMPPI" not in capsys.readouterr().out
     assert len(quick) == 6
-
-
-def test_show_of_the_recorded_mugs_and_their_page(capsys):
-    results = ROOT / "scripts" / "results" / "mugs.jsonl"
-    asked = ("table5", "table6", "fig16", "--show", "--results", str(results), "--markdown", "docs/results.md")
-    assert main(["reproduce", *asked]) == exit_codes.DONE
-    summary = capsys.readouterr().out
-    page = Path("docs/results.md").read_text()
-    assert summary in page and "| rumi/default | 29/30 [0.83, 0.99] · 29 | 29: 29 | 28/30 |" in summary
-    pictures = [line.split("](")[1].rstrip(")") for line in page.splitlines() if line.startswith("![")]
-    assert pictures == [f"results/fig16-{preset}.png" for preset in ("default", "fast", "paper")]
-    assert all((Path("docs") / name).stat().st_size > 10_000 for name in pictures)
-
-
-def test_figures_are_drawn(capsys):
-    assert main(["reproduce", "fig8", "--seeds", "1000", "--out", "here"]) == exit_codes.DONE
-    assert "figure: here/figures/fig8.png" in capsys.readouterr().out
-    assert Path("here/figures/fig8.png").stat().st_size > 10_000
-
-
-class Terminal:
-    """A stream that is a terminal, or is not."""
-
-    def __init__(self, terminal):
-        self.text, self.terminal = "", terminal
-
-    def write(self, text):
-        self.text += text
-        return len(text)
-
-    def flush(self):
-        pass
-
-    def isatty(self):
-        return self.terminal
-
-
-def test_a_live_table_on_a_terminal_alone(quick):
-    jobs = experiments.work_of(["fig8"], experiments.Selection(seeds=(1000, 1001)))
-    path = Path("runs/reproduce/runs.jsonl")
-    shown, piped = Terminal(True), Terminal(False)
-    with LiveTable(jobs, path, shown), LiveTable(jobs, path, piped):
-        assert main([*FEW, "--shard", "1/2"]) == exit_codes.DONE
-    assert piped.text == ""
-    last = shown.text.rsplit("\x1b[J", 1)[-1].splitlines()
-    assert [line.split()[0] for line in last[:3]] == ["MPPI", "SMPPI", "KMPPI"]
-    assert last[3].startswith("3 of 6 done") and "left with 1 at once" in last[3]
-    records = Records(path)
-    left = live_lines(jobs, records, 3600.0, before=1, workers=2)[-1]
-    assert left == "3 of 6 done, 1:00:00 so far, 1:30:00 left with 2 at once"
-
-
-def test_a_cluster_needs_its_extra(monkeypatch, capsys, quick):
-    monkeypatch.setitem(sys.modules, "submitit", None)
-    assert main([*FEW, "--executor", "submitit"]) == exit_codes.BAD_INPUT
-    assert "pip install 'rumi[cluster]'" in capsys.readouterr().err

@@ -3,9 +3,8 @@
 import pytest
 
 from rumi.errors import UsageError
-from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset, to_dict
-from scripts.reproduce.command import part, seeds_of
+from scripts.reproduce.command import part
 from scripts.reproduce.experiments import EXPERIMENTS, HORIZON_BEFORE, HORIZONS, PARTICLES_BEFORE, Selection, work_of
 from scripts.reproduce.jobs import Job, overridden
 
@@ -65,7 +64,7 @@ def test_a_mesh_counts_by_what_is_in_it(tmp_path):
 
 def test_the_name_is_of_the_code(monkeypatch):
     before = job().id
-    monkeypatch.setattr("scripts.reproduce.jobs.code_hash", lambda roots: "another")
+    monkeypatch.setattr("scripts.reproduce.jobs.code_of", lambda kind: "another")
     assert job().id != before
 
 
@@ -76,19 +75,6 @@ def test_shards_share_the_work_out(count):
     assert sorted((j.seed, j.method) for p in parts for j in p) == sorted((j.seed, j.method) for j in jobs)
     assert max(map(len, parts)) - min(map(len, parts)) <= 1
     assert part(jobs, None) == jobs
-
-
-@pytest.mark.parametrize("shard", ["0/4", "5/4", "1", "a/b", "1/0", "-1/4", "1/4/2"])
-def test_shards_that_are_none(shard):
-    with pytest.raises(UsageError, match="shard to be i/n"):
-        part([], shard)
-
-
-def test_seeds():
-    assert seeds_of("0-3,7,2") == (0, 1, 2, 3, 7)
-    for wrong in ("", "a", "3-1", "1,,2", "1-", "-3"):
-        with pytest.raises(UsageError, match="Expected seeds such as"):
-            seeds_of(wrong)
 
 
 def test_experiments_share_their_runs():
@@ -103,10 +89,3 @@ def test_experiments_share_their_runs():
     assert preset("paper").initialise.particles == PARTICLES_BEFORE
     horizons = {j.settings.planner.mppi.horizon: j.settings.planner.mppi.knots for j in work_of(["horizon"], selection)}
     assert horizons == {h: (h + 1) // 2 for h in HORIZONS}
-
-
-def test_nothing_selected_is_everything_and_each_seed_is_whole_before_the_next():
-    jobs = work_of(("table5",), Selection(seeds=(5, 6)))
-    assert {j.task for j in jobs} == set(SCENES)
-    assert {j.preset for j in jobs} == {"default", "paper"}
-    assert [j.seed for j in jobs] == sorted(j.seed for j in jobs)

@@ -31,9 +31,3 @@ def test_rows_add_up(name, figures):
 def test_mean_correlation_is_the_one_of_the_text():
     flat = [paper.CORRELATION[task] for name in ("mug", "drill") for task in paper.FAMILIES[name]]
     assert round(sum(flat) / len(flat), 2) == 0.87
-
-
-def test_families():
-    assert [paper.family(task) for task in ("mug-1", "box-2", "shelf-mug", "cup-3", "sphere")] == [
-        *("mug", "box", "shelf", "cup", "sphere")
-    ]

@@ -6,10 +6,8 @@ import pytest
 
 from rumi.errors import UsageError
 from rumi.runs.jsonlines import append_line
-from scripts.reproduce.experiments import Selection
 from scripts.reproduce.jobs import Job
-from scripts.reproduce.records import Records, key_of, line_of, record_of
-from scripts.reproduce.reports import of_experiment, summary
+from scripts.reproduce.records import Records, key_of, line_of
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULT = {"figures": {"cost": 1.5}, "timings": {"wall_s": 0.1}, "curves": {"path_x": [1.0]}}
@@ -22,7 +20,7 @@ def toy(seed, method="KMPPI"):
 def test_a_result_comes_back(tmp_path):
     records = Records(tmp_path / "a.jsonl")
     assert records.done([toy(1), toy(2)]) == []
-    records.add(toy(2), RESULT)
+    records.keep(toy(2), RESULT)
     records.refresh()
     (found,) = records.done([toy(1), toy(2)])
     assert (found.figures, found.timings, found.curves) == tuple(RESULT.values())
@@ -33,8 +31,8 @@ def test_a_result_comes_back(tmp_path):
 
 def test_the_first_of_two_counts(tmp_path):
     records = Records(tmp_path / "a.jsonl")
-    records.add(toy(1), RESULT)
-    records.add(toy(1), RESULT | {"figures": {"cost": 9.0}})
+    records.keep(toy(1), RESULT)
+    records.keep(toy(1), RESULT | {"figures": {"cost": 9.0}})
     records.refresh()
     assert [record.figures["cost"] for record in records.every] == [1.5]
 
@@ -43,14 +41,14 @@ def test_lines_of_something_else_are_passed_over(tmp_path):
     path = tmp_path / "a.jsonl"
     append_line(path, {"settings": {"part": "run"}, "figures": {}})
     append_line(path, line_of(toy(1), RESULT) | {"schema": 99})
-    Records(path).add(toy(1), RESULT)
+    Records(path).keep(toy(1), RESULT)
     assert len(Records(path).every) == 1
 
 
 def test_the_newest_code_is_the_last_lines(tmp_path):
     path = tmp_path / "a.jsonl"
     for code, cost in (("old", 1.0), ("new", 2.0), ("new", 3.0)):
-        line = line_of(toy(1), RESULT) | {"code": code, "id": f"{code}{cost}", "kind": "run", "figures": {"cost": cost}}
+        line = line_of(toy(1), RESULT) | {"code": code, "settings": str(cost), "kind": "run", "figures": {"cost": cost}}
         append_line(path, line)
     records = Records(path)
     assert [record.figures["cost"] for record in records.newest()] == [3.0]
@@ -60,24 +58,6 @@ def test_the_newest_code_is_the_last_lines(tmp_path):
     assert [record.figures["cost"] for record in records.newest("new", "old")] == [1.0]
     with pytest.raises(UsageError, match=r"no runs by the code other in .* there are by old, new"):
         records.newest("other")
-
-
-def test_the_first_tables_lines_give_its_figures():
-    """As the README had them: of the code b7eebd6e3796 nothing is shown unless asked for."""
-    records = Records(ROOT / "scripts" / "results" / "mugs.jsonl")
-    newest = of_experiment("table5", Selection(), records.newest())
-    assert len(newest) == 150
-    rows = {line.split("|")[1].strip(): line for line in summary(newest).splitlines()}
-    assert "| 29/30 [0.83, 0.99] · 29 | 29: 29 |" in rows["rumi/default"]
-    assert "| 21/30 [0.52, 0.83] · 22 | 19: 19 |" in rows["reach-only/default"]
-    assert "| 0/30 [0.00, 0.11] · 0 | 0: 0 |" in rows["rumi/paper"]
-    assert len(records.newest("b7eebd6e3796")) == 58
-    run = next(r for r in newest if (r.task, r.method, r.preset, r.seed) == ("mug-0", "rumi", "default", 0))
-    assert run.figures["steps"] + 1 == len(run.curves["nll"])
-
-
-def test_a_line_without_schema_is_none():
-    assert record_of({}) is None
 
 
 def test_where_a_mesh_lies_is_not_kept(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from rumi.metrics.intervals import wilson
 from scripts.reproduce import cells, studies, tables
 from scripts.reproduce.experiments import Selection
-from scripts.reproduce.reports import of_experiment, provenance, reports, summary, write_page
+from scripts.reproduce.reports import of_experiment
 
 
 def rows_of(text):
@@ -47,13 +47,6 @@ def test_successes_by_both_counts(runs):
     assert "nll <= 20 at any step" in rows["head"]
 
 
-def test_a_task_that_was_not_run_is_left_open(runs, made):
-    more = [*runs, made("mug-2", "slide", 0, nll=(5.0,))]
-    rows = rows_of(tables.successes(more))
-    assert rows["slide/default"][1:4] == ["-", "-", "1 · 1 of 1"]
-    assert rows["slide/default"][-1] == "0, 0, 0: 0"
-
-
 def test_cumulative_nll_to_the_stop_and_held(runs):
     rows = rows_of(tables.cumulative_nll(runs))
     # 40 and 67: 53.5; 66 and 168: 117. Held to step 4: 40 + 3 * 10, 67 + 2 * 12; 66 + 2 * 8, 168
@@ -83,23 +76,6 @@ def test_pairs_are_of_the_same_preset_where_there_is_one(runs, made):
     ]
 
 
-def test_pairs_need_the_same_seed(runs, made):
-    apart = [run for run in runs if run.method == "rumi"] + [made("mug-0", "slide", 7, nll=(30.0, 5.0))]
-    assert tables.paired(apart) == ""
-
-
-def test_what_failed_is_listed(runs):
-    rows = rows_of(tables.failed(runs))
-    assert set(rows) == {"run", "head", "mug-1 rumi/default"}
-    assert rows["mug-1 rumi/default"][1:] == ["1", "out of actions", "4", "1", "0", "40 (18)", "9.0 mm, 2 deg"]
-
-
-def test_a_column_that_fails_throughout_is_one_line(made):
-    failing = [made("mug-0", "rumi", seed, nll=(30.0,) * 5) for seed in range(tables.MANY + 1)]
-    rows = rows_of(tables.failed(failing))
-    assert list(rows)[2:] == ["rumi/default: 11 of 11 runs"]
-
-
 def test_correlation_with_the_papers_beside(runs):
     rows = rows_of(studies.correlation(runs))
     assert rows["nll and APC, default (rumi, info-only)"][1].split()[0] == "1.00"
@@ -118,21 +94,6 @@ def test_seconds_of_a_pass(runs):
     assert rows["dynamics"][1] == "-"
 
 
-def test_what_was_not_timed_has_no_column(made):
-    sliding = made("drill-0", "slide", 0, nll=(30.0, 5.0))
-    sliding.timings["planning_s"].clear()
-    text = studies.seconds([made("drill-0", "rumi", 0, nll=(30.0, 5.0)), sliding])
-    assert rows_of(text)["head"] == ["process", "drill-0 rumi/default"]
-    assert studies.seconds([sliding]) == ""
-
-
-def test_ablation_tells_settings_apart(runs, made):
-    more = [*runs[:2], made("mug-0", "rumi", 0, nll=(30.0, 30.0, 30.0, 30.0, 30.0), overrides=("a.b=1",))]
-    rows = rows_of(studies.ablation(more))
-    assert rows["rumi/default"][1] == "2 of 2"
-    assert rows["rumi/default a.b=1"][1] == "0 of 1"
-
-
 def test_experiments_take_the_runs_they_are_about(runs, made):
     other = made("mug-0", "rumi", 0, nll=(30.0,), overrides=("initialise.particles=30",))
     every = [*runs, other, made("mug-0", "rumi", 5, nll=(30.0,)), made("mug-0", "rumi", 0, nll=(9.0,), preset="fast")]
@@ -142,30 +103,6 @@ def test_experiments_take_the_runs_they_are_about(runs, made):
     assert len(of_experiment("table5", Selection(methods=("rumi",), tasks=("mug-1",), seeds=(0, 1)), every)) == 2
     particles = of_experiment("fig5", Selection(tasks=("mug-0",), seeds=(0,)), every)
     assert [run.overrides for run in particles] == [("initialise.particles=30",), ()]
-
-
-def test_page_and_summary(runs, tmp_path):
-    found = reports(["table5", "table6", "table2"], Selection(seeds=(0, 1)), runs, None, tmp_path)
-    page = tmp_path / "docs" / "results.md"
-    short = write_page(page, found, runs)
-    text = page.read_text()
-    assert short == summary(runs) and short in text
-    for report in found:
-        assert f"## {report.title}" in text and report.text in text
-    assert "8 runs, seeds 0-1; code c0de, commit abc; here" in text
-    assert rows_of(short)["rumi/default"][2:] == ["3: 3", "18/20"]
-
-
-def test_the_summary_adds_objects_up(made):
-    both = [made("mug-0", nll=(5.0,)), made("box-0", nll=(50.0,)), made("box-1", nll=(5.0,))]
-    rows = rows_of(summary(both))
-    assert [cell.split(" ")[0] for cell in rows["rumi/default"][1:4]] == ["2/3", "1/1", "1/2"]
-    assert rows["rumi/default"][-1] == "9/10, 19/20"
-
-
-def test_provenance_counts_seeds(made):
-    seeds = [made(seed=seed, nll=(1.0,)) for seed in (0, 1, 2, 7, 1000)]
-    assert "seeds 0-2, 7, 1000" in provenance(seeds)
 
 
 def test_nothing_gives_no_table():

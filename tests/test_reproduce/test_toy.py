@@ -24,17 +24,6 @@ def test_the_map_and_the_step():
     assert (toy.running_cost(hill[None], control) - toy.cost_map(hill[None])).item() == pytest.approx(0.5)
 
 
-def test_what_is_kept_of_a_loop():
-    found = toy.carry_out("KMPPI", 1000)
-    figures, path = found["figures"], found["curves"]
-    assert len(path["path_x"]) == len(path["plan_y"]) == toy.STEPS + 1
-    assert (path["path_x"][0], path["path_y"][0]) == toy.START
-    end = ((path["path_x"][-1] - toy.GOAL[0]) ** 2 + (path["path_y"][-1] - toy.GOAL[1]) ** 2) ** 0.5
-    assert figures["end_distance"] == pytest.approx(end, abs=1e-3)
-    again = toy.carry_out("KMPPI", 1000)
-    assert (again["figures"], again["curves"]) == (figures, path)
-
-
 @pytest.mark.slow
 def test_knots_are_smoothest_and_cost_no_more():
     """What the figure shows, over some seeds."""

@@ -5,9 +5,9 @@ import os
 import pytest
 import torch
 
-from rumi.bench import drill
-from rumi.bench.cases.registration import ours
 from rumi.registration.register import RegisterSettings
+from scripts.bench import drill
+from scripts.bench.registration import ours
 
 pytest.importorskip("scipy")
 pytest.importorskip("trimesh")

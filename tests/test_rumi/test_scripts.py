@@ -1,4 +1,4 @@
-"""The scripts and the lines of the README, as a newcomer would run them."""
+"""The scripts, as a newcomer would run them; the README shows the first."""
 
 import importlib.util
 import runpy
@@ -6,14 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
-import torch
 
-import rumi
 from rumi import build, cli, exit_codes, preset, run
 from rumi.errors import UsageError
 from rumi.tasks.rummage.scenes import SCENES
-from sdf import se3
-from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,6 +55,7 @@ def test_a_script_ends_as_the_command_does(error, code, message, capsys):
         ("fused_table", ["run", "--seeds", "x"], "rumi: Expected seeds such as 0-9"),
         ("gpvr_cap", ["--tasks", "nosuch"], "rumi: There is no task 'nosuch'"),
         ("predicted_realised", ["folder", "missing"], "rumi: There is no run folder missing"),
+        ("touch_ablations", ["show", "--variants", "no nonsense"], "rumi: There is no variant 'no nonsense'"),
         ("first_view", ["--seeds", "0"], "rumi: Expected --seeds of 1 or more, got 0"),
     ],
 )
@@ -72,12 +69,11 @@ def test_what_a_script_cannot_do_is_said_in_a_line(name, arguments, message, mon
     assert capsys.readouterr().err.startswith(message)
 
 
-# one is for people to read, and the other's results are kept under a hash of all that is in it
-@pytest.mark.parametrize(
-    "path", sorted(set(SCRIPT.parent.glob("[a-z]*.py")) - {SCRIPT, SCRIPT.parent / "open3d_table.py"})
-)
+# one is for people to read
+@pytest.mark.parametrize("path", sorted(set(SCRIPT.parent.glob("[a-z]*.py")) - {SCRIPT}))
 def test_every_script_ends_so(path):
-    assert "    script(" in path.read_text().split('if __name__ == "__main__":\n')[1]
+    _, main, ends = path.read_text().partition('if __name__ == "__main__":\n')
+    assert not main or "    script(" in ends
 
 
 def test_the_script_runs(capsys, tmp_path):
@@ -88,33 +84,17 @@ def test_the_script_runs(capsys, tmp_path):
     assert printed[3].startswith("steps after 2 actions")
 
 
-def test_the_lines_of_the_readme_run(monkeypatch, capsys):
-    code = (ROOT / "README.md").read_text().split("```python\n")[1].split("```")[0]
-    assert len(code.splitlines()) <= 8
-    monkeypatch.setattr(rumi, "preset", lambda *names, **values: preset("fast", **values, steps=1))
-    exec(code, {})
-    assert capsys.readouterr().out.splitlines()[-1].startswith(("steps ", "sure "))
-
-
-def sensed(surface_w, free_w, tool_xyyaw, touched, object_motion):
-    """What a robot of one's own would make of its points, all seen at the one instant that is reported."""
-    points = concatenate([Observation.of(surface_w, Semantics.SURFACE), Observation.of(free_w, Semantics.FREE)])
-    return rumi.Reading(
-        observation=points,
-        instant=torch.zeros(len(points), dtype=torch.long),
-        tool_pose=se3.from_planar(tool_xyyaw, 0.045)[None],
-        in_contact=torch.tensor([touched]),
-        object_motion=object_motion,
-        configuration=tool_xyyaw,
-        clipped=torch.zeros(()),
-    )
+def test_the_readme_shows_it_and_it_is_short():
+    code = SCRIPT.read_text()
+    assert len(code.splitlines()) <= 30
+    assert code.split('"""', 2)[2].strip() in (ROOT / "README.md").read_text()
 
 
 class Robot:
-    """Tells of the end of each action only, by bare readings, and does not know the truth."""
+    """Senses by what the README says, at the end of each action only, and does not know the truth."""
 
-    def __init__(self, task):
-        self.task = task
+    def __init__(self, task, sensed):
+        self.task, self.sensed = task, sensed
 
     def reset(self, seed):
         return self.report(self.task.reset(seed).reading)
@@ -135,12 +115,15 @@ class Robot:
             for kind in (Semantics.SURFACE, Semantics.FREE)
         )
         motion = reading.object_motion[-1:]
-        return sensed(surface, free, reading.configuration, bool(reading.in_contact[-1]), motion)
+        return self.sensed(surface, free, reading.configuration, bool(reading.in_contact[-1]), motion)
 
 
-def test_a_robot_may_bring_bare_readings(tmp_path):
+def test_the_readme_says_how_to_bring_own_observations(tmp_path):
+    blocks = (ROOT / "README.md").read_text().split("```python\n")[1:]
+    shown: dict = {}
+    exec(blocks[1].split("```")[0], shown)
     task, rummager = build(preset("default"), cache_dir=tmp_path)
-    result = run(Robot(task), rummager, seed=0, steps=3)
+    result = run(Robot(task, shown["sensed"]), rummager, seed=0, steps=3)
     assert (result.steps, result.right, result.position_error_mm) == (3, None, None)
     assert result.expected_nll > 0
 
@@ -157,22 +140,18 @@ def test_the_first_belief_covers_what_the_view_leaves_open(task, tmp_path):
     assert figure.stat().st_size > 1000
 
 
-def test_predicted_against_realised(capsys, tmp_path, monkeypatch):
-    """Two short runs, done once, and their tables; the same from a run folder."""
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+def test_predicted_against_realised(tmp_path, monkeypatch):
+    """Two short runs, and their tables."""
+    from scripts import predicted_realised as module
+
     monkeypatch.setenv("RUMI_CACHE", str(tmp_path))
-    module = load(ROOT / "scripts" / "predicted_realised.py")
     small = ("steps=3", "planner.mppi.samples=40", "initialise.starts=60", "initialise.polished=20")
-    options = module.Run(
-        columns=("rumi/default", "slide/default"), tasks=("mug-0",), seeds="1000", out=tmp_path / "p.jsonl", set=small
-    )
-    module.run(options)
-    whole = options.out.read_text()
-    module.run(options)
-    assert options.out.read_text() == whole
-    capsys.readouterr()
-    module.show(module.Show(options.out))
-    shown = capsys.readouterr().out
+    lines = [
+        {"column": column, "task": "mug-0", "seed": 1000, "changes": [], "code": ""}
+        | module.measure(column, "mug-0", 1000, small)
+        for column in ("rumi/default", "slide/default")
+    ]
+    shown = module.show(lines, {})
     rows = [line.split(" | ") for line in shown.splitlines() if line.startswith("| rumi")]
     assert rows[0][1:3] == ["1", "3"]
     assert len(rows) == 1 + 4 + 6

@@ -13,8 +13,6 @@ import pytest
 import torch
 
 from rumi import exit_codes
-from rumi.cli import main
-from rumi.errors import UsageError
 from rumi.robot import reach_table
 from rumi.robot.reach_table import ReachSettings, ReachTable
 from rumi.runs.folder import RunRecorder, load_run, write_json
@@ -46,16 +44,6 @@ def test_a_writer_that_writes_in_place_is_caught(tmp_path, monkeypatch):
 
     monkeypatch.setattr(kills, "WRITERS", {"cache": careless})
     assert kill_many(12, tmp_path).wrong
-
-
-def test_lines_that_are_said_too_early_are_missed(tmp_path, monkeypatch):
-    def careless(folder, number, say):
-        for k in range(10**9):
-            say(k + 1)
-            append_line(folder / "lines.jsonl", {"writer": number, "k": k, "text": "x" * k})
-
-    monkeypatch.setattr(kills, "WRITERS", {"lines": careless})
-    assert kill_many(4, tmp_path).wrong
 
 
 def in_a_child(work):
@@ -130,19 +118,6 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path, monkeypatch, c
     found = reach_table.reach_table(ReachSettings(), cache_dir=tmp_path / "file" / "below")
     assert found is solved
     assert "cannot be kept" in caplog.text
-
-
-def test_a_run_into_a_folder_that_cannot_be_written_is_refused(tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UsageError, match="Cannot write"):
-        RunRecorder(tmp_path / "file" / "run", {})
-    assert main(["run", "mug-0", "--out", str(tmp_path / "file" / "run")]) == 2
-    assert "Traceback" not in capsys.readouterr().err
-
-
-def test_the_command(capsys):
-    assert main(["stress", "--kills", "4", "--only", "writers"]) == 0
-    assert "0 wrong" in capsys.readouterr().out
 
 
 @pytest.fixture(scope="module")

@@ -3,32 +3,15 @@
 import torch
 from torch import Tensor
 
-from rumi.bench import peers
 from rumi.bench.case import Case, Setup, Variant, case, largest_difference
 from rumi.bench.scenes import ViewScene, view_scene
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 
-_DEFAULT, _DIRECT = "chsel default", "chsel Eq 3"
-
 
 def _what(scene: ViewScene) -> str:
     surface = len(scene.points) - scene.free
     return f"{len(scene.world_T_object)} poses x ({scene.free} free + {surface} surface points), box, 3-D"
-
-
-def _peers(setup: Setup, scene: ViewScene, *, gradient: bool) -> tuple[Variant, ...]:
-    variants = []
-    for name, direct in ((_DEFAULT, False), (_DIRECT, True)):
-        value, both, asked = peers.chsel_cost(
-            scene.model, scene.world_T_object, scene.points[: scene.free], scene.points[scene.free :], direct=direct
-        )
-        which = f"asks about {asked} {'free' if direct else 'interior'} points"
-        # the default's cost is another one, and gradients are to a matrix's entries
-        variants.append(
-            Variant(name, both if gradient else value, "peer", note=which, comparable=direct and not gradient)
-        )
-    return tuple(variants)
 
 
 @case("discrepancy")
@@ -41,17 +24,13 @@ def discrepancy(setup: Setup) -> Case:
             return cost(scene.world_T_object, view)
 
     variants = setup.ours(run)
-    if setup.peers:
-        variants += _peers(setup, scene, gradient=False)
     return Case(
         f"discrepancy: {_what(scene)}",
         variants,
-        (_DEFAULT, _DIRECT),
         items=len(scene.world_T_object) * len(scene.points),
         item="pair",
         error=largest_difference,
         tolerance=1e-3,  # of sums of 2300 terms
-        left_out=setup.left_out,
     )
 
 
@@ -67,17 +46,13 @@ def discrepancy_gradient(setup: Setup) -> Case:
         return value.detach(), gradient
 
     variants: tuple[Variant, ...] = (Variant("torch", run, version="torch"),)
-    if setup.peers:
-        variants += _peers(setup, scene, gradient=True)
     return Case(
         f"discrepancy with gradient: {_what(scene)}",
         variants,
-        (_DEFAULT, _DIRECT),
         items=len(scene.world_T_object) * len(scene.points),
         item="pair",
         error=largest_difference,
         tolerance=1e-3,
-        left_out=setup.left_out,
     )
 
 

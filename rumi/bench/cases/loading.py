@@ -4,7 +4,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 
-from rumi.bench.case import Case, Setup, Target, Variant, case
+from rumi.bench.case import Case, Setup, Variant, case
 
 _TORCH, _ALONE = "import torch, numpy", "torch and numpy"
 
@@ -25,5 +25,4 @@ def load(setup: Setup) -> Case:
         (_ALONE,),
         _ALONE,
         elsewhere=True,
-        targets=(Target("rumi", at_most_s=1.5, beyond=_ALONE),),
     )

@@ -1,39 +1,21 @@
 """Signed distances of workspace points from one object at many poses."""
 
-from rumi.bench import peers
-from rumi.bench.case import Case, Setup, Target, Variant, case, largest_difference
+from rumi.bench.case import Case, Setup, case, largest_difference
 from rumi.bench.scenes import SCENES, FieldScene
 from sdf.posed import posed_distance, posed_query
-
-_PEERS = ("CachedSDF", "ComposedSDF")
 
 
 def _lookup(setup: Setup, scene: FieldScene, *, gradient: bool) -> Case:
     sdf, poses, points = scene.model.sdf, scene.world_T_object, scene.points
     variants = setup.ours(lambda: posed_query(sdf, poses, points) if gradient else posed_distance(sdf, poses, points))
-    if setup.peers:
-        for name, look_up in zip(_PEERS, (peers.cached_lookup, peers.composed_lookup), strict=True):
-            run = look_up(scene.model, poses, points, gradient=gradient)
-            # gradients of the two are in different frames: the distances are compared
-            variants += (Variant(name, run, "peer"),)
-    targets: tuple[Target, ...] = ()
-    if gradient:
-        targets = (
-            Target("torch", at_most_s=30e-9 * scene.pairs),
-            Target("numba", at_most_s=6e-9 * scene.pairs),
-        )
     what = "distance and gradient" if gradient else "distance"
     return Case(
         f"{what}: {scene.what}",
         variants,
-        _PEERS,
         items=scene.pairs,
         item="pair",
-        targets=targets,
         error=lambda found, reference: largest_difference(_distance(found), _distance(reference)),
         tolerance=1e-5,
-        remarks=setup.remarks,
-        left_out=setup.left_out,
     )
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rumi import loop
 from rumi.belief.particles import PoseBelief
-from rumi.bench.case import Case, Setup, Target, case, largest_difference
+from rumi.bench.case import Case, Setup, case, largest_difference
 from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
@@ -36,9 +36,7 @@ def _pass(
     return run
 
 
-def _case(
-    title: str, setup: Setup, policy: Policy, belief: PoseBelief, scene: Scene, targets: tuple[Target, ...]
-) -> Case:
+def _case(title: str, setup: Setup, policy: Policy, belief: PoseBelief, scene: Scene) -> Case:
     first = policy.act(PlanRequest(belief, scene, generator=split(_SEED, "bench/first")))
     run = _pass(policy, belief, scene, first, 3)
     plan = run()[1]
@@ -49,8 +47,6 @@ def _case(
     return Case(
         title,
         setup.ours(run),
-        ("torch",),
-        targets=targets,
         error=lambda found, reference: largest_difference(found[0], reference[0]),
         # the mean of many samples, weighed by exponentials of costs that differ in their last digits
         tolerance=0.1,
@@ -72,7 +68,7 @@ def plan_mug_pushed(setup: Setup) -> Case:
 
 def _mug(setup: Setup, push_model: str) -> Case:
     if setup.tiny:
-        return _made_up(setup, mug_scene(setup), "made up", (), push_model)
+        return _made_up(setup, mug_scene(setup), "made up", push_model)
     settings = preset("default", task="mug-0", seed=_SEED, device=setup.device.type)
     settings = replace(settings, planner=replace(settings.planner, push_model=push_model))
     parts = build(settings, cache_dir=setup.cache_dir)
@@ -89,23 +85,13 @@ def _mug(setup: Setup, push_model: str) -> Case:
         rummager.policy,
         belief,
         scene,
-        (
-            Target("torch", at_most_s=165e-3),
-            Target("numba", at_most_s=30e-3),
-            Target("numba", at_most_s=20e-3, goal=True),
-        ),
     )
 
 
 @case("plan-box")
 def plan_box(setup: Setup) -> Case:
     """A planning pass over 3-D fields."""
-    targets = (
-        Target("torch", at_most_s=500e-3),
-        Target("numba", at_most_s=120e-3),
-        Target("numba", at_most_s=60e-3, goal=True),
-    )
-    return _made_up(setup, box_scene(setup), "3-D fields; the tool and the object move in the plane only", targets)
+    return _made_up(setup, box_scene(setup), "3-D fields; the tool and the object move in the plane only")
 
 
 def _effort(settings: RummagingSettings, push_model: str) -> str:
@@ -117,7 +103,6 @@ def _made_up(
     setup: Setup,
     scene: FieldScene,
     what: str,
-    targets: tuple[Target, ...],
     push_model: str = "displacement",
 ) -> Case:
     settings, tool = replace(preset("default").planner, push_model=push_model), bench_tool(setup)
@@ -127,7 +112,7 @@ def _made_up(
     start = torch.tensor([0.28, 0.02, 0.1], device=setup.device)
     policy = RummagingPolicy(reachability(tool, scene.workspace), settings)
     title = f"planning pass, {what}: {scene.what}; {_effort(settings, push_model)}"
-    return _case(title, setup, policy, belief, Scene(scene.model, scene.workspace, tool, start), targets)
+    return _case(title, setup, policy, belief, Scene(scene.model, scene.workspace, tool, start))
 
 
 class Replay:
@@ -183,10 +168,8 @@ def run_mug(setup: Setup) -> Case:
     return Case(
         f"whole run of mug-0, its {len(readings) - 1} recorded actions replayed: all but the simulator",
         setup.ours(run),
-        ("torch",),
         items=len(readings) - 1,
         item="action",
-        targets=(Target("numba", at_most_s=5.0),),
         error=lambda found, reference: largest_difference(found[0], reference[0]),
         tolerance=2e-3,
         facts={"error": "of the likeliest position, m"},

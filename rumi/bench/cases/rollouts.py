@@ -7,9 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from kmppi import MPPI, MPPISettings
-from rumi.bench import naive
-from rumi.bench.case import Case, Setup, Target, case
-from rumi.bench.case import Variant as Way
+from rumi.bench.case import Case, Setup, case
 from rumi.bench.scenes import HEIGHT_M, FieldScene, mug_scene
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactField
@@ -21,7 +19,6 @@ from rumi.tasks.rummage.scenes import find_task, make_tool
 from sdf.voxel_grid import VoxelGrid
 
 ROLLOUTS = 5
-NAIVE = "all points, all steps"
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,25 +90,14 @@ def rollouts(setup: Setup) -> Case:
         result = scene.roll_out()
         return result.configurations.flatten(0, 1), result.displacements.flatten(0, 1)
 
-    @torch.no_grad()
-    def plain() -> tuple[Tensor, Tensor]:
-        return naive.roll_out(scene.field, scene.tool, scene.model.settings, scene.start, scene.controls, scene.draws)
-
     once = scene.roll_out()
     samples, count, horizon, _ = scene.draws.shape
     mini, points = scene.model.settings.mini_steps, len(scene.tool.body)
     return Case(
         f"push rollouts: {samples} x {count} of {horizon} actions x {mini} mini steps x {points} points",
-        (*setup.ours(run), Way(NAIVE, plain, "naive")),
-        (NAIVE,),
+        setup.ours(run),
         items=samples * count,
         item="rollout",
-        targets=(
-            Target("numba", at_most_s=15e-3),
-            Target("numba", at_least=15.0, against=(NAIVE,)),
-            Target("numba", at_least=25.0, against=(NAIVE,), goal=True),
-            Target("torch", at_most_s=80e-3),
-        ),
         error=share_that_differs,
         # in float32 the last digit of a probability may fall on the other side of a number that was drawn
         tolerance=5e-3,

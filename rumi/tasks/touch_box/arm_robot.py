@@ -19,7 +19,7 @@ from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
 
 THRESHOLD_NM = 0.15
 RATES, CORRELATION = (0.97, 0.005), 0.0
-"""True and false positive rate of a reading, and the chance that an error repeats (scripts/torque_rates.py)."""
+"""True and false positive rate of a reading, and the chance that an error repeats (`scripts.torque_rates`)."""
 
 _REST_S, _SETTLE_S, _CLOSE_S, _STOP_S = 0.15, 0.3, 0.5, 0.05
 _DOWN, _DOWN_RATE = 9, 10.0  # knots of a way down or up, and how many a second

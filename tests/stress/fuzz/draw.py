@@ -1,12 +1,11 @@
-"""Numbers that a fuzz case is made of, from a seed or from hypothesis, and tensors of them."""
+"""Numbers that a fuzz case is made of, drawn by hypothesis, and tensors of them."""
 
-import hashlib
 import math
-from collections.abc import Callable, Sequence
-from typing import Protocol, TypeVar, runtime_checkable
+from collections.abc import Sequence
+from typing import TypeVar
 
-import numpy as np
 import torch
+from hypothesis import strategies as st
 from torch import Tensor
 
 from sdf import se3
@@ -17,40 +16,19 @@ PLAIN = (0.0, 1.0, -1.0, 0.5, 1e-3, -1e-3, 0.1, 1e-7, 2.0, -0.3, 10.0, math.pi, 
 WILD = (math.nan, math.inf, -math.inf, 1e30, -1e30, 1e-30, 3.4e38, 1e-45, -0.0, 1e9, -1e9)
 
 
-@runtime_checkable
-class Draw(Protocol):
-    """Where a case's choices come from."""
-
-    def integer(self, low: int, high: int) -> int:
-        """A whole number from low to high, both included."""
-        ...
-
-
-class Seeded:
-    """Choices by seed: the same seed makes the same case."""
-
-    def __init__(self, seed: str) -> None:
-        digest = hashlib.sha256(seed.encode()).digest()
-        self._random = np.random.default_rng(int.from_bytes(digest[:8], "little"))
-
-    def integer(self, low: int, high: int) -> int:
-        """A whole number from low to high, both included."""
-        return int(self._random.integers(low, high + 1))
-
-
-class Given:
-    """Choices by hypothesis, which makes a failing case small.
+class Draw:
+    """Where a case's choices come from: hypothesis, which makes a failing case small.
 
     Args:
-        integers: draws a whole number between two.
+        data: interactive draws of a test.
     """
 
-    def __init__(self, integers: Callable[[int, int], int]) -> None:
-        self._integers = integers
+    def __init__(self, data: st.DataObject) -> None:
+        self._data = data
 
     def integer(self, low: int, high: int) -> int:
         """A whole number from low to high, both included."""
-        return self._integers(low, high)
+        return int(self._data.draw(st.integers(low, high)))
 
 
 def choice(draw: Draw, options: Sequence[_T]) -> _T:

@@ -8,10 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rumi.bench import drill, peers
-from rumi.bench.case import Case, Setup, Target, Variant, case
-from rumi.bench.modes import lost_modes, plausible_modes
+from rumi.bench.case import Case, Setup, Variant, case
 from rumi.registration.register import RegisterSettings, register
+from scripts.bench import drill, peers
+from scripts.bench.modes import lost_modes, plausible_modes
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 
@@ -46,8 +46,8 @@ def registration(setup: Setup) -> Case:
     if setup.versions[-1] == "numba":
         facts |= _quality("rumi", model, problems, lambda p, seed: ours(model, p, seed, settings))
     variants = tuple(v for v in setup.ours(ours(model, problems[0], 0, settings)) if v.version != "torch" or setup.tiny)
-    left_out = setup.left_out
-    if setup.peers and not setup.tiny:
+    left_out = peers.left_out(setup)
+    if peers.available(setup) and not setup.tiny:
         some = dict(list(problems.items())[: 1 if setup.quick else 3])
         facts |= _quality(_PEER, model, some, lambda p, seed: peers.chsel_register(model, *p.observation_parts, seed))
         run = peers.chsel_register(model, *problems[0].observation_parts, 0)
@@ -58,7 +58,6 @@ def registration(setup: Setup) -> Case:
         (_PEER,),
         setup.versions[-1],
         item="registration",
-        targets=(Target("numba", at_most_s=1.0),),
         facts=facts,
         left_out=left_out,
         rounds=5,

@@ -1,4 +1,4 @@
-"""Results that are kept as JSON lines, so that what was measured is not measured again."""
+"""Results as JSON lines, one a measurement, so that what was measured is not measured again."""
 
 import json
 import os
@@ -6,7 +6,7 @@ import platform
 import statistics
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,17 +15,20 @@ import torch
 
 from rumi.runs.jsonlines import append_line, read_lines
 from rumi.runs.plain import plain
+from scripts.reproduce.code import present_code
 from sdf.processor import processor
 
-Settings = dict[str, Any]
+Settings = Mapping[str, Any]
 Figures = dict[str, Any]
+Line = dict[str, Any]
 
 
-class Ledger:
-    """A file with one JSON line a measurement: settings, figures, and where they come from.
+class Store:
+    """A file with one JSON line a measurement, read as it grows.
 
-    A measurement counts as done when a line has its settings, whatever the code was then: to measure again, write to
-    another file. A last line that was cut off is left out.
+    A line has `settings`, which are all that tells a measurement from others, `figures`, `commit` and `machine`; older
+    files have all in one object. Where `code` is among the settings, results of code that is on record as the same
+    (`scripts.reproduce.code`) count. A last line that was cut off is left out.
 
     Args:
         path: of the file; made with its folder at the first line.
@@ -33,32 +36,66 @@ class Ledger:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._done = {_key(line["settings"]) for line in self.lines()}
+        self.lines: list[Line] = []
+        self._read = 0
+        self._done: dict[tuple[str, ...], set[str]] = {}
+        self.refresh()
 
-    def lines(self) -> Iterator[dict[str, Any]]:
-        """All measurements."""
-        yield from (line for line, _ in read_lines(self.path))
+    def refresh(self) -> None:
+        """Read what was added since."""
+        for line, end in read_lines(self.path, self._read):
+            self._read = end
+            own = line["settings"] if _nested(line) else line
+            if isinstance(own.get("code"), str):
+                own["code"] = present_code(own["code"])
+            self.take(line)
+        self._done.clear()
 
-    def of(self, part: str) -> list[dict[str, Any]]:
+    def take(self, line: Line) -> None:
+        """Take in a line that was read."""
+        self.lines.append(line)
+
+    def flat(self) -> list[Line]:
+        """Settings and figures together."""
+        return [line["settings"] | line["figures"] if _nested(line) else line for line in self.lines]
+
+    def of(self, part: str) -> list[Line]:
         """Settings and figures together, of the lines of one part."""
-        return [line["settings"] | line["figures"] for line in self.lines() if line["settings"]["part"] == part]
+        return [line for line in self.flat() if line.get("part") == part]
+
+    def has(self, settings: Settings) -> bool:
+        """Whether there is a line of these settings."""
+        names = tuple(sorted(settings))
+        if names not in self._done:
+            self._done[names] = {
+                _key(line["settings"] if _nested(line) else {name: line[name] for name in names})
+                for line in self.lines
+                if (tuple(sorted(line["settings"])) == names if _nested(line) else line.keys() >= set(names))
+            }
+        return _key(settings) in self._done[names]
+
+    def add(self, settings: Settings, figures: Figures) -> None:
+        """Write a measurement down."""
+        append_line(
+            self.path,
+            {"settings": plain(settings), "figures": plain(figures), "commit": commit(), "machine": machine()},
+        )
+        self.refresh()
 
     def measure(self, settings: Settings, work: Callable[[], Figures]) -> bool:
         """Do a measurement and write it down, unless it is there.
 
         Args:
-            settings: all that tells it from others; `part` among them.
+            settings: all that tells it from others.
             work: gives the figures.
 
         Returns:
             whether it was done now.
         """
         settings = dict(plain(settings))
-        if _key(settings) in self._done:
+        if self.has(settings):
             return False
-        line = {"settings": settings, "figures": plain(work()), "commit": commit(), "machine": machine()}
-        append_line(self.path, line)
-        self._done.add(_key(settings))
+        self.add(settings, work())
         return True
 
 
@@ -109,6 +146,10 @@ def machine() -> str:
     own = processor()
     kernels = f"torch {torch.__version__} for {own.torch}, numba for {own.numba or 'none'} {own.features}".strip()
     return f"{own.model} {platform.machine()}, {os.cpu_count()} cores, {threads} threads, {kernels}"
+
+
+def _nested(line: Line) -> bool:
+    return isinstance(line.get("settings"), dict)
 
 
 def _key(settings: Settings) -> str:

@@ -1,4 +1,4 @@
-"""Results as JSON lines, one a run, and the comparison of a run with earlier ones."""
+"""A run of the benchmarks against earlier ones."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -6,12 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rumi.bench.measure import Result
+from rumi.bench.command import SCHEMA
 from rumi.errors import UsageError
-from rumi.runs.folder import write_json
-from rumi.runs.plain import plain
 
-SCHEMA = 1
 WORSE = 1.2
 """How many times slower, against the same baseline, counts as worse."""
 
@@ -50,90 +47,6 @@ class Change:
         )
 
 
-def record(results: Sequence[Result], machine: Mapping[str, Any], *, stamp: str, quick: bool) -> dict[str, Any]:
-    """A run as plain values."""
-    return {
-        "schema": SCHEMA,
-        "stamp": stamp,
-        "quick": quick,
-        "machine": plain(machine),
-        "cases": [_case(result) for result in results],
-    }
-
-
-def _case(result: Result) -> dict[str, Any]:
-    case = result.case
-    rows = []
-    for row in result.rows:
-        low, high = row.timing.quartiles_s
-        rows.append(
-            {
-                "name": row.name,
-                "by": row.by,
-                "median_s": row.timing.median_s,
-                "least_s": row.timing.least_s,
-                "quartiles_s": [low, high],
-                "samples": len(row.timing.samples_s),
-                "quicker": result.ratio(row),
-                "error": row.error,
-                "note": row.note,
-                "ran": row.ran,
-            }
-        )
-    verdicts = [
-        {**plain(verdict.target), "met": verdict.met, "factor": verdict.factor, "quickest": verdict.against}
-        for verdict in result.verdicts
-    ]
-    return {
-        "name": result.name,
-        "title": case.title,
-        "items": case.items,
-        "item": case.item,
-        "baseline": result.baseline,
-        "agree": result.agree,
-        "tolerance": case.tolerance,
-        "variants": rows,
-        "targets": verdicts,
-        "facts": plain(case.facts),
-        "remarks": list(case.remarks),
-        "left_out": list(result.left_out),
-    }
-
-
-def check_writable(path: Path) -> None:
-    """Make the folder of a file, and make sure that the file can be written there.
-
-    Raises:
-        UsageError: it cannot.
-    """
-    try:
-        if path.is_dir():
-            raise IsADirectoryError(21, "it is a folder")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        probe = path if path.suffix == ".jsonl" else _aside(path)
-        there = probe.exists()
-        with probe.open("a", encoding="utf-8"):
-            pass
-        if not there:
-            probe.unlink()
-    except OSError as error:
-        raise UsageError(f"Cannot write {path}: {error.strerror or error}; give another file") from error
-
-
-def write(path: Path, run: Mapping[str, Any]) -> None:
-    """Write a run: one more line of a file of JSON lines (.jsonl), else the whole file, in one go."""
-    if path.suffix != ".jsonl":
-        write_json(path, run)
-        return
-    line = json.dumps(plain(run), allow_nan=False) + "\n"
-    with path.open("a", encoding="utf-8") as file:
-        file.write(line)
-
-
-def _aside(path: Path) -> Path:
-    return path.with_name(path.name + ".part")
-
-
 def read(path: Path) -> list[dict[str, Any]]:
     """The runs of a file, oldest first; a last line that was cut short does not count.
 
@@ -144,7 +57,7 @@ def read(path: Path) -> list[dict[str, Any]]:
         content = path.read_text(encoding="utf-8")
     except OSError as error:
         raise UsageError(
-            f"Cannot read {path}: {error.strerror or error}; `rumi bench --json FILE` makes one"
+            f"Cannot read {path}: {error.strerror or error}; `python -m scripts.bench --json FILE` makes one"
         ) from error
     except UnicodeDecodeError as error:
         raise UsageError(f"{path} holds no results of `rumi bench`: it is no text ({error})") from error

@@ -20,6 +20,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from rumi.bench.case import Setup
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.semantics import Semantics
@@ -44,6 +45,16 @@ def missing() -> str:
     except Exception as error:  # whatever an import of others may raise
         return f"cannot be imported ({type(error).__name__}: {error}); {INSTALL} installs the versions that were tried"
     return ""
+
+
+def available(setup: Setup) -> bool:
+    """Whether they can be timed: they are installed, and the device is theirs too."""
+    return not missing() and setup.device.type == "cpu"
+
+
+def left_out(setup: Setup) -> tuple[str, ...]:
+    """What a case says where they are not timed."""
+    return () if available(setup) else (f"peers: {missing() or 'timed on the CPU only'}",)
 
 
 def _open3d() -> None:
