@@ -38,7 +38,7 @@ def test_a_run_is_kept_and_found_again(tmp_path):
 def test_the_settings_of_a_run():
     found = settings_of(["t_max_s=20", "stop=contacts", "table_m=[0.6, 0.4]", "evaluation_s=null"])
     assert (found.action_budget_s, found.stop, found.table_m, found.evaluation_s) == (20, "contacts", (0.6, 0.4), None)
-    with pytest.raises(UsageError, match="no setting 'time'"):
+    with pytest.raises(UsageError, match="There is no setting time"):
         settings_of(["time=3"])
 
 
