@@ -1,28 +1,26 @@
 """Measure signed distances of meshes against libigl's exact ones.
 
-    python -m scripts.mesh_distances accuracy          # one JSON line a shape in scripts/results/mesh_distances.jsonl
-    python -m scripts.mesh_distances show              # Markdown, with what mesh_times.py has timed
+    python -m scripts.mesh_distances run               # one JSON line a shape in scripts/results/mesh_distances.jsonl
+    python -m scripts.mesh_distances show              # Markdown, with what scripts.mesh_times has timed
 
-Needs libigl, and the environment variable RUMI_DATA for the drill. A line of a shape replaces an older one.
+Needs libigl, and the environment variable RUMI_DATA for the drill. The newest line of a shape counts.
 """
 
-import json
 import os
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-import tyro
 
-from rumi.bench.machine import environment
 from rumi.cli import script
 from scripts.bench import meshes
 from scripts.bench.mug_mesh import damaged, mug_mesh
+from scripts.experiment import Experiment, Line
+from scripts.reproduce.cells import table
+from scripts.reproduce.code import code_of
 from sdf.base import SDF
 from sdf.mesh.build import from_mesh
 from sdf.mesh.mesh import TriangleMesh, load_mesh
@@ -31,7 +29,9 @@ from sdf.mesh.triangles import Triangles
 from sdf.primitives import Mug
 from sdf.surface import sample_triangles
 
-RESULTS = Path(__file__).resolve().parent / "results" / "mesh_distances.jsonl"
+POINTS = 20_000
+"""Near the surface, and as many in the whole box."""
+
 SPACINGS_MM = (1.0, 2.0, 3.0, 5.0)
 NEAR_M, PADDING_M, HOLE_M, LOST = 0.003, 0.02, 0.012, 0.01
 
@@ -42,28 +42,6 @@ class Shape(NamedTuple):
     mesh: TriangleMesh
     truth: tuple[TriangleMesh, ...]
     closed_form: SDF | None = None
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """Measure wrong signs, and errors of tables.
-
-    Attributes:
-        shapes: which; by default all.
-        points: near the surface, and as many in the whole box.
-        out: file of results.
-    """
-
-    shapes: tuple[str, ...] = ()
-    points: int = 20_000
-    out: Path = RESULTS
-
-
-@dataclass(frozen=True)
-class Show:
-    """Print the tables."""
-
-    results: Path = RESULTS
 
 
 @cache
@@ -199,16 +177,16 @@ def asked(parts: tuple[TriangleMesh, ...], count: int, slice_only: bool) -> tupl
     return _ASKED[key]
 
 
-def measure(name: str, shape: Shape, count: int) -> dict[str, Any]:
+def measure(shape: str, count: int = POINTS) -> dict[str, Any]:
     """Wrong signs and errors of one shape."""
-    points, truth = asked(shape.truth, count, "in its slice" in name)
-    ours = MeshSDF(shape.mesh)
+    made = SHAPES[shape]()
+    points, truth = asked(made.truth, count, "in its slice" in shape)
+    ours = MeshSDF(made.mesh)
     found = ours.distance(points)
     wrong = ((found < 0) != (truth.distance < 0)) & (truth.distance.abs() > 1e-9)
     error = (found - truth.distance).abs()[truth.known]
     row: dict[str, Any] = {
-        "shape": name,
-        "faces": len(shape.mesh.faces),
+        "faces": len(made.mesh.faces),
         "points": len(points),
         "wrong_signs": float(wrong.double().mean()),
         "deepest_wrong_mm": 1e3 * float(truth.distance[wrong].abs().max()) if bool(wrong.any()) else 0.0,
@@ -218,8 +196,8 @@ def measure(name: str, shape: Shape, count: int) -> dict[str, Any]:
         "tables": {},
     }
     close = (truth.distance.abs() <= NEAR_M) & truth.known
-    if shape.closed_form is not None:
-        beyond = (truth.distance - shape.closed_form.distance(points))[truth.distance > 0].abs()
+    if made.closed_form is not None:
+        beyond = (truth.distance - made.closed_form.distance(points))[truth.distance > 0].abs()
         row["closed_form_p95_mm"] = 1e3 * float(beyond.quantile(0.95))
     for spacing in SPACINGS_MM:
         table = from_mesh(ours, spacing=1e-3 * spacing)
@@ -233,54 +211,41 @@ def measure(name: str, shape: Shape, count: int) -> dict[str, Any]:
             "deepest_flip_mm": 1e3 * float(truth.distance[flips].abs().max()) if bool(flips.any()) else 0.0,
             "nodes": list(table.values.shape),
         }
-        say(f"{name}: {spacing:g} mm done")
     return row
 
 
-def accuracy(options: Accuracy) -> None:
-    """Measure shapes and keep the lines."""
-    for name in options.shapes or SHAPES:
-        if name not in SHAPES:
-            raise SystemExit(f"Expected one of {', '.join(SHAPES)}, got {name}")
-        keep(options.out, {"kind": "accuracy", **measure(name, SHAPES[name](), options.points)}, "shape")
-
-
-def keep(path: Path, row: dict[str, Any], key: str) -> None:
-    """Write a line in place of older ones of the same kind, name and threads."""
-    row = {**row, "machine": environment(torch.device("cpu"))}
-    lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
-    same = ("kind", key, "threads")
-    lines = [line for line in lines if any(line.get(name) != row.get(name) for name in same)]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(json.dumps(line) + "\n" for line in [*lines, row]))
-
-
-def show(options: Show) -> None:
-    """Both tables as Markdown."""
-    lines = [json.loads(line) for line in options.results.read_text().splitlines()]
-    out = [
-        "| mesh | faces | wrong signs, deepest | distance: p95, max error | table of 1, 2, 3, 5 mm: p95 error | "
-        "its sign flips | deepest |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    order = list(SHAPES)
-    measured = [line for line in lines if line["kind"] == "accuracy"]
-    for row in sorted(measured, key=lambda line: order.index(line["shape"])):
-        tables = [row["tables"][f"{spacing:g}"] for spacing in SPACINGS_MM]
-        out.append(
-            f"| {row['shape']} | {row['faces']} | {100 * row['wrong_signs']:.2g} %, {row['deepest_wrong_mm']:.2g} mm | "
-            f"{row['exact_p95_mm']:.0e}, {row['exact_max_mm']:.1g} mm | {_several(tables, 'near_p95_mm')} mm | "
-            f"{_several(tables, 'near_flips', 100.0)} % | {_several(tables, 'deepest_flip_mm')} mm |"
+def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
+    """Errors by shape, and times; of the same twice the newest."""
+    measured = {line["shape"]: line for line in lines if line["kind"] == "accuracy"}
+    rows = []
+    for name in (name for name in SHAPES if name in measured):
+        row = measured[name]
+        spaced = [row["tables"][f"{spacing:g}"] for spacing in SPACINGS_MM]
+        rows.append(
+            [
+                name,
+                str(row["faces"]),
+                f"{100 * row['wrong_signs']:.2g} %, {row['deepest_wrong_mm']:.2g} mm",
+                f"{row['exact_p95_mm']:.0e}, {row['exact_max_mm']:.1g} mm",
+                f"{_several(spaced, 'near_p95_mm')} mm",
+                f"{_several(spaced, 'near_flips', 100.0)} %",
+                f"{_several(spaced, 'deepest_flip_mm')} mm",
+            ]
         )
-    out += ["", "| what | threads | seconds | of the processors | memory |", "|---|---|---|---|---|"]
-    for row in lines:
-        if row["kind"] == "time":
-            memory = f"{row['peak_gib']:.2f} GiB at most" if "peak_gib" in row else ""
-            out.append(
-                f"| {row['what']} | {row['threads']} | {row['seconds']:.3g} | {row['processor_seconds']:.3g} | "
-                f"{memory} |"
-            )
-    sys.stdout.write("\n".join(out) + "\n")
+    heads = ("mesh", "faces", "wrong signs, deepest", "distance: p95, max error", "table of 1, 2, 3, 5 mm: p95 error")
+    timed = {(line["what"], line["threads"]): line for line in lines if line["kind"] == "time"}
+    times = [
+        [
+            what,
+            str(threads),
+            f"{row['seconds']:.3g}",
+            f"{row['processor_seconds']:.3g}",
+            f"{row['peak_gib']:.2f} GiB at most" if "peak_gib" in row else "",
+        ]
+        for (what, threads), row in timed.items()
+    ]
+    spent = table(("what", "threads", "seconds", "of the processors", "memory"), times)
+    return f"{table((*heads, 'its sign flips', 'deepest'), rows)}\n{spent}"
 
 
 def _several(tables: list[dict[str, Any]], name: str, unit: float = 1.0) -> str:
@@ -288,17 +253,14 @@ def _several(tables: list[dict[str, Any]], name: str, unit: float = 1.0) -> str:
     return ", ".join("0" if number < 1e-3 else f"{number:.2g}" for number in numbers)
 
 
-def say(text: str) -> None:
-    """Tell how far it is."""
-    sys.stderr.write(text + "\n")
-    sys.stderr.flush()
-
-
-def main() -> None:
-    """Measure or show."""
-    chosen = tyro.extras.subcommand_cli_from_dict({"accuracy": Accuracy, "show": Show})
-    {Accuracy: accuracy, Show: show}[type(chosen)](chosen)
-
+EXPERIMENT = Experiment(
+    __doc__,
+    "mesh_distances.jsonl",
+    {"shape": tuple(SHAPES)},
+    measure,
+    show,
+    identity=lambda variant: {"kind": "accuracy", "code": code_of("mesh")},
+)
 
 if __name__ == "__main__":
-    script(main)
+    script(EXPERIMENT.main)

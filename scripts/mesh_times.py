@@ -9,6 +9,7 @@ one with as many threads in scripts/results/mesh_distances.jsonl; mesh_distances
 
 import os
 import resource
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -21,7 +22,9 @@ import tyro
 
 from rumi.cli import script
 from scripts.bench import meshes
-from scripts.mesh_distances import PADDING_M, RESULTS, keep, say
+from scripts.experiment import RESULTS
+from scripts.mesh_distances import PADDING_M
+from scripts.store import Store
 from sdf.mesh.build import from_mesh
 from sdf.mesh.mesh import load_mesh
 from sdf.mesh.mesh_sdf import MeshSDF
@@ -36,20 +39,13 @@ class Time:
         what: "table" (the drill's, and from the cache), "peers" (48^3 nodes, and libigl's time), "large" (many faces).
         threads: of torch and of compiled loops; libigl takes IGL_NUM_THREADS.
         faces: of the largest mesh, roughly.
-        out: file of results.
+        results: file of the results.
     """
 
     what: tuple[Literal["table", "peers", "large"], ...] = ("table", "peers", "large")
     threads: int = 2
     faces: int = 1_000_000
-    out: Path = RESULTS
-
-
-def _clock(work: Callable[[], Any]) -> tuple[float, float, Any]:
-    """Seconds, processor seconds and what the work gave."""
-    wall, processor = time.perf_counter(), time.process_time()
-    result = work()
-    return time.perf_counter() - wall, time.process_time() - processor, result
+    results: Path = RESULTS / "mesh_distances.jsonl"
 
 
 def timings(options: Time) -> None:
@@ -60,13 +56,18 @@ def timings(options: Time) -> None:
     works = {"table": _time_table, "peers": _time_peers, "large": lambda file: _time_large(file, options.faces)}
     for what in options.what:
         for row in works[what](path):
-            say(f"{row['what']}: {row['seconds']:.3g} s ({row['processor_seconds']:.3g} s of the processors)")
-            keep(options.out, {"kind": "time", "threads": options.threads, **row}, "what")
+            said = f"{row['what']}: {row['seconds']:.3g} s ({row['processor_seconds']:.3g} s of the processors)\n"
+            sys.stderr.write(said)
+            Store(options.results).add({"kind": "time", "threads": options.threads, "what": row.pop("what")}, row)
 
 
 def _timed(name: str, work: Callable[[], Any], repeats: int = 1) -> dict[str, Any]:
     """The least of a few times, seconds."""
-    found = [_clock(work)[:2] for _ in range(repeats)]
+    found = []
+    for _ in range(repeats):
+        wall, processor = time.perf_counter(), time.process_time()
+        work()
+        found.append((time.perf_counter() - wall, time.process_time() - processor))
     wall, processor = min(found)
     return {"what": name, "seconds": wall, "processor_seconds": processor}
 

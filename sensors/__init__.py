@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from sensors.semantics import Semantics, SemanticSensor
     from sensors.touch.bubble import bubble_patch
     from sensors.touch.contact_model import ContactModel
+    from sensors.touch.touch_likelihood import touch_log_likelihoods
     from sensors.vision.cloud import cloud_observation
     from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
 
@@ -33,6 +34,7 @@ __all__ = [
     "ViewSettings",
     "bubble_patch",
     "cloud_observation",
+    "touch_log_likelihoods",
     "view_observation",
     "wrench_contact",
 ]
@@ -51,6 +53,7 @@ __getattr__ = lazily(
         "ViewSettings": "sensors.vision.view",
         "bubble_patch": "sensors.touch.bubble",
         "cloud_observation": "sensors.vision.cloud",
+        "touch_log_likelihoods": "sensors.touch.touch_likelihood",
         "view_observation": "sensors.vision.view",
         "wrench_contact": "sensors.force.force_torque",
     },

@@ -26,6 +26,7 @@ ROOTS: dict[str, tuple[str, ...]] = {
     "localize": ("rumi.registration.from_contacts",),
     "torques": ("rumi.sim.torque_arm",),
     "vision": ("sensors.vision.cloud", "sensors.touch.bubble", "scripts.bench.known_scenes"),
+    "mesh": ("sdf.mesh.build",),
     "open3d": ("sensors.vision.cloud", "scripts.bench.known_scenes"),
 }
 """Modules that the results of each kind of work depend on, with all that they import."""

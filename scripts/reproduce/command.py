@@ -20,7 +20,7 @@ from scripts.reproduce import touch
 from scripts.reproduce.executors import on_a_cluster, on_this_machine
 from scripts.reproduce.experiments import EXPERIMENTS, Selection, missing, valid_presets, valid_tasks, work_of
 from scripts.reproduce.jobs import Job
-from scripts.reproduce.live import LiveTable
+from scripts.reproduce.live import progress
 from scripts.reproduce.records import Record, Records
 from scripts.reproduce.reports import Report, reports, write_page
 from scripts.reproduce.seeds import seeds_of
@@ -219,7 +219,7 @@ def _done(
     wrong: dict[str, str] = {}
     if len(records.done(own)) < len(own):
         errand = Errand.of(own, options.path, cache_dir)
-        with LiveTable(own, options.path, workers=options.jobs):
+        with progress(own, options.path):
             if options.executor == "submitit":
                 on_a_cluster(errand, options.jobs, options.out / "submitit", parameters)
             else:

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from rumi.planning.registry import POLICIES
 from scripts.reproduce import allocation, paper, studies, tables
@@ -79,8 +80,9 @@ def reports(
         own = of_experiment(name, selection, records)
         if not own and len(names) > 1 and EXPERIMENTS[name](selection):
             continue  # of all experiments, those that the file holds nothing of
-        report = _REPORTS[name]
-        found.append(report(name, selection, own, figures, cache_dir))
+        kind = _REPORTS[name]
+        drawn, said = ([], ()) if figures is None else kind.draw(_Asked(name, selection, own, figures, cache_dir))
+        found.append(Report(name, kind.title, _text([*kind.text(own), *said]), tuple(drawn)))
     return found
 
 
@@ -194,127 +196,115 @@ def _ranges(numbers: Sequence[int]) -> str:
     return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
 
 
-_Report = Callable[[str, Selection, list[Record], Path | None, Path], Report]
+@dataclass(frozen=True)
+class _Asked:
+    """Where pictures go, and what they are drawn of.
+
+    Attributes:
+        name: of the experiment.
+        selection: what was asked for.
+        records: results.
+        figures: folder of the pictures.
+        cache_dir: folder that keeps what takes seconds to work out.
+    """
+
+    name: str
+    selection: Selection
+    records: list[Record]
+    figures: Path
+    cache_dir: Path
 
 
-def _table5(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
-    parts = [_COUNTS, tables.successes(records)]
+class _Kind(NamedTuple):
+    """What a report consists of: its title, its text, and its pictures with what is said about them."""
+
+    title: str
+    text: Callable[[list[Record]], Sequence[str]]
+    draw: Callable[[_Asked], tuple[list[Path], Sequence[str]]] = lambda asked: ([], ())
+
+
+def _table5(records: list[Record]) -> list[str]:
     pairs, ends, wrong = tables.paired(records), tables.endings(records), tables.failed(records)
+    parts = [_COUNTS, tables.successes(records)]
     parts += ["### Paired\n", _PAIRS, pairs] if pairs else []
     parts += ["### How the runs end\n", ends.replace("### ", "#### ")] if ends else []
-    parts += ["### Runs of rumi that were not right\n", wrong] if wrong else []
-    return Report(name, "Table V: runs that found the object", _text(parts))
+    return parts + (["### Runs of rumi that were not right\n", wrong] if wrong else [])
 
 
-def _table6(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
+def _table6(records: list[Record]) -> list[str]:
     note = [_MISPRINT] if any(record.method == "info-only" for record in records) else []
-    return Report(name, "Table VI: cumulative nll", _text([_SUMS, tables.cumulative_nll(records), *note]))
+    return [_SUMS, tables.cumulative_nll(records), *note]
 
 
-def _table2(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
-    return Report(name, "Table II: nll and APC", _text([_CORRELATION, studies.correlation(records)]))
+def _curves(curve: str, title: str) -> _Kind:
+    def draw(asked: _Asked) -> tuple[list[Path], Sequence[str]]:
+        from scripts.reproduce.curves import draw_curves
+
+        return draw_curves(asked.records, curve, asked.figures / f"{asked.name}.png"), ()
+
+    text = "Median and quartiles over the seeds; a run that stopped is held at its last value."
+    return _Kind(title, lambda records: [text], draw)
 
 
-def _table7(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
-    return Report(name, "Table VII: seconds of a planning pass", _text([_SECONDS, studies.seconds(records)]))
+def _draw_toy(asked: _Asked) -> tuple[list[Path], Sequence[str]]:
+    from scripts.reproduce.curves import draw_toy
+
+    return draw_toy(asked.records, asked.figures / "fig8.png"), ()
 
 
-def _curves(curve: str, title: str) -> _Report:
-    def report(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
-        drawn: list[Path] = []
-        if figures is not None:
-            from scripts.reproduce.curves import draw_curves
+def _draw_fields(asked: _Asked) -> tuple[list[Path], Sequence[str]]:
+    from scripts.reproduce import pictures
 
-            drawn = draw_curves(records, curve, figures / f"{name}.png")
-        text = "Median and quartiles over the seeds; a run that stopped is held at its last value."
-        return Report(name, title, _text([text]), tuple(drawn))
-
-    return report
-
-
-def _fig8(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
-    drawn: list[Path] = []
-    if figures is not None:
-        from scripts.reproduce.curves import draw_toy
-
-        drawn = draw_toy(records, figures / "fig8.png")
-    return Report(name, "Figure 8: MPPI, SMPPI and KMPPI on the toy", _text([_TOY, studies.toy(records)]), tuple(drawn))
+    task, seed = (asked.selection.tasks or ("mug-0",))[0], asked.selection.seeds[0]
+    by_particles = asked.name == "fig5"
+    make = pictures.information_by_particles if by_particles else pictures.planned_over
+    fields = make(task, seed, asked.cache_dir)
+    what = f"The information field at the first view of {task}, seed {seed}:"
+    said = what if by_particles else f"At the first view of {task}, seed {seed}."
+    return pictures.draw_fields(fields, asked.figures / f"{asked.name}.png"), [said, "", pictures.field_table(fields)]
 
 
-def _fig5(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
-    parts, drawn = [studies.ablation(records)], []
-    if figures is not None:
-        from scripts.reproduce import pictures
-
-        task = (selection.tasks or ("mug-0",))[0]
-        fields = pictures.information_by_particles(task, selection.seeds[0], cache_dir)
-        drawn = pictures.draw_fields(fields, figures / "fig5.png")
-        parts += [f"The information field at the first view of {task}, seed {selection.seeds[0]}:", ""]
-        parts += [pictures.field_table(fields)]
-    return Report(name, "Figure 5: number of particles", _text(parts), tuple(drawn))
+def _draw_runs(asked: _Asked) -> tuple[list[Path], Sequence[str]]:
+    return allocation.draw_runs(asked.records[0].seed, asked.figures) if asked.records else [], ()
 
 
-def _fig15(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
-    parts, drawn = [], []
-    if figures is not None:
-        from scripts.reproduce import pictures
-
-        task = (selection.tasks or ("mug-0",))[0]
-        fields = pictures.planned_over(task, selection.seeds[0], cache_dir)
-        drawn = pictures.draw_fields(fields, figures / "fig15.png")
-        parts = [f"At the first view of {task}, seed {selection.seeds[0]}.", "", pictures.field_table(fields)]
-    return Report(name, "Figure 15: what RUMI and GPVR plan over", _text(parts), tuple(drawn))
+def _draw_totals(asked: _Asked) -> tuple[list[Path], Sequence[str]]:
+    return allocation.draw_totals(asked.records, asked.figures / f"{asked.name}.png"), ()
 
 
-def _allocation_times(
-    name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path
-) -> Report:
-    drawn: list[Path] = []
-    if figures is not None and records:
-        drawn = allocation.draw_runs(records[0].seed, figures)
-    parts = [_CELL, allocation.times(records), allocation.faster(records)]
-    return Report(name, "Time allocation, Table I: seconds at each contact", _text(parts), tuple(drawn))
-
-
-def _allocation_accuracy(
-    name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path
-) -> Report:
-    parts = [_HOLES, allocation.accuracy(records)]
-    return Report(name, "Time allocation: how exact the task ends", _text(parts))
-
-
-def _allocation_time(
-    name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path
-) -> Report:
-    drawn = [] if figures is None else allocation.draw_totals(records, figures / f"{name}.png")
-    parts = [_TOTAL, allocation.totals(records)]
-    return Report(name, "Time allocation: total time to an accuracy", _text(parts), tuple(drawn))
-
-
-def _ablation(title: str, text: str) -> _Report:
-    def report(name: str, selection: Selection, records: list[Record], figures: Path | None, cache_dir: Path) -> Report:
-        return Report(name, title, _text([text, studies.ablation(records), tables.paired(records)]))
-
-    return report
+def _ablation(title: str, text: str) -> _Kind:
+    return _Kind(title, lambda records: [text, studies.ablation(records), tables.paired(records)])
 
 
 def _text(parts: Sequence[str]) -> str:
     return "\n".join(part.rstrip("\n") + "\n" for part in parts if part)
 
 
-_REPORTS: dict[str, _Report] = {
-    "table5": _table5,
-    "table6": _table6,
-    "table2": _table2,
-    "table7": _table7,
+_REPORTS = {
+    "table5": _Kind("Table V: runs that found the object", _table5),
+    "table6": _Kind("Table VI: cumulative nll", _table6),
+    "table2": _Kind("Table II: nll and APC", lambda records: [_CORRELATION, studies.correlation(records)]),
+    "table7": _Kind("Table VII: seconds of a planning pass", lambda records: [_SECONDS, studies.seconds(records)]),
     "fig16": _curves("nll", "Figure 16: nll over the actions"),
     "fig13": _curves("apc", "Figure 13: APC over the actions"),
-    "fig8": _fig8,
-    "fig5": _fig5,
-    "fig15": _fig15,
-    "allocation-table1": _allocation_times,
-    "allocation-accuracy": _allocation_accuracy,
-    "allocation-time": _allocation_time,
+    "fig8": _Kind(
+        "Figure 8: MPPI, SMPPI and KMPPI on the toy", lambda records: [_TOY, studies.toy(records)], _draw_toy
+    ),
+    "fig5": _Kind("Figure 5: number of particles", lambda records: [studies.ablation(records)], _draw_fields),
+    "fig15": _Kind("Figure 15: what RUMI and GPVR plan over", lambda records: [], _draw_fields),
+    "allocation-table1": _Kind(
+        "Time allocation, Table I: seconds at each contact",
+        lambda records: [_CELL, allocation.times(records), allocation.faster(records)],
+        _draw_runs,
+    ),
+    "allocation-accuracy": _Kind(
+        "Time allocation: how exact the task ends", lambda records: [_HOLES, allocation.accuracy(records)]
+    ),
+    "allocation-time": _Kind(
+        "Time allocation: total time to an accuracy",
+        lambda records: [_TOTAL, allocation.totals(records)],
+        _draw_totals,
+    ),
     "horizon": _ablation("Planning horizon", "Every other step is a knot, as with the paper's 8 of 15."),
     "displacement": _ablation(
         "Displacement off", "Information counted where the object is (Eq 28) instead of where it will be (Eq 29)."

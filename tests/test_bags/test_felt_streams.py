@@ -90,7 +90,7 @@ def made_of(path, text):
     return made.taken
 
 
-def replayed(path, text, wrap=None, **changes):
+def replayed(path, text, wrap=lambda task: task, **changes):
     mapping, taken = mapping_of(text), made_of(path, text)
     settings = replace(settings_of(mapping), **changes)
     places = torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
@@ -131,7 +131,7 @@ def test_touches_come_with_normals_beside_their_points(poked):
 def test_a_normal_tells_poses_apart_that_points_leave_open(poked):
     """Poked at one place a box may be turned by anything; the normal says that a side faces the finger."""
     points, felt = replayed(poked, FINGER), replayed(poked, LIKELY)
-    assert points.felt is None and felt.felt is not None
+    assert points.evidence is None and felt.evidence is not None
     assert turned(points) > 15.0
     assert turned(felt) < 8.0
     wide = replayed(poked, LIKELY, lambda task: TaskOnDevice(task, torch.device("cpu"), torch.float64), dtype="float64")

@@ -41,7 +41,7 @@ def made_up(clock):
         )
         values = {"baselines": ("not there", "peer", "naive"), "items": 1000, "item": "pair", "tolerance": 1e-3}
         error = lambda found, reference: float((found - reference[: len(found)]).abs().max())  # noqa: E731
-        return Case("made up", variants, **(values | {"error": error} | more))
+        return Case(**({"title": "made up", "variants": variants, "error": error} | values | more))
 
     return make
 

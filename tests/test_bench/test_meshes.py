@@ -1,21 +1,15 @@
 """The meshes to measure with, and the script that measures."""
 
-import importlib.util
-import json
-import sys
-from pathlib import Path
-
 import pytest
 import torch
 
+from scripts import mesh_distances
 from scripts.bench import meshes
 from scripts.bench.mug_mesh import mug_mesh
 from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.primitives import Box, Cup, Mug
 
 pytest.importorskip("scipy")
-
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "mesh_distances.py"
 
 
 def test_the_cup_is_the_closed_forms(generator):
@@ -63,24 +57,14 @@ def test_one_surface_lies_on_the_closed_form():
     assert repair.closed and repair.orientation.parts == 1 and repair.hidden_share == 0
 
 
-def test_the_script_measures_and_shows(tmp_path, monkeypatch, capsys):
+def test_shapes_are_measured_and_shown(monkeypatch):
     pytest.importorskip("igl")
-    spec = importlib.util.spec_from_file_location(SCRIPT.stem, SCRIPT)
-    script = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, SCRIPT.stem, script)
-    spec.loader.exec_module(script)
-    monkeypatch.setattr(script, "SPACINGS_MM", (5.0,))
-    out = tmp_path / "distances.jsonl"
-    for _ in range(2):  # the second in place of the first
-        script.accuracy(script.Accuracy(("cup + overlapping handle", "tetrahedron, 80 mm"), 300, out))
-    rows = [json.loads(line) for line in out.read_text().splitlines()]
-    assert [row["shape"] for row in rows] == ["cup + overlapping handle", "tetrahedron, 80 mm"]
-    for row in rows:
-        assert row["wrong_signs"] == 0
-        assert row["exact_p95_mm"] < 1e-9
+    monkeypatch.setattr(mesh_distances, "SPACINGS_MM", (5.0,))
+    lines = []
+    for shape in ("cup + overlapping handle", "tetrahedron, 80 mm"):
+        row = mesh_distances.measure(shape, 300)
+        assert row["wrong_signs"] == 0 and row["exact_p95_mm"] < 1e-9
         assert 0.5 < row["tables"]["5"]["near_p95_mm"] < 3
-    script.show(script.Show(out))
-    shown = capsys.readouterr().out
+        lines.append({"kind": "accuracy", "shape": shape, **row})
+    shown = mesh_distances.show(lines, {})
     assert "| cup + overlapping handle |" in shown and "| tetrahedron, 80 mm | 4 | 0 %, 0 mm |" in shown
-    with pytest.raises(SystemExit, match="Expected one of"):
-        script.accuracy(script.Accuracy(("teapot",), 300, out))

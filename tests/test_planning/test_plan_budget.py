@@ -72,13 +72,13 @@ def slow_policy(
 ) -> RummagingPolicy:
     """RUMI, each part of whose work takes a known time: 60 particles 12 ms, an iteration 20 ms, the end 1 ms."""
     policy = RummagingPolicy(None, replace(SETTINGS, reachability_scale=0.0), now=clock)
-    made = policy.push_models.of_belief
+    made = policy.push_models.rollouts
 
     def rollouts(model: Any, poses: Tensor, *rest: Any) -> Any:
         clock.advance(len(poses) * particle_s)
         return Slow(made(model, poses, *rest), clock, sample_s, finish_s)
 
-    policy.push_models.of_belief = rollouts  # type: ignore[method-assign]
+    policy.push_models.rollouts = rollouts  # type: ignore[method-assign]
     return policy
 
 

@@ -3,8 +3,7 @@
 import pytest
 
 from scripts.reproduce import code
-from scripts.reproduce.code import bare, code_hash, imported, reached
-from scripts.reproduce.jobs import KINDS
+from scripts.reproduce.code import ROOTS, bare, code_hash, imported, reached
 
 SOURCE = '''"""Module."""
 import os  # for paths
@@ -50,7 +49,7 @@ def test_imports_are_seen_wherever_they_stand():
 
 
 def test_a_run_depends_on_the_algorithm_and_not_on_what_shows_it():
-    found = reached(KINDS["run"].roots)
+    found = reached(ROOTS["run"])
     assert {
         "rumi.loop",
         "rumi.belief.pose_filter",
@@ -72,7 +71,7 @@ def test_a_run_depends_on_the_algorithm_and_not_on_what_shows_it():
     assert not [
         name for name in found if name.startswith((*shown, "scripts.reproduce.tables", "scripts.reproduce.toy"))
     ]
-    toy = reached(KINDS["toy"].roots)
+    toy = reached(ROOTS["toy"])
     assert "kmppi.parameterization" in toy and "rumi.loop" not in toy
 
 

@@ -16,7 +16,7 @@ SHOWN = Path(__file__).resolve().parents[1] / "fixtures" / "tables"
 """What `show` prints of the results on record; after a change of those: python -m scripts.NAME show > NAME.md."""
 
 REPRODUCED = {
-    "mugs": ("table5", "table6"),
+    "mugs": ("table5", "table6", "--tasks", "mug-0", "mug-1", "mug-2"),
     "peg": ("allocation-table1", "allocation-accuracy", "allocation-time", "--seeds", "0-99"),
     "touch": ("touch-table1",),
 }
@@ -124,7 +124,8 @@ def test_ablations_differ_in_what_they_change(monkeypatch, tmp_path):
     monkeypatch.setattr(grasps, "grasp_table", lambda *a, **k: clearance_table(0.03, 0.08, 0.08))
     monkeypatch.setenv("RUMI_CACHE", str(tmp_path))
     assert len({variant.digest for variant in module.VARIANTS.values()}) == len(module.VARIANTS)
-    soft, usual = (module.VARIANTS[name].toucher().robot for name in ("soft contact in the truth", "default"))
-    assert (soft.physics.contact_s, usual.physics.contact_s) == (0.02, 0.002)
+    for name, contact_s in (("soft contact in the truth", 0.02), ("default", 0.002)):
+        with module.VARIANTS[name].parts() as parts:
+            assert parts.task.robot.physics.contact_s == contact_s
     figures = module.measure("quasi-static truth", 2001)
     assert figures["actions"] > 0 and math.isfinite(figures["believed"])
