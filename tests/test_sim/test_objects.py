@@ -14,8 +14,8 @@ from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
 from scripts.bench.mug_mesh import mug_mesh, write_obj
 from sdf import se3, so3
-from sdf.mesh.mesh import TriangleMesh
 from sdf.primitives import Mug
+from tests.fixtures.meshes import box
 
 pytest.importorskip("trimesh")
 pytest.importorskip("scipy")
@@ -27,12 +27,9 @@ HALF = (0.03, 0.04, 0.06)
 
 
 def box_file(folder, half=HALF, turn=(0.0, 0.0, 0.0), at=(0.0, 0.0, 0.0), name="box.obj"):
-    signs = torch.tensor([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=torch.float64)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = torch.tensor([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
     pose = se3.make(so3.exp(torch.tensor(turn, dtype=torch.float64)), torch.tensor(at, dtype=torch.float64))
     path = folder / name
-    write_obj(TriangleMesh(signs * torch.tensor(half, dtype=torch.float64), faces).moved(pose), path)
+    write_obj(box(half).moved(pose), path)
     return path
 
 
