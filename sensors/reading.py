@@ -1,6 +1,7 @@
 """Reading of a robot's sensors during one action."""
 
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Self
 
 import torch
@@ -28,6 +29,7 @@ class Reading:
         configuration: (*b, Q), the tool's configuration at the last instant (planar: x, y, yaw).
         clipped: (*b), metres of the commanded translation that the arm's reach refused.
         stamp: seconds since the start of the run.
+        measurements: (K, ...) numbers of further sensors at each instant, by the sensor's name; NaN where it gave none.
 
     Raises:
         ValueError: a value that is not finite, or a point of an instant that there is none of.
@@ -41,6 +43,7 @@ class Reading:
     configuration: Float[Tensor, "*b Q"]
     clipped: Float[Tensor, "*b"]
     stamp: float = 0.0
+    measurements: Mapping[str, Float[Tensor, "K ..."]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse what no sensor can mean: a belief that has taken in a NaN is lost."""
@@ -50,6 +53,9 @@ class Reading:
             value = getattr(self, name)
             if value is not None:
                 check_finite(name, value)
+        for name, values in self.measurements.items():
+            if len(values) != instants:
+                raise ValueError(f"Expected {instants} measurements of {name!r}, one an instant, got {len(values)}")
         wrong = observation.valid & ((self.instant < 0) | (self.instant >= instants))
         if bool(wrong.any()):
             raise ValueError(
@@ -63,9 +69,11 @@ class Reading:
 
 
 def transfer(value: Any, device: torch.device | str | None, dtype: torch.dtype | None) -> Any:  # noqa: ANN401
-    """A tensor, or all tensors of a dataclass, on another device or in a dtype; other values as they are."""
+    """A tensor, or all tensors of a mapping or a dataclass, on another device or in a dtype; other values unchanged."""
     if isinstance(value, Tensor):
         return value.to(device=device, dtype=dtype if value.is_floating_point() else None)
+    if isinstance(value, Mapping):
+        return {name: transfer(part, device, dtype) for name, part in value.items()}
     if is_dataclass(value) and not isinstance(value, type):
         parts = {part.name: getattr(value, part.name) for part in fields(value)}
         return replace(value, **{name: transfer(part, device, dtype) for name, part in parts.items()})

@@ -1,5 +1,6 @@
 """Contact samples of a recording: the type that every touch sensor's reader returns."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import torch
@@ -26,6 +27,7 @@ class ContactSample:
         free: (m, 3), points without contact, world.
         touch: the same with a normal, by how sure both are, where that counts.
         signal: whether it is a signal of joint torques that counts.
+        measurements: (n), of a further sensor by its name.
     """
 
     stamp_ns: int
@@ -34,6 +36,7 @@ class ContactSample:
     free: Float[Tensor, "m 3"] = field(default_factory=no_points)
     touch: WrenchTouch | None = None
     signal: bool = False
+    measurements: Mapping[str, Float[Tensor, "..."]] = field(default_factory=dict)
 
 
 @dataclass

@@ -23,7 +23,7 @@ from sensors.log.reader import Log, Sample, Stream
 
 
 def contact_samples(log: Log, mapping: BagMap, frames: FrameTree, span: Span) -> ContactSamples:
-    """Contact samples of all streams with the roles felt, contact, bubble, wrench and torques.
+    """Contact samples of all streams with the roles felt, contact, bubble, wrench, torques and sensor.
 
     Args:
         log: with raw streams.
@@ -52,6 +52,8 @@ def contact_samples(log: Log, mapping: BagMap, frames: FrameTree, span: Span) ->
             mine = _wrench_contacts(stream, mapping, frames, span, found.wrenches, found.problems)
         elif role == "torques":
             mine = torque_contacts(stream, mapping, span, found)
+        elif role == "sensor":
+            mine = _measurements(stream, span, found.problems)
         else:
             continue
         found.samples += mine
@@ -72,6 +74,16 @@ def _point_contacts(stream: Stream, frames: FrameTree, span: Span, problems: lis
             found.append(ContactSample(one.stamp_ns, points, len(points) > 0))
     report_unknown_poses(stream, known, problems)
     return found
+
+
+def _measurements(stream: Stream, span: Span, problems: list[str]) -> list[ContactSample]:
+    """Numbers of a further sensor, which its own evidence reads."""
+    name = str(stream.about["sensor"])
+    rows = [(one.stamp_ns, torch.tensor(one.values["numbers"])) for one in stream.samples(span.start_ns, span.read_ns)]
+    same = [(stamp, row) for stamp, row in rows if len(row) == len(rows[0][1])]
+    if lost := len(rows) - len(same):
+        problems.append(f"stream {stream.name}: {lost} of {len(rows)} rows are not of as many numbers as the first one")
+    return [ContactSample(stamp, no_points(), False, measurements={name: row.float()}) for stamp, row in same]
 
 
 def _wrench_contacts(

@@ -22,7 +22,9 @@ from sdf import se3
 SCHEMA = 1
 """Of mapping files."""
 
-Role = Literal["cloud", "depth", "color", "camera", "felt", "contact", "bubble", "wrench", "joints", "torques", "tf"]
+Role = Literal[
+    "cloud", "depth", "color", "camera", "felt", "contact", "bubble", "wrench", "joints", "torques", "tf", "sensor"
+]
 ROLES: tuple[str, ...] = typing.get_args(Role)
 
 
@@ -33,13 +35,14 @@ class Topic:
     Attributes:
         role: "cloud" of a camera, "depth" image, "color" image, "camera" intrinsics, "felt" points on the object that a
             finger felt, "contact" flags, "bubble": the depth image of a soft bubble's membrane from inside, "wrench",
-            "joints", "torques": joints whose efforts are measured torques, or "tf" (which /tf and /tf_static are by
-            themselves).
+            "joints", "torques": joints whose efforts are measured torques, "tf" (which /tf and /tf_static are by
+            themselves), or "sensor": the numbers of a further sensor.
         frame: in place of the messages' frame_id.
         camera: topic of a depth image's CameraInfo; of a bubble's too.
         color: topic of the colour images that are of a depth image's pixels; needed where several could be.
         unit_m: metres that one unit of a depth image is; by default 0.001 for whole numbers and 1 for floating ones.
         rectified: the lens's distortion has been taken out of a depth image (or a bubble's) already.
+        sensor: name of the further sensor, by which its evidence finds the numbers (`Reading.measurements`).
     """
 
     role: Role
@@ -48,6 +51,11 @@ class Topic:
     color: str | None = None
     unit_m: float | None = None
     rectified: bool = False
+    sensor: str | None = None
+
+    def __post_init__(self) -> None:
+        if (self.role == "sensor") != (self.sensor is not None):
+            raise ValueError(f"expected sensor, a name, with the role sensor alone, got {self.role} and {self.sensor}")
 
 
 @dataclass(frozen=True)

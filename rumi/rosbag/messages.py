@@ -160,6 +160,13 @@ def flag(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: A
     yield RowOf(_spec(message, topic, config, "contact"), stamp_ns(message), {"touched": touched})
 
 
+def numbers(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: ANN401
+    """sensor_msgs/Range and std_msgs/Float32, Float64 and their arrays: the numbers of a further sensor."""
+    values = np.atleast_1d(np.asarray(message.range if hasattr(message, "range") else message.data, float))
+    spec = _spec(message, topic, config, "numbers", {"sensor": config.sensor})
+    yield RowOf(spec, stamp_ns(message), {"numbers": np.where(np.isfinite(values), values, np.nan)})
+
+
 CONVERTERS: Mapping[str, tuple[tuple[str, ...], Convert]] = {
     "sensor_msgs/msg/PointCloud2": (("cloud", "felt"), point_cloud),
     "sensor_msgs/msg/Image": (("depth", "color", "bubble"), image),
@@ -169,6 +176,11 @@ CONVERTERS: Mapping[str, tuple[tuple[str, ...], Convert]] = {
     "tf2_msgs/msg/TFMessage": (("tf",), transforms),
     "std_msgs/msg/Bool": (("contact",), flag),
     "std_msgs/msg/UInt8MultiArray": (("contact",), flag),
+    "sensor_msgs/msg/Range": (("sensor",), numbers),
+    "std_msgs/msg/Float32": (("sensor",), numbers),
+    "std_msgs/msg/Float64": (("sensor",), numbers),
+    "std_msgs/msg/Float32MultiArray": (("sensor",), numbers),
+    "std_msgs/msg/Float64MultiArray": (("sensor",), numbers),
 }
 """Roles that a message type can have, and what turns it into rows."""
 

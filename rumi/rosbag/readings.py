@@ -69,8 +69,8 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> ImportedReadin
     if not (views.any or contacts.any):
         listed = ", ".join(sorted(f"{name} ({stream.kind})" for name, stream in log.streams.items())) or "none"
         raise UsageError(
-            "Expected a stream with the role cloud, depth, felt, contact, bubble, wrench or torques, found none that "
-            f"can be read; the log's streams are {listed}"
+            "Expected a stream with the role cloud, depth, felt, contact, bubble, wrench, torques or sensor, found "
+            f"none that can be read; the log's streams are {listed}"
         )
     first_ns = start + round(mapping.actions.view_s * 1e9)
     seen = views.between(start, first_ns)
@@ -148,6 +148,7 @@ class _Cutter:
             observation.append(self._views.between(begin_ns, end_ns, last=True))
             instants.append(torch.full((len(observation[-1]),), count - 1))
         taken = self._taken(concatenate(observation), torch.cat(instants), pose, in_contact, end_ns)
+        taken = replace(taken, reading=replace(taken.reading, measurements=_last_measurements(mine, at, count)))
         if not (self._mapping.touches_count or self._mapping.signals_count):
             return taken
         signals: Tensor | None = None
@@ -198,3 +199,14 @@ class _Cutter:
         stamp = (stamp_ns - self._start) / 1e9
         reading = Reading(observation, instant, pose, in_contact, None, torch.tensor(place), torch.zeros(()), stamp)
         return Taken(reading, None, None, None)
+
+
+def _last_measurements(
+    samples: Sequence[ContactSample], at: Sequence[int], instants: int
+) -> dict[str, Float[Tensor, "K ..."]]:
+    """The last numbers of each further sensor up to each instant of a reading; NaN where it gave none."""
+    found: dict[str, Tensor] = {}
+    for sample, instant in zip(samples, at, strict=True):
+        for name, values in sample.measurements.items():
+            found.setdefault(name, values.new_full((instants, len(values)), math.nan))[instant] = values
+    return found

@@ -73,7 +73,10 @@ def rummager_of_map(
     planner = replace(settings.planner, push_model="displacement")
     rummager = build_rummager(spec, replace(settings, method="rumi", planner=planner), model, tool)
     models = contact_models(mapping, rummager.filter.discrepancy.sdf)
-    return replace(rummager, filter=rummager.filter.with_evidence(*models))
+    # contacts count as the mapping says, other sensors as the settings do
+    contacts = (ContactPointModel, ContactSignalModel)
+    others = [model for model in rummager.filter.further if not isinstance(model, contacts)]
+    return replace(rummager, filter=rummager.filter.with_evidence(*models, *others))
 
 
 def contact_models(mapping: BagMap, sdf: SDF) -> tuple[EvidenceModel, ...]:

@@ -54,6 +54,9 @@ def write_step(trace: TraceWriter, step: Any, previous: Any) -> None:  # noqa: A
     _write(trace, at, {"control": step.control, "truth": step.truth})
     _write(trace, f"{at}/reading", {name: getattr(step.reading, name) for name in _READING})
     _write_points(trace, f"{at}/reading", step.reading.observation)
+    if step.reading.measurements:
+        trace.json(f"{at}/reading/sensors", list(step.reading.measurements))
+        _write(trace, f"{at}/reading/measurements", step.reading.measurements)
     if isinstance(step.reading, ContactReading):
         _write(trace, f"{at}/reading", {"signals": step.reading.signals})
         _write(trace, f"{at}/reading/wrench", {name: getattr(step.reading.wrench, name) for name in _WRENCH})
@@ -183,6 +186,7 @@ def _read_reading(members: Mapping[str, Any], at: str, stamp: float) -> Reading:
         configuration=_need(members, f"{at}/configuration"),
         clipped=_need(members, f"{at}/clipped"),
         stamp=stamp,
+        measurements={name: _need(members, f"{at}/measurements/{name}") for name in members.get(f"{at}/sensors", ())},
     )
     if f"{at}/wrench/points" not in members:
         return reading

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from enum import Enum
 from typing import Any
 
 import torch
@@ -26,6 +27,8 @@ def write_value(trace: TraceWriter, at: str, value: Any) -> Any:  # noqa: ANN401
     if names := _names(value):
         parts = {name: write_value(trace, f"{at}/{name}", getattr(value, name)) for name in names}
         return {"is": type(value).__name__, "with": parts}
+    if isinstance(value, Enum):
+        return {"is": type(value).__name__, "member": value.value}
     if isinstance(value, tuple | list):
         return [write_value(trace, f"{at}/{place}", item) for place, item in enumerate(value)]
     if isinstance(value, float) and not math.isfinite(value):
@@ -51,6 +54,8 @@ def read_value(members: Mapping[str, Any], told: Any, kinds: Mapping[str, type])
         return torch.from_numpy(members[told["array"]])
     if "number" in told:
         return float(told["number"])
+    if "member" in told:
+        return kinds[told["is"]](told["member"])
     parts = {name: read_value(members, value, kinds) for name, value in told["with"].items()}
     return kinds[told["is"]](**parts)
 

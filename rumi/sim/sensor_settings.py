@@ -29,6 +29,8 @@ class SensorSettings:
             its target, or the "sensor" itself. Bubbles turn about their own camera.
         membrane_m: of the bubbles' membrane above the pads.
         frame_rate_hz: of the camera, for 0.4 s after an action.
+        further: names of sensors beside those (`rumi.sim.sensors.SIMULATED_SENSORS`), which count by evidence of their
+            own (`filter.evidence`).
     """
 
     kind: SensorKind = "points"
@@ -43,6 +45,7 @@ class SensorSettings:
     turned_about: Literal["workspace", "sensor"] = "workspace"
     membrane_m: float = 0.008
     frame_rate_hz: float = 15.0
+    further: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what no sensor has."""

@@ -86,6 +86,7 @@ KINDS: dict[str, tuple[Column, ...]] = {
         Column("effort", "f8", (), 1, about="N m or N; NaN where not given"),
     ),
     "pose": (Column("pose", "f8", (4, 4), about="parent_T_child, m"),),
+    "numbers": (Column("numbers", "f8", (), 1, about="of one sensor; NaN where it gave none"),),
     "contact": (Column("touched", "u1", (), 1, about="1 where a taxel, finger or pad touches"),),
 }
 """Columns of each kind of raw stream."""
@@ -111,8 +112,16 @@ def reading_columns(float_type: str, kind: type[Reading] = Reading) -> tuple[Col
 
 
 def reading_values(reading: Reading) -> dict[str, object]:
-    """What `reading_columns` names, of a reading."""
-    return dict(_flat(reading, "reading/"))
+    """What `reading_columns` names, of a reading.
+
+    Raises:
+        LogError: it has measurements of further sensors, which have no columns.
+    """
+    values = dict(_flat(reading, "reading/"))
+    if values.pop("reading/measurements"):
+        names = ", ".join(reading.measurements)
+        raise LogError(f"Expected a reading without measurements of further sensors, got {names}: add a stream of each")
+    return values
 
 
 def reading_of(values: Mapping[str, np.ndarray | None], kind: type[Reading] = Reading) -> Reading:
@@ -129,6 +138,8 @@ def _of_dataclass(kind: type, prefix: str) -> Iterator[Column]:
     """Columns of a dataclass of tensors, by its hints: a log follows what a reading holds."""
     for name, hint in typing.get_type_hints(kind).items():
         inner, optional = _bare(hint)
+        if typing.get_origin(inner) is Mapping:
+            continue  # the measurements of further sensors: each is a stream of its own
         if dataclasses.is_dataclass(inner) and isinstance(inner, type) and not optional:
             yield from _of_dataclass(inner, f"{prefix}{name}/")
         elif inner is float:

@@ -55,7 +55,8 @@ class RummageTask:
             raise UsageError(
                 f"Expected steps to be at most the {self.spec.steps} of {self.spec.name}, got {settings.steps}"
             )
-        if settings.simulator.sensors.kind == "points" and settings.simulator.sensors != SensorSettings():
+        sensors = settings.simulator.sensors
+        if sensors.kind == "points" and sensors != SensorSettings(further=sensors.further):
             raise UsageError(
                 "Expected --simulator.sensors.kind camera, bubbles or both with other settings of the sensors, "
                 "got points"

@@ -12,7 +12,9 @@ from torch import Tensor
 from rumi.belief.prior import lying
 from rumi.errors import UsageError
 from rumi.robot.tool import Tool
+from rumi.seeding import split
 from rumi.sim.bodies import body_of
+from rumi.sim.sensors import measure
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.world import Track, World
@@ -69,6 +71,7 @@ class SimTask:
         self._felt_at = self._pads + spec.felt_ahead_m * tool.shape.pad_normals(self._pads)
         self._body = tool.shape.volume(settings.body_spacing_m).float()
         self._generator = torch.Generator()
+        self._further_noise = split(0, "further sensors")
         self._region = torch.zeros(2, 3)
         self._attached = se3.identity()
         self._steps: int | None = None
@@ -80,6 +83,7 @@ class SimTask:
             seed: of the sensors' noise.
         """
         self._generator.manual_seed(seed)
+        self._further_noise = split(seed, "further sensors")
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
         observation = self._view()
@@ -121,6 +125,9 @@ class SimTask:
         assert self._steps is not None
         self._steps += 1
         reading = self._sense(before, track, refused)
+        if further := self.settings.sensors.further:
+            measured = measure(further, self.world, track, reading.tool_pose, self._further_noise)
+            reading = replace(reading, measurements=measured)
         if self.spec.looks_again and self.spec.camera is not None:
             reading = self._seen_again(reading)
         return StepResult(reading, track.world_T_object[-1].float())
