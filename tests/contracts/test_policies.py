@@ -275,7 +275,6 @@ def test_samples_cost_alone_what_they_cost_together(
 def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> None:
     wide, belief = torch.float64, believed().to(dtype=torch.float64)
     reading = scene.reading
-    assert reading is not None
     there = Scene(
         mug.to(wide),
         scene.workspace.to(wide),

@@ -150,7 +150,6 @@ def test_predicts_what_the_planner_predicted(mug: ObjectModel, workspace: Worksp
     random = torch.Generator().manual_seed(0)
     plan = RummagingPolicy(None, settings).act(PlanRequest(belief(), scene, generator=random))
     told = from_plan([record(0, belief(), near), record(1, belief(), near, plan=plan)], 1)
-    assert told is not None
     situation = Situation(record(0, belief(), near), mug, workspace, tool)
     push = PushModels(PushSettings("displacement", push=settings.push))
     asked = situation.predict(plan.controls[0], settings.information, push)

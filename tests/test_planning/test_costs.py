@@ -294,8 +294,6 @@ def turning_rollouts(generator: torch.Generator) -> PushRollouts:
 def test_information_turns_with_the_object(generator: torch.Generator) -> None:
     """What the tool meets of a moved object is what it meets of an unmoved one from the place moved back."""
     rollouts = turning_rollouts(generator)
-    assert rollouts.turns is not None
-    assert rollouts.pivot is not None
     points = torch.cat((sensing_points(generator)[:, :2], torch.ones(len(sensing_points(generator)), 1, **DOUBLE)), -1)
     seen, _ = Paths(rollouts.configurations, rollouts.displacements, rollouts.turns, rollouts.pivot).riding()
     for k, m, t in ((0, 1, 2), (0, 3, 4), (1, 0, 1)):
@@ -310,8 +308,6 @@ def test_information_turns_with_the_object(generator: torch.Generator) -> None:
 def test_trajectory_cost_of_turning_objects(generator: torch.Generator) -> None:
     information, reachability = (sparse_field((12, 11, 1), generator) for _ in range(2))
     points, rollouts = sensing_points(generator), turning_rollouts(generator)
-    assert rollouts.turns is not None
-    assert rollouts.pivot is not None
     cost = TrajectoryCost(information, reachability, points, normalise=False)(rollouts)
     q, d = rollouts.configurations[:, :, 1:], rollouts.displacements[:, :, 1:]
     seen, _ = Paths(q, d, rollouts.turns[:, :, 1:], rollouts.pivot).riding()

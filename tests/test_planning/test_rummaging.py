@@ -91,7 +91,6 @@ def test_a_later_plan_goes_on_from_the_previous_one(scene: Scene) -> None:
     # without noise it is the previous plan, two controls later
     quiet = replace(SMALL, mppi=replace(SMALL.mppi, noise_variance=1e-12))
     later = plan(RummagingPolicy(falling(scene), quiet), scene, belief(), first)
-    assert first.warm_start is not None
     expected = MPPI(SMALL.mppi, 3).shift(first.warm_start, 2)
     torch.testing.assert_close(later.controls, expected.controls, atol=1e-4, rtol=0)
     assert float((later.controls - first.controls).abs().max()) > 0.1
