@@ -326,20 +326,6 @@ def test_estimated_motion_recovers_a_slip():
         object_motion("measured", start, one, MODULE, "SE(2)", descent)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"motion": "guessed"}, "measured, sticking, pushed, estimated, corrected"),
-        ({"unmeasured": "measured"}, "needs no slip sensor"),
-        ({"peakiness": 0.0}, "peakiness"),
-        ({"trigger_percentile": 2.0}, "percentile"),
-    ],
-)
-def test_bad_settings_are_refused(change, message, no_shape_check):
-    with pytest.raises(ValueError, match=message):
-        FilterSettings(**change)
-
-
 def test_one_particle_and_no_points():
     after, _, info = run(make(translation_noise_m=0.003, trigger=1.0), belief(1), EMPTY, reading(EMPTY))
     assert not bool(info.moved)

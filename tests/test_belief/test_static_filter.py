@@ -194,12 +194,6 @@ def test_a_reading_that_nothing_explains():
     assert torch.equal(follow.log_target(belief.states, empty), torch.zeros(5, dtype=F64))
 
 
-@pytest.mark.parametrize("change", [{"trigger": 2.0}, {"crossed": -1.0}, {"moves": -1}, {"jitter_m": (0.0, 1.0)}])
-def test_settings_that_cannot_be(change):
-    with pytest.raises(ValueError, match="Expected"):
-        ResampleMoveSettings(**change)
-
-
 FOLLOW = ResampleMoveFilter(PlaneSpace(None), lambda states: torch.zeros(len(states), dtype=F64))
 
 

@@ -140,13 +140,7 @@ def test_smallest_problem(scene: Scene) -> None:
     assert bool(made.path.isfinite().all())
 
 
-def test_refuses_what_it_cannot_plan_for(scene: Scene, no_shape_check: None) -> None:
-    with pytest.raises(ValueError, match="rollouts"):
-        RummagingSettings(rollouts=0)
-    with pytest.raises(ValueError, match="push_model"):
-        RummagingSettings(push_model="magnetic")
-    with pytest.raises(ValueError, match="not both 0"):
-        RummagingSettings(information_scale=0.0, reachability_scale=0.0)
+def test_refuses_what_it_cannot_plan_for(scene: Scene) -> None:
     with pytest.raises(ValueError, match="Expected reachability"):
         plan(RummagingPolicy(None, SMALL), scene, belief())
     with pytest.raises(ValueError, match="one row a workspace point"):

@@ -195,8 +195,5 @@ def test_works_in_space_too(scene: Scene) -> None:
 
 
 def test_refuses_what_has_no_meaning(scene: Scene) -> None:
-    for wrong in ({"stride": 0.0}, {"stride": 1.5}, {"press": -0.1}, {"press": math.inf}):
-        with pytest.raises(ValueError, match=next(iter(wrong))):
-            SlideSettings(**wrong)
     with pytest.raises(ValueError, match=r"Expected scene\.reading"):
         act(replace(scene, reading=None))

@@ -1,7 +1,6 @@
 """The user's own mesh: put upright, checked against the task, described."""
 
 import hashlib
-import math
 from dataclasses import replace
 
 import pytest
@@ -122,22 +121,6 @@ def test_what_does_not_fit_the_task(tmp_path, cache):
     with pytest.raises(UsageError, match=r"at least 23 mm high.*--upright"):
         fits((0.05, 0.05, 0.01))
     fits((0.22, 0.05, 0.05), scale=0.5)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"scale": 0.0, "mesh": "a.obj"}, "scale"),
-        ({"mass_kg": -1.0}, "mass"),
-        ({"friction": math.inf}, "friction"),
-        ({"scale": 0.001}, "give --mesh"),
-        ({"upright": (0.0, 0.0, 90.0)}, "give --mesh"),
-        ({"mesh": "a.obj", "upright": (0.0, math.nan, 0.0)}, "upright"),
-    ],
-)
-def test_bad_settings(wrong, said):
-    with pytest.raises(UsageError, match=said):
-        ObjectSettings(**wrong)
 
 
 def test_a_task_with_a_mesh(tmp_path, cache):
