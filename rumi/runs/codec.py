@@ -17,7 +17,7 @@ from rumi.records import StepRecord
 from rumi.runs.plain import plain
 from rumi.runs.sketch import OutlineMap, SceneSketch
 from rumi.runs.trace import TraceWriter
-from rumi.runs.values import PARTS, read_value, write_value
+from rumi.runs.values import read_value, record_classes, write_value
 from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.observation import Observation
 from sensors.reading import Reading
@@ -90,8 +90,7 @@ def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, flo
     while (at := f"step_{len(steps):05d}") + "/numbers" in members:
         about = dict(members[f"{at}/numbers"])
         if "kind" in about:
-            kinds = {kind.__name__: kind for kind in PARTS[about["kind"]]}
-            record = read_value(members, about["record"], kinds)
+            record = read_value(members, about["record"], record_classes(about["kind"]))
             steps.append(replace(record, timings_s=timings_s.get(len(steps), {})))
             continue
         stamp, plan_about = about.pop("stamp"), about.pop("plan")

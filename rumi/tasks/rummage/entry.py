@@ -35,6 +35,7 @@ class RummageTask:
     settings = Settings
     presets = tuple(PRESETS)
     readings = Reading
+    records = ()
 
     def __init__(self, spec: TaskSpec) -> None:
         self.spec, self.description = spec, spec.description
