@@ -18,6 +18,7 @@ from torch import Tensor
 from rumi.cli import script
 from rumi.information.entropy import Entropy, NeighbourEntropy, SharedSupport, SpatialEntropy
 from rumi.information.neighbours import StateMetric, unique_states
+from scripts.reproduce.cells import table
 
 
 @dataclass(frozen=True)
@@ -98,22 +99,20 @@ def rows(options: Options) -> Iterator[Row]:
                 yield Row(name, dims, estimate, float(error.mean()), float(error.std()))
 
 
-def table(found: list[Row]) -> str:
-    """Markdown, an estimate a line."""
+def markdown(found: list[Row]) -> str:
+    """An estimate a line."""
     columns = list(dict.fromkeys((row.shape, row.dims) for row in found))
     cells = {(row.estimate, row.shape, row.dims): f"{row.bias:+.2f} ({row.deviation:.2f})" for row in found}
-    head = "| estimate | " + " | ".join(f"{shape}, {dims}-D" for shape, dims in columns) + " |"
-    lines = [head, "|" + "---|" * (len(columns) + 1)]
-    for estimate in dict.fromkeys(row.estimate for row in found):
-        lines.append(f"| {estimate} | " + " | ".join(cells[(estimate, *column)] for column in columns) + " |")
-    return "\n".join(lines)
+    names = dict.fromkeys(row.estimate for row in found)
+    heads = ("estimate", *(f"{shape}, {dims}-D" for shape, dims in columns))
+    return table(heads, ([name, *(cells[(name, *column)] for column in columns)] for name in names))
 
 
 def main() -> None:
     """Print the table."""
     options = tyro.cli(Options, description=__doc__)
     sys.stdout.write(f"{options.count} states, {options.neighbours} neighbours, {options.sets} sets\n\n")
-    sys.stdout.write(table(list(rows(options))) + "\n")
+    sys.stdout.write(markdown(list(rows(options))))
 
 
 if __name__ == "__main__":

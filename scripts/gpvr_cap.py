@@ -25,6 +25,7 @@ from rumi.planning.implicit_surface import Hyperparameters, Labelled, fit, predi
 from rumi.planning.policy import Plan, PlanRequest, Scene
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import preset
+from scripts.reproduce.cells import table
 from scripts.reproduce.correlation import spearman
 
 
@@ -118,16 +119,16 @@ def main(options: Options) -> None:
             apart = np.abs(own - full)
             errors = (alike.mean(), alike.max(), apart.mean(), apart.max(), spearman(own, full))
             rows.setdefault(cap, []).append((len(some.points), *errors, fit_s, variance_s))
-    print(
-        "| cap | points | error at the full fit's hyperparameters: mean | largest | error after its own fit: mean ",
-        end="",
-    )
-    print("| largest | rank correlation | fit, s | variance, s |\n" + "|---" * 9 + "|")
+    lines = []
     for cap, found in sorted(rows.items(), key=lambda row: row[0] or 10**9):
         values = np.array(found)
         middle, most = np.median(values, axis=0), values.max(0)
-        errors = f"{middle[1]:.4f} | {most[2]:.3f} | {middle[3]:.3f} | {most[4]:.3f} | {values[:, 5].min():.3f}"
-        print(f"| {cap or 'none'} | {middle[0]:.0f} | {errors} | {middle[6]:.2f} | {middle[7]:.2f} |")
+        errors = [f"{x:.3f}" for x in (most[2], middle[3], most[4], values[:, 5].min())]
+        cells = [str(cap or "none"), f"{middle[0]:.0f}", f"{middle[1]:.4f}", *errors]
+        lines.append([*cells, f"{middle[6]:.2f}", f"{middle[7]:.2f}"])
+    heads = ("cap", "points", "error at the full fit's hyperparameters: mean", "largest")
+    ends = ("error after its own fit: mean", "largest", "rank correlation", "fit, s", "variance, s")
+    print(table((*heads, *ends), lines), end="")
 
 
 if __name__ == "__main__":

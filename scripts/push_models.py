@@ -22,6 +22,7 @@ from rumi.robot.tool import Tool
 from rumi.sim.world import World
 from rumi.tasks.rummage.build import workspace_of
 from rumi.tasks.rummage.scenes import SCENES
+from scripts.reproduce.cells import push_errors
 from sdf import se3
 from sdf.object_model import ObjectModel
 
@@ -110,13 +111,6 @@ def errors(family: PushModels, found: list[Push], model: ObjectModel, tool: Tool
     return torch.tensor(place), torch.tensor(turn), (time.perf_counter() - begun) / max(1, len(found))
 
 
-def line(name: str, place: Tensor, turn: Tensor) -> str:
-    """A row of the table."""
-    cells = [1e3 * float(value) for value in (place.median(), place.mean(), place.quantile(0.9))]
-    degrees = [math.degrees(float(value)) for value in (turn.median(), turn.mean(), turn.quantile(0.9))]
-    return f"| {name} | " + " | ".join(f"{value:.1f}" for value in cells + degrees) + " |"
-
-
 def main() -> None:
     """Print the table."""
     options = tyro.cli(Options, description=__doc__)
@@ -128,9 +122,7 @@ def main() -> None:
     moved = (ends[:, :2] - torch.tensor(PLACE)).norm(dim=-1)
     turned = torch.tensor([math.remainder(float(p.end[2]) - p.yaw, 2.0 * math.pi) for p in found]).abs()
     sys.stdout.write(f"{len(found)} pushes, seed {options.seed}\n\n")
-    sys.stdout.write("| model | place: median, mm | mean | 90 % | yaw: median, degrees | mean | 90 % |\n")
-    sys.stdout.write("|---|---|---|---|---|---|---|\n")
-    sys.stdout.write(line("the mug stays", moved, turned) + "\n")
+    apart = {"the mug stays": (moved, turned)}
     families = {"displacement": PushModels(PushSettings("displacement"))}
     for ratio in options.lever_ratios:
         for friction in options.frictions:
@@ -140,8 +132,8 @@ def main() -> None:
     families["mujoco, 5 ms"] = PushModels(PushSettings("mujoco", engine=EngineSettings(threads=1)))
     for name, family in families.items():
         place, turn, seconds = errors(family, found, model, tool)
-        sys.stdout.write(line(f"{name} ({1e3 * seconds:.0f} ms)", place, turn) + "\n")
-        sys.stdout.flush()
+        apart[f"{name} ({1e3 * seconds:.0f} ms)"] = place, turn
+    sys.stdout.write(push_errors(apart))
 
 
 if __name__ == "__main__":

@@ -63,14 +63,9 @@ def main() -> None:
         for name, carrier in carriers.items():
             found = carrier(truth.pose[None], touched.path[None], robot.pusher, task.outline, own)
             errors[name].append(found.track[0, -1] - after)
-    sys.stdout.write("| model | place: median, mm | mean | 90 % | yaw: median, degrees | mean | 90 % |\n")
-    sys.stdout.write("|---|---|---|---|---|---|---|\n")
-    for name, each in errors.items():
-        apart = torch.stack(each)
-        cells = []
-        for values in (1e3 * apart[:, :2].norm(dim=-1), torch.rad2deg(apart[:, 2].abs())):
-            cells += [f"{float(x):.1f}" for x in (values.median(), values.mean(), values.quantile(0.9))]
-        sys.stdout.write(f"| {name} | {' | '.join(cells)} |\n")
+    apart = {name: torch.stack(each) for name, each in errors.items()}
+    found = {name: (each[:, :2].norm(dim=-1), each[:, 2]) for name, each in apart.items()}
+    sys.stdout.write(push_errors(found))
 
 
 if __name__ == "__main__":

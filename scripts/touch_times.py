@@ -21,6 +21,7 @@ from rumi.tasks.touch_box.planar_robot import PlanarRobot
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import Method
 from rumi.tasks.touch_box.settings import TouchSettings
+from scripts.reproduce.cells import table
 
 
 @dataclass(frozen=True)
@@ -57,13 +58,13 @@ def main() -> None:
     """Print the table."""
     options = tyro.cli(Options, description=__doc__)
     sys.stdout.write(f"{torch.get_num_threads()} threads, best of {options.rounds}: wall s (processor s)\n\n")
-    sys.stdout.write("| method | quasi-static |" + (" MuJoCo |" if options.mujoco else "") + "\n")
-    sys.stdout.write("|---|---|" + ("---|" if options.mujoco else "") + "\n")
+    rows = []
     for method in options.methods:
         cells = ["{:.3f} ({:.3f})".format(*seconds(TouchSettings(method=method), options.rounds))]
         if options.mujoco:
             cells.append("{:.1f} ({:.1f})".format(*seconds(TouchSettings(method=method, push_model="mujoco"), 1)))
-        sys.stdout.write(f"| {method} | {' | '.join(cells)} |\n")
+        rows.append([method, *cells])
+    sys.stdout.write(table(("method", "quasi-static", "MuJoCo")[: 2 + options.mujoco], rows))
 
 
 if __name__ == "__main__":

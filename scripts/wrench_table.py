@@ -5,6 +5,7 @@ python -m scripts.wrench_table --count 100000 --friction 0.3
 python -m scripts.wrench_table --speed --threads 1     # microseconds, one wrench at a time and many
 """
 
+import itertools
 import math
 import sys
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from torch import Tensor
 
 from rumi.bench.timing import fitting_clock
 from rumi.cli import script
+from scripts.reproduce.cells import table
 from sdf.mesh.convex import hull
 from sdf.mesh.mesh import TriangleMesh
 from sensors.force.force_torque import WrenchNoise, WrenchSettings, WrenchStatus, wrench_contact
@@ -122,29 +124,31 @@ def tools(lever: float) -> dict[str, ToolSurface]:
     return {"ball": SphereTool(center, RADIUS), "1000 corners": ConvexTool.of(mesh)}
 
 
-def table(options: Options) -> str:
+def errors(options: Options) -> str:
     """Markdown."""
     heads = ("tool", "noise", "force, N", "lever, mm", "error, mm", "bound, mm", "ratio", "in the 90 % ellipse")
-    lines = ["| " + " | ".join((*heads, "normal, deg (said)", "reported impossible")) + " |", "|---" * 10 + "|"]
+    rows = []
     for name in ("ball", "1000 corners"):
-        for force_n, moment_nm in NOISES if name == "ball" else NOISES[1:2]:
-            for size in FORCES:
-                for lever in LEVERS:
-                    found = cell(tools(lever)[name], lever, size, WrenchNoise(force_n, moment_nm), options)
-                    lines.append(
-                        f"| {name} | {force_n:g} N, {1e3 * moment_nm:g} mN m | {size:g} | {1e3 * lever:g} | "
-                        f"{found.error_mm:.2f} | {found.bound_mm:.2f} | {found.error_mm / found.bound_mm:.2f} | "
-                        f"{100 * found.covered:.1f} % | {found.normal_deg:.1f} ({found.normal_said_deg:.1f}) | "
-                        f"{100 * found.refused:.1f} % |"
-                    )
-    return "\n".join(lines)
+        noises = NOISES if name == "ball" else NOISES[1:2]
+        for (force_n, moment_nm), size, lever in itertools.product(noises, FORCES, LEVERS):
+            found = cell(tools(lever)[name], lever, size, WrenchNoise(force_n, moment_nm), options)
+            rows.append(
+                [
+                    *(name, f"{force_n:g} N, {1e3 * moment_nm:g} mN m", f"{size:g}", f"{1e3 * lever:g}"),
+                    *(f"{x:.2f}" for x in (found.error_mm, found.bound_mm, found.error_mm / found.bound_mm)),
+                    f"{100 * found.covered:.1f} %",
+                    f"{found.normal_deg:.1f} ({found.normal_said_deg:.1f})",
+                    f"{100 * found.refused:.1f} %",
+                ]
+            )
+    return table((*heads, "normal, deg (said)", "reported impossible"), rows)
 
 
 def speed(options: Options) -> str:
     """Markdown: medians of five, microseconds a wrench; with one thread by the processor's clock."""
     torch.set_num_threads(options.threads)
     clock = fitting_clock(options.threads)
-    lines = ["| tool | one wrench, us | of 1000 at once, us each |", "|---|---|---|"]
+    rows = []
     for name, tool in tools(LEVERS[0]).items():
         generator = torch.Generator().manual_seed(options.seed)
         points, normals = ball_points(LEVERS[0], 1000, generator)
@@ -161,14 +165,14 @@ def speed(options: Options) -> str:
                     wrench_contact(wrench, tool, covariance)
                 took.append((clock() - began) / repeats / wrench.reshape(-1, 6).shape[0])
             cells.append(f"{1e6 * sorted(took)[2]:.3g}")
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+        rows.append([name, *cells])
+    return table(("tool", "one wrench, us", "of 1000 at once, us each"), rows)
 
 
 def main() -> None:
     """Print the table."""
     options = tyro.cli(Options, description=__doc__)
-    sys.stdout.write((speed(options) if options.speed else table(options)) + "\n")
+    sys.stdout.write(speed(options) if options.speed else errors(options))
 
 
 if __name__ == "__main__":

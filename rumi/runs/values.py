@@ -4,9 +4,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from functools import cache
 from importlib import import_module
-from typing import Any, get_type_hints
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -33,6 +32,8 @@ def write_value(trace: TraceWriter, at: str, value: Any) -> Any:  # noqa: ANN401
     if names := _names(value):
         parts = {name: write_value(trace, f"{at}/{name}", getattr(value, name)) for name in names}
         return {"is": type(value).__name__, "with": parts}
+    if isinstance(value, Enum):
+        return {"is": type(value).__name__, "member": value.value}
     if isinstance(value, tuple | list):
         return [write_value(trace, f"{at}/{place}", item) for place, item in enumerate(value)]
     if isinstance(value, float) and not math.isfinite(value):
@@ -58,16 +59,10 @@ def read_value(members: Mapping[str, Any], value: Any, kinds: Mapping[str, type]
         return torch.from_numpy(members[value["array"]])
     if "number" in value:
         return float(value["number"])
+    if "member" in value:
+        return kinds[value["is"]](value["member"])
     parts = {name: read_value(members, part, kinds) for name, part in value["with"].items()}
-    kind = kinds[value["is"]]
-    return kind(**parts | {name: enum(parts[name]) for name, enum in _enums(kind).items() if name in parts})
-
-
-@cache
-def _enums(kind: type) -> dict[str, type[Enum]]:
-    """Fields that are enums, which JSON holds as bare numbers."""
-    hints = get_type_hints(kind).items()
-    return {name: hint for name, hint in hints if isinstance(hint, type) and issubclass(hint, Enum)}
+    return kinds[value["is"]](**parts)
 
 
 def _names(value: Any) -> tuple[str, ...]:  # noqa: ANN401

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from rumi.metrics.intervals import wilson
 from rumi.viz import style
+from scripts.reproduce.cells import table
 from scripts.store import Store
 
 if TYPE_CHECKING:
@@ -27,36 +28,39 @@ def tolerance_s(budget_s: float) -> float:
 def tables(store: Store) -> str:
     """Markdown of all that was measured."""
     parts = [_simulated_table(store.of("simulated")), _real_table(store.of("real")), _value_table(store)]
-    return "\n\n".join(part for part in parts if part) + "\n"
+    return "\n".join(part for part in parts if part)
 
 
 def _simulated_table(rows: list[Row]) -> str:
     kinds = defaultdict(list)
     for row in rows:
         kinds[row["noise"], row["level"]].append(row)
-    if not kinds:
-        return ""
-    lines = [
-        "| evaluation times | level | decisions | late | allowed | latest, share of the time |",
-        "|---" * 6 + "|",
-    ]
+    found = []
     for (noise, level), own in kinds.items():
         count = sum(row["decisions"] * len(row["late"]) for row in own)
         missed = sum(sum(row["late"].values()) for row in own)
         worst = max(0.0, *(share for row in own for share in row["latest"].values()))
         allowed = "none" if noise == "exact" else f"{100 * (1 - level):g} %"
         told = "" if noise == "exact" else f"{level:g}"
-        share = f"{100 * missed / count:.2f} %"
-        lines.append(f"| {noise} | {told} | {count} | {missed} ({share}) | {allowed} | {worst:.2f} |")
-    return "\n".join(lines)
+        late = f"{missed} ({100 * missed / count:.2f} %)"
+        found.append([noise, told, str(count), late, allowed, f"{worst:.2f}"])
+    return table(("evaluation times", "level", "decisions", "late", "allowed", "latest, share of the time"), found)
 
 
 def _real_table(rows: list[Row]) -> str:
     kinds = defaultdict(list)
     for row in rows:
         kinds[row["clock"], row["task"], row["planner"], row["budget_s"], row["threads"]].append(row)
-    if not kinds:
-        return ""
+    found = []
+    for (clock, task, planner, budget, threads), own in kinds.items():
+        took = sorted(s for row in own for s in row["took_s"])
+        late = sum(s > budget + tolerance_s(budget) for s in took)
+        low, high = (100 * share for share in wilson(late, len(took)))
+        done = [count for row in own for count in row["evaluated" if planner == "touch" else "samples"]]
+        middle, most = statistics.median(took), took[min(len(took) - 1, int(0.99 * len(took)))]
+        times = [f"{1e3 * s:.1f} ms" for s in (middle, most, took[-1])]
+        about = [clock, str(threads), task, planner, f"{1e3 * budget:g} ms", str(len(took))]
+        found.append([*about, *times, f"{late} [{low:.1f}, {high:.1f}] %", f"{statistics.median(done):g}"])
     heads = (
         "clock",
         "threads",
@@ -70,26 +74,12 @@ def _real_table(rows: list[Row]) -> str:
         "late",
         "samples",
     )
-    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
-    for (clock, task, planner, budget, threads), own in kinds.items():
-        took = sorted(s for row in own for s in row["took_s"])
-        late = sum(s > budget + tolerance_s(budget) for s in took)
-        low, high = (100 * share for share in wilson(late, len(took)))
-        done = [count for row in own for count in row["evaluated" if planner == "touch" else "samples"]]
-        middle, most = statistics.median(took), took[min(len(took) - 1, int(0.99 * len(took)))]
-        lines.append(
-            f"| {clock} | {threads} | {task} | {planner} | {1e3 * budget:g} ms | {len(took)} | {1e3 * middle:.1f} ms | "
-            f"{1e3 * most:.1f} ms | {1e3 * took[-1]:.1f} ms | {late} [{low:.1f}, {high:.1f}] % | "
-            f"{statistics.median(done):g} |"
-        )
-    return "\n".join(lines)
+    return table(heads, found)
 
 
 def _value_table(store: Store) -> str:
     kinds = values_by_budget(store)
-    if not kinds:
-        return ""
-    lines = ["| task | planner | budget | decisions | mean value | against the budget before |", "|---" * 6 + "|"]
+    found = []
     for (task, planner), budgets in kinds.items():
         before: dict[Any, float] | None = None
         for budget, values in budgets.items():
@@ -97,9 +87,9 @@ def _value_table(store: Store) -> str:
             change = "" if len(shared) < 2 else f"{statistics.mean(shared):+.4f} +- {_error(shared):.4f}"
             name = "none" if budget is None else f"{1e3 * budget:g} ms"
             mean = statistics.mean(values.values())
-            lines.append(f"| {task} | {planner} | {name} | {len(values)} | {mean:.4f} | {change} |")
+            found.append([task, planner, name, str(len(values)), f"{mean:.4f}", change])
             before = values
-    return "\n".join(lines)
+    return table(("task", "planner", "budget", "decisions", "mean value", "against the budget before"), found)
 
 
 def values_by_budget(store: Store) -> dict[tuple[str, str], dict[float | None, dict[tuple[int, int], float]]]:

@@ -8,6 +8,7 @@ from typing import Any
 
 from rumi.bench.command import SCHEMA
 from rumi.errors import UsageError
+from rumi.runs.jsonlines import read_lines
 
 WORSE = 1.2
 """How many times slower, against the same baseline, counts as worse."""
@@ -48,36 +49,20 @@ class Change:
 
 
 def read(path: Path) -> list[dict[str, Any]]:
-    """The runs of a file, oldest first; a last line that was cut short does not count.
+    """The runs of a file, oldest first; what is cut short does not count.
 
     Raises:
-        UsageError: there is no such file, it holds no run, or a newer rumi wrote it.
+        UsageError: there is no such file, it holds no run, or a newer version wrote it.
     """
     try:
-        content = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"Cannot read {path}: {error.strerror or error}; `python -m scripts.bench --json FILE` makes one"
-        ) from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path} holds no results of `rumi bench`: it is no text ({error})") from error
-    runs: list[dict[str, Any]] = []
-    whole = [content] if path.suffix != ".jsonl" else content.splitlines()
-    for number, line in enumerate(whole, 1):
-        if not line.strip():
-            continue
-        try:
-            run = json.loads(line)
-            schema, _ = run["schema"], run["cases"]
-        except (ValueError, KeyError, TypeError) as error:
-            if number == len(whole) and runs and not content.endswith("\n"):
-                break
-            raise UsageError(f"{path}, line {number}: no results of `rumi bench` ({error})") from error
-        if schema > SCHEMA:
-            raise UsageError(f"{path} was written by a newer rumi (schema {schema}, this one reads {SCHEMA})")
-        runs.append(run)
+        lines = [line for line, _ in read_lines(path)] if path.suffix == ".jsonl" else [json.loads(path.read_text())]
+    except (OSError, ValueError) as error:
+        raise UsageError(f"Cannot read {path}: {error}; `python -m scripts.bench --json FILE` makes one") from error
+    runs = [line for line in lines if isinstance(line, dict) and "cases" in line]
     if not runs:
-        raise UsageError(f"{path} holds no results of `rumi bench`")
+        raise UsageError(f"{path} holds no results: `python -m scripts.bench --json {path}` makes some")
+    if (newest := max(run["schema"] for run in runs)) > SCHEMA:
+        raise UsageError(f"{path} was written by a newer version (schema {newest}, this one reads {SCHEMA})")
     return runs
 
 

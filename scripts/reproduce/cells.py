@@ -1,7 +1,10 @@
 """Parts of tables: Markdown rows, rates and medians with their intervals."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
+
+import torch
+from torch import Tensor
 
 from rumi.metrics.intervals import bootstrap_median, wilson
 from scripts.reproduce.records import Record
@@ -66,3 +69,13 @@ def held(course: Sequence[float | None], allowed: int) -> list[float]:
 def plain_median(values: Sequence[float], digits: int = 0) -> str:
     """Median alone."""
     return f"{median(values):.{digits}f}" if values else NOTHING
+
+
+def push_errors(errors: Mapping[str, tuple[Tensor, Tensor]]) -> str:
+    """Errors of place (m) and of yaw (rad) by model."""
+    rows = []
+    for name, (place, turn) in errors.items():
+        values = (1e3 * place, torch.rad2deg(turn.abs()))
+        rows.append([name, *(f"{float(x):.1f}" for v in values for x in (v.median(), v.mean(), v.quantile(0.9)))])
+    heads = ("model", "place: median, mm", "mean", "90 %", "yaw: median, degrees", "mean", "90 %")
+    return table(heads, rows)

@@ -1,9 +1,7 @@
 """The command `rumi stress`."""
 
-import json
 import logging
 import math
-import os
 import sys
 import tempfile
 import time
@@ -18,7 +16,8 @@ import tyro
 
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, INTERRUPTED
-from rumi.runs.plain import plain
+from rumi.runs.folder import write_json
+from rumi.runs.jsonlines import check_writable
 from rumi.runs.progress import say
 from scripts.store import commit, machine
 from tests.stress import exact, subjects
@@ -86,7 +85,7 @@ def stress(arguments: Sequence[str]) -> int:
     if options.seed < 0 or (options.rounds is not None and options.rounds < 1):
         raise UsageError(f"Expected --seed from 0 and --rounds from 1, got {options.seed} and {options.rounds}")
     if options.json is not None:
-        _check_folder(options.json)
+        check_writable(options.json)
     instead = {name: getattr(options, name) for name in ("fuzz", "kills", "readings")}
     asked = [name for name, count in instead.items() if count is not None]
     if len(asked) > 1 or any(count is not None and count < 1 for count in instead.values()):
@@ -106,8 +105,8 @@ def stress(arguments: Sequence[str]) -> int:
         say(f"interrupted; {len(found)} of {len(sweeps)} sweeps were begun")
         ended = INTERRUPTED
     sys.stdout.write(table(list(found.values()), show=options.show))
-    if options.json is not None:
-        write_whole(options.json, report(found, options, time.perf_counter() - began))
+    outcomes = [asdict(outcome) | {"kept": outcome.kept} for outcome in found.values()]
+    _write(options, {"seconds": round(time.perf_counter() - began, 1), "outcomes": outcomes})
     return ended or (DONE if all(outcome.kept for outcome in found.values()) else WRONG)
 
 
@@ -188,7 +187,7 @@ def _readings(options: StressOptions, count: int) -> int:
 def _write(options: StressOptions, found: Mapping[str, Any]) -> None:
     if options.json is not None:
         about = {"commit": commit(), "machine": machine(), "seed": options.seed}
-        write_whole(options.json, {**about, **plain(found)})
+        write_json(options.json, {**about, **found})  # an infinite error becomes null, beside its failure
 
 
 def sweep_all(sweeps: Sequence[Sweep], options: StressOptions) -> dict[str, Outcome]:
@@ -232,34 +231,12 @@ def table(found: Sequence[Outcome], *, show: bool = False) -> str:
     return "\n".join(lines) + "\n"
 
 
-def report(found: Mapping[str, Outcome], options: StressOptions, seconds: float) -> dict[str, Any]:
-    """All that was found, ready for JSON; an infinite error is null beside its failure."""
-    outcomes = [plain(asdict(outcome)) | {"kept": outcome.kept} for outcome in found.values()]
-    about = {"commit": commit(), "machine": machine(), "seed": options.seed, "seconds": round(seconds, 1)}
-    return {**about, "outcomes": outcomes}
-
-
-def write_whole(path: Path, value: Mapping[str, Any]) -> None:
-    """Write JSON so that a reader finds the whole of it or what was there before."""
-    aside = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        aside.write_text(json.dumps(value, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
-
-
 def _chosen(options: StressOptions) -> list[Sweep]:
     unknown = [name for name in options.only if not any(known.startswith(name) for known in SWEEPS)]
     if unknown:
         raise UsageError(f"There is no sweep {unknown[0]!r}; the sweeps are {', '.join(SWEEPS)}")
     wanted = [sweep for name, sweep in SWEEPS.items() if not options.only or name.startswith(options.only)]
     return [s for s in wanted if not s.slow or s.name in options.only or options.minutes >= SLOW_FROM or options.list]
-
-
-def _check_folder(path: Path) -> None:
-    if not path.parent.is_dir() or path.is_dir():
-        raise UsageError(f"Expected --json to be a file in a folder that there is, got {path}")
 
 
 def _progress(done: int, of: int, name: str) -> None:

@@ -138,7 +138,7 @@ def test_the_newest_run_of_the_same_case_and_threads_counts(run):
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [("", "holds no results"), ("not json\n[1]\n", "line 1"), ('{"schema": 99, "cases": []}\n', "newer")],
+    [("", "holds no results"), ("not json\n[1]\n", "holds no results"), ('{"schema": 99, "cases": []}\n', "newer")],
 )
 def test_what_is_no_result_is_refused(content, message, tmp_path):
     path = tmp_path / "bench.jsonl"

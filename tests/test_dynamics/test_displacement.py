@@ -1,4 +1,4 @@
-"""The displacement model against a loop that spells Alg 7 out, and against what pushing must do."""
+"""The displacement model, in a plane and in space, against a loop that spells Alg 7 out and what pushing must do."""
 
 import math
 from typing import get_args
@@ -12,16 +12,18 @@ from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import DisplacementRollouts, DisplacementSettings, Hazard
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
-from rumi.robot.reach import Reach
+from rumi.robot.reach import Reach, SpatialReach
 from rumi.robot.reach_table import ReachTable
 from rumi.robot.tool import Tool
 from sdf import backend, se3
 from sdf.base import SDF
-from sdf.primitives import Mug, Sphere
+from sdf.drill import Drill
+from sdf.primitives import Box, Mug, Sphere
 
+F64 = torch.float64
 HEIGHT = 0.045
 BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
-FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
+FREE = torch.tensor([[-5.0, -5.0, 0.03], [5.0, 5.0, 0.3]])
 
 
 # every test of this file holds for the plain and for the compiled version
@@ -32,13 +34,14 @@ def workspace(dtype: torch.dtype, spacing: float = 0.01) -> Workspace:
     return Workspace.from_bounds(BOUNDS.to(dtype), spacing, planar_height=HEIGHT)
 
 
-def make_tool(dtype: torch.dtype, *, reaching: bool = False, spacing: float = 0.02) -> Tool:
-    """A gripper; one that is `reaching` must stay within 0.5 m of the origin."""
+def make_tool(dtype: torch.dtype, *, reaching: bool = False, spacing: float = 0.02, spatial: bool = False) -> Tool:
+    """A gripper; one that is `reaching` must stay within 0.5 m of the origin, within less higher up."""
     radius = torch.arange(141.0)[:, None].expand(141, 61) * 0.01
-    reach = Reach(ReachTable((radius - 0.5).clamp_min(0), torch.zeros(141, 61)))
-    return Tool(
-        FREE.to(dtype), reach if reaching else None, height_m=HEIGHT, body_spacing_m=spacing, info_spacing_m=0.02
-    )
+    tables = [ReachTable((radius - most).clamp_min(0), torch.zeros(141, 61)) for most in (0.5, 0.45, 0.42)]
+    reach = SpatialReach(tables, (0.03, 0.115, 0.2)) if spatial else Reach(tables[0])
+    spacings = {"body_spacing_m": spacing, "info_spacing_m": 0.02}
+    bounds = FREE if spatial else FREE[:, :2]
+    return Tool(bounds.to(dtype), reach if reaching else None, height_m=HEIGHT, **spacings)
 
 
 def belief_field(
@@ -50,9 +53,19 @@ def belief_field(
     return ContactField.from_belief(sdf, poses, log_weights, lattice, fields, least=least)
 
 
-def mug_field(dtype: torch.dtype, generator: torch.Generator, count: int = 12) -> ContactField:
+def spread_field(
+    dtype: torch.dtype, generator: torch.Generator, spatial: bool = False, count: int = 12
+) -> ContactField:
+    """Of a mug in the tool's plane, or of a drill in space."""
     place = torch.tensor([0.4, 0.0, 0.2]) + torch.randn(count, 3, generator=generator) * torch.tensor([0.01, 0.01, 0.5])
-    return belief_field(Mug().to(dtype), se3.from_planar(place.to(dtype)), workspace(dtype))
+    poses = se3.from_planar(place.to(dtype))
+    if spatial:
+        return belief_field(Drill().to(dtype), poses, Workspace.from_bounds(BOUNDS.to(dtype), 0.02))
+    return belief_field(Mug().to(dtype), poses, workspace(dtype))
+
+
+def begin(dtype: torch.dtype, spatial: bool, y: float = 0.0, yaw: float = 0.1) -> Tensor:
+    return torch.tensor([0.30, y, 0.12, yaw] if spatial else [0.27, y, yaw], dtype=dtype)
 
 
 def reference(
@@ -60,8 +73,8 @@ def reference(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """RUMI's Alg 7 as corrected, one rollout, one mini step and one point after the other."""
     samples, rollouts, horizon, parts = draws.shape
-    states = torch.zeros(samples, rollouts, horizon + 1, 3, dtype=start.dtype)
-    moved = torch.zeros_like(states)
+    states = torch.zeros(samples, rollouts, horizon + 1, len(start), dtype=start.dtype)
+    moved = torch.zeros_like(states[..., :3])
     contact = torch.zeros(samples, rollouts, horizon, dtype=torch.bool)
     for k in range(samples):
         for m in range(rollouts):
@@ -83,43 +96,58 @@ def reference(
                     if float(normal.norm()) < 1e-6 or float(motion.norm()) < 1e-6:
                         continue
                     cosine = -float(normal @ motion / (normal.norm() * motion.norm()))
-                    if math.acos(max(-1.0, min(1.0, cosine))) < settings.push_angle:
-                        q, d = ahead, d + motion
+                    sideways = not tool.spatial or float(normal[:2].norm()) >= abs(float(normal[2]))
+                    if math.acos(max(-1.0, min(1.0, cosine))) < settings.push_angle and sideways:
+                        q, d = ahead, d + motion * motion.new_tensor([1.0, 1.0, 0.0])
                 states[k, m, h + 1], moved[k, m, h + 1] = q, d
     return states, moved, contact
 
 
 @pytest.mark.parametrize("hazard", get_args(Hazard))
-@pytest.mark.parametrize("discs", [0, 5])
-@pytest.mark.parametrize("reaching", [False, True])
-def test_is_the_algorithm(hazard: Hazard, discs: int, reaching: bool, generator: torch.Generator) -> None:
+@pytest.mark.parametrize(
+    ("spatial", "discs", "reaching"),
+    [*((False, discs, reaching) for discs in (0, 5) for reaching in (False, True)), (True, 0, False), (True, 5, True)],
+)
+def test_is_the_algorithm(
+    hazard: Hazard, spatial: bool, discs: int, reaching: bool, generator: torch.Generator
+) -> None:
     settings = DisplacementSettings(mini_steps=3, hazard=hazard, discs=discs)
-    field, tool = mug_field(torch.float64, generator), make_tool(torch.float64, reaching=reaching)
-    start = torch.tensor([0.27, 0.02, 0.1], dtype=torch.float64)
-    controls = 1.2 * torch.rand(12, 4, 3, generator=generator, dtype=torch.float64) - 0.5
+    field = spread_field(F64, generator, spatial)
+    tool = make_tool(F64, reaching=reaching, spacing=0.03 if spatial else 0.02, spatial=spatial)
+    start, count = begin(F64, spatial, 0.02), 6 if spatial else 12
+    controls = 1.2 * torch.rand(count, 4, len(start), generator=generator, dtype=F64) - 0.5
     model = DisplacementRollouts(field, tool, settings)
-    draws = model.draw(12, 3, 4, generator=generator)
+    draws = model.draw(count, 3, 4, generator=generator)
     result = model.rollout_drawn(start, controls, draws)
     states, moved, contact = reference(field, tool, settings, start, controls, draws)
     assert torch.equal(result.contact, contact)
     torch.testing.assert_close(result.configurations, states, atol=1e-9, rtol=0)
     torch.testing.assert_close(result.displacements, moved, atol=1e-9, rtol=0)
     # the case is worth its name: there is contact and none, pushing and blocking, and rollouts that differ
-    assert 0.1 < float(result.touched.double().mean()) < 0.95
+    assert float(result.touched.double().mean()) > 0.1
+    assert 0.1 < float(contact.double().mean()) < 0.95
     assert float(moved.norm(dim=-1).max()) > 0.02
     assert bool((result.contact & (moved[:, :, 1:] == moved[:, :, :-1]).all(-1)).any())
-    assert result.checked < 0.6 if discs else result.checked > 0.3
+    if spatial:
+        assert float(moved[..., 2].abs().max()) == 0.0 and float((states[..., 2] - 0.12).abs().max()) > 0.05
+    else:
+        assert float(result.touched.double().mean()) < 0.95
+        assert result.checked < 0.6 if discs else result.checked > 0.3
 
 
 @pytest.mark.parametrize("hazard", get_args(Hazard))
-@pytest.mark.parametrize("spread", [0.002, 0.04])
-def test_bound_changes_nothing_but_the_work(hazard: Hazard, spread: float, generator: torch.Generator) -> None:
-    scale = torch.tensor([spread, spread, 1.0])
-    place = torch.tensor([0.4, 0.0, 0.2]) + torch.randn(30, 3, generator=generator) * scale
-    field = belief_field(Mug(), se3.from_planar(place), workspace(torch.float32))
-    tool = make_tool(torch.float32, reaching=True, spacing=0.006)
-    controls = torch.rand(150, 10, 3, generator=generator) * 2 - 1
-    start = torch.tensor([0.28, 0.0, 0.0])
+@pytest.mark.parametrize("spread", [0.002, 0.04, None], ids=["0.002", "0.04", "space"])
+def test_bound_changes_nothing_but_the_work(hazard: Hazard, spread: float | None, generator: torch.Generator) -> None:
+    spatial = spread is None
+    if spread is None:
+        field, start = spread_field(torch.float32, generator, True, 30), torch.tensor([0.28, 0.0, 0.1, 0.0])
+    else:
+        scale = torch.tensor([spread, spread, 1.0])
+        place = torch.tensor([0.4, 0.0, 0.2]) + torch.randn(30, 3, generator=generator) * scale
+        field = belief_field(Mug(), se3.from_planar(place), workspace(torch.float32))
+        start = torch.tensor([0.28, 0.0, 0.0])
+    tool = make_tool(torch.float32, reaching=True, spacing=0.012 if spatial else 0.006, spatial=spatial)
+    controls = torch.rand(150, 10, len(start), generator=generator) * 2 - 1
     every = DisplacementRollouts(field, tool, DisplacementSettings(hazard=hazard, discs=0))
     draws = every.draw(150, 4, 10, generator=generator)
     exact = every.rollout_drawn(start, controls, draws)
@@ -129,10 +157,10 @@ def test_bound_changes_nothing_but_the_work(hazard: Hazard, spread: float, gener
         assert torch.equal(result.configurations, exact.configurations)
         assert torch.equal(result.displacements, exact.displacements)
         assert torch.equal(result.contact, exact.contact)
-        assert result.checked < 0.7 * exact.checked
+        assert result.checked < (0.9 if spatial else 0.7) * exact.checked
 
 
-def ball_field(dtype: torch.dtype = torch.float64) -> ContactField:
+def ball_field(dtype: torch.dtype = F64) -> ContactField:
     """A ball of radius 5 cm in the middle of the tool's plane, known exactly."""
     pose = se3.make(torch.eye(3, dtype=dtype), torch.tensor([0.4, 0.0, HEIGHT], dtype=dtype))
     return belief_field(Sphere(0.05).to(dtype), pose[None], workspace(dtype, 0.005))
@@ -141,9 +169,9 @@ def ball_field(dtype: torch.dtype = torch.float64) -> ContactField:
 def drive(
     field: ContactField, start: list[float], control: list[float], steps: int, tool: Tool | None = None
 ) -> PushRollouts:
-    tool = tool or make_tool(torch.float64, spacing=0.006)
-    controls = torch.tensor(control, dtype=torch.float64).expand(steps, 3)
-    return DisplacementRollouts(field, tool).nominal_rollout(torch.tensor(start, dtype=torch.float64), controls)
+    tool = tool or make_tool(F64, spacing=0.006)
+    controls = torch.tensor(control, dtype=F64).expand(steps, 3)
+    return DisplacementRollouts(field, tool).nominal_rollout(torch.tensor(start, dtype=F64), controls)
 
 
 def test_pushing_a_ball_head_on_moves_it_along() -> None:
@@ -166,10 +194,10 @@ def test_a_grazing_contact_does_not_push_but_holds_up() -> None:
 
 
 def test_far_from_everything_the_path_is_the_free_one(generator: torch.Generator) -> None:
-    tool = make_tool(torch.float64)
+    tool = make_tool(F64)
     model = DisplacementRollouts(ball_field(), tool)
-    controls = 0.2 * torch.rand(5, 6, 3, generator=generator, dtype=torch.float64)
-    start = torch.tensor([-2.0, -2.0, 1.0], dtype=torch.float64)
+    controls = 0.2 * torch.rand(5, 6, 3, generator=generator, dtype=F64)
+    start = torch.tensor([-2.0, -2.0, 1.0], dtype=F64)
     result = model.rollout(start, controls, rollouts=2, generator=generator)
     free = tool.free_path(start.expand(5, 3), controls, 4)[:, None, 3::4].expand(5, 2, 6, 3)
     torch.testing.assert_close(result.configurations[:, :, 1:], free)
@@ -179,7 +207,7 @@ def test_far_from_everything_the_path_is_the_free_one(generator: torch.Generator
 
 def even_field(probability: float) -> ContactField:
     """The same contact probability everywhere (a field of one cell), with all surfaces facing -x."""
-    lattice = Workspace.from_bounds(torch.zeros(2, 3, dtype=torch.float64), 0.01)
+    lattice = Workspace.from_bounds(torch.zeros(2, 3, dtype=F64), 0.01)
     normal = lattice.points.new_tensor([[-1.0, 0.0, 0.0]])
     return ContactField(lattice.grid(lattice.points.new_tensor([probability])), lattice.grid(normal))
 
@@ -187,13 +215,13 @@ def even_field(probability: float) -> ContactField:
 @pytest.mark.parametrize("hazard", ["per_step", "per_mini_step"])
 def test_chance_of_contact_and_mini_steps(hazard: Hazard) -> None:
     """One draw a step makes contact as likely as the field says; a draw a mini step adds up, as in the paper."""
-    tool = make_tool(torch.float64)
-    controls = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand(400, 3, 3)
+    tool = make_tool(F64)
+    controls = torch.tensor([1.0, 0.0, 0.0], dtype=F64).expand(400, 3, 3)
     shares = []
     for mini in (1, 4):
         model = DisplacementRollouts(even_field(0.3), tool, DisplacementSettings(mini_steps=mini, hazard=hazard))
         random = torch.Generator().manual_seed(3)
-        rollouts = model.rollout(torch.zeros(3, dtype=torch.float64), controls, rollouts=5, generator=random)
+        rollouts = model.rollout(torch.zeros(3, dtype=F64), controls, rollouts=5, generator=random)
         shares.append(float(rollouts.contact.double().mean()))
         # all contacts push here, for the whole step or for the mini steps that were drawn
         expected = 3 * 0.08 * 0.3
@@ -205,13 +233,13 @@ def test_chance_of_contact_and_mini_steps(hazard: Hazard) -> None:
 @pytest.mark.parametrize(("probability", "share"), [(0.05, 0.0), (0.4, 0.4), (0.75, 0.8), (1.0, 1.0)])
 def test_rollouts_of_their_own_worlds(probability: float, share: float, generator: torch.Generator) -> None:
     """A contact as likely as the field says, however long the way: no chance is taken anew, nor any drawn."""
-    tool = make_tool(torch.float64)
-    controls = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand(3, 6, 3)
+    tool = make_tool(F64)
+    controls = torch.tensor([1.0, 0.0, 0.0], dtype=F64).expand(3, 6, 3)
     for mini in (1, 4):
         settings = DisplacementSettings(mini_steps=mini, hazard="per_rollout")
         model = DisplacementRollouts(even_field(probability), tool, settings)
         before = generator.get_state()
-        rollouts = model.rollout(torch.zeros(3, dtype=torch.float64), controls, rollouts=5, generator=generator)
+        rollouts = model.rollout(torch.zeros(3, dtype=F64), controls, rollouts=5, generator=generator)
         assert torch.equal(generator.get_state(), before)
         met = rollouts.contact.double().mean((0, 1))
         torch.testing.assert_close(met, torch.full_like(met, share))
@@ -223,40 +251,40 @@ def test_pushes_within_the_angle_only(angle: float, pushes: bool) -> None:
     way = [math.cos(math.radians(angle)), math.sin(math.radians(angle)), 0.0]
     result = drive(even_field(1.0), [0.0, 0.0, 0.0], way, 1)
     moved = result.displacements[0, 0, -1]
-    torch.testing.assert_close(moved[:2], 0.08 * torch.tensor(way[:2], dtype=torch.float64) * pushes)
+    torch.testing.assert_close(moved[:2], 0.08 * torch.tensor(way[:2], dtype=F64) * pushes)
     assert bool(result.configurations[0, 0, -1].any()) == pushes
 
 
 def test_motion_is_that_of_the_point_that_touches() -> None:
     """A turn on the spot moves each point its own way (the printed line 10 would take -d for it)."""
-    tool = make_tool(torch.float64)
-    control = torch.tensor([[[0.0, 0.0, 1.0]]], dtype=torch.float64)
+    tool = make_tool(F64)
+    control = torch.tensor([[[0.0, 0.0, 1.0]]], dtype=F64)
     model = DisplacementRollouts(even_field(1.0), tool, DisplacementSettings(mini_steps=1, push_angle=math.pi))
-    draws = torch.zeros(1, 1, 1, 1, dtype=torch.float64)
-    start = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
+    draws = torch.zeros(1, 1, 1, 1, dtype=F64)
+    start = torch.tensor([0.1, 0.2, 0.3], dtype=F64)
     moved = model.rollout_drawn(start, control, draws).displacements[0, 0, 1]
-    after = tool.points(start + torch.tensor([0.0, 0.0, 0.5], dtype=torch.float64))[0]
+    after = tool.points(start + torch.tensor([0.0, 0.0, 0.5], dtype=F64))[0]
     torch.testing.assert_close(moved, after - tool.points(start)[0])
 
 
 def test_a_quarter_turn_of_the_world_turns_everything(generator: torch.Generator) -> None:
-    turn = se3.from_planar(torch.tensor([0.0, 0.0, 0.5 * math.pi], dtype=torch.float64))
-    square = torch.tensor([[-0.4, -0.4, HEIGHT], [0.4, 0.4, HEIGHT]], dtype=torch.float64)
+    turn = se3.from_planar(torch.tensor([0.0, 0.0, 0.5 * math.pi], dtype=F64))
+    square = torch.tensor([[-0.4, -0.4, HEIGHT], [0.4, 0.4, HEIGHT]], dtype=F64)
     lattice = Workspace.from_bounds(square, 0.02, planar_height=HEIGHT)
     mug = Mug().double()
-    place = torch.randn(8, 3, generator=generator, dtype=torch.float64) * torch.tensor([0.02, 0.02, 0.5])
+    place = torch.randn(8, 3, generator=generator, dtype=F64) * torch.tensor([0.02, 0.02, 0.5])
     poses = se3.from_planar(place)
-    tool = make_tool(torch.float64)
-    controls = torch.rand(30, 5, 3, generator=generator, dtype=torch.float64) * 2 - 1
+    tool = make_tool(F64)
+    controls = torch.rand(30, 5, 3, generator=generator, dtype=F64) * 2 - 1
     controls[..., 0] += 0.5
-    draws = torch.rand(30, 2, 5, 1, generator=generator, dtype=torch.float64)
-    start = torch.tensor([-0.15, 0.03, 0.2], dtype=torch.float64)
+    draws = torch.rand(30, 2, 5, 1, generator=generator, dtype=F64)
+    start = torch.tensor([-0.15, 0.03, 0.2], dtype=F64)
 
     def turned(vectors: Tensor) -> Tensor:
         return torch.stack((-vectors[..., 1], vectors[..., 0], vectors[..., 2]), -1)
 
     here = DisplacementRollouts(belief_field(mug, poses, lattice), tool).rollout_drawn(start, controls, draws)
-    quarter = torch.tensor([0.0, 0.0, 0.5 * math.pi], dtype=torch.float64)
+    quarter = torch.tensor([0.0, 0.0, 0.5 * math.pi], dtype=F64)
     there = DisplacementRollouts(belief_field(mug, turn @ poses, lattice), tool).rollout_drawn(
         turned(start) + quarter, turned(controls), draws
     )
@@ -267,7 +295,7 @@ def test_a_quarter_turn_of_the_world_turns_everything(generator: torch.Generator
 
 
 def test_seeds_and_samples_are_independent(generator: torch.Generator) -> None:
-    field, tool = mug_field(torch.float32, generator), make_tool(torch.float32)
+    field, tool = spread_field(torch.float32, generator), make_tool(torch.float32)
     model = DisplacementRollouts(field, tool, DisplacementSettings(hazard="per_step"))
     controls = torch.rand(40, 6, 3, generator=generator) * 2 - 0.8
     start = torch.tensor([0.27, 0.0, 0.0])
@@ -287,9 +315,9 @@ def test_seeds_and_samples_are_independent(generator: torch.Generator) -> None:
 
 @pytest.mark.parametrize("horizon", [1, 4])
 def test_smallest_problems(horizon: int, generator: torch.Generator) -> None:
-    model = DisplacementRollouts(even_field(0.5), make_tool(torch.float64), DisplacementSettings(mini_steps=1))
-    controls = torch.ones(1, horizon, 3, dtype=torch.float64)
-    result = model.rollout(torch.zeros(3, dtype=torch.float64), controls, rollouts=1, generator=generator)
+    model = DisplacementRollouts(even_field(0.5), make_tool(F64), DisplacementSettings(mini_steps=1))
+    controls = torch.ones(1, horizon, 3, dtype=F64)
+    result = model.rollout(torch.zeros(3, dtype=F64), controls, rollouts=1, generator=generator)
     assert result.configurations.shape == result.displacements.shape == (1, 1, horizon + 1, 3)
     assert result.contact.shape == (1, 1, horizon)
     assert bool(result.configurations.isfinite().all())
@@ -297,18 +325,18 @@ def test_smallest_problems(horizon: int, generator: torch.Generator) -> None:
 
 def test_solid_fields_are_looked_up_at_the_tools_height(generator: torch.Generator) -> None:
     """A field with layers, of which the one at the tool's height is the planar field, gives the same rollouts."""
-    planar = mug_field(torch.float64, generator)
+    planar = spread_field(F64, generator)
     below, above = torch.zeros_like(planar.probability.values), torch.ones_like(planar.probability.values)
-    origin = planar.probability.origin - torch.tensor([0.0, 0.0, 0.01], dtype=torch.float64)
+    origin = planar.probability.origin - torch.tensor([0.0, 0.0, 0.01], dtype=F64)
     grid = type(planar.probability)
     solid = ContactField(
         grid(torch.cat((below, planar.probability.values, above), 2), origin, 0.01),
         grid(planar.normal.values.expand(-1, -1, 3, -1), origin, 0.01),
     )
-    tool = make_tool(torch.float64)
-    controls = torch.rand(20, 5, 3, generator=generator, dtype=torch.float64) * 2 - 0.8
-    draws = torch.rand(20, 2, 5, 1, generator=generator, dtype=torch.float64)
-    start = torch.tensor([0.27, 0.0, 0.0], dtype=torch.float64)
+    tool = make_tool(F64)
+    controls = torch.rand(20, 5, 3, generator=generator, dtype=F64) * 2 - 0.8
+    draws = torch.rand(20, 2, 5, 1, generator=generator, dtype=F64)
+    start = torch.tensor([0.27, 0.0, 0.0], dtype=F64)
     a = DisplacementRollouts(planar, tool).rollout_drawn(start, controls, draws)
     b = DisplacementRollouts(solid, tool).rollout_drawn(start, controls, draws)
     assert bool(a.contact.any())
@@ -318,13 +346,44 @@ def test_solid_fields_are_looked_up_at_the_tools_height(generator: torch.Generat
 
 def test_normals_of_likely_contacts_are_those_of_all_points(generator: torch.Generator) -> None:
     place = torch.tensor([0.4, 0.0, 0.2]) + torch.randn(9, 3, generator=generator) * torch.tensor([0.02, 0.02, 0.5])
-    poses, lattice = se3.from_planar(place.double()), workspace(torch.float64, 0.02)
+    poses, lattice = se3.from_planar(place.double()), workspace(F64, 0.02)
     some, every = (belief_field(Mug().double(), poses, lattice, least=least) for least in (1e-3, 0.0))
-    points = lattice.points + 0.013 * torch.rand(lattice.points.shape, generator=generator, dtype=torch.float64)
+    points = lattice.points + 0.013 * torch.rand(lattice.points.shape, generator=generator, dtype=F64)
     likely = some.probability.interpolate(points) >= 1e-3
     assert 0 < int(likely.sum()) < len(points) / 2
     torch.testing.assert_close(some.normal.interpolate(points)[likely], every.normal.interpolate(points)[likely])
     assert float((some.normal.values == 0).double().mean()) > 0.5
+
+
+def box_field() -> ContactField:
+    """A box 10 cm high about (0.4, 0), known exactly."""
+    pose = se3.make(torch.eye(3, dtype=F64), torch.tensor([0.4, 0.0, 0.05], dtype=F64))
+    return belief_field(Box((0.05, 0.05, 0.05)).double(), pose[None], Workspace.from_bounds(BOUNDS.double(), 0.02))
+
+
+@pytest.mark.parametrize(
+    ("start", "control", "pushes"),
+    [((0.25, 0.0, 0.05, 0.0), (1.0, 0.0, 0.0, 0.0), True), ((0.4, 0.0, 0.19, 0.0), (0.0, 0.0, -1.0, 0.0), False)],
+)
+def test_gives_way_sideways_alone(start: tuple[float, ...], control: tuple[float, ...], pushes: bool) -> None:
+    model = DisplacementRollouts(box_field(), make_tool(F64, spacing=0.01, spatial=True))
+    result = model.nominal_rollout(torch.tensor(start, dtype=F64), torch.tensor([control] * 2, dtype=F64))
+    assert bool(result.contact.any())
+    moved = result.displacements[0, 0, -1]
+    if pushes:
+        assert float(moved[0]) > 0.05 and abs(float(moved[1])) < 1e-9
+    else:
+        # it stops on the top, at the height at which the pads and the palm touch it
+        assert moved.tolist() == [0.0, 0.0, 0.0]
+        assert 0.11 < float(result.configurations[0, 0, -1, 2]) < 0.16
+
+
+def test_passes_over_what_is_lower() -> None:
+    model = DisplacementRollouts(box_field(), make_tool(F64, spacing=0.01, spatial=True))
+    over = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 6, dtype=F64)
+    high, low = (torch.tensor([0.1, 0.0, z, 0.0], dtype=F64) for z in (0.20, 0.08))
+    assert not bool(model.nominal_rollout(high, over).contact.any())
+    assert bool(model.nominal_rollout(low, over).contact.any())
 
 
 @pytest.mark.parametrize(
@@ -342,9 +401,9 @@ def test_refuses_settings_without_meaning(change: dict[str, object], message: st
 
 
 @pytest.mark.parametrize("hazard", get_args(Hazard))
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
 def test_versions_agree(hazard: Hazard, dtype: torch.dtype, generator: torch.Generator) -> None:
-    field, tool = mug_field(dtype, generator), make_tool(dtype, reaching=True, spacing=0.006)
+    field, tool = spread_field(dtype, generator), make_tool(dtype, reaching=True, spacing=0.006)
     model = DisplacementRollouts(field, tool, DisplacementSettings(hazard=hazard))
     controls = (2.0 * torch.rand(200, 10, 3, generator=generator) - 1.0).to(dtype)
     start = torch.tensor([0.28, 0.0, 0.1], dtype=dtype)
@@ -358,3 +417,24 @@ def test_versions_agree(hazard: Hazard, dtype: torch.dtype, generator: torch.Gen
     # in float32 the last digit of a probability may fall on the other side of a number that was drawn
     assert float(same.double().mean()) > (0.995 if dtype == torch.float32 else 0.9999)
     assert 0.2 < float(found.touched.double().mean()) < 0.98
+
+
+@pytest.mark.parametrize("hazard", get_args(Hazard))
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+def test_versions_agree_in_space(hazard: Hazard, dtype: torch.dtype, generator: torch.Generator) -> None:
+    field = spread_field(dtype, generator, True)
+    for reaching, horizon, count in ((True, 8, 60), (False, 1, 1), (False, 3, 0)):
+        model = DisplacementRollouts(
+            field, make_tool(dtype, reaching=reaching, spacing=0.03, spatial=True), DisplacementSettings(hazard=hazard)
+        )
+        start = torch.tensor([0.30, 0.0, 0.1, 0.0], dtype=dtype)
+        controls = torch.rand(count, horizon, 4, generator=generator, dtype=dtype) * 2 - 1
+        draws = model.draw(count, 3, horizon, generator=generator)
+        with backend.force("torch"):
+            plain = model.rollout_drawn(start, controls, draws)
+        result = model.rollout_drawn(start, controls, draws)
+        # where a number that decides is hit within rounding, rollouts part
+        same = (result.configurations - plain.configurations).abs().amax((-1, -2)) < 1e-4
+        assert count == 0 or float(same.double().mean()) > (0.95 if dtype == torch.float32 else 0.999)
+        torch.testing.assert_close(result.displacements[same], plain.displacements[same], atol=1e-4, rtol=0)
+        assert torch.equal(result.contact[same], plain.contact[same])

@@ -129,7 +129,7 @@ def test_the_command_tells_of_a_wrong_operation(capsys):
         ["--minutes", "0"],
         ["--seed", "-1"],
         ["--rounds", "0"],
-        ["--json", "no/such/x"],
+        ["--json", "."],
     ],
 )
 def test_bad_input_is_refused(wrong, capsys):

@@ -203,5 +203,5 @@ def _median(values: list[float]) -> float | None:
     return sorted(values)[len(values) // 2] if values else None
 
 
-PARTS = (PegStep, Thought, Selection, Candidate, Motion, Evaluated, Felt, StaticBelief, TargetEstimate)
+PARTS = (PegStep, Thought, Selection, Candidate, Motion, Evaluated, Felt, ContactKind, StaticBelief, TargetEstimate)
 """Classes that records are made of."""

@@ -82,8 +82,8 @@ def test_a_folder_that_has_a_run_is_left_alone(tmp_path, monkeypatch, capsys):
     main([*command, "--action-budget-s", "12"])
     found = sorted(path.name for path in (tmp_path / "runs").iterdir())
     assert found == ["peg-t10-mass-s3", "peg-t10-mass-s3-2", "peg-t12-mass-s3"]
-    records = [json.loads((tmp_path / "runs" / name / "result.json").read_text()) for name in found]
-    assert [record["settings"]["action_budget_s"] for record in records] == [10.0, 10.0, 12]
+    records = [json.loads((tmp_path / "runs" / name / "settings.json").read_text()) for name in found]
+    assert [record["peg"]["action_budget_s"] for record in records] == [10.0, 10.0, 12]
     assert main([*command, "--out", "runs/peg-t10-mass-s3"]) == exit_codes.BAD_INPUT
     assert "holds a run already" in capsys.readouterr().err
 

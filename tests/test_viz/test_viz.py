@@ -15,11 +15,12 @@ from rumi.viz.figures import heading, make_figures, telling_steps
 from rumi.viz.outlines import contours, hull, object_outline
 from rumi.viz.scene import information_at, interesting, memory, scene_from_above
 from sdf import se3
+from tests.fixtures.made_up_run import make_up
 
 
 @pytest.fixture(scope="module")
-def made(made_up):
-    return made_up(6, particles=20)
+def made():
+    return make_up(6, particles=20)
 
 
 @pytest.fixture(scope="module")

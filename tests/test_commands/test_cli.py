@@ -21,6 +21,7 @@ from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.entry import describe
 from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
+from tests.fixtures.made_up_run import make_up
 
 pytestmark = pytest.mark.usefixtures("at_home")
 
@@ -309,8 +310,8 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere(made_up):
-    steps = made_up(5, particles=10).steps
+def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere():
+    steps = make_up(5, particles=10).steps
     for stream, marks in ((Terminal(), ("\r", "4/4", "ess")), (io.StringIO(), ("action 4", "contact", "plan 0.20s"))):
         with Progress("mug-0", 4, describe, stream) as progress:
             for step in steps:

@@ -15,13 +15,14 @@ from rumi.runs.folder import SCHEMA, RunRecorder, holds_run, load_run, write_jso
 from rumi.runs.plain import plain
 from rumi.runs.trace import TraceWriter, read_trace
 from sdf.processor import processor
+from tests.fixtures.made_up_run import make_up
 
 SETTINGS = {"task": "mug-0", "seed": 3, "stop": {"fit": float("inf")}}
 
 
 @pytest.fixture(scope="module")
-def run(made_up):
-    return made_up(6, particles=20)
+def run():
+    return make_up(6, particles=20)
 
 
 def record(folder, run, *, finish=True):

@@ -151,7 +151,7 @@ def test_the_log_stands_first(arguments, capsys):
 def test_replay_has_help(capsys):
     assert main(["replay", "--help"]) == exit_codes.DONE
     said = capsys.readouterr().out
-    assert "rumi replay RUN" in said
+    assert "rumi replay [-h] [OPTIONS] RUN" in said
     assert "--filter.peakiness" in said
 
 

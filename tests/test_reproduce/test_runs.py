@@ -10,6 +10,7 @@ import pytest
 from rumi.errors import DegenerateBeliefError
 from rumi.tasks.rummage.settings import preset
 from scripts.reproduce import runs
+from tests.fixtures.made_up_run import make_up
 
 
 @pytest.fixture
@@ -24,8 +25,8 @@ def closed(monkeypatch):
     return found
 
 
-def test_a_belief_without_weight_is_a_result(monkeypatch, closed, made_up):
-    first = replace(made_up(1).steps[0], nll=12.5, apc=0.0123456789, expected_nll=float("nan"))
+def test_a_belief_without_weight_is_a_result(monkeypatch, closed):
+    first = replace(make_up(1).steps[0], nll=12.5, apc=0.0123456789, expected_nll=float("nan"))
 
     def lost(task, rummager, *, seed, steps, on_step):
         on_step(first)
@@ -43,16 +44,16 @@ def test_a_belief_without_weight_is_a_result(monkeypatch, closed, made_up):
     assert closed == [True]
 
 
-def test_an_interrupted_run_is_none(monkeypatch, closed, made_up):
-    result = replace(made_up(1).result, stopped_by="interrupted")
+def test_an_interrupted_run_is_none(monkeypatch, closed):
+    result = replace(make_up(1).result, stopped_by="interrupted")
     monkeypatch.setattr(runs, "rummage", lambda *_, **__: result)
     with pytest.raises(KeyboardInterrupt):
         runs.carry_out(preset(task="mug-0"), Path("cache"))
     assert closed == [True]
 
 
-def test_every_plan_counts_once(made_up):
-    steps, timed = made_up(9).steps, {}
+def test_every_plan_counts_once():
+    steps, timed = make_up(9).steps, {}
     course = runs.Course()
     for step in steps:
         plan = step.plan and timed.setdefault(id(step.plan), replace(step.plan, timings_s={"fields": 0.5}))

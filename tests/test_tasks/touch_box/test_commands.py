@@ -84,7 +84,7 @@ def test_an_interrupt_leaves_the_pokes_that_were_done(monkeypatch, capsys):
     assert main(["run", "touch-box", *QUICK, "--seed", "2001", "--out", "own"]) == INTERRUPTED
     assert "touch-box: interrupted after 1 poke" in capsys.readouterr().out
     assert json.loads(Path("own/settings.json").read_text())["seed"] == 2001
-    (poke,) = (line for line, _ in read_lines(Path("own/steps.jsonl")))
+    _, poke = (line for line, _ in read_lines(Path("own/steps.jsonl")))
     assert len(poke["readings"]) == len(done[0].contact)
 
 

@@ -14,6 +14,7 @@ from rumi.tasks.rummage import agent
 from rumi.tasks.rummage.agent import Rummager
 from sdf.object_model import mug_model
 from sensors.discrepancy import Discrepancy
+from tests.fixtures.made_up_run import make_up
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def rummager() -> Rummager:
     )
 
 
-def test_agreement_is_worked_out_where_the_belief_changed_and_only_there(made_up, rummager, monkeypatch):
+def test_agreement_is_worked_out_where_the_belief_changed_and_only_there(rummager, monkeypatch):
     asked = []
 
     def counted(*arguments, **options):
@@ -37,7 +38,7 @@ def test_agreement_is_worked_out_where_the_belief_changed_and_only_there(made_up
         return self_agreement(*arguments, **options)
 
     monkeypatch.setattr(agent, "self_agreement", counted)
-    steps = made_up().steps
+    steps = make_up().steps
     record = steps[2]
     expected, apc = agent._agreement(rummager, None, record.belief)
     fresh = self_agreement(record.belief, rummager.model.surface_points[::2], rummager.model.sdf, nll_points=100)

@@ -129,4 +129,3 @@ def test_the_command(tmp_path, capsys):
     assert (tmp_path / "again/timeline.png").read_bytes() == pictures[1].read_bytes()
     assert main(["replay", str(folder)]) == 0
     assert f"the recorded one, bit for bit, after each of {len(steps)} readings" in capsys.readouterr().out
-    assert ContactKind.TOP == 2  # the names of the kinds in the record are in this order
