@@ -17,20 +17,11 @@ def pearson(first: Values, second: Values) -> float:
 
 
 def spearman(first: Values, second: Values) -> float:
-    """Rank correlation in [-1, 1]: `pearson` of the ranks, of which equal values share the mean."""
+    """Rank correlation in [-1, 1]: `pearson` of the ranks, of which equal values share the mean (needs scipy)."""
+    from scipy.stats import rankdata
+
     a, b = _finite_pairs(first, second)
-    return pearson(ranks(a), ranks(b))
-
-
-def ranks(values: Values) -> np.ndarray:
-    """Rank of each value, from 1; equal values share the mean of theirs."""
-    data = np.asarray(values, dtype=float)
-    order = np.argsort(data, kind="stable")
-    _, inverse, counts = np.unique(data[order], return_inverse=True, return_counts=True)
-    last = np.cumsum(counts)
-    shared = np.empty(data.size)
-    shared[order] = (last - 0.5 * (counts - 1))[inverse]
-    return shared
+    return pearson(rankdata(a), rankdata(b))
 
 
 def run_correlation(
