@@ -18,7 +18,7 @@ from rumi.runs.replay import replay as take_in
 from rumi.task import Task
 from rumi.tasks.registry import TASKS, entry_of
 from rumi.tasks.rummage.agent import Rummager
-from rumi.tasks.rummage.build import build_rummager, sketch_of
+from rumi.tasks.rummage.build import build_rummager, geometry_of
 from rumi.tasks.rummage.scenes import TaskSpec
 from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.rummage.settings import preset as preset_of
@@ -77,7 +77,7 @@ def run(
     if folder is None:
         return loop.run(task, agent, seed=seed, steps=steps, on_step=on_step)
     asked = {**getattr(agent, "about", {}), "seed": seed}
-    with RunRecorder(folder, asked, sketch_of(agent)) as recorder:
+    with RunRecorder(folder, asked, geometry_of(agent)) as recorder:
         result = loop.run(task, agent, seed=seed, steps=steps, on_step=both(recorder, on_step))
         recorder.finish(result)
     return result

@@ -30,10 +30,10 @@ from rumi.errors import DegenerateBeliefError
 from rumi.runs.json_settings import FORMER_KEYS
 from rumi.seeding import split
 from rumi.tasks.handle.agent import HandleAgent
-from rumi.tasks.handle.build import build_fused
+from rumi.tasks.handle.build import build_handle
 from rumi.tasks.handle.gripper import HandleGripper
-from rumi.tasks.handle.settings import SENSORS, FusedSettings, SensorName, task_of
-from rumi.tasks.handle.simulated import FusedTask
+from rumi.tasks.handle.settings import SENSORS, HandleSettings, SensorName, task_of
+from rumi.tasks.handle.simulated import HandleTask
 from rumi.tasks.rummage.scenes import make_tool
 from scripts.experiment import DOCS, RESULTS, Experiment, Line
 from scripts.reproduce.cells import rate, table
@@ -75,9 +75,9 @@ class Senses:
 
 
 @cache
-def parts_of(sensors: str) -> Parts[FusedTask, HandleAgent]:
+def parts_of(sensors: str) -> Parts[HandleTask, HandleAgent]:
     """What the runs of a kind share."""
-    return build_fused(settings_of(sensors), cache_dir=cache_folder())
+    return build_handle(settings_of(sensors), cache_dir=cache_folder())
 
 
 def measure(sensors: str, seed: int) -> dict[str, Any]:
@@ -175,9 +175,9 @@ def draw(options: Draw) -> None:
 def senses(options: Senses) -> None:
     """Markdown: touches by the wrench, signals of the joints, free points, grasps of the true pose."""
     torch.set_num_threads(1)
-    settings = FusedSettings()
+    settings = HandleSettings()
     tool = make_tool(task_of(settings), cache_dir=cache_folder())
-    task = FusedTask(settings, tool, task_of(settings).object_factory())
+    task = HandleTask(settings, tool, task_of(settings).object_factory())
     gripper = HandleGripper(task.model.exact, task.world.body, task.spec.physics)
     touches, said, turned, inside, told, lifted = [], [], [], [], [], []
     for seed in range(options.seed, options.seed + options.pushes):
@@ -190,7 +190,7 @@ def senses(options: Senses) -> None:
         result = task.step(torch.tensor([1.0, 0.0, 0.0]))
         reading, truth = result.reading, result.truth
         assert isinstance(reading, ContactReading) and reading.signals is not None
-        motion, felt = reading.object_motion, task.world.felt
+        motion, felt = reading.object_motion, task.world.trace
         assert motion is not None and truth is not None and felt is not None
         now = se3.inverse(truth) @ motion[-1] @ se3.inverse(motion)
         own = now[reading.wrench.instant]
@@ -234,16 +234,16 @@ def mean_interval(values: list[float], seed: int = 0) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def settings_of(name: str) -> FusedSettings:
+def settings_of(name: str) -> HandleSettings:
     """Of a kind of run."""
-    return FusedSettings(sensors=USED[name.removesuffix(_FREE)], noise_free=name.endswith(_FREE))
+    return HandleSettings(sensors=USED[name.removesuffix(_FREE)], noise_free=name.endswith(_FREE))
 
 
 def stamp(name: str) -> str:
     """Of the settings."""
     # results on record are kept under the names that settings had then
     told = repr(settings_of(name))
-    for former, now in FORMER_KEYS["FusedSettings"].items():
+    for former, now in FORMER_KEYS["HandleSettings"].items():
         told = told.replace(f"{now}=", f"{former}=")
     return hashlib.sha256(told.encode()).hexdigest()[:8]
 

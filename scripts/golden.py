@@ -38,8 +38,8 @@ from rumi.runs.recorded import RunLog
 from rumi.runs.replay import replay
 from rumi.seeding import generator
 from rumi.sim.sensor_settings import degraded
-from rumi.tasks.handle.build import build_fused
-from rumi.tasks.handle.settings import SENSORS, FusedSettings, SensorName
+from rumi.tasks.handle.build import build_handle
+from rumi.tasks.handle.settings import SENSORS, HandleSettings, SensorName
 from rumi.tasks.peg import agent as peg_agent
 from rumi.tasks.peg.agent import build_peg
 from rumi.tasks.peg.settings import PegSettings
@@ -158,8 +158,8 @@ def of_peg(trace: Trace, settings: PegSettings) -> Record:
 
 def of_fused(trace: Trace, sensors: tuple[SensorName, ...], steps: int) -> Record:
     """A mug that is found by several sensors, and lifted."""
-    settings = FusedSettings(sensors=sensors, steps=steps)
-    with build_fused(settings, cache_dir=trace.folder) as parts:
+    settings = HandleSettings(sensors=sensors, steps=steps)
+    with build_handle(settings, cache_dir=trace.folder) as parts:
         found = loop.run(*parts, seed=0, on_step=trace)
     grasp = {} if found.grasp is None else {"grasp": list(found.grasp)}
     names = {field.name for field in fields(RunResult)}

@@ -24,12 +24,12 @@ import torch
 
 from rumi.bench.timing import fitting_clock
 from rumi.cli import script
-from rumi.metrics.intervals import wilson
 from rumi.sim.arm_motion import joint_path
 from rumi.sim.torque_arm import TorqueArm, TorqueSettings
 from scripts.experiment import Experiment, Line, newest
 from scripts.reproduce.cells import table
 from scripts.reproduce.code import code_of
+from scripts.reproduce.intervals import wilson
 from scripts.reproduce.seeds import seeds_of
 
 CASES: dict[str, TorqueSettings] = {

@@ -18,12 +18,12 @@ from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.gripper_robot import GripperRobot
 from rumi.tasks.touch_box.mujoco_scene import GripperPhysics
-from rumi.tasks.touch_box.report import calibration, digest, table
 from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 from scripts.experiment import Experiment, Line
 from scripts.reproduce.code import code_of
+from scripts.reproduce.touch_report import calibration, digest, table
 
 PART = "touch-ablation"
 _FILTER = TouchSettings().filter

@@ -198,7 +198,7 @@ def _replay(
 ) -> int:
     from rumi.runs.folder import RunRecorder, load_run, prepare_folder, write_json
     from rumi.runs.replay import replay as take_in
-    from rumi.tasks.rummage.build import sketch_of
+    from rumi.tasks.rummage.build import geometry_of
     from rumi.tasks.rummage.objects import record
 
     settings = options.settings
@@ -224,7 +224,7 @@ def _replay(
         on_step = stack.enter_context(Progress(label, len(taken) - 1, entry.describe))
         recorder = None
         if options.out is not None:
-            recorder = stack.enter_context(RunRecorder(options.out, entry.as_dict(settings), sketch_of(agent)))
+            recorder = stack.enter_context(RunRecorder(options.out, entry.as_dict(settings), geometry_of(agent)))
             if (model := getattr(agent, "model", None)) is not None:
                 write_json(options.out / "object.json", record(model))
         seen = on_step if recorder is None else both(recorder, on_step)

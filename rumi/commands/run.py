@@ -15,7 +15,7 @@ from rumi.commands.former_flags import renamed
 from rumi.commands.tasks import listing
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
-from rumi.runs.folder import free_folder, left_if_begun, load_run, prepare_folder
+from rumi.runs.folder import free_folder, load_run, prepare_folder, remove_if_empty_on_error
 from rumi.runs.progress import Progress, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
 from sdf import skipped_work
@@ -63,7 +63,7 @@ def run(arguments: Sequence[str]) -> int:
     prepare_folder(folder)
     for line in (f"{label}; writing to {folder}", *notes):
         say(line)
-    with left_if_begun(folder):
+    with remove_if_empty_on_error(folder):
         parts = entry.build(settings, cache_dir=cache_folder())
     with (
         parts,

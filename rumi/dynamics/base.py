@@ -31,7 +31,7 @@ class Paths(NamedTuple):
     turns: Float[Tensor, "*b H"] | None = None
     pivot: Float[Tensor, "2"] | None = None
 
-    def riding(self) -> tuple[Float[Tensor, "*b H Q"], Float[Tensor, "*b H 3"]]:
+    def in_object_frame(self) -> tuple[Float[Tensor, "*b H Q"], Float[Tensor, "*b H 3"]]:
         """Configurations and displacements that meet of a field at rest what these meet of one riding on the object."""
         if self.turns is None or self.pivot is None:
             return self.configurations, self.displacements
@@ -43,7 +43,7 @@ class Paths(NamedTuple):
         seen = torch.cat((place, height, yaw[..., None]), -1)
         return seen, torch.zeros_like(self.displacements)
 
-    def staying(self) -> tuple[Float[Tensor, "*b H Q"], Float[Tensor, "*b H 3"]]:
+    def object_fixed(self) -> tuple[Float[Tensor, "*b H Q"], Float[Tensor, "*b H 3"]]:
         """The same as if the object stayed."""
         return self.configurations, torch.zeros_like(self.displacements)
 
@@ -58,7 +58,7 @@ class PushRollouts(NamedTuple):
         contact: (K, M, H), whether the robot touched the object during a step.
         checked: share of the contact checks that were done point by point; the rest was settled by a bound, or by
             another rollout that had met the same so far.
-        twin: (K, M), the first rollout of the same sequence that is known to be the same throughout, itself if none is.
+        duplicate_of: (K, M), the first rollout of the same sequence that is known to be equal; itself if none is.
         turns: (K, M, T), how far the object has been turned since the present, radians; None if never.
         pivot: (2,), the point whose displacements are told, where objects turn.
     """
@@ -67,7 +67,7 @@ class PushRollouts(NamedTuple):
     displacements: Float[Tensor, "K M T 3"]
     contact: Bool[Tensor, "K M H"]
     checked: float
-    twin: Int[Tensor, "K M"]
+    duplicate_of: Int[Tensor, "K M"]
     turns: Float[Tensor, "K M T"] | None = None
     pivot: Float[Tensor, "2"] | None = None
 
@@ -223,7 +223,7 @@ def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count:
     return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(yaw) - 1)]
 
 
-def twins(contact: Tensor) -> Int[Tensor, "K M"]:
+def duplicates(contact: Tensor) -> Int[Tensor, "K M"]:
     """The first rollout that touches nothing for those that touch nothing, else the rollout itself."""
     untouched = ~contact.any(-1)
     own = torch.arange(contact.shape[1], device=contact.device).expand(untouched.shape)

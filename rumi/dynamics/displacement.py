@@ -208,8 +208,8 @@ class DisplacementRollouts:
                 whole[rows] = part
         own = torch.arange(rollouts, device=controls.device).expand(samples, rollouts)
         untouched = start == steps
-        twin = torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
-        return PushRollouts(states, moved, contact, checked / max(1, samples * rollouts * steps), twin)
+        duplicate_of = torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
+        return PushRollouts(states, moved, contact, checked / max(1, samples * rollouts * steps), duplicate_of)
 
     def _free_path(
         self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "K H A"]

@@ -183,7 +183,7 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
     flat, origin, normal = fields
     bound, bound_origin, centres = discs
     tables, base, bounds, limits = arm
-    states, moved, contact, twin, checks = out
+    states, moved, contact, duplicate_of, checks = out
     every_state, every_flag, every_group, every_ahead, every_likely = scratch
     state, strayed, stuck = every_state[k], every_flag[k, 0], every_flag[k, 1]
     group, ahead, likely = every_group[k], every_ahead[k], every_likely[k]
@@ -319,10 +319,10 @@ def _sample(k, start, controls, draws, action, body, pz, fields, discs, arm, siz
             moved[k, m, h + 1, 2] = 0.0
     checks[k] = checked
     for m in range(rollouts):
-        twin[k, m] = m
+        duplicate_of[k, m] = m
         for other in range(m):
             if group[other] == group[m]:
-                twin[k, m] = other
+                duplicate_of[k, m] = other
                 break
 
 
@@ -396,7 +396,7 @@ class CompiledRollouts:
         states = controls.new_empty(samples, rollouts, horizon + 1, len(configuration))
         moved = controls.new_empty(samples, rollouts, horizon + 1, 3)
         contact = torch.empty(samples, rollouts, horizon, dtype=torch.bool)
-        twin = torch.empty(samples, rollouts, dtype=torch.long)
+        duplicate_of = torch.empty(samples, rollouts, dtype=torch.long)
         checks = torch.zeros(samples, dtype=torch.long)
         push_rollouts(
             *_arrays(configuration, controls, uniforms),
@@ -409,10 +409,10 @@ class CompiledRollouts:
             self._sizes,
             self._rules,
             self._scratch(samples, rollouts),
-            tuple(part.numpy() for part in (states, moved, contact, twin, checks)),
+            tuple(part.numpy() for part in (states, moved, contact, duplicate_of, checks)),
         )
         whole = samples * rollouts * horizon * self._mini_steps
-        return PushRollouts(states, moved, contact, int(checks.sum()) / max(1, whole), twin)
+        return PushRollouts(states, moved, contact, int(checks.sum()) / max(1, whole), duplicate_of)
 
     def _scratch(self, samples, rollouts):
         """Room to work in, by control sequence: state, flags and number of each group; bounds; probabilities."""

@@ -15,11 +15,11 @@ from rumi.dynamics.base import (
     PushDefaults,
     PushModel,
     PushRollouts,
+    duplicates,
     representatives,
     resting_height,
     rests,
     rigid_motions,
-    twins,
 )
 from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.sliding import Sliding, push
@@ -191,7 +191,7 @@ class QuasiStaticRollouts:
             shifts.view(*shape, 3),
             contact,
             checked / max(1, samples * rollouts * horizon * mini),
-            twins(contact),
+            duplicates(contact),
             turns.view(shape),
             self.pivot,
         )

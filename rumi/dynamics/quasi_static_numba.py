@@ -5,7 +5,7 @@ import math
 import numpy as np
 import torch
 
-from rumi.dynamics.base import PushRollouts, twins
+from rumi.dynamics.base import PushRollouts, duplicates
 from rumi.dynamics.sliding_numba import settled, slope, value
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
@@ -249,7 +249,7 @@ class CompiledRollouts:
             shifts.view(track.shape),
             contact,
             int(checks.sum()) / max(1, whole),
-            twins(contact),
+            duplicates(contact),
             turns.view(track.shape[:3]),
             self._model.pivot,
         )

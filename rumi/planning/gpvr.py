@@ -96,7 +96,7 @@ class VarianceCost:
 
     def __call__(self, rollouts: PushRollouts) -> Float[Tensor, "K"]:
         """Cost of each control sequence: the mean over its rollouts."""
-        return mean_over_rollouts(rollouts, lambda paths: self.of_paths(*paths.riding()))
+        return mean_over_rollouts(rollouts, lambda paths: self.of_paths(*paths.in_object_frame()))
 
     def of_paths(
         self, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]

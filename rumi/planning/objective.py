@@ -91,7 +91,7 @@ class TrajectoryCost:
     def _of_paths(self, paths: Paths) -> Float[Tensor, "R"]:
         total = paths.configurations.new_zeros(len(paths.configurations))
         if self._information is not None:
-            seen, moved = paths.riding() if self.displaced_information else paths.staying()
+            seen, moved = paths.in_object_frame() if self.displaced_information else paths.object_fixed()
             total += self.information_scale * self._information(seen, moved)
         if self._reachability is not None:
             with skipped_work.work("reachability_sums", alike=False) as work:
@@ -108,15 +108,15 @@ def mean_over_rollouts(rollouts: PushRollouts, of_paths: Callable[[Paths], Float
         rollouts: of K sequences.
         of_paths: cost of R paths.
     """
-    twin = rollouts.twin
-    samples, count = twin.shape
-    distinct = twin == torch.arange(count, device=twin.device)
+    duplicate_of = rollouts.duplicate_of
+    samples, count = duplicate_of.shape
+    distinct = duplicate_of == torch.arange(count, device=duplicate_of.device)
     cost = rollouts.configurations.new_zeros(samples, count)
     with skipped_work.work("rollouts_valued") as work:
         if skipped_work.kept():
             work.count(int(distinct.sum()), distinct.numel())
         cost[distinct] = of_paths(rollouts.paths(distinct))
-    return cost.gather(1, twin).mean(-1)
+    return cost.gather(1, duplicate_of).mean(-1)
 
 
 def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:
@@ -127,7 +127,7 @@ def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:
 
 def gathered_by_action(gathered: Gathered, rollout: PushRollouts) -> Float[Tensor, "H"]:
     """What each action of one rollout (K = M = 1) gathers that those before it did not."""
-    configurations, displacements = (x[0] for x in rollout.paths(torch.ones_like(rollout.touched)).riding())
+    configurations, displacements = (x[0] for x in rollout.paths(torch.ones_like(rollout.touched)).in_object_frame())
     steps = torch.arange(len(configurations), device=configurations.device)
     # path h stands still after action h: standing still meets nothing new
     until = torch.minimum(steps[:, None], steps[None])

@@ -15,9 +15,9 @@ from rumi.fields.workspace import Workspace
 from rumi.planning.policy import Plan
 from rumi.records import StepRecord
 from rumi.runs.plain import plain
-from rumi.runs.sketch import OutlineMap, SceneSketch
+from rumi.runs.scene_geometry import OutlineMap, SceneGeometry
 from rumi.runs.trace import TraceWriter
-from rumi.runs.values import PARTS, read_value, write_value
+from rumi.runs.values import read_value, record_classes, write_value
 from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.observation import Observation
 from sensors.reading import Reading
@@ -90,8 +90,7 @@ def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, flo
     while (at := f"step_{len(steps):05d}") + "/numbers" in members:
         about = dict(members[f"{at}/numbers"])
         if "kind" in about:
-            kinds = {kind.__name__: kind for kind in PARTS[about["kind"]]}
-            record = read_value(members, about["record"], kinds)
+            record = read_value(members, about["record"], record_classes(about["kind"]))
             steps.append(replace(record, timings_s=timings_s.get(len(steps), {})))
             continue
         stamp, plan_about = about.pop("stamp"), about.pop("plan")
@@ -118,24 +117,24 @@ def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, flo
 _OUTLINES = ("silhouette", "section", "tool")
 
 
-def write_sketch(trace: TraceWriter, sketch: SceneSketch) -> None:
+def write_geometry(trace: TraceWriter, geometry: SceneGeometry) -> None:
     """Add what figures need beside the steps."""
-    arrays = {"surface_points": sketch.surface_points, "reachability": sketch.reachability}
-    _write(trace, "scene", arrays | {"workspace_origin": sketch.workspace.origin})
-    outlines: dict[str, OutlineMap] = {name: getattr(sketch, name) for name in _OUTLINES}
+    arrays = {"surface_points": geometry.surface_points, "reachability": geometry.reachability}
+    _write(trace, "scene", arrays | {"workspace_origin": geometry.workspace.origin})
+    outlines: dict[str, OutlineMap] = {name: getattr(geometry, name) for name in _OUTLINES}
     for name, outline in outlines.items():
         _write(trace, f"scene/{name}", {"values": outline.values, "origin": outline.origin})
     about = {
-        "workspace_spacing": sketch.workspace.spacing,
-        "workspace_shape": sketch.workspace.shape,
+        "workspace_spacing": geometry.workspace.spacing,
+        "workspace_shape": geometry.workspace.shape,
         "outline_spacing": {name: outline.spacing for name, outline in outlines.items()},
-        "thresholds": sketch.thresholds,
+        "thresholds": geometry.thresholds,
     }
     trace.json("scene/about", plain(about))
 
 
-def read_sketch(members: Mapping[str, Any]) -> SceneSketch | None:
-    """What `write_sketch` wrote, None if it wrote nothing."""
+def read_geometry(members: Mapping[str, Any]) -> SceneGeometry | None:
+    """What `write_geometry` wrote, None if it wrote nothing."""
     if "scene/about" not in members:
         return None
     about = members["scene/about"]
@@ -147,7 +146,7 @@ def read_sketch(members: Mapping[str, Any]) -> SceneSketch | None:
         )
         for name in _OUTLINES
     }
-    return SceneSketch(
+    return SceneGeometry(
         workspace=Workspace(
             _need(members, "scene/workspace_origin"), about["workspace_spacing"], tuple(about["workspace_shape"])
         ),

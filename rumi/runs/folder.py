@@ -27,9 +27,9 @@ from torch import Tensor
 from rumi.agent import stop_reason
 from rumi.errors import UsageError
 from rumi.records import RunResult
-from rumi.runs.codec import line, read_sketch, read_steps, write_sketch, write_step
+from rumi.runs.codec import line, read_geometry, read_steps, write_geometry, write_step
 from rumi.runs.plain import plain
-from rumi.runs.sketch import SceneSketch
+from rumi.runs.scene_geometry import SceneGeometry
 from rumi.runs.trace import TraceWriter, read_trace
 from sdf.cache import DAMAGED
 from sdf.processor import processor
@@ -44,13 +44,13 @@ class RunRecorder:
     Args:
         folder: where; made with its parents. A folder that holds a run already is refused.
         settings: everything that the run was asked for, as plain values or dataclasses.
-        sketch: what figures need beside the steps; may be given later, by `scene`.
+        geometry: what figures need beside the steps; may be given later, by `scene`.
 
     Raises:
         UsageError: the folder cannot be written or holds a run.
     """
 
-    def __init__(self, folder: Path | str, settings: Mapping[str, Any], sketch: SceneSketch | None = None) -> None:
+    def __init__(self, folder: Path | str, settings: Mapping[str, Any], geometry: SceneGeometry | None = None) -> None:
         self.folder = Path(folder)
         self._last: Any = None  # a record of any task
         self._closed = False
@@ -63,12 +63,12 @@ class RunRecorder:
             raise _unwritable(self.folder, error) from error
         self._trace.json("format", {"schema": SCHEMA})
         self._trace.flush()
-        if sketch is not None:
-            self.scene(sketch)
+        if geometry is not None:
+            self.scene(geometry)
 
-    def scene(self, sketch: SceneSketch) -> None:
+    def scene(self, geometry: SceneGeometry) -> None:
         """Add what figures need beside the steps; once."""
-        write_sketch(self._trace, sketch)
+        write_geometry(self._trace, geometry)
         self._trace.flush()
 
     def __call__(self, step: Any) -> None:  # noqa: ANN401  (a record of any task)
@@ -110,7 +110,7 @@ class Run:
     Attributes:
         folder: where it lies.
         settings: what it was asked for.
-        sketch: what figures need beside the steps; None where the recorder was given none.
+        geometry: what figures need beside the steps; None where the recorder was given none.
         steps: the records of all whole steps, of the task's own kind.
         result: how it ended, of a task without an own kind of record; None for a run that still goes on or was killed.
         ended: result.json as it is, with today's word for why it ended; None as `result`.
@@ -118,7 +118,7 @@ class Run:
 
     folder: Path
     settings: dict[str, Any]
-    sketch: SceneSketch | None
+    geometry: SceneGeometry | None
     steps: list[Any]
     result: RunResult | None
     ended: dict[str, Any] | None = None
@@ -158,14 +158,14 @@ def load_run(folder: Path | str) -> Run:
         raise UsageError(f"{folder / 'result.json'} is damaged: {error}") from error
     try:
         members = read_trace(folder / "trace.npz")
-        sketch, steps = read_sketch(members), read_steps(members, _timings(folder))
+        geometry, steps = read_geometry(members), read_steps(members, _timings(folder))
     except (AttributeError, IndexError, *DAMAGED) as error:
         raise UsageError(f"{folder / 'trace.npz'} is damaged: {error}") from error
     # an interrupt may have caught the recorder at the last step
     lost = 0 if result is None else actions + 1 - len(steps)
     if result is not None and lost not in ((0, 1) if result.stopped_by == "interrupted" else (0,)):
         raise UsageError(f"{folder / 'trace.npz'} is damaged: {len(steps)} steps are whole of {actions + 1}")
-    return Run(folder, settings, sketch, steps, result, ended)
+    return Run(folder, settings, geometry, steps, result, ended)
 
 
 def prepare_folder(folder: Path) -> None:
@@ -235,7 +235,7 @@ def _claim(folder: Path, settings: Any) -> None:  # noqa: ANN401  (plain values)
 
 
 @contextlib.contextmanager
-def left_if_begun(folder: Path) -> Iterator[None]:
+def remove_if_empty_on_error(folder: Path) -> Iterator[None]:
     """Take an empty folder away again where what is done first fails or is interrupted; files in it are kept."""
     try:
         yield

@@ -18,7 +18,7 @@ FORMER_KEYS: dict[str, dict[str, str]] = {
     "Settings": {"budget_s": "plan_budget_s"},
     "TouchBoxSettings": {"budget_s": "plan_budget_s"},
     "PegSettings": {"t_max_s": "action_budget_s"},
-    "FusedSettings": {"budget_s": "run_budget_s"},
+    "HandleSettings": {"budget_s": "run_budget_s"},
 }
 """Keys that recorded settings have and that have another name now, by the name of their dataclass."""
 

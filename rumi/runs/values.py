@@ -4,19 +4,24 @@ import math
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from importlib import import_module
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from rumi.registry import Table
 from rumi.runs.trace import TraceWriter
 
-PARTS: Table[tuple[type, ...]] = Table("kind of record")
-"""Classes that records of a task are made of, by the kind that a record names; the record's own class first."""
 
-PARTS.add("touch-box", "rumi.tasks.touch_box.records:PARTS")
-PARTS.add("peg", "rumi.tasks.peg.records:PARTS")
+def record_classes(kind: str) -> dict[str, type]:
+    """Classes that records of a kind are made of, by name: the `records` of the task of that name.
+
+    Raises:
+        UsageError: there is no such task.
+    """
+    # tasks stand above: by address, as tables load their members
+    entry = import_module("rumi.tasks.registry").TASKS[kind]
+    return {one.__name__: one for one in entry.records}
 
 
 def write_value(trace: TraceWriter, at: str, value: Any) -> Any:  # noqa: ANN401  (a record or a part of one)
@@ -38,26 +43,26 @@ def write_value(trace: TraceWriter, at: str, value: Any) -> Any:  # noqa: ANN401
     raise TypeError(f"Expected a record of tensors and plain values, got a {type(value).__name__} at {at}")
 
 
-def read_value(members: Mapping[str, Any], told: Any, kinds: Mapping[str, type]) -> Any:  # noqa: ANN401
+def read_value(members: Mapping[str, Any], value: Any, kinds: Mapping[str, type]) -> Any:  # noqa: ANN401
     """What `write_value` wrote.
 
     Args:
         members: what `rumi.runs.trace.read_trace` gave.
-        told: the JSON.
+        value: the JSON.
         kinds: classes by name.
     """
-    if isinstance(told, list):
-        return tuple(read_value(members, item, kinds) for item in told)
-    if not isinstance(told, dict):
-        return told
-    if "array" in told:
-        return torch.from_numpy(members[told["array"]])
-    if "number" in told:
-        return float(told["number"])
-    if "member" in told:
-        return kinds[told["is"]](told["member"])
-    parts = {name: read_value(members, value, kinds) for name, value in told["with"].items()}
-    return kinds[told["is"]](**parts)
+    if isinstance(value, list):
+        return tuple(read_value(members, item, kinds) for item in value)
+    if not isinstance(value, dict):
+        return value
+    if "array" in value:
+        return torch.from_numpy(members[value["array"]])
+    if "number" in value:
+        return float(value["number"])
+    if "member" in value:
+        return kinds[value["is"]](value["member"])
+    parts = {name: read_value(members, part, kinds) for name, part in value["with"].items()}
+    return kinds[value["is"]](**parts)
 
 
 def _names(value: Any) -> tuple[str, ...]:  # noqa: ANN401

@@ -20,7 +20,7 @@ from rumi.errors import UsageError
 from rumi.robot.reach_table import STARTS
 from rumi.sim.arm_motion import ArmKinematics, joint_path
 from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, _arm, _hand
-from rumi.sim.felt_world import Felt
+from rumi.sim.force_sensing_world import WrenchTrace
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.world import _import_mujoco
 from sensors.force.momentum_observer import MomentumObserver, TorqueThreshold, residuals
@@ -147,7 +147,7 @@ class JointFeeler:
         self._joints: np.ndarray | None = None
         self._follows = torch.zeros(0, dtype=torch.bool)
 
-    def residual(self, felt: Felt, start: Float[Tensor, "3"]) -> Float[Tensor, "T 7"]:
+    def residual(self, felt: WrenchTrace, start: Float[Tensor, "3"]) -> Float[Tensor, "T 7"]:
         """The observer's residual at each step of an action, from its rest before the action, N m.
 
         Args:
@@ -180,7 +180,7 @@ class JointFeeler:
         )
         return found[still:] - found[still // 2 : still].mean(0)
 
-    def signals(self, felt: Felt, start: Float[Tensor, "3"]) -> tuple[Bool[Tensor, "K"], Bool[Tensor, "K"]]:
+    def signals(self, felt: WrenchTrace, start: Float[Tensor, "3"]) -> tuple[Bool[Tensor, "K"], Bool[Tensor, "K"]]:
         """Whether the mean residual of each mini step is above the threshold, and whether it tells anything.
 
         Where the arm cannot follow the gripper, as at the border of its reach, its joints jerk at their limits; until
@@ -193,7 +193,7 @@ class JointFeeler:
         return TorqueThreshold(self.settings.threshold_nm, self.settings.joints).contact(mean) & known, known
 
     def _followed(
-        self, felt: Felt, start: Float[Tensor, "3"], step: float, still: int
+        self, felt: WrenchTrace, start: Float[Tensor, "3"], step: float, still: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Joint positions, velocities and accelerations (still + T, 7) at the steps of standing and of the action."""
         first = start.double().numpy()[None]

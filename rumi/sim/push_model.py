@@ -15,11 +15,11 @@ from rumi.dynamics.base import (
     PushDefaults,
     PushModel,
     PushRollouts,
+    duplicates,
     representatives,
     resting_height,
     rests,
     rigid_motions,
-    twins,
 )
 from rumi.dynamics.registry import EngineSettings
 from rumi.fields.information import WorkspaceFields
@@ -141,7 +141,7 @@ class MujocoRollouts:
             shifts.view(*shape, 3),
             contact,
             stepped / max(1, samples * count * horizon),
-            twins(contact),
+            duplicates(contact),
             turns.view(shape),
             self.pivot,
         )

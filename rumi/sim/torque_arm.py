@@ -1,4 +1,4 @@
-"""An arm under torque control that feels by its joints: computed torque, noisy sensors, observer, force limit."""
+"""Arm under torque control that senses contact by its joints: computed torque, noisy sensors, observer, force limit."""
 
 import math
 from collections.abc import Callable
@@ -71,8 +71,8 @@ class TorqueSettings:
                 raise UsageError(f"Expected {name} of 0 or more, got {getattr(self, name)}")
 
 
-class Felt(NamedTuple):
-    """What happened in one part of a motion, from one knot of its path to the next.
+class TorqueSample(NamedTuple):
+    """Joint-torque reading of one part of a motion, from one knot of its path to the next.
 
     Attributes:
         pose: (4,), measured (x, y, z, yaw) of the tool at the end.
@@ -90,7 +90,7 @@ class Felt(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What a motion felt.
+    """Joint-torque readings of a motion, and how it ended.
 
     Attributes:
         parts: one a knot that was reached, and one for what the arm took to stop where that was between knots.
@@ -99,7 +99,7 @@ class Motion(NamedTuple):
         joints: (7,), where the joints should be at the end, rad.
     """
 
-    parts: tuple[Felt, ...]
+    parts: tuple[TorqueSample, ...]
     ended: str
     tracking_m: np.ndarray
     joints: np.ndarray
@@ -240,7 +240,7 @@ class TorqueArm:
         self,
         path: JointPath,
         rate: float,
-        on_part: Callable[[tuple[Felt, ...]], bool] | None = None,
+        on_part: Callable[[tuple[TorqueSample, ...]], bool] | None = None,
         ramp_s: float = 0.1,
     ) -> Motion:
         """Go along a path to its end, or until a part was felt after which `on_part` says no, or a force is too high.
@@ -253,7 +253,7 @@ class TorqueArm:
         """
         step, place, now, ended = self.physics.time_step_s, 0.0, 0.0, "end"
         hold = round(0.1 / step)
-        parts: list[Felt] = []
+        parts: list[TorqueSample] = []
         tracking: list[float] = []
         force, felt = 0.0, []
         touched, stopping, counted = False, False, 0
@@ -281,7 +281,7 @@ class TorqueArm:
             if reached or hold <= 0:
                 pose = self.tool()
                 norm = float(threshold.norm(torch.cat(felt).mean(0)))
-                parts.append(Felt(pose, norm, force, norm > threshold.threshold_nm, touched))
+                parts.append(TorqueSample(pose, norm, force, norm > threshold.threshold_nm, touched))
                 tracking.append(float(np.linalg.norm(pose[:3] - self.kinematics.pose(position)[:3])))
                 force, felt, touched = 0.0, [], False
                 if hold <= 0:

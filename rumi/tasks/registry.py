@@ -46,12 +46,14 @@ class TaskEntry(Protocol[S]):
             ones with dots.
         presets: names that `preset` takes, first the one that counts where none is asked for.
         readings: kind of the readings in logs of before, which were HDF5.
+        records: classes that the records of its steps are made of, for traces; none where they are `StepRecord`s.
     """
 
     description: str
     settings: type[S]
     presets: Sequence[str]
     readings: type[Reading]
+    records: Sequence[type]
 
     def preset(self, name: str) -> S:
         """The settings of a preset.

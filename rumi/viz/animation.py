@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rumi.records import StepRecord
-from rumi.runs.sketch import SceneSketch
+from rumi.runs.scene_geometry import SceneGeometry
 from rumi.viz import style
 from rumi.viz.curves import nll_curve
 from rumi.viz.scene import Extent, information_at, interesting, legend_entries, scene_from_above
@@ -17,7 +17,7 @@ _MOST_FRAMES = 60
 
 def animate(
     steps: Sequence[StepRecord],
-    sketch: SceneSketch,
+    geometry: SceneGeometry,
     path: Path,
     *,
     extent: Extent | None = None,
@@ -28,7 +28,7 @@ def animate(
 
     Args:
         steps: of a run, from the first view on.
-        sketch: of its scene.
+        geometry: of its scene.
         path: of the file.
         extent: what to show; by default all that matters in the run.
         heading: line on top.
@@ -36,11 +36,11 @@ def animate(
     """
     from PIL import Image
 
-    extent = interesting(steps, sketch) if extent is None else extent
+    extent = interesting(steps, geometry) if extent is None else extent
     across, up = extent[1] - extent[0], extent[3] - extent[2]
     height = 4.6
     width = height * across / up
-    threshold = sketch.thresholds.get("nll")
+    threshold = geometry.thresholds.get("nll")
     shown_steps = _evenly(len(steps), _MOST_FRAMES)
     frames = []
     with style.figure(width + 4.2, height + 1.0, dpi=_DPI) as figure:
@@ -51,7 +51,7 @@ def animate(
             for ax in (scene, curve):
                 ax.clear()
             so_far = steps[: step + 1]
-            scene_from_above(so_far, sketch, scene, information=information_at(steps, step), extent=extent)
+            scene_from_above(so_far, geometry, scene, information=information_at(steps, step), extent=extent)
             nll_curve(so_far, curve, threshold=threshold, last=steps[-1].step)
             curve.set_ylim(0, 1.12 * _highest(steps, threshold))
             curve.legend(loc="upper right")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from rumi.errors import UsageError
 from rumi.runs.folder import Run
-from rumi.runs.sketch import SceneSketch
+from rumi.runs.scene_geometry import SceneGeometry
 from rumi.viz import style
 from rumi.viz.animation import animate
 from rumi.viz.curves import apc_curve, nll_curve, touched
@@ -31,7 +31,7 @@ def make_figures(run: Run, out: Path | str, steps: Sequence[int] | None = None) 
     Raises:
         UsageError: the run has no step, or not the asked ones; or matplotlib is missing.
     """
-    if not run.steps or run.sketch is None:
+    if not run.steps or run.geometry is None:
         raise UsageError(f"{run.folder} holds no whole step yet: nothing to draw")
     chosen = telling_steps(run) if steps is None else sorted(set(steps))
     wrong = [step for step in chosen if not 0 <= step < len(run.steps)]
@@ -41,11 +41,11 @@ def make_figures(run: Run, out: Path | str, steps: Sequence[int] | None = None) 
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("scene_*.png"):  # of an earlier choice of steps
         old.unlink()
-    extent = interesting(run.steps, run.sketch)
+    extent = interesting(run.steps, run.geometry)
     written = [_save_curves(run, folder / "curves.png")]
-    written += [_save_scene(run, run.sketch, step, extent, folder / f"scene_{step:03d}.png") for step in chosen]
-    written.append(_save_overview(run, run.sketch, telling_steps(run), extent, folder / "overview.png"))
-    written.append(animate(run.steps, run.sketch, folder / "run.gif", extent=extent, heading=heading(run)))
+    written += [_save_scene(run, run.geometry, step, extent, folder / f"scene_{step:03d}.png") for step in chosen]
+    written.append(_save_overview(run, run.geometry, telling_steps(run), extent, folder / "overview.png"))
+    written.append(animate(run.steps, run.geometry, folder / "run.gif", extent=extent, heading=heading(run)))
     return written
 
 
@@ -72,7 +72,7 @@ def heading(run: Run) -> str:
 
 
 def _thresholds(run: Run) -> dict[str, float]:
-    return {} if run.sketch is None else run.sketch.thresholds
+    return {} if run.geometry is None else run.geometry.thresholds
 
 
 def _save_curves(run: Run, path: Path) -> Path:
@@ -109,17 +109,19 @@ def _draw_curves(run: Run, upper: "Axes", lower: "Axes") -> None:
     )
 
 
-def _save_scene(run: Run, sketch: SceneSketch, step: int, extent: Extent, path: Path) -> Path:
+def _save_scene(run: Run, geometry: SceneGeometry, step: int, extent: Extent, path: Path) -> Path:
     width, height = _fitting(extent, 4.6)
     with style.figure(width + 2.0, height + 0.8) as figure:
         ax = figure.subplots()
-        scene_from_above(run.steps[: step + 1], sketch, ax, information=information_at(run.steps, step), extent=extent)
+        scene_from_above(
+            run.steps[: step + 1], geometry, ax, information=information_at(run.steps, step), extent=extent
+        )
         _bars(figure, ax)
         figure.legend(*legend_entries(ax), loc="outside lower center", ncols=4, handlelength=1.6, columnspacing=1.4)
         return _save(figure, path)
 
 
-def _save_overview(run: Run, sketch: SceneSketch, steps: Sequence[int], extent: Extent, path: Path) -> Path:
+def _save_overview(run: Run, geometry: SceneGeometry, steps: Sequence[int], extent: Extent, path: Path) -> Path:
     width = 3.1
     height = width * (extent[3] - extent[2]) / (extent[1] - extent[0])
     with style.figure(max(width * len(steps) + 1.4, 8.0), height + 3.1) as figure:
@@ -127,7 +129,7 @@ def _save_overview(run: Run, sketch: SceneSketch, steps: Sequence[int], extent: 
         scenes = rows[0].subplots(1, len(steps), sharey=True, squeeze=False)[0]
         for ax, step in zip(scenes, steps, strict=True):
             scene_from_above(
-                run.steps[: step + 1], sketch, ax, information=information_at(run.steps, step), extent=extent
+                run.steps[: step + 1], geometry, ax, information=information_at(run.steps, step), extent=extent
             )
             ax.label_outer()
         _bars(rows[0], scenes)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.runs.sketch import OutlineMap, SceneSketch
+from rumi.runs.scene_geometry import OutlineMap, SceneGeometry
 from sdf import se3
 
 
@@ -23,19 +23,19 @@ def contours(outline: OutlineMap) -> list[np.ndarray]:
     return lines
 
 
-def object_outline(sketch: SceneSketch, world_T_object: Float[Tensor, "4 4"]) -> list[np.ndarray]:
+def object_outline(geometry: SceneGeometry, world_T_object: Float[Tensor, "4 4"]) -> list[np.ndarray]:
     """Lines (M, 2), world x and y: the object from above.
 
     Of an upright object the exact silhouette; of a tipped one the hull of its surface points.
     """
     if not _upright(world_T_object):
-        return [hull(_apply(world_T_object, sketch.surface_points))]
-    return placed(sketch.silhouette, world_T_object)
+        return [hull(_apply(world_T_object, geometry.surface_points))]
+    return placed(geometry.silhouette, world_T_object)
 
 
-def object_section(sketch: SceneSketch, world_T_object: Float[Tensor, "4 4"]) -> list[np.ndarray]:
+def object_section(geometry: SceneGeometry, world_T_object: Float[Tensor, "4 4"]) -> list[np.ndarray]:
     """Lines (M, 2), world x and y: an upright object cut at the workspace's height; none of a tipped one."""
-    return placed(sketch.section, world_T_object) if _upright(world_T_object) else []
+    return placed(geometry.section, world_T_object) if _upright(world_T_object) else []
 
 
 def placed(outline: OutlineMap, world_T_frame: Float[Tensor, "4 4"]) -> list[np.ndarray]:

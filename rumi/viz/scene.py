@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from rumi.records import StepRecord
-from rumi.runs.sketch import SceneSketch
+from rumi.runs.scene_geometry import SceneGeometry
 from rumi.viz import style
 from rumi.viz.curves import touched
 from rumi.viz.outlines import bounding_box, heaviest, object_outline, object_section, placed
@@ -27,7 +27,7 @@ REACH_LEVELS = (0.25, 0.5, 0.75, 0.9)
 
 def scene_from_above(
     steps: Sequence[StepRecord],
-    sketch: SceneSketch,
+    geometry: SceneGeometry,
     ax: "Axes",
     *,
     information: Tensor | None = None,
@@ -41,25 +41,25 @@ def scene_from_above(
 
     Args:
         steps: of a run, from the first view up to the one to draw.
-        sketch: of its scene.
+        geometry: of its scene.
         ax: where to draw.
-        information: (V,), nats, on the sketch's workspace; see `information_at`.
+        information: (V,), nats, on the geometry's workspace; see `information_at`.
         extent: what to show; by default all that matters in these steps.
         particles: how many of the heaviest particles to draw.
         truth: draw the true outline where it is known.
     """
     last = steps[-1]
     # limits first: labels on lines are placed within them
-    left, right, bottom, top = interesting(steps, sketch) if extent is None else extent
+    left, right, bottom, top = interesting(steps, geometry) if extent is None else extent
     ax.set_xlim(left, right)
     ax.set_ylim(bottom, top)
     ax.set_aspect("equal")
-    draw_fields(information, sketch, ax)
+    draw_fields(information, geometry, ax)
     draw_observations(steps, ax)
-    draw_particles(last, sketch, ax, particles)
+    draw_particles(last, geometry, ax, particles)
     if truth and last.truth is not None:
-        draw_truth(last, sketch, ax)
-    draw_path(steps, sketch, ax)
+        draw_truth(last, geometry, ax)
+    draw_path(steps, geometry, ax)
     ax.set_xlim(left, right)
     ax.set_ylim(bottom, top)
     ax.set_xlabel("x [m]")
@@ -77,10 +77,10 @@ def information_at(steps: Sequence[StepRecord], step: int) -> Tensor | None:
     return None if following is None else following.fields.get("information")
 
 
-def draw_fields(information: Tensor | None, sketch: SceneSketch, ax: "Axes") -> "Axes":
+def draw_fields(information: Tensor | None, geometry: SceneGeometry, ax: "Axes") -> "Axes":
     """Information as a heat map, reachability as lines."""
-    shape, spacing = sketch.workspace.shape, sketch.workspace.spacing
-    low, high = sketch.workspace.bounds[:, :2].tolist()
+    shape, spacing = geometry.workspace.shape, geometry.workspace.spacing
+    low, high = geometry.workspace.bounds[:, :2].tolist()
     if information is not None:
         # a planar lattice has one layer; of others the most that any height holds
         values = information.reshape(shape).amax(-1).float().numpy()
@@ -95,8 +95,8 @@ def draw_fields(information: Tensor | None, sketch: SceneSketch, ax: "Axes") -> 
             interpolation="bilinear",
             zorder=0,
         )
-    if sketch.reachability is not None:
-        draw_reach(sketch.reachability.reshape(shape).amax(-1).float().numpy(), low, spacing, ax)
+    if geometry.reachability is not None:
+        draw_reach(geometry.reachability.reshape(shape).amax(-1).float().numpy(), low, spacing, ax)
     return ax
 
 
@@ -145,7 +145,7 @@ def draw_observations(steps: Sequence[StepRecord], ax: "Axes", most: int = 4000)
     return ax
 
 
-def draw_particles(step: StepRecord, sketch: SceneSketch, ax: "Axes", count: int) -> "Axes":
+def draw_particles(step: StepRecord, geometry: SceneGeometry, ax: "Axes", count: int) -> "Axes":
     """Outlines of the heaviest particles, coloured by weight relative to the heaviest."""
     from matplotlib.collections import LineCollection
 
@@ -154,7 +154,7 @@ def draw_particles(step: StepRecord, sketch: SceneSketch, ax: "Axes", count: int
     relative = (belief.log_weights - belief.log_weights.max()).exp()
     poses = belief.world_T_object
     for index in heaviest(belief.log_weights, count).tolist():
-        outline = object_outline(sketch, poses[index])
+        outline = object_outline(geometry, poses[index])
         lines += outline
         weights += [float(relative[index])] * len(outline)
     drawn = LineCollection(
@@ -165,18 +165,18 @@ def draw_particles(step: StepRecord, sketch: SceneSketch, ax: "Axes", count: int
     return ax
 
 
-def draw_truth(step: StepRecord, sketch: SceneSketch, ax: "Axes") -> "Axes":
+def draw_truth(step: StepRecord, geometry: SceneGeometry, ax: "Axes") -> "Axes":
     """The true outline; black, dashed."""
     assert step.truth is not None
-    for index, line in enumerate(object_outline(sketch, step.truth)):
+    for index, line in enumerate(object_outline(geometry, step.truth)):
         ax.plot(*line.T, color="white", lw=2.2, alpha=0.6, zorder=4.9)
         ax.plot(*line.T, color=style.TRUTH, lw=1.2, ls=(0, (4, 1.5)), zorder=5, label=None if index else "true outline")
-    for line in object_section(sketch, step.truth):
+    for line in object_section(geometry, step.truth):
         ax.plot(*line.T, color=style.TRUTH, lw=0.5, alpha=0.6, zorder=4.8)
     return ax
 
 
-def draw_path(steps: Sequence[StepRecord], sketch: SceneSketch, ax: "Axes") -> "Axes":
+def draw_path(steps: Sequence[StepRecord], geometry: SceneGeometry, ax: "Axes") -> "Axes":
     """Where the tool went, where it touched, and where it is."""
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Polygon
@@ -185,9 +185,9 @@ def draw_path(steps: Sequence[StepRecord], sketch: SceneSketch, ax: "Axes") -> "
     path = torch.cat(poses)[:, :2, 3].numpy()
     contact = torch.cat([step.reading.in_contact for step in steps]).numpy()
     ends = np.array([pose[-1, :2, 3].numpy() for pose in poses])
-    before = [line for pose in poses[:-1] for line in placed(sketch.tool, pose[-1])]
+    before = [line for pose in poses[:-1] for line in placed(geometry.tool, pose[-1])]
     ax.add_collection(LineCollection(before, colors=style.TOOL, linewidths=0.5, alpha=0.22, zorder=2), autolim=False)
-    for line in placed(sketch.tool, poses[-1][-1]):
+    for line in placed(geometry.tool, poses[-1][-1]):
         ax.add_patch(Polygon(line, fc=style.TOOL, ec="none", alpha=0.18, zorder=6))
         ax.add_patch(Polygon(line, fc="none", ec=style.TOOL, lw=1.2, zorder=6, label="tool"))
     ax.plot(*path.T, color=style.PATH, lw=1.3, alpha=0.9, zorder=7, label="path of the tool", solid_joinstyle="round")
@@ -197,15 +197,15 @@ def draw_path(steps: Sequence[StepRecord], sketch: SceneSketch, ax: "Axes") -> "
     return ax
 
 
-def interesting(steps: Sequence[StepRecord], sketch: SceneSketch, margin: float = 0.06) -> Extent:
+def interesting(steps: Sequence[StepRecord], geometry: SceneGeometry, margin: float = 0.06) -> Extent:
     """The part of the scene that matters in all of these steps: the object, and the tool while it touches."""
     lines = []
     for step in steps:
         poses = step.belief.world_T_object[heaviest(step.belief.log_weights, 10)]
         for pose in (*poses, *(() if step.truth is None else (step.truth,))):
-            lines += object_outline(sketch, pose)
+            lines += object_outline(geometry, pose)
         if touched(step):
-            lines += placed(sketch.tool, step.reading.tool_pose[-1])
+            lines += placed(geometry.tool, step.reading.tool_pose[-1])
     return bounding_box(lines, margin)
 
 

@@ -5,9 +5,9 @@ from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rumi.metrics.intervals import wilson
 from rumi.viz import style
 from scripts.reproduce.cells import table
+from scripts.reproduce.intervals import wilson
 from scripts.store import Store
 
 if TYPE_CHECKING:

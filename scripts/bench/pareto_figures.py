@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rumi.metrics.intervals import wilson
 from rumi.tasks.rummage.settings import PRESETS, preset
 from rumi.viz import style
+from scripts.reproduce.intervals import wilson
 from scripts.store import Store
 
 if TYPE_CHECKING:

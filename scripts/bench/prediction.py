@@ -165,7 +165,7 @@ class Situation:
                 raise ValueError("Expected a generator for rollouts, got None: give one, or 0 rollouts")
             done = model.rollout(start, controls[None], rollouts=rollouts, generator=generator)
         x, y, z = done.displacements[0, :, -1].mean(0).tolist()
-        seen = done.paths(torch.ones_like(done.touched)).riding()
+        seen = done.paths(torch.ones_like(done.touched)).in_object_frame()
         return Predicted(-float(gathering(field, self.tool)(*seen).mean()), (x, y, z))
 
     @torch.no_grad()

@@ -6,7 +6,7 @@ from statistics import median
 import torch
 from torch import Tensor
 
-from rumi.metrics.intervals import bootstrap_median, wilson
+from scripts.reproduce.intervals import bootstrap_median, wilson
 from scripts.reproduce.records import Record
 
 NOTHING = "-"

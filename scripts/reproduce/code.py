@@ -11,7 +11,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("sdf", "sensors", "kmppi", "rumi", "scripts")
-APART = ("rumi.tasks.rummage.settings", "rumi.tasks.registry", "rumi.runs.sketch")
+APART = ("rumi.tasks.rummage.settings", "rumi.tasks.registry", "rumi.runs.scene_geometry")
 """What does not count: settings, which count by their values, the list of tasks, and what is only looked at."""
 
 ROOTS: dict[str, tuple[str, ...]] = {

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from rumi.metrics.intervals import bootstrap_total, bootstrap_total_difference, mcnemar
 from scripts.reproduce import paper
 from scripts.reproduce.cells import NOTHING, cumulative, flags, middle, numbers, plain_median, rate, table
+from scripts.reproduce.intervals import bootstrap_total, bootstrap_total_difference, mcnemar
 from scripts.reproduce.jobs import column_name
 from scripts.reproduce.records import Record, by_column
 

@@ -16,12 +16,12 @@ from rumi.exit_codes import DONE
 from rumi.runs.folder import make_folder
 from rumi.runs.jsonlines import check_writable
 from rumi.tasks.touch_box.build import Robot, build_touch_box
-from rumi.tasks.touch_box.report import Line, calibration, digest, table
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import METHODS
 from rumi.tasks.touch_box.settings import TouchSettings
 from scripts.reproduce.code import code_of
 from scripts.reproduce.seeds import seeds_of
+from scripts.reproduce.touch_report import Line, calibration, digest, table
 from scripts.store import Store
 
 EXPERIMENTS = ("touch-table1", "touch-table2", "touch-fig3", "touch-fig4")

@@ -20,10 +20,10 @@ from rumi.runs.recorded import RunLog
 from rumi.runs.replay import digest, replay
 from rumi.task import Task
 from rumi.tasks.grasp_table import clearance_table
-from rumi.tasks.handle.build import build_fused
+from rumi.tasks.handle.build import build_handle
 from rumi.tasks.handle.entry import HandleRunSettings
 from rumi.tasks.handle.grasp import HandleTable
-from rumi.tasks.handle.settings import FusedSettings, task_of
+from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.peg.entry import PegRunSettings
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.registry import TASKS, entry_of
@@ -71,7 +71,7 @@ def touching(settings: TouchBoxSettings) -> Parts[Any, Any]:
 
 def handling(settings: HandleRunSettings) -> Parts[Any, Any]:
     table = HandleTable(torch.ones(9, 6, 13, dtype=torch.float64))
-    return build_fused(settings.settings, tool=make_tool(task_of(settings.settings), free_flying=True), table=table)
+    return build_handle(settings.settings, tool=make_tool(task_of(settings.settings), free_flying=True), table=table)
 
 
 SMALL = preset("fast", task="mug-0", method="slide", seed=3)
@@ -84,7 +84,7 @@ MEMBERS = [
         touching,
     ),
     Member("peg", PegRunSettings(PegSettings(particles=150, search_particles=400)), TASKS["peg"].build, 6),
-    Member("handle", HandleRunSettings(FusedSettings(steps=2), seed=1001), handling, 2),
+    Member("handle", HandleRunSettings(HandleSettings(steps=2), seed=1001), handling, 2),
 ]
 
 

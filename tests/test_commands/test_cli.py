@@ -44,7 +44,7 @@ def test_a_run_leaves_its_folder(capsys):
     assert run.result.steps == 2
     assert run.settings["planner"]["mppi"]["samples"] == 8
     assert run.settings["seed"] == 4
-    assert run.sketch.reachability is not None
+    assert run.geometry.reachability is not None
     said = capsys.readouterr()
     assert "mug-0: not sure after 2 actions" in said.out
     assert "runs/mug-0-rumi-default-s4" in said.out
@@ -112,7 +112,7 @@ def test_an_interrupt_leaves_a_readable_run(monkeypatch, capsys):
     ("arguments", "work"),
     [
         (["mug-0"], "rumi.tasks.rummage.build.build"),
-        (["handle", "--record"], "rumi.tasks.handle.build.build_fused"),
+        (["handle", "--record"], "rumi.tasks.handle.build.build_handle"),
         (["peg"], "rumi.tasks.peg.entry.build_peg"),
         (["touch-box"], "rumi.tasks.touch_box.build.build_touch_box"),
     ],

@@ -113,7 +113,7 @@ def test_versions_agree(
     torch.testing.assert_close(found.turns[~off], plain.turns[~off], atol=1e-3, rtol=0)
     torch.testing.assert_close(found.configurations, plain.configurations, atol=1e-5, rtol=1e-5)
     assert torch.equal(found.contact[~off], plain.contact[~off])
-    assert torch.equal(found.twin[~off], plain.twin[~off])
+    assert torch.equal(found.duplicate_of[~off], plain.duplicate_of[~off])
     assert 0 < found.checked <= plain.checked <= 1
 
 

@@ -225,8 +225,8 @@ def made_up_rollouts(generator: torch.Generator) -> PushRollouts:
     moved = 0.05 * torch.randn(samples, count, horizon + 1, 3, generator=generator, **DOUBLE)
     states = torch.where(touched, other, free.expand_as(other))
     untouched = ~contact.any(-1)
-    twin = torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), torch.arange(count))
-    return PushRollouts(states, torch.where(touched, moved, 0.0), contact, 1.0, twin)
+    duplicate_of = torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), torch.arange(count))
+    return PushRollouts(states, torch.where(touched, moved, 0.0), contact, 1.0, duplicate_of)
 
 
 @pytest.mark.parametrize(("beta_i", "beta_r"), [(1.0, 1.0), (0.5, 200.0), (1.0, 0.0), (0.0, 3.0)])
@@ -254,8 +254,8 @@ def test_information_that_does_not_follow_the_object(generator: torch.Generator)
 
     def cost(follow: bool) -> Tensor:
         states, moved = (torch.nn.functional.pad(x, (0, 0, 1, 0))[:, None] for x in (q, d))
-        twin = torch.zeros(len(q), 1, dtype=torch.long)
-        rollouts = PushRollouts(states, moved, torch.zeros(len(q), 1, 4, dtype=torch.bool), 1.0, twin)
+        duplicate_of = torch.zeros(len(q), 1, dtype=torch.long)
+        rollouts = PushRollouts(states, moved, torch.zeros(len(q), 1, 4, dtype=torch.bool), 1.0, duplicate_of)
         whole = TrajectoryCost(
             field, None, points, reachability_scale=0.0, normalise=False, displaced_information=follow
         )
@@ -295,7 +295,7 @@ def test_information_turns_with_the_object(generator: torch.Generator) -> None:
     """What the tool meets of a moved object is what it meets of an unmoved one from the place moved back."""
     rollouts = turning_rollouts(generator)
     points = torch.cat((sensing_points(generator)[:, :2], torch.ones(len(sensing_points(generator)), 1, **DOUBLE)), -1)
-    seen, _ = Paths(rollouts.configurations, rollouts.displacements, rollouts.turns, rollouts.pivot).riding()
+    seen, _ = Paths(rollouts.configurations, rollouts.displacements, rollouts.turns, rollouts.pivot).in_object_frame()
     for k, m, t in ((0, 1, 2), (0, 3, 4), (1, 0, 1)):
         turn, pivot = rollouts.turns[k, m, t], rollouts.pivot
         object_moved = se3.from_planar(torch.cat((pivot + rollouts.displacements[k, m, t, :2], turn[None])))
@@ -310,7 +310,7 @@ def test_trajectory_cost_of_turning_objects(generator: torch.Generator) -> None:
     points, rollouts = sensing_points(generator), turning_rollouts(generator)
     cost = TrajectoryCost(information, reachability, points, normalise=False)(rollouts)
     q, d = rollouts.configurations[:, :, 1:], rollouts.displacements[:, :, 1:]
-    seen, _ = Paths(q, d, rollouts.turns[:, :, 1:], rollouts.pivot).riding()
+    seen, _ = Paths(q, d, rollouts.turns[:, :, 1:], rollouts.pivot).in_object_frame()
     gathered = torch.stack(
         [information_cost(information, points, seen[k], torch.zeros_like(d[k])) for k in range(len(q))]
     )
@@ -370,9 +370,9 @@ def test_information_turns_with_the_object_in_space(generator: torch.Generator) 
     """Height stays, and the rest is as in the plane."""
     rollouts = turning_rollouts(generator)
     q = rollouts.configurations
-    planar, moved = Paths(q, rollouts.displacements, rollouts.turns, rollouts.pivot).riding()
+    planar, moved = Paths(q, rollouts.displacements, rollouts.turns, rollouts.pivot).in_object_frame()
     raised = torch.cat((q[..., :2], torch.randn(q[..., :1].shape, generator=generator, **DOUBLE), q[..., 2:]), -1)
-    seen, still = Paths(raised, rollouts.displacements, rollouts.turns, rollouts.pivot).riding()
+    seen, still = Paths(raised, rollouts.displacements, rollouts.turns, rollouts.pivot).in_object_frame()
     assert torch.equal(seen[..., [0, 1, 3]], planar)
     assert torch.equal(seen[..., 2], raised[..., 2])
     assert torch.equal(still, moved)

@@ -80,9 +80,9 @@ def random_rollouts(generator: torch.Generator, samples: int = 6, count: int = 3
     d = 0.1 * torch.randn(shape, generator=generator) * torch.tensor([1.0, 1.0, 0.0])
     q[:, :, 2] = q[:, :, 1]  # a step that stands still
     d[:, :, 2] = d[:, :, 1]
-    twin = torch.arange(count).repeat(samples, 1)
-    q[0, 2], d[0, 2], twin[0, 2] = q[0, 1], d[0, 1], 1
-    return PushRollouts(q, d, torch.zeros(samples, count, horizon, dtype=torch.bool), 1.0, twin)
+    duplicate_of = torch.arange(count).repeat(samples, 1)
+    q[0, 2], d[0, 2], duplicate_of[0, 2] = q[0, 1], d[0, 1], 1
+    return PushRollouts(q, d, torch.zeros(samples, count, horizon, dtype=torch.bool), 1.0, duplicate_of)
 
 
 def test_cost_sums_each_steps_own_cells(generator: torch.Generator) -> None:

@@ -2,9 +2,9 @@
 
 import pytest
 
-from rumi.metrics.intervals import wilson
 from scripts.reproduce import cells, studies, tables
 from scripts.reproduce.experiments import Selection
+from scripts.reproduce.intervals import wilson
 from scripts.reproduce.reports import of_experiment
 
 

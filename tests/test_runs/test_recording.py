@@ -26,7 +26,7 @@ def run():
 
 
 def record(folder, run, *, finish=True):
-    with RunRecorder(folder, SETTINGS, run.sketch) as recorder:
+    with RunRecorder(folder, SETTINGS, run.geometry) as recorder:
         for step in run.steps:
             recorder(step)
         if finish:
@@ -64,7 +64,7 @@ def test_what_is_written_is_read(tmp_path, run):
         assert step.plan.info == again.plan.info
         for name, values in step.plan.fields.items():
             torch.testing.assert_close(values, again.plan.fields[name], rtol=1e-3, atol=1e-6)
-    assert_same(run.sketch, read.sketch)
+    assert_same(run.geometry, read.geometry)
     assert_same(run.result, read.result)
     assert read.settings["task"] == "mug-0"
 
@@ -105,7 +105,7 @@ def test_numpy_opens_a_finished_trace(tmp_path, run):
 
 
 def test_every_step_can_be_read_while_the_run_goes_on(tmp_path, run):
-    recorder = RunRecorder(tmp_path / "run", SETTINGS, run.sketch)
+    recorder = RunRecorder(tmp_path / "run", SETTINGS, run.geometry)
     assert load_run(tmp_path / "run").steps == []
     for count, step in enumerate(run.steps, start=1):
         recorder(step)
@@ -204,7 +204,7 @@ def test_a_damaged_trace_of_a_finished_run_is_named(tmp_path, run):
 
 def test_numbers_that_are_not_finite_come_back_so(tmp_path, run):
     strange = replace(run.steps[0], apc=math.inf, nll=math.nan)
-    with RunRecorder(tmp_path / "run", SETTINGS, run.sketch) as recorder:
+    with RunRecorder(tmp_path / "run", SETTINGS, run.geometry) as recorder:
         recorder(strange)
     (read,) = load_run(tmp_path / "run").steps
     assert math.isnan(read.apc)

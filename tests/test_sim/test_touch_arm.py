@@ -9,7 +9,7 @@ from torch import Tensor
 
 pytestmark = pytest.mark.sim
 pytest.importorskip("mujoco")
-from rumi.sim.torque_arm import Felt, TorqueSettings  # noqa: E402
+from rumi.sim.torque_arm import TorqueSample, TorqueSettings  # noqa: E402
 from rumi.tasks.touch_box.arm_robot import ArmRobot, make_arm  # noqa: E402
 from rumi.tasks.touch_box.robot import Touched, TouchRobot  # noqa: E402
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask  # noqa: E402
@@ -98,8 +98,8 @@ def test_it_goes_as_far_as_it_can(robot: ArmRobot) -> None:
 
 
 def test_a_measured_yaw_does_not_jump_by_a_turn(robot: ArmRobot) -> None:
-    def felt(yaw: float, k: int = 0) -> Felt:
-        return Felt(np.array([0.5, 0.1 + 0.01 * k, 0.0, yaw]), 0.0, 0.0, False, False)
+    def felt(yaw: float, k: int = 0) -> TorqueSample:
+        return TorqueSample(np.array([0.5, 0.1 + 0.01 * k, 0.0, yaw]), 0.0, 0.0, False, False)
 
     yaws = [math.pi - 1e-3, -math.pi + 1e-3, math.pi - 2e-3, -math.pi + 2e-3]
     parts = tuple(felt(yaw, k) for k, yaw in enumerate(yaws[1:]))

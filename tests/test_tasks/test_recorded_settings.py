@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rumi.runs.json_settings import FORMER_KEYS, dataclass_of
-from rumi.tasks.handle.settings import FusedSettings
+from rumi.tasks.handle.settings import HandleSettings
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.rummage.settings import Settings, from_dict
 from rumi.tasks.touch_box.entry import TouchBoxSettings
@@ -15,7 +15,7 @@ from scripts.reproduce.jobs import overridden, preset, to_dict
 from scripts.reproduce.peg import settings_of
 
 RESULTS = Path(__file__).resolve().parents[2] / "scripts/results"
-CLASSES = {kind.__name__: kind for kind in (Settings, FusedSettings, PegSettings, TouchBoxSettings)}
+CLASSES = {kind.__name__: kind for kind in (Settings, HandleSettings, PegSettings, TouchBoxSettings)}
 
 
 def on_record():

@@ -8,7 +8,7 @@ from PIL import Image
 
 from rumi.errors import UsageError
 from rumi.runs.folder import RunRecorder, load_run
-from rumi.runs.sketch import outline_of_points
+from rumi.runs.scene_geometry import outline_of_points
 from rumi.viz import style
 from rumi.viz.curves import apc_curve, nll_curve
 from rumi.viz.figures import heading, make_figures, telling_steps
@@ -27,7 +27,7 @@ def made():
 def run(made, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
     with RunRecorder(
-        folder, {"task": "mug-0", "method": "rumi", "preset": "default", "seed": 1}, made.sketch
+        folder, {"task": "mug-0", "method": "rumi", "preset": "default", "seed": 1}, made.geometry
     ) as recorder:
         for step in made.steps:
             recorder(step)
@@ -93,12 +93,12 @@ def test_curves_show_what_was_recorded(made):
 
 def test_scene_draws_every_part_in_place(made):
     with style.figure(4, 4) as figure:
-        ax = scene_from_above(made.steps, made.sketch, figure.subplots(), information=information_at(made.steps, 2))
+        ax = scene_from_above(made.steps, made.geometry, figure.subplots(), information=information_at(made.steps, 2))
         labels = ax.get_legend_handles_labels()[1]
         observed = ["known to be free", "felt or seen"]
         assert set(labels) == {*observed, "particles", "true outline", "tool", "path of the tool", "in contact"}
         truth = next(line for line in ax.lines if line.get_label() == "true outline").get_xydata()
-        left, right, bottom, top = interesting(made.steps, made.sketch)
+        left, right, bottom, top = interesting(made.steps, made.geometry)
         assert left < truth[:, 0].min() and truth[:, 0].max() < right
         assert bottom < truth[:, 1].min() and truth[:, 1].max() < top
         assert ax.get_xlim() == (left, right)
@@ -119,20 +119,20 @@ def test_memory_moves_with_the_object(made):
 
 def test_outline_of_a_mug(made):
     flat = se3.identity((), dtype=torch.float32)
-    (line,) = object_outline(made.sketch, flat)
-    bounds = made.sketch.surface_points.amin(0), made.sketch.surface_points.amax(0)
+    (line,) = object_outline(made.geometry, flat)
+    bounds = made.geometry.surface_points.amin(0), made.geometry.surface_points.amax(0)
     np.testing.assert_allclose(line.min(0), bounds[0][:2], atol=2.5e-3)
     np.testing.assert_allclose(line.max(0), bounds[1][:2], atol=2.5e-3)
     turned = se3.from_planar(torch.tensor([0.3, 0.1, math.pi / 2]))
-    (placed,) = object_outline(made.sketch, turned)
+    (placed,) = object_outline(made.geometry, turned)
     np.testing.assert_allclose(placed, line @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + [0.3, 0.1], atol=1e-6)
     assert area(placed) == pytest.approx(area(line))
 
 
 def test_outline_of_a_tipped_object_is_the_hull_of_its_surface(made):
     tipped = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, 0.4, 0.0]))
-    (line,) = object_outline(made.sketch, tipped)
-    points = se3.apply(tipped, made.sketch.surface_points)[:, :2].numpy()
+    (line,) = object_outline(made.geometry, tipped)
+    points = se3.apply(tipped, made.geometry.surface_points)[:, :2].numpy()
     assert line.min(0) == pytest.approx(points.min(0), abs=1e-6)
     assert line.max(0) == pytest.approx(points.max(0), abs=1e-6)
 

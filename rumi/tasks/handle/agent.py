@@ -26,7 +26,7 @@ from rumi.sim.settings import SimSettings
 from rumi.task import StepResult
 from rumi.tasks.handle.grasp import Grasp, HandleTable, best_grasp
 from rumi.tasks.handle.gripper import GRASP_S
-from rumi.tasks.handle.settings import FusedSettings, task_of
+from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.rummage.agent import Rummager, RummageState, evaluate_step, first_belief, summarise
 from rumi.tasks.rummage.build import build_rummager
 from rumi.tasks.rummage.scenes import make_tool
@@ -88,7 +88,7 @@ class HandleAgent:
         about: what a run's folder tells of the settings.
     """
 
-    settings: FusedSettings
+    settings: HandleSettings
     rummager: Rummager
     table: HandleTable | None = None
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
@@ -192,7 +192,7 @@ class HandleAgent:
 
 
 def build_agent(
-    settings: FusedSettings,
+    settings: HandleSettings,
     *,
     cache_dir: Path | None = None,
     tool: Tool | None = None,

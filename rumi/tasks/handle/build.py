@@ -6,18 +6,18 @@ from rumi.agent import Parts
 from rumi.robot.tool import Tool
 from rumi.tasks.handle.agent import HandleAgent, build_agent
 from rumi.tasks.handle.grasp import HandleTable, handle_table
-from rumi.tasks.handle.settings import FusedSettings, task_of
-from rumi.tasks.handle.simulated import FusedTask
+from rumi.tasks.handle.settings import HandleSettings, task_of
+from rumi.tasks.handle.simulated import HandleTask
 from rumi.tasks.rummage.scenes import make_tool
 
 
-def build_fused(
-    settings: FusedSettings,
+def build_handle(
+    settings: HandleSettings,
     *,
     cache_dir: Path | None = None,
     tool: Tool | None = None,
     table: HandleTable | None = None,
-) -> Parts[FusedTask, HandleAgent]:
+) -> Parts[HandleTask, HandleAgent]:
     """Make the parts of a run.
 
     Args:
@@ -28,6 +28,6 @@ def build_fused(
     """
     spec = task_of(settings)
     tool, model = tool or make_tool(spec, cache_dir=cache_dir), spec.object_factory()
-    task = FusedTask(settings, tool, model, cache_dir=cache_dir)
+    task = HandleTask(settings, tool, model, cache_dir=cache_dir)
     table = table or handle_table(task.gripper, cache_dir=cache_dir)
     return Parts(task, build_agent(settings, tool=tool, model=model, table=table))

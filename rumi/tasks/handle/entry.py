@@ -13,8 +13,8 @@ from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
 from rumi.runs.progress import stages
 from rumi.tasks.handle.agent import HandleAgent, HandleResult, build_agent
-from rumi.tasks.handle.settings import SENSORS, FusedSettings
-from rumi.tasks.handle.simulated import FusedTask
+from rumi.tasks.handle.settings import SENSORS, HandleSettings
+from rumi.tasks.handle.simulated import HandleTask
 from rumi.tasks.registry import Role, check_preset, check_seed
 from rumi.tasks.rummage.entry import describe, ending
 from rumi.tasks.rummage.settings import PRESETS
@@ -39,7 +39,7 @@ class HandleRunSettings:
         seed: of where the mug stands, of the noise and of the choices.
     """
 
-    settings: Annotated[FusedSettings, tyro.conf.arg(name="")] = field(default_factory=FusedSettings)
+    settings: Annotated[HandleSettings, tyro.conf.arg(name="")] = field(default_factory=HandleSettings)
     seed: int = 0
 
 
@@ -47,12 +47,13 @@ class _Handle:
     description = "a mug seen once, then felt by bubbles, wrench and joint torques, and lifted by its handle"
     settings = HandleRunSettings
     readings = ContactReading
+    records = ()
     presets = ("fast", *(name for name in PRESETS if name != "fast"))
 
     def preset(self, name: str) -> HandleRunSettings:
         """Planner and belief of a preset of the rummaging task."""
         check_preset(name, self.presets)
-        return HandleRunSettings(FusedSettings(preset=name))
+        return HandleRunSettings(HandleSettings(preset=name))
 
     def label(self, settings: HandleRunSettings) -> str:
         """Sensors and seed."""
@@ -69,19 +70,19 @@ class _Handle:
         """Actions at most."""
         return settings.settings.steps
 
-    def build(self, settings: HandleRunSettings, *, cache_dir: Path | None = None) -> Parts[FusedTask, HandleAgent]:
+    def build(self, settings: HandleRunSettings, *, cache_dir: Path | None = None) -> Parts[HandleTask, HandleAgent]:
         """The simulated arm with its sensors, and what finds and grasps the mug."""
-        from rumi.tasks.handle.build import build_fused
+        from rumi.tasks.handle.build import build_handle
 
-        return build_fused(settings.settings, cache_dir=cache_dir)
+        return build_handle(settings.settings, cache_dir=cache_dir)
 
     def recorder(
         self, folder: Path, settings: HandleRunSettings, parts: Parts[Any, HandleAgent], *, log: bool
     ) -> RunRecorder:
         """Writes the run's folder."""
-        from rumi.tasks.rummage.build import scene_sketch
+        from rumi.tasks.rummage.build import scene_geometry
 
-        return RunRecorder(folder, self.as_dict(settings), scene_sketch(parts.agent.rummager))
+        return RunRecorder(folder, self.as_dict(settings), scene_geometry(parts.agent.rummager))
 
     def role(self, name: str) -> Role:
         """What a setting is to a replay."""
@@ -96,7 +97,7 @@ class _Handle:
     def from_dict(self, values: Mapping[str, Any]) -> HandleRunSettings:
         """The settings of a settings.json, also of one of before, when the task was called "fused"."""
         own = values["handle"] if "handle" in values else values["fused"]
-        return HandleRunSettings(dataclass_of(FusedSettings, own), values["seed"])
+        return HandleRunSettings(dataclass_of(HandleSettings, own), values["seed"])
 
     def agent(self, settings: HandleRunSettings, *, cache_dir: Path | None = None) -> HandleAgent:
         """What finds the mug, and grasps nothing."""
@@ -132,7 +133,7 @@ class _Handle:
 HANDLE = _Handle()
 
 
-def short_of(settings: FusedSettings) -> str | None:
+def short_of(settings: HandleSettings) -> str | None:
     """What to say where the time is up before the first look's belief and the grasp are done; None where it is not."""
     from rumi.tasks.handle.gripper import GRASP_S
 

@@ -68,7 +68,7 @@ class WristSettings:
 
 
 @dataclass(frozen=True)
-class FusedSettings:
+class HandleSettings:
     """Settings of `rumi run fused`.
 
     Attributes:
@@ -124,7 +124,7 @@ class FusedSettings:
             raise UsageError(f"Expected steps of 1 or more, got {self.steps}")
 
 
-def task_of(settings: FusedSettings) -> TaskSpec:
+def task_of(settings: HandleSettings) -> TaskSpec:
     """The scene: a mug before the arm, its handle hidden from the camera."""
     mean = (0.50, 0.0)
     return TaskSpec(

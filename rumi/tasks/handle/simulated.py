@@ -12,7 +12,7 @@ from torch import Tensor
 from rumi.robot.gripper import gripper_parts
 from rumi.robot.tool import Tool
 from rumi.seeding import split
-from rumi.sim.felt_world import Felt, FeltWorld
+from rumi.sim.force_sensing_world import ForceSensingWorld, WrenchTrace
 from rumi.sim.joint_torques import JointFeeler
 from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
 from rumi.sim.settings import SimSettings
@@ -21,7 +21,7 @@ from rumi.sim.world import Track
 from rumi.task import StepResult
 from rumi.tasks.handle.grasp import Grasp
 from rumi.tasks.handle.gripper import HandleGripper
-from rumi.tasks.handle.settings import FusedSettings, task_of
+from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.rummage.sensed import SensedTask
 from sdf import se3
 from sdf.object_model import ObjectModel
@@ -36,7 +36,7 @@ _PALM = 2  # the part after the two pads
 _GUARD = 2  # mini steps of silence before a contact, and at an action's end, that free nothing: readings may be late
 
 
-class FusedTask(SensedTask):
+class HandleTask(SensedTask):
     """The scene, with those of the sensors that are switched on.
 
     All images have the noise of `degraded` sensors, lost ones included, unless the settings ask for none. In every
@@ -52,7 +52,7 @@ class FusedTask(SensedTask):
     """
 
     def __init__(
-        self, settings: FusedSettings, tool: Tool, model: ObjectModel, *, cache_dir: Path | None = None
+        self, settings: HandleSettings, tool: Tool, model: ObjectModel, *, cache_dir: Path | None = None
     ) -> None:
         own = settings.sensors
         spec = task_of(settings)
@@ -62,7 +62,7 @@ class FusedTask(SensedTask):
         super().__init__(spec, simulator, tool, model, cache_dir=cache_dir)
         self.fused = settings
         self._drawn = spec
-        self.world: FeltWorld = FeltWorld(
+        self.world: ForceSensingWorld = ForceSensingWorld(
             self.world.body, tool.shape, spec.height_m, simulator.time_step_s, spec.physics
         )
         shape, wrist = tool.shape, settings.wrist
@@ -116,7 +116,7 @@ class FusedTask(SensedTask):
 
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> ContactReading:
         """All that was felt on the way."""
-        felt, own = self.world.felt, self.fused.sensors
+        felt, own = self.world.trace, self.fused.sensors
         assert felt is not None
         measured = self._measured(before, track)
         configuration = track.configuration.float()
@@ -167,7 +167,7 @@ class FusedTask(SensedTask):
         return rows[(torch.arange(len(rows)) - self._late).clamp_min(0)]
 
     def _felt_by_wrist(
-        self, felt: Felt, tool_pose: Float[Tensor, "K 4 4"], arrived: Bool[Tensor, "K"]
+        self, felt: WrenchTrace, tool_pose: Float[Tensor, "K 4 4"], arrived: Bool[Tensor, "K"]
     ) -> tuple[WrenchTouch, Bool[Tensor, "K"]]:
         """Touches by the mean wrenches of the mini steps, and where there was a force at all."""
         contact, part = self.wrist_contacts(felt)
@@ -179,7 +179,7 @@ class FusedTask(SensedTask):
         kept = index[surest(variance[index], self.fused.wrist.most)]
         return WrenchTouch.of(contact, tool_pose.double() @ self._tool_T_sensor(), kept), pushed
 
-    def wrist_contacts(self, felt: Felt) -> tuple[WrenchContact, Tensor]:
+    def wrist_contacts(self, felt: WrenchTrace) -> tuple[WrenchContact, Tensor]:
         """Of the noisy mean wrench of each mini step, in the sensor's frame, and the parts that they are on."""
         wrist, rows = self.fused.wrist, torch.from_numpy(felt.wrench)
         yaw = torch.from_numpy(felt.configuration[:, 2].copy())

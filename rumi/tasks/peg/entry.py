@@ -11,7 +11,7 @@ from rumi.agent import Parts
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.peg.agent import PegAgent, build_peg
-from rumi.tasks.peg.records import PegRun, PegStep
+from rumi.tasks.peg.records import PARTS, PegRun, PegStep
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.peg.simulated import PegTask
 from rumi.tasks.registry import Role, check_preset, check_seed
@@ -38,6 +38,7 @@ class _Peg:
     settings = PegRunSettings
     presets = ("default", "paper")
     readings = Reading
+    records = PARTS
 
     def preset(self, name: str) -> PegRunSettings:
         """The default, or the paper's stop: four contacts on two sides."""

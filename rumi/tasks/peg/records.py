@@ -204,4 +204,4 @@ def _median(values: list[float]) -> float | None:
 
 
 PARTS = (PegStep, Thought, Selection, Candidate, Motion, Evaluated, Felt, ContactKind, StaticBelief, TargetEstimate)
-"""What records are made of, for `rumi.runs.values`."""
+"""Classes that records are made of."""

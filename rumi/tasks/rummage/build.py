@@ -23,7 +23,7 @@ from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
-from rumi.runs.sketch import SceneSketch, sketch
+from rumi.runs.scene_geometry import SceneGeometry, make_geometry
 from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
@@ -219,16 +219,16 @@ def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
     return POLICIES[settings.method](settings, reach)
 
 
-def sketch_of(agent: object) -> SceneSketch | None:
+def geometry_of(agent: object) -> SceneGeometry | None:
     """What figures need to know of the scene; None where the agent neither rummages nor has one that does."""
     rummager = getattr(agent, "rummager", agent)
-    return scene_sketch(rummager) if isinstance(rummager, Rummager) else None
+    return scene_geometry(rummager) if isinstance(rummager, Rummager) else None
 
 
-def scene_sketch(rummager: Rummager) -> SceneSketch:
+def scene_geometry(rummager: Rummager) -> SceneGeometry:
     """What figures need to know of the scene."""
     section = rummager.tool.shape.section(_OUTLINE_SPACING)
-    return sketch(
+    return make_geometry(
         rummager.model.to("cpu"),
         rummager.workspace.to("cpu"),
         torch.cat((section, torch.zeros_like(section[:, :1])), -1),

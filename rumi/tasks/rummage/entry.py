@@ -35,6 +35,7 @@ class RummageTask:
     settings = Settings
     presets = tuple(PRESETS)
     readings = Reading
+    records = ()
 
     def __init__(self, spec: TaskSpec) -> None:
         self.spec, self.description = spec, spec.description
@@ -139,11 +140,11 @@ class _Recorder(contextlib.ExitStack):
     """Writes the folder of a run; with a log also what its sensors gave, before it was read."""
 
     def __init__(self, folder: Path, settings: Settings, parts: Parts[Any, Rummager], *, log: bool) -> None:
-        from rumi.tasks.rummage.build import scene_sketch
+        from rumi.tasks.rummage.build import scene_geometry
 
         super().__init__()
         about = record(parts.agent.model)
-        self._run = self.enter_context(RunRecorder(folder, to_dict(settings), scene_sketch(parts.agent)))
+        self._run = self.enter_context(RunRecorder(folder, to_dict(settings), scene_geometry(parts.agent)))
         write_json(folder / "object.json", about)
         self._map, self._object = folder / "map.toml", settings.object
         self._raw: RawStreams | None = getattr(parts.task, "raw", None)

@@ -11,7 +11,7 @@ from torch import Tensor
 from rumi.dynamics.along_path import Pusher, unwrapped
 from rumi.sim.arm_motion import joint_path
 from rumi.sim.arm_scene import ArmPhysics
-from rumi.sim.torque_arm import Felt, Motion, TorqueArm, TorqueSettings
+from rumi.sim.torque_arm import Motion, TorqueArm, TorqueSample, TorqueSettings
 from rumi.tasks.touch_box.gripper_robot import LIFTED_M
 from rumi.tasks.touch_box.mujoco_scene import CLEAR_M, set_truth
 from rumi.tasks.touch_box.robot import GoOn, Touched
@@ -90,7 +90,7 @@ class ArmRobot:
             self._lift(descent)
             return Touched(start[None], none, True, "blocked")
 
-        def asked(parts: tuple[Felt, ...]) -> bool:
+        def asked(parts: tuple[TorqueSample, ...]) -> bool:
             return go_on(self._touched(start, parts, turn, "end"))
 
         rate = self.task.speed / self.task.spacing_m
@@ -158,13 +158,15 @@ class ArmRobot:
     def _pose(self, turn: float) -> Float[Tensor, "3"]:
         return _planar(self.arm.tool(), turn)
 
-    def _told(self, parts: tuple[Felt, ...]) -> tuple[Felt, ...]:
+    def _told(self, parts: tuple[TorqueSample, ...]) -> tuple[TorqueSample, ...]:
         """Without the last, of the way to a stop, where that is next to none."""
         if len(parts) > 1 and float(np.linalg.norm(parts[-1].pose[:2] - parts[-2].pose[:2])) < _SLIDE_M:
             return parts[:-1]
         return parts
 
-    def _touched(self, start: Float[Tensor, "3"], parts: tuple[Felt, ...], turn: float, stopped: str) -> Touched:
+    def _touched(
+        self, start: Float[Tensor, "3"], parts: tuple[TorqueSample, ...], turn: float, stopped: str
+    ) -> Touched:
         path = torch.stack([start, *(_planar(part.pose, turn) for part in parts)])
         if bool((path[1:, 2] - path[:-1, 2]).abs().gt(math.pi).any()):
             path = unwrapped(path)

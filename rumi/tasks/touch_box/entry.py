@@ -15,7 +15,7 @@ from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.registry import Role, check_preset, check_seed
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.build import Robot, check_robot
-from rumi.tasks.touch_box.records import TouchRun, TouchStep, signals
+from rumi.tasks.touch_box.records import PARTS, TouchRun, TouchStep, signals
 from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
@@ -47,6 +47,7 @@ class _TouchBox:
     settings = TouchBoxSettings
     presets = ("default",)
     readings = Reading
+    records = PARTS
 
     def preset(self, name: str) -> TouchBoxSettings:
         """The default."""

@@ -141,4 +141,4 @@ def signals(contact: Bool[Tensor, "K"]) -> str:
 
 
 PARTS = (TouchStep, Choice, Touched, Grasp)
-"""What records are made of, for `rumi.runs.values`."""
+"""Classes that records are made of."""

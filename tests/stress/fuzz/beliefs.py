@@ -12,11 +12,11 @@ from rumi.fields.normal import expected_normal
 from rumi.information.binary_gain import binary_outcome, channel_capacity
 from rumi.information.entropy import ENTROPIES, SharedSupport, make_entropy
 from rumi.information.neighbours import StateMetric
-from rumi.metrics.intervals import bootstrap_median, mcnemar, wilson
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
 from rumi.resampling import resample_systematic
 from rumi.weights import boltzmann
 from scripts.reproduce.correlation import pearson, run_correlation, spearman
+from scripts.reproduce.intervals import bootstrap_median, mcnemar, wilson
 from tests.stress.fuzz.draw import Draw, choice, log_weights, number, poses, sizes, tensor
 from tests.stress.fuzz.entered import out, table, target
 

@@ -6,7 +6,7 @@ pytest.importorskip("mujoco")
 pytest.importorskip("cv2")
 
 from rumi.sim.bodies import body_of
-from rumi.tasks.handle.settings import FusedSettings, task_of
+from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.rummage.scenes import large_handled_mug, make_tool
 
 
@@ -17,10 +17,10 @@ def mug():
 
 @pytest.fixture(scope="session")
 def body(mug):
-    return body_of(mug.exact, task_of(FusedSettings()).physics, table=mug.sdf)
+    return body_of(mug.exact, task_of(HandleSettings()).physics, table=mug.sdf)
 
 
 @pytest.fixture(scope="session")
 def tool():
     """Without the arm's reach, which takes seconds and changes no sensor."""
-    return make_tool(task_of(FusedSettings()), free_flying=True)
+    return make_tool(task_of(HandleSettings()), free_flying=True)

@@ -8,7 +8,7 @@ import torch
 from rumi.errors import UsageError
 from rumi.tasks.handle.grasp import HandleTable, best_grasp
 from rumi.tasks.handle.gripper import HandleGripper
-from rumi.tasks.handle.settings import FusedSettings, task_of
+from rumi.tasks.handle.settings import HandleSettings, task_of
 from sdf import se3
 from sdf.primitives import Sphere
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.sim
 
 @pytest.fixture(scope="module")
 def gripper(mug, body):
-    return HandleGripper(mug.exact, body, task_of(FusedSettings()).physics)
+    return HandleGripper(mug.exact, body, task_of(HandleSettings()).physics)
 
 
 def test_with_the_true_pose_every_grasp_lifts(gripper):
@@ -36,7 +36,7 @@ def test_where_there_is_no_handle_nothing_is_lifted(gripper, yaw):
 
 def test_only_mugs_have_handles(body):
     with pytest.raises(UsageError, match="mug"):
-        HandleGripper(Sphere(0.03), body, task_of(FusedSettings()).physics)
+        HandleGripper(Sphere(0.03), body, task_of(HandleSettings()).physics)
 
 
 def odds():

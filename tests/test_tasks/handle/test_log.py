@@ -22,10 +22,10 @@ from rumi.runs.progress import both
 from rumi.runs.recorded import RunLog
 from rumi.runs.replay import digest, replay
 from rumi.tasks.handle.agent import HandleResult, build_agent
-from rumi.tasks.handle.build import build_fused
+from rumi.tasks.handle.build import build_handle
 from rumi.tasks.handle.entry import HANDLE, HandleRunSettings
 from rumi.tasks.handle.grasp import HandleTable
-from rumi.tasks.handle.settings import FusedSettings
+from rumi.tasks.handle.settings import HandleSettings
 from sensors.contact_reading import ContactReading
 from sensors.log.reader import Log
 from sensors.log.writer import LogWriter
@@ -33,7 +33,7 @@ from sensors.log.writer import LogWriter
 pytestmark = [pytest.mark.sim, pytest.mark.outcome]
 
 SEEDS = range(1001, 1041)
-SETTINGS = FusedSettings(steps=3)
+SETTINGS = HandleSettings(steps=3)
 
 
 class Live(NamedTuple):
@@ -49,7 +49,7 @@ class Live(NamedTuple):
 def live(tool, tmp_path_factory):
     """The first of some seeds, one in four of which will do: which one, the last digit of a plan decides."""
     table = HandleTable(torch.ones(9, 6, 13, dtype=torch.float64))
-    parts = build_fused(SETTINGS, tool=tool, table=table)
+    parts = build_handle(SETTINGS, tool=tool, table=table)
     for seed in SEEDS:
         folder, steps = tmp_path_factory.mktemp("fused"), []
         with HANDLE.recorder(folder, HandleRunSettings(SETTINGS, seed), parts, log=False) as recorder:

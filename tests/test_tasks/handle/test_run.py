@@ -9,10 +9,10 @@ from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.robot.gripper import GripperShape
 from rumi.tasks.handle.agent import total_nll
-from rumi.tasks.handle.build import build_fused
+from rumi.tasks.handle.build import build_handle
 from rumi.tasks.handle.entry import short_of
 from rumi.tasks.handle.grasp import HandleTable
-from rumi.tasks.handle.settings import SENSORS, FusedSettings, sensors_of
+from rumi.tasks.handle.settings import SENSORS, HandleSettings, sensors_of
 
 
 def test_the_surface_is_all_around_palm_and_pads():
@@ -36,7 +36,7 @@ def test_what_a_stopped_belief_keeps_is_summed_up_to_the_end():
 
 def parts_of(tool, **changes):
     table = HandleTable(torch.ones(9, 6, 13, dtype=torch.float64))
-    return build_fused(FusedSettings(**changes), tool=tool, table=table)
+    return build_handle(HandleSettings(**changes), tool=tool, table=table)
 
 
 @pytest.mark.sim
@@ -57,9 +57,9 @@ def test_sensors_are_told_in_words():
 
 
 def test_a_budget_that_the_first_look_and_the_grasp_exceed_is_told():
-    assert short_of(FusedSettings(run_budget_s=3.2)) is None
-    assert "less than the 3.1 s" in short_of(FusedSettings(run_budget_s=1.0))
-    assert "less than the 2.1 s" in short_of(FusedSettings(run_budget_s=1.0, thinking_s=None))
+    assert short_of(HandleSettings(run_budget_s=3.2)) is None
+    assert "less than the 3.1 s" in short_of(HandleSettings(run_budget_s=1.0))
+    assert "less than the 2.1 s" in short_of(HandleSettings(run_budget_s=1.0, thinking_s=None))
 
 
 _WRONG = ("--preset nope", "--run-budget-s inf", "--thinking-s -1", "--seed -1", "--sensors eye")

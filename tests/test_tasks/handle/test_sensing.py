@@ -9,23 +9,23 @@ import pytest
 import torch
 
 from rumi.robot.gripper import gripper_links
-from rumi.sim.felt_world import FeltWorld
+from rumi.sim.force_sensing_world import ForceSensingWorld
 from rumi.sim.joint_torques import JointFeeler, JointSettings, LevelKinematics
 from rumi.sim.world import World
-from rumi.tasks.handle.settings import FusedSettings, task_of
-from rumi.tasks.handle.simulated import FusedTask, _soon
+from rumi.tasks.handle.settings import HandleSettings, task_of
+from rumi.tasks.handle.simulated import HandleTask, _soon
 from sdf import se3
 from sensors.force.force_torque import WrenchStatus
 from sensors.semantics import Semantics
 
 pytestmark = pytest.mark.sim
 
-SPEC = task_of(FusedSettings())
+SPEC = task_of(HandleSettings())
 AHEAD = torch.tensor([1.0, 0.0, 0.0])
 EXACT = JointSettings().without_errors()
 
 
-def world_before(body, tool, kind=FeltWorld, start=(0.42, 0.02, 0.0)):
+def world_before(body, tool, kind=ForceSensingWorld, start=(0.42, 0.02, 0.0)):
     world = kind(body, tool.shape, SPEC.height_m, 0.004, SPEC.physics)
     world.reset(torch.tensor(start), torch.tensor([0.50, 0.0, 0.2]))
     return world
@@ -38,7 +38,7 @@ def push(world, ahead_m=0.08):
 
 
 def test_motions_are_those_of_the_plain_world_to_the_bit(body, tool):
-    tracks = [push(world_before(body, tool, kind))[1] for kind in (World, FeltWorld)]
+    tracks = [push(world_before(body, tool, kind))[1] for kind in (World, ForceSensingWorld)]
     assert torch.equal(tracks[0].configuration, tracks[1].configuration)
     assert torch.equal(tracks[0].world_T_object, tracks[1].world_T_object)
 
@@ -47,7 +47,7 @@ def test_the_wrench_is_that_of_the_contacts(body, tool):
     """It balances friction on the floor while the mug is pushed steadily, and its line goes through what is touched."""
     world = world_before(body, tool, start=(0.40, 0.045, 0.0))
     push(world, 0.06)
-    felt = world.felt
+    felt = world.trace
     touching = np.abs(felt.wrench).sum(-1) > 0
     assert 30 < touching.sum() < len(touching)
     steady = felt.wrench[100:220][touching[100:220]]
@@ -61,14 +61,14 @@ def test_the_wrench_is_that_of_the_contacts(body, tool):
 @pytest.fixture(scope="module")
 def pushed(mug, tool):
     """Two pushes by seeds, as all sensors report them."""
-    task = FusedTask(FusedSettings(), tool, mug)
+    task = HandleTask(HandleSettings(), tool, mug)
     found = []
     for seed in (1000, 1002):
         task.reset(seed)
         x, y, _ = task.spec.start
         task.world.reset(torch.tensor([x - 0.09, y + 0.01, 0.0]), torch.tensor(task.spec.start))
         task._from = task.world.configuration()
-        found.append((task.step(AHEAD), task.world.felt, task.wrist_contacts(task.world.felt)))
+        found.append((task.step(AHEAD), task.world.trace, task.wrist_contacts(task.world.trace)))
     return found
 
 
@@ -112,8 +112,8 @@ def test_sensors_agree_on_when_something_was_touched(pushed):
 
 def test_readings_of_wrist_and_joints_are_lost_late_and_off(mug, tool):
     """As images are; and silence just before a contact frees nothing, since the contact may have been there already."""
-    settings = FusedSettings(sensors=("wrench", "torques"))
-    noisy, clean = (FusedTask(replace(settings, noise_free=free), tool, mug) for free in (False, True))
+    settings = HandleSettings(sensors=("wrench", "torques"))
+    noisy, clean = (HandleTask(replace(settings, noise_free=free), tool, mug) for free in (False, True))
     off = []
     for seed in range(1000, 1004):
         noisy.reset(seed)
@@ -138,7 +138,7 @@ def test_the_residual_is_the_contact_seen_through_the_filter(body, tool):
     start, _ = push(world)
     feeler = JointFeeler(SPEC.base, SPEC.height_m, EXACT)
     force = np.array([-3.0, 1.0, 0.5, 0.02, -0.1, 0.05])
-    felt = world.felt._replace(wrench=np.tile(force, (len(world.felt.stamp), 1)))
+    felt = world.trace._replace(wrench=np.tile(force, (len(world.trace.stamp), 1)))
     residual = feeler.residual(felt, start).numpy()
     kinematics, joints = feeler.kinematics, feeler._joints
     expected = kinematics.jacobian(joints).T @ force
@@ -152,7 +152,7 @@ def test_the_residual_is_the_contact_seen_through_the_filter(body, tool):
 def test_without_contact_an_exact_observer_feels_nothing(body, tool):
     world = world_before(body, tool, start=(0.25, 0.0, 0.0))
     start, _ = push(world, 0.06)
-    residual = JointFeeler(SPEC.base, SPEC.height_m, EXACT).residual(world.felt, start)
+    residual = JointFeeler(SPEC.base, SPEC.height_m, EXACT).residual(world.trace, start)
     assert float(residual.abs().max()) < 0.03
 
 
@@ -171,7 +171,7 @@ def test_after_the_arm_was_lost_its_joints_tell_nothing_until_the_action_ends(bo
         return joints, errors
 
     monkeypatch.setattr(feeler.kinematics, "track", lost_on_the_way)
-    signals, known = feeler.signals(world.felt, start)
+    signals, known = feeler.signals(world.trace, start)
     assert bool(known[0]) and not bool(known[-1])
     assert bool((known.int().diff() <= 0).all()), "once lost, unknown to the end"
     assert not bool(signals[~known].any())
@@ -187,14 +187,14 @@ def test_the_arm_holds_its_tool_level_where_the_gripper_is(body, tool):
 
 
 def test_sensors_that_are_off_tell_nothing(mug, tool):
-    task = FusedTask(FusedSettings(sensors=("torques",)), tool, mug)
+    task = HandleTask(HandleSettings(sensors=("torques",)), tool, mug)
     first = task.reset(1000)
     assert len(first.reading.observation) == 0
     task.world.reset(torch.tensor([0.38, 0.03, 0.0]), torch.tensor(task.spec.start))
     reading = task.step(AHEAD).reading
     assert not bool(reading.observation.of_class(Semantics.SURFACE).any())
     assert len(reading.wrench.points) == 0 and bool(reading.signals.any())
-    seeing = FusedTask(FusedSettings(sensors=("camera",)), tool, mug)
+    seeing = HandleTask(HandleSettings(sensors=("camera",)), tool, mug)
     assert bool(seeing.reset(1000).reading.observation.of_class(Semantics.SURFACE).any())
     seeing.world.reset(torch.tensor([0.38, 0.03, 0.0]), torch.tensor(seeing.spec.start))
     blind = seeing.step(AHEAD).reading
@@ -211,7 +211,7 @@ def depths(reading, tool, chosen):
 
 
 def test_a_silent_sensor_frees_the_grippers_skin_and_a_touched_one_does_not(mug, tool):
-    task = FusedTask(FusedSettings(sensors=("wrench",)), tool, mug)
+    task = HandleTask(HandleSettings(sensors=("wrench",)), tool, mug)
     task.reset(1000)
     x, y, _ = task.spec.start
     task.world.reset(torch.tensor([x - 0.20, y, 0.0]), torch.tensor(task.spec.start))
@@ -224,7 +224,7 @@ def test_a_silent_sensor_frees_the_grippers_skin_and_a_touched_one_does_not(mug,
 
 
 def test_a_seed_gives_the_same_mug_to_all_sensors_and_its_handle_is_hidden(mug, tool):
-    tasks = [FusedTask(FusedSettings(sensors=sensors), tool, mug) for sensors in (("camera",), ("wrench",))]
+    tasks = [HandleTask(HandleSettings(sensors=sensors), tool, mug) for sensors in (("camera",), ("wrench",))]
     for seed in (1000, 1001):
         x, y, yaw = tasks[0].drawn(seed)
         assert tasks[1].drawn(seed) == (x, y, yaw)
@@ -235,8 +235,8 @@ def test_a_seed_gives_the_same_mug_to_all_sensors_and_its_handle_is_hidden(mug, 
 
 
 def test_sensors_without_noise_tell_the_truth(mug, tool):
-    settings = FusedSettings(noise_free=True)
-    task = FusedTask(settings, tool, mug)
+    settings = HandleSettings(noise_free=True)
+    task = HandleTask(settings, tool, mug)
     first = task.reset(1000)
     seen = first.reading.observation.points[first.reading.observation.of_class(Semantics.SURFACE)]
     assert float(mug.exact.distance(se3.apply(se3.inverse(first.truth), seen)).abs().max()) < 0.001
@@ -245,6 +245,6 @@ def test_sensors_without_noise_tell_the_truth(mug, tool):
     pushed = task.step(AHEAD)
     moved = (pushed.truth.double() @ se3.inverse(before.double())).float()
     torch.testing.assert_close(pushed.reading.object_motion[-1], moved, atol=1e-5, rtol=0)
-    contact, _ = task.wrist_contacts(task.world.felt)
-    again, _ = task.wrist_contacts(task.world.felt)
+    contact, _ = task.wrist_contacts(task.world.trace)
+    again, _ = task.wrist_contacts(task.world.trace)
     assert torch.equal(contact.point_s, again.point_s), "no noise is drawn"

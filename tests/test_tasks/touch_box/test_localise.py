@@ -11,11 +11,11 @@ from rumi.tasks.grasp_table import clearance_table
 from rumi.tasks.touch_box.agent import Toucher, likeliest
 from rumi.tasks.touch_box.planar_robot import PlanarRobot
 from rumi.tasks.touch_box.records import signals
-from rumi.tasks.touch_box.report import calibration, summarise, table
 from rumi.tasks.touch_box.robot import TouchBox, Touched
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.selection import choose
 from rumi.tasks.touch_box.settings import PokeSettings, TouchSettings
+from scripts.reproduce.touch_report import calibration, summarise, table
 
 pytestmark = pytest.mark.outcome
 

@@ -1,4 +1,4 @@
-"""The simulated world, with what a sensor at the wrist and the joints need: the force of contact at every step."""
+"""Simulated world with the contact wrench at every step of the physics, for wrist and joint sensors."""
 
 import math
 from typing import NamedTuple
@@ -11,8 +11,8 @@ from torch import Tensor
 from rumi.sim.world import _LEVER_M, Track, World
 
 
-class Felt(NamedTuple):
-    """An action, step of the physics by step.
+class WrenchTrace(NamedTuple):
+    """Configurations and contact wrenches of an action at every step of the physics.
 
     Attributes:
         stamp: (T), seconds, at the end of each step.
@@ -28,10 +28,10 @@ class Felt(NamedTuple):
     ends: np.ndarray
 
 
-class FeltWorld(World):
-    """A world that keeps what its last `move` felt; its motions are those of a `World`, to the bit."""
+class ForceSensingWorld(World):
+    """A world that keeps the contact wrenches of its last `move`; its motions are those of a `World`, to the bit."""
 
-    felt: Felt | None = None
+    trace: WrenchTrace | None = None
     _own: int | None = None
 
     def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float) -> Track:
@@ -60,7 +60,7 @@ class FeltWorld(World):
             states[index] = position
             wrenches[index] = self._wrench(position[gripper])
         stamp = began + step_s * (1.0 + np.arange(steps + held))
-        self.felt = Felt(stamp, states[:, gripper], wrenches, np.array(ends))
+        self.trace = WrenchTrace(stamp, states[:, gripper], wrenches, np.array(ends))
         kept = states[ends]
         return Track(torch.from_numpy(kept[:, gripper]), self._object_poses(kept))
 

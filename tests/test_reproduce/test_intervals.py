@@ -2,7 +2,7 @@
 
 import pytest
 
-from rumi.metrics.intervals import (
+from scripts.reproduce.intervals import (
     bootstrap_median,
     bootstrap_total,
     bootstrap_total_difference,

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import torch
 
-from rumi.metrics.intervals import mcnemar, wilson
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
+from scripts.reproduce.intervals import mcnemar, wilson
 
 Line = dict[str, Any]
 _BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.0)

@@ -31,7 +31,7 @@ class OutlineMap:
 
 
 @dataclass(frozen=True)
-class SceneSketch:
+class SceneGeometry:
     """A scene as figures and viewers need it; it holds no truth.
 
     Attributes:
@@ -53,7 +53,7 @@ class SceneSketch:
     thresholds: dict[str, float] = field(default_factory=dict)
 
 
-def sketch(
+def make_geometry(
     model: ObjectModel,
     workspace: Workspace,
     tool_points: Float[Tensor, "H 3"],
@@ -61,8 +61,8 @@ def sketch(
     height_m: float,
     reachability: Float[Tensor, "V"] | None = None,
     thresholds: dict[str, float] | None = None,
-) -> SceneSketch:
-    """The sketch of a scene.
+) -> SceneGeometry:
+    """The geometry of a scene.
 
     Args:
         model: the object.
@@ -82,7 +82,7 @@ def sketch(
         heights = torch.linspace(float(bounds[0, 2]), float(bounds[1, 2]), _LAYERS)
         silhouette = torch.stack([layer(z) for z in heights]).amin(0)
         section = layer(workspace.origin[2] - height_m)
-    return SceneSketch(
+    return SceneGeometry(
         workspace,
         model.surface_points,
         OutlineMap(silhouette, origin, _SPACING),
