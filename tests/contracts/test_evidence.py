@@ -19,6 +19,7 @@ from sensors.evidence import Evidence, EvidenceSet, SemanticPoints, gather
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
+from tests.fixtures.readings import make_reading
 
 F64 = torch.float64
 RADIUS = 0.04
@@ -38,14 +39,11 @@ def reading_of(seed: int, dtype=F64, contact: bool = True) -> ContactReading:
     normals = torch.nn.functional.normalize(torch.randn(2, 3, generator=random, dtype=F64), dim=-1)
     sd = torch.full((2,), 0.002, dtype=F64)
     touch = WrenchTouch(RADIUS * normals, normals, sd, 50.0 * sd, torch.tensor([0, 2]))
-    return ContactReading(
-        Observation.empty(dtype=F64),
-        torch.zeros(0).long(),
-        se3.exp(0.05 * torch.randn(3, 6, generator=random, dtype=F64)),
-        torch.tensor([False, contact, contact]),
-        None,
-        torch.zeros(3, dtype=F64),
-        torch.zeros((), dtype=F64),
+    return make_reading(
+        tool=se3.exp(0.05 * torch.randn(3, 6, generator=random, dtype=F64)),
+        contact=torch.tensor([False, contact, contact]),
+        dtype=F64,
+        kind=ContactReading,
         wrench=touch if contact else touch.at(torch.zeros(0).long()),
         signals=torch.tensor([False, contact, contact]),
     ).to(dtype=dtype)
