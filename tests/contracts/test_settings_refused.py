@@ -24,7 +24,7 @@ from rumi.registration.from_contacts import LocalizeSettings
 from rumi.registration.register import RegisterSettings
 from rumi.sim.sensor_settings import SensorSettings
 from rumi.sim.settings import PhysicsSettings, SimSettings
-from rumi.tasks.handle.settings import FusedSettings
+from rumi.tasks.handle.settings import HandleSettings
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.rummage.objects import ObjectSettings
 from rumi.tasks.rummage.settings import Settings
@@ -104,8 +104,10 @@ REFUSED = [
     Refused(SensorSettings, None, [{"turned_about": "me"}, {"membrane_m": 0.0}], UsageError),
     Refused(PhysicsSettings, None, [{"mass_kg": 0.0}, {"friction": 0.0}], UsageError),
     Refused(SimSettings, None, [{"time_step_s": 0.0}, *one("mini_steps", 0, 1000), {"contact_m": -1.0}], UsageError),
-    Refused(FusedSettings, None, [{"sensors": ()}, {"steps": 0}], UsageError),
-    Refused(FusedSettings, None, [*one("run_budget_s", 0.0, INF, NAN), *one("thinking_s", -1.0, INF, NAN)], UsageError),
+    Refused(HandleSettings, None, [{"sensors": ()}, {"steps": 0}], UsageError),
+    Refused(
+        HandleSettings, None, [*one("run_budget_s", 0.0, INF, NAN), *one("thinking_s", -1.0, INF, NAN)], UsageError
+    ),
     Refused(PegSettings, "some blocks are never met", one("lane_m", 0.13)),
     Refused(PegSettings, "low_m above 0", one("low_m", 0.0, -0.1), UsageError),
     Refused(PegSettings, "meets no side", one("low_m", 0.2), UsageError),
