@@ -1,14 +1,12 @@
 """Contract of evidence: what holds for every kind, also for one that another package adds by an entry point."""
 
 import math
-import sys
 from dataclasses import fields, replace
-from pathlib import Path
 
 import pytest
 import torch
 
-from rumi.belief.evidence import EVIDENCE, make_evidence
+from rumi.belief.evidence import make_evidence
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.errors import UsageError
@@ -21,53 +19,13 @@ from sensors.evidence import Evidence, EvidenceSet, SemanticPoints, gather
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
+from tests.fixtures.readings import make_reading
 
 F64 = torch.float64
 RADIUS = 0.04
-PACKAGE = '''
-from dataclasses import dataclass, replace
-
-import torch
-
-
-@dataclass(frozen=True)
-class NearContact:
-    """The object's origin is near the tool where that was in contact."""
-
-    places: torch.Tensor
-
-    def log_likelihood(self, poses, /):
-        return -0.5 * ((poses[..., None, :3, 3] - self.places) / 0.05).square().sum((-2, -1))
-
-
-class NearContactModel:
-    @classmethod
-    def of(cls, sdf, surface):
-        return cls()
-
-    def update(self, evidence, reading, world_T_attached, /):
-        if not bool(reading.in_contact.any()):
-            return evidence
-        places = (torch.linalg.inv(world_T_attached) @ reading.tool_pose)[reading.in_contact][:, :3, 3]
-        return NearContact(places if evidence is None else torch.cat((evidence.places, places)))
-'''
 KINDS = ["contact-points", "contact-signals", "near-contact"]
 
-
-@pytest.fixture(autouse=True)
-def outside(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A package from outside, installed as an installer would leave it."""
-    folder = tmp_path_factory.mktemp("site")
-    (folder / "near_contact.py").write_text(PACKAGE)
-    about = folder / "near_contact-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: near-contact\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[rumi.evidence]\nnear-contact = near_contact:NearContactModel\n")
-    monkeypatch.syspath_prepend(folder)
-    EVIDENCE.__dict__.pop("_outside", None)
-    yield folder
-    EVIDENCE.__dict__.pop("_outside", None)
-    sys.modules.pop("near_contact", None)
+pytestmark = pytest.mark.usefixtures("outside")
 
 
 def model_of(kind: str):
@@ -81,14 +39,11 @@ def reading_of(seed: int, dtype=F64, contact: bool = True) -> ContactReading:
     normals = torch.nn.functional.normalize(torch.randn(2, 3, generator=random, dtype=F64), dim=-1)
     sd = torch.full((2,), 0.002, dtype=F64)
     touch = WrenchTouch(RADIUS * normals, normals, sd, 50.0 * sd, torch.tensor([0, 2]))
-    return ContactReading(
-        Observation.empty(dtype=F64),
-        torch.zeros(0).long(),
-        se3.exp(0.05 * torch.randn(3, 6, generator=random, dtype=F64)),
-        torch.tensor([False, contact, contact]),
-        None,
-        torch.zeros(3, dtype=F64),
-        torch.zeros((), dtype=F64),
+    return make_reading(
+        tool=se3.exp(0.05 * torch.randn(3, 6, generator=random, dtype=F64)),
+        contact=torch.tensor([False, contact, contact]),
+        dtype=F64,
+        kind=ContactReading,
         wrench=touch if contact else touch.at(torch.zeros(0).long()),
         signals=torch.tensor([False, contact, contact]),
     ).to(dtype=dtype)
@@ -113,12 +68,12 @@ def evidence_of(kind: str) -> Evidence:
 
 
 @pytest.fixture(params=["semantic points", *KINDS, "set"])
-def evidence(request, outside) -> Evidence:
+def evidence(request) -> Evidence:
     return evidence_of(request.param)
 
 
 @pytest.fixture(params=KINDS)
-def model(request, outside):
+def model(request):
     return model_of(request.param)
 
 
@@ -235,7 +190,7 @@ def view() -> Reading:
     )
 
 
-def test_silent_sensors_leave_the_belief_as_it_was_to_the_bit(outside):
+def test_silent_sensors_leave_the_belief_as_it_was_to_the_bit():
     pose_filter = filter_of(trigger=0.5)
     silent, plain = follow(pose_filter, view(), view())[0], follow(pose_filter.with_evidence(), view(), view())[0]
     assert silent.evidence is None and silent.log_weights.exp().max() < 1.0
@@ -244,7 +199,7 @@ def test_silent_sensors_leave_the_belief_as_it_was_to_the_bit(outside):
             assert torch.equal(getattr(silent, part.name), getattr(plain, part.name)), part.name
 
 
-def test_the_filter_sums_every_kind_without_an_edit(outside):
+def test_the_filter_sums_every_kind_without_an_edit():
     quiet = {"translation_noise_m": 0.0, "rotation_noise_rad": 0.0, "descent": DescentSettings(iterations=0)}
     pose_filter = filter_of(trigger=math.inf, **quiet)
     belief, memory = follow(pose_filter, view(), reading_of(1))
@@ -255,7 +210,7 @@ def test_the_filter_sums_every_kind_without_an_edit(outside):
     torch.testing.assert_close(belief.log_weights, log.log_softmax(-1))
 
 
-def test_refusals(outside, no_shape_check):
+def test_refusals(no_shape_check):
     with pytest.raises(UsageError, match="no evidence 'smell'; there are contact-points, contact-signals, near"):
         make_evidence(["smell"], Sphere(RADIUS), torch.zeros(1, 3))
     with pytest.raises(TypeError, match="as a dataclass"):

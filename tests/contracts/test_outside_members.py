@@ -23,12 +23,12 @@ def python(*arguments, cwd):
 
 @pytest.mark.sim
 def test_a_task_a_policy_and_a_stop_rule_carry_out_a_run(tmp_path):
-    asked = ["run", "can-0", "--method", "still", "--stop.rule", "patient", "--out", "run", *SMALL]
+    asked = ["run", "can-0", "--method", "wandering", "--stop.rule", "patient", "--out", "run", *SMALL]
     done = python("-m", "rumi", *asked, cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     assert "can-0: not sure after 1 action" in done.stdout
     settings = json.loads((tmp_path / "run/settings.json").read_text())
-    assert (settings["task"], settings["method"], settings["stop"]["rule"]) == ("can-0", "still", "patient")
+    assert (settings["task"], settings["method"], settings["stop"]["rule"]) == ("can-0", "wandering", "patient")
 
 
 def test_members_are_listed_beside_rumis_own(tmp_path):
@@ -38,4 +38,4 @@ def test_members_are_listed_beside_rumis_own(tmp_path):
         "print([list(t)[-1] for t in (TASKS, OBJECTS, POLICIES, STOP_RULES)], OBJECTS['can']().name)"
     )
     done = python("-c", code, cwd=tmp_path)
-    assert done.stdout.strip() == "['can-0', 'can', 'still', 'patient'] mug", done.stderr
+    assert done.stdout.strip() == "['can-0', 'can', 'wandering', 'patient'] mug", done.stderr

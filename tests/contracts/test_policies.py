@@ -4,7 +4,6 @@ import copy
 import importlib.util
 import json
 from dataclasses import replace
-from importlib.metadata import EntryPoint
 from typing import Any
 
 import pytest
@@ -50,9 +49,7 @@ CENTRE = torch.tensor([0.4, 0.0, 0.3])
 
 
 @pytest.fixture(params=[*POLICIES, OUTSIDE])
-def method(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    entry = EntryPoint(OUTSIDE, "tests.contracts.outside_policy:wandering", "rumi.policies")
-    monkeypatch.setitem(POLICIES.__dict__, "_outside", {OUTSIDE: entry})
+def method(request: pytest.FixtureRequest, outside: None) -> str:
     library = NEEDS.get(request.param)
     if library and importlib.util.find_spec(library) is None:
         pytest.skip(f"{request.param} needs {library}")

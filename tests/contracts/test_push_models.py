@@ -1,8 +1,6 @@
 """Laws of every push model in each of its uses: rollouts, pushes along a path, motion; also of one from outside."""
 
 import importlib.util
-from collections.abc import Iterator
-from importlib.metadata import EntryPoint
 from typing import NamedTuple
 
 import pytest
@@ -41,12 +39,10 @@ POSE = torch.tensor([0.4, 0.01, 0.2])
 
 
 @pytest.fixture(params=[pytest.param(n, marks=pytest.mark.sim) if n in SIMULATED else n for n in NAMES])
-def name(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def name(request: pytest.FixtureRequest, outside: None) -> str:
     if request.param in SIMULATED and importlib.util.find_spec("mujoco") is None:
         pytest.skip("needs mujoco")
-    entry = EntryPoint(OUTSIDE, "tests.contracts.outside_push_model:RoughPush", "rumi.push_models")
-    monkeypatch.setitem(PUSH_MODELS.__dict__, "_outside", {OUTSIDE: entry})
-    yield request.param
+    return request.param
 
 
 @pytest.fixture(scope="module")

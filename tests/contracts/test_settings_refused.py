@@ -36,6 +36,7 @@ from sensors.touch.bubble import BubbleSettings
 from sensors.touch.touch_likelihood import TouchNoise
 
 NAN, INF = math.nan, math.inf
+ABOVE_0 = ("radius_m", "speed_m_s", "length_m", "tolerance_m", "spread_deg")  # of the peg task
 
 
 class Refused(NamedTuple):
@@ -108,6 +109,22 @@ REFUSED = [
         HandleSettings, None, [*one("run_budget_s", 0.0, INF, NAN), *one("thinking_s", -1.0, INF, NAN)], UsageError
     ),
     Refused(PegSettings, "some blocks are never met", one("lane_m", 0.13)),
+    Refused(PegSettings, "low_m above 0", one("low_m", 0.0, -0.1), UsageError),
+    Refused(PegSettings, "meets no side", one("low_m", 0.2), UsageError),
+    Refused(PegSettings, "lane_m above 0", one("lane_m", 0.0, -1.0), UsageError),
+    Refused(PegSettings, "table_m above 0", one("table_m", (0.8, -1.0)), UsageError),
+    Refused(PegSettings, "clear, a probability", one("clear", 2.0), UsageError),
+    Refused(PegSettings, "holes in the block", one("hole_m", 5.0), UsageError),
+    Refused(PegSettings, "hole_m to be 0 or more", one("hole_m", -0.01), UsageError),
+    Refused(PegSettings, "doublings to be 0 or more", one("doublings", -1), UsageError),
+    Refused(PegSettings, "action_budget_s to be a finite number", one("action_budget_s", INF, NAN), UsageError),
+    Refused(PegSettings, "action_budget_s above 0", one("action_budget_s", -1.0), UsageError),
+    Refused(PegSettings, "evaluation_s to be 0 or more", one("evaluation_s", -1.0), UsageError),
+    Refused(PegSettings, "evaluation_s to be a finite", one("evaluation_s", NAN), UsageError),
+    *(Refused(PegSettings, f"{name} above 0", one(name, 0.0, -1.0), UsageError) for name in ABOVE_0),
+    Refused(PegSettings, "probability between 0 and 1", one("probability", 2.0), UsageError),
+    Refused(PegSettings, "particles of 100 or more", one("particles", 1), UsageError),
+    Refused(PegSettings, "search_particles of 300 or more", one("search_particles", 0), UsageError),
     Refused(ObjectSettings, "scale", [{"scale": 0.0, "mesh": "a.obj"}], UsageError),
     Refused(ObjectSettings, "mass", one("mass_kg", -1.0), UsageError),
     Refused(ObjectSettings, "friction", one("friction", INF), UsageError),
