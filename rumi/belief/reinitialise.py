@@ -1,4 +1,4 @@
-"""Reinitialisation: particles drawn anew by all evidence, at the first contact and to verify a belief that is sure."""
+"""Reinitialisation: new particles by all evidence, at the first contact and to verify a sure belief."""
 
 from dataclasses import dataclass, field, replace
 
@@ -26,7 +26,7 @@ _STEPS = [(0.005 * 0.8**k, 0.1 * 0.8**k) for k in range(12)]
 
 @dataclass(frozen=True)
 class ReinitialiseSettings:
-    """How particles are drawn anew from the prior; without a prior nothing is.
+    """Settings of reinitialisation from the prior; without a prior there is none.
 
     A resampling can lose a mode that no observation refutes, and the optimiser does not find it again.
 

@@ -1,4 +1,4 @@
-"""Where the robot would touch the object, and which way the object's surface faces there."""
+"""Contact field of a belief: probability of contact and expected surface normal at every place of the tool."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -19,7 +19,7 @@ from sdf.voxel_grid import VoxelGrid
 
 @dataclass(frozen=True, eq=False)
 class ContactField:
-    """What a push model asks of a belief.
+    """Contact field of a belief, as a push model reads it.
 
     Attributes:
         probability: (X, Y, Z), that a robot point there touches the object: 1 - p(free).

@@ -111,7 +111,7 @@ class DisplacementRollouts:
     Args:
         field: where contact is likely, and the normals.
         tool: points and free-space motion.
-        settings: see there.
+        settings: of contact, sliding and mini steps.
     """
 
     def __init__(self, field: ContactField, tool: Tool, settings: DisplacementSettings | None = None) -> None:

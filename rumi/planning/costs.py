@@ -1,4 +1,4 @@
-"""What a planned motion is worth: the information that its path would gather (RUMI, Eq 29)."""
+"""Information cost of trajectories: the information that a path would gather (RUMI, Eq 29)."""
 
 import itertools
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Slide along the object: the heuristic that RUMI is compared with (RUMI, V-H)."""
+"""Slide policy: the heuristic baseline that follows the object's surface (RUMI, V-H)."""
 
 import math
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class SlidePolicy:
     decision takes a millisecond, whatever the budget.
 
     Args:
-        settings: see there.
+        settings: stride, press and yaw of the motions.
     """
 
     def __init__(self, settings: SlideSettings | None = None) -> None:

@@ -1,4 +1,4 @@
-"""All plausible poses of an object under some points: starts, descent, archive of orientations, descent, selection."""
+"""Global registration: all plausible poses of an object under points, by starts, descent and an orientation archive."""
 
 import math
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from sensors.semantics import Semantics
 
 @dataclass(frozen=True)
 class RegisterSettings:
-    """How poses are looked for.
+    """Settings of global registration.
 
     Attributes:
         kept: number of poses that are kept.
