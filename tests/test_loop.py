@@ -27,15 +27,14 @@ from sensors.log.reader import Taken
 from sensors.observation import Observation
 from sensors.reading import Reading
 from sensors.semantics import Semantics
+from tests.fixtures.readings import make_reading
 
 BOUNDS = torch.tensor([[0.2, -0.2, 0.02], [0.6, 0.2, 0.02]])
 QUICK = DescentSettings(iterations=1)
 
 
 def reading(observation: Observation, *, touched: bool) -> Reading:
-    pose = se3.identity((1,))
-    none = torch.zeros(len(observation)).long()
-    return Reading(observation, none, pose, torch.tensor([touched]), pose, torch.zeros(3), torch.zeros(()))
+    return make_reading(observation, motion=se3.identity((1,)), contact=touched)
 
 
 def test_a_step_after_which_poses_were_drawn_anew_keeps_all_its_seconds() -> None:

@@ -23,9 +23,9 @@ from sdf import backend, se3
 from sdf.primitives import Box
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
-from sensors.reading import Reading
 from sensors.semantics import Semantics
 from sensors.touch.contact_model import ContactModel
+from tests.fixtures.readings import make_reading
 
 SPREAD = (0.01, 0.01, 0.2)
 DTYPES = pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=["single", "double"])
@@ -53,16 +53,8 @@ def pose_filter(start: Tensor, generator: torch.Generator) -> Iterator[Step]:
     for y in (-0.04, 0.0, 0.04):
         heights = torch.linspace(-0.04, 0.04, 30, dtype=start.dtype)
         points = torch.stack((torch.full_like(heights, -0.03), torch.full_like(heights, y), heights), -1)
-        identity = se3.identity((1,), dtype=start.dtype, device="cpu")
-        reading = Reading(
-            Observation.of(points, Semantics.SURFACE),
-            torch.zeros(30).long(),
-            identity,
-            torch.tensor([True]),
-            None,
-            start.new_zeros(3),
-            start.new_zeros(()),
-        )
+        seen = Observation.of(points, Semantics.SURFACE)
+        reading = make_reading(seen, contact=True, dtype=start.dtype)
         belief, memory, info = follow(belief, memory, reading, generator=generator)
         yield Step(belief.world_T_object, belief.log_weights, belief.ess(), bool(info.resampled))
 

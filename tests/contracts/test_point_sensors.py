@@ -10,27 +10,17 @@ from torch import Tensor
 from scripts.bench.known_scenes import SCENES, pressed_bubble, scene_view, with_noise
 from sdf import se3
 from sensors.observation import Observation
-from sensors.semantics import Semantics
 from sensors.touch.bubble import Bubble, BubbleSettings, bubble_patch
 from sensors.vision.camera import depth_observation, pixel_points
 from sensors.vision.cloud import cloud_observation
-from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
+from sensors.vision.view import Image, KnownScene, view_observation
+from tests.fixtures.views import BOUNDS, WAYS, parts, seeded
 
 pytest.importorskip("cv2")
 
-BOUNDS = torch.tensor([[0.2, -0.2, 0.0], [0.6, 0.2, 0.16]])
-WAYS = {
-    "mask": ViewSettings(),
-    "color": ViewSettings(segmentation="color", hue_deg=(200.0, 260.0)),
-    "plane": ViewSettings(segmentation="plane"),
-}
 
 Observe = Callable[..., Observation]
 """Of a scene, its depth, and where its camera is thought to be: surface and free points; free ones only in bounds."""
-
-
-def seeded() -> torch.Generator:
-    return torch.Generator().manual_seed(0)
 
 
 def camera(scene, depth: Tensor, world_T_camera: Tensor, bounds: Tensor | None) -> Observation:
@@ -94,11 +84,6 @@ def case(request, scenes):
     """A member, its scene, and where its camera is."""
     scene = scenes["bubble" if request.param == "bubble" else "camera"]
     return MEMBERS[request.param], scene, getattr(scene, "world_T_camera", se3.identity())
-
-
-def parts(observation: Observation) -> tuple[Tensor, Tensor]:
-    surface, free = (observation.points[observation.of_class(s)] for s in (Semantics.SURFACE, Semantics.FREE))
-    return surface, free
 
 
 def pixels(scene) -> int:

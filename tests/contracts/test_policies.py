@@ -30,8 +30,8 @@ from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Mug
 from sdf.symmetry import Symmetries
 from sensors.observation import Observation, concatenate
-from sensors.reading import Reading
 from sensors.semantics import Semantics
+from tests.fixtures.readings import make_reading
 
 HEIGHT = 0.045
 BOUNDS = torch.tensor([[0.0, -0.4, 0.03], [0.8, 0.4, 0.2]])
@@ -102,14 +102,11 @@ def at(scene: Scene, observed: Observation, *, contact: bool = False, touched: T
     """The scene with a reading taken where the tool is."""
     points = torch.zeros(0, 3) if touched is None else touched
     now = scene.configuration
-    reading = Reading(
+    reading = make_reading(
         Observation.of(points, Semantics.SURFACE),
-        torch.ones(len(points), dtype=torch.long),
-        scene.tool.pose(now.expand(2, -1)),
-        torch.tensor([False, contact]),
-        None,
-        now,
-        torch.zeros(()),
+        tool=scene.tool.pose(now.expand(2, -1)),
+        contact=torch.tensor([False, contact]),
+        configuration=now,
     )
     return replace(scene, observed=observed, reading=reading)
 
@@ -279,7 +276,6 @@ def test_samples_cost_alone_what_they_cost_together(
 def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> None:
     wide, belief = torch.float64, believed().to(dtype=torch.float64)
     reading = scene.reading
-    assert reading is not None
     there = Scene(
         mug.to(wide),
         scene.workspace.to(wide),

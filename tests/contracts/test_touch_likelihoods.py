@@ -13,20 +13,18 @@ from sdf.sweep import turned
 from sensors.touch.circle_touch import CircleTouches
 from sensors.touch.rectangle_touch import RectangleTouches
 from sensors.touch.touch_likelihood import TouchNoise, box_log_likelihoods, touch_log_likelihoods
+from tests.fixtures import meshes
 
 F64 = torch.float64
 HALF = torch.tensor([0.1, 0.05, 0.07], dtype=F64)
 NOISE = TouchNoise(0.005, 0.1, 0.01)
-QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 
 # every test of this file holds for the plain and for the compiled version
 pytestmark = pytest.mark.usefixtures("version")
 
 
 def mesh(poses: Tensor, points: Tensor, normals: Tensor) -> Tensor:
-    corners = torch.cartesian_prod(*[torch.tensor([-x, x], dtype=F64) for x in HALF.tolist()])
-    faces = torch.tensor([(q[0], q[k], q[k + 1]) for q in QUADS for k in (1, 2)])
-    return touch_log_likelihoods(poses, points, normals, Triangles(corners[faces]), NOISE).sum(-1)
+    return touch_log_likelihoods(poses, points, normals, Triangles(meshes.box(HALF.tolist()).corners), NOISE).sum(-1)
 
 
 def box(poses: Tensor, points: Tensor, normals: Tensor) -> Tensor:

@@ -20,6 +20,7 @@ from sensors.evidence import EvidenceSet, in_attached_frame
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
+from tests.fixtures.readings import make_reading
 
 SIDES = (0.04, 0.06, 0.1)
 QUIET = {"translation_noise_m": 0.0, "rotation_noise_rad": 0.0, "descent": DescentSettings(iterations=0)}
@@ -72,19 +73,11 @@ def seen(seed, dtype=torch.float64, count=60):
     return Observation.of(se3.apply(truth(), points).to(dtype), Semantics.SURFACE)
 
 
-def reading(observation=None, motion=None, *, contact=False, dtype=torch.float64, **further):
-    observation = Observation.empty(dtype=dtype) if observation is None else observation
+def reading(observation=None, motion=None, *, dtype=torch.float64, **given):
     identity = se3.identity((1,), dtype=dtype, device="cpu")
-    return (ContactReading if further else Reading)(
-        observation,
-        torch.zeros(len(observation), dtype=torch.long),
-        identity,
-        torch.full((1,), contact),
-        identity if motion is None else motion[None].to(dtype),
-        torch.zeros(3, dtype=dtype),
-        torch.zeros((), dtype=dtype),
-        **further,
-    )
+    kind = ContactReading if "wrench" in given else Reading
+    motion = identity if motion is None else motion[None].to(dtype)
+    return make_reading(observation, motion=motion, dtype=dtype, kind=kind, **given)
 
 
 def follow(pose_filter, belief, *readings, dtype=torch.float64, seed=1000):

@@ -15,8 +15,8 @@ from sdf.posed import posed_distance
 from sdf.primitives import Box, Sphere
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
-from sensors.reading import Reading
 from sensors.semantics import Semantics
+from tests.fixtures.readings import make_reading
 
 F64 = torch.float64
 BOX = Box((0.04, 0.06, 0.1)).double()
@@ -28,20 +28,13 @@ def planar(*xyyaw):
     return se3.from_planar(torch.tensor(xyyaw, dtype=F64), 0.1)
 
 
-def reading(observation, motion=None, tool=None, contact=False, instant=None):
-    batch = observation.points.shape[:-2]
-    identity = se3.identity((*batch, 1), dtype=F64, device="cpu")
-    motion = identity if motion is None else motion
-    count = motion.shape[-3]
-    return Reading(
-        observation,
-        torch.full(observation.semantics.shape, count - 1) if instant is None else instant,
-        identity.expand(*batch, count, 4, 4) if tool is None else tool,
-        torch.full((*batch, count), contact),
-        motion,
-        torch.zeros(*batch, 3, dtype=F64),
-        torch.zeros(batch, dtype=F64),
-    )
+def reading(observation, motion=None):
+    """With measured motion."""
+    return make_reading(observation, motion=still(observation) if motion is None else motion, dtype=F64)
+
+
+def still(observation):
+    return se3.identity((*observation.points.shape[:-2], 1), dtype=F64, device="cpu")
 
 
 def surface(truth, count=40, seed=0):
@@ -117,7 +110,7 @@ def test_points_are_attached_at_their_own_instants():
     for k in range(4):
         points.append(surface(path[k] @ truth, 10, k))
         instant.append(torch.full((10,), k))
-    seen = reading(concatenate(points), path, instant=torch.cat(instant))
+    seen = make_reading(concatenate(points), motion=path, instant=torch.cat(instant), dtype=F64)
     after, memory, _ = run(make(), PoseBelief.uniform(truth[None]), EMPTY, seen)
     assert len(memory) == 40
     assert float(after.discrepancy) < 1e-9
@@ -320,15 +313,7 @@ def test_estimated_motion_recovers_a_slip():
         [[-0.04, y, 0.0] for y in (-0.04, 0.0, 0.04)] + [[x, -0.06, 0.0] for x in (-0.02, 0.0, 0.02)], dtype=F64
     )
     seen = Observation.of(se3.apply(true_motion @ truth, corner), Semantics.SURFACE)
-    one = Reading(
-        seen,
-        torch.ones(6, dtype=torch.long),
-        tool,
-        torch.tensor([True, True]),
-        None,
-        torch.zeros(3, dtype=F64),
-        torch.zeros((), dtype=F64),
-    )
+    one = make_reading(seen, tool=tool, contact=True, dtype=F64)
     start = PoseBelief.uniform(truth[None])
     descent = DescentSettings(iterations=20)
     moved = object_motion("estimated", start, one, MODULE, "SE(2)", descent)[-1] @ truth
@@ -339,20 +324,6 @@ def test_estimated_motion_recovers_a_slip():
     assert float(se3.distance(sticking, true_motion @ truth)[0]) > 0.01
     with pytest.raises(ValueError, match="sticking"):
         object_motion("measured", start, one, MODULE, "SE(2)", descent)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"motion": "guessed"}, "measured, sticking, pushed, estimated, corrected"),
-        ({"unmeasured": "measured"}, "needs no slip sensor"),
-        ({"peakiness": 0.0}, "peakiness"),
-        ({"trigger_percentile": 2.0}, "percentile"),
-    ],
-)
-def test_bad_settings_are_refused(change, message, no_shape_check):
-    with pytest.raises(ValueError, match=message):
-        FilterSettings(**change)
 
 
 def test_one_particle_and_no_points():

@@ -28,6 +28,7 @@ from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
 from sensors.semantics import Semantics
+from tests.fixtures.readings import make_reading
 
 HEIGHT = 0.045
 MUG = Mug()
@@ -43,21 +44,7 @@ def pushed() -> PushedMotion:
 
 
 def reading(path: Tensor, felt: bool = True) -> Reading:
-    empty = Observation.empty()
-    instants, batch = path.shape[-2], path.shape[:-2]
-    if batch:
-        empty = Observation(
-            *(getattr(empty, n).expand(*batch, *getattr(empty, n).shape) for n in Observation.__dataclass_fields__)
-        )
-    return Reading(
-        empty,
-        torch.zeros(*batch, 0, dtype=torch.long),
-        se3.from_planar(path, HEIGHT),
-        torch.full((*batch, instants), felt),
-        None,
-        path[..., -1, :],
-        torch.zeros(batch),
-    )
+    return make_reading(tool=se3.from_planar(path, HEIGHT), contact=felt, configuration=path[..., -1, :])
 
 
 def straight(yaw: float = 0.0, count: int = 20) -> Tensor:

@@ -182,30 +182,6 @@ def test_newcomers_come_near_the_robot_where_contact_was_felt(generator: torch.G
     assert float(after.log_weights[0][near[0]].max() - after.log_weights[0][near[0]].min()) > 1.0
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"trigger": 1.5},
-        {"friction": (0.5, 0.1)},
-        {"jitter_m": (0.0, 0.1)},
-        {"jitter_m": (1e-3, math.inf)},
-        {"jitter_rad_per_m": math.nan},
-        {"noise": -1.0},
-        {"noise": math.nan},
-        {"noise_tails": math.inf},
-        {"overlap_error": 0.0},
-        {"overlap_error": 0.5},
-        {"sweeps": 1.5},
-        {"substeps": 0},
-        {"passes": 0},
-        {"resampling": "luck"},
-    ],
-)
-def test_settings_without_meaning_are_refused(changes: dict[str, object], no_shape_check: None) -> None:
-    with pytest.raises(ValueError, match=next(iter(changes))):
-        TrajectorySettings(**changes)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_where_the_tool_came_down_tells_of_the_object(noise: float) -> None:
     """Blocked, the box stands where the tool came down; not blocked, it does not; and replay keeps what that told."""

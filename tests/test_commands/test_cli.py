@@ -72,13 +72,18 @@ def test_a_run_by_a_budget(thaw):
 
 @pytest.mark.sim
 def test_the_same_seed_gives_the_same_files_and_never_overwrites():
+    Path("a").mkdir()
+    Path("a/notes.txt").write_text("mine")
     run_small("--out", "a")
     run_small("--out", "b")
     for name in ("trace.npz", "belief.npz", "settings.json"):
         assert Path("a", name).read_bytes() == Path("b", name).read_bytes(), name
     first, second = (json.loads(Path(folder, "result.json").read_text()) for folder in "ab")
     assert {**first, "timings_s": 0} == {**second, "timings_s": 0}
+    before = {path.name: path.read_bytes() for path in Path("a").iterdir()}
     assert run_small("--out", "a") == exit_codes.BAD_INPUT
+    assert {path.name: path.read_bytes() for path in Path("a").iterdir()} == before
+    assert before["notes.txt"] == b"mine"
 
 
 @pytest.mark.sim
@@ -109,6 +114,7 @@ def test_an_interrupt_leaves_a_readable_run(monkeypatch, capsys):
         (["mug-0"], "rumi.tasks.rummage.build.build"),
         (["handle", "--record"], "rumi.tasks.handle.build.build_handle"),
         (["peg"], "rumi.tasks.peg.entry.build_peg"),
+        (["touch-box"], "rumi.tasks.touch_box.build.build_touch_box"),
     ],
 )
 def test_an_interrupt_before_there_is_a_result_leaves_no_folder(arguments, work, monkeypatch, capsys):
@@ -154,6 +160,7 @@ def test_figures_are_drawn_and_drawn_again(capsys):
         (["run", "mug-0", "--initialise.particles", "0"], "Expected at least one particle, got 0"),
         (["run", "mug-0", "--planner.mppi.samples", "0"], "samples"),
         (["run", "mug-0", "--out", "file/run"], "Cannot write to the folder file"),
+        (["run", "touch-box", "--out", "file"], "Cannot write to the folder file"),
         (["run"], "usage: rumi run TASK [options]"),
         (["plot", "nowhere"], "There is no run folder nowhere"),
         (["plot"], "RUN"),

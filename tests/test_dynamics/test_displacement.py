@@ -386,20 +386,6 @@ def test_passes_over_what_is_lower() -> None:
     assert bool(model.nominal_rollout(low, over).contact.any())
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"mini_steps": 0}, "mini_steps"),
-        ({"push_angle": 0.0}, "push_angle"),
-        ({"hazard": "never"}, "per_step, per_mini_step"),
-        ({"discs": -1}, "discs"),
-    ],
-)
-def test_refuses_settings_without_meaning(change: dict[str, object], message: str, no_shape_check: None) -> None:
-    with pytest.raises(ValueError, match=message):
-        DisplacementSettings(**change)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("hazard", get_args(Hazard))
 @pytest.mark.parametrize("dtype", [torch.float32, F64])
 def test_versions_agree(hazard: Hazard, dtype: torch.dtype, generator: torch.Generator) -> None:

@@ -94,7 +94,6 @@ def test_rollouts_are_single_pushes_in_a_row(shape: tuple[GridOutline, Support],
                 local = rotated(model.pivot - starts[m, :2], -starts[m, 2])
                 moved = now[0, :2] + rotated(local, now[0, 2]) - model.pivot
                 torch.testing.assert_close(found.displacements[k, m, h + 1, :2], moved, atol=1e-9, rtol=0)
-                assert found.turns is not None
                 assert float(found.turns[k, m, h + 1]) == pytest.approx(float(now[0, 2] - starts[m, 2]), abs=1e-9)
 
 
@@ -108,8 +107,6 @@ def test_versions_agree(
     found = model.rollout(START.to(dtype), controls, rollouts=4)
     with backend.force("torch"):
         plain = model.rollout(START.to(dtype), controls, rollouts=4)
-    assert found.turns is not None
-    assert plain.turns is not None
     # rounding may decide which of two points is the deeper
     off = (found.displacements - plain.displacements).abs().amax((-1, -2)) > (1e-4 if dtype == torch.float32 else 1e-9)
     assert float(off.double().mean()) <= (0.1 if dtype == torch.float32 else 0.0)
@@ -130,20 +127,6 @@ def test_empty_and_single(shape: tuple[GridOutline, Support], sizes: tuple[int, 
     assert not found.contact.any()
 
 
-def test_who_is_not_touched_stays_to_the_bit(shape: tuple[GridOutline, Support], generator: torch.Generator) -> None:
-    model = make(shape, scattered(generator, 20))
-    found = model.rollout(START, walks(generator, 40, 3), rollouts=4)
-    untouched = ~found.touched
-    assert untouched.any()
-    assert not untouched.all()
-    assert found.turns is not None
-    assert float(found.displacements[untouched].abs().max()) == 0
-    assert float(found.turns[untouched].abs().max()) == 0
-    assert float(found.displacements[~untouched][:, -1].norm(dim=-1).min()) > 0
-    # those that touch nothing are the same as the first of them
-    assert torch.equal(found.contact[untouched], torch.zeros_like(found.contact[untouched]))
-
-
 def test_a_push_at_the_middle_goes_straight_and_one_beside_it_turns(shape: tuple[GridOutline, Support]) -> None:
     """Handle away from the tool, so that centre of mass and axis are in line."""
     fine = QuasiStaticSettings(mini_steps=40)
@@ -151,7 +134,6 @@ def test_a_push_at_the_middle_goes_straight_and_one_beside_it_turns(shape: tuple
     ahead = torch.tensor([[[1.0, 0.0, 0.0]] * 2], dtype=torch.float64)
     straight = model.rollout(torch.tensor([0.2, 0.0, 0.0], dtype=torch.float64), ahead, rollouts=1)
     beside = model.rollout(torch.tensor([0.2, 0.045, 0.0], dtype=torch.float64), ahead, rollouts=1)
-    assert straight.turns is not None
     assert beside.turns is not None
     assert bool(straight.contact.any())
     assert abs(float(straight.turns[0, 0, -1])) < 0.02
@@ -167,7 +149,6 @@ def test_a_pull_at_the_handle_brings_it(shape: tuple[GridOutline, Support]) -> N
     behind = torch.tensor([0.475, 0.085, -math.pi / 2], dtype=torch.float64)
     back = torch.tensor([[[-0.5, 0.0, 0.0]] * 4], dtype=torch.float64)
     found = model.rollout(behind, back, rollouts=1)
-    assert found.turns is not None
     assert float(found.displacements[0, 0, -1, 0]) < -0.01
     assert float(found.turns[0, 0, -1]) > 0.2
 
@@ -186,12 +167,6 @@ def test_representatives_are_equal_shares_of_the_weight(generator: torch.Generat
     torch.testing.assert_close(torch.remainder(again - math.pi + 0.5, 2 * math.pi), chosen, atol=1e-9, rtol=0)
 
 
-def test_same_settings_same_rollouts(shape: tuple[GridOutline, Support], generator: torch.Generator) -> None:
-    model, controls = make(shape, scattered(generator, 12)), walks(generator, 8, 4)
-    first, again = (model.rollout(START, controls, rollouts=3) for _ in range(2))
-    assert torch.equal(first.displacements, again.displacements)
-
-
 def test_the_likely_rollout_pushes_the_likeliest_pose(shape: tuple[GridOutline, Support]) -> None:
     poses = torch.tensor([[0.4, 0.3, 0.0], [0.4, 0.0, 0.0]], dtype=torch.float64)
     model = make(shape, poses, torch.tensor([0.4, 0.6], dtype=torch.float64))
@@ -199,7 +174,7 @@ def test_the_likely_rollout_pushes_the_likeliest_pose(shape: tuple[GridOutline, 
     assert bool(model.nominal_rollout(START, ahead).contact.any())
 
 
-def test_the_family_makes_it_and_refuses_tilted_particles() -> None:
+def test_the_family_refuses_tilted_particles() -> None:
     workspace = Workspace.from_bounds(torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]]), 0.02, planar_height=HEIGHT)
     tool = Tool(FREE, height_m=HEIGHT)
     mug = object_model("mug", Mug(), Symmetries.none(), spacing=0.004, points=20)
@@ -207,22 +182,10 @@ def test_the_family_makes_it_and_refuses_tilted_particles() -> None:
     weights = torch.zeros(2).log_softmax(-1)
     fields = information_field(mug.sdf, poses, weights, workspace.points)
     family = PushModels(PushSettings("quasi-static"))
-    model = family.rollouts(mug, poses, weights, tool, workspace, fields)
-    assert isinstance(model, QuasiStaticRollouts)
-    again = family.rollouts(mug, poses, weights, tool, workspace, fields)
-    assert isinstance(again, QuasiStaticRollouts)
-    assert again.sliding.lever == model.sliding.lever
+    assert isinstance(family.rollouts(mug, poses, weights, tool, workspace, fields), QuasiStaticRollouts)
     tilted = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.2, 0.0, 0.0])) @ poses
     with pytest.raises(ValueError, match="upright"):
         family.rollouts(mug, tilted, weights, tool, workspace, fields)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("mini_steps", 0), ("passes", 0), ("lever_ratio", 0.0), ("spacing_m", 0.0), ("friction", -0.1)]
-)
-def test_settings_without_meaning_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=name):
-        QuasiStaticSettings(**{name: value})
 
 
 def test_the_family_chooses_by_what_the_particles_do() -> None:

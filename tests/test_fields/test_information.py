@@ -383,17 +383,6 @@ def test_module_without_a_graph_is_the_function(mug: SDF, beliefs: Beliefs, poin
     close(plain, found)
 
 
-def test_refuses_settings_without_meaning(no_shape_check: None) -> None:
-    with pytest.raises(ValueError, match="surrogate, reverse_kl, forward_kl, sensor_mi"):
-        InformationSettings(mode="mi")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="tolerance to be 0 or more"):
-        InformationSettings(tolerance=-0.001)
-    with pytest.raises(ValueError, match="sharpness"):
-        InformationSettings(sharpness=0.0)
-    with pytest.raises(ValueError, match="tail"):
-        InformationSettings(tail=1.0)
-
-
 @pytest.mark.parametrize("mode", ["reverse_kl", "forward_kl"])
 @only_plain
 def test_poses_that_agree_tell_nothing_however_far_the_point(mode):

@@ -35,8 +35,8 @@ from sdf.primitives import Mug
 from sdf.symmetry import Symmetries
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
-from sensors.reading import Reading
 from sensors.semantics import Semantics
+from tests.fixtures.readings import make_reading
 
 HEIGHT = 0.045
 START = torch.tensor([0.4, 0.0, 0.0])
@@ -81,15 +81,7 @@ def record(
     expected_nll: float = 20.0,
 ) -> StepRecord:
     path = configuration[None] if path is None else path
-    reading = Reading(
-        Observation.empty(),
-        torch.zeros(0, dtype=torch.long),
-        se3.from_planar(path, HEIGHT),
-        torch.zeros(len(path), dtype=torch.bool),
-        motion,
-        configuration,
-        torch.zeros(()),
-    )
+    reading = make_reading(tool=se3.from_planar(path, HEIGHT), motion=motion, configuration=configuration)
     control = None if step == 0 else torch.zeros(3)
     rest = {"expected_nll": expected_nll, "fit": 0.0, "apc": 0.0, "ess": 1.0, "contacts": 0, "resampled": False}
     return StepRecord(
@@ -158,7 +150,6 @@ def test_predicts_what_the_planner_predicted(mug: ObjectModel, workspace: Worksp
     random = torch.Generator().manual_seed(0)
     plan = RummagingPolicy(None, settings).act(PlanRequest(belief(), scene, generator=random))
     told = from_plan([record(0, belief(), near), record(1, belief(), near, plan=plan)], 1)
-    assert told is not None
     situation = Situation(record(0, belief(), near), mug, workspace, tool)
     push = PushModels(PushSettings("displacement", push=settings.push))
     asked = situation.predict(plan.controls[0], settings.information, push)

@@ -106,18 +106,6 @@ def test_first_and_later_plans_are_in_time(scene: Scene, budget_s: float) -> Non
         assert plan.path.shape == (6, 3)
 
 
-def test_an_ample_budget_changes_nothing(scene: Scene) -> None:
-    clock = SimulatedClock()
-    policy = slow_policy(clock)
-    free, _ = act(policy, scene, clock, None)
-    ample, took = act(policy, scene, clock, 10.0)
-    assert torch.equal(free.controls, ample.controls)
-    assert torch.equal(free.path, ample.path)
-    assert {name: ample.info[name] for name in free.info} == free.info
-    assert ample.info["samples"] == 1200
-    assert took < 0.2
-
-
 def test_more_time_is_more_work(scene: Scene) -> None:
     clock = SimulatedClock()
     policy = slow_policy(clock)

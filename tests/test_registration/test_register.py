@@ -98,12 +98,9 @@ def test_starts_are_spread_and_hold_the_points(generator):
     assert float(so3.angle(starts[:, :3, :3].mT @ other[:, :3, :3]).min()) > 1e-3
 
 
-def test_nothing_to_register_and_no_settings_that_cannot_be(generator):
+def test_nothing_to_register(generator):
     with pytest.raises(ValueError, match="points to register"):
         uniform_starts(Observation.empty(), TABLE.bounds, 10, generator=generator)
-    for wrong in ({"kept": 0}, {"starts": 0}, {"polished": 0}, {"plausible": 0.0}):
-        with pytest.raises(ValueError, match=next(iter(wrong))):
-            RegisterSettings(**wrong)
 
 
 def test_given_starts_are_what_is_searched_from():

@@ -9,7 +9,9 @@ pytest.importorskip("pytorch_kinematics")
 
 from rumi.errors import UsageError
 from rumi.robot.urdf import UrdfBody
+from scripts.bench.mug_mesh import write_obj
 from sdf import se3
+from tests.fixtures.meshes import box
 
 ROBOT = """
 <robot name="two">
@@ -29,11 +31,7 @@ JOINTS = {"turn": 0.7, "slide": 0.1, "of another robot": 3.0}
 @pytest.fixture
 def robot(tmp_path):
     """A tip of 20 x 30 x 40 mm from -10, -15, 0 on, as a file in millimetres."""
-    corners = [(x, y, z) for x in (-10, 10) for y in (-15, 15) for z in (0, 40)]
-    quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
-    faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
-    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
-    (tmp_path / "tip.obj").write_text("\n".join(lines))
+    write_obj(box((10, 15, 20), (0, 0, 20)), tmp_path / "tip.obj")
     (tmp_path / "robot.urdf").write_text(ROBOT % MESH)
     return UrdfBody.load(tmp_path / "robot.urdf")
 

@@ -112,20 +112,8 @@ def test_a_recorded_run_can_be_read_by_its_map(tmp_path, monkeypatch, capsys):
     pytest.importorskip("pytorch_kinematics")
     monkeypatch.chdir(tmp_path)
     few = ["--initialise.particles", "12", "--initialise.starts", "24", "--initialise.polished", "12"]
-    asked = [
-        "run",
-        "mug-0",
-        "--simulator.sensors.kind",
-        "bubbles",
-        "--record",
-        "--steps",
-        "1",
-        "--no-figures",
-        "--out",
-        "one",
-        *few,
-    ]
-    main([*asked, "--planner.mppi.samples", "20", "--planner.rollouts", "2"])
+    asked = ["run", "mug-0", "--simulator.sensors.kind", "bubbles", "--record", "--steps", "1", "--no-figures"]
+    main([*asked, "--out", "one", *few, "--planner.mppi.samples", "20", "--planner.rollouts", "2"])
     (tmp_path / "few.toml").write_text(
         (tmp_path / "one/map.toml").read_text()
         + "[settings]\ninitialise = { particles = 12, starts = 24, polished = 12 }\n"

@@ -131,12 +131,6 @@ def test_without_the_library_the_hull_with_a_warning(monkeypatch, caplog):
     assert not caplog.text
 
 
-@pytest.mark.parametrize("wrong", [{"method": "boxes"}, {"concavity": 0.0}, {"iterations": 10}, {"nodes": 1}])
-def test_bad_settings(wrong):
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        ConvexSettings(**wrong)
-
-
 def test_center_of_mass_of_an_ell():
     bars = [((0.05, 0.0, 0.015), 0.1 * 0.03), ((0.015, 0.0, 0.065), 0.07 * 0.03)]
     expected = sum(torch.tensor(c, dtype=torch.float64) * v for c, v in bars) / sum(v for _, v in bars)

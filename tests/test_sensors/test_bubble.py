@@ -8,8 +8,8 @@ import torch
 
 from scripts.bench.known_scenes import SCENES, pressed_bubble
 from sdf import se3
-from sensors.semantics import Semantics
 from sensors.touch.bubble import Bubble, BubbleSettings, bubble_patch
+from tests.fixtures.views import parts
 
 pytest.importorskip("cv2")
 
@@ -23,13 +23,8 @@ def bubble_of(pressed):
     return Bubble.of(pressed.rest, pressed.intrinsics, se3.identity())
 
 
-def parts(patch):
-    observation = patch.observation
-    return (observation.points[observation.of_class(s)] for s in (Semantics.SURFACE, Semantics.FREE))
-
-
 def test_the_mean_filter_keeps_the_patch_within_a_millimetre(pressed):
-    surface, free = parts(bubble_patch(bubble_of(pressed), pressed.depth, se3.identity()))
+    surface, free = parts(bubble_patch(bubble_of(pressed), pressed.depth, se3.identity()).observation)
     assert float(pressed.distance(surface).abs().max()) < 0.001
     assert float(pressed.distance(free).min()) > 0
 
@@ -70,7 +65,7 @@ def test_at_rest_nothing_is_touched_and_all_is_free():
     pressed = pressed_bubble("plane")
     patch = bubble_patch(bubble_of(pressed), pressed.rest, se3.identity())
     assert not bool(patch.contact.any()) and float(patch.deformation.abs().max()) == 0
-    surface, free = parts(patch)
+    surface, free = parts(patch.observation)
     assert len(surface) == 0 and len(free) == len(range(0, 171, 4)) * len(range(0, 224, 4))
     # inside of the membrane by 2 mm
     gap = 0.05 - (free - torch.tensor([0.0, 0.0, 0.025])).norm(dim=-1)
@@ -92,7 +87,7 @@ def test_units_unknown_pixels_and_nothing_seen():
     pressed = pressed_bubble("box")
     bubble = bubble_of(pressed)
     millimetres = (1e3 * pressed.depth).round().to(torch.int32)
-    surface, _ = parts(bubble_patch(bubble, millimetres, se3.identity()))
+    surface, _ = parts(bubble_patch(bubble, millimetres, se3.identity()).observation)
     assert float(pressed.distance(surface).abs().max()) < 0.002
     holed = pressed.depth.clone()
     holed[60:110, 80:140] = 0.0
@@ -116,12 +111,9 @@ def test_millimetres_without_their_unit_are_refused():
     assert not bool(bubble_patch(right, near, eye, BubbleSettings(unit="mm")).contact.any())
 
 
-def test_wrong_images_and_settings_are_refused():
+def test_wrong_images_are_refused():
     pressed = pressed_bubble("box", height=40, width=50)
     with pytest.raises(ValueError, match="size of that at rest"):
         bubble_patch(bubble_of(pressed), torch.zeros(10, 10), se3.identity())
     with pytest.raises(ValueError, match="finite"):
         bubble_patch(bubble_of(pressed), pressed.depth, torch.full((4, 4), math.nan))
-    for wrong in ({"mean_px": 4}, {"top": 0.0}, {"still_m": 0.005}, {"free_stride_px": 0}):
-        with pytest.raises(ValueError, match="Expected"):
-            BubbleSettings(**wrong)

@@ -10,19 +10,13 @@ from sdf import se3
 from sensors.observation import Observation
 from sensors.reading import Reading
 from sensors.semantics import Semantics
+from tests.fixtures.readings import make_reading
 
 
 def reading() -> Reading:
     points = torch.rand(5, 3, generator=torch.Generator().manual_seed(0))
-    return Reading(
-        Observation.of(points, Semantics.FREE),
-        torch.tensor([0, 0, 1, 1, 1]),
-        se3.identity((2,)),
-        torch.zeros(2, dtype=torch.bool),
-        se3.identity((2,)),
-        torch.zeros(3),
-        torch.zeros(()),
-    )
+    identity, instant = se3.identity((2,)), torch.tensor([0, 0, 1, 1, 1])
+    return make_reading(Observation.of(points, Semantics.FREE), tool=identity, motion=identity, instant=instant)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])

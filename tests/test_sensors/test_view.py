@@ -16,17 +16,10 @@ from sensors.vision.depth_filters import EdgeSettings, nearest_about, reliable
 from sensors.vision.images import depth_metres, undistorted
 from sensors.vision.persistence import Persistence
 from sensors.vision.robot_body import RobotBody
-from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
+from sensors.vision.view import Image, KnownScene, view_observation
+from tests.fixtures.views import BOUNDS, HEIGHT, WAYS, WIDTH, parts, seeded
 
 pytest.importorskip("cv2")
-
-HEIGHT, WIDTH = 240, 320
-BOUNDS = torch.tensor([[0.2, -0.2, 0.0], [0.6, 0.2, 0.16]])
-WAYS = {
-    "mask": ViewSettings(),
-    "color": ViewSettings(segmentation="color", hue_deg=(200.0, 260.0)),
-    "plane": ViewSettings(segmentation="plane"),
-}
 
 
 @pytest.fixture(scope="module", params=SCENES)
@@ -45,19 +38,14 @@ def look(scene, depth, settings, **given):
     return view_observation(image, scene.world_T_camera, settings, KnownScene(**known), **given)
 
 
-def seeded(seed):
-    return torch.Generator().manual_seed(seed)
-
-
-def parts(view):
-    observation = view.observation
-    return (observation.points[observation.of_class(s)] for s in (Semantics.SURFACE, Semantics.FREE))
+def parts_of(view):
+    return parts(view.observation)
 
 
 def test_without_the_filter_of_edges_mixed_pixels_are_in_it(scene):
     depth = with_noise(scene.depth, 0.002, lost=0.01, mixed=True, generator=seeded(1))
     off = [
-        float((scene.distance(next(parts(look(scene, depth, settings)))).abs() > 0.006).double().mean())
+        float((scene.distance(parts_of(look(scene, depth, settings))[0]).abs() > 0.006).double().mean())
         for settings in (replace(WAYS["mask"], edges=None), WAYS["mask"])
     ]
     assert off[0] > 2 * off[1]
@@ -161,15 +149,15 @@ def test_the_robot_is_cut_out_of_the_object(scene):
     assert int((torch.isfinite(met) & scene.mask).sum()) > 50
     body = RobotBody([Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.06), 0.008)])
     given = {"mask": mask, "body": body, "world_T_links": world_T_finger[None]}
-    surface, free = parts(look(scene, depth, WAYS["mask"], **given))
+    surface, free = parts_of(look(scene, depth, WAYS["mask"], **given))
     assert float(scene.distance(surface).abs().max()) < 1e-5 and float(scene.distance(free).min()) > 0
-    with_robot, _ = parts(look(scene, depth, WAYS["mask"], mask=mask))
+    with_robot, _ = parts_of(look(scene, depth, WAYS["mask"], mask=mask))
     assert float(scene.distance(with_robot).abs().max()) > 0.01
 
 
 def test_only_what_lies_within_a_box_is_the_object(scene):
     box = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
-    surface, _ = parts(look(scene, scene.depth, WAYS["mask"], within=box))
+    surface, _ = parts_of(look(scene, scene.depth, WAYS["mask"], within=box))
     assert 50 < len(surface) < int(scene.mask.sum()) and float(surface[:, 1].min()) >= 0
 
 
@@ -185,11 +173,11 @@ def test_points_that_last_stay_and_fleeting_ones_do_not():
         mask = scene.mask | (ghost if frame % 6 == 0 else torch.zeros_like(ghost))
         view = look(scene, depth, settings, mask=mask, stamp=frame / 30.0, memory=memory)
         memory = view.memory
-        surface, _ = parts(view)
+        surface, _ = parts_of(view)
         assert not bool(view.surface[ghost].any())
         assert (len(surface) > 0) == (frame >= 12)
         off.append(scene.distance(surface).abs().mean() if len(surface) else None)
-    single, _ = parts(look(scene, depth, replace(WAYS["mask"], cluster=False)))
+    single, _ = parts_of(look(scene, depth, replace(WAYS["mask"], cluster=False)))
     assert len(surface) > 0.85 * len(single)
     # the mean of sixteen frames has a quarter of the noise
     assert off[-1] < 0.4 * scene.distance(single).abs().mean()

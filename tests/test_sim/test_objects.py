@@ -1,7 +1,6 @@
 """The user's own mesh: put upright, checked against the task, described."""
 
 import hashlib
-import math
 from dataclasses import replace
 
 import pytest
@@ -14,8 +13,8 @@ from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
 from scripts.bench.mug_mesh import mug_mesh, write_obj
 from sdf import se3, so3
-from sdf.mesh.mesh import TriangleMesh
 from sdf.primitives import Mug
+from tests.fixtures.meshes import box
 
 pytest.importorskip("trimesh")
 pytest.importorskip("scipy")
@@ -27,12 +26,9 @@ HALF = (0.03, 0.04, 0.06)
 
 
 def box_file(folder, half=HALF, turn=(0.0, 0.0, 0.0), at=(0.0, 0.0, 0.0), name="box.obj"):
-    signs = torch.tensor([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=torch.float64)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = torch.tensor([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
     pose = se3.make(so3.exp(torch.tensor(turn, dtype=torch.float64)), torch.tensor(at, dtype=torch.float64))
     path = folder / name
-    write_obj(TriangleMesh(signs * torch.tensor(half, dtype=torch.float64), faces).moved(pose), path)
+    write_obj(box(half).moved(pose), path)
     return path
 
 
@@ -125,22 +121,6 @@ def test_what_does_not_fit_the_task(tmp_path, cache):
     with pytest.raises(UsageError, match=r"at least 23 mm high.*--upright"):
         fits((0.05, 0.05, 0.01))
     fits((0.22, 0.05, 0.05), scale=0.5)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ({"scale": 0.0, "mesh": "a.obj"}, "scale"),
-        ({"mass_kg": -1.0}, "mass"),
-        ({"friction": math.inf}, "friction"),
-        ({"scale": 0.001}, "give --mesh"),
-        ({"upright": (0.0, 0.0, 90.0)}, "give --mesh"),
-        ({"mesh": "a.obj", "upright": (0.0, math.nan, 0.0)}, "upright"),
-    ],
-)
-def test_bad_settings(wrong, said):
-    with pytest.raises(UsageError, match=said):
-        ObjectSettings(**wrong)
 
 
 def test_a_task_with_a_mesh(tmp_path, cache):

@@ -197,15 +197,12 @@ def test_the_grippers_links_are_its_shape():
     assert float(pad.distance(torch.zeros(1, 3))) == pytest.approx(-0.018)
 
 
-def test_settings_and_flags(no_shape_check):
+def test_settings_and_flags():
     faulty = preset(simulator=SimSettings(sensors=degraded("both")))
     assert from_dict(to_dict(faulty)) == faulty
     plain = parse(["mug-0", "--simulator.sensors.kind", "camera", "--simulator.sensors.lost", "0.2"])[2].settings
     assert plain.simulator.sensors == SensorSettings("camera", lost=0.2)
     assert preset().simulator.sensors.kind == "points"
-    for wrong in ({"kind": "ears"}, {"lost": 1.0}, {"turned_about": "me"}, {"membrane_m": 0.0}):
-        with pytest.raises(UsageError):
-            SensorSettings(**wrong)
 
 
 def test_a_camera_alone_may_be_sure_without_a_contact(arm_tool, mug):

@@ -299,9 +299,3 @@ def test_bad_control(task, control, no_shape_check):
     task.reset(0)
     with pytest.raises(ValueError, match="control"):
         task.step(torch.tensor(control))
-
-
-@pytest.mark.parametrize("wrong", [{"time_step_s": 0.0}, {"mini_steps": 0}, {"mini_steps": 1000}, {"contact_m": -1.0}])
-def test_bad_settings(wrong):
-    with pytest.raises(UsageError, match=next(iter(wrong))):
-        SimSettings(**wrong)

@@ -39,7 +39,6 @@ def ready(settings: TorqueSettings, start: np.ndarray, friction: float = 0.4) ->
     arm.seed(1000)
     arm.put_box(torch.tensor([0.5, 0.1, 0.0]))
     joints = arm.kinematics.follow(start)
-    assert joints is not None
     arm.stand(joints[0], 0.01)
     arm.rest(0.1, joints[0])
     return arm, joints
@@ -71,7 +70,6 @@ def test_inverse_kinematics_reaches_what_can_be_reached() -> None:
     kinematics = ArmKinematics(ArmPhysics())
     path = line((0.35, 0.2, 0.0), (0.55, 0.1, 0.0), 0.4, 9)
     joints = kinematics.follow(path)
-    assert joints is not None
     assert np.abs(joints).max() < max(ArmGeometry().limits_rad)
     for row, pose in zip(joints, path, strict=True):
         assert kinematics.pose(row) == pytest.approx(pose, abs=2e-4)

@@ -139,12 +139,7 @@ def test_of_a_log_that_was_cut_short_the_start_is_replayed(log_of_before, as_com
     assert code == BAD_INPUT and "cut.h5" in said.err
 
 
-def test_what_is_not_there_is_named(as_command, tool, tmp_path):
-    code, said = as_command("nothing.h5")
-    assert code == BAD_INPUT and "There is no log nothing.h5" in said.err
-    (tmp_path / "run").mkdir()
-    code, said = as_command("run")
-    assert code == BAD_INPUT and "is no run folder" in said.err
+def test_no_readings_are_refused(tool):
     with pytest.raises(UsageError, match="nothing to replay"):
         replay([], build_agent(SETTINGS, tool=tool), seed=0)
 

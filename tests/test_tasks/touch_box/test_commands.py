@@ -46,29 +46,6 @@ def test_figures_are_drawn():
     assert Path("again/pokes.png").read_bytes() == Path("own/figures/pokes.png").read_bytes()
 
 
-@pytest.mark.parametrize("out", ["file", "file/run"])
-def test_a_folder_that_cannot_be_written_is_refused_before_the_run(out, monkeypatch, capsys):
-    monkeypatch.setattr("rumi.tasks.touch_box.build.build_touch_box", lambda *a, **k: pytest.fail("it was begun"))
-    Path("file").write_text("in the way")
-    assert main(["run", "touch-box", *QUICK, "--out", out]) == BAD_INPUT
-    said = capsys.readouterr().err
-    assert f"Cannot write to the folder {out}" in said and "give another one" in said
-
-
-def test_a_folder_with_a_run_is_refused_and_other_files_stay(capsys):
-    Path("own").mkdir()
-    Path("own/notes.txt").write_text("mine")
-    assert main(["run", "touch-box", *QUICK, "--no-figures", "--out", "own"]) in (
-        DONE,
-        NOT_CONVERGED,
-    )
-    assert Path("own/notes.txt").read_text() == "mine"
-    before = Path("own/result.json").read_bytes()
-    assert main(["run", "touch-box", *QUICK, "--out", "own"]) == BAD_INPUT
-    assert "own holds a run already" in capsys.readouterr().err
-    assert Path("own/result.json").read_bytes() == before
-
-
 def test_an_interrupt_leaves_the_pokes_that_were_done(monkeypatch, capsys):
     from rumi.tasks.touch_box.planar_robot import PlanarRobot
 
@@ -86,15 +63,6 @@ def test_an_interrupt_leaves_the_pokes_that_were_done(monkeypatch, capsys):
     assert json.loads(Path("own/settings.json").read_text())["seed"] == 2001
     _, poke = (line for line, _ in read_lines(Path("own/steps.jsonl")))
     assert len(poke["readings"]) == len(done[0].contact)
-
-
-def test_an_interrupt_before_the_first_poke_leaves_no_folder(monkeypatch):
-    def interrupt(*arguments, **named):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("rumi.tasks.touch_box.build.build_touch_box", interrupt)
-    assert main(["run", "touch-box", *QUICK]) == INTERRUPTED
-    assert not list(Path("runs").iterdir())
 
 
 @pytest.mark.parametrize(
