@@ -24,7 +24,7 @@ from rumi.registration.from_contacts import LocalizeSettings
 from rumi.registration.register import RegisterSettings
 from rumi.sim.sensor_settings import SensorSettings
 from rumi.sim.settings import PhysicsSettings, SimSettings
-from rumi.tasks.handle.settings import FusedSettings
+from rumi.tasks.handle.settings import HandleSettings
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.rummage.objects import ObjectSettings
 from rumi.tasks.rummage.settings import Settings
@@ -103,8 +103,9 @@ REFUSED = [
     Refused(SensorSettings, None, [{"turned_about": "me"}, {"membrane_m": 0.0}], UsageError),
     Refused(PhysicsSettings, None, [{"mass_kg": 0.0}, {"friction": 0.0}], UsageError),
     Refused(SimSettings, None, [{"time_step_s": 0.0}, *one("mini_steps", 0, 1000), {"contact_m": -1.0}], UsageError),
-    Refused(FusedSettings, None, [{"sensors": ()}, {"steps": 0}], UsageError),
-    Refused(FusedSettings, None, [*one("run_budget_s", 0.0, INF, NAN), *one("thinking_s", -1.0, INF, NAN)], UsageError),
+    Refused(HandleSettings, None, [{"sensors": ()}, {"steps": 0}], UsageError),
+    Refused(HandleSettings, None, [*one("run_budget_s", 0.0, INF, NAN)], UsageError),
+    Refused(HandleSettings, None, one("thinking_s", -1.0, INF, NAN), UsageError),
     Refused(PegSettings, "some blocks are never met", one("lane_m", 0.13)),
     Refused(ObjectSettings, "scale", [{"scale": 0.0, "mesh": "a.obj"}], UsageError),
     Refused(ObjectSettings, "mass", one("mass_kg", -1.0), UsageError),
