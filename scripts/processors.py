@@ -2,8 +2,8 @@
 
     python -m scripts.processors          # a table of rumi/default, seeds 0-9, a row a processor
 
-A row comes from `rumi reproduce table5 --methods rumi --presets default --results scripts/results/runs.jsonl`
-elsewhere, or under `ATEN_CPU_CAPABILITY=default NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= MKL_CBWR=COMPATIBLE`.
+A row comes from `rumi reproduce table5 --methods rumi --presets default --results scripts/results/runs.jsonl` on it, or
+under `ATEN_CPU_CAPABILITY=default NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= MKL_CBWR=COMPATIBLE`.
 """
 
 from collections import defaultdict
