@@ -1,4 +1,4 @@
-"""Time kernels: how alike two instants' controls are, by the steps between them."""
+"""Time kernels: similarity of the controls at two instants by the steps between them."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What is sampled, and how it becomes controls: MPPI, SMPPI and KMPPI differ by a matrix."""
+"""Parameterizations of control sequences: a matrix from samples to controls for MPPI, SMPPI and KMPPI."""
 
 import torch
 from jaxtyping import Float

@@ -1,4 +1,4 @@
-"""An objective from dynamics that are given one step at a time."""
+"""Objective of a rollout whose dynamics are given one step at a time."""
 
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace

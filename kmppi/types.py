@@ -1,4 +1,4 @@
-"""What sampling MPC is set by, starts from and gives back."""
+"""Settings, warm start and results of sampling model predictive control."""
 
 import math
 from collections.abc import Callable

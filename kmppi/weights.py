@@ -1,4 +1,4 @@
-"""From the costs of the samples to their weights."""
+"""Importance weights of samples from their costs."""
 
 import torch
 from jaxtyping import Float

@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 class Lattice(NamedTuple):
-    """Where the nodes of a table are.
+    """Lattice of a table: the positions of its nodes.
 
     Attributes:
         axes: along x, y and z, metres, float64.

@@ -24,7 +24,7 @@ from sdf.symmetry import Symmetries
 
 @dataclass(frozen=True)
 class MeshSource:
-    """Which mesh an object is, and how its frame lies in it.
+    """Source mesh of an object, and the pose of the object's frame in it.
 
     Attributes:
         file: name of the file, without its folder.

@@ -1,4 +1,4 @@
-"""The processor, and which code the libraries choose for it: two processors may round a result otherwise."""
+"""Processor identification: the instruction sets by which the libraries choose code that may round otherwise."""
 
 import hashlib
 import platform

@@ -1,4 +1,4 @@
-"""Public names of a package that are loaded when they are first asked for, so that importing it alone stays light."""
+"""Lazy public names of a package, loaded at their first use, so that importing it alone stays light."""
 
 import sys
 from collections.abc import Callable, Mapping

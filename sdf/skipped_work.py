@@ -80,7 +80,7 @@ def account() -> Iterator[Account]:
 
 
 def kept() -> bool:
-    """Whether anyone keeps an account, so that counting is worth its time."""
+    """Whether an account is kept, so that counting is worth its time."""
     return not torch.compiler.is_compiling() and _kept.get() is not None
 
 

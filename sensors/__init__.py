@@ -1,4 +1,4 @@
-"""Measurements of a robot's sensors: what they say about space, and how likely they are at a pose of the object.
+"""Measurements of a robot's sensors, and their likelihoods given the pose of an object.
 
     observation = sensors.view_observation(sensors.Image(depth, intrinsics, mask=mask), world_T_camera).observation
     contact = sensors.wrench_contact(wrench, tool, noise.covariance())

@@ -1,4 +1,4 @@
-"""A reading of sensors that feel more than points: touches with normals and covariance, and contact signals."""
+"""Reading with contacts beside points: contact points with normals and covariance, and binary contact signals."""
 
 from dataclasses import dataclass, field, fields, replace
 from typing import Self

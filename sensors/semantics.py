@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 
 class Semantics(IntEnum):
-    """What is known of a point; the value is its index in every `(…, 3)` semantics axis."""
+    """Semantic class of a point; the value is its index in every `(…, 3)` semantics axis."""
 
     FREE = 0
     OCCUPIED = 1

@@ -1,1 +1,1 @@
-"""The belief over the object's pose and how it follows readings."""
+"""Beliefs over an object's pose, and the filters that update them."""

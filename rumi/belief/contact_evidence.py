@@ -1,4 +1,4 @@
-"""Evidence of contact: points with normals that a wrench tells, and contact signals of joints.
+"""Evidence of contact: points with normals from wrenches, and binary contact signals of joints.
 
 Both are kept in the frame that rides with the object, as the points of the memory are: they stay true when it moves.
 """

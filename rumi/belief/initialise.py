@@ -1,4 +1,4 @@
-"""The first belief: all plausible poses of the object under the first view."""
+"""Initial belief: all plausible poses of the object under the first view."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,7 @@ from sensors.observation import Observation
 
 @dataclass(frozen=True)
 class InitialiseSettings:
-    """How the first belief is found.
+    """Settings of the initial belief.
 
     Attributes:
         particles: P, number of pose particles.

@@ -81,7 +81,7 @@ def corrected_motion(
         reading: of the action.
         discrepancy: that the correction makes less.
         search: of poses.
-        descent: how.
+        descent: method and iterations of the fit.
     """
     total = motion[..., -1, :, :]
     best = belief.discrepancy.argmin(-1)[..., None, None, None]

@@ -28,7 +28,7 @@ from sensors.reading import Reading
 
 @dataclass(frozen=True)
 class FilterSettings:
-    """How the belief follows the readings.
+    """Settings of the pose filter.
 
     Attributes:
         peakiness: lambda, nats per metre of discrepancy (Eq 10).
@@ -99,7 +99,7 @@ class FilterSettings:
 
 
 class FilterInfo(NamedTuple):
-    """What a filter step did.
+    """Diagnostics of a filter step.
 
     Attributes:
         moved: (*b), whether the object moved.
@@ -121,7 +121,7 @@ class PoseFilter(nn.Module):
     follows the points alone.
 
     Args:
-        settings: how.
+        settings: of the posterior, its motion model, resampling and descent.
         evidence: measurement models, in the order in which their evidence is summed. The first is that of semantic
             points: C^, with the settings' scale and tolerance. A new kind of evidence is one more `EvidenceModel`.
         search: "SE(2)" or "SE(3)".

@@ -1,4 +1,4 @@
-"""Reinitialisation: particles drawn anew by all evidence, at the first contact and to verify a belief that is sure."""
+"""Reinitialisation: new particles by all evidence, at the first contact and to verify a sure belief."""
 
 from dataclasses import dataclass, field, replace
 
@@ -11,7 +11,7 @@ from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.registration.archive import fill
 from rumi.registration.descent import DescentSettings, retract
-from rumi.registration.register import RegisterSettings, pose_cells, register, thinned
+from rumi.registration.register import RegisterSettings, pose_cells, register, subsample
 from rumi.seeding import Generators, normal
 from rumi.weights import boltzmann
 from sdf import se3
@@ -26,7 +26,7 @@ _STEPS = [(0.005 * 0.8**k, 0.1 * 0.8**k) for k in range(12)]
 
 @dataclass(frozen=True)
 class ReinitialiseSettings:
-    """How particles are drawn anew from the prior; without a prior nothing is.
+    """Settings of reinitialisation from the prior; without a prior there is none.
 
     A resampling can lose a mode that no observation refutes, and the optimiser does not find it again.
 
@@ -146,7 +146,7 @@ def refine_poses(
     if evidence is None:
         return attached_T_object
     surface = here.of_class(Semantics.SURFACE)
-    here = concatenate([here[surface], thinned(here[here.valid & ~surface], _FREE)])
+    here = concatenate([here[surface], subsample(here[here.valid & ~surface], _FREE)])
     poses, cost = attached_T_object, pose_filter.cost(attached_T_object, here, evidence)
     shifts, turns = (2, 1) if pose_filter.search == "SE(2)" else (3, 3)
     for shift_m, turn_rad in _STEPS:

@@ -1,4 +1,4 @@
-"""State space of something fixed in the plane: steps within it, and differences."""
+"""State space of a fixed planar object: increments and differences of states."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Resample-move particle filter of something that does not move: readings weigh it, and nothing else changes it.
+"""Resample-move particle filter of a static state: readings weigh it, and nothing else changes it.
 
 Without motion there is nothing to predict and no noise to add (time allocation, Eq. 1). Where few particles keep all
 weight, they are copied and moved by Metropolis's rule against all readings so far, which leaves the posterior as it is:
@@ -85,7 +85,7 @@ class StaticBelief:
 
 
 class ResampleMoveInfo(NamedTuple):
-    """What an update did.
+    """Diagnostics of an update.
 
     Attributes:
         ess: effective sample size after weighing.

@@ -101,7 +101,7 @@ class TrajectorySettings:
 
 
 class StepInfo(NamedTuple):
-    """What a filter step did, for each run.
+    """Diagnostics of a filter step, for each run.
 
     Attributes:
         ess: (R), before resampling.
@@ -123,7 +123,7 @@ class TrajectoryFilter:
         pusher: the tool.
         model: of the contact signal.
         prior: over start poses.
-        settings: see there.
+        settings: of particles, resampling and moves.
         carrier: how the tool moves the objects; quasi-statically by default.
     """
 
@@ -164,7 +164,7 @@ class TrajectoryFilter:
         Args:
             belief: before that action.
             history: all actions, the new one last.
-            generator: all randomness.
+            generator: of the random draws.
             resample: False leaves the weights as the readings have them.
         """
         action = history[-1]

@@ -1,1 +1,1 @@
-"""Push models: what a motion of the robot does to itself and to the object."""
+"""Push models: predicted motion of the robot and of the object that it pushes."""

@@ -40,7 +40,7 @@ class Pusher(NamedTuple):
 
 
 class PathOutcome(NamedTuple):
-    """What a tool path did to E objects.
+    """Outcome of a tool path for E objects.
 
     Attributes:
         track: (E, K, 3), pose (x, y, yaw) after each instant.

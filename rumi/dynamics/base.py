@@ -17,7 +17,7 @@ from sdf.object_model import ObjectModel
 
 
 class Paths(NamedTuple):
-    """What the robot and the object do in some rollouts, after each of H actions.
+    """Paths of the robot and the object in some rollouts, after each of H actions.
 
     Attributes:
         configurations: (*b, H, Q), where the robot is.
@@ -100,7 +100,7 @@ class RolloutModel(Protocol):
             configuration: where the robot is now.
             controls: in [-1, 1].
             rollouts: M, how often to draw each sequence.
-            generator: all randomness.
+            generator: of the random draws.
         """
         ...
 

@@ -1,4 +1,4 @@
-"""Where the robot would touch the object, and which way the object's surface faces there."""
+"""Contact field of a belief: probability of contact and expected surface normal at every place of the tool."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -8,7 +8,7 @@ import torch.nn.functional as nnf
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.tool_lookup import TiedField
+from rumi.dynamics.tool_lookup import ToolField
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.normal import expected_normal
 from rumi.fields.workspace import Workspace
@@ -19,7 +19,7 @@ from sdf.voxel_grid import VoxelGrid
 
 @dataclass(frozen=True, eq=False)
 class ContactField:
-    """What a push model asks of a belief.
+    """Contact field of a belief, as a push model reads it.
 
     Attributes:
         probability: (X, Y, Z), that a robot point there touches the object: 1 - p(free).
@@ -68,7 +68,7 @@ class ContactBound:
     def __init__(self, probability: VoxelGrid, centres_t: Float[Tensor, "D A"], radius: float) -> None:
         if centres_t.shape[-1] == 3:
             self.grid, self.centres_t = _spread_in_space(probability, radius), centres_t
-            self._field = TiedField(self.grid, centres_t, "nearest", spatial=True)
+            self._field = ToolField(self.grid, centres_t, "nearest", spatial=True)
             return
         highest = probability.values.amax(2)
         cells = radius / probability.spacing
@@ -76,7 +76,7 @@ class ContactBound:
         origin = probability.origin - probability.spacing * probability.origin.new_tensor([*map(float, margin), 0.0])
         self.grid = VoxelGrid(filtered[..., None], origin, probability.spacing)
         self.centres_t = torch.cat((centres_t, torch.zeros_like(centres_t[:, :1])), -1)
-        self._field = TiedField(self.grid, self.centres_t, "nearest")
+        self._field = ToolField(self.grid, self.centres_t, "nearest")
 
     def __call__(self, features: Float[Tensor, "E F"]) -> Float[Tensor, "E"]:
         """Greatest contact probability that any tool point can have, for each row of `planar_features`."""

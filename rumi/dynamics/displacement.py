@@ -13,7 +13,7 @@ from torch import Tensor
 from rumi.dynamics.along_path import PathMotion, PathPush, displace_along_path
 from rumi.dynamics.base import PushDefaults, PushModel, PushRollouts
 from rumi.dynamics.contact import ContactBound, ContactField
-from rumi.dynamics.tool_lookup import TiedField, at_height, planar_features, world_height
+from rumi.dynamics.tool_lookup import ToolField, at_height, planar_features, world_height
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.robot.gripper import GripperShape
@@ -111,7 +111,7 @@ class DisplacementRollouts:
     Args:
         field: where contact is likely, and the normals.
         tool: points and free-space motion.
-        settings: see there.
+        settings: of contact, sliding and mini steps.
     """
 
     def __init__(self, field: ContactField, tool: Tool, settings: DisplacementSettings | None = None) -> None:
@@ -123,8 +123,8 @@ class DisplacementRollouts:
             height = float(self.points[0, 2])
             probability, normal = at_height(probability, height), at_height(normal, height)
         self.grids = (probability, normal)
-        self._probability = TiedField(probability, self.points, spatial=spatial)
-        self._normal = TiedField(normal, self.points, spatial=spatial)
+        self._probability = ToolField(probability, self.points, spatial=spatial)
+        self._normal = ToolField(normal, self.points, spatial=spatial)
         self.bound: ContactBound | None = None
         if self.settings.discs:
             centres, radius = tool.covering_discs(self.settings.discs)

@@ -1,4 +1,4 @@
-"""Outlines that a tool meets at its height, and what of an object's shape decides how it slides."""
+"""Outlines of an object at the height of the tool, and its support on the floor."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -101,7 +101,7 @@ class GridOutline:
 
 
 class Support(NamedTuple):
-    """Where and how widely an object rests on the floor.
+    """Support of an object on the floor: its centre and extent.
 
     Attributes:
         centre: (2,), below the centre of mass, object frame, metres.

@@ -80,7 +80,7 @@ class QuasiStaticRollouts:
         tool: points and free-space motion.
         world_T_object: (N, 4, 4), upright poses.
         log_weights: (N), of the poses.
-        settings: see there.
+        settings: friction, limit surface and mini steps of a push.
     """
 
     def __init__(
@@ -217,7 +217,7 @@ class QuasiStaticPush(PushModel):
     Keeps what it needs of the object's shape, which does not change in a run.
 
     Args:
-        settings: see there.
+        settings: friction, limit surface and mini steps of a push.
     """
 
     defaults = PushDefaults(reachability_scale=4.0, rollouts=8)

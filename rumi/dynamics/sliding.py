@@ -1,4 +1,4 @@
-"""How a touched object slides on the floor: ellipsoidal limit surface, Coulomb contact, one small motion at a time.
+"""Quasi-static sliding of a touched object: ellipsoidal limit surface and Coulomb contact, one small motion at a time.
 
 Slow pushing: inertia plays no part, and the floor's friction resists the object's twist by a wrench on an ellipsoid,
 f^2 + (m / c)^2 = const, of which c is a length. Twists are normal to it, so that a contact force f at the lever r from
@@ -30,7 +30,7 @@ class OutlineQuery(NamedTuple):
 
 @runtime_checkable
 class Outline(Protocol):
-    """What of an object a tool meets at its height: a closed region of the plane, without cavities."""
+    """Outline of an object at the height of a tool: a closed region of the plane, without cavities."""
 
     @property
     def radius(self) -> float:
@@ -43,7 +43,7 @@ class Outline(Protocol):
 
 
 class Sliding(NamedTuple):
-    """What decides how an object slides; one value or one for each object.
+    """Parameters of sliding; one value or one for each object.
 
     Attributes:
         centre: (*b, 2), centre of friction in the object's frame, metres.
@@ -136,7 +136,7 @@ def push(
     thickness: float = 0.0,
     passes: int = 3,
 ) -> tuple[Float[Tensor, "E 3"], Bool[Tensor, "E"]]:
-    """Where one small motion of a tool leaves the objects that it meets, and whether it met them.
+    """Poses of objects after one small motion of a tool, and whether it met them.
 
     The tool goes where it wants. In each pass the point that is deepest in the object pushes it out: the touched point
     of the object moves along the normal by the depth, and across it, if the contact sticks, with the tool. Several

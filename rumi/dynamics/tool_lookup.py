@@ -102,7 +102,7 @@ class FieldSampler:
         return values.reshape(self.values.shape[1], *place.shape[:2])
 
 
-class TiedField:
+class ToolField:
     """A lattice field, looked up at points that are tied to a level tool; see `FieldSampler`.
 
     Args:

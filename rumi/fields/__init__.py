@@ -1,1 +1,1 @@
-"""Maps over the workspace."""
+"""Fields over the workspace: information, semantics and expected normals."""

@@ -1,4 +1,4 @@
-"""What is known of every workspace point, and how much touching it would say about the object's pose."""
+"""Information field: posterior semantics of every workspace point, and its information about the object's pose."""
 
 import math
 from collections.abc import Callable
@@ -41,7 +41,7 @@ class WorkspaceFields(NamedTuple):
 
 @dataclass(frozen=True)
 class InformationSettings:
-    """How semantics and information follow from signed distances.
+    """Settings of the information field.
 
     Attributes:
         mode: `surrogate` is the paper's field (Eq 23), first order in the discrepancy, not zero where all
@@ -171,7 +171,7 @@ def information_field(
         world_T_object: (*b, N, 4, 4), poses.
         log_weights: (*b, N), normalised.
         points_w: (V, 3), the same for every scene of a batch.
-        settings: see there.
+        settings: of the semantics' sensor model and of what is skipped.
         parameters: override single settings by floats or tensors (gradients reach tensors).
 
     Raises:

@@ -1,4 +1,4 @@
-"""Which way the object's surface is expected to face at every workspace point."""
+"""Expected surface normal at every workspace point under a belief."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The lattice of world points on which fields live."""
+"""Workspace: the lattice of world points on which fields live."""
 
 import math
 from dataclasses import dataclass

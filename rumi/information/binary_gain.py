@@ -1,4 +1,4 @@
-"""What a motion is expected to tell by touch, exact over both outcomes of a binary reading (touch-only, Alg 1)."""
+"""Expected information gain of a motion by touch, exact over both outcomes of a binary reading (touch-only, Alg 1)."""
 
 import math
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from sdf.check import check_shape
 
 
 class BinaryOutcome(NamedTuple):
-    """What one binary reading does to the weights.
+    """Expected information of one binary reading.
 
     Attributes:
         contact: (*b), probability that the reading says contact.
@@ -81,7 +81,7 @@ def _binary(p: float) -> float:
 
 
 class ExpectedGain(NamedTuple):
-    """What candidate motions are worth; entry t of a step axis is after t + 1 steps.
+    """Expected information gain of candidate motions; entry t of a step axis is after t + 1 steps.
 
     Attributes:
         weights: (C, T), gain of the weights term, which one reading at that step brings.

@@ -31,7 +31,7 @@ TouchLikelihood = Callable[[Tensor, Tensor], Tensor]
 
 
 class Outcomes(NamedTuple):
-    """What a motion leads to in each state, wherever on its way that is.
+    """Outcomes of a motion in each state: the first contact on its way, or none.
 
     Attributes:
         kind: (*b, N), of `ContactKind`; all but a touch tell no more than itself.

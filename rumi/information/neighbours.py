@@ -21,7 +21,7 @@ _BYTES = 64 << 20
 
 @dataclass(frozen=True)
 class StateMetric:
-    """How far two states are apart, the same at all times, so that entropies can be compared.
+    """Metric of states, the same at all times, so that entropies can be compared.
 
     Metres and radians have no common unit: a neighbour by raw numbers is a neighbour in yaw alone.
 
@@ -107,7 +107,7 @@ def unique_states(
 
 
 class Neighbours(NamedTuple):
-    """What lies around each state.
+    """Neighbours of each state.
 
     Attributes:
         sides: (*b, N, D), of the tight box about its nearest, 0 for states that do not count.

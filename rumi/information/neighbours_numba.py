@@ -1,4 +1,4 @@
-"""The fused CPU versions of merging and neighbours; `states.py` has the definition."""
+"""The compiled CPU versions of merging and neighbours; `neighbours.py` has the definition."""
 
 import math
 

@@ -197,7 +197,7 @@ class MassRule:
 
 
 class StopEvidence(NamedTuple):
-    """What a rule may stop by; nothing of the truth.
+    """Evidence for a stopping rule; nothing of the truth.
 
     Attributes:
         expected_nll: that the belief expects of itself, nats.

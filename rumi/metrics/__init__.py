@@ -1,1 +1,1 @@
-"""How good a belief is, and how sure to be of an experiment."""
+"""Metrics of beliefs, and confidence intervals of experiments."""

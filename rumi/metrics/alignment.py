@@ -1,4 +1,4 @@
-"""How well observations lie on a model at a known pose, and which small motion would lay them on it: calibration."""
+"""Alignment of observations with a model at a known pose, and the small motion that improves it: calibration."""
 
 import math
 from dataclasses import dataclass

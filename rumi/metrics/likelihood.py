@@ -1,4 +1,4 @@
-"""How likely the belief makes the true surface, and how likely it thinks its own (RUMI, Eqs 2, 33-36)."""
+"""Likelihood of the true surface under a belief, and the one that the belief expects (RUMI, Eqs 2, 33-36)."""
 
 from typing import NamedTuple
 
@@ -40,7 +40,7 @@ def negative_log_likelihood(
 
 
 class SelfAgreement(NamedTuple):
-    """How much a belief agrees with itself.
+    """Agreement of a belief with itself.
 
     Attributes:
         expected_nll: (*b), the nll that the belief expects if it is right: sum_j w_j nll(T_j), nats.

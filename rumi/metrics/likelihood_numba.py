@@ -1,4 +1,4 @@
-"""The fused CPU version of a belief's agreement with itself; `likelihood.py` has the definition."""
+"""The compiled CPU version of a belief's agreement with itself; `likelihood.py` has the definition."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Distance between poses of an object that may look the same turned."""
+"""Pose error: distance between poses of an object up to its symmetries."""
 
 from jaxtyping import Float
 from torch import Tensor

@@ -1,1 +1,1 @@
-"""Choosing the next actions."""
+"""Policies: the choice of the next actions."""

@@ -1,4 +1,4 @@
-"""Choose a sensing action in the time there is, thinking and motion together (time allocation, Alg. 1, corrected)."""
+"""Anytime selection of a sensing action, thinking and motion timed together (time allocation, Alg. 1, corrected)."""
 
 import math
 import time
@@ -54,7 +54,7 @@ class Evaluated(NamedTuple):
 
 @dataclass(frozen=True)
 class Selection(Generic[A]):
-    """What was decided, and how the time went.
+    """Result of an anytime selection: the decision, and the time that it took.
 
     Attributes:
         candidate: what to do; None to stay.

@@ -1,4 +1,4 @@
-"""What a planned motion is worth: the information that its path would gather (RUMI, Eq 29)."""
+"""Information cost of trajectories: the information that a path would gather (RUMI, Eq 29)."""
 
 import itertools
 from dataclasses import dataclass
@@ -139,7 +139,7 @@ def _cells(information: VoxelGrid, points_t: Float[Tensor, "M 3"], spatial: bool
 def _gathered(
     cells: Cells, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"], discount: float
 ) -> Float[Tensor, "R"]:
-    """Worth of the cells that each path's points meet, discounted from the first meeting."""
+    """Information of the cells that each path's points meet, discounted from the first meeting."""
     value, (rollouts, horizon) = cells.value, configurations.shape[:2]
     wide, deep, layers = value.shape
     features = planar_features(configurations, displacements)

@@ -1,4 +1,4 @@
-"""GPVR: go where a Gaussian-process implicit surface is least sure of itself (RUMI, V-H)."""
+"""GPVR policy: go where a Gaussian-process implicit surface has the greatest variance (RUMI, V-H)."""
 
 import math
 import time

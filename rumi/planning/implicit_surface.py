@@ -1,4 +1,4 @@
-"""A Gaussian process whose zero level is the object's surface, and how unsure it is of each point (RUMI, V-H)."""
+"""Gaussian-process implicit surface: a zero level set with a variance at each point (RUMI, V-H)."""
 
 import importlib
 import math
@@ -22,7 +22,7 @@ _LEAST_NOISE = 1e-4
 
 
 class Labelled(NamedTuple):
-    """What a process is fitted to.
+    """Training points of a Gaussian process, with their labels.
 
     Attributes:
         points: (N, 3), metres, float64.

@@ -22,7 +22,7 @@ Gathered = Callable[[Float[Tensor, "R H Q"], Float[Tensor, "R H 3"]], Float[Tens
 
 @dataclass(frozen=True)
 class Objective:
-    """What a policy plans for under one belief: the cost of motions, and what each of their actions gathers.
+    """Objective of a policy under one belief: the cost of motions, and the information that each action gathers.
 
     Attributes:
         cost: of each control sequence (K,), from its rollouts.

@@ -1,4 +1,4 @@
-"""What a policy is given and what it gives back."""
+"""Policy: the protocol of a planner, its request and its plan."""
 
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Protocol, runtime_checkable
@@ -19,7 +19,7 @@ from sensors.reading import Reading
 
 @dataclass(frozen=True)
 class Scene:
-    """What a policy may know of the scene beside the belief: nothing of the truth.
+    """Scene as a policy may know it beside the belief: nothing of the truth.
 
     Attributes:
         model: the object's shape.
@@ -40,7 +40,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a policy decided, with what it can start from next time.
+    """Plan of a policy: controls, the predicted path and a warm start for the next plan.
 
     Attributes:
         controls: (T, A) in [-1, 1], the next ones first.
@@ -74,7 +74,7 @@ class PlanRequest:
         executed: how many controls of `previous` were carried out.
         budget_s: seconds that planning may take, or None for as long as it needs; the plan is the best that there was
             time for.
-        generator: all randomness; by default one of seed 0.
+        generator: of the random draws; by default one of seed 0.
     """
 
     belief: PoseBelief
@@ -88,7 +88,7 @@ class PlanRequest:
 
 @runtime_checkable
 class Policy(Protocol):
-    """Chooses the next controls from the belief; RUMI and every baseline is one."""
+    """Policy: chooses the next controls from the belief; RUMI and every baseline is one."""
 
     def act(self, request: PlanRequest) -> Plan:
         """Plan from the belief."""

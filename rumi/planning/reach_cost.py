@@ -1,4 +1,4 @@
-"""What moving the object costs: information pushed to where the robot does not reach (RUMI, Alg 8)."""
+"""Reachability cost: information that is pushed to where the robot does not reach (RUMI, Alg 8)."""
 
 import math
 

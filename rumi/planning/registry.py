@@ -1,4 +1,4 @@
-"""The policies by name: RUMI, its ablations and the baselines."""
+"""Registry of policies by name: RUMI, its ablations and the baselines."""
 
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable

@@ -1,4 +1,4 @@
-"""RUMI's policy: plan motions that gather information and keep the object within reach."""
+"""RUMI's policy: plans that gather information and keep the object within reach."""
 
 import time
 from dataclasses import replace
@@ -41,7 +41,7 @@ class RummagingPolicy:
 
     Args:
         reachability: r(x) of every workspace point in [0, 1] (Eq 30); may be None where reachability_scale is 0.
-        settings: see there.
+        settings: of sampling, costs and the push model.
         now: the clock that budgets are held against.
     """
 
@@ -268,7 +268,7 @@ class RummagingPolicy:
 
 
 class PlanningModel(NamedTuple):
-    """What one plan judges motions by.
+    """Model of one plan: the fields, rollouts and costs that it evaluates motions by.
 
     Attributes:
         particles: that it is made of.

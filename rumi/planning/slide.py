@@ -1,4 +1,4 @@
-"""Slide along the object: the heuristic that RUMI is compared with (RUMI, V-H)."""
+"""Slide policy: the heuristic baseline that follows the object's surface (RUMI, V-H)."""
 
 import math
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class SlidePolicy:
     decision takes a millisecond, whatever the budget.
 
     Args:
-        settings: see there.
+        settings: stride, press and yaw of the motions.
     """
 
     def __init__(self, settings: SlideSettings | None = None) -> None:
@@ -127,7 +127,7 @@ def contact_normal(belief: PoseBelief, scene: Scene, centre: Float[Tensor, "3"])
     The mean over the particles of the normal at the felt points' middle; where they do not agree on any, or it is
     vertical, the direction from the centre to there.
     """
-    where = _felt_place(scene).to(belief.log_weights)
+    where = _contact_place(scene).to(belief.log_weights)
     poses, log_weights = belief.world_T_object, belief.log_weights
     mean = expected_normal(scene.model.sdf, poses, log_weights, where[None])[0, :2]
     for way in (mean, (where - centre)[:2]):
@@ -138,7 +138,7 @@ def contact_normal(belief: PoseBelief, scene: Scene, centre: Float[Tensor, "3"])
     return -torch.stack((yaw.cos(), yaw.sin()))
 
 
-def _felt_place(scene: Scene) -> Float[Tensor, "3"]:
+def _contact_place(scene: Scene) -> Float[Tensor, "3"]:
     """Middle of the surface points of the last instant that lie nearest to the pads; the pads' where there are none."""
     reading, pads = scene.reading, scene.tool.info_points(scene.configuration)
     assert reading is not None

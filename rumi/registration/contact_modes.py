@@ -1,4 +1,4 @@
-"""The modes that poses make: what is alike put together, weighed, and how far each may be off."""
+"""Modes of a pose posterior: clusters of poses with weights and uncertainties."""
 
 import math
 from dataclasses import dataclass

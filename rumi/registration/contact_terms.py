@@ -1,4 +1,4 @@
-"""How badly poses fit touches, and which way is better: the sums that a descent on touches needs."""
+"""Residuals of poses against contact points, with the gradient and normal equations of a Gauss-Newton descent."""
 
 import math
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ NOISE_M = (1e-9, 1e3)
 
 @dataclass(frozen=True)
 class LocalizeSettings:
-    """How poses are looked for.
+    """Settings of registration from contacts.
 
     Attributes:
         starts: poses that the descent starts from.
@@ -39,7 +39,7 @@ class LocalizeSettings:
         fine: steps of that descent, on distances.
         noise_m: how far touches are off, the scale of a Laplace distribution, within `NOISE_M`; by default what the
             best pose leaves, and `least_noise_m` at least.
-        least_noise_m: see there.
+        least_noise_m: lower bound of an estimated `noise_m`.
         normal_noise_rad: how far normals are off, a standard deviation (the paper's 6 degrees).
         mode_m, mode_rad: poses nearer to each other than both, up to the object's symmetries, are one mode.
         plausible: least likelihood of a mode that is kept, relative to the best.
@@ -81,7 +81,7 @@ class LocalizeSettings:
 
 @dataclass(frozen=True)
 class TouchFit:
-    """What is summed over the touches.
+    """Loss of the fit of poses to touches.
 
     Attributes:
         loss: "square" for half the squared distance, "absolute" for the distance.

@@ -1,4 +1,4 @@
-"""The sums of `touch_terms`, one pose after the other, compiled for the CPU; `touch_terms.py` has the definition."""
+"""The compiled CPU version of the sums of `contact_terms`, pose by pose; `contact_terms.py` has the definition."""
 
 import math
 

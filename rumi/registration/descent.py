@@ -20,7 +20,7 @@ SEARCHES: tuple[str, ...] = ("SE(2)", "SE(3)")
 
 @dataclass(frozen=True)
 class DescentSettings:
-    """How poses are optimised.
+    """Settings of the descent of poses.
 
     Attributes:
         method: "gauss-newton" (damped, exact objective of Eqs 7-9) or "adam" (the paper's and CHSEL's).
@@ -84,7 +84,7 @@ def descend(
         frame_T_object: starts, (*b, N, 4, 4).
         observation: points in the same frame.
         search: "SE(2)" keeps height and tilt, "SE(3)" moves all.
-        settings: how.
+        settings: method, iterations and damping.
     """
     if search not in SEARCHES:
         raise ValueError(f"Expected search to be one of {', '.join(SEARCHES)}, got {search!r}")

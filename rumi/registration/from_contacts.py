@@ -1,4 +1,4 @@
-"""Where an object is, from points that were touched on it: starts all over, descent, all modes that explain them."""
+"""Registration from contact points: global starts, descent, and all modes that explain the points."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +30,7 @@ _TURNS = 997  # that the starts' orientations may be turned by, all of them alik
 
 
 class PositionPrior(NamedTuple):
-    """Where the origin of the mesh's frame may be: a box.
+    """Prior of the position of the mesh's frame: uniform in a box.
 
     Attributes:
         center: (3,), metres.

@@ -1,4 +1,4 @@
-"""All plausible poses of an object under some points: starts, descent, archive of orientations, descent, selection."""
+"""Global registration: all plausible poses of an object under points, by starts, descent and an orientation archive."""
 
 import math
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from sensors.semantics import Semantics
 
 @dataclass(frozen=True)
 class RegisterSettings:
-    """How poses are looked for.
+    """Settings of global registration.
 
     Attributes:
         kept: number of poses that are kept.
@@ -145,7 +145,7 @@ def register(
         seen = concatenate([sample, drawn(observation, others, settings.coarse_free, generator=generator)])
     poses = descend(discrepancy, starts, seen, search, settings.coarse)
     # the sample stands for all surface points, the free points for themselves
-    free = thinned(observation[others], 8000)
+    free = subsample(observation[others], 8000)
     coarse = scale * discrepancy(poses, sample) + discrepancy(poses, free) * (len(others) / max(len(free), 1))
     if further is not None:
         coarse = coarse + further(poses)
@@ -236,7 +236,7 @@ def drawn(observation: Observation, index: Tensor, count: int, *, generator: tor
     return observation[index[shuffled[:count]].sort().values]
 
 
-def thinned(observation: Observation, count: int) -> Observation:
+def subsample(observation: Observation, count: int) -> Observation:
     """At most `count` of the points, evenly over their order."""
     if len(observation) <= count:
         return observation

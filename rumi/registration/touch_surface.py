@@ -1,4 +1,4 @@
-"""A mesh as localisation by touch needs it: triangles, a table of near ones, and what it is symmetric to."""
+"""Mesh for registration from contacts: triangles, a tree of them, and its symmetries."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ _TOLERANCE = 0.01  # of the diagonal, to which symmetries hold
 
 @dataclass(frozen=True, eq=False)
 class TouchSurface:
-    """What is touched, in a frame whose origin is the middle of the mesh's box.
+    """Surface of a mesh for contacts, in a frame whose origin is the middle of the mesh's box.
 
     Attributes:
         middle_o: (3,), that origin in the mesh's own frame, metres.

@@ -1,4 +1,4 @@
-"""The robot arm that sets how far the tool gets: its kinematics and batched inverse kinematics."""
+"""Robot arm: kinematics and batched inverse kinematics, which set how far the tool gets."""
 
 import math
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class ArmGeometry:
 
 
 class IKResult(NamedTuple):
-    """What inverse kinematics found, one row a goal.
+    """Result of inverse kinematics, one row a goal.
 
     Attributes:
         joints: (n, J), radians, within the limits.

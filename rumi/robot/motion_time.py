@@ -1,4 +1,4 @@
-"""How long motions take that start and end at rest, with a limit on speed and on acceleration."""
+"""Durations of motions that start and end at rest under limits on speed and acceleration."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Where the arm can take the tool, and how well it reaches the points of the workspace (RUMI, IV-H)."""
+"""Reachability: configurations that the arm reaches, and the reachability field r(x) of the workspace (RUMI, IV-H)."""
 
 import itertools
 import math
@@ -42,7 +42,7 @@ def reachability(
 
 
 class Reach(nn.Module):
-    """What the arm's inverse kinematics leaves over for a level tool at (x, y, yaw).
+    """Residual of the arm's inverse kinematics for a level tool at (x, y, yaw).
 
     A lookup in a table over (distance from the base's axis, yaw relative to the radial direction); `solve_table`
     says why two axes are enough. Beyond the table and outside its sector errors grow by the way back to it.

@@ -1,4 +1,4 @@
-"""The table of what the arm's inverse kinematics leaves over, and its cache on disk."""
+"""Table of the residuals of the arm's inverse kinematics, and its cache on disk."""
 
 import json
 import logging
@@ -38,7 +38,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ReachSettings:
-    """How the reach of the arm is worked out.
+    """Settings of the table of reach.
 
     Attributes:
         arm: the arm's geometry.

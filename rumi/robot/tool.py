@@ -1,4 +1,4 @@
-"""The tool that a planner moves: its points at a configuration, and where a command takes it in free space."""
+"""Tool of a planner: its points at a configuration, and its motion in free space."""
 
 from typing import Any
 

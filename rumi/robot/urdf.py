@@ -1,4 +1,4 @@
-"""A robot's body from its URDF: collision shapes as links, and where they are at measured joints."""
+"""Robot body from a URDF: collision shapes of links, and forward kinematics at measured joints."""
 
 import math
 import xml.etree.ElementTree as ElementTree

@@ -104,7 +104,7 @@ class Frames:
 
 @dataclass(frozen=True)
 class SceneMap:
-    """What is known of the object's place; metres in the belief's own frame: the world with its floor and origin at 0.
+    """Prior knowledge of the object's place; metres in the belief's frame: the world with its floor and origin at 0.
 
     Attributes:
         builtin: name of one of rumi's objects ("mug", "box", "drill"), where [object] names no mesh.
@@ -145,7 +145,7 @@ class ToolMap:
 
 @dataclass(frozen=True)
 class ViewMap:
-    """How clouds and depth images are read: see `sensors.vision.view.ViewSettings`."""
+    """Settings of clouds and depth images: see `sensors.vision.view.ViewSettings`."""
 
     segmentation: Literal["color", "plane"] = "plane"
     hue_deg: tuple[float, float] = (0.0, 360.0)
@@ -161,7 +161,7 @@ class ViewMap:
 
 @dataclass(frozen=True)
 class Actions:
-    """How a recording is cut into readings.
+    """Division of a recording into readings.
 
     Attributes:
         view_s: seconds from the start within which the first view is taken, while nothing moves.
@@ -254,7 +254,7 @@ def read_mapping(path: Path | str) -> BagMap:
 
 
 def mapping_of(text: str, name: str = "the mapping") -> BagMap:
-    """What a mapping file's text says; see `read_mapping`."""
+    """Mapping of a file's text; see `read_mapping`."""
     try:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -17,7 +17,7 @@ MOST_READINGS = 100_000
 
 
 class Span(NamedTuple):
-    """What is used of a recording.
+    """Span of a recording that is used.
 
     Attributes:
         start_ns: the first stamp.
@@ -69,7 +69,7 @@ def span_of(log: Log, mapping: BagMap, frames: FrameTree) -> Span:
 
 
 def reading_starts(span: Span, mapping: BagMap, notes: list[str]) -> range:
-    """When each reading after the first view begins, ns.
+    """Start of each reading after the first view, ns.
 
     Raises:
         UsageError: there would be too many.

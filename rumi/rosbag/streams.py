@@ -42,7 +42,7 @@ def _topic_of(stream: Stream, mapping: BagMap) -> Topic | None:
 
 
 def role_of(stream: Stream, mapping: BagMap) -> str:
-    """What a stream is used as: what the mapping says, else what it was imported as."""
+    """Role of a stream: the mapping's, else the one that it was imported with."""
     config = _topic_of(stream, mapping)
     return str(stream.about.get("role", "")) if config is None else config.role
 

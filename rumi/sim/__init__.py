@@ -1,1 +1,1 @@
-"""MuJoCo scenes, the gripper in them, what its sensors report, and the tasks by name."""
+"""Simulation in MuJoCo: scenes, the gripper, its sensors, the arm under torque control."""

@@ -1,4 +1,4 @@
-"""What an arm's model has wrong, from motions in free air: masses of links and friction of joints, by least squares."""
+"""Calibration of an arm's dynamics by least squares: masses of links and friction of joints from free motions."""
 
 from typing import NamedTuple
 
@@ -42,7 +42,7 @@ class Window(NamedTuple):
 
 
 class Correction(NamedTuple):
-    """What to change of a model.
+    """Correction of an arm's dynamics model.
 
     Attributes:
         factors: (7,), of the links' masses.

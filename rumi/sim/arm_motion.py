@@ -1,4 +1,4 @@
-"""Where the joints of the arm go so that its hand, pointing down, goes where it should."""
+"""Joint trajectories of the arm for a hand that points down."""
 
 import math
 from typing import Any, NamedTuple

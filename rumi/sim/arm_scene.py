@@ -1,4 +1,4 @@
-"""The arm under torque control in MuJoCo: links with mass, motors, a hand of two fingers, and a box on the floor."""
+"""MuJoCo scene of the arm under torque control: links with mass, motors, two fingers, and a box on the floor."""
 
 import math
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ FINGERS = ("left", "right")
 
 @dataclass(frozen=True)
 class ArmPhysics:
-    """What the arm is made of.
+    """Physical parameters of the arm.
 
     Attributes:
         geometry: lengths, axes and limits; its bent tool is left out, the hand points down.

@@ -1,4 +1,4 @@
-"""What an object is made of in the simulator; one entry a kind of shape."""
+"""Bodies of simulated objects: collision geometry, mass and inertia, one entry a kind of shape."""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""A simulated soft bubble over a pad: a membrane that clings to what is pressed into it, and a camera inside."""
+"""Simulated soft bubble over a pad: a membrane that clings to what is pressed into it, and a camera inside."""
 
 import math
 

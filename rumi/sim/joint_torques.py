@@ -1,4 +1,4 @@
-"""What the joints of the arm that carries the gripper feel: its torques for a motion, and an observer's signals.
+"""Simulated joint torques of the arm that carries the gripper, and contact signals of a momentum observer.
 
 The gripper of the scene flies; the arm is put behind it afterwards. Its joints follow the gripper (inverse kinematics),
 the torques are those that the true arm needs for that motion and for the force of contact (inverse dynamics), and what

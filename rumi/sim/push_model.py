@@ -1,4 +1,4 @@
-"""The push model that is MuJoCo: many rollouts at once, the same to the bit with any number of threads."""
+"""Push model by MuJoCo: many rollouts at once, equal to the bit with any number of threads."""
 
 import math
 from collections.abc import Callable

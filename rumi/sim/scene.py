@@ -1,4 +1,4 @@
-"""The MuJoCo model: a floor, an object that stands free on it, and a gripper that flies at one height or at any."""
+"""MuJoCo scene: a floor, an object that stands free on it, and a gripper that flies at one height or at any."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""Through which sensors the simulator reports, and how well they work."""
+"""Settings of the simulated sensors: which there are, and their errors."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""How the simulator steps and what its sensors report."""
+"""Settings of the simulator: time steps, sensors and physics."""
 
 import math
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""A simulated slip sensor: how far the object has moved, with noise."""
+"""Simulated slip sensor: the measured motion of the object, with noise."""
 
 import torch
 from jaxtyping import Float

@@ -1,4 +1,4 @@
-"""The simulated world: MuJoCo behind a few plain calls."""
+"""Simulated world: MuJoCo behind a few plain calls."""
 
 import math
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ _LEVER_M = 0.1  # of a turn of the gripper, by which angles are measured against
 
 
 class Track(NamedTuple):
-    """Where gripper and object were at the end of each mini step.
+    """Track of gripper and object: their poses at the end of each mini step.
 
     Attributes:
         configuration: (K, Q), measured x, y, in space z, and yaw of the gripper.

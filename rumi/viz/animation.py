@@ -1,4 +1,4 @@
-"""A run as a moving picture."""
+"""Animation of a run."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a run knew over its steps."""
+"""Curves of a run: its metrics over the steps."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING

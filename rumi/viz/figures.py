@@ -58,7 +58,7 @@ def telling_steps(run: Run, count: int = 4) -> list[int]:
 
 
 def heading(run: Run) -> str:
-    """What was run and how it ended."""
+    """Title of a run: its task, method and outcome."""
     asked = [str(run.settings[name]) for name in ("task", "method", "preset") if name in run.settings]
     seed = f", seed {run.settings['seed']}" if "seed" in run.settings else ""
     if run.result is None:

@@ -1,4 +1,4 @@
-"""Observations drawn over the model that they should lie on: from above, from the front and from the side."""
+"""Overlay of observations on their model: from above, from the front and from the side."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""The scene from above: what is believed, what was seen, what is worth touching and where the tool went."""
+"""Scene from above: the belief, the observations, the information field and the tool's path."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -177,7 +177,7 @@ def draw_truth(step: StepRecord, geometry: SceneGeometry, ax: "Axes") -> "Axes":
 
 
 def draw_path(steps: Sequence[StepRecord], geometry: SceneGeometry, ax: "Axes") -> "Axes":
-    """Where the tool went, where it touched, and where it is."""
+    """Draw the tool's path, its contacts and its present place."""
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Polygon
 

@@ -1,4 +1,4 @@
-"""One look for all figures: colours that colour-blind readers tell apart, and readable fonts."""
+"""Style of all figures: colours that colour-blind readers tell apart, and readable fonts."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement import TIE, DisplacementSettings
-from rumi.dynamics.tool_lookup import TiedField, placement, planar_features, world_height
+from rumi.dynamics.tool_lookup import ToolField, placement, planar_features, world_height
 from rumi.robot.tool import Tool
 from sdf.voxel_grid import VoxelGrid
 
@@ -33,7 +33,7 @@ def roll_out(
     draws = uniforms.expand(samples, rollouts, horizon, mini).reshape(count, horizon, mini)
     controls = controls.repeat_interleave(rollouts, 0)
     points = world_height(tool.body, tool.height_m).to(field.probability.values)
-    probability, normal = TiedField(field.probability, points), TiedField(field.normal, points)
+    probability, normal = ToolField(field.probability, points), ToolField(field.normal, points)
     q, moved = configuration.expand(count, 3), controls.new_zeros(count, 3)
     states, displacements = [q], [moved]
     for action in range(horizon):

@@ -24,7 +24,7 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ConvexSettings:
-    """How finely a mesh is taken apart.
+    """Settings of the convex decomposition.
 
     Attributes:
         method: "pieces", "hull" for the convex hull of all of it, or "auto": pieces where coacd is installed, else

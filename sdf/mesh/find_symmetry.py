@@ -26,7 +26,7 @@ _CHUNK = 1 << 18
 
 
 class FoundSymmetries(NamedTuple):
-    """What was found.
+    """Symmetries of an object, with the tolerance at which they were detected.
 
     Attributes:
         symmetries: the rotations.

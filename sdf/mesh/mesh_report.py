@@ -34,7 +34,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class MeshReport:
-    """What a mesh is like.
+    """Report on a mesh: its size, its defects and their repair.
 
     Attributes:
         vertices: number of vertices, those on each other merged.

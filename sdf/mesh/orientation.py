@@ -17,7 +17,7 @@ _OPEN = 0.3
 
 @dataclass(frozen=True)
 class Orientation:
-    """What was found about which side is out.
+    """Statistics of the orientation of a mesh's faces.
 
     Attributes:
         parts: number of parts, of faces joined by edges that two of them share.

@@ -1,4 +1,4 @@
-"""Interior faces of a mesh: those inside of other parts, which are no surface."""
+"""Interior faces of a mesh: faces inside of other parts, which are no part of the surface."""
 
 import numpy as np
 import torch

@@ -20,7 +20,7 @@ _FLAT = 1e-6
 
 @dataclass(frozen=True)
 class Repaired:
-    """What a mesh was turned into, and what was found on the way.
+    """Repaired mesh, with the defects that were found.
 
     Attributes:
         solid: all faces, oriented outward, and those that close openings.

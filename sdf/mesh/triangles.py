@@ -22,7 +22,7 @@ ACCURACY = 3.0
 
 
 class Nearest(NamedTuple):
-    """Where on some triangles it is nearest.
+    """Nearest points on some triangles.
 
     Attributes:
         face: (*b), index of the triangle.

@@ -21,7 +21,7 @@ from sensors.force.tool_surface import ToolSurface
 
 
 class WrenchStatus(IntEnum):
-    """What a wrench is taken for; the last three are of no single touch of the tool."""
+    """Classification of a wrench; the last three are of no single touch of the tool."""
 
     NONE = 0
     """The force is below the threshold."""
@@ -66,7 +66,7 @@ class WrenchNoise:
 
 @dataclass(frozen=True)
 class WrenchSettings:
-    """When a wrench counts as a touch.
+    """Settings of contact detection by a wrench.
 
     Attributes:
         least_force_n: a force below it is none.
@@ -91,7 +91,7 @@ class WrenchSettings:
 
 
 class WrenchContact(NamedTuple):
-    """Where a tool was touched, in the sensor's frame; zeros where the force is below the threshold.
+    """Contact of a tool by a wrench, in the sensor's frame; zeros where the force is below the threshold.
 
     Attributes:
         point_s: (*b, 3), on the tool, metres. Of an impossible wrench the best guess.

@@ -17,7 +17,7 @@ from sdf.check import check_finite, check_shape
 
 
 class DynamicsTerms(NamedTuple):
-    """What a robot's equation of motion holds at a configuration.
+    """Terms of a robot's equation of motion at a configuration.
 
     Attributes:
         mass: (*b, J, J), mass matrix, with the motors' inertia.
@@ -38,7 +38,7 @@ class RobotDynamics(Protocol):
 
 
 class ObserverState(NamedTuple):
-    """Where an observer is after a sample.
+    """State of a momentum observer after a sample.
 
     Attributes:
         residual: (*b, J), the filtered external torque, N m.
@@ -194,7 +194,7 @@ def residuals(
 
 @dataclass(frozen=True)
 class TorqueThreshold:
-    """When a residual is a contact signal: the norm of its first joints, from what it is at rest, above a threshold.
+    """Threshold of a contact signal, on the norm of the first joints' residual from its value at rest.
 
     The last joints' torques say little (their levers are short) and are as noisy.
 

@@ -21,7 +21,7 @@ _STEPS = 64
 
 
 class LineIntersection(NamedTuple):
-    """Where lines first meet a surface.
+    """First intersections of lines with a surface.
 
     Attributes:
         point: (*b, 3), on the surface, metres; where the line misses it, a point next to where it comes nearest.

@@ -1,4 +1,4 @@
-"""Reader of a log, also of one that still grows, was killed, was cut short or is damaged here and there."""
+"""Reader of a log, also of one that still grows, was killed, was cut short or is damaged."""
 
 import json
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ __all__ = ["Log", "Sample", "Stream", "Taken"]
 
 @dataclass(frozen=True)
 class Taken:
-    """What a run took in with one step.
+    """Recorded step of a run: its reading and the action that led to it.
 
     Attributes:
         reading: as the belief got it.

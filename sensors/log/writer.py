@@ -29,7 +29,7 @@ _END_BYTES = 1 << 16
 
 
 class Odd(enum.IntFlag):
-    """What is odd about a stamp.
+    """Irregularities of a stamp.
 
     A late row is put in its place when it is read; the others are left out of what a belief is made from.
     """

@@ -19,7 +19,7 @@ from sensors.vision.images import Unit, depth_metres, known, opencv
 
 @dataclass(frozen=True)
 class BubbleSettings:
-    """How a bubble's image is read (RUMI, V.C).
+    """Settings of the contact patch of a bubble's image (RUMI, V.C).
 
     Attributes:
         contact_m: deformation beyond which the membrane may touch something.
@@ -102,7 +102,7 @@ class Bubble:
 
 
 class BubblePatch(NamedTuple):
-    """What a bubble's image says.
+    """Contact patch of a bubble's image.
 
     Attributes:
         observation: world points: surface ones of the patch, then free ones inside of the membrane at rest.

@@ -14,7 +14,7 @@ from sdf.mesh.triangles import Triangles
 
 @dataclass(frozen=True)
 class TouchNoise:
-    """How far a touch is off.
+    """Noise of a touch: its point and its normal.
 
     Attributes:
         point_m: sigma_p, metres.

@@ -13,7 +13,7 @@ from sensors.vision.images import known, opencv
 
 @dataclass(frozen=True)
 class EdgeSettings:
-    """Which pixels a camera cannot be trusted at.
+    """Settings of the edge filter of a depth image.
 
     Attributes:
         jump_m: depths of neighbours that differ by more, beyond what a slanted surface explains, are an edge. Seven

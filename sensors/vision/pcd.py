@@ -11,7 +11,7 @@ _AT_ORIGIN = ["0", "0", "0", "1", "0", "0", "0"]
 
 
 class PCDFile(NamedTuple):
-    """What a file holds.
+    """Contents of a PCD file.
 
     Attributes:
         columns: values by field; fields of several values a point are (M, count), padding is left out.

@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 class PersistentSurface(NamedTuple):
-    """What has lasted.
+    """Persistent surface of a depth image.
 
     Attributes:
         lasting: (H, W), pixels that have shown one surface for long enough.
@@ -23,7 +23,7 @@ class PersistentSurface(NamedTuple):
 
 @dataclass(frozen=True)
 class Persistence:
-    """How long each pixel has shown the same surface; goes from one frame's call to the next.
+    """Memory of the persistence filter: the age of each pixel's surface; goes from one frame's call to the next.
 
     Kept for the n pixels alone that show something.
 

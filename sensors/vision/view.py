@@ -25,7 +25,7 @@ Segmentation = Literal["mask", "color", "plane"]
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """How a camera's frame is read.
+    """Settings of the conversion of a camera's frame to points.
 
     Attributes:
         segmentation: the object is a given "mask", has a "color", or is what stands on a "plane".
@@ -101,7 +101,7 @@ class Image:
 
 @dataclass(frozen=True)
 class KnownScene:
-    """What is known of the scene when an image is taken.
+    """Prior knowledge of the scene of an image: the robot's body and bounds.
 
     Attributes:
         plane: that the object stands on, camera frame; None fits it, which draws from a generator.

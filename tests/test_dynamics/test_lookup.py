@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from rumi.dynamics.contact import ContactBound
-from rumi.dynamics.tool_lookup import FieldSampler, TiedField, at_height, placement, planar_features
+from rumi.dynamics.tool_lookup import FieldSampler, ToolField, at_height, placement, planar_features
 from sdf import backend
 from sdf.voxel_grid import VoxelGrid
 
@@ -46,7 +46,7 @@ def test_tied_look_up_is_the_grids_interpolation(shape: tuple[int, ...], generat
     features = planar_features(q, d)
     expected = grid.interpolate(placed(points, q, d))
     expected = expected[..., None] if len(shape) == 3 else expected
-    field = TiedField(grid, points)
+    field = ToolField(grid, points)
     torch.testing.assert_close(field(features), expected.movedim(-1, 0), atol=1e-9, rtol=0)
     index = torch.randint(30, (len(q),), generator=generator)
     one = expected[torch.arange(len(q)), index]
