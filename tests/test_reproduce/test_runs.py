@@ -15,11 +15,11 @@ from tests.fixtures.made_up_run import make_up
 
 @pytest.fixture
 def closed(monkeypatch):
-    """A task and a rummager that are there in name only; how often the task was closed."""
+    """A task and an agent that are there in name only; how often the task was closed."""
     found = []
     parts = SimpleNamespace(
         task=SimpleNamespace(close=lambda: found.append(True)),
-        rummager=SimpleNamespace(model=SimpleNamespace(diagonal=0.2)),
+        agent=SimpleNamespace(model=SimpleNamespace(diagonal=0.2)),
     )
     monkeypatch.setattr(runs, "build", lambda settings, cache_dir: parts)
     return found
@@ -28,12 +28,12 @@ def closed(monkeypatch):
 def test_a_belief_without_weight_is_a_result(monkeypatch, closed):
     first = replace(make_up(1).steps[0], nll=12.5, apc=0.0123456789, expected_nll=float("nan"))
 
-    def lost(task, rummager, *, seed, steps, on_step):
+    def lost(task, agent, *, seed, steps, on_step):
         on_step(first)
         on_step(replace(first, nll=30.0))
         raise DegenerateBeliefError("no weight left")
 
-    monkeypatch.setattr(runs, "rummage", lost)
+    monkeypatch.setattr(runs.loop, "run", lost)
     found = runs.carry_out(preset(task="mug-0"), Path("cache"))
     figures = found["figures"]
     assert (figures["stopped_by"], figures["right"], figures["steps"]) == ("degenerate", False, 1)
@@ -46,7 +46,7 @@ def test_a_belief_without_weight_is_a_result(monkeypatch, closed):
 
 def test_an_interrupted_run_is_none(monkeypatch, closed):
     result = replace(make_up(1).result, stopped_by="interrupted")
-    monkeypatch.setattr(runs, "rummage", lambda *_, **__: result)
+    monkeypatch.setattr(runs.loop, "run", lambda *_, **__: result)
     with pytest.raises(KeyboardInterrupt):
         runs.carry_out(preset(task="mug-0"), Path("cache"))
     assert closed == [True]

@@ -113,7 +113,7 @@ def test_the_command(log, tmp_path, monkeypatch, capsys, bags):
     assert len(run.steps) == 6
     assert run.settings["filter"]["motion"] == "sticking"
     (tmp_path / "short.toml").write_text(bags.MAP.replace("every_s = 1.1", "every_s = 2.2"))
-    main(["replay", "--map", "short.toml", "--filter.motion", "estimated", "--out", "other", str(log)])
+    main(["replay", str(log), "--map", "short.toml", "--filter.motion", "estimated", "--out", "other"])
     assert len(load_run("other").steps) < 6
 
 

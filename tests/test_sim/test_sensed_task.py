@@ -208,7 +208,7 @@ def test_settings_and_flags():
 def test_a_camera_alone_may_be_sure_without_a_contact(arm_tool, mug):
     for kind, contacts in (("camera", 0), ("bubbles", 1), ("points", 1)):
         settings = preset(simulator=SimSettings(sensors=SensorSettings(kind)))
-        assert build_rummager(SCENES["mug-0"], settings, mug, arm_tool).stop.contacts == contacts
+        assert build_rummager(SCENES["mug-0"], settings, mug, arm_tool).stop_rule.contacts == contacts
 
 
 def test_a_task_without_a_camera_is_refused(arm_tool, mug):

@@ -215,4 +215,4 @@ def test_unmeasured_motion_is_estimated(shelf_mug):
     printed = build_rummager(shelf_mug.spec, preset("paper", task="shelf-mug"), shelf_mug.model, shelf_mug.tool)
     assert printed.filter.settings.motion == "estimated"
     still = build_rummager(find_task("mug-0"), settings, shelf_mug.model, shelf_mug.tool)
-    assert still.filter.settings.motion == "measured" and still.stop == settings.stop
+    assert still.filter.settings.motion == "measured" and still.stop_rule == settings.stop
