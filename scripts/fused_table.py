@@ -242,7 +242,7 @@ def settings_of(name: str) -> HandleSettings:
 def stamp(name: str) -> str:
     """Of the settings."""
     # results on record are kept under the names that settings had then
-    told = repr(settings_of(name))
+    told = repr(settings_of(name)).replace("HandleSettings(", "FusedSettings(")
     for former, now in FORMER_KEYS["HandleSettings"].items():
         told = told.replace(f"{now}=", f"{former}=")
     return hashlib.sha256(told.encode()).hexdigest()[:8]

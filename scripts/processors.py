@@ -2,8 +2,8 @@
 
     python -m scripts.processors          # a table of rumi/default, seeds 0-9, a row a processor
 
-A row comes from `rumi reproduce table5 --methods rumi --presets default --results scripts/results/runs.jsonl` on it, or
-under `ATEN_CPU_CAPABILITY=default NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= MKL_CBWR=COMPATIBLE`.
+A row comes from `rumi reproduce table5 --methods rumi --presets default --results FILE` on it,
+or under `ATEN_CPU_CAPABILITY=default NUMBA_CPU_NAME=generic NUMBA_CPU_FEATURES= MKL_CBWR=COMPATIBLE`.
 """
 
 from collections import defaultdict
@@ -21,7 +21,8 @@ from scripts.reproduce.records import Record, record_of
 from scripts.reproduce.seeds import seeds_of
 from scripts.store import Store
 
-RESULTS = Path(__file__).parent / "results" / "runs.jsonl"
+_FOLDER = Path(__file__).parent / "results"
+RESULTS = (_FOLDER / "runs.jsonl", _FOLDER / "processors.jsonl")
 Runs = Mapping[tuple[str, int], Record]
 """Runs by task and seed."""
 
@@ -31,12 +32,12 @@ class Options:
     """The table of processors.
 
     Attributes:
-        results: file of runs.
+        results: files of runs.
         seeds: of the runs.
         code: hashes of the code whose runs to show; all if none is given.
     """
 
-    results: Path = RESULTS
+    results: tuple[Path, ...] = RESULTS
     seeds: str = "0-9"
     code: tuple[str, ...] = ()
 
@@ -44,7 +45,7 @@ class Options:
 def columns(options: Options) -> dict[str, Runs]:
     """Runs of rumi/default without changed settings, by processor and code, in the order of the file."""
     seeds, found = set(seeds_of(options.seeds)), defaultdict[str, dict[tuple[str, int], Record]](dict)
-    for line in Store(options.results).lines:
+    for line in (line for path in options.results for line in Store(path).lines):
         of_default = line.get("method") == "rumi" and line.get("preset") == "default" and not line.get("overrides")
         record = record_of(line) if of_default and line["seed"] in seeds else None
         if record is not None and (not options.code or line["code"] in options.code):
@@ -84,7 +85,8 @@ def main(options: Options) -> None:
     """Print the table."""
     found = columns(options)
     if not found:
-        raise UsageError(f"Expected runs of rumi/default in {options.results}, got none: see the commands above")
+        names = ", ".join(map(str, options.results))
+        raise UsageError(f"Expected runs of rumi/default in {names}, got none: see the commands above")
     print(show(found), end="")
 
 

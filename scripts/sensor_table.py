@@ -152,7 +152,9 @@ def _off(line: Line) -> str:
 
 def stamp(name: str) -> str:
     """Of the sensors' settings."""
-    return hashlib.sha256(repr(sorted(asdict(SENSORS[name]).items())).encode()).hexdigest()[:8]
+    # results on record are kept without the setting that came later
+    values = {key: value for key, value in asdict(SENSORS[name]).items() if key != "further" or value}
+    return hashlib.sha256(repr(sorted(values.items())).encode()).hexdigest()[:8]
 
 
 EXPERIMENT = Experiment(

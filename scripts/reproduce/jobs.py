@@ -63,9 +63,12 @@ class Job:
         if self.kind != "run":
             return ""
         values = {k: v for k, v in to_dict(self.settings).items() if k not in ("seed", "task")}
-        # results on record are kept under the names that settings had then
+        # results on record are kept under the names that settings had then, and without those that came later
         for former, now in FORMER_KEYS["Settings"].items():
             values[former] = values.pop(now)
+        for added in (values["filter"], "evidence"), (values["simulator"]["sensors"], "further"):
+            if not added[0][added[1]]:
+                del added[0][added[1]]
         mesh = self.settings.object.mesh
         if mesh is not None:
             values["object"]["mesh"] = hashlib.sha256(Path(mesh).read_bytes()).hexdigest()
