@@ -115,8 +115,8 @@ def test_its_raw_streams_give_the_object_too(found, capsys, monkeypatch, tmp_pat
     assert main(["replay", str(folder)]) in (exit_codes.DONE, exit_codes.NOT_CONVERGED)
     said = capsys.readouterr()
     assert "left out" not in said.err
-    (line,) = [line for line in said.out.splitlines() if "likeliest at" in line]
-    x, y = (float(word.strip("(,")) for word in line.split()[2:4])
+    (line,) = [line for line in said.out.splitlines() if "pose     x" in line]
+    x, y = (float(word) for word in line.split()[2:6:2])
     assert abs(x - 0.56) < 0.005 and abs(y - 0.03) < 0.005
 
 

@@ -143,7 +143,23 @@ def build_rummager(
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
+        looks_again=_looks_again(spec, settings),
+        sensors=_sensors(spec, settings),
     )
+
+
+def _looks_again(spec: TaskSpec, settings: Settings) -> bool:
+    """Whether a camera sees the object after every action too."""
+    return spec.looks_again or settings.simulator.sensors.kind in ("camera", "both")
+
+
+def _sensors(spec: TaskSpec, settings: Settings) -> str:
+    """What the robot senses by, for people."""
+    felt = {"points": "felt points", "bubbles": "bubbles", "both": "bubbles", "camera": ""}
+    view = "no view" if spec.prior is not None else "a first view"
+    seen = "a camera that looks after every action" if _looks_again(spec, settings) else view
+    further = (felt[settings.simulator.sensors.kind], *settings.filter.evidence)
+    return ", ".join(filter(None, (seen, *further)))
 
 
 def pushed_motion(
@@ -241,4 +257,5 @@ def scene_geometry(rummager: Rummager) -> SceneGeometry:
             "expected_nll": rummager.stop_rule.expected_nll,
             "apc": rummager.stop_rule.apc_ratio * rummager.model.diagonal,
         },
+        tolerance={"within_m": rummager.position_tolerance_m, "within_rad": rummager.rotation_tolerance_rad},
     )
