@@ -63,10 +63,9 @@ def run(arguments: Sequence[str]) -> int:
     prepare_folder(folder)
     for line in (f"{label}; writing to {folder}", *notes):
         say(line)
-    with remove_if_empty_on_error(folder):
-        parts = entry.build(settings, cache_dir=cache_folder())
     with (
-        parts,
+        remove_if_empty_on_error(folder),
+        entry.build(settings, cache_dir=cache_folder()) as parts,
         entry.recorder(folder, settings, parts, log=options.record) as recorder,
         skipped_work.account() as account,
     ):
