@@ -19,6 +19,7 @@ from rumi.runs.folder import free_folder, load_run, prepare_folder, remove_if_em
 from rumi.runs.progress import Progress, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
 from sdf import skipped_work
+from sdf.extras import optional
 
 S = TypeVar("S")
 
@@ -58,6 +59,8 @@ def run(arguments: Sequence[str]) -> int:
         return DONE if arguments else BAD_INPUT
     name, entry, options = parse(arguments)
     settings, notes = options.settings, entry.check(options.settings)
+    if options.figures:
+        optional("matplotlib", "A figure (--no-figures draws none)")
     label = entry.label(settings)
     folder = options.out or free_folder(Path("runs") / label)
     prepare_folder(folder)

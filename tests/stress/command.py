@@ -20,6 +20,7 @@ from rumi.runs.folder import write_json
 from rumi.runs.jsonlines import check_writable
 from rumi.runs.progress import say
 from scripts.store import commit, machine
+from sdf.extras import remedy
 from tests.stress import exact, subjects
 from tests.stress.sweep import SWEEPS, Outcome, Sweep, carry_out
 
@@ -102,7 +103,7 @@ def stress(arguments: Sequence[str]) -> int:
         sys.stdout.write("".join(f"{sweep.name}\n" for sweep in sweeps))
         return DONE
     if not exact.available():
-        say("without mpmath some sweeps are left out: pip install 'rumi[stress]'")
+        say(f"without mpmath some sweeps are left out: {remedy('stress')}")
     began = time.perf_counter()
     found, ended = sweep_all(sweeps, options), DONE
     if len(found) < len(sweeps):
