@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sdf import so3
+from sdf.extras import optional
 
 
 @dataclass(frozen=True)
@@ -82,12 +83,7 @@ class Arm:
         dtype: torch.dtype = torch.float64,
         device: torch.device | str = "cpu",
     ) -> None:
-        try:
-            import pytorch_kinematics
-        except ImportError as error:
-            raise ImportError(
-                "The arm's reach needs pytorch-kinematics: install it with pip install 'rumi[robot]'"
-            ) from error
+        pytorch_kinematics = optional("pytorch_kinematics", "The arm's reach")
         self.geometry = geometry or ArmGeometry()
         text = self.geometry.urdf().encode()
         self.chain = pytorch_kinematics.build_serial_chain_from_urdf(text, "tool").to(dtype=dtype, device=device)

@@ -12,6 +12,7 @@ from rumi.errors import UsageError
 from rumi.rosbag.mapping import BagMap, Topic
 from rumi.rosbag.mcap import Message, Walk
 from rumi.rosbag.messages import CONVERTERS, RowOf
+from sdf.extras import optional
 from sensors.log.errors import LogError
 from sensors.log.writer import LogWriter
 
@@ -53,7 +54,7 @@ def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0)
         UsageError: there is no such bag, none of the topics is in it, or the log cannot be written.
         ModuleNotFoundError: rosbags is not installed.
     """
-    import rosbags.rosbag2  # noqa: F401  (says what to install before anything is written)
+    optional("rosbags.rosbag2", "A ROS 2 bag")  # says what to install before anything is written
 
     if not bag.exists():
         raise UsageError(f"There is no bag {bag}: give an .mcap or .db3 file, or the folder of a bag")

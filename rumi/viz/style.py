@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
 
-from rumi.errors import UsageError
+from sdf.extras import optional
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
@@ -55,14 +55,12 @@ def figure(width: float, height: float, dpi: float | None = None) -> Iterator["F
     """A new figure of a size in inches, in the house style, drawn without a display.
 
     Raises:
-        UsageError: matplotlib is not installed.
+        ModuleNotFoundError: matplotlib is not installed.
     """
-    try:
-        import matplotlib as mpl
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError("Figures need matplotlib and pillow: pip install 'rumi[plot]'") from error
+    mpl = optional("matplotlib", "A figure")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     with mpl.rc_context(_RC):
         made = Figure(figsize=(width, height), dpi=dpi, layout="constrained")
         FigureCanvasAgg(made)
