@@ -24,7 +24,7 @@ from rumi.task import Task
 from rumi.tasks.grasp_table import clearance_table
 from rumi.tasks.handle.build import build_handle
 from rumi.tasks.handle.entry import HandleRunSettings
-from rumi.tasks.handle.grasp import HandleTable
+from rumi.tasks.handle.grasp import handle_odds
 from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.peg.entry import PegRunSettings
 from rumi.tasks.peg.settings import PegSettings
@@ -72,7 +72,7 @@ def touching(settings: TouchBoxSettings) -> Parts[Any, Any]:
 
 
 def handling(settings: HandleRunSettings) -> Parts[Any, Any]:
-    table = HandleTable(torch.ones(9, 6, 13, dtype=torch.float64))
+    table = handle_odds(torch.ones(9, 6, 13, dtype=torch.float64))
     return build_handle(settings.settings, tool=make_tool(task_of(settings.settings), free_flying=True), table=table)
 
 

@@ -24,7 +24,8 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.settings import SimSettings
 from rumi.task import StepResult
-from rumi.tasks.handle.grasp import Grasp, HandleTable, best_grasp
+from rumi.tasks.grasp_table import Grasp, GraspTable
+from rumi.tasks.handle.grasp import best_grasp
 from rumi.tasks.handle.gripper import GRASP_S
 from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.rummage.agent import Rummager, RummageState, evaluate_step, first_belief, summarise
@@ -90,7 +91,7 @@ class HandleAgent:
 
     settings: HandleSettings
     rummager: Rummager
-    table: HandleTable | None = None
+    table: GraspTable | None = None
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     @property
@@ -207,7 +208,7 @@ def build_agent(
     cache_dir: Path | None = None,
     tool: Tool | None = None,
     model: ObjectModel | None = None,
-    table: HandleTable | None = None,
+    table: GraspTable | None = None,
 ) -> HandleAgent:
     """Make it of settings.
 

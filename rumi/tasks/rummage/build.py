@@ -32,6 +32,7 @@ from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_tool
 from rumi.tasks.rummage.sensed import SensedTask
 from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.rummage.simulated import SimTask
+from rumi.tasks.rummage.tool_height import at_tool_height
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
@@ -58,6 +59,7 @@ def build(
     if settings.steps is not None:
         spec = replace(spec, steps=settings.steps)
     spec, model = with_object(spec, settings.object, cache_dir=cache_dir, progress=progress)
+    spec = at_tool_height(spec, model.sdf, model.exact, settings.tool_height_m)
     tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
     task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model)
     if device.type != "cpu" or dtype != torch.float32:

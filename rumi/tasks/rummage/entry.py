@@ -111,7 +111,7 @@ class RummageTask:
     def role(self, name: str) -> Role:
         """What a setting is to a replay."""
         first = name.partition(".")[0]
-        if first in ("task", "simulator"):
+        if first in ("task", "simulator", "tool_height_m"):
             return "sensed"
         idle = ("method", "preset", "replan_every", "plan_budget_s", "planner", "slide", "gpvr")
         return "idle" if first in idle else "counted"
@@ -129,8 +129,10 @@ class RummageTask:
         from rumi.tasks.rummage.build import build_rummager
         from rumi.tasks.rummage.objects import with_object
         from rumi.tasks.rummage.scenes import make_tool
+        from rumi.tasks.rummage.tool_height import at_tool_height
 
         spec, model = with_object(self.spec, settings.object, cache_dir=cache_dir)
+        spec = at_tool_height(spec, model.sdf, model.exact, settings.tool_height_m)
         tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
         # what plans is not used, and may need packages that are not there
         planner = replace(settings.planner, push_model="displacement")
