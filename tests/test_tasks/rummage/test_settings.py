@@ -37,9 +37,8 @@ def test_settings_of_all_kinds_survive_json():
 
 
 def test_settings_of_a_preset_are_changed_by_name_as_on_the_command_line():
-    dotted = rumi.preset(
-        "fast", task="box-1", seed=3, **{"planner.mppi.samples": 100, "filter.trigger": 3, "mass": 0.2}
-    )
+    flags = {"planner.mppi.samples": 100, "filter.trigger": 3, "mass": 0.2}
+    dotted = rumi.preset("fast", task="box-1", seed=3, **flags)
     nested = rumi.preset("fast", task="box-1", seed=3, planner={"mppi": {"samples": 100}}, filter={"trigger": 3.0})
     fast = PRESETS["fast"]()
     mppi = replace(fast.planner.mppi, samples=100)
