@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rumi.planning.policy import PlanRequest
     from rumi.runs.folder import load_run
     from rumi.task import Task
-    from rumi.tasks.rummage.settings import preset
+    from rumi.tasks.presets import preset
     from sensors.reading import Reading
 
 __version__ = "0.1.0"
@@ -41,7 +41,7 @@ _HOMES = {
     "Task": "rumi.task",
     "Workspace": "rumi.fields.workspace",
     "load_run": "rumi.runs.folder",
-    "preset": "rumi.tasks.rummage.settings",
+    "preset": "rumi.tasks.presets",
 }
 
 

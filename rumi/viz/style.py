@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 INK = "#222222"
 QUIET = "#8a8f98"
 FAINT = "#e7e9ed"
+BODY = "#d3d7de"
 TRUTH = "#000000"
 SURFACE = "#00707a"
 FREE = "#9fb4c4"
@@ -81,3 +82,11 @@ def likelihood_map() -> "Colormap":
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("likelihood", ["#c3d7ea", "#7fb0dc", "#3b7fc4", "#11408b", "#081d58"])
+
+
+@cache
+def residual_map() -> "Colormap":
+    """Blue through dark to orange: what is off by nothing is seen on paper and on a pale model."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("residual", ["#2f9df4", "#1f5f96", "#1b1b1b", "#a24a12", "#ff7f1f"])
