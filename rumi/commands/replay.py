@@ -327,10 +327,11 @@ def agent_of_imported(
     Raises:
         UsageError: there is no such device, or the object cannot be used.
     """
-    from rumi.rosbag.scene import rummager_of_map
+    from rumi.rosbag.scene import rummager_of_map, touching_height
 
-    places = torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
-    return rummager_of_map(mapping, settings, places, cache_dir)
+    readings = [one.reading for one in taken]
+    places = torch.cat([one.tool_pose[:, :3, 3] for one in readings])
+    return rummager_of_map(mapping, settings, places, cache_dir, touching_m=touching_height(readings))
 
 
 def _name(log: "Log | RunLog") -> str:
