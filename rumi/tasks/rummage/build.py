@@ -14,7 +14,7 @@ from rumi.agent import Parts
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
 from rumi.belief.motion import PushedMotion
-from rumi.belief.pose_filter import PoseFilter
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
@@ -110,17 +110,14 @@ def build_rummager(
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
     prior = prior_of(spec, model)
-    following, stop = settings.filter, settings.stop
-    if following.motion == "measured" and not spec.measures_motion:
-        needs_plane = following.unmeasured in _PLANAR and not _planar(spec)
-        following = replace(following, motion="estimated" if needs_plane else following.unmeasured)
+    following, stop = followed(spec, settings.filter), settings.stop
     if spec.apc_ratio is not None:
         stop = replace(stop, apc_ratio=spec.apc_ratio)
     if settings.simulator.sensors.kind == "camera":  # which feels nothing
         stop = replace(stop, contacts=0)
     standing = 0.0 - float(model.exact.bounds[0, 2])
     pushed = None
-    if following.motion in _PLANAR:
+    if predicts_motion(following):
         pushed = pushed_motion(settings.planner, model, tool, spec.height_m, standing)
     further: tuple[EvidenceModel, ...] = ()
     if following.evidence:
@@ -142,6 +139,19 @@ def build_rummager(
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
     )
+
+
+def followed(spec: TaskSpec, following: FilterSettings) -> FilterSettings:
+    """The filter's settings with the motion that the task has a sensor for, or what takes its place."""
+    if following.motion != "measured" or spec.measures_motion:
+        return following
+    needs_plane = following.unmeasured in _PLANAR and not _planar(spec)
+    return replace(following, motion="estimated" if needs_plane else following.unmeasured)
+
+
+def predicts_motion(following: FilterSettings) -> bool:
+    """Whether the filter moves the object by the planner's push model."""
+    return following.motion in _PLANAR
 
 
 def pushed_motion(
