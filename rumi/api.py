@@ -13,7 +13,7 @@ from rumi.runs.recorded import RunLog
 from rumi.runs.replay import Replayed
 from rumi.runs.replay import replay as take_in
 from rumi.task import Task
-from rumi.tasks.registry import TASKS, entry_of
+from rumi.tasks.registry import TASKS, entry_of, entry_of_record
 from rumi.tasks.rummage.build import geometry_of
 from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.touch_box.agent import Toucher
@@ -89,7 +89,7 @@ def replay(folder: Path | str, agent: Agent[Any] | None = None, *, cache_dir: Pa
     """
     recorded = RunLog(folder)
     if agent is None:
-        entry = TASKS[recorded.settings["task"]]
+        entry = entry_of_record(recorded.settings["task"])
         agent = entry.agent(entry.from_dict(recorded.settings), cache_dir=cache_dir)
     return take_in(recorded.taken(), agent, seed=int(recorded.settings["seed"]))
 

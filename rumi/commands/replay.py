@@ -19,7 +19,7 @@ from rumi.records import StepRecord
 from rumi.runs.logbook import LOG
 from rumi.runs.plain import plain
 from rumi.runs.progress import Progress, both, say
-from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
+from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry, entry_of_record
 
 if TYPE_CHECKING:
     from rumi.agent import Agent
@@ -164,8 +164,7 @@ def recorded_settings(log: "Log | RunLog", mapping: "BagMap | None") -> tuple[Ta
 
         return entry_of_imported(), settings_of(mapping)
     values = log.settings or {}
-    name = values.get("task", "")
-    entry = TASKS[FORMER_NAMES.get(name, name)]
+    entry = entry_of_record(values.get("task", ""))
     return entry, entry.from_dict(values)
 
 

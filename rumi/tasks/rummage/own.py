@@ -9,6 +9,7 @@ from rumi.registration.descent import Search
 from rumi.robot.reach import Reach
 from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
+from rumi.tasks.registry import OWN
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build_rummager, check_pushing
 from rumi.tasks.rummage.objects import ObjectSettings
@@ -65,7 +66,7 @@ def rummager(
         raise UsageError(f"Expected the reach of a tool that moves {where}, got another: make it for this workspace")
     (left, bottom, low), (right, top, high) = workspace.bounds.tolist()
     spec = TaskSpec(
-        "own",
+        OWN,
         "an object before another robot",
         lambda: model,
         (0.0, 0.0, 0.0),
@@ -87,7 +88,7 @@ def rummager(
         **({"body_spacing_m": 0.6 * step, "info_spacing_m": 0.5 * step} if spatial else {}),
     )
     found = build_rummager(spec, settings, model, made, workspace)
-    return replace(found, steps=settings.steps, about={**to_dict(settings), "task": spec.name})
+    return replace(found, steps=settings.steps, about={**to_dict(settings), "task": OWN})
 
 
 def _check_followed(settings: Settings) -> None:
