@@ -38,12 +38,14 @@ class Options:
 
     Attributes:
         shape: an angle bracket of 80 x 60 x 40 mm with walls of 8 mm, or the drill in RUMI_DATA.
+        touches: how many, one table row each for none, one and a fifth of them bad.
         poses: how many, of seeds from 1000 on.
         outlier: share of outliers that the likelihood has.
         off_mm: of a bad touch.
     """
 
     shape: Literal["bracket", "drill"] = "bracket"
+    touches: tuple[int, ...] = (6, 8, 10, 12, 20, 30)
     poses: int = 40
     outlier: float = 0.05
     off_mm: float = 15.0
@@ -99,7 +101,7 @@ def main() -> None:
         mesh = next((Path(os.environ["RUMI_DATA"]) / "ycb_power_drill").glob("**/*.obj"))
     surface = TouchSurface.of(mesh)
     rows = []
-    for count in (6, 8, 10, 12, 20, 30):
+    for count in options.touches:
         for bad in sorted({0, 1, round(0.2 * count)}):
             for with_normals in (False, True):
                 own = cell(surface, options, count, bad, with_normals)
