@@ -15,6 +15,7 @@ from rumi.tasks.rummage.build import build_rummager, check_pushing
 from rumi.tasks.rummage.objects import ObjectSettings
 from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, preset, to_dict
+from rumi.tasks.rummage.tool_height import check_slice
 from sdf.object_model import ObjectModel
 
 
@@ -77,6 +78,8 @@ def rummager(
         search=search or ("SE(3)" if spatial else "SE(2)"),
     )
     check_pushing(spec, settings)
+    if not spatial:
+        check_slice(model.sdf, model.exact.bounds, low, "the workspace another planar_height")
     step = workspace.spacing
     made = Tool(
         workspace.bounds if spatial else workspace.bounds[:, :2],
@@ -95,6 +98,8 @@ def _check_followed(settings: Settings) -> None:
     """Refuse settings of what a robot of one's own has not."""
     if settings.object != ObjectSettings():
         raise UsageError("Expected no object in the settings, since the model is given: leave settings.object out")
+    if settings.tool_height_m is not None:
+        raise UsageError("Expected no tool_height_m in the settings, since the workspace says it: leave it out")
     if settings.simulator != PRESETS[settings.preset]().simulator:
         raise UsageError(
             "Expected no settings of the simulator, since nothing is simulated: leave settings.simulator out, and give "
