@@ -11,6 +11,7 @@ from rumi.information.stopping import StopEvidence, shortfalls
 from rumi.records import StepRecord
 from rumi.registration.pose_summary import PoseSummary
 from sdf import se3
+from sensors.semantics import Semantics
 
 if TYPE_CHECKING:
     from rumi.tasks.rummage.agent import Rummager
@@ -51,7 +52,7 @@ def relies_on(rummager: "Rummager") -> str:
 def warnings(rummager: "Rummager", history: Sequence[StepRecord] = ()) -> tuple[str, ...]:
     """What was not measured and can make a belief sure and wrong, from settings and from what came."""
     motion = rummager.filter.settings.motion
-    if rummager.looks_again:
+    if rummager.looks_again or _seen_again(history):
         return ()
     if motion != "measured":
         return (
@@ -66,6 +67,13 @@ def warnings(rummager: "Rummager", history: Sequence[StepRecord] = ()) -> tuple[
         f"the object's motion was not measured in action{plural} {', '.join(missing)}, and no camera looks again: the "
         "belief may end sure and wrong (scripts/docs/push_models.md)",
     )
+
+
+def _seen_again(history: Sequence[StepRecord]) -> bool:
+    """Whether most actions that touched nothing saw the object's surface: a camera looks again."""
+    free = [record.reading for record in history[1:] if not bool(record.reading.in_contact.any())]
+    seen = sum(bool(reading.observation.of_class(Semantics.SURFACE).any()) for reading in free)
+    return 2 * seen > len(free)
 
 
 def why_not(rummager: "Rummager", record: StepRecord, pose: PoseSummary, stopped_by: StopReason) -> str | None:
