@@ -53,10 +53,10 @@ def test_a_run_leaves_its_folder(capsys):
     assert [text.split(":")[0] for text in steps[2:]] == ["first view", "action 1", "action 2"]
     assert "Traceback" not in said.err
     assert "not sure: 0 actions touched the object, 1 are asked for; all actions are used up" in said.out
-    assert cli.main(["result", "runs/mug-0-rumi-default-s4", "--json"]) == 0
+    assert main(["result", "runs/mug-0-rumi-default-s4", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["pose"] == run.ended["pose"] and told["why_not"] == run.result.why_not and told["warnings"] == []
-    assert torch.tensor(told["pose"]["world_T_object"]).shape == (4, 4) and run.result.belief is not None
+    assert len(told["pose"]["world_T_object"]) == 4 and run.result.belief is not None
 
 
 @pytest.fixture

@@ -189,7 +189,6 @@ def describe(step: StepRecord) -> str:
     apc = "-" if math.isnan(step.apc) else f"{1e3 * step.apc:.1f} mm"
     marks = {
         "contact": step.control is not None and bool(step.reading.in_contact.any()),
-        "resampled": step.resampled,
         "sure": step.converged,
     }
     said = "".join(f"  {word}" for word, holds in marks.items() if holds)
