@@ -47,19 +47,6 @@ COMMANDS = {
 _OWN_THREADS = ("bench", "stress")
 """Those that measure, and choose their threads themselves: not by what is free just now."""
 
-_EXTRAS = {
-    "sim": "mujoco",
-    "robot": "pytorch_kinematics",
-    "plot": "matplotlib PIL contourpy",
-    "mesh": "trimesh scipy networkx coacd",
-    "cluster": "submitit",
-    "vision": "cv2",
-    "logs": "h5py rosbags",
-    "baselines": "gpytorch",
-    "stress": "mpmath hypothesis",
-}
-"""Packages that may be missing, by the extra that brings them."""
-
 
 def help_text() -> str:
     """What `rumi --help` prints."""
@@ -152,9 +139,10 @@ def _refuse(error: Exception) -> int:
     """Say what is wrong, without a traceback."""
     message = str(error)
     if isinstance(error, ModuleNotFoundError):
-        package = (error.name or "").split(".")[0]
-        extra = next((extra for extra, packages in _EXTRAS.items() if package in packages.split()), None)
-        message += f": pip install 'rumi[{extra}]'" if extra else ""
+        from sdf.extras import remedy
+
+        how = remedy(error.name or "")
+        message += "" if how in message else f": {how}"
     elif not isinstance(error, UsageError):
         message += "\n(RUMI_DEBUG=1 shows where this comes from)"
     sys.stderr.write(f"rumi: {message}\n")

@@ -17,7 +17,7 @@ from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.logbook import LOG
 from rumi.runs.plain import plain
 from rumi.runs.progress import Progress, announce, both, say
-from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
+from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry, entry_of_record
 
 if TYPE_CHECKING:
     from rumi.agent import Agent
@@ -162,8 +162,7 @@ def recorded_settings(log: "Log | RunLog", mapping: "BagMap | None") -> tuple[Ta
 
         return entry_of_imported(), settings_of(mapping)
     values = log.settings or {}
-    name = values.get("task", "")
-    entry = TASKS[FORMER_NAMES.get(name, name)]
+    entry = entry_of_record(values.get("task", ""))
     return entry, entry.from_dict(values)
 
 
@@ -321,10 +320,11 @@ def agent_of_imported(
     Raises:
         UsageError: there is no such device, or the object cannot be used.
     """
-    from rumi.rosbag.scene import rummager_of_map
+    from rumi.rosbag.scene import rummager_of_map, touching_height
 
-    places = torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
-    return rummager_of_map(mapping, settings, places, cache_dir)
+    readings = [one.reading for one in taken]
+    places = torch.cat([one.tool_pose[:, :3, 3] for one in readings])
+    return rummager_of_map(mapping, settings, places, cache_dir, touching_m=touching_height(readings))
 
 
 def _name(log: "Log | RunLog") -> str:

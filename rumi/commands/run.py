@@ -20,6 +20,7 @@ from rumi.runs.folder import free_folder, load_run, prepare_folder, remove_if_em
 from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
 from sdf import skipped_work
+from sdf.extras import optional
 
 S = TypeVar("S")
 
@@ -61,19 +62,20 @@ def run(arguments: Sequence[str]) -> int:
         return DONE if arguments else BAD_INPUT
     name, entry, options = parse(arguments)
     settings, notes = options.settings, entry.check(options.settings)
+    if options.figures:
+        optional("matplotlib", "A figure (--no-figures draws none)")
     label = entry.label(settings)
     folder = options.out or free_folder(Path("runs") / label)
     prepare_folder(folder)
     for line in (f"{label}; writing to {folder}", *notes):
         say(line)
-    with remove_if_empty_on_error(folder):
-        parts = entry.build(settings, cache_dir=cache_folder())
-    announce(parts.agent)
     with (
-        parts,
+        remove_if_empty_on_error(folder),
+        entry.build(settings, cache_dir=cache_folder()) as parts,
         entry.recorder(folder, settings, parts, log=options.record) as recorder,
         skipped_work.account() as account,
     ):
+        announce(parts.agent)
         steps = entry.steps(settings)
         with Progress(name, steps, entry.describe) as progress:
             on_step = both(recorder, progress, Decisions(account))

@@ -152,9 +152,27 @@ FORMER_NAMES = {"fused": "handle"}
 """Names that tasks had before."""
 
 
+OWN = "own"
+"""What a run of a robot of one's own gives as its task."""
+
+
 def entry_of(run: Run) -> TaskEntry[Any]:
     """The task that a run is of; a recording that was imported is drawn as the first rummaging scene is."""
     return TASKS[run.task] if run.task in TASKS else next(TASKS[name] for name in TASKS)
+
+
+def entry_of_record(name: str) -> TaskEntry[Any]:
+    """The task that a recording names, also by a name that it had before.
+
+    Raises:
+        UsageError: there is no such task, or it was a robot of one's own, of which a folder holds no model.
+    """
+    if name == OWN:
+        raise UsageError(
+            "The run is of a robot of its own, whose model and tool no folder holds: replay it in Python by "
+            "rumi.replay(folder, agent), with the agent of rumi.rummager(...)"
+        )
+    return TASKS[FORMER_NAMES.get(name, name)]
 
 
 def check_seed(seed: int) -> None:

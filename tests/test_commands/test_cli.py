@@ -196,7 +196,7 @@ def test_no_cuda_is_bad_input(monkeypatch, capsys):
         (UsageError("a step past the end"), "a step past the end"),
         (ValueError("points must be finite"), "points must be finite"),
         (DegenerateBeliefError("no weight left"), "no weight left"),
-        (ModuleNotFoundError("No module named 'mujoco'", name="mujoco"), "pip install 'rumi[sim]'"),
+        (ModuleNotFoundError("No module named 'mujoco'", name="mujoco"), f"pip install -e '{ROOT}[sim]'"),
     ],
 )
 def test_what_goes_wrong_in_a_run_is_named(error, message, monkeypatch, capsys):

@@ -14,7 +14,7 @@ from rumi.agent import Parts
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
 from rumi.belief.motion import PushedMotion
-from rumi.belief.pose_filter import PoseFilter
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.prior import PosePrior
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
@@ -55,7 +55,7 @@ def build(
         UsageError: there is no such task or device, or the object cannot be used or does not suit the task.
     """
     spec, device, dtype = find_task(settings.task), settings.torch_device, settings.torch_dtype
-    _check_pushing(spec, settings)
+    check_pushing(spec, settings)
     if settings.steps is not None:
         spec = replace(spec, steps=settings.steps)
     spec, model = with_object(spec, settings.object, cache_dir=cache_dir, progress=progress)
@@ -112,17 +112,14 @@ def build_rummager(
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
     prior = prior_of(spec, model)
-    following, stop = settings.filter, settings.stop
-    if following.motion == "measured" and not spec.measures_motion:
-        needs_plane = following.unmeasured in _PLANAR and not _planar(spec)
-        following = replace(following, motion="estimated" if needs_plane else following.unmeasured)
+    following, stop = followed(spec, settings.filter), settings.stop
     if spec.apc_ratio is not None:
         stop = replace(stop, apc_ratio=spec.apc_ratio)
     if settings.simulator.sensors.kind == "camera":  # which feels nothing
         stop = replace(stop, contacts=0)
     standing = 0.0 - float(model.exact.bounds[0, 2])
     pushed = None
-    if following.motion in _PLANAR:
+    if predicts_motion(following):
         pushed = pushed_motion(settings.planner, model, tool, spec.height_m, standing)
     further: tuple[EvidenceModel, ...] = ()
     if following.evidence:
@@ -162,6 +159,19 @@ def _sensors(spec: TaskSpec, settings: Settings) -> str:
     return ", ".join(filter(None, (seen, *further)))
 
 
+def followed(spec: TaskSpec, following: FilterSettings) -> FilterSettings:
+    """The filter's settings with the motion that the task has a sensor for, or what takes its place."""
+    if following.motion != "measured" or spec.measures_motion:
+        return following
+    needs_plane = following.unmeasured in _PLANAR and not _planar(spec)
+    return replace(following, motion="estimated" if needs_plane else following.unmeasured)
+
+
+def predicts_motion(following: FilterSettings) -> bool:
+    """Whether the filter moves the object by the planner's push model."""
+    return following.motion in _PLANAR
+
+
 def pushed_motion(
     planner: PushSettings, model: ObjectModel, tool: Tool, height_m: float, resting_m: float
 ) -> PushedMotion:
@@ -186,7 +196,7 @@ def _planar(spec: TaskSpec) -> bool:
     return spec.search == "SE(2)" and not spec.spatial
 
 
-def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
+def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
     if _planar(spec):
         return

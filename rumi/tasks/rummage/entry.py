@@ -125,8 +125,8 @@ class RummageTask:
         return from_dict({name: value for name, value in values.items() if name not in ("schema", "made_with")})
 
     def agent(self, settings: Settings, *, cache_dir: Path | None = None) -> Rummager:
-        """What finds the object; it plans by the simplest means."""
-        from rumi.tasks.rummage.build import build_rummager
+        """What finds the object; it plans by the simplest means, and believes as the run did."""
+        from rumi.tasks.rummage.build import build_rummager, followed, predicts_motion
         from rumi.tasks.rummage.objects import with_object
         from rumi.tasks.rummage.scenes import make_tool
         from rumi.tasks.rummage.tool_height import at_tool_height
@@ -134,9 +134,10 @@ class RummageTask:
         spec, model = with_object(self.spec, settings.object, cache_dir=cache_dir)
         spec = at_tool_height(spec, model.sdf, model.exact, settings.tool_height_m)
         tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
-        # what plans is not used, and may need packages that are not there
-        planner = replace(settings.planner, push_model="displacement")
-        return build_rummager(spec, replace(settings, method="rumi", planner=planner), model, tool)
+        # what plans is not used, and may need packages that are not there; but a motion may be the push model's
+        if not predicts_motion(followed(spec, settings.filter)):
+            settings = replace(settings, planner=replace(settings.planner, push_model="displacement"))
+        return build_rummager(spec, replace(settings, method="rumi"), model, tool)
 
 
 ENTRIES = {name: RummageTask(spec) for name, spec in SCENES.items()}

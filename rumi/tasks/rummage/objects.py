@@ -226,8 +226,8 @@ def _check_fits(spec: "TaskSpec", exact: "MeshSDF", object_T_mesh: Float[Tensor,
     if float((bounds[1] - bounds[0])[:2].max()) > room:
         raise UsageError(
             f"Expected an object at most {1e3 * room:.0f} mm wide, half of the workspace of {spec.name}, so that "
-            f"the tool gets round it, got {words(bounds)}: if that is its size, touch it by other means and give the points to "
-            "`rumi localize`; if not, say how many metres a unit of the file is (--scale)"
+            f"the tool gets round it, got {words(bounds)}: if that is its size, touch it by other means and give the "
+            "points to `rumi localize`; if not, say how many metres a unit of the file is (--scale)"
         )
     check_height(spec, bounds, otherwise=lambda least: _stand(exact, object_T_mesh, least))
 

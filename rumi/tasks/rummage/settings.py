@@ -17,7 +17,7 @@ from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingSettings
 from rumi.planning.slide import SlideSettings
 from rumi.registration.descent import DescentSettings
-from rumi.runs.json_settings import dataclass_of, not_numbers
+from rumi.runs.json_settings import changed, dataclass_of, not_numbers
 from rumi.runs.plain import plain
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.objects import ObjectSettings
@@ -113,14 +113,14 @@ def preset(name: str = "default", **changes: Any) -> Settings:  # noqa: ANN401  
 
     Args:
         name: of the preset.
-        changes: settings to give another value, such as `task` and `seed`.
+        changes: settings to give another value (`rumi.runs.json_settings.changed`), such as `task` and `seed`.
 
     Raises:
-        UsageError: there is no such preset; the message lists them.
+        UsageError: there is no such preset or setting; the message lists them.
     """
     if name not in PRESETS:
         raise UsageError(f"There is no preset {name!r}; the presets are {', '.join(PRESETS)}")
-    return replace(PRESETS[name](), **changes)
+    return changed(PRESETS[name](), changes)
 
 
 def to_dict(settings: Settings) -> dict[str, Any]:
