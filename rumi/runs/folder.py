@@ -15,7 +15,7 @@ import platform
 import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
@@ -28,6 +28,7 @@ from torch import Tensor
 from rumi.agent import stop_reason
 from rumi.errors import UsageError
 from rumi.records import RunResult
+from rumi.registration.pose_summary import PoseSummary
 from rumi.runs.codec import line, read_geometry, read_steps, write_geometry, write_step
 from rumi.runs.files import naming, new_file, whole_file
 from rumi.runs.plain import plain
@@ -189,6 +190,8 @@ def load_run(folder: Path | str) -> Run:
     lost = 0 if result is None else actions + 1 - len(steps)
     if result is not None and lost not in ((0, 1) if result.stopped_by == "interrupted" else (0,)):
         raise UsageError(f"{folder / 'trace.npz'} is damaged: {len(steps)} steps are whole of {actions + 1}")
+    if result is not None and steps:
+        result = replace(result, belief=getattr(steps[-1], "belief", None))
     return Run(folder, settings, geometry, steps, result, ended)
 
 
@@ -337,6 +340,8 @@ def _result(values: Mapping[str, Any]) -> RunResult:
     known = {field.name: values.get(field.name) for field in fields(RunResult)}
     for name in ("apc", "expected_nll"):  # numbers that are always there: null stands for one that is not finite
         known[name] = float("nan") if known[name] is None else known[name]
+    known["pose"] = None if known["pose"] is None else PoseSummary.of(known["pose"])
+    known |= {"relies_on": known["relies_on"] or "", "warnings": tuple(known["warnings"] or ())}
     return RunResult(**known)  # type: ignore[arg-type]
 
 

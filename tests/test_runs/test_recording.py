@@ -72,7 +72,7 @@ def test_what_is_written_is_read(tmp_path, run):
         for name, values in step.plan.fields.items():
             torch.testing.assert_close(values, again.plan.fields[name], rtol=1e-3, atol=1e-6)
     assert_same(run.geometry, read.geometry)
-    assert_same(run.result, read.result)
+    assert_same(replace(run.result, belief=run.steps[-1].belief), read.result)
     assert read.settings["task"] == "mug-0"
 
 

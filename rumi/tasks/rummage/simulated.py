@@ -11,6 +11,7 @@ from torch import Tensor
 
 from rumi.belief.prior import lying
 from rumi.errors import UsageError
+from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.bodies import body_of
@@ -64,12 +65,13 @@ class SimTask:
         physics = physics or spec.physics
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
         height = None if spec.spatial else spec.height_m
-        self.world = World(body, tool.shape, height, settings.time_step_s, physics)
+        self.shape = shape = gripper_of(tool.shape)
+        self.world = World(body, shape, height, settings.time_step_s, physics)
         # what cannot stand is refused before anything begins
         self.world.reset(torch.tensor(spec.tool_start), self._start())
-        self._pads = tool.shape.pad_shell(settings.pad_spacing_m).float()
-        self._felt_at = self._pads + spec.felt_ahead_m * tool.shape.pad_normals(self._pads)
-        self._body = tool.shape.volume(settings.body_spacing_m).float()
+        self._pads = shape.pad_shell(settings.pad_spacing_m).float()
+        self._felt_at = self._pads + spec.felt_ahead_m * shape.pad_normals(self._pads)
+        self._body = shape.volume(settings.body_spacing_m).float()
         self._generator = torch.Generator()
         self._further_noise = split(0, "further sensors")
         self._region = torch.zeros(2, 3)

@@ -1,14 +1,19 @@
 import json
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 
 import rumi
+from rumi.dynamics.along_path import push_along_path
 from rumi.errors import UsageError
 from rumi.planning.registry import POLICIES
 from rumi.runs.json_settings import setting_names
+from rumi.tasks.registry import TASKS
+from rumi.tasks.rummage import scenes
+from rumi.tasks.rummage.build import build_rummager
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 
 
@@ -139,3 +144,14 @@ def test_device_and_dtype(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(UsageError, match="no CUDA device"):
         _ = preset(device="cuda").torch_device
+
+
+def test_a_replay_believes_by_the_push_model_of_its_run(monkeypatch):
+    """Where nothing measures the motion, the belief follows the planner's push model, live and replayed."""
+    monkeypatch.setattr(scenes, "make_tool", partial(scenes.make_tool, free_flying=True))
+    settings, spec = preset("fast", task="shelf-mug"), scenes.find_task("shelf-mug")
+    live = build_rummager(spec, settings, spec.object_factory(), scenes.make_tool(spec))
+    again = TASKS["shelf-mug"].agent(settings)
+    assert again.filter.pushed.predict.push is live.filter.pushed.predict.push is push_along_path
+    measured = TASKS["mug-0"].agent(replace(settings, task="mug-0"))
+    assert measured.filter.pushed is None and measured.policy.settings.push_model == "displacement"
