@@ -148,3 +148,24 @@ def test_what_is_no_arm_is_refused(old, new, said):
 def test_tables_are_kept(tmp_path):
     first, second = (ArmReach.of_urdf(SIX, "tool", BOUNDS, settings=FEW, cache_dir=tmp_path) for _ in range(2))
     assert torch.equal(first.left, second.left) and len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.sim
+@pytest.mark.outcome
+@pytest.mark.parametrize("urdf", [SIX, FIVE], ids=["six", "five"])
+def test_it_finds_a_mug_with_an_arm_of_another_make(urdf):
+    """The embedded mug, nearer, before an arm of six joints with limits of its own each way, and one of five."""
+    pytest.importorskip("mujoco")
+    import rumi
+    from rumi.tasks.rummage.build import make_task
+    from rumi.tasks.rummage.scenes import find_task
+
+    box = torch.tensor([[0.15, -0.35, 0.045], [0.70, 0.35, 0.045]])
+    near = {"start": (0.46, 0.03, 0.14), "tool_start": (0.25, 0.0, 0.0), "bounds": ((0.15, -0.35), (0.70, 0.35))}
+    spec = replace(find_task("mug-0"), **near)
+    workspace = rumi.Workspace.from_bounds(box, 0.01, planar_height=0.045)
+    arm = ArmReach.of_urdf(urdf, "tool", box, settings=ArmReachSettings(spacing_m=0.05))
+    agent = rumi.rummager(spec.object_factory(), workspace, arm=arm, motion="measured")
+    result = rumi.run(make_task(spec, tool=agent.tool, model=agent.model), agent, seed=1000, steps=20)
+    assert result.stopped_by == "sure" and result.right
