@@ -6,6 +6,7 @@ from rumi.belief.motion import Motion
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
 from rumi.registration.descent import Search
+from rumi.robot.gripper import gripper_of
 from rumi.robot.reach import Reach
 from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
@@ -65,6 +66,12 @@ def rummager(
         where = "in space" if spatial else "in the plane"
         raise UsageError(f"Expected the reach of a tool that moves {where}, got another: make it for this workspace")
     (left, bottom, low), (right, top, high) = workspace.bounds.tolist()
+    bottom_m, top_m = model.exact.bounds[:, 2].tolist()
+    if not spatial and low >= top_m - bottom_m:
+        raise UsageError(
+            f"Expected a workspace below the object's top at {top_m - bottom_m:.3f} m, where the tool meets it, got one at "
+            f"{low:.3f} m"
+        )
     spec = TaskSpec(
         OWN,
         "an object before another robot",
@@ -87,6 +94,8 @@ def rummager(
         action_scale_rad=action_rad,
         **({"body_spacing_m": 0.6 * step, "info_spacing_m": 0.5 * step} if spatial else {}),
     )
+    if settings.planner.push_model == "mujoco":
+        gripper_of(made.shape)
     found = build_rummager(spec, settings, model, made, workspace)
     return replace(found, steps=settings.steps, about={**to_dict(settings), "task": OWN})
 
