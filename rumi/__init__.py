@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rumi.robot.tool_shape import SolidTool
     from rumi.runs.folder import load_run
     from rumi.task import Task
+    from rumi.tasks.presets import preset
     from rumi.tasks.rummage.own import rummager
-    from rumi.tasks.rummage.settings import preset
     from sensors.reading import Reading
 
 __version__ = "0.1.0"
@@ -48,7 +48,7 @@ _HOMES = {
     "Task": "rumi.task",
     "Workspace": "rumi.fields.workspace",
     "load_run": "rumi.runs.folder",
-    "preset": "rumi.tasks.rummage.settings",
+    "preset": "rumi.tasks.presets",
     "rummager": "rumi.tasks.rummage.own",
 }
 

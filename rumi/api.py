@@ -8,7 +8,7 @@ from typing import Any
 from rumi import loop
 from rumi.agent import Agent, Parts
 from rumi.runs.folder import RunRecorder, load_run
-from rumi.runs.progress import both
+from rumi.runs.progress import announce, both
 from rumi.runs.recorded import RunLog
 from rumi.runs.replay import Replayed
 from rumi.runs.replay import replay as take_in
@@ -53,6 +53,8 @@ def run(
 ) -> Any:  # noqa: ANN401  (the agent's own result)
     """Let an agent do a task (`rumi.loop.run`), and keep the run in a folder where one is named.
 
+    Says on stderr what the run relies on, and what is not measured and may make its belief sure and wrong.
+
     Args:
         task: a simulator, hardware or a log.
         agent: what it believes and does.
@@ -62,11 +64,12 @@ def run(
         on_step: called with the record of every step, the first reading's included.
 
     Returns:
-        the agent's `result`.
+        the agent's `result`; of one that finds a pose, `pose` and `belief` hold it, `why_not` says why it is not sure.
 
     Raises:
         UsageError: the folder cannot be written or holds a run.
     """
+    announce(agent)
     if folder is None:
         return loop.run(task, agent, seed=seed, steps=steps, on_step=on_step)
     asked = {**getattr(agent, "about", {}), "seed": seed}

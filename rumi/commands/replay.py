@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,10 +14,9 @@ import tyro
 from rumi.cache import cache_folder
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
-from rumi.records import StepRecord
 from rumi.runs.logbook import LOG
 from rumi.runs.plain import plain
-from rumi.runs.progress import Progress, both, say
+from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry, entry_of_record
 
 if TYPE_CHECKING:
@@ -216,6 +214,7 @@ def _replay(
     else:
         agent = entry.agent(settings, cache_dir=cache_dir)
     _check_object(log, agent)
+    announce(agent)
     label = getattr(settings, "task", entry.label(settings)) if mapping is not None else _name(log)
     steps = entry.steps(settings) if mapping is None else settings.steps
     taken = taken if steps is None else taken[: steps + 1]
@@ -264,11 +263,6 @@ def summary(
     lines = [f"{name}: {first}", *rest]
     if used < readings:
         lines.append(f"readings {used} of {readings}: sure before the log's end")
-    if isinstance(done.last, StepRecord):
-        pose = done.last.belief.mode()
-        x, y, z = pose[:3, 3].tolist()
-        yaw = math.degrees(float(torch.atan2(*pose[[1, 0], [0, 0]])))
-        lines.append(f"likeliest at ({x:.4f}, {y:.4f}, {z:.4f}) m, x axis {yaw:.1f} degrees from the world's")
     known = [same for same in done.same if same is not None]
     if not known:
         lines.append("belief   no live run's to compare with")

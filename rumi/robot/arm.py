@@ -11,6 +11,7 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from sdf import so3
+from sdf.extras import optional
 
 
 @dataclass(frozen=True)
@@ -92,12 +93,7 @@ class Arm:
         dtype: torch.dtype = torch.float64,
         device: torch.device | str = "cpu",
     ) -> None:
-        try:
-            import pytorch_kinematics
-        except ImportError as error:
-            raise ImportError(
-                "The arm's reach needs pytorch-kinematics: install it with pip install 'rumi[robot]'"
-            ) from error
+        pytorch_kinematics = optional("pytorch_kinematics", "The arm's reach")
         text = ArmGeometry().urdf() if urdf is None else urdf
         joints = _joints_to(text, tip)
         self.joints = tuple(str(joint.get("name")) for joint in joints)

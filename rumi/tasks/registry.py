@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol, Self, TypeVar, runtime_checkable
 
 from rumi.agent import Agent, Parts
 from rumi.errors import UsageError
+from rumi.registration.pose_summary import PoseSummary
 from rumi.registry import Table
 from rumi.runs.folder import Run
 from sensors.reading import Reading
@@ -102,6 +103,10 @@ class TaskEntry(Protocol[S]):
 
     def summary(self, settings: S, result: Any) -> Sequence[str]:  # noqa: ANN401
         """Lines on how a run ended, for people; the first one goes behind the task's name."""
+        ...
+
+    def pose(self, run: Run) -> PoseSummary | None:
+        """What the last belief of a recorded run knows of the object's pose, also of one that was cut short."""
         ...
 
     def as_dict(self, settings: S) -> dict[str, Any]:

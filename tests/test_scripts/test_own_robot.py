@@ -211,4 +211,13 @@ def test_few_points_give_no_correction():
     seen = Observation.of(torch.zeros(3, 3), Semantics.SURFACE)
     found = align(seen, torch.eye(4), Sphere(0.05))
     assert found.correction is None
-    assert "surface  3 points" in found.text() and "nearest" not in found.text()
+    assert "surface  3 points" in found.text() and "fewer than 20 points: this says nothing" in found.text()
+
+
+def test_one_patch_gives_no_correction(generator):
+    box = Box((0.05, 0.08, 0.03))
+    side = torch.rand(400, 3, dtype=torch.float64, generator=generator)
+    patch = torch.tensor([0.02, 0.02, 0.0]) * side + torch.tensor([0.0, 0.0, 0.033])
+    found = align(Observation.of(patch, Semantics.SURFACE), torch.eye(4, dtype=torch.float64), box)
+    assert found.correction is None
+    assert "nearest  one patch, 28 mm across: this says nothing" in found.text()

@@ -19,7 +19,7 @@ from rumi.sim.settings import SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.world import Track
 from rumi.task import StepResult
-from rumi.tasks.handle.grasp import Grasp
+from rumi.tasks.grasp_table import Grasp
 from rumi.tasks.handle.gripper import HandleGripper
 from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.rummage.sensed import SensedTask

@@ -32,6 +32,7 @@ from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_tool
 from rumi.tasks.rummage.sensed import SensedTask
 from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.rummage.simulated import SimTask
+from rumi.tasks.rummage.tool_height import at_tool_height
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
@@ -58,6 +59,7 @@ def build(
     if settings.steps is not None:
         spec = replace(spec, steps=settings.steps)
     spec, model = with_object(spec, settings.object, cache_dir=cache_dir, progress=progress)
+    spec = at_tool_height(spec, model.sdf, model.exact, settings.tool_height_m)
     tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
     task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model)
     if device.type != "cpu" or dtype != torch.float32:
@@ -138,7 +140,23 @@ def build_rummager(
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
+        looks_again=_looks_again(spec, settings),
+        sensors=_sensors(spec, settings),
     )
+
+
+def _looks_again(spec: TaskSpec, settings: Settings) -> bool:
+    """Whether a camera sees the object after every action too."""
+    return spec.looks_again or settings.simulator.sensors.kind in ("camera", "both")
+
+
+def _sensors(spec: TaskSpec, settings: Settings) -> str:
+    """What the robot senses by, for people."""
+    felt = {"points": "felt points", "bubbles": "bubbles", "both": "bubbles", "camera": ""}
+    view = "no view" if spec.prior is not None else "a first view"
+    seen = "a camera that looks after every action" if _looks_again(spec, settings) else view
+    further = (felt[settings.simulator.sensors.kind], *settings.filter.evidence)
+    return ", ".join(filter(None, (seen, *further)))
 
 
 def followed(spec: TaskSpec, following: FilterSettings) -> FilterSettings:
@@ -249,4 +267,5 @@ def scene_geometry(rummager: Rummager) -> SceneGeometry:
             "expected_nll": rummager.stop_rule.expected_nll,
             "apc": rummager.stop_rule.apc_ratio * rummager.model.diagonal,
         },
+        tolerance={"within_m": rummager.position_tolerance_m, "within_rad": rummager.rotation_tolerance_rad},
     )

@@ -6,6 +6,7 @@ from functools import partial
 import pytest
 import torch
 
+import rumi
 from rumi.dynamics.along_path import push_along_path
 from rumi.errors import UsageError
 from rumi.planning.registry import POLICIES
@@ -38,6 +39,44 @@ def test_settings_of_all_kinds_survive_json():
     read = from_dict(json.loads(json.dumps(to_dict(changed), allow_nan=False)))
     assert read == changed
     assert isinstance(read.planner.mppi.noise_variance, tuple)
+
+
+def test_settings_of_a_preset_are_changed_by_name_as_on_the_command_line():
+    flags = {"planner.mppi.samples": 100, "filter.trigger": 3, "mass": 0.2}
+    dotted = rumi.preset("fast", task="box-1", seed=3, **flags)
+    nested = rumi.preset("fast", task="box-1", seed=3, planner={"mppi": {"samples": 100}}, filter={"trigger": 3.0})
+    fast = PRESETS["fast"]()
+    mppi = replace(fast.planner.mppi, samples=100)
+    expected = replace(
+        fast,
+        task="box-1",
+        seed=3,
+        planner=replace(fast.planner, mppi=mppi),
+        filter=replace(fast.filter, trigger=3.0),
+    )
+    assert nested == expected
+    assert dotted == replace(expected, object=replace(expected.object, mass_kg=0.2))
+    assert rumi.preset(task="peg", most_actions=3, seed=2).settings.most_actions == 3
+    assert rumi.preset("paper", task="peg").settings.stop == "contacts"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"planer": 1}, "no setting planer; did you mean planner"),
+        ({"planner": 3}, "Expected planner to be a dict of its settings or RummagingSettings, got 3"),
+        ({"planner": {"mpi": {}}}, r"no setting planner\.mpi; did you mean planner\.mppi"),
+        ({"filter.triger": 3}, r"no setting filter\.triger; did you mean filter\.trigger"),
+        ({"samples": 3}, r"no setting samples; did you mean planner\.mppi\.samples"),
+        ({"xyzzy": 3}, "no setting xyzzy; there are task, method, preset, seed"),
+        ({"seed": "x"}, "Expected seed to be of type int, got 'x'"),
+        ({"planner": {"push_model": 3}}, r"Expected planner\.push_model to be of type str, got 3"),
+        ({"task": "mug-9"}, "no task 'mug-9'; there are mug-0, .*peg"),
+    ],
+)
+def test_what_is_no_setting_is_named_with_what_is_near(changes, message):
+    with pytest.raises(UsageError, match=message):
+        rumi.preset(**changes)
 
 
 def test_what_a_recorded_run_adds_is_no_setting():
