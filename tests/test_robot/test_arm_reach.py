@@ -9,7 +9,7 @@ import torch
 pytest.importorskip("pytorch_kinematics")
 
 from rumi.errors import UsageError
-from rumi.robot.arm import Arm
+from rumi.robot.arm import Arm, ArmGeometry
 from rumi.robot.arm_reach import ArmReach, ArmReachSettings
 from rumi.robot.tool import Tool
 from sdf import se3
@@ -17,6 +17,12 @@ from tests.fixtures.arms import FIVE, SIX, six_mjcf
 
 BOUNDS = torch.tensor([[0.25, -0.15, 0.06], [0.85, 0.45, 0.06]])
 FEW, COARSE = ArmReachSettings(spacing_m=0.05, yaw_steps=12), ArmReachSettings(spacing_m=0.15, yaw_steps=4)
+
+RAIL = (
+    '<link name="slider"/><joint name="rail" type="prismatic"><parent link="base"/><child link="slider"/>'
+    '<origin xyz="0 0 0" rpy="0 0 0"/><axis xyz="1 0 0"/><limit lower="0" upper="1.2" effort="1" velocity="1"/></joint>'
+    '<link name="link1"/>'
+)
 
 
 @pytest.fixture(scope="module")
@@ -128,6 +134,22 @@ def test_the_floor_and_the_arm_itself_are_in_the_way(six):
     lost = (six.left <= 0.005) & (folded.left > 0.005)
     near = (BOUNDS[0, :2] + 0.05 * lost.nonzero()[:, 1:3]).norm(dim=-1)
     assert "1 pairs" in folded.checked and int(lost.sum()) > 0 and float(near.max()) < 0.45 + 0.05
+
+
+@pytest.mark.parametrize(
+    ("urdf", "far"),
+    [
+        (ArmGeometry().urdf(), 0.8),  # seven joints
+        (SIX.replace('parent link="base"', 'parent link="slider"').replace('<link name="link1"/>', RAIL), 1.6),
+    ],
+    ids=["seven", "rail"],
+)
+def test_more_joints_and_joints_that_slide(urdf, far):
+    """A rail takes an arm of 0.7 m to where it does not get by itself."""
+    bounds = torch.tensor([[far - 0.3, -0.1, 0.06], [far, 0.1, 0.06]])
+    assert ArmReach.of_urdf(urdf, "tool", bounds, settings=COARSE).reached > 0.3
+    if "slider" in urdf:
+        assert ArmReach.of_urdf(SIX, "tool", bounds, settings=COARSE).reached == 0.0
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,9 @@ def test_what_is_said_is_what_it_has(model):
     agent = rumi.rummager(
         model, lattice(), tool=ball, motion="measured", action_m=0.03, action_rad=0.2, settings=settings
     )
-    assert isinstance(agent.tool.shape, rumi.SolidTool) and agent.steps == 5 and agent.filter.settings.motion == "measured"
+    assert (
+        isinstance(agent.tool.shape, rumi.SolidTool) and agent.steps == 5 and agent.filter.settings.motion == "measured"
+    )
     torch.testing.assert_close(agent.tool.scale, torch.tensor([0.03, 0.03, 0.2]))
     assert agent.initialise == settings.initialise and agent.filter.pushed is None
 
