@@ -140,6 +140,7 @@ def build_rummager(
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
+        upright=spec.search == "SE(2)",
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
     )
