@@ -162,9 +162,8 @@ class TaskSpec:
             low + (high - low) * part
             for (low, high), part in zip((ranges.distance_m, ranges.mass_kg, ranges.friction), share[:3], strict=True)
         )
-        bearing, turn = (
-            (2.0 * part - 1.0) * most for most, part in zip((ranges.bearing_rad, ranges.turn_rad), share[3:5])
-        )
+        bearing = (2.0 * share[3] - 1.0) * ranges.bearing_rad
+        turn = (2.0 * share[4] - 1.0) * ranges.turn_rad
         x, y = (
             self.base[0] + distance * math.cos(self.base[2] + bearing),
             self.base[1] + distance * math.sin(self.base[2] + bearing),
