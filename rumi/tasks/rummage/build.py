@@ -201,6 +201,8 @@ def _planar(spec: TaskSpec) -> bool:
 
 def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
+    if settings.filter.motion == "trajectory":
+        _check_trajectory(settings)
     if _planar(spec):
         return
     upright, name = spec.search == "SE(2)", settings.planner.push_model
