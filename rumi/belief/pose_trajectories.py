@@ -380,8 +380,8 @@ class PoseTrajectoryBelief(PoseBelief):
 
 
 def log_likelihood_of(
-    distance: Float[Tensor, "N M"], kind: Int[Tensor, "M"], own: PoseTrajectorySettings
-) -> Float[Tensor, "N M"]:
+    distance: Float[Tensor, "*b M"], kind: Int[Tensor, "*#M"], own: PoseTrajectorySettings
+) -> Float[Tensor, "*b M"]:
     """Log-likelihood of a point at a signed distance from the surface, by its kind, up to a constant of each kind."""
     seen, felt = distance / own.seen_sd_m, (distance - own.felt_m) / own.felt_sd_m
     free = (-distance - own.free_m).clamp_min(0.0) / own.free_sd_m
@@ -390,6 +390,10 @@ def log_likelihood_of(
     feels = own.outliers + (1.0 - 2.0 * own.outliers) * torch.sigmoid((own.pad_m - distance) / own.pad_slope_m)
     bit = torch.where(kind == Kind.PAD_FELT, feels, 1.0 - feels).log()
     return torch.where(kind >= Kind.PAD_FELT, bit, near)
+
+
+# the compiled version looks likelihoods up over distances: metres between nodes, and nodes to either side of 0
+_STEP_M, _STEPS = 3e-5, 1000
 
 
 @backend.register("replay_trajectories")
@@ -473,11 +477,12 @@ def _replay_numba(
     numbers = torch.tensor((*place, *model.centre.tolist()), dtype=torch.float64)
     prior = (*own.friction, *own.lever_ratio, *own.ahead_m, own.centre_m, own.friction_change, own.lever_change)
     noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)
-    sensors = (own.seen_sd_m, own.free_m, own.free_sd_m, own.felt_m, own.felt_sd_m, own.pad_m, own.pad_slope_m)
-    scales = torch.tensor((*prior, *noise, *sensors, own.outliers), dtype=torch.float64)
+    scales = torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64)
+    distance = _STEP_M * (torch.arange(2 * _STEPS + 1, dtype=torch.float64) - _STEPS)
+    priced = torch.stack([log_likelihood_of(distance, torch.tensor(int(kind)), own) for kind in Kind])
     tensors = (first, poses, logs, given.physics, given.noise, history.tool, history.pushes, history.ends)
     points = (history.action, history.points, history.kind, history.weight, history.point_ends)
-    shape = (model.tool, outline.values, numbers, scales)
+    shape = (model.tool, outline.values, numbers, scales, priced)
     arrays = (part.detach().contiguous().numpy() for part in (*tensors, *points, *shape))
     kernel(*arrays, grid_arguments(model.sdf, torch.float32))
     return poses, logs

@@ -10,8 +10,6 @@ from sdf.grid_numba import lattice_of
 from sdf.grid_numba import value as distance_at
 from sdf.part_numba import indices
 
-_FAR = 12.0  # standard deviations, or widths of a border, beyond which a likelihood is that of an outlier
-
 
 @bare
 def _deepest(x, y, yaw, tool_x, tool_y, tool_yaw, tool, table, numbers):
@@ -38,25 +36,12 @@ def _tailed(z, tails):
 
 
 @bare
-def _point(v, kind, scales):
-    """Log-likelihood of a point at a signed distance from the surface."""
-    outliers = scales[22]
-    if kind >= 3:
-        place = (scales[20] - v) / scales[21]
-        share = 1.0 if place > 40.0 else (0.0 if place < -40.0 else 1.0 / (1.0 + math.exp(-place)))
-        feels = outliers + (1.0 - 2.0 * outliers) * share
-        return math.log(feels if kind == 3 else 1.0 - feels)
-    if kind == 0:
-        off = v / scales[15]
-    elif kind == 1:
-        off = max(-v - scales[16], 0.0) / scales[17]
-        if off == 0.0:
-            return 0.0
-    else:
-        off = (v - scales[18]) / scales[19]
-    if abs(off) > _FAR:
-        return math.log(outliers)
-    return math.log(outliers + (1.0 - outliers) * math.exp(-0.5 * off * off))
+def _point(v, kind, logs, step):
+    """Log-likelihood of a point at a signed distance from the surface, by a table; beyond it as at its ends."""
+    last = logs.shape[1] - 1
+    place = min(max(v / step + 0.5 * last, 0.0), last - 1e-6)
+    low = int(place)
+    return logs[kind, low] + (place - low) * (logs[kind, low + 1] - logs[kind, low])
 
 
 @bare
@@ -131,6 +116,7 @@ def _one(
     table,
     numbers,
     scales,
+    priced,
     flat,
     lattice,
 ):
@@ -165,7 +151,7 @@ def _one(
                     flat,
                     lattice,
                 )
-                log += weight[m] * _point(float(found), kind[m], scales)
+                log += weight[m] * _point(float(found), kind[m], priced, scales[15])
         poses[n, segment + 1, 0], poses[n, segment + 1, 1], poses[n, segment + 1, 2] = x, y, yaw
         logs[n, segment] = log
 
@@ -188,6 +174,7 @@ def _replay(
     table,
     numbers,
     scales,
+    priced,
     grid,
     part,
 ):
@@ -212,6 +199,7 @@ def _replay(
             table,
             numbers,
             scales,
+            priced,
             grid[0],
             lattice,
         )

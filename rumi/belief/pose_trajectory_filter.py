@@ -43,7 +43,7 @@ from sensors.reading import Reading
 _SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of draws about fitted poses: metres, radians
 _DRAWS, _STARTS, _LOOKED_AT, _FIRST_SWEEPS = 6000, 300, 24, 4
 _MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of the belief
-_LONG = 12  # pushed segments up to which all moves from the start are tried at every stage
+_LONG = 6  # pushed segments up to which moves from the start are tried after each, not after each action
 
 
 class PoseTrajectoryFilter(PoseFilter):
@@ -101,10 +101,11 @@ class PoseTrajectoryFilter(PoseFilter):
         touched = self._pushes(now, log_weights, reading, path)
         if touched:
             felt = felt_pads(reading, self.model, own)
-            for instants in cut(reading, own):
+            parts = cut(reading, own)
+            for instants in parts:
                 tracks = self._tracks(now, log_weights, path[instants])
                 segment = pushed(reading, instants, path, felt, tracks, self.model, own)
-                now = self._absorb(now, log_weights, segment, random, opens=not spans)
+                now = self._absorb(now, log_weights, segment, random, opens=not spans, closes=instants is parts[-1])
                 log_weights, resampled = normalise(torch.zeros_like(log_weights)), True
                 spans.append(len(instants))
         rides = self._ridden(now, spans, len(reading.in_contact))
@@ -146,7 +147,14 @@ class PoseTrajectoryFilter(PoseFilter):
         return push_along_path(some, whole, Pusher(model.tool), model.outline, sliding, substeps=1).track
 
     def _absorb(
-        self, now: Trajectories, log_weights: Tensor, segment: Segment, random: torch.Generator, *, opens: bool
+        self,
+        now: Trajectories,
+        log_weights: Tensor,
+        segment: Segment,
+        random: torch.Generator,
+        *,
+        opens: bool,
+        closes: bool,
     ) -> Trajectories:
         """Particles, equally weighted, after a segment with contact: motions branch, the likely ones are kept."""
         own, count = self.own, len(now)
@@ -179,7 +187,7 @@ class PoseTrajectoryFilter(PoseFilter):
             log_likelihood=torch.cat((now.log_likelihood[from_], power * gained[kept, None]), 1),
             history=history,
         )
-        return self._tempered(now, power, random)
+        return self._tempered(now, power, random, whole=closes)
 
     def _weighed(
         self, now: Trajectories, log_weights: Tensor, segment: Segment, random: torch.Generator
@@ -205,15 +213,15 @@ class PoseTrajectoryFilter(PoseFilter):
         now = now.at(resample_systematic(log_weights + power * gained, generator=random))
         scaled = now.log_likelihood.clone()
         scaled[:, -1] *= power
-        now = self._tempered(replace(now, log_likelihood=scaled), power, random)
+        now = self._tempered(replace(now, log_likelihood=scaled), power, random, whole=True)
         return now, normalise(torch.zeros_like(log_weights)), True
 
-    def _tempered(self, now: Trajectories, power: float, random: torch.Generator) -> Trajectories:
-        """Particles moved and resampled until the last segment's readings count in full."""
+    def _tempered(self, now: Trajectories, power: float, random: torch.Generator, *, whole: bool) -> Trajectories:
+        """Particles moved and resampled until the last segment's readings count in full, at last from the start."""
         moves, history = Moves(self.model, self.own, random), now.history
-        short = len(history.moving()) <= _LONG
+        whole |= len(history.moving()) <= _LONG
         while True:
-            now = moves.sweep(now, history.tempered(power), whole=short or power == 1.0)
+            now = moves.sweep(now, history.tempered(power), whole=whole and power == 1.0)
             if power == 1.0:
                 return now
             gained = now.log_likelihood[:, -1] / power

@@ -43,7 +43,7 @@ def test_other_sensors_and_evidence_are_refused():
     camera = replace(own, simulator=replace(own.simulator, sensors=replace(own.simulator.sensors, kind="camera")))
     wrench = replace(own, filter=replace(own.filter, evidence=("contact-points",)))
     for odd in (camera, wrench):
-        with pytest.raises(UsageError, match="Expected --[a-z.]+ [a-z]+ with"):
+        with pytest.raises(UsageError, match=r"Expected --[a-z.]+ [a-z]+ with"):
             build(odd)
 
 
