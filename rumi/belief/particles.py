@@ -169,9 +169,10 @@ def subsample(belief: PoseBelief, count: int) -> PoseBelief:
     if count >= belief.log_weights.shape[-1]:
         return belief
     index, times = systematic(belief.log_weights, 0.5, count).unique_consecutive(return_counts=True)
-    return replace(
-        belief,
-        attached_T_object=belief.attached_T_object[index],
-        log_weights=normalise(times.to(belief.log_weights).log()),
-        discrepancy=belief.discrepancy[index],
+    return PoseBelief(
+        belief.world_T_attached,
+        belief.attached_T_object[index],
+        normalise(times.to(belief.log_weights).log()),
+        belief.discrepancy[index],
+        belief.evidence,
     )
