@@ -19,7 +19,7 @@ from rumi.clock import Clock
 from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopEvidence, StopSettings, converged
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
-from rumi.metrics.pose_error import pose_error
+from rumi.metrics.pose_error import pose_error, probability_right
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.records import RunResult, StepRecord
 from rumi.robot.tool import Tool
@@ -230,7 +230,7 @@ def first_belief(rummager: Rummager, reading: Reading, *, generator: torch.Gener
         settings,
         generator=generator,
     )
-    return belief, memory
+    return rummager.filter.begin(belief, memory, generator=generator), memory
 
 
 def evaluate_step(
@@ -256,6 +256,8 @@ def evaluate_step(
     touched = bool(result.reading.in_contact.any()) and control is not None
     contacts = (history[-1].contacts if history else 0) + touched
     fit = float(belief.discrepancy.min())
+    tolerance = rummager.position_tolerance_m, rummager.rotation_tolerance_rad
+    p_right = float(probability_right(belief, model.symmetries, *tolerance))
     return StepRecord(
         step=len(history),
         control=control,
@@ -269,7 +271,7 @@ def evaluate_step(
         ess=float(belief.ess()),
         contacts=contacts,
         resampled=resampled,
-        converged=converged(rummager.stop_rule, StopEvidence(expected, fit, apc, model.diagonal, contacts)),
+        converged=converged(rummager.stop_rule, StopEvidence(expected, fit, apc, model.diagonal, contacts, p_right)),
         truth=result.truth,
         nll=nll,
         timings_s=clock.take(),

@@ -1,19 +1,21 @@
 """What rummaging says of its own answer: what it relies on, what was not measured, and why it is not sure."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol, runtime_checkable
 
 import torch
 
 from rumi.agent import StopReason
 from rumi.belief.motion import Motion
-from rumi.information.stopping import StopEvidence, shortfalls
+from rumi.belief.pose_filter import PoseFilter
+from rumi.information.stopping import StopEvidence, StopSettings, shortfalls
+from rumi.planning.policy import Policy
 from rumi.records import StepRecord
 from rumi.registration.pose_summary import PoseSummary
+from rumi.robot.tool import Tool
 from sdf import se3
-
-if TYPE_CHECKING:
-    from rumi.tasks.rummage.agent import Rummager
+from sdf.object_model import ObjectModel
+from sensors.semantics import Semantics
 
 _TAKEN: dict[Motion, str] = {
     "sticking": "taken to stick to the tool",
@@ -40,18 +42,38 @@ _TOLD = 0.05  # weight of a mode that counts as a rival
 _LEVEL_M = 0.02  # above and below a level tool, that it touches
 
 
-def relies_on(rummager: "Rummager") -> str:
+@runtime_checkable
+class Answerer(Protocol):
+    """The parts of a `Rummager` that its answer tells of."""
+
+    @property
+    def model(self) -> ObjectModel: ...  # noqa: D102
+    @property
+    def filter(self) -> PoseFilter: ...  # noqa: D102
+    @property
+    def policy(self) -> Policy: ...  # noqa: D102
+    @property
+    def tool(self) -> Tool: ...  # noqa: D102
+    @property
+    def stop_rule(self) -> StopSettings: ...  # noqa: D102
+    @property
+    def sensors(self) -> str: ...  # noqa: D102
+    @property
+    def looks_again(self) -> bool: ...  # noqa: D102
+
+
+def relies_on(rummager: Answerer) -> str:
     """What a run takes for granted, in a line."""
     motion = rummager.filter.settings.motion
     moved = "measured" if motion == "measured" else f"not measured, {_TAKEN[motion]}"
-    reach = "none" if rummager.tool.reach is None else "of the arm"
+    reach = "none" if rummager.tool.reach is None else rummager.tool.reach.words
     return f"motion: {moved}; reach: {reach}; push model: {_pushed_by(rummager)}; sensors: {rummager.sensors}"
 
 
-def warnings(rummager: "Rummager", history: Sequence[StepRecord] = ()) -> tuple[str, ...]:
+def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[str, ...]:
     """What was not measured and can make a belief sure and wrong, from settings and from what came."""
     motion = rummager.filter.settings.motion
-    if rummager.looks_again:
+    if rummager.looks_again or _seen_again(history):
         return ()
     if motion != "measured":
         return (
@@ -68,7 +90,14 @@ def warnings(rummager: "Rummager", history: Sequence[StepRecord] = ()) -> tuple[
     )
 
 
-def why_not(rummager: "Rummager", record: StepRecord, pose: PoseSummary, stopped_by: StopReason) -> str | None:
+def _seen_again(history: Sequence[StepRecord]) -> bool:
+    """Whether most actions that touched nothing saw the object's surface: a camera looks again."""
+    free = [record.reading for record in history[1:] if not bool(record.reading.in_contact.any())]
+    seen = sum(bool(reading.observation.of_class(Semantics.SURFACE).any()) for reading in free)
+    return 2 * seen > len(free)
+
+
+def why_not(rummager: Answerer, record: StepRecord, pose: PoseSummary, stopped_by: StopReason) -> str | None:
     """Why a belief is not sure, by the parts of its stopping rule; None where it is."""
     if stopped_by == "sure":
         return None
@@ -95,7 +124,7 @@ def why_not(rummager: "Rummager", record: StepRecord, pose: PoseSummary, stopped
     )
 
 
-def _rivals(rummager: "Rummager", record: StepRecord, pose: PoseSummary) -> str:
+def _rivals(rummager: Answerer, record: StepRecord, pose: PoseSummary) -> str:
     """Which poses explain the observations, how far they are apart, and what would tell the first two apart."""
     rivals = [mode for mode in pose.modes if mode.weight >= _TOLD]
     first, second = (mode.world_T_object for mode in rivals[:2])
@@ -120,7 +149,7 @@ def _rivals(rummager: "Rummager", record: StepRecord, pose: PoseSummary) -> str:
     )
 
 
-def _pushed_by(rummager: "Rummager") -> str:
+def _pushed_by(rummager: Answerer) -> str:
     """The planner's push model, as far as it plans by one."""
     name = getattr(getattr(rummager.policy, "settings", None), "push_model", None)
     if name != "auto":

@@ -21,7 +21,7 @@ from rumi.tasks.registry import Role, check_seed
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import record
 from rumi.tasks.rummage.raw_streams import RawStreams
-from rumi.tasks.rummage.scenes import SCENES, TaskSpec
+from rumi.tasks.rummage.scenes import DRAWN, SCENES, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 from sensors.reading import Reading
 
@@ -140,7 +140,7 @@ class RummageTask:
         return build_rummager(spec, replace(settings, method="rumi"), model, tool)
 
 
-ENTRIES = {name: RummageTask(spec) for name, spec in SCENES.items()}
+ENTRIES = {name: RummageTask(spec) for name, spec in (SCENES | DRAWN).items()}
 """The scenes by name."""
 
 
@@ -190,7 +190,6 @@ def describe(step: StepRecord) -> str:
     apc = "-" if math.isnan(step.apc) else f"{1e3 * step.apc:.1f} mm"
     marks = {
         "contact": step.control is not None and bool(step.reading.in_contact.any()),
-        "resampled": step.resampled,
         "sure": step.converged,
     }
     marks |= {f"{remark.name}!": True for remark in step.remarks}
