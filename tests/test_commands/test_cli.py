@@ -120,6 +120,7 @@ def test_an_interrupt_leaves_a_readable_run(monkeypatch, capsys):
         (["mug-0"], "rumi.tasks.rummage.build.build"),
         (["handle", "--record"], "rumi.tasks.handle.build.build_handle"),
         (["peg"], "rumi.tasks.peg.entry.build_peg"),
+        (["peg"], "rumi.tasks.peg.simulated.PegTask.reset"),
         (["touch-box"], "rumi.tasks.touch_box.build.build_touch_box"),
     ],
 )
