@@ -14,14 +14,8 @@ from rumi.records import StepRecord
 from rumi.registration.pose_summary import PoseSummary
 from rumi.robot.tool import Tool
 from sdf import se3
-<<<<<<< HEAD
-from sensors.semantics import Semantics
-
-if TYPE_CHECKING:
-    from rumi.tasks.rummage.agent import Rummager
-=======
 from sdf.object_model import ObjectModel
->>>>>>> main
+from sensors.semantics import Semantics
 
 _TAKEN: dict[Motion, str] = {
     "sticking": "taken to stick to the tool",
@@ -96,7 +90,6 @@ def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[st
     )
 
 
-<<<<<<< HEAD
 def _seen_again(history: Sequence[StepRecord]) -> bool:
     """Whether most actions that touched nothing saw the object's surface: a camera looks again."""
     free = [record.reading for record in history[1:] if not bool(record.reading.in_contact.any())]
@@ -104,10 +97,7 @@ def _seen_again(history: Sequence[StepRecord]) -> bool:
     return 2 * seen > len(free)
 
 
-def why_not(rummager: "Rummager", record: StepRecord, pose: PoseSummary, stopped_by: StopReason) -> str | None:
-=======
 def why_not(rummager: Answerer, record: StepRecord, pose: PoseSummary, stopped_by: StopReason) -> str | None:
->>>>>>> main
     """Why a belief is not sure, by the parts of its stopping rule; None where it is."""
     if stopped_by == "sure":
         return None
