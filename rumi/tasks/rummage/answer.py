@@ -66,7 +66,7 @@ def relies_on(rummager: Answerer) -> str:
     """What a run takes for granted, in a line."""
     motion = rummager.filter.settings.motion
     moved = "measured" if motion == "measured" else f"not measured, {_TAKEN[motion]}"
-    reach = "none" if rummager.tool.reach is None else "of the arm"
+    reach = "none" if rummager.tool.reach is None else rummager.tool.reach.words
     return f"motion: {moved}; reach: {reach}; push model: {_pushed_by(rummager)}; sensors: {rummager.sensors}"
 
 
