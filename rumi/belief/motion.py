@@ -1,4 +1,4 @@
-"""Motion model: how far the object moved in an action, measured, sticking, pushed by a model, estimated, corrected."""
+"""Motion model: how far an object moved, measured, sticking, pushed, estimated, corrected, or each particle's own."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from sensors.discrepancy import Discrepancy
 from sensors.observation import attach
 from sensors.reading import Reading
 
-Motion = Literal["measured", "sticking", "pushed", "estimated", "corrected"]
+Motion = Literal["measured", "sticking", "pushed", "estimated", "corrected", "trajectory"]
 MOTIONS: tuple[str, ...] = get_args(Motion)
 
 Predictor = Callable[[PoseBelief, Reading], Tensor]

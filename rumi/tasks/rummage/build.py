@@ -15,13 +15,17 @@ from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
 from rumi.belief.motion import PushedMotion
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
+from rumi.belief.pose_trajectories import PushedObject
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
+from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
 from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
+from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from rumi.runs.scene_geometry import SceneGeometry, make_geometry
 from rumi.sim.settings import SimSettings
@@ -37,7 +41,7 @@ from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
 
-_PLANAR = ("pushed", "corrected")  # motions by a model of upright objects and a level tool
+_PLANAR = ("pushed", "corrected", "trajectory")  # motions by a model of upright objects and a level tool
 _OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
 
 
@@ -118,16 +122,21 @@ def build_rummager(
     if settings.simulator.sensors.kind == "camera":  # which feels nothing
         stop = replace(stop, contacts=0)
     standing = 0.0 - float(model.exact.bounds[0, 2])
-    pushed = None
-    if predicts_motion(following):
-        pushed = pushed_motion(settings.planner, model, tool, spec.height_m, standing)
-    further: tuple[EvidenceModel, ...] = ()
-    if following.evidence:
-        surface = tool.shape.surface(SignalSettings().spacing_m).to(*to)
-        further = make_evidence(following.evidence, model.sdf, surface)
+    if following.motion == "trajectory":
+        _check_trajectory(settings)
+        pose_filter: PoseFilter = trajectory_filter(following, discrepancy, tool, spec.height_m, standing)
+    else:
+        pushed = None
+        if predicts_motion(following):
+            pushed = pushed_motion(settings.planner, model, tool, spec.height_m, standing)
+        further: tuple[EvidenceModel, ...] = ()
+        if following.evidence:
+            surface = tool.shape.surface(SignalSettings().spacing_m).to(*to)
+            further = make_evidence(following.evidence, model.sdf, surface)
+        pose_filter = PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed)
     return Rummager(
         model,
-        PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed).to(*to),
+        pose_filter.to(*to),
         make_policy(settings, reachability(tool, workspace)),
         workspace,
         tool,
@@ -140,6 +149,7 @@ def build_rummager(
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
+        upright=spec.search == "SE(2)",
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
     )
@@ -172,6 +182,29 @@ def predicts_motion(following: FilterSettings) -> bool:
     return following.motion in _PLANAR
 
 
+def trajectory_filter(
+    settings: FilterSettings, discrepancy: Discrepancy, tool: Tool, height_m: float, resting_m: float
+) -> PoseTrajectoryFilter:
+    """The filter whose particles each have their own motion.
+
+    Args:
+        settings: of the filter.
+        discrepancy: of the object.
+        tool: the gripper.
+        height_m: of the level tool.
+        resting_m: of the object's origin above the floor.
+    """
+    pushed = PushedObject.of(
+        discrepancy.sdf,
+        gripper_of(tool.shape),
+        height_m=height_m,
+        resting_m=resting_m,
+        spacing_m=QuasiStaticSettings().spacing_m,
+        pad_spacing_m=settings.trajectories.pad_spacing_m,
+    )
+    return PoseTrajectoryFilter(settings, discrepancy, pushed)
+
+
 def pushed_motion(
     planner: PushSettings, model: ObjectModel, tool: Tool, height_m: float, resting_m: float
 ) -> PushedMotion:
@@ -198,6 +231,8 @@ def _planar(spec: TaskSpec) -> bool:
 
 def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
+    if settings.filter.motion == "trajectory":
+        _check_trajectory(settings)
     if _planar(spec):
         return
     upright, name = spec.search == "SE(2)", settings.planner.push_model
@@ -209,6 +244,17 @@ def check_pushing(spec: TaskSpec, settings: Settings) -> None:
         raise UsageError(
             _other_task(spec, f"filter.motion {settings.filter.motion}", "measured, sticking or estimated")
         )
+
+
+def _check_trajectory(settings: Settings) -> None:
+    """Refuse what trajectories do not take in."""
+    for flag, odd, fits in (
+        ("simulator.sensors.kind", settings.simulator.sensors.kind != "points", "points"),
+        ("filter.evidence", bool(settings.filter.evidence), "none"),
+        ("device", settings.device != "cpu", "cpu"),
+    ):
+        if odd:
+            raise UsageError(f"Expected --{flag} {fits} with --filter.motion trajectory, which takes in no other")
 
 
 def _other_task(spec: TaskSpec, flag: str, fits: str) -> str:

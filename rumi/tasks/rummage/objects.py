@@ -99,7 +99,15 @@ def with_object(
         friction=spec.physics.friction if settings.friction is None else settings.friction,
         collision=settings.collision,
     )
-    spec = replace(spec, physics=physics)
+    draw = spec.draw
+    if draw is not None:  # what is asked for is not drawn
+        mass, friction = settings.mass_kg, settings.friction
+        draw = replace(
+            draw,
+            mass_kg=draw.mass_kg if mass is None else (mass, mass),
+            friction=draw.friction if friction is None else (friction, friction),
+        )
+    spec = replace(spec, physics=physics, draw=draw)
     if settings.mesh is None:
         return spec, spec.object_factory()
     fits = functools.partial(_check_fits, spec)

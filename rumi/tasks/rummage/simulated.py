@@ -36,7 +36,7 @@ _SPREADS = 4.0
 class SimTask:
     """A `rumi.task.Task` in simulation: a level gripper about an object on the floor.
 
-    The same seed gives the same bytes; seeds change the noise alone, and without noise nothing. Readings are
+    The same seed gives the same bytes; seeds change the noise and what the task draws, else nothing. Readings are
     float32. Truth is in `StepResult.truth` only.
 
     Args:
@@ -67,6 +67,7 @@ class SimTask:
         height = None if spec.spatial else spec.height_m
         self.shape = shape = gripper_of(tool.shape)
         self.world = World(body, shape, height, settings.time_step_s, physics)
+        self._scene = spec
         # what cannot stand is refused before anything begins
         self.world.reset(torch.tensor(spec.tool_start), self._start())
         self._pads = shape.pad_shell(settings.pad_spacing_m).float()
@@ -82,10 +83,16 @@ class SimTask:
         """Put everything at its start and return the first view: one instant, seen by the camera if there is one.
 
         Args:
-            seed: of the sensors' noise.
+            seed: of the sensors' noise, and of the scene where the task draws it.
         """
         self._generator.manual_seed(seed)
         self._further_noise = split(seed, "further sensors")
+        self._scene = self.spec.drawn(seed)
+        if self.spec.draw is not None:
+            own = self._scene.physics
+            physics = replace(self.world.physics, mass_kg=own.mass_kg, friction=own.friction)
+            height = None if self.spec.spatial else self.spec.height_m
+            self.world = World(self.world.body, self.shape, height, self.settings.time_step_s, physics)
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
         observation = self._view()
@@ -104,9 +111,9 @@ class SimTask:
 
     def _start(self) -> Tensor:
         """Where the object starts, as `World.reset` takes it."""
-        start = torch.tensor(self.spec.start)
-        if self.spec.start_up != "z" or self.spec.prior is not None:
-            return se3.from_planar(start) @ lying(self.model.exact.bounds.float(), self.spec.start_up)
+        start = torch.tensor(self._scene.start)
+        if self._scene.start_up != "z" or self._scene.prior is not None:
+            return se3.from_planar(start) @ lying(self.model.exact.bounds.float(), self._scene.start_up)
         return start
 
     def step(self, control: Float[Tensor, "A"]) -> StepResult:
