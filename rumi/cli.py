@@ -35,6 +35,7 @@ COMMANDS = {
     "import": Command("BAG --map FILE", "make a log of a ROS 2 bag", "rumi.commands.import_bag:import_bag"),
     "check": Command("LOG [options]", "draw a log's observations over the model", "rumi.commands.check:check"),
     "plot": Command("RUN [options]", "draw the figures of a run again", "rumi.commands.plot:plot"),
+    "pushes": Command("RUN [options]", "learn how an object slides", "rumi.commands.pushes:pushes"),
     "bench": Command("[options]", "time each part on this machine", "rumi.bench.command:bench"),
     "mesh": Command("FILE [options]", "check a triangle mesh", "rumi.commands.mesh:mesh"),
     "localize": Command("MESH CONTACTS [options]", "poses by touched points", "rumi.commands.localize:localize"),

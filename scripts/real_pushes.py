@@ -4,7 +4,7 @@ python -m scripts.real_pushes run     # needs RUMI_DATA; again to go on
 python -m scripts.real_pushes show
 
 Priors of a shape are fitted to the other six on both surfaces; "after n" learns from n random pushes of the set, 20
-times, and is scored on all others of it (its regions on every fourth of those).
+times, and is scored on all others of it (its regions on every eighth of those).
 """
 
 from collections.abc import Mapping
@@ -44,8 +44,8 @@ FIXED = {
 LEARNT = {"never seen": 0, "after 1": 1, "after 3": 3, "after 10": 10}
 SHIPPED = {"library prior": 0, "library after 10": 10}
 MODELS = (FIT, "stays", *FIXED, "Zhou by 600 wrenches", *SHIPPED, *LEARNT)
-DRAWS, SHOWN = 20, 64
-"""Times that pushes are drawn to learn from; particles that predict."""
+DRAWS, PARTICLES, SHOWN = 20, 128, 48
+"""Times that pushes are drawn to learn from; particles that learn; draws of them that predict."""
 SHARES = (0.5, 0.9, 0.95)
 
 
@@ -62,19 +62,20 @@ def measure(model: str, set: str) -> dict[str, Any]:
     if model in FIXED:
         return _summary([scores(predicted(fixed(*FIXED[model]), own, rows).mean(), own.end, own.path)])
     count = (SHIPPED | LEARNT)[model]
-    prior = PushPosterior.prior() if model in SHIPPED else prior_without(set.split()[1], fits())
+    shape = set.split()[1]
+    prior = PushPosterior.prior(PARTICLES) if model in SHIPPED else prior_without(shape, fits(), PARTICLES)
     found, densities, levels, numbers = [], [], [], []
     for draw in range(DRAWS if count else 1):
         generator = split(draw, f"real pushes {set}")
         order = torch.randperm(len(rows), generator=generator)
         learnt, rest = order[:count], order[count:]
         posterior = prior.update(own.observed(learnt), own.body, generator)
-        shown = predicted(drawn(posterior, SHOWN), own, rest)
+        shown = predicted(drawn(posterior, SHOWN) if count else posterior, own, rest)
         end = own.end[rest]
         found.append(scores(shown.mean(), end, own.path[rest]))
         densities.append(float(shown.log_density(end).mean()))
-        some = predicted(drawn(posterior, SHOWN), own, rest[::4])
-        levels.append(some.level(end[::4], generator, draws=200))
+        some = predicted(drawn(posterior, SHOWN), own, rest[::8])
+        levels.append(some.level(end[::8], generator, draws=200))
         numbers.append(posterior.quantiles((0.5,))[0, :2].exp())
     held = {f"held_{share:g}": float((torch.cat(levels) <= share).double().mean()) for share in SHARES}
     middle = torch.stack(numbers).mean(0).tolist()
