@@ -248,6 +248,10 @@ class PushPosterior:
         ends, scale, heading = self._ends(self.parameters, start, path, body, substeps)
         return PushPrediction(ends, self.log_weights, scale, heading, body.support, self.residual)
 
+    def log_likelihood(self, pushes: Sequence[ObservedPush], body: PushedBody) -> Float[Tensor, "N"]:
+        """Of some pushes by each particle, to the residual's power."""
+        return self._log_likelihood(self.parameters, pushes, body)
+
     def update(self, pushes: Sequence[ObservedPush], body: PushedBody, generator: torch.Generator) -> "PushPosterior":
         """The posterior after more pushes of the same object, one after the other."""
         found = self
