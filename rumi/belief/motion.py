@@ -10,6 +10,7 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.base import ObjectMotion
+from rumi.errors import UsageError
 from rumi.registration.descent import DescentSettings, Search, descend
 from sdf import se3
 from sensors.discrepancy import Discrepancy
@@ -109,9 +110,9 @@ def object_motion(
     """Motion of the object up to each instant of a reading, by the chosen means; `pushed` is needed for its own."""
     if kind == "measured":
         if reading.object_motion is None:
-            raise ValueError(
-                "Expected a reading with a measured object motion, got None: choose motion 'sticking', 'pushed' "
-                "or 'estimated'"
+            raise UsageError(
+                "Expected every reading to have object_motion, since filter.motion is 'measured', got one without: "
+                "report it, or choose a motion that needs none: 'corrected', 'pushed', 'estimated' or 'sticking'"
             )
         return reading.object_motion
     if kind == "sticking":

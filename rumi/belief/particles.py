@@ -9,10 +9,12 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.errors import DegenerateBeliefError
+from rumi.registration.pose_summary import PoseSummary, mass_within, summarise_particles
 from rumi.resampling import systematic
 from rumi.weights import effective_sample_size, equal_weights, normalise
 from sdf import se3
 from sdf.check import is_eager
+from sdf.symmetry import Symmetries
 from sensors.evidence import EvidenceSet
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
@@ -99,6 +101,32 @@ class PoseBelief:
     def mean(self) -> Float[Tensor, "*b 4 4"]:
         """Weighted mean world pose (chordal mean of rotations); means little where there are several modes."""
         return se3.mean(self.world_T_object, self.weights)
+
+    def summary(
+        self,
+        symmetries: Symmetries | None = None,
+        *,
+        within_m: float = 0.005,
+        within_rad: float = math.radians(10.0),
+    ) -> PoseSummary:
+        """Best pose (`mode`), covariance, mass within a tolerance, and modes, of one scene's belief.
+
+        Args:
+            symmetries: turns after which the object looks the same.
+            within_m: metres that the mass is within; until a belief's width is calibrated it is no frequency.
+            within_rad: radians that it is within.
+        """
+        poses, best = self.world_T_object, self.mode()
+        return summarise_particles(poses, self.log_weights, best, symmetries, within_m=within_m, within_rad=within_rad)
+
+    def probability_right(self, symmetries: Symmetries, *, within_m: float, within_rad: float) -> float:
+        """The `probability` of one scene's `summary` alone: that the best pose is right, by the belief itself."""
+        poses, weights = (
+            se3.renormalised(self.world_T_object.double().cpu()),
+            self.log_weights.double().cpu().softmax(-1),
+        )
+        at = se3.renormalised(self.mode().double().cpu())
+        return mass_within(poses, weights, at, symmetries.to(torch.float64), within_m, within_rad)
 
     def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
         """The belief after a known world motion: `world_T_object' = motion @ world_T_object`."""

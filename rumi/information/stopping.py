@@ -257,9 +257,44 @@ STOP_RULES: Table[StopRule] = Table("stop rule", "rumi.stop_rules")
 """All rules by name."""
 
 
+class Shortfall(NamedTuple):
+    """A part of a stopping rule that does not hold.
+
+    Attributes:
+        part: "fit", no pose explains the observations; "contacts", too few actions touched the object; "spread", poses
+            that explain them differ too much; "rule", a rule without parts.
+        value: of the belief.
+        allowed: bound of it.
+    """
+
+    part: Literal["fit", "contacts", "spread", "rule"]
+    value: float
+    allowed: float
+
+
+def shortfalls(settings: StopSettings, now: StopEvidence) -> tuple[Shortfall, ...]:
+    """The parts of the rule of some settings that do not hold; none where it does."""
+    if settings.rule == "self":
+        allowed = settings.fit + settings.fit_a_contact * now.contacts
+        parts = (
+            (now.fit < allowed, Shortfall("fit", now.fit, allowed)),
+            (now.contacts >= settings.contacts, Shortfall("contacts", now.contacts, settings.contacts)),
+            (now.expected_nll < settings.expected_nll, Shortfall("spread", now.expected_nll, settings.expected_nll)),
+        )
+        return tuple(part for holds, part in parts if not holds)
+    if converged(settings, now):
+        return ()
+    if settings.rule == "probability":
+        if now.contacts < settings.contacts:
+            return (Shortfall("contacts", now.contacts, settings.contacts),)
+        return (Shortfall("spread", now.p_right, settings.probability),)
+    if settings.rule == "apc":
+        return (Shortfall("spread", now.apc, settings.apc_ratio * now.diagonal),)
+    return (Shortfall("rule", math.nan, math.nan),)
+
+
 def _self_consistent(settings: StopSettings, now: StopEvidence) -> bool:
-    fits = now.fit < settings.fit + settings.fit_a_contact * now.contacts
-    return now.expected_nll < settings.expected_nll and fits and now.contacts >= settings.contacts
+    return not shortfalls(settings, now)
 
 
 STOP_RULES.add("self", _self_consistent)

@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.robot.gripper import GripperShape
 from rumi.rosbag.contact_sample import ContactSample
 from rumi.rosbag.contacts import contact_samples
 from rumi.rosbag.frames import FrameTree
@@ -74,7 +73,7 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> ImportedReadin
         )
     first_ns = start + round(mapping.actions.view_s * 1e9)
     seen = views.between(start, first_ns)
-    body = GripperShape(**asdict(mapping.tool)).solid(_BODY_SPACING).float()
+    body = mapping.tool.shape().solid(_BODY_SPACING).float()
     cutter = _Cutter(mapping, frames, views, contacts.samples, body, start)
     taken = [cutter.first(seen, first_ns)]
     every = round(mapping.actions.every_s * 1e9)

@@ -18,6 +18,7 @@ from rumi.runs.plain import plain
 from rumi.runs.scene_geometry import OutlineMap, SceneGeometry
 from rumi.runs.trace import TraceWriter
 from rumi.runs.values import read_value, record_classes, write_value
+from sdf.symmetry import Symmetries
 from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.observation import Observation
 from sensors.reading import Reading
@@ -129,6 +130,8 @@ def write_geometry(trace: TraceWriter, geometry: SceneGeometry) -> None:
         "workspace_shape": geometry.workspace.shape,
         "outline_spacing": {name: outline.spacing for name, outline in outlines.items()},
         "thresholds": geometry.thresholds,
+        "symmetries": geometry.symmetries,
+        "tolerance": geometry.tolerance,
     }
     trace.json("scene/about", plain(about))
 
@@ -153,8 +156,17 @@ def read_geometry(members: Mapping[str, Any]) -> SceneGeometry | None:
         surface_points=_need(members, "scene/surface_points"),
         reachability=_get(members, "scene/reachability"),
         thresholds=about["thresholds"],
+        symmetries=_read_symmetries(about.get("symmetries")),
+        tolerance=about.get("tolerance", {}),
         **outlines,
     )
+
+
+def _read_symmetries(about: Mapping[str, Any] | None) -> Symmetries | None:
+    if about is None:
+        return None
+    axis = None if about["axis"] is None else torch.tensor(about["axis"])
+    return Symmetries(torch.tensor(about["rotations"]), torch.tensor(about["center"]), axis, about["ball"])
 
 
 def _write(trace: TraceWriter, at: str, arrays: Mapping[str, Tensor | None]) -> None:

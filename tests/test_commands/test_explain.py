@@ -28,11 +28,11 @@ def test_a_run_explains_itself(tmp_path: object, capsys: pytest.CaptureFixture[s
     said = capsys.readouterr().out
     assert code in (0, 1)
     works = (
-        "workspace points valued",
-        "mini steps in which the tool could touch",
-        "actions planned for",
-        "points weighed",
-        "looks at an observed point",
+        "places whose worth was worked out",
+        "small steps of a push",
+        "actions that were planned anew",
+        "points that were weighed anew",
+        "distances of a point to a pose",
     )
     for words in works:
         assert words in said

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from rumi.belief.prior import lying
 from rumi.errors import UsageError
+from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.bodies import body_of
@@ -64,13 +65,14 @@ class SimTask:
         physics = physics or spec.physics
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
         height = None if spec.spatial else spec.height_m
-        self.world = World(body, tool.shape, height, settings.time_step_s, physics)
+        self.shape = shape = gripper_of(tool.shape)
+        self.world = World(body, shape, height, settings.time_step_s, physics)
         self._scene = spec
         # what cannot stand is refused before anything begins
         self.world.reset(torch.tensor(spec.tool_start), self._start())
-        self._pads = tool.shape.pad_shell(settings.pad_spacing_m).float()
-        self._felt_at = self._pads + spec.felt_ahead_m * tool.shape.pad_normals(self._pads)
-        self._body = tool.shape.volume(settings.body_spacing_m).float()
+        self._pads = shape.pad_shell(settings.pad_spacing_m).float()
+        self._felt_at = self._pads + spec.felt_ahead_m * shape.pad_normals(self._pads)
+        self._body = shape.volume(settings.body_spacing_m).float()
         self._generator = torch.Generator()
         self._further_noise = split(0, "further sensors")
         self._region = torch.zeros(2, 3)
@@ -90,7 +92,7 @@ class SimTask:
             own = self._scene.physics
             physics = replace(self.world.physics, mass_kg=own.mass_kg, friction=own.friction)
             height = None if self.spec.spatial else self.spec.height_m
-            self.world = World(self.world.body, self.tool.shape, height, self.settings.time_step_s, physics)
+            self.world = World(self.world.body, self.shape, height, self.settings.time_step_s, physics)
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
         observation = self._view()
