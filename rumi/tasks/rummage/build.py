@@ -25,6 +25,7 @@ from rumi.fields.workspace import Workspace
 from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
+from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from rumi.runs.scene_geometry import SceneGeometry, make_geometry
 from rumi.sim.settings import SimSettings
