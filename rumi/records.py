@@ -8,6 +8,7 @@ from torch import Tensor
 
 from rumi.agent import StopReason
 from rumi.belief.particles import PoseBelief
+from rumi.belief.remarks import Remark
 from rumi.planning.policy import Plan
 from rumi.registration.pose_summary import PoseSummary
 from sensors.observation import Observation
@@ -35,6 +36,7 @@ class StepRecord:
         truth: (4, 4) true world_T_object, None where unknown.
         nll: negative log-likelihood of the true surface (RUMI, Eq 36), None where the truth is unknown.
         timings_s: seconds by stage of this step.
+        remarks: what is odd about it and was not so before.
     """
 
     step: int
@@ -53,6 +55,7 @@ class StepRecord:
     truth: Float[Tensor, "4 4"] | None
     nll: float | None
     timings_s: dict[str, float] = field(default_factory=dict)
+    remarks: tuple[Remark, ...] = ()
 
     @property
     def stamp(self) -> float:
@@ -88,6 +91,7 @@ class RunResult:
         wrong_by: what of it is not right, by the truth; None where all is, or nobody knows.
         relies_on: what the run took for granted.
         warnings: what was not measured, and may have made the belief sure and wrong.
+        remarks: what was odd, in the order of the steps.
     """
 
     right: bool | None
@@ -111,6 +115,7 @@ class RunResult:
     wrong_by: str | None = None
     relies_on: str = ""
     warnings: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, ready for JSON."""

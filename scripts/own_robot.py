@@ -42,19 +42,12 @@ class Robot:
 
     def reset(self, seed: int) -> rumi.Reading:
         """Look, from where the tool is out of the way."""
-        camera, intrinsics = (
-            look_at(torch.tensor([-0.05, 0.0, 0.40]), torch.tensor([0.55, 0.03, 0.02])),
-            pinhole(120, 160, 0.8),
-        )
+        camera = look_at(torch.tensor([-0.05, 0.0, 0.40]), torch.tensor([0.55, 0.03, 0.02]))
+        intrinsics = pinhole(120, 160, 0.8)
         random = torch.Generator().manual_seed(seed)
         depth = self.depth(camera, intrinsics) + 0.001 * torch.randn(120, 160, generator=random)
-        seen = view_observation(
-            Image(depth.numpy(), intrinsics),
-            camera,
-            ViewSettings(segmentation="plane", unit=1.0),
-            KnownScene(within=WITHIN, bounds=WITHIN),
-            generator=random,
-        )
+        seeing, scene = ViewSettings(segmentation="plane", unit=1.0), KnownScene(within=WITHIN, bounds=WITHIN)
+        seen = view_observation(Image(depth.numpy(), intrinsics), camera, seeing, scene, generator=random)
         return self.readings.first(seen.observation, self.tool.pose(self.at))
 
     def step(self, control: Tensor) -> rumi.Reading:
@@ -105,7 +98,10 @@ def robot_for(motion: Motion = "measured") -> Robot:
 def main(folder: Path, *, motion: Motion = "measured", seed: int = 0) -> tuple[RunResult, list[StepRecord], Robot]:
     """Find the mug until sure, and keep the run."""
     robot, steps = robot_for(motion), list[StepRecord]()
+    print(robot.agent.relies_on)
     result = rumi.run(robot, robot.agent, seed=seed, steps=30, folder=folder, on_step=steps.append)
+    off_mm = 1e3 * float((steps[-1].belief.mode()[:2, 3] - robot.truth[:2, 3]).norm())
+    print(f"{result.stopped_by} after {result.steps} actions, {off_mm:.1f} mm off", *result.warnings, sep="\n")
     return result, steps, robot
 
 
@@ -116,12 +112,7 @@ def command() -> None:
     parser.add_argument("--motion", choices=MOTIONS, default="measured", help="how the object's motion is known")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
-    result, steps, robot = main(asked.out, motion=asked.motion, seed=asked.seed)
-    for step in steps:
-        x, y = step.belief.mode()[:2, 3].tolist()
-        print(f"step {step.step}: near ({x:.3f}, {y:.3f}) m, expects {step.expected_nll:.1f}")
-    off = float((steps[-1].belief.mode()[:2, 3] - robot.truth[:2, 3]).norm())
-    print(f"{result.stopped_by} after {result.steps} actions, {1e3 * off:.1f} mm off")
+    main(asked.out, motion=asked.motion, seed=asked.seed)
 
 
 if __name__ == "__main__":

@@ -34,8 +34,8 @@ def test_a_run_is_kept_drawn_and_replayed(tmp_path):
 
 
 def test_an_agent_for_a_robot_of_ones_own_has_its_workspace():
-    bounds = torch.tensor([[0.2, -0.2, 0.02], [0.6, 0.2, 0.02]])
-    workspace = rumi.Workspace.from_bounds(bounds, 0.05, planar_height=0.02)
+    bounds = torch.tensor([[0.2, -0.2, 0.03], [0.6, 0.2, 0.03]])
+    workspace = rumi.Workspace.from_bounds(bounds, 0.05, planar_height=0.03)
     agent = rumi.rummager(box_model(), workspace)
     assert isinstance(agent, Rummager) and isinstance(agent, rumi.Agent)
     assert torch.equal(agent.workspace.points, workspace.points)

@@ -11,9 +11,10 @@ from torch import Tensor
 from rumi.errors import DegenerateBeliefError
 from rumi.registration.pose_summary import PoseSummary, mass_within, summarise_particles
 from rumi.resampling import systematic
-from rumi.weights import effective_sample_size, equal_weights, normalise
+from rumi.weights import effective_sample_size, normalise, resampled_weights
 from sdf import se3
 from sdf.check import is_eager
+from sdf.precision import full_precision
 from sdf.symmetry import Symmetries
 from sensors.evidence import EvidenceSet
 
@@ -54,6 +55,7 @@ class PoseBelief:
         return cls(start, world_T_object, torch.log_softmax(flat, -1), flat)
 
     @property
+    @full_precision
     def world_T_object(self) -> Float[Tensor, "*b N 4 4"]:
         """Pose of every particle in the world."""
         return self.world_T_attached[..., None, :, :] @ self.attached_T_object
@@ -146,13 +148,18 @@ class PoseBelief:
             )
         return replace(self, log_weights=normalise(log_weights))
 
-    def resampled(self, index: Int[Tensor, "*b N"]) -> Self:
-        """Particles `index` with equal weights."""
+    def resampled(self, index: Int[Tensor, "*b N"], log_weights: Float[Tensor, "*b N"] | None = None) -> Self:
+        """Particles `index` with equal weights, which keep the slope of those before (`resampled_weights`).
+
+        Args:
+            index: drawn.
+            log_weights: that they were drawn by; the belief's own by default.
+        """
         poses = torch.gather(self.attached_T_object, -3, index[..., None, None].expand(*index.shape, 4, 4))
         return replace(
             self,
             attached_T_object=poses,
-            log_weights=equal_weights(self.log_weights),
+            log_weights=resampled_weights(self.log_weights if log_weights is None else log_weights, index),
             discrepancy=torch.gather(self.discrepancy, -1, index),
         )
 

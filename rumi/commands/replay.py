@@ -12,6 +12,7 @@ import torch
 import tyro
 
 from rumi.cache import cache_folder
+from rumi.commands.flags import FLAGS
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.logbook import LOG
@@ -178,6 +179,7 @@ def _parsed(arguments: Sequence[str], path: Path, entry: TaskEntry[S], start: S)
         description=_HELP,
         args=arguments,
         default=ReplayOptions(path, start),
+        registry=FLAGS,
     )
     for name in differing(start, options.settings):
         if entry.role(name) == "sensed":

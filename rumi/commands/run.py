@@ -11,6 +11,7 @@ import tyro
 from rumi import loop
 from rumi.cache import cache_folder
 from rumi.commands.explain import Decisions, explain
+from rumi.commands.flags import FLAGS
 from rumi.commands.former_flags import renamed
 from rumi.commands.glossary import FIGURE, GLOSSARY
 from rumi.commands.tasks import listing
@@ -125,6 +126,7 @@ def parse(arguments: Sequence[str]) -> tuple[str, TaskEntry[Any], RunOptions[Any
         description=f"{entry.description}. The presets are {', '.join(entry.presets)}.",
         args=flags,
         default=RunOptions(entry.preset(asked.preset), asked.preset),
+        registry=FLAGS,
     )
     return name, entry, options
 

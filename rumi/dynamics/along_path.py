@@ -104,7 +104,9 @@ def push_along_path(
         check_finite("poses", poses)
         check_finite("path", path)
     sliding = sliding.expand(len(poses))
-    version = backend.dispatch("push_along_path", poses, path, pusher.points, *sliding)
+    version = backend.dispatch(
+        "push_along_path", poses, path, pusher.points, *(part for part in sliding if part is not None)
+    )
     found: PathOutcome = version(poses, path, pusher, outline, sliding, substeps, passes)
     return found
 
@@ -214,7 +216,7 @@ class PathMotion:
             unwrapped(path),
             Pusher(self.pusher.points.to(start), self.pusher.thickness),
             self.outline.to(start),
-            Sliding(*(part.to(start) for part in self.sliding)),
+            self.sliding.to(start),
             substeps=self.substeps,
         )
         return se3.from_planar(outcome.track) @ se3.inverse(se3.from_planar(start))[:, None]
@@ -251,8 +253,10 @@ def _push_along_path_numba(
         table, shape = poses.new_zeros(1, 1), (1.0, *outline.half, 0.0)
     else:
         table, shape = outline.values, (0.0, *outline.origin.tolist(), outline.spacing)
+    quartic = poses.new_zeros(count, 5) if sliding.quartic is None else sliding.quartic
+    slides = (sliding.centre, sliding.lever, sliding.friction, quartic)
     kernel(
-        *(part.detach().contiguous().numpy() for part in (poses, path, pusher.points, table, *sliding)),
+        *(part.detach().contiguous().numpy() for part in (poses, path, pusher.points, table, *slides)),
         np.array(shape),
         np.array((pusher.thickness, pusher.radius + outline.radius)),
         np.array((substeps, passes)),

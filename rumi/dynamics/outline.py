@@ -132,10 +132,19 @@ class Support(NamedTuple):
     Attributes:
         centre: (2,), below the centre of mass, object frame, metres.
         spread: mean distance of what rests on the floor from there, metres.
+        elongation: (2,), of the base's second moments: (yy - xx, -2 xy) over their trace; (-1, 0) for a rod along x.
     """
 
     centre: Float[Tensor, "2"]
     spread: float
+    elongation: Float[Tensor, "2"]
+
+    @classmethod
+    def of_base(cls, base: Float[Tensor, "n 2"], centre: Float[Tensor, "2"]) -> "Support":
+        """Of even points of what rests on the floor, and the point below the centre of mass."""
+        off = base - centre
+        xx, yy, xy = off[:, 0].square().mean(), off[:, 1].square().mean(), (off[:, 0] * off[:, 1]).mean()
+        return cls(centre, float(off.norm(dim=-1).mean()), torch.stack((yy - xx, -2.0 * xy)) / (xx + yy))
 
 
 def support_of(sdf: SDF, *, spacing: float = 0.002, above_m: float = 0.001) -> Support:
@@ -161,7 +170,7 @@ def support_of(sdf: SDF, *, spacing: float = 0.002, above_m: float = 0.001) -> S
         raise ValueError("Expected an object with an inside, got none: are its walls too thin for the table?")
     base = inside[inside[:, 2] <= inside[:, 2].min() + above_m]
     centre = inside[:, :2].mean(0)
-    return Support(centre, float((base[:, :2] - centre).norm(dim=-1).mean()))
+    return Support.of_base(base[:, :2], centre)
 
 
 def _outside(values: Float[Tensor, "X Y"]) -> Bool[Tensor, "X Y"]:

@@ -87,6 +87,7 @@ class ArmReach(Reach):
         super().__init__(table, tolerances, base)
         layers = table.position.shape[0]
         self.corner, self.steps, self.checked = tuple(corner), steps, checked
+        self.words = f"of the arm, {100 * self.reached:.0f} % of its table; {checked}"
         self.heights_m = tuple(corner[2] + steps[1] * layer for layer in range(layers)) if layers > 1 else ()
 
     @classmethod
@@ -143,9 +144,7 @@ class ArmReach(Reach):
         if settings.round:
             table = ReachTable(*(part.expand(-1, -1, -1, 2).contiguous() for part in table))
         planar = se3.to_planar(pose).tolist()
-        found = cls(table, settings, corner, steps, (planar[0], planar[1], planar[2]), collision.words)
-        _logger.info("the arm reaches %.0f %% of the nodes; %s", 100 * found.reached, collision.words)
-        return found
+        return cls(table, settings, corner, steps, (planar[0], planar[1], planar[2]), collision.words)
 
     @classmethod
     def of_mjcf(

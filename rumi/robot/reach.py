@@ -98,6 +98,9 @@ class Reach(nn.Module):
         """Position error plus the metres that the rotation error counts as, at the table's nodes."""
         return self.position + self.settings.rotation_scale_m * self.rotation
 
+    words = "of the arm"
+    """What a run relies on."""
+
     @property
     def nodes(self) -> tuple[float, ...]:
         """Where the table's nodes are, for `tool_numba`: step of the radius, sector, lowest and highest."""

@@ -11,7 +11,7 @@ from rumi.robot.gripper import GripperShape
 from rumi.robot.reach import Reach
 from rumi.robot.tool_shape import ToolShape
 from sdf import se3
-from sdf.check import check_shape
+from sdf.check import check_shape, is_eager
 
 _PARTS = 16
 # metres by which rounding may make a residual grow that is the same all along a circle about the base
@@ -156,6 +156,8 @@ class Tool(nn.Module):
         if mini_steps < 1:
             raise ValueError(f"Expected mini_steps to be at least 1, got {mini_steps}")
         steps = (controls * (self.scale / mini_steps)).repeat_interleave(mini_steps, dim=-2)
+        if not is_eager():
+            return self._step_by_step(q.expand(*steps.shape[:-2], q.shape[-1]), steps)
         path = q[..., None, :] + steps.cumsum(-2)
         flat, steps = path.reshape(-1, *path.shape[-2:]), steps.reshape(-1, *steps.shape[-2:])
         # most paths meet no limit: those are done; the rest go step by step from where the first one meets it
@@ -177,6 +179,15 @@ class Tool(nn.Module):
             if residual is not None and left is not None:
                 residual[held] = left
         return flat.reshape(path.shape)
+
+    def _step_by_step(self, q: Tensor, steps: Tensor) -> Tensor:
+        """The path (*b, T, Q) of some steps, none skipped, as `torch.compile` and `torch.func` need it."""
+        residual = None if self.reach is None else self.reach.residual(q)
+        path = []
+        for step in steps.unbind(-2):
+            q, residual = self._within(q, q + step, residual)
+            path.append(q)
+        return torch.stack(path, -2)
 
     def arm_arrays(self) -> tuple[Any, ...]:
         """What limits a step, for `tool_numba`: reach table, base, bounds, and an array of numbers."""
@@ -206,6 +217,11 @@ class Tool(nn.Module):
         limit = residual.clamp_min(self.reach.settings.tolerance_m) + _SLACK_M
         left = self.reach.residual(reached)
         refused = left > limit
+        if not is_eager():
+            shape = (-1, q.shape[-1])
+            ends, rest = self._up_to_limit(q.reshape(shape), reached.reshape(shape), limit.reshape(-1))
+            reached = torch.where(refused[..., None], ends.reshape(reached.shape), reached)
+            return reached, torch.where(refused, rest.reshape(left.shape), left)
         if bool(refused.any()):
             reached[refused], left[refused] = self._up_to_limit(q[refused], reached[refused], limit[refused])
         return reached, left

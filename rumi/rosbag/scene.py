@@ -62,8 +62,8 @@ def rummager_of_map(
         settings: of the replay; their object takes the place of the mapping's.
         places: where the tool is or was, which the workspace has to hold.
         cache_dir: folder that keeps tables of distances.
-        touching_m: height of the tool where it touches (`touching_height`); by default the mean of the places'. What
-            is lower than that is touched just below its top.
+        touching_m: height of the tool where it touches (`touching_height`), where the settings name none; by default
+            the mean of the places'. What is lower than that is touched just below its top.
 
     Raises:
         UsageError: no object is named, or it or a setting cannot be used.
@@ -84,6 +84,7 @@ def rummager_of_map(
     else:
         low, high = model.exact.bounds[:, 2].tolist()
         height = float(places[:, 2].mean()) if touching_m is None else touching_m
+        height = settings.tool_height_m or height
         workspace = Workspace.from_bounds(bounds, 0.01, planar_height=min(height, _BELOW_TOP * (high - low)))
     made = rummager(
         model,
@@ -91,7 +92,9 @@ def rummager_of_map(
         tool=mapping.tool.shape(),
         prior=None if scene.prior_mean_m is None else PriorSpec(scene.prior_mean_m, scene.prior_spread_m),
         search=scene.search,
-        settings=replace(settings, object=ObjectSettings()),
+        looks_again=scene.looks_again,
+        plans=False,
+        settings=replace(settings, object=ObjectSettings(), tool_height_m=None),
     )
     models = contact_models(mapping, made.filter.discrepancy.sdf)
     # contacts count as the mapping says, other sensors as the settings do

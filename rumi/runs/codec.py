@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kmppi import ControlPlan
 from rumi.belief.particles import PoseBelief
+from rumi.belief.remarks import Remark
 from rumi.fields.workspace import Workspace
 from rumi.planning.policy import Plan
 from rumi.records import StepRecord
@@ -35,7 +36,8 @@ _BELIEF = ("world_T_attached", "attached_T_object", "log_weights", "discrepancy"
 
 def numbers(step: StepRecord) -> dict[str, Any]:
     """The plain numbers of a step, ready for JSON."""
-    return plain({name: getattr(step, name) for name in _NUMBERS} | {"stamp": step.reading.stamp})
+    told = {"stamp": step.reading.stamp, "remarks": step.remarks}
+    return plain({name: getattr(step, name) for name in _NUMBERS} | told)
 
 
 def line(step: Any) -> dict[str, Any]:  # noqa: ANN401  (a record of any task)
@@ -101,7 +103,9 @@ def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, flo
             plan = _read_plan(members, f"{at}/plan", plan_about)
         for name in ("expected_nll", "fit", "apc", "ess"):
             about[name] = math.nan if about[name] is None else about[name]
+        remarks = tuple(Remark(**remark) for remark in about.pop("remarks", ()))
         record = StepRecord(
+            remarks=remarks,
             control=_get(members, f"{at}/control"),
             reading=_read_reading(members, f"{at}/reading", stamp),
             added=_read_points(members, f"{at}/added"),

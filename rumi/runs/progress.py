@@ -65,7 +65,7 @@ class Progress:
                 file=self._stream,
                 dynamic_ncols=True,
                 leave=True,
-                bar_format=named + " {bar} {n_fmt}/{total_fmt} [{elapsed}] {desc}",
+                bar_format=named + " {bar:4} {n_fmt}/{total_fmt} [{elapsed}] {desc}",
             )
 
     def __call__(self, record: Any) -> None:  # noqa: ANN401  (a record of any task: `step` and `timings_s`)

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.metrics.alignment import GROSS_M, Alignment
-from rumi.runs.files import whole_file
 from rumi.viz import style
 from sdf import se3
 from sdf.object_model import ObjectModel
@@ -66,9 +65,7 @@ def draw_overlay(
         if title:
             figure.suptitle(title)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as aside:
-            figure.savefig(aside, dpi=120)
-    return path
+        return style.save(figure, path, dpi=120)
 
 
 def _draw_view(

@@ -3,8 +3,10 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from rumi.runs.files import whole_file
 from sdf.extras import optional
 
 if TYPE_CHECKING:
@@ -43,6 +45,8 @@ _RC = {
     "ytick.labelsize": 8.0,
     "xtick.major.width": 0.7,
     "ytick.major.width": 0.7,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.6,
     "legend.fontsize": 8.0,
     "legend.frameon": False,
     "figure.dpi": 100,
@@ -66,6 +70,17 @@ def figure(width: float, height: float, dpi: float | None = None) -> Iterator["F
         made = Figure(figsize=(width, height), dpi=dpi, layout="constrained")
         FigureCanvasAgg(made)
         yield made
+
+
+def save(figure: "Figure", path: Path, **options: Any) -> Path:  # noqa: ANN401  (of `savefig`)
+    """Write a figure in one go; its path.
+
+    Raises:
+        UsageError: it cannot be written.
+    """
+    with whole_file(path) as aside:
+        figure.savefig(aside, metadata={"Software": "rumi"} if path.suffix == ".png" else None, **options)
+    return path
 
 
 @cache

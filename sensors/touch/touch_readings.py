@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sdf import se3
@@ -77,27 +77,17 @@ class TouchReadings:
         """
         poses = tool_pose.float()
         in_contact = torch.tensor([points is None or len(points) > 0 for points in felt])
-        group = attached_T_world = None
-        if object_motion is None:
-            group = in_contact.long().cumsum(0)
-        else:
-            object_motion = object_motion.float()
-            attached_T_world = se3.inverse(object_motion @ self._attached)
-            self._attached = object_motion[-1] @ self._attached
-        free, _ = swept_points(
-            poses, self._body, self._spacing, attached_T_world=attached_T_world, group=group, region=self._region
-        )
-        keep = torch.ones(len(free.points), dtype=torch.bool)
-        for k in in_contact.nonzero()[:, 0].tolist():
-            own, points = (free.instant == k).nonzero()[:, 0], felt[k]
-            if points is None:
-                keep[own] = False
-            elif len(own):
-                keep[own] = torch.cdist(free.points[own], points.float()).amin(-1) > self._clear
         known = [torch.zeros(0, 3) if points is None else points.float() for points in felt]
         counts = torch.tensor([len(points) for points in known])
         touched = InstantPoints(torch.cat(known), torch.arange(len(felt)).repeat_interleave(counts))
-        free = InstantPoints(free.points[keep], free.instant[keep])
+        attached_T_world = None
+        if object_motion is not None:
+            object_motion = object_motion.float()
+            attached_T_world = se3.inverse(object_motion @ self._attached)
+            self._attached = object_motion[-1] @ self._attached
+        free = swept_clear(
+            poses, self._body, in_contact, touched, self._region, self._spacing, self._clear, attached_T_world
+        )
         observation, instant = tactile_observation(touched, free)
         at, clipped = self._at(poses[-1]), torch.tensor(clipped_m)
         return Reading(observation, instant, poses, in_contact, object_motion, at, clipped, stamp)
@@ -106,3 +96,41 @@ class TouchReadings:
         x, y, z = pose[:3, 3].tolist()
         yaw = math.atan2(float(pose[1, 0]), float(pose[0, 0]))
         return torch.tensor((x, y, z, yaw) if self._spatial else (x, y, yaw))
+
+
+def swept_clear(
+    tool_pose: Float[Tensor, "K 4 4"],
+    body: Float[Tensor, "n 3"],
+    in_contact: Bool[Tensor, "K"],
+    touched: InstantPoints,
+    region: Float[Tensor, "2 3"],
+    spacing_m: float,
+    clear_m: float,
+    attached_T_world: Float[Tensor, "K 4 4"] | None = None,
+) -> InstantPoints:
+    """The space that a tool's body went through, but for what is near to where it touches.
+
+    Nothing moves while nothing is touched: where the motion is not measured, what was swept while touching belongs to
+    its instant alone.
+
+    Args:
+        tool_pose: world_T_tool at each instant.
+        body: points in the tool's volume, tool frame.
+        in_contact: whether it touched then.
+        touched: where.
+        region: box in the object's frame; points outside are left out.
+        spacing_m: of the lattice of points.
+        clear_m: what is this near to a point touched at its instant is not known to be free; nothing is at an instant
+            that touched where nobody knows.
+        attached_T_world: world to the frame that rides with the object at each instant; None where nobody knows.
+    """
+    group = in_contact.long().cumsum(0) if attached_T_world is None else None
+    swept, _ = swept_points(tool_pose, body, spacing_m, attached_T_world=attached_T_world, group=group, region=region)
+    keep = torch.ones(len(swept.points), dtype=torch.bool)
+    for k in in_contact.nonzero()[:, 0].tolist():
+        own, near = (swept.instant == k).nonzero()[:, 0], touched.points[touched.instant == k]
+        if len(near) == 0:
+            keep[own] = False  # touched, but nobody knows where
+        elif len(own):
+            keep[own] = torch.cdist(swept.points[own], near).amin(-1) > clear_m
+    return InstantPoints(swept.points[keep], swept.instant[keep])

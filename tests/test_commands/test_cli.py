@@ -53,10 +53,10 @@ def test_a_run_leaves_its_folder(capsys):
     assert [text.split(":")[0] for text in steps[2:]] == ["first view", "action 1", "action 2"]
     assert "Traceback" not in said.err
     assert "not sure: 0 actions touched the object, 1 are asked for; all actions are used up" in said.out
-    assert cli.main(["result", "runs/mug-0-rumi-default-s4", "--json"]) == 0
+    assert main(["result", "runs/mug-0-rumi-default-s4", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["pose"] == run.ended["pose"] and told["why_not"] == run.result.why_not and told["warnings"] == []
-    assert torch.tensor(told["pose"]["world_T_object"]).shape == (4, 4) and run.result.belief is not None
+    assert len(told["pose"]["world_T_object"]) == 4 and run.result.belief is not None
 
 
 @pytest.fixture
@@ -239,6 +239,8 @@ def test_every_task_lists_its_settings(name, capsys):
     said = " ".join(capsys.readouterr().out.split())
     for flag in (f"usage: rumi run {name}", "--preset", "--seed", "--out", "--record", "--no-figures"):
         assert flag in said
+    if name == "mug-0":  # numbers that learning code may give as tensors are numbers here
+        assert "--filter.peakiness FLOAT" in said and "--filter.translation-noise-m FLOAT" in said
 
 
 def test_version(capsys):
@@ -252,10 +254,12 @@ def settings_of(*arguments):
 
 
 def test_flags_reach_the_settings():
-    asked = ["--preset", "paper", "--filter.motion", "sticking", "--filter.trigger", "7"]
+    asked = ["--preset", "paper", "--filter.motion", "sticking", "--filter.trigger", "7", "--filter.peakiness", "3"]
     name, _, options = parse(["mug-1", *asked])
     expected = preset("paper", task="mug-1")
-    assert options.settings == replace(expected, filter=replace(expected.filter, motion="sticking", trigger=7.0))
+    assert options.settings == replace(
+        expected, filter=replace(expected.filter, motion="sticking", trigger=7.0, peakiness=3.0)
+    )
     assert (name, options.figures, options.preset) == ("mug-1", True, "paper")
     # both spellings, and switches
     settings = settings_of("mug-0", "--filter.free_scale=5", "--planner.mppi.no-include-nominal")

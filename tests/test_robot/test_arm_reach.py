@@ -9,7 +9,7 @@ import torch
 pytest.importorskip("pytorch_kinematics")
 
 from rumi.errors import UsageError
-from rumi.robot.arm import Arm
+from rumi.robot.arm import Arm, ArmGeometry
 from rumi.robot.arm_reach import ArmReach, ArmReachSettings
 from rumi.robot.tool import Tool
 from sdf import se3
@@ -17,6 +17,12 @@ from tests.fixtures.arms import FIVE, SIX, six_mjcf
 
 BOUNDS = torch.tensor([[0.25, -0.15, 0.06], [0.85, 0.45, 0.06]])
 FEW, COARSE = ArmReachSettings(spacing_m=0.05, yaw_steps=12), ArmReachSettings(spacing_m=0.15, yaw_steps=4)
+
+RAIL = (
+    '<link name="slider"/><joint name="rail" type="prismatic"><parent link="base"/><child link="slider"/>'
+    '<origin xyz="0 0 0" rpy="0 0 0"/><axis xyz="1 0 0"/><limit lower="0" upper="1.2" effort="1" velocity="1"/></joint>'
+    '<link name="link1"/>'
+)
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +137,22 @@ def test_the_floor_and_the_arm_itself_are_in_the_way(six):
 
 
 @pytest.mark.parametrize(
+    ("urdf", "far"),
+    [
+        (ArmGeometry().urdf(), 0.8),  # seven joints
+        (SIX.replace('parent link="base"', 'parent link="slider"').replace('<link name="link1"/>', RAIL), 1.6),
+    ],
+    ids=["seven", "rail"],
+)
+def test_more_joints_and_joints_that_slide(urdf, far):
+    """A rail takes an arm of 0.7 m to where it does not get by itself."""
+    bounds = torch.tensor([[far - 0.3, -0.1, 0.06], [far, 0.1, 0.06]])
+    assert ArmReach.of_urdf(urdf, "tool", bounds, settings=COARSE).reached > 0.3
+    if "slider" in urdf:
+        assert ArmReach.of_urdf(SIX, "tool", bounds, settings=COARSE).reached == 0.0
+
+
+@pytest.mark.parametrize(
     ("old", "new", "said"),
     [
         ('lower="-3.92" upper="0.19"', 'lower="0.19" upper="-3.92"', "joint3"),
@@ -148,3 +170,24 @@ def test_what_is_no_arm_is_refused(old, new, said):
 def test_tables_are_kept(tmp_path):
     first, second = (ArmReach.of_urdf(SIX, "tool", BOUNDS, settings=FEW, cache_dir=tmp_path) for _ in range(2))
     assert torch.equal(first.left, second.left) and len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.sim
+@pytest.mark.outcome
+@pytest.mark.parametrize("urdf", [SIX, FIVE], ids=["six", "five"])
+def test_it_finds_a_mug_with_an_arm_of_another_make(urdf):
+    """The embedded mug, nearer, before an arm of six joints with limits of its own each way, and one of five."""
+    pytest.importorskip("mujoco")
+    import rumi
+    from rumi.tasks.rummage.build import make_task
+    from rumi.tasks.rummage.scenes import find_task
+
+    box = torch.tensor([[0.15, -0.35, 0.045], [0.70, 0.35, 0.045]])
+    near = {"start": (0.46, 0.03, 0.14), "tool_start": (0.25, 0.0, 0.0), "bounds": ((0.15, -0.35), (0.70, 0.35))}
+    spec = replace(find_task("mug-0"), **near)
+    workspace = rumi.Workspace.from_bounds(box, 0.01, planar_height=0.045)
+    arm = ArmReach.of_urdf(urdf, "tool", box, settings=ArmReachSettings(spacing_m=0.05))
+    agent = rumi.rummager(spec.object_factory(), workspace, arm=arm, motion="measured")
+    result = rumi.run(make_task(spec, tool=agent.tool, model=agent.model), agent, seed=1000, steps=20)
+    assert result.stopped_by == "sure" and result.right

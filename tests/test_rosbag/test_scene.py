@@ -54,6 +54,14 @@ def test_a_reading_without_the_motion_that_is_relied_on_is_refused():
         rummager.filter(belief, seen, reading, generator=torch.Generator())
 
 
+def test_what_the_recording_had_is_what_the_run_relies_on():
+    text = MAP.replace("[scene]", "[scene]\nlooks_again = true")
+    mapping = mapping_of(text)
+    rummager = rummager_of_map(mapping, settings_of(mapping), PLACES)
+    assert "motion: not measured" in rummager.relies_on and "looks after every action" in rummager.relies_on
+    assert rummager_of("tool_height_m = 0.05").tool.height_m == pytest.approx(0.05)
+
+
 def test_a_tool_that_is_lifted_between_touches_does_not_make_an_object_too_low():
     lifted = torch.tensor([[0.5, 0.0, 0.3], [0.5, 0.1, 0.04]])
     rummager = rummager_of(places=lifted)

@@ -14,6 +14,7 @@ from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw, verify
+from rumi.belief.remarks import Remark, remarks
 from rumi.clock import Clock
 from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopEvidence, StopSettings, converged
@@ -29,6 +30,8 @@ from sdf.object_model import ObjectModel
 from sensors.observation import Observation, merge
 from sensors.reading import Reading
 from sensors.semantics import Semantics
+
+_PARTS = 8  # of an action, in which its free path is worked out again
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +78,7 @@ class Rummager:
         nll_threshold, position_tolerance_m, rotation_tolerance_rad: what counts as right (metrics only).
         agreement_points: sample of the surface that the belief compares itself on.
         steps: actions at most; None for as many as the loop allows.
+        upright: whether the object is expected to stand as it did at first.
         looks_again: whether a camera sees the object after every action too.
         sensors: what the robot senses by, for people.
         about: what a run's folder tells of the settings.
@@ -96,6 +100,7 @@ class Rummager:
     rotation_tolerance_rad: float = 0.17453
     agreement_points: int = 200
     steps: int | None = None
+    upright: bool = True
     looks_again: bool = False
     sensors: str = "a first view, felt points"
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
@@ -152,6 +157,7 @@ class Rummager:
             with clock("belief"):
                 belief = verify(self.filter, belief, memory, self.renewal, generator=random["renewal"])
             record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
+        record = replace(record, remarks=self._odd(state, control, record))
         return replace(
             state,
             record=record,
@@ -159,6 +165,22 @@ class Rummager:
             memory=memory,
             executed=state.executed + 1,
             surprised=bool(info.moved) or touched,
+        )
+
+    def _odd(self, state: RummageState, control: Float[Tensor, "A"], record: StepRecord) -> tuple[Remark, ...]:
+        """What the action told that is at odds with the belief."""
+        start, moved = state.record.reading.configuration, None
+        if bool(control.any()):  # a recording may not tell where the tool was to go
+            moved = start, self.tool.free_path(start, control[None].clamp(-1.0, 1.0), _PARTS)[-1]
+        return remarks(
+            record.step,
+            record.reading,
+            record.belief,
+            record.added,
+            self.model,
+            moved=moved,
+            upright=self.upright,
+            said={remark.name for step in state.history for remark in step.remarks},
         )
 
     def last(self, state: RummageState) -> None:
@@ -311,6 +333,7 @@ def summarise(rummager: Rummager, history: Sequence[StepRecord], stopped_by: Sto
         wrong_by=wrong_by,
         relies_on=relies_on(rummager),
         warnings=warnings(rummager, history),
+        remarks=tuple(remark for record in records for remark in record.remarks),
     )
 
 

@@ -15,6 +15,7 @@ from rumi.registration.pose_summary import PoseSummary
 from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.object_model import ObjectModel
+from sensors.semantics import Semantics
 
 _TAKEN: dict[Motion, str] = {
     "sticking": "taken to stick to the tool",
@@ -66,14 +67,14 @@ def relies_on(rummager: Answerer) -> str:
     """What a run takes for granted, in a line."""
     motion = rummager.filter.settings.motion
     moved = "measured" if motion == "measured" else f"not measured, {_TAKEN[motion]}"
-    reach = "none" if rummager.tool.reach is None else "of the arm"
+    reach = "none" if rummager.tool.reach is None else rummager.tool.reach.words
     return f"motion: {moved}; reach: {reach}; push model: {_pushed_by(rummager)}; sensors: {rummager.sensors}"
 
 
 def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[str, ...]:
     """What was not measured and can make a belief sure and wrong, from settings and from what came."""
     motion = rummager.filter.settings.motion
-    if rummager.looks_again or motion == "trajectory":
+    if rummager.looks_again or motion == "trajectory" or _seen_again(history):
         return ()
     if motion != "measured":
         return (
@@ -88,6 +89,13 @@ def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[st
         f"the object's motion was not measured in action{plural} {', '.join(missing)}, and no camera looks again: the "
         "belief may end sure and wrong (scripts/docs/push_models.md)",
     )
+
+
+def _seen_again(history: Sequence[StepRecord]) -> bool:
+    """Whether most actions that touched nothing saw the object's surface: a camera looks again."""
+    free = [record.reading for record in history[1:] if not bool(record.reading.in_contact.any())]
+    seen = sum(bool(reading.observation.of_class(Semantics.SURFACE).any()) for reading in free)
+    return 2 * seen > len(free)
 
 
 def why_not(rummager: Answerer, record: StepRecord, pose: PoseSummary, stopped_by: StopReason) -> str | None:

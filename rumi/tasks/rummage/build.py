@@ -149,32 +149,10 @@ def build_rummager(
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
+        upright=spec.search == "SE(2)",
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
     )
-
-
-def trajectory_filter(
-    settings: FilterSettings, discrepancy: Discrepancy, tool: Tool, height_m: float, resting_m: float
-) -> PoseTrajectoryFilter:
-    """The filter whose particles each have their own motion.
-
-    Args:
-        settings: of the filter.
-        discrepancy: of the object.
-        tool: the gripper.
-        height_m: of the level tool.
-        resting_m: of the object's origin above the floor.
-    """
-    pushed = PushedObject.of(
-        discrepancy.sdf,
-        gripper_of(tool.shape),
-        height_m=height_m,
-        resting_m=resting_m,
-        spacing_m=QuasiStaticSettings().spacing_m,
-        pad_spacing_m=settings.trajectories.pad_spacing_m,
-    )
-    return PoseTrajectoryFilter(settings, discrepancy, pushed)
 
 
 def _looks_again(spec: TaskSpec, settings: Settings) -> bool:
@@ -202,6 +180,29 @@ def followed(spec: TaskSpec, following: FilterSettings) -> FilterSettings:
 def predicts_motion(following: FilterSettings) -> bool:
     """Whether the filter moves the object by the planner's push model."""
     return following.motion in ("pushed", "corrected")
+
+
+def trajectory_filter(
+    settings: FilterSettings, discrepancy: Discrepancy, tool: Tool, height_m: float, resting_m: float
+) -> PoseTrajectoryFilter:
+    """The filter whose particles each have their own motion.
+
+    Args:
+        settings: of the filter.
+        discrepancy: of the object.
+        tool: the gripper.
+        height_m: of the level tool.
+        resting_m: of the object's origin above the floor.
+    """
+    pushed = PushedObject.of(
+        discrepancy.sdf,
+        gripper_of(tool.shape),
+        height_m=height_m,
+        resting_m=resting_m,
+        spacing_m=QuasiStaticSettings().spacing_m,
+        pad_spacing_m=settings.trajectories.pad_spacing_m,
+    )
+    return PoseTrajectoryFilter(settings, discrepancy, pushed)
 
 
 def pushed_motion(

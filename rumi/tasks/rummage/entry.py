@@ -190,9 +190,9 @@ def describe(step: StepRecord) -> str:
     apc = "-" if math.isnan(step.apc) else f"{1e3 * step.apc:.1f} mm"
     marks = {
         "contact": step.control is not None and bool(step.reading.in_contact.any()),
-        "resampled": step.resampled,
         "sure": step.converged,
     }
+    marks |= {f"{remark.name}!": True for remark in step.remarks}
     said = "".join(f"  {word}" for word, holds in marks.items() if holds)
     return f"{known}expects {step.expected_nll:.1f}  apc {apc}  ess {step.ess:.0f}{said}"
 
@@ -203,6 +203,7 @@ def ending(result: RunResult) -> list[str]:
     judged = {True: ", and right", False: f", and wrong ({result.wrong_by})", None: ""}[result.right]
     lines = [f"{ended} after {result.steps} actions, {result.contacts} of them in contact{judged}"]
     lines += answer_lines(result.pose, result.why_not, result.warnings)
+    lines += [f"odd      {remark.name} at action {remark.step}: {remark.sentence}" for remark in result.remarks]
     if result.position_error_mm is not None and result.rotation_error_deg is not None:
         lines.append(f"truth    {result.position_error_mm:.1f} mm and {result.rotation_error_deg:.1f} degrees away")
     known = "" if result.final_nll is None else f"{result.final_nll:.1f} at the end, {result.min_nll:.1f} at best; "

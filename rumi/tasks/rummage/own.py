@@ -6,6 +6,7 @@ from rumi.belief.motion import Motion
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
 from rumi.registration.descent import Search
+from rumi.robot.gripper import gripper_of
 from rumi.robot.reach import Reach
 from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
@@ -29,6 +30,8 @@ def rummager(
     search: Search | None = None,
     action_m: float = 0.08,
     action_rad: float = 0.5,
+    looks_again: bool = False,
+    plans: bool = True,
     settings: Settings | None = None,
 ) -> Rummager:
     """The agent that finds an object by pushing it, for a robot of one's own.
@@ -48,6 +51,8 @@ def rummager(
         action_m: metres that a control of 1 asks for; no more than the robot does in one action: its limit of speed
             times the seconds that an action lasts.
         action_rad: radians, likewise.
+        looks_again: a camera sees the object after every action too.
+        plans: False where a recording is followed: what only a plan needs is not asked for.
         settings: by default those of the preset `default`.
 
     Raises:
@@ -75,6 +80,7 @@ def rummager(
         height_m=low,
         heights_m=(low, high) if spatial else None,
         search=search or ("SE(3)" if spatial else "SE(2)"),
+        looks_again=looks_again,
     )
     check_pushing(spec, settings)
     step = workspace.spacing
@@ -87,14 +93,36 @@ def rummager(
         action_scale_rad=action_rad,
         **({"body_spacing_m": 0.6 * step, "info_spacing_m": 0.5 * step} if spatial else {}),
     )
+    if plans:
+        _check_plans(settings, model, made, low)
     found = build_rummager(spec, settings, model, made, workspace)
     return replace(found, steps=settings.steps, about={**to_dict(settings), "task": OWN})
+
+
+def _check_plans(settings: Settings, model: ObjectModel, tool: Tool, low: float) -> None:
+    """Refuse a tool that would scrape the table or meet nothing, and one that the push model has not."""
+    under = low + float(tool.shape.solid(0.01)[:, 2].min())
+    bottom, top = model.exact.bounds[:, 2].tolist()
+    if under < 0:
+        raise UsageError(
+            f"Expected a tool above the table, z = 0, got one that reaches {-under:.3f} m below it with its frame at "
+            f"{low:.3f} m: raise the workspace"
+        )
+    if not tool.spatial and low >= top - bottom:
+        raise UsageError(
+            f"Expected a workspace below the top of the object, at {top - bottom:.3f} m, got one at {low:.3f} m, where "
+            "the tool meets nothing"
+        )
+    if settings.planner.push_model == "mujoco":
+        gripper_of(tool.shape)
 
 
 def _check_followed(settings: Settings) -> None:
     """Refuse settings of what a robot of one's own has not."""
     if settings.object != ObjectSettings():
         raise UsageError("Expected no object in the settings, since the model is given: leave settings.object out")
+    if settings.tool_height_m is not None:
+        raise UsageError("Expected no tool_height_m in the settings, since the workspace has the tool's height")
     if settings.simulator != PRESETS[settings.preset]().simulator:
         raise UsageError(
             "Expected no settings of the simulator, since nothing is simulated: leave settings.simulator out, and give "

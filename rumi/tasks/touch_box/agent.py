@@ -162,7 +162,7 @@ class Toucher:
             paths.repeat_interleave(number, 0),
             self.robot.pusher,
             self.task.outline,
-            Sliding(*(part.repeat(count, *[1] * (part.ndim - 1)) for part in sliding)),
+            sliding.map(lambda part: part.repeat(count, *[1] * (part.ndim - 1))),
             substeps=own.substeps,
             passes=own.passes,
         )

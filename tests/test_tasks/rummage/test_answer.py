@@ -9,6 +9,7 @@ import torch
 from rumi.belief.particles import PoseBelief
 from rumi.information.stopping import STOP_RULES, StopEvidence, StopSettings, converged, shortfalls
 from rumi.records import StepRecord
+from rumi.runs.progress import announce
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.answer import relies_on, warnings, why_not
 from rumi.tasks.rummage.build import build_rummager
@@ -18,6 +19,7 @@ from sdf import se3
 from tests.fixtures.made_up_run import make_up
 
 MADE_UP = make_up(2, particles=2).steps[1]
+VIEW = replace(make_up(2, particles=2).steps[0].reading, object_motion=None)
 
 
 def step(poses: torch.Tensor, **numbers: float) -> StepRecord:
@@ -84,13 +86,22 @@ def test_a_rule_holds_where_nothing_is_short_of_it(rule):
         ("corrected", {"looks_again": True}, "a camera that looks after every action", False),
     ],
 )
-def test_it_says_what_it_relies_on(motion, changes, words, warned):
+def test_it_says_what_it_relies_on(motion, changes, words, warned, capsys):
     agent = rummager(motion=motion, **changes)
+    announce(agent)
+    assert f"rumi: relies on {relies_on(agent)}\n" in (said := capsys.readouterr().err)
+    assert ("rumi: warning: the object's motion is not measured" in said) is warned
     assert words in relies_on(agent)
     assert bool(warnings(agent)) is warned
     if warned:
         assert "the object's motion is not measured" in warnings(agent)[0] and "sure and wrong" in warnings(agent)[0]
-    missing = warnings(agent, (step(turned(0.0)), step(turned(0.0))))
+    record = step(turned(0.0))
+    missing = warnings(agent, (record, record))
     assert bool(missing) is not bool(changes.get("looks_again"))
     if motion == "measured" and not changes:
         assert "not measured in action 1, and" in missing[0]
+    free = replace(record.reading, in_contact=torch.zeros_like(record.reading.in_contact))
+    none = torch.zeros(0, dtype=torch.long)
+    unseen = replace(free, observation=free.observation[none], instant=none)
+    assert warnings(agent, (record, replace(record, reading=VIEW))) == (), "a camera saw it again"
+    assert bool(warnings(agent, (record, replace(record, reading=unseen)))) is bool(missing)
