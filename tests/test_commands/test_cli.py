@@ -257,9 +257,8 @@ def test_flags_reach_the_settings():
     asked = ["--preset", "paper", "--filter.motion", "sticking", "--filter.trigger", "7", "--filter.peakiness", "3"]
     name, _, options = parse(["mug-1", *asked])
     expected = preset("paper", task="mug-1")
-    assert options.settings == replace(
-        expected, filter=replace(expected.filter, motion="sticking", trigger=7.0, peakiness=3.0)
-    )
+    following = replace(expected.filter, motion="sticking", trigger=7.0, peakiness=3.0)
+    assert options.settings == replace(expected, filter=following)
     assert (name, options.figures, options.preset) == ("mug-1", True, "paper")
     # both spellings, and switches
     settings = settings_of("mug-0", "--filter.free_scale=5", "--planner.mppi.no-include-nominal")
