@@ -179,7 +179,7 @@ def followed(spec: TaskSpec, following: FilterSettings) -> FilterSettings:
 
 def predicts_motion(following: FilterSettings) -> bool:
     """Whether the filter moves the object by the planner's push model."""
-    return following.motion in _PLANAR
+    return following.motion in ("pushed", "corrected")
 
 
 def trajectory_filter(
