@@ -102,7 +102,7 @@ class SimTask:
 
     def _start(self) -> Tensor:
         """Where the object starts, as `World.reset` takes it."""
-        start = torch.tensor(self.spec.start)
+        start = torch.tensor(self.spec.start, dtype=torch.float32)
         if self.spec.start_up != "z" or self.spec.prior is not None:
             return se3.from_planar(start) @ lying(self.model.exact.bounds.float(), self.spec.start_up)
         return start
