@@ -288,8 +288,9 @@ class SimTask:
         """Free points where the floor is, fixed in the world (RUMI, V.B)."""
         step = self.spec.field_spacing_m
         low, high = self._region[:, :2]
-        x, y = (torch.arange(float(low[axis]), float(high[axis]) + 0.5 * step, step) for axis in (0, 1))
-        points = torch.stack(torch.meshgrid(x, y, torch.zeros(1), indexing="ij"), -1).reshape(-1, 3)
+        ends = [(float(low[axis]), float(high[axis]) + 0.5 * step) for axis in (0, 1)]
+        x, y = (torch.arange(*pair, step, dtype=torch.float32) for pair in ends)
+        points = torch.stack(torch.meshgrid(x, y, x.new_zeros(1), indexing="ij"), -1).reshape(-1, 3)
         return Observation.of(points, Semantics.FREE, attached=False)
 
     def _region_of_prior(self) -> Float[Tensor, "2 3"]:
