@@ -138,6 +138,13 @@ def _odd_series(squared: Tensor, start: int) -> Tensor:
     return total / (1.0, 1.0, 2.0, 6.0)[start]
 
 
+def quaternion(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 4"]:
+    """Unit quaternion (x, y, z, w) of a rotation, with w of 0 or more."""
+    scaled = _scaled_quaternion(rotation)
+    unit = scaled / scaled.norm(dim=-1, keepdim=True)
+    return torch.where(unit[..., :1] < 0, -unit, unit)[..., [1, 2, 3, 0]]
+
+
 def _scaled_quaternion(rotation: Tensor) -> Tensor:
     """(w, x, y, z) times a positive or negative number of size 2 to 4: polynomial in the matrix, so smooth.
 

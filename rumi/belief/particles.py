@@ -9,11 +9,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.errors import DegenerateBeliefError
+from rumi.registration.pose_summary import PoseSummary, summarise_particles
 from rumi.resampling import systematic
 from rumi.weights import effective_sample_size, normalise, resampled_weights
 from sdf import se3
 from sdf.check import is_eager
 from sdf.precision import full_precision
+from sdf.symmetry import Symmetries
 from sensors.evidence import EvidenceSet
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
@@ -102,6 +104,23 @@ class PoseBelief:
         """Weighted mean world pose (chordal mean of rotations); means little where there are several modes."""
         return se3.mean(self.world_T_object, self.weights)
 
+    def summary(
+        self,
+        symmetries: Symmetries | None = None,
+        *,
+        within_m: float = 0.005,
+        within_rad: float = math.radians(10.0),
+    ) -> PoseSummary:
+        """Best pose (`mode`), covariance, mass within a tolerance, and modes, of one scene's belief.
+
+        Args:
+            symmetries: turns after which the object looks the same.
+            within_m: metres that the mass is within; until a belief's width is calibrated it is no frequency.
+            within_rad: radians that it is within.
+        """
+        poses, best = self.world_T_object, self.mode()
+        return summarise_particles(poses, self.log_weights, best, symmetries, within_m=within_m, within_rad=within_rad)
+
     def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
         """The belief after a known world motion: `world_T_object' = motion @ world_T_object`."""
         return replace(self, world_T_attached=se3.compose(motion, self.world_T_attached))
@@ -157,9 +176,10 @@ def subsample(belief: PoseBelief, count: int) -> PoseBelief:
     if count >= belief.log_weights.shape[-1]:
         return belief
     index, times = systematic(belief.log_weights, 0.5, count).unique_consecutive(return_counts=True)
-    return replace(
-        belief,
-        attached_T_object=belief.attached_T_object[index],
-        log_weights=normalise(times.to(belief.log_weights).log()),
-        discrepancy=belief.discrepancy[index],
+    return PoseBelief(
+        belief.world_T_attached,
+        belief.attached_T_object[index],
+        normalise(times.to(belief.log_weights).log()),
+        belief.discrepancy[index],
+        belief.evidence,
     )

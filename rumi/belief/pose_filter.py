@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from rumi.belief.motion import MOTIONS, Motion, Predictor, object_motion
 from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_trajectories import PoseTrajectorySettings
 from rumi.belief.prior import PosePrior
 from rumi.errors import DegenerateBeliefError
 from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
@@ -37,7 +38,8 @@ class FilterSettings:
         tolerance_m: violation that a free or occupied point is allowed.
         free_spacing_m, surface_spacing_m: lattice that keeps one point a cell (Alg 6).
         motion: "measured" by a slip sensor, "sticking" to the tool, "pushed" as a quasi-static model has it,
-            "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way.
+            "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way; with
+            "trajectory" every particle has its own (`PoseTrajectoryFilter`).
         unmeasured: what "measured" becomes on a task that has no slip sensor; "pushed" and "corrected" are for
             upright objects and a level tool, and "estimated" elsewhere.
         translation_noise_m, rotation_noise_rad: standard deviations of the process noise, drawn on every move
@@ -58,6 +60,7 @@ class FilterSettings:
             the measured motion, which are level in the world, are then not level in the frame; only with a prior.
         still_m, still_rad: motions below these are no move: no noise, discrepancies carry over.
         evidence: kinds of evidence that count beside semantic points, by name (`rumi.belief.evidence.EVIDENCE`).
+        trajectories: of the motion "trajectory", which of the settings above takes the lattice alone.
     """
 
     peakiness: float | Tensor = 2.0
@@ -79,6 +82,7 @@ class FilterSettings:
     still_m: float = 1e-4
     still_rad: float = 1e-3
     evidence: tuple[str, ...] = ()
+    trajectories: PoseTrajectorySettings = field(default_factory=PoseTrajectorySettings)
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
@@ -166,6 +170,10 @@ class PoseFilter(nn.Module):
         other = copy.copy(self)
         other.further = models
         return other
+
+    def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
+        """The belief after a first view, from poses that were fitted to it; these themselves."""
+        return belief
 
     @full_precision
     def forward(

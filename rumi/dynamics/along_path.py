@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rumi.dynamics.outline import GridOutline, RectangleOutline, support_of
 from rumi.dynamics.sliding import Outline, Sliding, push, rotated
-from rumi.robot.gripper import GripperShape
+from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
 from sdf.check import check_finite, check_shape, is_eager
@@ -104,7 +104,9 @@ def push_along_path(
         check_finite("poses", poses)
         check_finite("path", path)
     sliding = sliding.expand(len(poses))
-    version = backend.dispatch("push_along_path", poses, path, pusher.points, *sliding)
+    version = backend.dispatch(
+        "push_along_path", poses, path, pusher.points, *(part for part in sliding if part is not None)
+    )
     found: PathOutcome = version(poses, path, pusher, outline, sliding, substeps, passes)
     return found
 
@@ -181,7 +183,7 @@ class PathMotion:
         cls,
         sdf: SDF,
         height_m: float,
-        shape: GripperShape,
+        shape: ToolShape,
         push: PathPush,
         *,
         spacing_m: float,
@@ -193,7 +195,7 @@ class PathMotion:
         Args:
             sdf: of the object.
             height_m: of the tool, object frame.
-            shape: of the gripper.
+            shape: of the tool.
             push: the model.
             spacing_m: between the points of the gripper's border.
             lever_ratio: c of the limit surface over the mean distance of the object's base from its centre.
@@ -214,7 +216,7 @@ class PathMotion:
             unwrapped(path),
             Pusher(self.pusher.points.to(start), self.pusher.thickness),
             self.outline.to(start),
-            Sliding(*(part.to(start) for part in self.sliding)),
+            self.sliding.to(start),
             substeps=self.substeps,
         )
         return se3.from_planar(outcome.track) @ se3.inverse(se3.from_planar(start))[:, None]
@@ -251,8 +253,10 @@ def _push_along_path_numba(
         table, shape = poses.new_zeros(1, 1), (1.0, *outline.half, 0.0)
     else:
         table, shape = outline.values, (0.0, *outline.origin.tolist(), outline.spacing)
+    quartic = poses.new_zeros(count, 5) if sliding.quartic is None else sliding.quartic
+    slides = (sliding.centre, sliding.lever, sliding.friction, quartic)
     kernel(
-        *(part.detach().contiguous().numpy() for part in (poses, path, pusher.points, table, *sliding)),
+        *(part.detach().contiguous().numpy() for part in (poses, path, pusher.points, table, *slides)),
         np.array(shape),
         np.array((pusher.thickness, pusher.radius + outline.radius)),
         np.array((substeps, passes)),

@@ -55,10 +55,20 @@ def _nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape):
 
 
 @bare
-def _one(e, poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance):
+def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape, sizes, counts, track, distance):
     x, y, yaw = float(poses[e, 0]), float(poses[e, 1]), float(poses[e, 2])
     row = e if len(path) > 1 else 0
-    body = (float(centre[e, 0]), float(centre[e, 1]), float(lever[e]), float(friction[e]))
+    body = (
+        float(centre[e, 0]),
+        float(centre[e, 1]),
+        float(lever[e]),
+        float(friction[e]),
+        float(quartic[e, 0]),
+        float(quartic[e, 1]),
+        float(quartic[e, 2]),
+        float(quartic[e, 3]),
+        float(quartic[e, 4]),
+    )
     thickness, reach, substeps, passes = sizes[0], sizes[1], counts[0], counts[1]
     for instant in range(path.shape[1] - 1):
         from_x, from_y, from_yaw = (
@@ -113,10 +123,27 @@ def _one(e, poses, path, points, table, centre, lever, friction, shape, sizes, c
         distance[e, instant] = apart - thickness
 
 
-def _push_along_path(poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance, part):
+def _push_along_path(
+    poses, path, points, table, centre, lever, friction, quartic, shape, sizes, counts, track, distance, part
+):
     for e in indices(part, len(poses)):
         # a signed index: a parallel loop's is unsigned, which with a signed one makes no index
-        _one(np.int64(e), poses, path, points, table, centre, lever, friction, shape, sizes, counts, track, distance)
+        _one(
+            np.int64(e),
+            poses,
+            path,
+            points,
+            table,
+            centre,
+            lever,
+            friction,
+            quartic,
+            shape,
+            sizes,
+            counts,
+            track,
+            distance,
+        )
 
 
 push_along_path = Kernel(_push_along_path)

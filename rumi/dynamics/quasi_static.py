@@ -25,8 +25,8 @@ from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.sliding import Sliding, push
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
-from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
+from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3, skipped_work
 from sdf.base import SDF
 from sdf.check import check_shape
@@ -108,11 +108,11 @@ class QuasiStaticRollouts:
         self.reach = float(self.points.norm(dim=-1).max()) + self.outline.radius
 
     @cached_property
-    def compiled(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
+    def compiled(self) -> Callable[[Tensor, Tensor, Tensor, Sliding], PushRollouts]:
         """`rollout_poses` in one kernel; made once a model, at its first use."""
         from rumi.dynamics.quasi_static_numba import CompiledRollouts
 
-        kernel: Callable[[Tensor, Tensor, Tensor], PushRollouts] = CompiledRollouts(self)
+        kernel: Callable[[Tensor, Tensor, Tensor, Sliding], PushRollouts] = CompiledRollouts(self)
         return kernel
 
     def representatives(self, count: int) -> Float[Tensor, "count 3"]:
@@ -136,14 +136,20 @@ class QuasiStaticRollouts:
 
     @torch.no_grad()
     def rollout_poses(
-        self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], poses: Float[Tensor, "M 3"]
+        self,
+        configuration: Float[Tensor, "3"],
+        controls: Float[Tensor, "K H A"],
+        poses: Float[Tensor, "M 3"],
+        sliding: Sliding | None = None,
     ) -> PushRollouts:
-        """The rollouts in which the object starts at given poses (x, y, yaw)."""
+        """The rollouts in which the object starts at given poses (x, y, yaw), and slides as given, or as set."""
         check_shape("configuration", configuration, "(3,)", last=(3,))
         check_shape("controls", controls, "(K, H, A)")
         version = backend.dispatch("quasi_static_rollouts", configuration, controls, poses, self.points)
         with skipped_work.work("pushes") as work:
-            found: PushRollouts = version(self, configuration, controls, poses)
+            found: PushRollouts = version(
+                self, configuration, controls, poses, sliding or self.sliding.expand(len(poses))
+            )
             whole = found.contact.numel() * self.settings.mini_steps
             work.count(found.checked * whole, whole)
         return found
@@ -154,13 +160,17 @@ class QuasiStaticRollouts:
         return torch.cat((start, self.tool.free_path(start[:, 0], controls, 1)), 1)
 
     def _rollouts(
-        self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"], poses: Float[Tensor, "M 3"]
+        self,
+        configuration: Float[Tensor, "3"],
+        controls: Float[Tensor, "K H A"],
+        poses: Float[Tensor, "M 3"],
+        sliding: Sliding,
     ) -> PushRollouts:
         (samples, horizon, _), rollouts, mini = controls.shape, len(poses), self.settings.mini_steps
         path = self.free_path(configuration, controls)[:, None].expand(samples, rollouts, horizon + 1, 3)
         rows = path.reshape(-1, horizon + 1, 3)
         now = poses.expand(samples, rollouts, 3).reshape(-1, 3)
-        start, sliding = now, self.sliding.expand(len(now))
+        start, sliding = now, sliding.map(lambda part: part.repeat(samples, *[1] * (part.ndim - 1)))
         track, contact, checked = [now], torch.zeros(len(now), horizon, dtype=torch.bool, device=now.device), 0
         for action in range(horizon):
             way = (rows[:, action + 1] - rows[:, action]) / mini
@@ -207,8 +217,10 @@ backend.register("quasi_static_rollouts")(QuasiStaticRollouts._rollouts)
 
 
 @backend.register("quasi_static_rollouts", "numba", compiled.supports)
-def _rollouts_numba(model: QuasiStaticRollouts, configuration: Tensor, controls: Tensor, poses: Tensor) -> PushRollouts:
-    return model.compiled(configuration, controls, poses)
+def _rollouts_numba(
+    model: QuasiStaticRollouts, configuration: Tensor, controls: Tensor, poses: Tensor, sliding: Sliding
+) -> PushRollouts:
+    return model.compiled(configuration, controls, poses, sliding)
 
 
 class QuasiStaticPush(PushModel):
@@ -257,7 +269,7 @@ class QuasiStaticPush(PushModel):
         """Pushes along given paths."""
         return push_along_path
 
-    def motion(self, model: ObjectModel, shape: GripperShape, height_m: float, resting_m: float) -> PathMotion:
+    def motion(self, model: ObjectModel, shape: ToolShape, height_m: float, resting_m: float) -> PathMotion:
         """Motion along the path of a level tool."""
         own = self.settings
         return PathMotion.of(

@@ -60,13 +60,12 @@ def _deepest(x, y, cos, sin, px, py, order, starts, centres, radii, values, flat
 
 
 @bare
-def _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers, counts, scratch, out):
+def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out):
     """All rollouts of control sequence k."""
     px, py, order, starts, centres, radii = body
     values, flat, low = outline
     low_x, low_y = low[0], low[1]
     spacing, reach, width = numbers[0], numbers[1], numbers[2]
-    centre_x, centre_y, lever, friction = numbers[3], numbers[4], numbers[5], numbers[6]
     mini, passes = counts[0], counts[1]
     track, contact, checks = out
     inside = scratch[k]
@@ -95,6 +94,17 @@ def _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers,
     for m in range(len(poses)):
         x, y, yaw = float(poses[m, 0]), float(poses[m, 1]), float(poses[m, 2])
         cos, sin = math.cos(yaw), math.sin(yaw)
+        slides = (
+            bodies[m, 0],
+            bodies[m, 1],
+            bodies[m, 2],
+            bodies[m, 3],
+            bodies[m, 4],
+            bodies[m, 5],
+            bodies[m, 6],
+            bodies[m, 7],
+            bodies[m, 8],
+        )
         track[k, m, 0, 0], track[k, m, 0, 1], track[k, m, 0, 2] = poses[m, 0], poses[m, 1], poses[m, 2]
         still, gap = True, 0.0  # metres that the tool may go before it can touch
         for action in range(actions):
@@ -168,7 +178,7 @@ def _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers,
                         gy,
                         depth,
                         0.0,
-                        (centre_x, centre_y, lever, friction),
+                        slides,
                     )
                     cos, sin = math.cos(yaw), math.sin(yaw)
             if still:
@@ -180,9 +190,11 @@ def _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers,
     checks[k] = checked
 
 
-def _push_rollouts(controls, action_scale, arm, path, poses, body, outline, numbers, counts, scratch, out, part):
+def _push_rollouts(
+    controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out, part
+):
     for k in indices(part, len(path)):
-        _sample(k, controls, action_scale, arm, path, poses, body, outline, numbers, counts, scratch, out)
+        _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out)
 
 
 _push_rollouts_kernel = Kernel(_push_rollouts)
@@ -200,7 +212,7 @@ class CompiledRollouts:
 
     def __init__(self, model):
         self._model = model
-        points, outline, sliding = model.points, model.outline, model.sliding
+        points, outline = model.points, model.outline
         owner = _groups(points)
         order = owner.argsort(stable=True)
         count = int(owner.max()) + 1
@@ -211,18 +223,10 @@ class CompiledRollouts:
         self._body = _arrays(*points[order].unbind(-1), order, starts, centres.double(), radii.double())
         self._outline = _arrays(outline.values, outline.values.flatten(), outline.origin.double())
         width = float(points.norm(dim=-1).max())
-        numbers = (
-            outline.spacing,
-            model.reach,
-            width,
-            *sliding.centre.tolist(),
-            float(sliding.lever),
-            float(sliding.friction),
-        )
-        self._numbers = np.array(numbers)
+        self._numbers = np.array((outline.spacing, model.reach, width))
         self._counts = np.array((model.settings.mini_steps, model.settings.passes))
 
-    def __call__(self, configuration, controls, poses):
+    def __call__(self, configuration, controls, poses, sliding):
         """The rollouts in which the object starts at given poses."""
         (samples, horizon, _), rollouts = controls.shape, len(poses)
         path = configuration.expand(samples, horizon + 1, 3).contiguous()
@@ -233,6 +237,7 @@ class CompiledRollouts:
             *_arrays(controls, self._model.tool.scale),
             self._model.tool.arm_arrays(),
             *_arrays(path, poses.to(path)),
+            _bodies(sliding),
             self._body,
             self._outline,
             self._numbers,
@@ -262,6 +267,13 @@ def _groups(points):
     while len(centres) < count:
         centres = torch.cat((centres, points[torch.cdist(points, centres).amin(-1).argmax()][None]))
     return torch.unique(torch.cdist(points, centres).argmin(-1), return_inverse=True)[1]
+
+
+def _bodies(sliding):
+    """(M, 9) in double precision: centre of friction, lever, friction, quartic limit surface."""
+    quartic = sliding.lever.new_zeros(len(sliding.lever), 5) if sliding.quartic is None else sliding.quartic
+    parts = (sliding.centre, sliding.lever[:, None], sliding.friction[:, None], quartic)
+    return torch.cat(parts, -1).double().contiguous().numpy()
 
 
 def _arrays(*tensors):

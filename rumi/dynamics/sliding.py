@@ -3,8 +3,14 @@
 Slow pushing: inertia plays no part, and the floor's friction resists the object's twist by a wrench on an ellipsoid,
 f^2 + (m / c)^2 = const, of which c is a length. Twists are normal to it, so that a contact force f at the lever r from
 the centre of friction gives the twist (f, r x f / c^2) up to a factor.
+
+Real supports have other limit surfaces: with mu = m / c, the convex quartic (f'Af + mu^2)^2 + mu^2 f'Qf = const, whose
+normals are found on the friction cone by a root. A, of determinant 1, says in which direction the object slides more
+easily; Q how forces and moments trade off: a rod, pushed across, gives way sooner (Q > 0) than the ellipsoid has it.
+Zhou, Paolini, Bagnell, Mason (ICRA 2016) fit such quartics to measured wrenches.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -14,6 +20,8 @@ from torch import Tensor
 # share of its frictionless value below which the stiffness against a sliding contact is not let fall: where the
 # friction at the contact would wedge the object, there is no quasi-static motion
 _WEDGED = 0.1
+
+_ROOTS = 8  # steps of the Illinois method, which finds the force that moves a sticking contact as it is wanted
 
 
 class OutlineQuery(NamedTuple):
@@ -49,19 +57,32 @@ class Sliding(NamedTuple):
         centre: (*b, 2), centre of friction in the object's frame, metres.
         lever: (*b), c: ratio of the greatest friction moment to the greatest friction force, metres.
         friction: (*b), coefficient between tool and object.
+        quartic: (*b, 5), of a quartic limit surface, object frame: log A's deviator (xx, xy), and Q's mean eigenvalue
+            and deviator (xx, xy); None for the ellipsoid, which all zeros are too.
     """
 
     centre: Float[Tensor, "*b 2"]
     lever: Float[Tensor, "*b"]
     friction: Float[Tensor, "*b"]
+    quartic: Float[Tensor, "*b 5"] | None = None
 
     def expand(self, *batch: int) -> "Sliding":
         """The same for every element of a batch."""
-        return Sliding(self.centre.expand(*batch, 2), self.lever.expand(batch), self.friction.expand(batch))
+        quartic = None if self.quartic is None else self.quartic.expand(*batch, 5)
+        return Sliding(self.centre.expand(*batch, 2), self.lever.expand(batch), self.friction.expand(batch), quartic)
 
     def at(self, rows: Tensor) -> "Sliding":
         """Those of some rows."""
-        return Sliding(self.centre[rows], self.lever[rows], self.friction[rows])
+        return self.map(lambda part: part[rows])
+
+    def to(self, like: Tensor) -> "Sliding":
+        """A copy on the device and of the dtype of a tensor."""
+        return self.map(lambda part: part.to(like))
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> "Sliding":
+        """The same change of every part."""
+        quartic = None if self.quartic is None else change(self.quartic)
+        return Sliding(change(self.centre), change(self.lever), change(self.friction), quartic)
 
 
 def contact_twist(
@@ -107,6 +128,67 @@ def contact_twist(
     sliding = ((wanted * inward).sum(-1) / stiffness)[..., None] * edge
     force = torch.where((tangential.abs() <= friction * normal)[..., None], force, sliding)
     return torch.cat((force, ((x * force[..., 1] - y * force[..., 0]) / square)[..., None]), -1)
+
+
+def quartic_twist(
+    lever_arm: Float[Tensor, "*b 2"],
+    inward: Float[Tensor, "*b 2"],
+    wanted: Float[Tensor, "*b 2"],
+    lever: Float[Tensor, "*b"],
+    friction: Float[Tensor, "*b"],
+    quartic: Float[Tensor, "*b 5"],
+) -> Float[Tensor, "*b 3"]:
+    """`contact_twist` with a quartic limit surface, whose axes are those of the arguments.
+
+    As the force turns from one edge of the friction cone to the other, so does the contact point's motion, the normal
+    of a convex curve: where neither edge moves it as wanted or beyond, a force between does.
+    """
+    x, y = lever_arm.unbind(-1)
+    across = torch.stack((-inward[..., 1], inward[..., 0]), -1)
+    forward, aside = (wanted * inward).sum(-1), (wanted * across).sum(-1)
+    first, second, mean, level, slant = quartic.unbind(-1)
+    size = torch.hypot(first, second)
+    stretch = torch.where(size > 1e-9, size.sinh() / size.clamp_min(1e-9), torch.ones_like(size))
+    a_xx, a_yy, a_xy = size.cosh() + stretch * first, size.cosh() - stretch * first, stretch * second
+
+    def moved(edge: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Twist by the force inward + edge across, how far it moves the contact inward, and how much too far aside."""
+        fx, fy = (inward + edge[..., None] * across).unbind(-1)
+        moment = (x * fy - y * fx) / lever
+        ax, ay = a_xx * fx + a_xy * fy, a_xy * fx + a_yy * fy
+        bx, by = (mean + level) * fx + slant * fy, slant * fx + (mean - level) * fy
+        whole, half = ax * fx + ay * fy + moment * moment, 0.5 * moment * moment
+        vx, vy = whole * ax + half * bx, whole * ay + half * by
+        turn = (whole + 0.5 * (bx * fx + by * fy)) * moment / lever
+        ux, uy = vx - turn * y, vy + turn * x
+        normal = ux * inward[..., 0] + uy * inward[..., 1]
+        tangential = ux * across[..., 0] + uy * across[..., 1]
+        return torch.stack((vx, vy, turn), -1), normal, aside * normal - tangential * forward
+
+    low, high = -friction, friction.clone()
+    least, most = moved(low)[2], moved(high)[2]
+    force = torch.where(least <= 0, low, high)
+    sticks, side = (least > 0) & (most < 0), torch.zeros_like(low)
+    for _ in range(_ROOTS):
+        spread = most - least
+        edge = (low * most - high * least) / torch.where(spread == 0, torch.ones_like(spread), spread)
+        gap = moved(edge)[2]
+        above = gap > 0
+        low, high = torch.where(above, edge, low), torch.where(above, high, edge)
+        # the end that stays twice is drawn in
+        most = torch.where(above, torch.where(side > 0, 0.5 * most, most), gap)
+        least = torch.where(above, gap, torch.where(side < 0, 0.5 * least, least))
+        side = torch.where(above, 1.0, -1.0).to(side)
+        force = torch.where(sticks, edge, force)
+    twist, normal, _ = moved(force)
+    straight = moved(torch.zeros_like(low))[1]
+    return (forward / torch.maximum(normal, _WEDGED * straight))[..., None] * twist
+
+
+def turned_quartic(quartic: Float[Tensor, "*b 5"], angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b 5"]:
+    """A quartic limit surface of an object that is turned, radians: deviators turn by twice the angle."""
+    double = 2.0 * angle
+    return torch.cat((rotated(quartic[..., :2], double), quartic[..., 2:3], rotated(quartic[..., 3:], double)), -1)
 
 
 def rotated(vectors: Float[Tensor, "*#b 2"], angle: Float[Tensor, "*#b"]) -> Float[Tensor, "*#b 2"]:
@@ -175,6 +257,11 @@ def push(
         slip = own_old - carried
         slip = slip - (slip * inward).sum(-1, keepdim=True) * inward
         arm = point - here[:, :2] - rotated(own.centre, here[:, 2])
-        twist = contact_twist(arm, inward, depth[:, None] * inward + slip, own.lever, own.friction)
+        wanted = depth[:, None] * inward + slip
+        if own.quartic is None:
+            twist = contact_twist(arm, inward, wanted, own.lever, own.friction)
+        else:
+            quartic = turned_quartic(own.quartic, here[:, 2])
+            twist = quartic_twist(arm, inward, wanted, own.lever, own.friction, quartic)
         pose = pose.index_copy(0, rows, moved_by(here, twist, own.centre))
     return pose, touched

@@ -5,6 +5,7 @@ import math
 from sdf.compiled import bare
 
 _WEDGED = 0.1
+_ROOTS = 8
 
 
 @bare
@@ -56,15 +57,78 @@ def twist(rx, ry, nx, ny, wx, wy, lever, friction):
 
 
 @bare
+def _moved(edge, rx, ry, nx, ny, lever, surface):
+    """Twist by the force inward + edge across, and the contact point's motion along the normal and across."""
+    a_xx, a_xy, a_yy, b_xx, b_xy, b_yy = surface
+    fx, fy = nx - edge * ny, ny + edge * nx
+    moment = (rx * fy - ry * fx) / lever
+    ax, ay = a_xx * fx + a_xy * fy, a_xy * fx + a_yy * fy
+    bx, by = b_xx * fx + b_xy * fy, b_xy * fx + b_yy * fy
+    whole, half = ax * fx + ay * fy + moment * moment, 0.5 * moment * moment
+    vx, vy = whole * ax + half * bx, whole * ay + half * by
+    turn = (whole + 0.5 * (bx * fx + by * fy)) * moment / lever
+    ux, uy = vx - turn * ry, vy + turn * rx
+    return vx, vy, turn, ux * nx + uy * ny, uy * nx - ux * ny
+
+
+@bare
+def quartic_twist(rx, ry, nx, ny, wx, wy, lever, friction, quartic, cos, sin):
+    """Motion of the centre of friction and turn; see `quartic_twist` in sliding.py. The object is at (cos, sin)."""
+    first, second, mean, level, slant = quartic
+    c, s = cos * cos - sin * sin, 2.0 * sin * cos
+    first, second, level, slant = (
+        c * first - s * second,
+        s * first + c * second,
+        c * level - s * slant,
+        s * level + c * slant,
+    )
+    size = math.sqrt(first * first + second * second)
+    grown, stretch = math.cosh(size), (math.sinh(size) / size if size > 1e-9 else 1.0)
+    surface = (grown + stretch * first, stretch * second, grown - stretch * first, mean + level, slant, mean - level)
+    forward, aside = wx * nx + wy * ny, wy * nx - wx * ny
+    low, high, edge = -friction, friction, -friction
+    _, _, _, normal, tangential = _moved(low, rx, ry, nx, ny, lever, surface)
+    least = aside * normal - tangential * forward
+    if least > 0.0:
+        edge = high
+        _, _, _, normal, tangential = _moved(high, rx, ry, nx, ny, lever, surface)
+        most = aside * normal - tangential * forward
+        if most < 0.0:
+            side = 0
+            for _ in range(_ROOTS):
+                edge = (low * most - high * least) / (most - least)
+                _, _, _, normal, tangential = _moved(edge, rx, ry, nx, ny, lever, surface)
+                gap = aside * normal - tangential * forward
+                if gap > 0.0:
+                    low, least = edge, gap
+                    if side > 0:
+                        most *= 0.5
+                    side = 1
+                else:
+                    high, most = edge, gap
+                    if side < 0:
+                        least *= 0.5
+                    side = -1
+                if gap == 0.0:
+                    break
+    vx, vy, turn, normal, _ = _moved(edge, rx, ry, nx, ny, lever, surface)
+    _, _, _, straight, _ = _moved(0.0, rx, ry, nx, ny, lever, surface)
+    size = forward / max(normal, _WEDGED * straight)
+    return size * vx, size * vy, size * turn
+
+
+@bare
 def settled(x, y, yaw, first, tool, way, ax, ay, gx, gy, depth, thickness, body):
     """Pose of an object after one contact; see `push`.
 
     The object is at (x, y, yaw) and was at `first` before the motion, `way`, which brought the tool to `tool`. The
     tool's deepest point lies (ax, ay) from there, along the world's axes, and by `depth` in the object, where the
-    outline's gradient, in the object's frame, is (gx, gy). `body` holds centre of friction (x, y), lever and friction.
+    outline's gradient, in the object's frame, is (gx, gy). `body` holds centre of friction (x, y), lever, friction,
+    and the quartic limit surface.
     """
     cos, sin = math.cos(yaw), math.sin(yaw)
-    centre_x, centre_y, lever, friction = body
+    centre_x, centre_y, lever, friction = body[0], body[1], body[2], body[3]
+    quartic = (body[4], body[5], body[6], body[7], body[8])
     length = max(math.sqrt(gx * gx + gy * gy), 1e-9)
     nx, ny = -(cos * gx - sin * gy) / length, -(sin * gx + cos * gy) / length
     ax, ay = ax + thickness * nx, ay + thickness * ny
@@ -78,7 +142,11 @@ def settled(x, y, yaw, first, tool, way, ax, ay, gx, gy, depth, thickness, body)
     along = slip_x * nx + slip_y * ny
     slip_x, slip_y = slip_x - along * nx, slip_y - along * ny
     arm_x, arm_y = cos * centre_x - sin * centre_y, sin * centre_x + cos * centre_y
-    fx, fy, turn = twist(ox - arm_x, oy - arm_y, nx, ny, depth * nx + slip_x, depth * ny + slip_y, lever, friction)
+    rx, ry, wx, wy = ox - arm_x, oy - arm_y, depth * nx + slip_x, depth * ny + slip_y
+    if quartic == (0.0, 0.0, 0.0, 0.0, 0.0):
+        fx, fy, turn = twist(rx, ry, nx, ny, wx, wy, lever, friction)
+    else:
+        fx, fy, turn = quartic_twist(rx, ry, nx, ny, wx, wy, lever, friction, quartic, cos, sin)
     c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
     x, y = x + arm_x + c * fx - s * fy, y + arm_y + s * fx + c * fy
     yaw += turn

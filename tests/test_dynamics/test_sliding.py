@@ -214,9 +214,9 @@ def test_no_outline_where_there_is_no_object() -> None:
 
 
 def test_support_of_a_disc_and_of_a_mug() -> None:
-    centre, spread = support_of(Cylinder(0.04, 0.05).double())
+    centre, spread, _ = support_of(Cylinder(0.04, 0.05).double())
     torch.testing.assert_close(centre, torch.zeros(2, dtype=torch.float64), atol=1e-9, rtol=0)
     assert spread == pytest.approx(2 / 3 * 0.04, rel=0.01)
-    centre, _ = support_of(Mug().double())
+    centre, _, _ = support_of(Mug().double())
     assert 0.002 < float(centre[0]) < 0.01  # towards the handle
     assert abs(float(centre[1])) < 1e-6

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +94,16 @@ class HandleAgent:
     table: GraspTable | None = None
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
+    @property
+    def relies_on(self) -> str:
+        """What a run takes for granted, in a line."""
+        return self.rummager.relies_on
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is not measured, and may make the belief sure and wrong."""
+        return self.rummager.warnings
+
     def begin(self, result: StepResult, *, seed: int, clock: Clock) -> HandleState:
         """Believe what the first view shows, and the prior."""
         random = {name: split(seed, name) for name in ("initialise", "filter", "renewal", "plan")}
@@ -181,7 +191,7 @@ class HandleAgent:
             x, y, yaw = grasp.pose.tolist()
             own |= {"lifted": outcome, "believed": grasp.probability, "grasp": (x, y, yaw)}
             own["total_s"] = state.spent_s + GRASP_S
-        return HandleResult(**asdict(found), **own)
+        return HandleResult(**{part.name: getattr(found, part.name) for part in fields(found)}, **own)
 
     def _left_s(self, state: HandleState) -> float:
         """Seconds for a plan, beside what has to come after it."""
@@ -220,7 +230,8 @@ def build_agent(
         ContactPointModel(model.sdf, wrist.point_m, wrist.normal_rad, wrist.outlier),
         ContactSignalModel(model.sdf, surface, settings.signals),
     )
-    return HandleAgent(settings, replace(rummager, filter=pose_filter, stop_rule=stop), table)
+    sensors = ", ".join(settings.sensors)
+    return HandleAgent(settings, replace(rummager, filter=pose_filter, stop_rule=stop, sensors=sensors), table)
 
 
 def total_nll(nll: Sequence[float], steps: int) -> float:

@@ -63,9 +63,9 @@ class HandleTask(SensedTask):
         self.fused = settings
         self._drawn = spec
         self.world: ForceSensingWorld = ForceSensingWorld(
-            self.world.body, tool.shape, spec.height_m, simulator.time_step_s, spec.physics
+            self.world.body, self.shape, spec.height_m, simulator.time_step_s, spec.physics
         )
-        shape, wrist = tool.shape, settings.wrist
+        shape, wrist = self.shape, settings.wrist
         ahead = torch.tensor([wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
         self._parts = gripper_parts(shape, ahead)
         self._noise = WrenchNoise(wrist.force_n, wrist.moment_nm)

@@ -1,0 +1,219 @@
+"""Real pushes of planar objects (the MIT push set): readers, and scores of what models predict of them.
+
+`RUMI_DATA/real_pushes` is read: Yu, Bauza, Fazeli, Rodriguez, More than a Million Ways to Be Pushed (IROS 2016), as
+kept in github.com/robinzhoucmu/Pushing; `closed_loop.npz` is of github.com/mcubelab/cpush.
+"""
+
+import json
+import math
+import os
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.dynamics.along_path import Pusher
+from rumi.dynamics.outline import GridOutline, Support
+from rumi.dynamics.push_posterior import ObservedPush, PushedBody, PushPosterior, PushPrediction
+from rumi.dynamics.sliding import rotated
+from rumi.errors import UsageError
+from sdf.so3 import wrap
+
+TIP_M = 0.00475
+_INSTANTS = 21  # of a path of 50 mm
+
+SHAPES = ("rect1", "rect3", "tri1", "tri2", "ellip1", "ellip2", "hex")
+SURFACES = ("abs", "plywood")
+SETS = tuple(f"{surface} {shape}" for surface in SURFACES for shape in SHAPES)
+
+
+class PushSet(NamedTuple):
+    """Pushes of one object on one surface.
+
+    Attributes:
+        body: the object and the tip.
+        start: (n, 3), poses before, metres and radians.
+        path: (n, K1, 3), of the tip.
+        end: (n, 3), poses after.
+        zhou: (n, 3), as Zhou et al. predict them with a 4th-order limit surface.
+    """
+
+    body: PushedBody
+    start: Float[Tensor, "n 3"]
+    path: Float[Tensor, "n K1 3"]
+    end: Float[Tensor, "n 3"]
+    zhou: Float[Tensor, "n 3"]
+
+    def observed(self, rows: Tensor) -> list[ObservedPush]:
+        """Some of the pushes, to learn from."""
+        return [ObservedPush(self.start[i], self.path[i], self.end[i]) for i in rows.tolist()]
+
+
+class Scores(NamedTuple):
+    """Errors of predicted pushes, one a push.
+
+    Attributes:
+        place_mm: of the position.
+        turn_deg: of the yaw.
+        along_mm: signed, along the tip's way.
+        across_mm: signed, across it.
+    """
+
+    place_mm: Tensor
+    turn_deg: Tensor
+    along_mm: Tensor
+    across_mm: Tensor
+
+
+def folder() -> Path:
+    """Where the data is.
+
+    Raises:
+        UsageError: it is nowhere.
+    """
+    found = Path(os.environ.get("RUMI_DATA", "")) / "real_pushes"
+    if not os.environ.get("RUMI_DATA") or not found.is_dir():
+        raise UsageError("Expected the folder of recorded data in RUMI_DATA, with real_pushes in it")
+    return found
+
+
+@cache
+def body_of(shape: str) -> PushedBody:
+    """A shape of even density and pressure, and the round tip."""
+    corners = torch.tensor(json.loads((folder() / "mit_shapes.json").read_text())[shape], dtype=torch.float64)
+    return polygon_body(corners, TIP_M)
+
+
+def polygon_body(corners: Float[Tensor, "m 2"], tip_m: float, *, spacing: float = 0.001) -> PushedBody:
+    """A flat object of a polygon's outline, and a round tip."""
+    low, high = corners.amin(0) - 0.012, corners.amax(0) + 0.012
+    counts = torch.ceil((high - low) / spacing).long() + 1
+    axes = [low[i] + spacing * torch.arange(int(counts[i]), dtype=low.dtype) for i in range(2)]
+    nodes = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
+    values = polygon_distance(nodes, corners)
+    base = nodes[values <= 0]
+    outline = GridOutline(values, low, spacing, float(corners.norm(dim=-1).max()) + spacing)
+    return PushedBody(outline, Support.of_base(base, base.mean(0)), Pusher.disc(tip_m, base))
+
+
+def polygon_distance(points: Float[Tensor, "*b 2"], corners: Float[Tensor, "m 2"]) -> Float[Tensor, "*b"]:
+    """Signed distance from a polygon, negative inside."""
+    sides = corners.roll(-1, 0) - corners
+    off = points[..., None, :] - corners
+    along = ((off * sides).sum(-1) / sides.square().sum(-1)).clamp(0.0, 1.0)
+    distance = (off - along[..., None] * sides).norm(dim=-1).amin(-1)
+    x, y = off.unbind(-1)
+    over = (y < 0) != (y < sides[:, 1])
+    left = x < sides[:, 0] * y / torch.where(sides[:, 1] == 0, torch.ones_like(sides[:, 1]), sides[:, 1])
+    inside = (over & left).sum(-1) % 2 == 1
+    return torch.where(inside, -distance, distance)
+
+
+@cache
+def push_set(name: str, speed: int = 10) -> PushSet:
+    """The set of a surface and a shape, such as "abs rect1", at a speed in mm/s."""
+    surface, shape = name.split()
+    with np.load(folder() / "mit_pushes.npz") as data:
+        rows = torch.tensor(data[f"{surface}__{shape}__v{speed}"])
+    share = torch.linspace(0.0, 1.0, _INSTANTS, dtype=rows.dtype)[:, None]
+    place = rows[:, None, 6:8] + share * (rows[:, 8:10] - rows[:, 6:8])[:, None]
+    path = torch.cat((place, torch.zeros_like(place[..., :1])), -1)
+    return PushSet(body_of(shape), rows[:, :3].contiguous(), path, rows[:, 3:6].contiguous(), rows[:, 10:13])
+
+
+def scores(predicted: Float[Tensor, "n 3"], end: Float[Tensor, "n 3"], path: Float[Tensor, "n K1 3"]) -> Scores:
+    """Errors of predicted ends."""
+    off = 1e3 * (predicted - end)[:, :2]
+    way = path[:, -1] - path[:, 0]
+    along, across = rotated(off, -torch.atan2(way[:, 1], way[:, 0])).unbind(-1)
+    turn = wrap(predicted[:, 2] - end[:, 2]).abs() * 180.0 / math.pi
+    return Scores(off.norm(dim=-1), turn, along, across)
+
+
+def fixed(friction: float, lever_ratio: float) -> PushPosterior:
+    """One particle: an ellipsoid with given numbers."""
+    one = PushPosterior.prior(1)
+    numbers = torch.tensor([[math.log(friction), math.log(lever_ratio), *[0.0] * 6]], dtype=torch.float64)
+    return PushPosterior(numbers, one.log_weights)
+
+
+def drawn(posterior: PushPosterior, count: int) -> PushPosterior:
+    """Even particles that stand for it."""
+    parameters = posterior.draws(count)
+    return PushPosterior(parameters, parameters.new_zeros(count).log_softmax(-1), residual=posterior.residual)
+
+
+def predicted(posterior: PushPosterior, own: PushSet, rows: Tensor) -> PushPrediction:
+    """Of some pushes of a set."""
+    return posterior.predict(own.start[rows], own.path[rows], own.body)
+
+
+def fit(own: PushSet, *, evaluations: int = 350) -> tuple[float, ...]:
+    """Parameters of greatest posterior density, by all pushes of a set and the prior twice as wide (Nelder-Mead)."""
+    from scipy.optimize import minimize
+
+    wide = PushPosterior.prior(256)
+    wide = PushPosterior(
+        wide.parameters, wide.log_weights, mean=wide.mean, deviation=tuple(2 * d for d in wide.deviation)
+    )
+    pushes = own.observed(torch.arange(len(own.start)))
+    few = pushes[:: max(1, len(pushes) // 40)]
+    like = wide._log_likelihood(wide.parameters, few, own.body)
+    start, deviation = wide.parameters[like.argmax()].numpy(), np.array(wide.deviation)
+    full = PushPosterior(wide.parameters, wide.log_weights, tuple(pushes), mean=wide.mean, deviation=wide.deviation)
+
+    def cost(parameters: np.ndarray) -> float:
+        return -float(full._log_target(torch.tensor(parameters)[None], own.body))
+
+    simplex = np.vstack([start] + [start + 0.2 * row for row in np.diag(deviation)])
+    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": evaluations, "initial_simplex": simplex})
+    return tuple(float(part) for part in found.x)
+
+
+def prior_without(shape: str, fits: dict[str, tuple[float, ...]], count: int = 256) -> PushPosterior:
+    """Prior by the fits of all other shapes: their mean and scatter; what has a sign that a mirror changes is about 0.
+
+    How elongation shapes the limit surface is weighed by how elongated the shapes are.
+    """
+    others = [name for name in fits if name.split()[1] != shape]
+    rows = torch.tensor([fits[name] for name in others], dtype=torch.float64)
+    weights = torch.ones_like(rows)
+    weights[:, 3] = torch.stack([body_of(name.split()[1]).support.elongation.square().sum() for name in others])
+    weights = weights / weights.sum(0)
+    mean = (weights * rows).sum(0)
+    mean[4:] = 0.0
+    deviation = (weights * (rows - mean).square()).sum(0).sqrt()
+    # at least, since six shapes tell little of a scatter
+    least = torch.tensor([0.12, 0.45, 0.8, 1.8, 0.03, 0.03, 0.05, 0.05], dtype=torch.float64)
+    return PushPosterior.prior(count, mean=mean.tolist(), deviation=torch.maximum(deviation, least).tolist())
+
+
+@cache
+def repeated_bound() -> list[tuple[str, float, float]]:
+    """For each plan of two-finger pushes, repeated from nearly one start: how far ends are off their mean.
+
+    Of those of one plan, runs that start within 1 mm of one another are compared; drop-outs, at (0, 0), are left out.
+    """
+    found = []
+    for plan in sorted((folder() / "repeated").iterdir()):
+        ends, starts = [], []
+        for file in sorted(plan.glob("*.txt")):
+            rows = np.loadtxt(file, delimiter=",")
+            rows = rows[np.abs(rows[:, 1:3]).sum(1) > 0]
+            starts.append(rows[:10, 1:4].mean(0))
+            ends.append(rows[-10:, 1:4].mean(0))
+        start, end = np.array(starts), np.array(ends)
+        near = np.hypot(*(start - np.median(start, 0))[:, :2].T) < 1.0
+        if near.sum() < 2:
+            continue
+        off = end[near] - end[near].mean(0)
+        off[:, 2] = (end[near, 2] - end[near, 2][0] + math.pi) % (2 * math.pi)
+        off[:, 2] -= off[:, 2].mean()
+        spread = near.sum() / (near.sum() - 1)
+        place, turn = np.hypot(*off[:, :2].T), np.degrees(np.abs(off[:, 2]))
+        found.append((plan.name, float(place.mean() * spread**0.5), float(turn.mean() * spread**0.5)))
+    return found

@@ -1,0 +1,147 @@
+"""How far push models are from 5400 real pushes of 7 shapes on two surfaces, and how sure of it they are.
+
+python -m scripts.real_pushes run     # needs RUMI_DATA; again to go on
+python -m scripts.real_pushes show
+
+Priors of a shape are fitted to the other six on both surfaces; "after n" learns from n random pushes of the set, 20
+times, and is scored on all others of it (its regions on every fourth of those).
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rumi.cli import script
+from rumi.dynamics.push_posterior import PushPosterior
+from rumi.seeding import split
+from scripts.bench.real_pushes import (
+    SETS,
+    SHAPES,
+    Scores,
+    drawn,
+    fit,
+    fixed,
+    predicted,
+    prior_without,
+    push_set,
+    scores,
+)
+from scripts.experiment import RESULTS, Experiment, Line
+from scripts.reproduce.cells import table
+from scripts.store import Store
+
+FILE = "real_pushes.jsonl"
+FIT = "fit"
+FIXED = {
+    "lever 1.5 friction 0.5": (0.5, 1.5),
+    "lever 1.5 friction 0.3": (0.3, 1.5),
+    "lever 1.0 friction 0.2": (0.2, 1.0),
+}
+"""Friction and lever ratio by what a table calls them."""
+LEARNT = {"never seen": 0, "after 1": 1, "after 3": 3, "after 10": 10}
+SHIPPED = {"library prior": 0, "library after 10": 10}
+MODELS = (FIT, "stays", *FIXED, "Zhou by 600 wrenches", *SHIPPED, *LEARNT)
+DRAWS, SHOWN = 20, 64
+"""Times that pushes are drawn to learn from; particles that predict."""
+SHARES = (0.5, 0.9, 0.95)
+
+
+def measure(model: str, set: str) -> dict[str, Any]:
+    """Scores of a model on a set."""
+    own = push_set(set)
+    if model == FIT:
+        return {"parameters": list(fit(own))}
+    rows = torch.arange(len(own.start))
+    if model == "stays":
+        return _summary([scores(own.start, own.end, own.path)])
+    if model.startswith("Zhou"):
+        return _summary([scores(own.zhou, own.end, own.path)])
+    if model in FIXED:
+        return _summary([scores(predicted(fixed(*FIXED[model]), own, rows).mean(), own.end, own.path)])
+    count = (SHIPPED | LEARNT)[model]
+    prior = PushPosterior.prior() if model in SHIPPED else prior_without(set.split()[1], fits())
+    found, densities, levels, numbers = [], [], [], []
+    for draw in range(DRAWS if count else 1):
+        generator = split(draw, f"real pushes {set}")
+        order = torch.randperm(len(rows), generator=generator)
+        learnt, rest = order[:count], order[count:]
+        posterior = prior.update(own.observed(learnt), own.body, generator)
+        shown = predicted(drawn(posterior, SHOWN), own, rest)
+        end = own.end[rest]
+        found.append(scores(shown.mean(), end, own.path[rest]))
+        densities.append(float(shown.log_density(end).mean()))
+        some = predicted(drawn(posterior, SHOWN), own, rest[::4])
+        levels.append(some.level(end[::4], generator, draws=200))
+        numbers.append(posterior.quantiles((0.5,))[0, :2].exp())
+    held = {f"held_{share:g}": float((torch.cat(levels) <= share).double().mean()) for share in SHARES}
+    middle = torch.stack(numbers).mean(0).tolist()
+    return _summary(found) | held | {"log_density": float(np.mean(densities)), "friction_lever": middle}
+
+
+def fits() -> dict[str, tuple[float, ...]]:
+    """Parameters of each set, on record.
+
+    Raises:
+        ValueError: some are not yet.
+    """
+    lines = {line["set"]: tuple(line["parameters"]) for line in Store(RESULTS / FILE).flat() if line["model"] == FIT}
+    if set(lines) != set(SETS):
+        raise ValueError("Expected a fit of every set on record: python -m scripts.real_pushes run --models fit")
+    return lines
+
+
+def _summary(found: list[Scores]) -> dict[str, Any]:
+    whole: list[Tensor] = [torch.cat(parts) for parts in zip(*found, strict=True)]
+    place, turn, along, across = whole
+    return {
+        "pushes": len(found[0].place_mm),
+        "mm": float(place.mean()),
+        "mm_median": float(place.median()),
+        "mm_90": float(place.quantile(0.9)),
+        "degrees": float(turn.mean()),
+        "degrees_90": float(turn.quantile(0.9)),
+        "along_mm": float(along.abs().mean()),
+        "across_mm": float(across.abs().mean()),
+    }
+
+
+def over_sets(lines: list[Line], name: str) -> float:
+    """Mean of a figure over pushes."""
+    return sum(line["pushes"] * line[name] for line in lines) / sum(line["pushes"] for line in lines)
+
+
+def interval(lines: list[Line], name: str) -> str:
+    """The same with a 95 % interval: shapes are drawn anew (bootstrap, 2000 times)."""
+    by_shape = [[line for line in lines if line["set"].endswith(shape)] for shape in SHAPES]
+    draws = np.random.default_rng(0).integers(len(SHAPES), size=(2000, len(SHAPES)))
+    means = [over_sets([line for i in draw for line in by_shape[i]], name) for draw in draws]
+    low, high = np.quantile(means, (0.025, 0.975))
+    return f"{over_sets(lines, name):.2f} [{low:.2f}, {high:.2f}]"
+
+
+def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
+    """A row for each model that has done all sets; medians and 90 % are means of the sets'."""
+    rows, covered = [], []
+    for model in chosen.get("model", MODELS):
+        own = [line for line in lines if line["model"] == model]
+        if model == FIT or {line["set"] for line in own} != set(SETS):
+            continue
+        density = f"{over_sets(own, 'log_density'):.2f}" if "log_density" in own[0] else "-"
+        cells = [f"{over_sets(own, name):.2f}" for name in ("mm_median", "mm_90", "along_mm", "across_mm")]
+        rows.append([model, interval(own, "mm"), *cells, interval(own, "degrees"), density])
+        if "held_0.9" in own[0]:
+            each = [over_sets([line for line in own if line["set"].endswith(s)], "held_0.9") for s in SHAPES]
+            shares = [f"{100 * over_sets(own, f'held_{share:g}'):.0f}" for share in SHARES]
+            covered.append([model, *shares, f"{100 * min(each):.0f} to {100 * max(each):.0f}"])
+    heads = ("model", "mean, mm", "median", "90 %", "along", "across", "turn, degrees", "log density")
+    regions = ("model", "50 % regions hold, %", "90 %", "95 %", "90 %, each shape")
+    return table(heads, rows) + ("\n" + table(regions, covered) if covered else "")
+
+
+EXPERIMENT = Experiment(__doc__, FILE, {"model": MODELS, "set": SETS}, measure, show)
+
+if __name__ == "__main__":
+    script(EXPERIMENT.main)
