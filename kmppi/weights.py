@@ -61,9 +61,11 @@ def sample_weights(
         (K,), float64, summing to 1; the same when a constant is added to all costs.
 
     Raises:
-        NonFiniteCostsError: no cost is finite.
+        NonFiniteCostsError: no cost is finite; where it is traced all weights are NaN then.
     """
     finite = costs.isfinite()
+    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
+        return _masked_weights(costs.double(), finite, temperature, cost_scale, perturbation)
     count = int(finite.sum())
     if count == 0:
         raise NonFiniteCostsError(
@@ -77,3 +79,20 @@ def sample_weights(
         scaled = scaled + (perturbation if count == costs.numel() else perturbation[finite])
     weights = torch.softmax(-scaled / temperature, 0)
     return weights if count == costs.numel() else torch.zeros_like(wide).masked_scatter_(finite, weights)
+
+
+def _masked_weights(
+    wide: Tensor, finite: Tensor, temperature: float, cost_scale: CostScale, perturbation: Tensor | None
+) -> Tensor:
+    """The same without a look at how many costs are finite, as `torch.compile` and `torch.func` need it."""
+    scaled = wide.where(finite, torch.inf)
+    scaled = (scaled - scaled.amin()).where(finite, 0.0)
+    if cost_scale == "std":
+        largest = scaled.amax()
+        unit = scaled / torch.where(largest > 0, largest, 1.0)
+        count = finite.sum()
+        variance = ((unit - unit.sum() / count).square() * finite).sum() / count
+        scaled = unit / torch.where(variance > 0, variance, 1.0).sqrt()
+    if perturbation is not None:
+        scaled = scaled + perturbation
+    return torch.softmax((-scaled / temperature).where(finite, -torch.inf), 0)

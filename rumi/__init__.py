@@ -9,19 +9,24 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rumi.agent import Agent
-    from rumi.api import build, plot, replay, rummager, run
+    from rumi.api import build, plot, replay, run
     from rumi.fields.workspace import Workspace
     from rumi.planning.policy import PlanRequest
+    from rumi.robot.arm_reach import ArmReach
+    from rumi.robot.tool_shape import SolidTool
     from rumi.runs.folder import load_run
     from rumi.task import Task
-    from rumi.tasks.rummage.settings import preset
+    from rumi.tasks.presets import preset
+    from rumi.tasks.rummage.own import rummager
     from sensors.reading import Reading
 
 __version__ = "0.1.0"
 __all__ = [
     "Agent",
+    "ArmReach",
     "PlanRequest",
     "Reading",
+    "SolidTool",
     "Task",
     "Workspace",
     "build",
@@ -34,14 +39,17 @@ __all__ = [
 ]
 
 _HOMES = {
-    **dict.fromkeys(("build", "plot", "replay", "rummager", "run"), "rumi.api"),
+    **dict.fromkeys(("build", "plot", "replay", "run"), "rumi.api"),
     "Agent": "rumi.agent",
+    "ArmReach": "rumi.robot.arm_reach",
     "PlanRequest": "rumi.planning.policy",
     "Reading": "sensors.reading",
+    "SolidTool": "rumi.robot.tool_shape",
     "Task": "rumi.task",
     "Workspace": "rumi.fields.workspace",
     "load_run": "rumi.runs.folder",
-    "preset": "rumi.tasks.rummage.settings",
+    "preset": "rumi.tasks.presets",
+    "rummager": "rumi.tasks.rummage.own",
 }
 
 

@@ -7,23 +7,16 @@ from typing import Any
 
 from rumi import loop
 from rumi.agent import Agent, Parts
-from rumi.fields.workspace import Workspace
-from rumi.robot.gripper import GripperShape
-from rumi.robot.tool import Tool
 from rumi.runs.folder import RunRecorder, load_run
-from rumi.runs.progress import both
+from rumi.runs.progress import announce, both
 from rumi.runs.recorded import RunLog
 from rumi.runs.replay import Replayed
 from rumi.runs.replay import replay as take_in
 from rumi.task import Task
-from rumi.tasks.registry import TASKS, entry_of
-from rumi.tasks.rummage.agent import Rummager
-from rumi.tasks.rummage.build import build_rummager, geometry_of
-from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.registry import TASKS, entry_of, entry_of_record
+from rumi.tasks.rummage.build import geometry_of
 from rumi.tasks.rummage.settings import Settings
-from rumi.tasks.rummage.settings import preset as preset_of
 from rumi.tasks.touch_box.agent import Toucher
-from sdf.object_model import ObjectModel
 
 
 def build(settings: Any, *, cache_dir: Path | None = None) -> Parts[Any, Any]:  # noqa: ANN401  (of any task)
@@ -60,6 +53,8 @@ def run(
 ) -> Any:  # noqa: ANN401  (the agent's own result)
     """Let an agent do a task (`rumi.loop.run`), and keep the run in a folder where one is named.
 
+    Says on stderr what the run relies on, and what is not measured and may make its belief sure and wrong.
+
     Args:
         task: a simulator, hardware or a log.
         agent: what it believes and does.
@@ -69,11 +64,12 @@ def run(
         on_step: called with the record of every step, the first reading's included.
 
     Returns:
-        the agent's `result`.
+        the agent's `result`; of one that finds a pose, `pose` and `belief` hold it, `why_not` says why it is not sure.
 
     Raises:
         UsageError: the folder cannot be written or holds a run.
     """
+    announce(agent)
     if folder is None:
         return loop.run(task, agent, seed=seed, steps=steps, on_step=on_step)
     asked = {**getattr(agent, "about", {}), "seed": seed}
@@ -96,7 +92,7 @@ def replay(folder: Path | str, agent: Agent[Any] | None = None, *, cache_dir: Pa
     """
     recorded = RunLog(folder)
     if agent is None:
-        entry = TASKS[recorded.settings["task"]]
+        entry = entry_of_record(recorded.settings["task"])
         agent = entry.agent(entry.from_dict(recorded.settings), cache_dir=cache_dir)
     return take_in(recorded.taken(), agent, seed=int(recorded.settings["seed"]))
 
@@ -114,37 +110,3 @@ def plot(folder: Path | str, out: Path | str | None = None, steps: Sequence[int]
     """
     read = load_run(folder)
     return list(entry_of(read).draw(read, Path(out) if out is not None else read.folder / "figures", steps))
-
-
-def rummager(
-    model: ObjectModel,
-    workspace: Workspace,
-    *,
-    tool: GripperShape | None = None,
-    settings: Settings | None = None,
-) -> Rummager:
-    """The agent that finds an object by pushing it, for a robot of one's own that looks at the object first.
-
-    Args:
-        model: the object, such as `sdf.object_model` makes it.
-        workspace: lattice over which the tool moves: planar at the height of the tool, or of several layers for a tool
-            that moves in space.
-        tool: the gripper's shape.
-        settings: by default those of the preset `default`.
-    """
-    (left, bottom, low), (right, top, high) = workspace.bounds.tolist()
-    spatial = workspace.shape[2] > 1
-    spec = TaskSpec(
-        "own",
-        "an object before another robot",
-        lambda: model,
-        (0.0, 0.0, 0.0),
-        bounds=((left, bottom), (right, top)),
-        height_m=low,
-        heights_m=(low, high) if spatial else None,
-        search="SE(3)" if spatial else "SE(2)",
-    )
-    bounds = workspace.bounds if spatial else workspace.bounds[:, :2]
-    made = Tool(bounds, shape=tool or GripperShape(), height_m=low)
-    settings = settings or preset_of("default")
-    return build_rummager(spec, settings, model, made, workspace)

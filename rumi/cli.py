@@ -35,6 +35,7 @@ COMMANDS = {
     "import": Command("BAG --map FILE", "make a log of a ROS 2 bag", "rumi.commands.import_bag:import_bag"),
     "check": Command("LOG [options]", "draw a log's observations over the model", "rumi.commands.check:check"),
     "plot": Command("RUN [options]", "draw the figures of a run again", "rumi.commands.plot:plot"),
+    "result": Command("RUN [--json]", "the answer of a run: pose, covariance, why not", "rumi.commands.result:result"),
     "pushes": Command("RUN [options]", "learn how an object slides", "rumi.commands.pushes:pushes"),
     "bench": Command("[options]", "time each part on this machine", "rumi.bench.command:bench"),
     "mesh": Command("FILE [options]", "check a triangle mesh", "rumi.commands.mesh:mesh"),
@@ -46,19 +47,6 @@ COMMANDS = {
 
 _OWN_THREADS = ("bench", "stress")
 """Those that measure, and choose their threads themselves: not by what is free just now."""
-
-_EXTRAS = {
-    "sim": "mujoco",
-    "robot": "pytorch_kinematics",
-    "plot": "matplotlib PIL contourpy",
-    "mesh": "trimesh scipy networkx coacd",
-    "cluster": "submitit",
-    "vision": "cv2",
-    "logs": "h5py rosbags",
-    "baselines": "gpytorch",
-    "stress": "mpmath hypothesis",
-}
-"""Packages that may be missing, by the extra that brings them."""
 
 
 def help_text() -> str:
@@ -152,9 +140,10 @@ def _refuse(error: Exception) -> int:
     """Say what is wrong, without a traceback."""
     message = str(error)
     if isinstance(error, ModuleNotFoundError):
-        package = (error.name or "").split(".")[0]
-        extra = next((extra for extra, packages in _EXTRAS.items() if package in packages.split()), None)
-        message += f": pip install 'rumi[{extra}]'" if extra else ""
+        from sdf.extras import remedy
+
+        how = remedy(error.name or "")
+        message += "" if how in message else f": {how}"
     elif not isinstance(error, UsageError):
         message += "\n(RUMI_DEBUG=1 shows where this comes from)"
     sys.stderr.write(f"rumi: {message}\n")

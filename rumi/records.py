@@ -1,6 +1,6 @@
 """What a run leaves behind: one record a step, one result at the end."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from jaxtyping import Float
@@ -8,7 +8,9 @@ from torch import Tensor
 
 from rumi.agent import StopReason
 from rumi.belief.particles import PoseBelief
+from rumi.belief.remarks import Remark
 from rumi.planning.policy import Plan
+from rumi.registration.pose_summary import PoseSummary
 from sensors.observation import Observation
 from sensors.reading import Reading
 
@@ -34,6 +36,7 @@ class StepRecord:
         truth: (4, 4) true world_T_object, None where unknown.
         nll: negative log-likelihood of the true surface (RUMI, Eq 36), None where the truth is unknown.
         timings_s: seconds by stage of this step.
+        remarks: what is odd about it and was not so before.
     """
 
     step: int
@@ -52,6 +55,7 @@ class StepRecord:
     truth: Float[Tensor, "4 4"] | None
     nll: float | None
     timings_s: dict[str, float] = field(default_factory=dict)
+    remarks: tuple[Remark, ...] = ()
 
     @property
     def stamp(self) -> float:
@@ -81,6 +85,13 @@ class RunResult:
         contacts: actions that touched the object.
         clipped: actions whose command the reach refused in part.
         timings_s: seconds by stage, in all.
+        belief: at the end; not in `as_dict`.
+        pose: what it knows of the object's pose.
+        why_not: why it is not sure; None where it is.
+        wrong_by: what of it is not right, by the truth; None where all is, or nobody knows.
+        relies_on: what the run took for granted.
+        warnings: what was not measured, and may have made the belief sure and wrong.
+        remarks: what was odd, in the order of the steps.
     """
 
     right: bool | None
@@ -98,7 +109,15 @@ class RunResult:
     contacts: int
     clipped: int
     timings_s: dict[str, float] = field(default_factory=dict)
+    belief: PoseBelief | None = field(default=None, repr=False, compare=False)
+    pose: PoseSummary | None = field(default=None, compare=False)
+    why_not: str | None = None
+    wrong_by: str | None = None
+    relies_on: str = ""
+    warnings: tuple[str, ...] = ()
+    remarks: tuple[Remark, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, ready for JSON."""
-        return asdict(self)
+        values = {part.name: getattr(self, part.name) for part in fields(self) if part.name != "belief"}
+        return values | {"pose": None if self.pose is None else self.pose.as_dict()}

@@ -1,7 +1,7 @@
 """Importance weights of particles, in log-space: checks, normalisation, Boltzmann weights, effective sample size."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from sdf.check import is_eager
@@ -35,7 +35,21 @@ def equal_weights(log_weights: Float[Tensor, "*b N"]) -> Float[Tensor, "*b N"]:
     return normalise(torch.zeros_like(log_weights))
 
 
-def boltzmann(discrepancy: Float[Tensor, "*b N"], peakiness: float) -> Float[Tensor, "*b N"]:
+def resampled_weights(log_weights: Float[Tensor, "*b N"], index: Int[Tensor, "*b N"]) -> Float[Tensor, "*b N"]:
+    """Log-weights -log N of the particles `index`, with the slope of the weights that they were drawn by.
+
+    Stop-gradient resampling (Scibior and Wood, arXiv 2106.10314): each weight is multiplied by w / stop(w), which is 1
+    and has the slope of log w. The gradient of an expectation is then that of the weighted particles, though which of
+    them were drawn has none. Where no graph is kept the weights are equal to the bit.
+    """
+    equal = equal_weights(log_weights)
+    if is_eager() and not log_weights.requires_grad:
+        return equal
+    kept = log_weights.gather(-1, index)
+    return equal + (kept - kept.detach())
+
+
+def boltzmann(discrepancy: Float[Tensor, "*b N"], peakiness: float | Tensor) -> Float[Tensor, "*b N"]:
     """Log-weights -lambda C of discrepancies (RUMI, Eq 10), not normalised: the best particle's is 0.
 
     Differences of discrepancies are exact or nearly so, products of large ones with lambda are not: taken first they

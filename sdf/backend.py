@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, TypeVar
 
+import torch
 from torch import Tensor
 
 VARIABLE = "RUMI_BACKEND"
@@ -50,11 +51,14 @@ def versions(op: str) -> list[str]:
 def dispatch(op: str, *tensors: Tensor) -> Callable[..., Any]:
     """The version of an operation that runs on these tensors.
 
-    A forced version that an operation does not have leaves that operation plain.
+    A forced version that an operation does not have leaves that operation plain. Where `torch.compile` or
+    `torch.export` traces, the plain version runs, whatever is forced.
 
     Raises:
         ValueError: if the operation is unknown, no operation has the forced version, or it can't take the tensors.
     """
+    if torch.compiler.is_compiling():
+        return _VERSIONS[op][PLAIN][0]
     names = versions(op)
     name = _forced.get() or os.environ.get(VARIABLE) or None
     if name is not None:

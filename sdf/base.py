@@ -2,11 +2,13 @@
 
 import math
 from contextlib import nullcontext
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+
+from sdf.check import is_eager
 
 
 class SDFQuery(NamedTuple):
@@ -43,6 +45,9 @@ class SDF(nn.Module):
 
         Where grad is enabled, autograd goes through both to the points and to the member's own tensors.
         """
+        if not is_eager():
+            found: tuple[Any, ...] = torch.func.vjp(self.distance, points_o)
+            return SDFQuery(found[0], found[1](torch.ones_like(found[0]))[0])
         graph = torch.is_grad_enabled() and any(t.requires_grad for t in (points_o, *self.tensors()))
         # a gradient is needed in inference mode too, and there no tensor has any
         mode = torch.inference_mode(False) if torch.is_inference_mode_enabled() else nullcontext()

@@ -2,6 +2,7 @@
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 FAR = 1.0e6
 """Metres that stand for a coordinate that is not finite: farther than any scene, small enough to square."""
@@ -44,11 +45,13 @@ def check_shape(name: str, tensor: Tensor, text: str, last: tuple[int, ...] = ()
 
 
 def check_finite(name: str, tensor: Tensor) -> None:
-    """Refuse a tensor with NaN or infinity in it.
+    """Refuse a tensor with NaN or infinity in it, where code may look (`is_eager`).
 
     Raises:
         ValueError: with the name, how many values are not finite and where the first is.
     """
+    if not is_eager():
+        return
     finite = torch.isfinite(tensor)
     if bool(finite.all()):
         return
@@ -86,12 +89,33 @@ def check_near(name: str, places: Tensor, dtype: torch.dtype | None = None) -> N
         )
 
 
+def eager_only(name: str, reason: str) -> None:
+    """Refuse to be traced.
+
+    Args:
+        name: of the operation.
+        reason: why it can be neither compiled nor transformed.
+
+    Raises:
+        NotImplementedError: under `torch.compile`, `torch.export`, `torch.func` and in forward mode.
+    """
+    if not is_eager():
+        raise NotImplementedError(
+            f"Expected {name} to run eagerly, got a call under torch.compile, torch.func or forward mode: {reason}"
+        )
+
+
 def keep_within_reach(coordinates: Tensor) -> Tensor:
     """Coordinates moved to within `FAR` metres of 0, NaN to `FAR`: hot paths answer "far outside", never NaN."""
     return torch.nan_to_num(coordinates, nan=FAR).clamp(-FAR, FAR)
 
 
 def is_eager() -> bool:
-    """Whether code may branch on values: operations run eagerly, not compiled, nor under a `torch.func` transform."""
-    # the one way to ask for transforms that torch itself uses
-    return not torch.compiler.is_compiling() and not torch._C._are_functorch_transforms_active()
+    """Whether code may branch on values, and values are all that tensors carry.
+
+    Not so where `torch.compile` or `torch.export` traces, under a transform of `torch.func`, and in forward mode.
+    """
+    # the ways to ask that torch itself uses
+    return not (
+        torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active() or forward_ad._current_level >= 0
+    )

@@ -218,7 +218,7 @@ class GridSDF(Sized):
         offset = place - kept
         if self.outer:
             cell = torch.lerp(fine, kept, ratio)
-            if place.requires_grad:
+            if place.requires_grad or not is_eager():
                 in_fine = ((cell >= self.outer) & (cell < last)).to(cell.dtype)
                 rate = (ratio + (1.0 - ratio) * in_fine) * (offset.detach() == 0)
                 cell = cell.detach() + rate * (place - place.detach())

@@ -11,6 +11,7 @@ from sdf import backend, compiled, se3
 from sdf.base import SDF, SDFQuery
 from sdf.check import FAR, check_shape, is_eager
 from sdf.grid_sdf import GridSDF, takes
+from sdf.precision import full_precision
 
 # pairs looked up at once: few enough for the caches, enough that two threads do not wait for each other all the time
 _BLOCK = 1 << 17
@@ -18,6 +19,7 @@ _BLOCK = 1 << 17
 _FAR = 1e4
 
 
+@full_precision
 def posed_distance(
     sdf: SDF, world_T_object: Float[Tensor, "*#b N 4 4"], points_w: Float[Tensor, "*#b M 3"]
 ) -> Float[Tensor, "... N M"]:
@@ -43,6 +45,7 @@ def posed_distance(
     return version(sdf, world_T_object, points_w)
 
 
+@full_precision
 def posed_query(sdf: SDF, world_T_object: Float[Tensor, "*#b N 4 4"], points_w: Float[Tensor, "*#b M 3"]) -> SDFQuery:
     """Signed distance (*b, N, M), metres, and gradient (*b, N, M, 3) in each object frame; else as `posed_distance`.
 
@@ -113,25 +116,33 @@ def _by_blocks(
     batch = torch.broadcast_shapes(world_T_object.shape[:-3], points_w.shape[:-2])
     poses, points = world_T_object.shape[-3], points_w.shape[-2]
     scenes = math.prod(batch)
-    point_step = max(1, min(points, _BLOCK // max(scenes, 1)))
-    pose_step = max(1, _BLOCK // max(scenes * point_step, 1))
+    eager = is_eager()
     object_T_world = se3.inverse(world_T_object)[..., :3, :].movedim(-2, 0)
     # a point that is not finite would give each pose a slope of 0 times NaN
     sound = None
-    if torch.is_grad_enabled() and world_T_object.requires_grad:
+    if not eager or (torch.is_grad_enabled() and world_T_object.requires_grad):
         sound = points_w.isfinite().all(-1)
         points_w = points_w.where(sound[..., None], torch.zeros_like(points_w))
     homogeneous = torch.cat((points_w, torch.ones_like(points_w[..., :1])), dim=-1).mT
+
+    def block(transforms: Tensor, places: Tensor, kept: Tensor | None) -> tuple[Tensor, ...]:
+        # coordinate planes (3, *b, n, m), each contiguous, seen as points (*b, n, m, 3)
+        planes = transforms @ places
+        if kept is not None:
+            planes = planes.where(kept[..., None, :], planes.new_full((), FAR))
+        return look_up(planes.movedim(0, -1))
+
+    if not eager:  # what is traced holds for any number of poses and points: one block
+        return list(block(object_T_world, homogeneous, sound))
+    point_step = max(1, min(points, _BLOCK // max(scenes, 1)))
+    pose_step = max(1, _BLOCK // max(scenes * point_step, 1))
     rows = []
     for first in range(0, max(poses, 1), pose_step):
         transforms = object_T_world[..., first : first + pose_step, :]
         row = []
         for start in range(0, max(points, 1), point_step):
-            # coordinate planes (3, *b, n, m), each contiguous, seen as points (*b, n, m, 3)
-            planes = transforms @ homogeneous[..., start : start + point_step]
-            if sound is not None:
-                planes = planes.where(sound[..., None, start : start + point_step], planes.new_full((), FAR))
-            row.append(look_up(planes.movedim(0, -1)))
+            part = slice(start, start + point_step)
+            row.append(block(transforms, homogeneous[..., part], None if sound is None else sound[..., part]))
         rows.append([torch.cat(parts, dim=-1) if len(row) > 1 else parts[0] for parts in zip(*row, strict=True)])
     return [torch.cat(parts, dim=-2) if len(rows) > 1 else parts[0] for parts in zip(*rows, strict=True)]
 

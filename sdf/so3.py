@@ -9,7 +9,9 @@ import math
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.autograd.function import BackwardCFunction, once_differentiable
+
+from sdf.check import is_eager
+from sdf.precision import full_precision
 
 SERIES_BELOW = 0.25
 """Squared angle under which the power series serve: there 8 terms are exact in float64, above it nothing cancels."""
@@ -34,6 +36,7 @@ def vee(matrix: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3"]:
     )
 
 
+@full_precision
 def exp(omega: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3 3"]:
     """Rotation by |omega| radians about omega (Rodrigues)."""
     first, second, _ = exp_coefficients((omega * omega).sum(-1))
@@ -64,6 +67,13 @@ def wrap(angle: Float[Tensor, "*b"], period: float = 2.0 * math.pi) -> Float[Ten
     return torch.remainder(angle + 0.5 * period, period) - 0.5 * period
 
 
+def arccos(cosine: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Angle in [0, pi] of a cosine, clamped; its slope at both ends, where there is none, is 0."""
+    within = cosine.abs() < 1.0
+    ends = torch.where(cosine > 0, torch.zeros_like(cosine), torch.full_like(cosine, math.pi))
+    return torch.where(within, torch.where(within, cosine, torch.zeros_like(cosine)).acos(), ends)
+
+
 def angle(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b"]:
     """Angle of rotation in [0, pi], radians; its gradient at the identity and at half a turn, both kinks, is 0."""
     sine = vee(rotation)
@@ -74,12 +84,34 @@ def angle(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b"]:
     return torch.atan2(torch.where(zero, torch.zeros_like(length), length), cosine)
 
 
+@full_precision
 def reproject(matrix: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3 3"]:
-    """The rotation nearest to a matrix in the Frobenius norm, determinant +1; differentiable once.
+    """The rotation nearest to a matrix in the Frobenius norm, determinant +1; smooth.
 
-    Where several rotations are equally near (a singular matrix of rank below 2) one of them.
+    Where several rotations are equally near (a singular matrix of rank below 2) one of them, without a slope.
+
+    The slopes, of any order up to the third, are those of two of Newton's steps from there: with A = R^T M, R exp(w) is
+    next, (tr(A) I - A_sym) w = vee(A - A^T). Only sums of singular values are divided by, which are about 2 near a
+    rotation; the slope of the factors would divide by their differences, 0 there.
     """
-    return _NearestRotation.apply(matrix)[0]
+    with torch.no_grad():
+        u, s, vh = torch.linalg.svd(matrix.detach())
+        sign = torch.where(torch.linalg.det(u @ vh) < 0, -1.0, 1.0).to(matrix.dtype)
+        signs = torch.stack((torch.ones_like(sign), torch.ones_like(sign), sign), dim=-1)
+        u, s = u * signs[..., None, :], s * signs
+        nearest = u @ vh
+    if is_eager() and not (torch.is_grad_enabled() and matrix.requires_grad):
+        return nearest
+    # s falls: the least sum is that of the last two
+    firm = (s[..., 1] + s[..., 2] > 10.0 * torch.finfo(s.dtype).eps * s[..., 0])[..., None]
+    eye, rotation = torch.eye(3, dtype=matrix.dtype, device=matrix.device), nearest
+    for _ in range(2):
+        inner = rotation.mT @ matrix
+        trace = inner.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+        system = torch.where(firm[..., None], trace * eye - 0.5 * (inner + inner.mT), eye)
+        turn = torch.linalg.solve(system, 2.0 * vee(inner)[..., None])[..., 0]
+        rotation = rotation @ exp(torch.where(firm, turn, torch.zeros_like(turn)))
+    return nearest + (rotation - rotation.detach())
 
 
 def exp_coefficients(
@@ -106,6 +138,13 @@ def _odd_series(squared: Tensor, start: int) -> Tensor:
     return total / (1.0, 1.0, 2.0, 6.0)[start]
 
 
+def quaternion(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 4"]:
+    """Unit quaternion (x, y, z, w) of a rotation, with w of 0 or more."""
+    scaled = _scaled_quaternion(rotation)
+    unit = scaled / scaled.norm(dim=-1, keepdim=True)
+    return torch.where(unit[..., :1] < 0, -unit, unit)[..., [1, 2, 3, 0]]
+
+
 def _scaled_quaternion(rotation: Tensor) -> Tensor:
     """(w, x, y, z) times a positive or negative number of size 2 to 4: polynomial in the matrix, so smooth.
 
@@ -126,40 +165,3 @@ def _scaled_quaternion(rotation: Tensor) -> Tensor:
     )
     best = outer.diagonal(dim1=-2, dim2=-1).argmax(-1)
     return torch.gather(outer, -2, best[..., None, None].expand(*best.shape, 1, 4))[..., 0, :]
-
-
-class _NearestRotation(torch.autograd.Function):
-    """U diag(1, 1, det) V^T with the gradient that stays finite where singular values are equal.
-
-    With M = U S V^T (S signed so that R = U V^T is a rotation), dR = U W V^T, where
-    W_ij = (X - X^T)_ij / (s_i + s_j) and X = U^T dM V: only sums of singular values are divided by, which are
-    about 2 near a rotation, whereas the gradient of the factors divides by their differences, 0 there.
-    """
-
-    generate_vmap_rule = True
-
-    @staticmethod
-    def forward(matrix: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        u, s, vh = torch.linalg.svd(matrix)
-        sign = torch.where(torch.linalg.det(u @ vh) < 0, -1.0, 1.0).to(matrix.dtype)
-        signs = torch.stack((torch.ones_like(sign), torch.ones_like(sign), sign), dim=-1)
-        u, s = u * signs[..., None, :], s * signs
-        return u @ vh, u, s, vh
-
-    @staticmethod
-    def setup_context(ctx: BackwardCFunction, inputs: tuple[Tensor], output: tuple[Tensor, ...]) -> None:
-        _, u, s, vh = output
-        ctx.mark_non_differentiable(u, s, vh)
-        ctx.save_for_backward(u, s, vh)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: BackwardCFunction, gradient: Tensor, *others: Tensor) -> Tensor:
-        saved: tuple[Tensor, ...] = ctx.saved_tensors
-        u, s, vh = saved
-        sums = s[..., :, None] + s[..., None, :]
-        # where two rotations are equally near, the direction that has no derivative gets none
-        firm = sums > 10.0 * torch.finfo(sums.dtype).eps * s[..., :1, None]
-        weight = torch.where(firm, 1.0, 0.0).to(sums) / torch.where(firm, sums, torch.ones_like(sums))
-        inner = u.mT @ gradient @ vh.mT
-        return u @ ((inner - inner.mT) * weight) @ vh

@@ -79,11 +79,16 @@ def nearest_on_rectangle(
     size = apart.norm(dim=-1)
     depth = half - points_o.abs()
     towards = torch.where(points_o < 0, -1.0, 1.0).to(points_o)
-    side = torch.nn.functional.one_hot(depth.argmin(-1), 2).to(points_o) * towards
+    side = _one_hot(depth.argmin(-1), points_o) * towards
     inside = size == 0
     foot = torch.where(inside[..., None], torch.where(side != 0, side * half, points_o), clamped)
     normal = torch.where(inside[..., None], side, apart / size.clamp_min(torch.finfo(size.dtype).tiny)[..., None])
     return foot, normal, torch.where(inside, -depth.amin(-1), size)
+
+
+def _one_hot(axis: Tensor, like: Tensor) -> Float[Tensor, "*b 2"]:
+    """Unit vectors along axes; the library's look at the values."""
+    return (axis[..., None] == torch.arange(2, device=axis.device)).to(like)
 
 
 def turned(yaw: Float[Tensor, "*b"]) -> Float[Tensor, "*b 2 2"]:
@@ -110,7 +115,7 @@ def _ray(
     at = begin + enter[..., None] * ray
     corner = half * torch.where(at < 0, -1.0, 1.0).to(at)
     beyond = (at.abs() > half).all(-1)
-    face = torch.nn.functional.one_hot(axis, 2).to(ray) * -torch.sign(ray)
+    face = _one_hot(axis, ray) * -torch.sign(ray)
     # |begin + t ray - corner| = radius, the first root
     apart = begin - corner
     middle = -(apart * ray).sum(-1)

@@ -5,13 +5,16 @@ from typing import TypeGuard
 
 import torch
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from sdf import backend, compiled
 from sdf.base import SDF
+from sdf.check import is_eager
 from sdf.grid_sdf import GridSDF
 from sdf.grid_sdf import takes as grid_takes
+from sdf.numbers import Numbers, Range
 from sdf.posed import posed_distance
+from sdf.precision import full_precision
 from sensors.observation import Observation, compact
 from sensors.semantics import Semantics
 
@@ -36,9 +39,9 @@ def discrepancy_terms(
         alpha: metres. The paper calls alpha > 0 a tolerance, but it then penalises free points outside the
             surface; a tolerance is alpha <= 0.
     """
-    sign = 1.0 - 2.0 * (semantics == Semantics.FREE).to(distance.dtype)
+    sign = 1.0 - 2.0 * (semantics == int(Semantics.FREE)).to(distance.dtype)
     hinge = free_scale * (alpha + sign * distance).clamp_min(0.0)
-    return torch.where(semantics == Semantics.SURFACE, distance.abs(), hinge)
+    return torch.where(semantics == int(Semantics.SURFACE), distance.abs(), hinge)
 
 
 def residuals(
@@ -66,7 +69,7 @@ def residuals(
     return (distance + shift).clamp(low, high), weight
 
 
-class Discrepancy(nn.Module):
+class Discrepancy(Numbers):
     """C^(X, T) of RUMI's Eq 3: a sum in metres over free, occupied and surface points, for many poses.
 
     A sum, not a mean, since only a sum is additive (Eq 11). Free points that no pose can reach (further from
@@ -78,7 +81,7 @@ class Discrepancy(nn.Module):
         free_scale: C.
         tolerance: metres by which a free or occupied point may be violated (alpha = -tolerance); below half
             the thinnest wall, or free points refute nothing.
-        trainable: make free_scale and tolerance nn.Parameters.
+        trainable: train free_scale and tolerance, within their range (`sdf.numbers.Numbers`).
     """
 
     free_scale: Tensor
@@ -93,12 +96,9 @@ class Discrepancy(nn.Module):
         self.sdf = sdf
         self.radius = radius
         for name, value in (("free_scale", free_scale), ("tolerance", tolerance)):
-            tensor = torch.tensor(float(value), dtype=torch.float64)
-            if trainable:
-                self.register_parameter(name, nn.Parameter(tensor))
-            else:
-                self.register_buffer(name, tensor)
+            self.enter(name, value, Range.POSITIVE if trainable else None)
 
+    @full_precision
     def forward(self, frame_T_object: Float[Tensor, "*b N 4 4"], observation: Observation) -> Float[Tensor, "*b N"]:
         """Discrepancy of each pose; points and poses are in the same frame. No points give 0."""
         tensors = (frame_T_object, observation.points, *self.parameters(), *self.buffers())
@@ -122,10 +122,11 @@ class Discrepancy(nn.Module):
 def _discrepancy(
     module: Discrepancy, frame_T_object: Float[Tensor, "*b N 4 4"], observation: Observation
 ) -> Float[Tensor, "*b N"]:
-    near = module.within_reach(frame_T_object, observation)
+    near = module.within_reach(frame_T_object, observation) if is_eager() else observation
     free_scale, alpha = module.free_scale.to(near.points), -module.tolerance.to(near.points)
     parts = []
-    for poses in frame_T_object.split(poses_at_once(frame_T_object, len(near)), dim=-3):
+    every = (frame_T_object,) if not is_eager() else frame_T_object.split(poses_at_once(frame_T_object, len(near)), -3)
+    for poses in every:
         distance = posed_distance(module.sdf, poses, near.points)
         cost = discrepancy_terms(distance, near.semantics[..., None, :].expand(distance.shape), free_scale, alpha)
         parts.append(torch.where(near.valid[..., None, :], cost, torch.zeros_like(cost)).sum(-1))

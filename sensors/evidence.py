@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf import se3
+from sdf.check import is_eager
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading, transfer
@@ -110,7 +111,7 @@ def gather(
 
 def in_attached_frame(observation: Observation, world_T_attached: Float[Tensor, "*b 4 4"]) -> Observation:
     """The observation with its world-fixed points carried to where they are in the attached frame now."""
-    if len(observation) == 0 or bool(observation.attached.all()):
+    if len(observation) == 0 or (is_eager() and bool(observation.attached.all())):
         return observation
     carried = se3.apply(se3.inverse(world_T_attached), observation.points)
     return replace(observation, points=carried.where(~observation.attached[..., None], observation.points))
@@ -128,7 +129,7 @@ class SemanticPoints:
 
     observation: Observation
     discrepancy: Discrepancy
-    peakiness: float = 2.0
+    peakiness: float | Tensor = 2.0
 
     def cost(self, attached_T_object: Float[Tensor, "*b N 4 4"]) -> Float[Tensor, "*b N"]:
         """Discrepancy C^ of each pose, -log L / lambda."""

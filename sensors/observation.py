@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sdf import se3
-from sdf.check import check_finite, check_shape
+from sdf.check import check_finite, check_shape, is_eager
 from sdf.voxel_grid import lattice_keys
 
 
@@ -172,7 +172,7 @@ def merge(old: Observation, new: Observation, spacing: Float[Tensor, "3"]) -> tu
 
 def compact(observation: Observation) -> Observation:
     """Move the valid points of each scene to the front, in order, and cut what no scene needs."""
-    if len(observation) == 0 or bool(observation.valid.all()):
+    if len(observation) == 0 or not is_eager() or bool(observation.valid.all()):
         return observation
     longest = int(observation.valid.sum(-1).max())
     order = torch.argsort((~observation.valid).to(torch.uint8), dim=-1, stable=True)[..., :longest]

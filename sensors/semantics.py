@@ -4,7 +4,9 @@ from enum import IntEnum
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
+
+from sdf.numbers import Numbers, Range
 
 
 class Semantics(IntEnum):
@@ -48,13 +50,13 @@ def log_surface_probability(
     return -sharpness * (distance.abs() - tolerance).clamp_min(0.0)
 
 
-class SemanticSensor(nn.Module):
+class SemanticSensor(Numbers):
     """The sensor model as a module: `sharpness` (1/m) and `tolerance` (m) are buffers or, if asked, trained.
 
     Args:
         sharpness: fall-off of the surface probability, 1/m.
         tolerance: metres within which a point counts as surface for sure.
-        trainable: make both nn.Parameters.
+        trainable: train both, within their range (`sdf.numbers.Numbers`).
     """
 
     sharpness: Tensor
@@ -63,11 +65,7 @@ class SemanticSensor(nn.Module):
     def __init__(self, sharpness: float = 100.0, tolerance: float = 0.003, *, trainable: bool = False) -> None:
         super().__init__()
         for name, value in (("sharpness", sharpness), ("tolerance", tolerance)):
-            tensor = torch.tensor(float(value), dtype=torch.float64)
-            if trainable:
-                self.register_parameter(name, nn.Parameter(tensor))
-            else:
-                self.register_buffer(name, tensor)
+            self.enter(name, value, Range.POSITIVE if trainable else None)
 
     def forward(self, distance: Float[Tensor, "*b"]) -> Float[Tensor, "*b 3"]:
         """p(S | signed distance) (*b, 3)."""

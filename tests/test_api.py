@@ -34,8 +34,8 @@ def test_a_run_is_kept_drawn_and_replayed(tmp_path):
 
 
 def test_an_agent_for_a_robot_of_ones_own_has_its_workspace():
-    bounds = torch.tensor([[0.2, -0.2, 0.02], [0.6, 0.2, 0.02]])
-    workspace = rumi.Workspace.from_bounds(bounds, 0.05, planar_height=0.02)
+    bounds = torch.tensor([[0.2, -0.2, 0.03], [0.6, 0.2, 0.03]])
+    workspace = rumi.Workspace.from_bounds(bounds, 0.05, planar_height=0.03)
     agent = rumi.rummager(box_model(), workspace)
     assert isinstance(agent, Rummager) and isinstance(agent, rumi.Agent)
     assert torch.equal(agent.workspace.points, workspace.points)
@@ -51,8 +51,8 @@ def test_folders_by_name_are_each_ones_own(tmp_path):
 
 
 def test_the_names_are_there_and_cost_nothing_before_they_are_used():
-    assert len(rumi.__all__) == 12 and all(getattr(rumi, name).__doc__ for name in rumi.__all__)
-    with pytest.raises(AttributeError, match="it has Agent, PlanRequest"):
+    assert len(rumi.__all__) == 14 and all(getattr(rumi, name).__doc__ for name in rumi.__all__)
+    with pytest.raises(AttributeError, match="it has Agent, ArmReach"):
         rumi.rummage  # noqa: B018
     code = "import sys, rumi; sys.exit(any(name in sys.modules for name in ('torch', 'numpy', 'numba')))"
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import se3
+from sdf import numbers, se3, so3
 from sdf.base import SDF
 from sdf.posed import posed_query
 from sensors.contact_reading import ContactReading
@@ -40,6 +40,7 @@ class SignalSettings:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
+        numbers.refuse_trained(self)
         if not 0 <= self.false_positive < self.true_positive <= 1:
             raise ValueError(
                 "Expected true_positive above false_positive, both of 0 to 1, "
@@ -59,7 +60,7 @@ class ContactPointEvidence:
 
     log L = sum over contacts of log((1 - o) exp(-v^2 / (2 s^2) - a^2 / (2 n^2)) + o u), with the signed distance v of
     the point, the angle a between the normals, the outliers' share o, and their uniform density u, relative to the peak
-    of the others'. A pose that fits has nearly 0, and others less. Its gradient is that of the angle alone.
+    of the others'. A pose that fits has nearly 0, and others less.
 
     Attributes:
         sdf: of the object.
@@ -75,10 +76,10 @@ class ContactPointEvidence:
     normals: Float[Tensor, "M 3"]
     point_sd: Float[Tensor, "M"]
     normal_sd: Float[Tensor, "M"]
-    outlier: float
+    outlier: float | Tensor
 
     @classmethod
-    def none(cls, sdf: SDF, outlier: float, like: Tensor) -> "ContactPointEvidence":
+    def none(cls, sdf: SDF, outlier: float | Tensor, like: Tensor) -> "ContactPointEvidence":
         """No contact, in the dtype and on the device of a tensor."""
         empty = like.new_zeros(0, 3)
         return cls(sdf, empty, empty, empty[:, 0], empty[:, 0], outlier)
@@ -87,17 +88,16 @@ class ContactPointEvidence:
         """Of each pose, nats."""
         if len(self.points) == 0:
             return world_T_object.new_zeros(world_T_object.shape[:-2])
-        with torch.no_grad():
-            query = posed_query(self.sdf, world_T_object, self.points)
+        query = posed_query(self.sdf, world_T_object, self.points)
         facing = se3.rotate(world_T_object, query.gradient)
         cosine = (facing * self.normals).sum(-1) / facing.norm(dim=-1).clamp_min(1e-6)
-        angle = torch.acos(cosine.clamp(-1.0, 1.0))
+        angle = so3.arccos(cosine)
         fit = -0.5 * (query.distance / self.point_sd).square() - 0.5 * (angle / self.normal_sd).square()
         # densities of the peak and of an outlier: in one length and one angle
         peak = -(2.0 * math.pi * self.point_sd * self.normal_sd).log()
         uniform = -math.log(2.0 * _EXTENT_M * math.pi)
-        floor = math.log(self.outlier) + uniform - peak if self.outlier > 0 else torch.full_like(peak, -torch.inf)
-        return torch.logaddexp(fit + math.log1p(-self.outlier), floor.expand_as(fit)).sum(-1)
+        floor = numbers.log(self.outlier) + uniform - peak
+        return torch.logaddexp(fit + numbers.log1p(-self.outlier), floor.expand_as(fit)).sum(-1)
 
 
 @dataclass(frozen=True)
@@ -109,12 +109,14 @@ class ContactPointModel:
         point_m: standard deviation of what moves a touched point beside the sensor's noise.
         normal_rad: the same of its normal.
         outlier: share of contacts that tell nothing.
+
+    The three are numbers, or tensors of one number each, to which gradients go.
     """
 
     sdf: SDF
-    point_m: float = 0.003
-    normal_rad: float = 0.3
-    outlier: float = 0.1
+    point_m: float | Tensor = 0.003
+    normal_rad: float | Tensor = 0.3
+    outlier: float | Tensor = 0.1
 
     @classmethod
     def of(cls, sdf: SDF, surface: Float[Tensor, "n 3"]) -> "ContactPointModel":
@@ -137,8 +139,8 @@ class ContactPointModel:
             return evidence
         before, new = evidence or ContactPointEvidence.none(self.sdf, self.outlier, reading.tool_pose), reading.wrench
         own = se3.inverse(world_T_attached)[new.instant]
-        point_sd = torch.hypot(new.point_sd, torch.full_like(new.point_sd, self.point_m))
-        normal_sd = torch.hypot(new.normal_sd, torch.full_like(new.normal_sd, self.normal_rad))
+        point_sd = torch.hypot(new.point_sd, numbers.like(self.point_m, new.point_sd))
+        normal_sd = torch.hypot(new.normal_sd, numbers.like(self.normal_rad, new.normal_sd))
         return replace(
             before,
             points=torch.cat((before.points, se3.apply(own, new.points[:, None])[:, 0])),

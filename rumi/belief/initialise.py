@@ -83,7 +83,7 @@ def initialise(
     observation: Observation,
     starts: Float[Tensor, "N 4 4"],
     search: Search,
-    peakiness: float,
+    peakiness: float | Tensor,
     settings: InitialiseSettings,
     *,
     generator: torch.Generator,

@@ -1,4 +1,4 @@
-"""Motion model: how far the object moved in an action, measured, sticking, pushed by a model, estimated, corrected."""
+"""Motion model: how far an object moved, measured, sticking, pushed, estimated, corrected, or each particle's own."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,13 +10,14 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.base import ObjectMotion
+from rumi.errors import UsageError
 from rumi.registration.descent import DescentSettings, Search, descend
 from sdf import se3
 from sensors.discrepancy import Discrepancy
 from sensors.observation import attach
 from sensors.reading import Reading
 
-Motion = Literal["measured", "sticking", "pushed", "estimated", "corrected"]
+Motion = Literal["measured", "sticking", "pushed", "estimated", "corrected", "trajectory"]
 MOTIONS: tuple[str, ...] = get_args(Motion)
 
 Predictor = Callable[[PoseBelief, Reading], Tensor]
@@ -109,9 +110,9 @@ def object_motion(
     """Motion of the object up to each instant of a reading, by the chosen means; `pushed` is needed for its own."""
     if kind == "measured":
         if reading.object_motion is None:
-            raise ValueError(
-                "Expected a reading with a measured object motion, got None: choose motion 'sticking', 'pushed' "
-                "or 'estimated'"
+            raise UsageError(
+                "Expected every reading to have object_motion, since filter.motion is 'measured', got one without: "
+                "report it, or choose a motion that needs none: 'corrected', 'pushed', 'estimated' or 'sticking'"
             )
         return reading.object_motion
     if kind == "sticking":

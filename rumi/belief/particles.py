@@ -9,10 +9,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.errors import DegenerateBeliefError
+from rumi.registration.pose_summary import PoseSummary, mass_within, summarise_particles
 from rumi.resampling import systematic
-from rumi.weights import effective_sample_size, equal_weights, normalise
+from rumi.weights import effective_sample_size, normalise, resampled_weights
 from sdf import se3
 from sdf.check import is_eager
+from sdf.precision import full_precision
+from sdf.symmetry import Symmetries
 from sensors.evidence import EvidenceSet
 
 # bytes that a chunk of a table over pairs of particles may take, temporaries included
@@ -52,6 +55,7 @@ class PoseBelief:
         return cls(start, world_T_object, torch.log_softmax(flat, -1), flat)
 
     @property
+    @full_precision
     def world_T_object(self) -> Float[Tensor, "*b N 4 4"]:
         """Pose of every particle in the world."""
         return self.world_T_attached[..., None, :, :] @ self.attached_T_object
@@ -100,6 +104,32 @@ class PoseBelief:
         """Weighted mean world pose (chordal mean of rotations); means little where there are several modes."""
         return se3.mean(self.world_T_object, self.weights)
 
+    def summary(
+        self,
+        symmetries: Symmetries | None = None,
+        *,
+        within_m: float = 0.005,
+        within_rad: float = math.radians(10.0),
+    ) -> PoseSummary:
+        """Best pose (`mode`), covariance, mass within a tolerance, and modes, of one scene's belief.
+
+        Args:
+            symmetries: turns after which the object looks the same.
+            within_m: metres that the mass is within; until a belief's width is calibrated it is no frequency.
+            within_rad: radians that it is within.
+        """
+        poses, best = self.world_T_object, self.mode()
+        return summarise_particles(poses, self.log_weights, best, symmetries, within_m=within_m, within_rad=within_rad)
+
+    def probability_right(self, symmetries: Symmetries, *, within_m: float, within_rad: float) -> float:
+        """The `probability` of one scene's `summary` alone: that the best pose is right, by the belief itself."""
+        poses, weights = (
+            se3.renormalised(self.world_T_object.double().cpu()),
+            self.log_weights.double().cpu().softmax(-1),
+        )
+        at = se3.renormalised(self.mode().double().cpu())
+        return mass_within(poses, weights, at, symmetries.to(torch.float64), within_m, within_rad)
+
     def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
         """The belief after a known world motion: `world_T_object' = motion @ world_T_object`."""
         return replace(self, world_T_attached=se3.compose(motion, self.world_T_attached))
@@ -118,13 +148,18 @@ class PoseBelief:
             )
         return replace(self, log_weights=normalise(log_weights))
 
-    def resampled(self, index: Int[Tensor, "*b N"]) -> Self:
-        """Particles `index` with equal weights."""
+    def resampled(self, index: Int[Tensor, "*b N"], log_weights: Float[Tensor, "*b N"] | None = None) -> Self:
+        """Particles `index` with equal weights, which keep the slope of those before (`resampled_weights`).
+
+        Args:
+            index: drawn.
+            log_weights: that they were drawn by; the belief's own by default.
+        """
         poses = torch.gather(self.attached_T_object, -3, index[..., None, None].expand(*index.shape, 4, 4))
         return replace(
             self,
             attached_T_object=poses,
-            log_weights=equal_weights(self.log_weights),
+            log_weights=resampled_weights(self.log_weights if log_weights is None else log_weights, index),
             discrepancy=torch.gather(self.discrepancy, -1, index),
         )
 
@@ -150,9 +185,10 @@ def subsample(belief: PoseBelief, count: int) -> PoseBelief:
     if count >= belief.log_weights.shape[-1]:
         return belief
     index, times = systematic(belief.log_weights, 0.5, count).unique_consecutive(return_counts=True)
-    return replace(
-        belief,
-        attached_T_object=belief.attached_T_object[index],
-        log_weights=normalise(times.to(belief.log_weights).log()),
-        discrepancy=belief.discrepancy[index],
+    return PoseBelief(
+        belief.world_T_attached,
+        belief.attached_T_object[index],
+        normalise(times.to(belief.log_weights).log()),
+        belief.discrepancy[index],
+        belief.evidence,
     )

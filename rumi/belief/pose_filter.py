@@ -12,14 +12,16 @@ from torch import Tensor, nn
 
 from rumi.belief.motion import MOTIONS, Motion, Predictor, object_motion
 from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_trajectories import PoseTrajectorySettings
 from rumi.belief.prior import PosePrior
 from rumi.errors import DegenerateBeliefError
 from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
 from rumi.resampling import resample_systematic
 from rumi.seeding import Generators, normal
 from rumi.weights import boltzmann
-from sdf import se3, skipped_work
+from sdf import numbers, se3, skipped_work
 from sdf.check import check_near
+from sdf.precision import full_precision
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import Evidence, EvidenceModel, SemanticPoints, gather, in_attached_frame
 from sensors.observation import Observation, attach, merge
@@ -36,7 +38,8 @@ class FilterSettings:
         tolerance_m: violation that a free or occupied point is allowed.
         free_spacing_m, surface_spacing_m: lattice that keeps one point a cell (Alg 6).
         motion: "measured" by a slip sensor, "sticking" to the tool, "pushed" as a quasi-static model has it,
-            "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way.
+            "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way; with
+            "trajectory" every particle has its own (`PoseTrajectoryFilter`).
         unmeasured: what "measured" becomes on a task that has no slip sensor; "pushed" and "corrected" are for
             upright objects and a level tool, and "estimated" elsewhere.
         translation_noise_m, rotation_noise_rad: standard deviations of the process noise, drawn on every move
@@ -57,17 +60,18 @@ class FilterSettings:
             the measured motion, which are level in the world, are then not level in the frame; only with a prior.
         still_m, still_rad: motions below these are no move: no noise, discrepancies carry over.
         evidence: kinds of evidence that count beside semantic points, by name (`rumi.belief.evidence.EVIDENCE`).
+        trajectories: of the motion "trajectory", which of the settings above takes the lattice alone.
     """
 
-    peakiness: float = 2.0
+    peakiness: float | Tensor = 2.0
     free_scale: float = 80.0
     tolerance_m: float = 0.001
     free_spacing_m: float = 0.005
     surface_spacing_m: float = 0.002
     motion: Motion = "measured"
     unmeasured: Motion = "corrected"
-    translation_noise_m: float = 0.001
-    rotation_noise_rad: float = 0.0175
+    translation_noise_m: float | Tensor = 0.001
+    rotation_noise_rad: float | Tensor = 0.0175
     trigger: float = 5.0
     trigger_percentile: float = 0.95
     weighing: Literal["scratch", "incremental"] = "scratch"
@@ -78,9 +82,11 @@ class FilterSettings:
     still_m: float = 1e-4
     still_rad: float = 1e-3
     evidence: tuple[str, ...] = ()
+    trajectories: PoseTrajectorySettings = field(default_factory=PoseTrajectorySettings)
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
+        numbers.refuse_trained(self, "peakiness", "translation_noise_m", "rotation_noise_rad")
         for name in ("motion", "unmeasured"):
             if getattr(self, name) not in MOTIONS:
                 raise ValueError(f"Expected {name} to be one of {', '.join(MOTIONS)}, got {getattr(self, name)!r}")
@@ -119,6 +125,11 @@ class PoseFilter(nn.Module):
     (`PoseBelief.evidence`) their log-likelihood, as the prior does. Eq 10 then gives all of it its own weight,
     exp(-lambda C) times L, in weighing, resampling and drawing anew, also at every later step. The descent of poses
     follows the points alone.
+
+    Gradients of what comes out, in learning code: weights have theirs, to poses, points, the evidence's numbers and the
+    settings' peakiness and process noise. A resampling keeps the slope of the weights that it drew by
+    (`rumi.weights.resampled_weights`); which particles it drew has none, and so does the trigger. The descent stops the
+    gradient: a pose that it moved counts as given. Both bias the gradient of a loss by what they leave out.
 
     Args:
         settings: of the posterior, its motion model, resampling and descent.
@@ -160,6 +171,11 @@ class PoseFilter(nn.Module):
         other.further = models
         return other
 
+    def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
+        """The belief after a first view, from poses that were fitted to it; these themselves."""
+        return belief
+
+    @full_precision
     def forward(
         self, belief: PoseBelief, memory: Observation, reading: Reading, *, generator: Generators
     ) -> tuple[PoseBelief, Observation, FilterInfo]:
@@ -222,10 +238,11 @@ class PoseFilter(nn.Module):
         shift, turn = self.settings.translation_noise_m, self.settings.rotation_noise_rad
         if (shift == 0 and turn == 0) or not bool(rows.any()):
             return poses
+        shift, turn = numbers.like(shift, poses), numbers.like(turn, poses)
         sigma = [shift, shift, turn] if self.search == "SE(2)" else [shift] * 3 + [turn] * 3
         shape = (*poses.shape[:-2], len(sigma))
         noise = normal(shape, generator=generator, dtype=poses.dtype, device=poses.device)
-        noise = noise * torch.tensor(sigma, dtype=poses.dtype, device=poses.device)
+        noise = noise * torch.stack(sigma)
         if self.prior is None:
             moved = se3.renormalised(retract(poses, noise, self.search))
             return torch.where(rows[..., None, None, None], moved, poses)
@@ -317,14 +334,17 @@ class PoseFilter(nn.Module):
         if not bool(rows.any()):
             return belief, rows
         index = resample_systematic(weights.log_weights, generator=generator)
-        fresh = belief.resampled(index)
+        fresh = belief.resampled(index, weights.log_weights)
         fresh = replace(fresh, attached_T_object=self.perturb(fresh, generator=generator, rows=rows))
         here = in_attached_frame(memory, belief.world_T_attached)
         poses = self.descend(fresh, here, settings.descent)
         total = self.cost(poses, here, belief.evidence)
         fresh = replace(fresh, attached_T_object=poses, discrepancy=total)
         if settings.weighing == "scratch" and settings.weigh_before_resampling:
-            fresh = fresh.reweighted(boltzmann(total, settings.peakiness))
+            log = boltzmann(total, settings.peakiness)
+            if fresh.log_weights.requires_grad:  # the slope of the weights before, whose value is 1
+                log = log + (fresh.log_weights - fresh.log_weights.detach())
+            fresh = fresh.reweighted(log)
         return _where(rows, fresh, belief), rows
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.seeding import uniform
+from rumi.seeding import normal, uniform
 from sdf import se3
 from sdf.so3 import wrap
 
@@ -115,9 +115,10 @@ class PlanarPrior:
     def sample(self, *shape: int, generator: torch.Generator) -> Float[Tensor, "... 3"]:
         """Independent draws."""
         count = math.prod(shape)
-        mode = torch.multinomial(self.log_shares.exp(), max(1, count), True, generator=generator)[:count]
-        noise = torch.randn(count, 3, generator=generator, dtype=self.means.dtype)
-        return (self.means[mode] + noise * self.spread).reshape(*shape, 3)
+        like, shares = self.means, self.log_shares.exp().to(generator.device)
+        mode = torch.multinomial(shares, max(1, count), True, generator=generator)[:count]
+        noise = normal((count, 3), generator=generator, dtype=like.dtype, device=like.device)
+        return (like[mode.to(like.device)] + noise * self.spread).reshape(*shape, 3)
 
     def log_density(self, poses: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b"]:
         """Log of the density, yaw taken from each mode's by the shorter way."""

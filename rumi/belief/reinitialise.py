@@ -164,7 +164,7 @@ def _spread(
     pose_filter: PoseFilter,
     poses: Float[Tensor, "N 4 4"],
     cost: Float[Tensor, "N"],
-    margin: float,
+    margin: float | Tensor,
     count: int,
     settings: ReinitialiseSettings,
 ) -> Int[Tensor, "count"]:

@@ -8,6 +8,7 @@ no noise blurs it, however many readings there are.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -17,8 +18,10 @@ from torch import Tensor
 from rumi.belief.state_space import PlaneSpace
 from rumi.errors import DegenerateBeliefError
 from rumi.resampling import resample_systematic
-from rumi.weights import effective_sample_size, equal_weights
+from rumi.seeding import normal, uniform
+from rumi.weights import effective_sample_size, resampled_weights
 from sdf import skipped_work
+from sdf.numbers import refuse_trained
 from sensors.evidence import Evidence
 
 _KEPT = 0.5
@@ -49,6 +52,7 @@ class ResampleMoveSettings:
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
+        refuse_trained(self)
         for name in ("trigger", "crossed"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"Expected {name} in [0, 1], got {getattr(self, name)}")
@@ -183,7 +187,8 @@ class ResampleMoveFilter:
         if ess >= self.settings.trigger * len(log):
             return belief, ResampleMoveInfo(ess, False, 0.0)
         index = resample_systematic(belief.log_weights, generator=generator)
-        belief = StaticBelief(belief.states[index], equal_weights(log), belief.log_target[index])
+        equal = resampled_weights(belief.log_weights, index)
+        belief = StaticBelief(belief.states[index], equal, belief.log_target[index])
         if self.settings.noise is not None:
             return belief, ResampleMoveInfo(ess, True, 0.0)
         return self.move(belief, every, ess=ess, generator=generator)
@@ -198,7 +203,7 @@ class ResampleMoveFilter:
             own = slice(half, None, 2)
             proposed = self.space.stepped(states[own], self._steps(len(states[own]), states[1 - half :: 2], generator))
             there = self.log_target(proposed, every)
-            chance = torch.rand(len(there), generator=generator, dtype=there.dtype).to(there.device)
+            chance = uniform(there.shape, generator=generator, dtype=there.dtype, device=there.device)
             accept = chance.log() < there - target[own]
             taken += int(accept.sum())
             wide = accept.view(-1, *[1] * (proposed.dim() - 1))
@@ -255,9 +260,9 @@ class ResampleMoveFilter:
                 work.count(0.0, count)
                 return belief
             work.count(count, count)
-            draws = torch.randn(len(belief.states), self.space.dims, generator=generator, dtype=belief.states.dtype).to(
-                belief.states
-            )
+            like = belief.states
+            shape = (len(like), self.space.dims)
+            draws = normal(shape, generator=generator, dtype=like.dtype, device=like.device)
             states = self.space.stepped(belief.states, draws * draws.new_tensor(self.settings.noise))
             before, after = self.log_prior(belief.states), self.log_prior(states)
             change = after - torch.where(before > -math.inf, before, 0.0)
@@ -265,20 +270,22 @@ class ResampleMoveFilter:
 
     def _steps(self, size: int, others: Float[Tensor, "M ..."], generator: torch.Generator) -> Float[Tensor, "N D"]:
         """Steps that are as likely as their opposites: jitter of any size, or differences of other particles."""
-        dims, dtype = self.space.dims, others.dtype
+        shape = (size, self.space.dims)
+        even = partial(uniform, generator=generator, dtype=others.dtype, device=others.device)
+        noisy = partial(normal, generator=generator, dtype=others.dtype, device=others.device)
         low, high = (math.log(bound) for bound in self.settings.jitter_m)
-        scale = torch.exp(low + (high - low) * torch.rand(size, 1, generator=generator, dtype=dtype))
-        units = torch.tensor(self.space.units, dtype=dtype)
-        steps = scale * units * torch.randn(size, dims, generator=generator, dtype=dtype)
+        scale = torch.exp(low + (high - low) * even((size, 1)))
+        units = others.new_tensor(self.space.units)
+        steps = scale * units * noisy(shape)
         if len(others) < 2:
-            return steps.to(others)
-        pair = torch.randint(len(others), (2, size), generator=generator).to(others.device)
-        share = 10.0 ** (1.2 * torch.rand(size, 1, generator=generator, dtype=dtype) - 1.0)
-        across = share * self.space.difference(others[pair[0]], others[pair[1]]).cpu()
+            return steps
+        pair = torch.randint(len(others), (2, size), generator=generator, device=generator.device).to(others.device)
+        share = 10.0 ** (1.2 * even((size, 1)) - 1.0)
+        across = share * self.space.difference(others[pair[0]], others[pair[1]])
         # a hair's breadth more, so that copies of one particle part too
-        across = across + self.settings.jitter_m[0] * units * torch.randn(size, dims, generator=generator, dtype=dtype)
-        crossed = torch.rand(size, 1, generator=generator, dtype=dtype) < self.settings.crossed
-        return torch.where(crossed, across, steps).to(others)
+        across = across + self.settings.jitter_m[0] * units * noisy(shape)
+        crossed = even((size, 1)) < self.settings.crossed
+        return torch.where(crossed, across, steps)
 
 
 def _rise(log_weights: Float[Tensor, "N"], told: Float[Tensor, "N"], most: float) -> float:

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.weights import effective_sample_size, equal_weights
+from rumi.weights import effective_sample_size, resampled_weights
 
 
 class TouchAction(NamedTuple):
@@ -66,7 +66,7 @@ class TrajectoryBelief:
         return replace(self, noise=noise, **changes)
 
     def resampled(self, index: Tensor) -> "TrajectoryBelief":
-        """Particles (R, N) of each run, with equal weights."""
+        """Particles (R, N) of each run, with equal weights, which keep their slope (`resampled_weights`)."""
         wide = index[..., None].expand(*index.shape, 3)
         return TrajectoryBelief(
             self.start.gather(1, wide),
@@ -74,7 +74,7 @@ class TrajectoryBelief:
             self.lever.gather(1, index),
             tuple(part.gather(1, wide) for part in self.noise),
             self.pose.gather(1, wide),
-            equal_weights(self.log_weights),
+            resampled_weights(self.log_weights, index),
             self.log_likelihood.gather(1, index),
         )
 

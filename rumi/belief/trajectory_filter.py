@@ -20,6 +20,8 @@ from rumi.belief.trajectory_belief import TouchAction, TrajectoryBelief, concate
 from rumi.dynamics.along_path import PathPush, Pusher, distance_to, push_along_path
 from rumi.dynamics.sliding import Outline, Sliding
 from rumi.resampling import resample_systematic
+from rumi.seeding import normal, uniform
+from sdf.numbers import refuse_trained
 from sensors.touch.contact_model import ContactModel
 
 Resampling = Literal["replay", "importance", "newcomers", "none"]
@@ -75,6 +77,7 @@ class TrajectorySettings:
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
+        refuse_trained(self)
         if self.resampling not in get_args(Resampling):
             raise ValueError(
                 f"Expected resampling to be one of {', '.join(get_args(Resampling))}, got {self.resampling!r}"
@@ -146,7 +149,7 @@ class TrajectoryFilter:
         start = self.prior.sample(runs, count, generator=generator)
         flat = torch.zeros_like(start[..., 0])
         friction, lever = (
-            self._within(bounds, torch.rand(flat.shape, generator=generator, dtype=flat.dtype))
+            self._within(bounds, uniform(flat.shape, generator=generator, dtype=flat.dtype, device=flat.device))
             for bounds in (self.settings.friction, self.settings.lever_m)
         )
         return TrajectoryBelief(start, friction, lever, (), start, flat.log_softmax(-1), flat)
@@ -170,7 +173,8 @@ class TrajectoryFilter:
         action = history[-1]
         noise: Tensor | None = None
         if self.settings.noise > 0:
-            noise = torch.randn(belief.start.shape, generator=generator, dtype=belief.start.dtype)
+            like = belief.start
+            noise = normal(like.shape, generator=generator, dtype=like.dtype, device=like.device)
         pose, gained = self.roll(belief.pose, belief.friction, belief.lever, noise, action)
         log_weights = (belief.log_weights + gained).log_softmax(-1)
         belief = replace(
@@ -180,7 +184,7 @@ class TrajectoryFilter:
             log_weights=log_weights,
             log_likelihood=belief.log_likelihood + gained,
         )
-        ess, low = belief.ess(), torch.zeros(len(pose), dtype=torch.bool)
+        ess, low = belief.ess(), torch.zeros(len(pose), dtype=torch.bool, device=pose.device)
         if resample and self.settings.resampling != "none":
             low = ess < self.settings.trigger * pose.shape[1]
         rows, accepted = low.nonzero()[:, 0], float("nan")
@@ -282,34 +286,34 @@ class TrajectoryFilter:
         self, belief: TrajectoryBelief, history: Sequence[TouchAction], generator: torch.Generator
     ) -> tuple[TrajectoryBelief, float]:
         """One Metropolis move of every particle on start pose, parameters and noise."""
-        own, shape, dtype = self.settings, belief.friction.shape, belief.start.dtype
+        own, like, dtype = self.settings, belief.start, belief.start.dtype
 
-        def uniform() -> Tensor:
-            return torch.rand(shape, generator=generator, dtype=dtype)
+        def even() -> Tensor:
+            return uniform(belief.friction.shape, generator=generator, dtype=dtype, device=like.device)
 
-        def normal() -> Tensor:
-            return torch.randn(belief.start.shape, generator=generator, dtype=dtype)
+        def noisy() -> Tensor:
+            return normal(like.shape, generator=generator, dtype=dtype, device=like.device)
 
         least, most = own.jitter_m
-        size = least * (most / least) ** uniform()
-        step = normal() * torch.stack((size, size, own.jitter_rad_per_m * size), -1)
-        afresh = uniform() < own.from_prior
-        drawn = self.prior.sample(*shape, generator=generator).to(dtype)
+        size = least * (most / least) ** even()
+        step = noisy() * torch.stack((size, size, own.jitter_rad_per_m * size), -1)
+        afresh = even() < own.from_prior
+        drawn = self.prior.sample(*belief.friction.shape, generator=generator).to(dtype)
         start = torch.where(afresh[..., None], drawn, belief.start + step)
-        reach, changes = size / most, normal()
-        friction = self._moved(belief.friction, own.friction, afresh, reach * changes[..., 0], uniform())
-        lever = self._moved(belief.lever, own.lever_m, afresh, reach * changes[..., 1], uniform())
+        reach, changes = size / most, noisy()
+        friction = self._moved(belief.friction, own.friction, afresh, reach * changes[..., 0], even())
+        lever = self._moved(belief.lever, own.lever_m, afresh, reach * changes[..., 1], even())
         noise = belief.noise
         if own.noise > 0:
             # a turn within the plane of old and new draws leaves normal ones normal
-            angle = 0.5 * torch.pi * torch.where(afresh, 1.0, (uniform() < 0.5) * torch.maximum(reach, uniform() ** 4))
+            angle = 0.5 * torch.pi * torch.where(afresh, 1.0, (even() < 0.5) * torch.maximum(reach, even() ** 4))
             cos, sin = angle.cos()[..., None], angle.sin()[..., None]
-            noise = tuple(cos * part + sin * normal() for part in noise)
+            noise = tuple(cos * part + sin * noisy() for part in noise)
         pose, log_likelihood = self.replay(start, friction, lever, noise, history)
         # a draw from the prior is proposed as often as the prior has it
         change = self.prior.log_density(start) - self.prior.log_density(belief.start)
         odds = log_likelihood - belief.log_likelihood + torch.where(afresh, 0.0, change)
-        accept = uniform().log() < odds
+        accept = even().log() < odds
         wide = accept[..., None]
         return replace(
             belief,
@@ -343,7 +347,8 @@ class TrajectoryFilter:
         many = max(1, round(self.settings.newcomers * count))
         tool = action.path[..., -1, :].expand(runs, 3)
         reach = self.outline.radius + self.pusher.radius
-        draw = torch.rand(runs, many, 3, generator=generator, dtype=belief.pose.dtype)
+        pose = belief.pose
+        draw = uniform((runs, many, 3), generator=generator, dtype=pose.dtype, device=pose.device)
         near = tool[:, None, :2] + reach * (2.0 * draw[..., :2] - 1.0)
         fresh = torch.cat((near, torch.pi * (2.0 * draw[..., 2:] - 1.0)), -1)
         flat = tool[:, None].expand(runs, many, 3).reshape(-1, 3)

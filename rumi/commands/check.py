@@ -37,14 +37,14 @@ class CheckOptions:
         step: reading to draw; 0 is the first view.
         pose: of the object in the world with its floor at 0: x, y, z in metres, roll, pitch, yaw in degrees.
         map: mapping file of an imported recording, in place of its own.
-        out: the picture, or the folder for it; by default check.png in the current folder.
+        out: the picture, or the folder for it; by default check.png beside the log, or in the run's folder.
     """
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     step: int = 0
     pose: Annotated[tuple[float, ...], tyro.conf.arg(metavar="X Y Z ROLL PITCH YAW")] = ()
     map: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    out: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("check.png")
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
 
 
 def check(arguments: Sequence[str]) -> int:
@@ -53,7 +53,8 @@ def check(arguments: Sequence[str]) -> int:
     six = len(options.pose) == 6 and all(map(math.isfinite, options.pose))
     if not six and (options.pose or "--pose" in arguments):
         raise UsageError(f"Expected --pose to be six numbers, got {' '.join(map(str, options.pose)) or 'none'}")
-    out = _picture(options.out)
+    beside = options.log if options.log.is_dir() else options.log.parent
+    out = _picture(beside / "check.png" if options.out is None else options.out)
     from rumi.commands.replay import agent_of_imported, made_readings, mapping_of_log, opened, recorded_settings
     from rumi.metrics.alignment import align
     from rumi.rosbag.mapping import Fixed

@@ -4,16 +4,16 @@ from rumi.records import StepRecord
 from sdf.skipped_work import Account, Work
 
 WORKS = {
-    "workspace_points": "workspace points valued; the others are out of every pose's reach",
-    "normals": "workspace points given a normal; the others are hardly ever touched",
-    "contact_checks": "contact checks by point; the others are settled by a bound or by a rollout that met the same",
-    "pushes": "mini steps in which the tool could touch a pushed pose; in the others it is beyond a bound of it",
-    "rollouts_valued": "rollouts valued; the others are the same as one of their control sequence",
-    "reachability_sums": "terms of the reachability cost; one look-up in a table stands for a sum over all points",
-    "old_points": "points weighed; the others' weight carries over, since only the object's frame moved",
-    "observed_points": "looks at an observed point by a particle; the others are free, in balls that it cannot reach",
-    "resamplings": "steps that resampled; at the others the belief fitted well enough",
-    "plans": "actions planned for; the others came out of the plan that was there",
+    "workspace_points": "places whose worth was worked out; the object cannot be at the others",
+    "normals": "places given a direction of contact; the others are hardly ever touched",
+    "contact_checks": "checks whether the tool touches a pose; the others were clear beforehand",
+    "pushes": "small steps of a push that were worked out; in the others the tool was too far away to touch",
+    "rollouts_valued": "foreseen motions that were valued; the others are copies of one of them",
+    "reachability_sums": "sums for the reachability cost; the others were looked up in a table",
+    "old_points": "points that were weighed anew; the others moved with the object, and kept their weight",
+    "observed_points": "distances of a point to a pose; the others lie in space that the pose cannot touch",
+    "resamplings": "steps that drew the poses anew; at the others the belief fitted well enough",
+    "plans": "actions that were planned anew; the others followed the plan before",
 }
 """What each kind of work is, in the order of the table."""
 

@@ -40,12 +40,19 @@ def import_bag(arguments: Sequence[str]) -> int:
     options = tyro.cli(ImportOptions, prog="rumi import", args=arguments)
     if not 0 <= options.future <= _LONGEST_S:
         raise UsageError(f"Expected --future of 0 s to {_LONGEST_S:.0e} s, got {options.future}")
+    from rumi.rosbag.bag import check_frames
     from rumi.rosbag.bag import import_bag as write_log
     from rumi.rosbag.mapping import read_mapping
 
     mapping = read_mapping(options.map)
     out = options.out or Path(f"{options.bag.resolve().stem}.h5")
     done = write_log(options.bag, mapping, out, future_s=options.future)
+    if not (done.problems or done.lost):  # of a bag that is whole the mapping is wrong
+        try:
+            check_frames(out, mapping)
+        except UsageError:
+            out.unlink()
+            raise
     sys.stdout.write(report(done, out))
     lost = [f"{count} of {topic} could not be read, the first: {why}" for topic, (count, why) in done.lost.items()]
     for problem in [*done.problems, *lost]:

@@ -32,6 +32,7 @@ class LocalizeOptions:
         scale: metres that one unit of the mesh is; 0.001 for millimetres.
         points_scale: metres that one unit of the contacts is.
         noise: metres that touches are off; by default what the best pose leaves, 1 mm at least.
+        outlier: share of touches that may be bad, such as beside the object; 0 for none.
         starts: poses to start from.
         seed: of the starts.
         symmetries: put poses together that look the same; this takes seconds, once for the mesh.
@@ -47,6 +48,7 @@ class LocalizeOptions:
     scale: float = 1.0
     points_scale: float = 1.0
     noise: float | None = None
+    outlier: float = 0.05
     starts: int = 800
     seed: int = 0
     symmetries: bool = True
@@ -71,6 +73,8 @@ def localize(arguments: Sequence[str]) -> int:
             f"Expected --radius above 0 along each axis, got {options.radius}: half of the edges of the box that the "
             "mesh's origin is in"
         )
+    if not 0 <= options.outlier < 1:
+        raise UsageError(f"Expected --outlier, a share of the touches, of 0 or more and below 1, got {options.outlier}")
     if options.starts < 1:
         raise UsageError(f"Expected --starts of 1 or more, got {options.starts}")
     if not 0 <= options.seed < 2**63:
@@ -109,7 +113,7 @@ def localize(arguments: Sequence[str]) -> int:
         surface = TouchSurface.of(mesh, None if options.symmetries else Symmetries.none())
         loaded = time.perf_counter()
         normals = contacts.normals if options.normals else None
-        settings = LocalizeSettings(starts=options.starts, noise_m=options.noise)
+        settings = LocalizeSettings(starts=options.starts, noise_m=options.noise, outlier=options.outlier)
         found = find(
             surface,
             contacts.points,

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,13 +12,13 @@ import torch
 import tyro
 
 from rumi.cache import cache_folder
+from rumi.commands.flags import FLAGS
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
-from rumi.records import StepRecord
 from rumi.runs.logbook import LOG
 from rumi.runs.plain import plain
-from rumi.runs.progress import Progress, both, say
-from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
+from rumi.runs.progress import Progress, announce, both, say
+from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry, entry_of_record
 
 if TYPE_CHECKING:
     from rumi.agent import Agent
@@ -164,8 +163,7 @@ def recorded_settings(log: "Log | RunLog", mapping: "BagMap | None") -> tuple[Ta
 
         return entry_of_imported(), settings_of(mapping)
     values = log.settings or {}
-    name = values.get("task", "")
-    entry = TASKS[FORMER_NAMES.get(name, name)]
+    entry = entry_of_record(values.get("task", ""))
     return entry, entry.from_dict(values)
 
 
@@ -181,6 +179,7 @@ def _parsed(arguments: Sequence[str], path: Path, entry: TaskEntry[S], start: S)
         description=_HELP,
         args=arguments,
         default=ReplayOptions(path, start),
+        registry=FLAGS,
     )
     for name in differing(start, options.settings):
         if entry.role(name) == "sensed":
@@ -217,6 +216,7 @@ def _replay(
     else:
         agent = entry.agent(settings, cache_dir=cache_dir)
     _check_object(log, agent)
+    announce(agent)
     label = getattr(settings, "task", entry.label(settings)) if mapping is not None else _name(log)
     steps = entry.steps(settings) if mapping is None else settings.steps
     taken = taken if steps is None else taken[: steps + 1]
@@ -265,11 +265,6 @@ def summary(
     lines = [f"{name}: {first}", *rest]
     if used < readings:
         lines.append(f"readings {used} of {readings}: sure before the log's end")
-    if isinstance(done.last, StepRecord):
-        pose = done.last.belief.mode()
-        x, y, z = pose[:3, 3].tolist()
-        yaw = math.degrees(float(torch.atan2(*pose[[1, 0], [0, 0]])))
-        lines.append(f"likeliest at ({x:.4f}, {y:.4f}, {z:.4f}) m, x axis {yaw:.1f} degrees from the world's")
     known = [same for same in done.same if same is not None]
     if not known:
         lines.append("belief   no live run's to compare with")
@@ -327,10 +322,11 @@ def agent_of_imported(
     Raises:
         UsageError: there is no such device, or the object cannot be used.
     """
-    from rumi.rosbag.scene import rummager_of_map
+    from rumi.rosbag.scene import rummager_of_map, touching_height
 
-    places = torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
-    return rummager_of_map(mapping, settings, places, cache_dir)
+    readings = [one.reading for one in taken]
+    places = torch.cat([one.tool_pose[:, :3, 3] for one in readings])
+    return rummager_of_map(mapping, settings, places, cache_dir, touching_m=touching_height(readings))
 
 
 def _name(log: "Log | RunLog") -> str:

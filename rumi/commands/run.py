@@ -11,14 +11,17 @@ import tyro
 from rumi import loop
 from rumi.cache import cache_folder
 from rumi.commands.explain import Decisions, explain
+from rumi.commands.flags import FLAGS
 from rumi.commands.former_flags import renamed
+from rumi.commands.glossary import FIGURE, GLOSSARY
 from rumi.commands.tasks import listing
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.runs.folder import free_folder, load_run, prepare_folder, remove_if_empty_on_error
-from rumi.runs.progress import Progress, both, say
+from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
 from sdf import skipped_work
+from sdf.extras import optional
 
 S = TypeVar("S")
 
@@ -40,6 +43,7 @@ class RunOptions(Generic[S]):
         out: folder of the run; by default one in runs/, named after the settings, with a number where that is taken.
         figures: draw figures at the end.
         explain: say at the end what was skipped, since the scene did not need it, and what that saved.
+        glossary: say at the end what the numbers mean, as on a terminal.
         record: write what cameras and bubbles gave too, as raw streams: log.h5 in the run's folder.
     """
 
@@ -48,6 +52,7 @@ class RunOptions(Generic[S]):
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     figures: bool = True
     explain: bool = False
+    glossary: bool = False
     record: bool = False
 
 
@@ -58,18 +63,20 @@ def run(arguments: Sequence[str]) -> int:
         return DONE if arguments else BAD_INPUT
     name, entry, options = parse(arguments)
     settings, notes = options.settings, entry.check(options.settings)
+    if options.figures:
+        optional("matplotlib", "A figure (--no-figures draws none)")
     label = entry.label(settings)
     folder = options.out or free_folder(Path("runs") / label)
     prepare_folder(folder)
     for line in (f"{label}; writing to {folder}", *notes):
         say(line)
-    with remove_if_empty_on_error(folder):
-        parts = entry.build(settings, cache_dir=cache_folder())
     with (
-        parts,
+        remove_if_empty_on_error(folder),
+        entry.build(settings, cache_dir=cache_folder()) as parts,
         entry.recorder(folder, settings, parts, log=options.record) as recorder,
         skipped_work.account() as account,
     ):
+        announce(parts.agent)
         steps = entry.steps(settings)
         with Progress(name, steps, entry.describe) as progress:
             on_step = both(recorder, progress, Decisions(account))
@@ -81,6 +88,9 @@ def run(arguments: Sequence[str]) -> int:
         entry.draw(load_run(folder), folder / "figures")
     first, *lines = entry.summary(settings, result)
     sys.stdout.write("\n  ".join([f"{name}: {first}", *lines, f"folder   {folder}"]) + "\n")
+    if (options.glossary or sys.stdout.isatty()) and not entry.records:  # of those that rummage
+        drawn = FIGURE.format(folder=folder / "figures") if options.figures and not interrupted else ""
+        sys.stdout.write("".join(f"  {line}\n" for line in (drawn + GLOSSARY).splitlines()))
     if options.explain:
         sys.stdout.write(explain(account))
     if interrupted:
@@ -116,6 +126,7 @@ def parse(arguments: Sequence[str]) -> tuple[str, TaskEntry[Any], RunOptions[Any
         description=f"{entry.description}. The presets are {', '.join(entry.presets)}.",
         args=flags,
         default=RunOptions(entry.preset(asked.preset), asked.preset),
+        registry=FLAGS,
     )
     return name, entry, options
 

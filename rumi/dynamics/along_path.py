@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rumi.dynamics.outline import GridOutline, RectangleOutline, support_of
 from rumi.dynamics.sliding import Outline, Sliding, push, rotated
-from rumi.robot.gripper import GripperShape
+from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
 from sdf.check import check_finite, check_shape, is_eager
@@ -183,7 +183,7 @@ class PathMotion:
         cls,
         sdf: SDF,
         height_m: float,
-        shape: GripperShape,
+        shape: ToolShape,
         push: PathPush,
         *,
         spacing_m: float,
@@ -195,7 +195,7 @@ class PathMotion:
         Args:
             sdf: of the object.
             height_m: of the tool, object frame.
-            shape: of the gripper.
+            shape: of the tool.
             push: the model.
             spacing_m: between the points of the gripper's border.
             lever_ratio: c of the limit surface over the mean distance of the object's base from its centre.

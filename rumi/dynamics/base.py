@@ -11,8 +11,8 @@ from rumi.dynamics.along_path import PathPush
 from rumi.dynamics.sliding import rotated
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
-from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
+from rumi.robot.tool_shape import ToolShape
 from sdf.object_model import ObjectModel
 
 
@@ -190,12 +190,12 @@ class PushModel:
         """
         raise NotImplementedError
 
-    def motion(self, model: ObjectModel, shape: GripperShape, height_m: float, resting_m: float) -> ObjectMotion:
+    def motion(self, model: ObjectModel, shape: ToolShape, height_m: float, resting_m: float) -> ObjectMotion:
         """Motion of an upright object along the path that a level tool reports, for the filter over poses.
 
         Args:
             model: the object.
-            shape: of the gripper.
+            shape: of the tool.
             height_m: of the tool above the floor.
             resting_m: of the object's origin above the floor.
         """

@@ -16,8 +16,8 @@ from rumi.dynamics.contact import ContactBound, ContactField
 from rumi.dynamics.tool_lookup import ToolField, at_height, planar_features, world_height
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
-from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
+from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, skipped_work
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
@@ -387,7 +387,7 @@ class DisplacementPush(PushModel):
         """Pushes along given paths."""
         return displace_along_path
 
-    def motion(self, model: ObjectModel, shape: GripperShape, height_m: float, resting_m: float) -> PathMotion:
+    def motion(self, model: ObjectModel, shape: ToolShape, height_m: float, resting_m: float) -> PathMotion:
         """Motion along the path of a level tool."""
         height = height_m - resting_m
         return PathMotion.of(model.sdf, height, shape, displace_along_path, spacing_m=self.spacing_m)

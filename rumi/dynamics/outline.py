@@ -12,6 +12,8 @@ from rumi.dynamics.sliding import OutlineQuery
 from sdf.base import SDF
 from sdf.primitives import rectangle
 
+_LAYERS = 4  # of a lattice across what is thin, at least
+
 
 @dataclass(frozen=True)
 class RectangleOutline:
@@ -65,17 +67,17 @@ class GridOutline:
             margin: of free space about the object's bounds.
 
         Raises:
-            ValueError: if the object is not met at that height.
+            ValueError: the object is not met at that height.
         """
-        low, high = sdf.bounds[0, :2] - margin, sdf.bounds[1, :2] + margin
-        counts = torch.ceil((high - low) / spacing).long() + 1
-        axes = [low[i] + spacing * torch.arange(int(counts[i]), dtype=low.dtype, device=low.device) for i in range(2)]
-        nodes = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
-        points = torch.cat((nodes, torch.full_like(nodes[..., :1], height)), -1)
-        with torch.no_grad():
-            values = sdf.distance(points)
-        if not bool((values <= 0).any()):
-            raise ValueError(f"Expected the object to reach the height {height:g} m of the tool, got nothing there")
+        found = slice_of(sdf, height, spacing=spacing, margin=margin)
+        if found is None:
+            above = height - float(sdf.bounds[0, 2])
+            raise ValueError(
+                f"Expected the object to have walls {1e3 * above:.0f} mm above its lowest point, where the tool "
+                "is, got nothing there: choose another height of the tool, or a finer table of distances"
+            )
+        values, nodes, spacing = found
+        low = nodes[0, 0]
         outside = _outside(values)
         values = _filled(values, outside, nodes, spacing)
         radius = float(nodes[~outside].norm(dim=-1).max()) + spacing
@@ -98,6 +100,30 @@ class GridOutline:
     def to(self, like: Tensor) -> "GridOutline":
         """A copy on the device and of the dtype of a tensor."""
         return GridOutline(self.values.to(like), self.origin.to(like), self.spacing, self.radius)
+
+
+def slice_of(
+    sdf: SDF, height: float, *, spacing: float = 0.001, margin: float = 0.012
+) -> tuple[Float[Tensor, "X Y"], Float[Tensor, "X Y 2"], float] | None:
+    """Signed distances of a level slice of an object on a lattice, its nodes and their spacing; None if it is empty.
+
+    Args:
+        sdf: of the object.
+        height: of the slice, object frame, metres.
+        spacing: of the lattice, metres; a quarter of it where that is what it takes to meet a thin wall.
+        margin: of free space about the object's bounds.
+    """
+    low, high = sdf.bounds[0, :2] - margin, sdf.bounds[1, :2] + margin
+    for step in (spacing, 0.5 * spacing, 0.25 * spacing):
+        counts = torch.ceil((high - low) / step).long() + 1
+        axes = [low[i] + step * torch.arange(int(counts[i]), dtype=low.dtype, device=low.device) for i in range(2)]
+        nodes = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1)
+        points = torch.cat((nodes, torch.full_like(nodes[..., :1], height)), -1)
+        with torch.no_grad():
+            values = sdf.distance(points)
+        if bool((values <= 0).any()):
+            return values, nodes, step
+    return None
 
 
 class Support(NamedTuple):
@@ -126,16 +152,23 @@ def support_of(sdf: SDF, *, spacing: float = 0.002, above_m: float = 0.001) -> S
 
     Args:
         sdf: of the object.
-        spacing: of the lattice, metres.
+        spacing: of the lattice, metres; finer across what is thin.
         above_m: what reaches down to this height above the lowest point rests on the floor.
+
+    Raises:
+        ValueError: the object has no inside.
     """
     low, high = sdf.bounds
-    axes = [torch.arange(float(low[i]), float(high[i]), spacing, dtype=low.dtype) + 0.5 * spacing for i in range(3)]
+    axes = []
+    for i in range(3):
+        step = min(spacing, float(high[i] - low[i]) / _LAYERS)
+        axes.append(torch.arange(float(low[i]), float(high[i]), step, dtype=low.dtype) + 0.5 * step)
     points = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3).to(low)
     with torch.no_grad():
         inside = points[sdf.distance(points) <= 0]
-        lowest = inside[:, 2].min()
-        base = inside[inside[:, 2] <= lowest + above_m]
+    if len(inside) == 0:
+        raise ValueError("Expected an object with an inside, got none: are its walls too thin for the table?")
+    base = inside[inside[:, 2] <= inside[:, 2].min() + above_m]
     centre = inside[:, :2].mean(0)
     return Support.of_base(base[:, :2], centre)
 

@@ -21,7 +21,7 @@ from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.sliding import Outline, Sliding, rotated
 from rumi.errors import UsageError
 from rumi.resampling import resample_systematic, systematic
-from rumi.robot.gripper import GripperShape
+from rumi.robot.tool_shape import ToolShape
 from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.so3 import wrap
@@ -62,7 +62,7 @@ class PushedBody(NamedTuple):
     pusher: Pusher
 
     @classmethod
-    def of(cls, sdf: SDF, height_m: float, shape: GripperShape, *, spacing_m: float = 0.005) -> "PushedBody":
+    def of(cls, sdf: SDF, height_m: float, shape: ToolShape, *, spacing_m: float = 0.005) -> "PushedBody":
         """Of an object and a gripper, at a height in the object's frame; points of its border so far apart."""
         outline, support = GridOutline.of_slice(sdf, height_m), support_of(sdf)
         return cls(outline, support, Pusher(shape.outline(spacing_m).to(support.centre)))

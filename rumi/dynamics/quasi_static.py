@@ -26,8 +26,8 @@ from rumi.dynamics.push_posterior import PushPosterior, push_posterior, sliding_
 from rumi.dynamics.sliding import Sliding, push
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
-from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
+from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3, skipped_work
 from sdf.base import SDF
 from sdf.check import check_shape
@@ -282,7 +282,7 @@ class QuasiStaticPush(PushModel):
         """Pushes along given paths."""
         return push_along_path
 
-    def motion(self, model: ObjectModel, shape: GripperShape, height_m: float, resting_m: float) -> PathMotion:
+    def motion(self, model: ObjectModel, shape: ToolShape, height_m: float, resting_m: float) -> PathMotion:
         """Motion along the path of a level tool."""
         own = self.settings
         motion = PathMotion.of(

@@ -14,6 +14,7 @@ from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.registry import Table
 from rumi.robot.tool import Tool
+from sdf.check import check_shape
 from sdf.object_model import ObjectModel
 
 PUSH_MODELS: Table[type[PushModel]] = Table("push model", "rumi.push_models")
@@ -126,7 +127,11 @@ class PushModels:
         """Name of the member that pushes these particles with this tool.
 
         That is the displacement model where "auto" has no other, and for what a tool in space has toppled.
+
+        Raises:
+            ValueError: the particles are of several scenes.
         """
+        check_shape("world_T_object", world_T_object, "(N, 4, 4)", last=(4, 4))
         name = self.settings.push_model
         if name == AUTO:
             return "quasi-static" if self._member("quasi-static").fits(world_T_object, tool) else "displacement"

@@ -7,14 +7,16 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from rumi.weights import check_weights
 from sdf import backend, compiled, skipped_work
 from sdf.base import SDF
 from sdf.check import check_finite, check_shape, is_eager
 from sdf.grid_sdf import takes
+from sdf.numbers import Numbers, Range
 from sdf.posed import about_first, posed_distance
+from sdf.precision import full_precision
 
 InformationMode = Literal["surrogate", "reverse_kl", "forward_kl", "sensor_mi"]
 
@@ -77,6 +79,7 @@ class InformationSettings:
             raise ValueError(f"Expected tail to be a probability in [0, 1), got {self.tail}")
 
 
+@full_precision
 def information_from_distances(
     distance: Float[Tensor, "*b N V"],
     log_weights: Float[Tensor, "*b N"],
@@ -151,6 +154,7 @@ def _divergence(cost: Tensor, log_weights: Tensor, mode: InformationMode, mean: 
     return -(torch.softmax(joint, -2) * cost).sum(-2) - log_evidence
 
 
+@full_precision
 def information_field(
     sdf: SDF,
     world_T_object: Float[Tensor, "*b N 4 4"],
@@ -181,15 +185,14 @@ def information_field(
     check_shape("points_w", points_w, "(V, 3)", last=(3,))
     check_weights(log_weights)
     # one such pose would hide the object from all points, whatever its weight
-    if is_eager():
-        check_finite("world_T_object", world_T_object)
+    check_finite("world_T_object", world_T_object)
     settings = settings or InformationSettings()
     values: dict[str, Any] = {f.name: getattr(settings, f.name) for f in fields(settings)} | parameters
     tail = values.pop("tail")
-    sharpness, surface_tolerance = (
-        float(torch.as_tensor(values[name]).detach()) for name in ("sharpness", "surface_tolerance")
-    )
-    reach = tail_distance(sharpness, surface_tolerance, tail)
+    numbers = [values[name] for name in ("sharpness", "surface_tolerance")]
+    if is_eager():
+        numbers = [float(torch.as_tensor(value).detach()) for value in numbers]
+    reach = tail_distance(numbers[0], numbers[1], tail)
     near = near_object(sdf, world_T_object, points_w, reach)  # (*b, V)
     world_T_object, points_w = about_first(world_T_object, points_w)
     tensors = (value for value in values.values() if isinstance(value, Tensor))
@@ -206,6 +209,12 @@ def _information_field(
 ) -> WorkspaceFields:
     """Fields of the points `near` (*b, V), the others free and void of information."""
     batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
+    if not is_eager():  # what is traced looks all up
+        every = points_w.expand(*batch, *points_w.shape[-2:])
+        whole = information_from_distances(posed_distance(sdf, world_T_object, every), log_weights, **values)
+        free = points_w.new_tensor([1.0, 0.0, 0.0])
+        found = torch.where(near, whole.information, torch.zeros_like(whole.information))
+        return WorkspaceFields(torch.where(near[..., None], whole.semantics, free), found)
     some = near.reshape(math.prod(batch), points_w.shape[-2]).any(0).nonzero()[:, 0]
     shape = (*batch, points_w.shape[-2])
     semantics = points_w.new_tensor([1.0, 0.0, 0.0]).expand(*shape, 3).clone()
@@ -234,13 +243,13 @@ def _information_field_numba(
     return WorkspaceFields(*compiled(sdf, world_T_object, log_weights, points_w, near, values["mode"], floats))
 
 
-def tail_distance(sharpness: float, surface_tolerance: float, tail: float) -> float:
+def tail_distance(sharpness: Any, surface_tolerance: Any, tail: float) -> Any:  # noqa: ANN401  (float or Tensor)
     """Distance from the surface, metres, at which the sensor model's p(surface) has fallen to `tail`."""
     return math.inf if tail == 0 else surface_tolerance - math.log(tail) / sharpness
 
 
 def near_object(
-    sdf: SDF, world_T_object: Float[Tensor, "*b N 4 4"], points_w: Float[Tensor, "V 3"], reach: float
+    sdf: SDF, world_T_object: Float[Tensor, "*b N 4 4"], points_w: Float[Tensor, "V 3"], reach: float | Tensor
 ) -> Bool[Tensor, "*b V"]:
     """Whether a point may lie within `reach` metres of the object at some pose; O(N + V), errs towards yes."""
     low, high = sdf.bounds.to(world_T_object)
@@ -250,13 +259,14 @@ def near_object(
     return gap <= reach + 0.5 * (high - low).norm()
 
 
-class InformationField(nn.Module):
-    """`information_field` as a module: the physical numbers are buffers or, if asked, trained.
+class InformationField(Numbers):
+    """`information_field` as a module of physical numbers, fixed or trained.
 
     Args:
         sdf: the object's shape.
         settings: mode, tail, and where the buffers start.
-        trainable: make peakiness, free_scale, sharpness and surface_tolerance nn.Parameters.
+        trainable: train sharpness and surface_tolerance, and where the mode uses them peakiness and free_scale,
+            within their range (`sdf.numbers.Numbers`).
     """
 
     def __init__(self, sdf: SDF, settings: InformationSettings | None = None, *, trainable: bool = False) -> None:
@@ -264,12 +274,11 @@ class InformationField(nn.Module):
         self.sdf = sdf
         self.settings = settings or InformationSettings()
         self._names = ("peakiness", "free_scale", "tolerance", "sharpness", "surface_tolerance")
+        used = ["sharpness", "surface_tolerance"]
+        if self.settings.mode != "sensor_mi":
+            used += ["peakiness", "free_scale"]
         for name in self._names:
-            tensor = torch.tensor(float(getattr(self.settings, name)), dtype=torch.float64)
-            if trainable and name != "tolerance":
-                self.register_parameter(name, nn.Parameter(tensor))
-            else:
-                self.register_buffer(name, tensor)
+            self.enter(name, getattr(self.settings, name), Range.POSITIVE if trainable and name in used else None)
 
     def forward(
         self,

@@ -8,13 +8,15 @@ from torch import Tensor
 
 from sdf import backend, compiled, skipped_work
 from sdf.base import SDF
-from sdf.check import check_shape
+from sdf.check import check_shape, is_eager
 from sdf.grid_sdf import takes
 from sdf.posed import posed_query
+from sdf.precision import full_precision
 
 CHUNK_BYTES = 64 * 2**20
 
 
+@full_precision
 def expected_normal(
     sdf: SDF,
     world_T_object: Float[Tensor, "*b N 4 4"],
@@ -51,6 +53,10 @@ def _expected_normal(sdf: SDF, world_T_object: Tensor, log_weights: Tensor, poin
     batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
     turned = (log_weights.exp()[..., None, None] * world_T_object[..., :3, :3]).transpose(-3, -2)  # (*b, 3, N, 3)
     turned = turned.reshape(*batch, 3, 3 * count)
+    if not is_eager():  # what is traced looks all up
+        gradient = posed_query(sdf, world_T_object, points_w.expand(*batch, *points_w.shape)).gradient
+        stacked = gradient.transpose(-1, -2).reshape(*batch, 3 * count, len(points_w))
+        return (turned @ stacked).mT * where[..., None]
     normal = points_w.new_zeros(*batch, len(points_w), 3)
     size = max(1, CHUNK_BYTES // (4 * 40 * max(1, math.prod(batch) * count)))
     for index in where.reshape(math.prod(batch), len(points_w)).any(0).nonzero()[:, 0].split(size):

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.information.entropy import SharedSupport, weights_entropy
-from sdf.check import check_shape
+from sdf.check import check_shape, is_eager
 
 
 class BinaryOutcome(NamedTuple):
@@ -88,14 +88,14 @@ class ExpectedGain(NamedTuple):
         volume: (C, T), gain of the density term, which the motion until then brings.
         best_step: (C), steps after which a candidate's gain is highest, and at which it is cut off; 0 for staying.
         value: (C), gain there, 0 or more.
-        chosen: index of the best candidate, -1 where no candidate gains anything.
+        chosen: index of the best candidate, -1 where no candidate gains anything; a tensor where it is traced.
     """
 
     weights: Float[Tensor, "C T"]
     volume: Float[Tensor, "C T"]
     best_step: Int[Tensor, "C"]
     value: Float[Tensor, "C"]
-    chosen: int
+    chosen: int | Int[Tensor, ""]
 
     @property
     def total(self) -> Float[Tensor, "C T"]:
@@ -141,7 +141,10 @@ def expected_gain(
     gains = value > 0
     best_step = torch.where(gains, step + 1, 0)
     value = torch.where(gains, value, 0.0)
-    chosen = int(value.argmax()) if bool(gains.any()) else -1
+    if is_eager():
+        chosen: int | Tensor = int(value.argmax()) if bool(gains.any()) else -1
+    else:
+        chosen = torch.where(gains.any(), value.argmax(), -1)
     return ExpectedGain(weights, volume, best_step, value, chosen)
 
 
@@ -149,16 +152,20 @@ def _volume_gain(
     states: Float[Tensor, "C T1 N D"], log_weights: Float[Tensor, "N"], support: SharedSupport, every: int
 ) -> Float[Tensor, "C T"]:
     candidates, instants = states.shape[:2]
-    moved = torch.ones(candidates, instants, dtype=torch.bool, device=states.device)
-    moved[:, 1:] = (states[:, 1:] != states[:, :-1]).flatten(2).any(-1)
+    moved = (states[:, 1:] != states[:, :-1]).flatten(2).any(-1)
     instant = torch.arange(instants, device=states.device)
     # the density terms that are worked out: the start's, and those of later steps at which something had moved
-    since = torch.zeros_like(moved)
-    changed = moved.long().cumsum(1)
-    for index in range(1, instants):
-        if index % every == 0 or index == instants - 1:
-            before = (index - 1) // every * every
-            since[:, index] = changed[:, index] != changed[:, before]
+    changed = torch.nn.functional.pad(moved.long().cumsum(1), (1, 0))
+    never = torch.zeros_like(changed[:, 0], dtype=torch.bool)
+    looked = [index % every == 0 or index == instants - 1 for index in range(instants)]
+    before = [max(0, (index - 1) // every * every) for index in range(instants)]
+    columns = [changed[:, k] != changed[:, before[k]] if looked[k] and k else never for k in range(instants)]
+    since = torch.stack(columns, 1)
+    # where nothing was worked out, the last that was holds
+    latest = torch.where(since, instant, torch.zeros_like(instant)).cummax(1).values
+    if not is_eager():  # what is traced works all out
+        log_volume = support(states, log_weights).log_volume
+        return log_volume[:, :1] - log_volume.gather(1, latest)[:, 1:]
     if bool((states[:, 0] == states[:1, 0]).all()):
         start = support(states[0, 0], log_weights).log_volume.expand(candidates)
     else:
@@ -167,6 +174,4 @@ def _volume_gain(
     rows = since.nonzero(as_tuple=True)
     if len(rows[0]):
         log_volume[rows] = support(states[rows], log_weights).log_volume
-    # where nothing was worked out, the last that was holds
-    latest = torch.where(since, instant, torch.zeros_like(instant)).cummax(1).values
     return start[:, None] - log_volume.gather(1, latest)[:, 1:]

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.resampling import resample_systematic
-from sdf.check import check_shape
+from sdf.check import check_shape, is_eager
 from sdf.sweep import Sweep
 from sensors.touch.rectangle_touch import rectangle_log_likelihoods
 from sensors.touch.touch_likelihood import TouchNoise
@@ -100,8 +100,9 @@ def add_noise(
     generator: torch.Generator | None,
 ) -> tuple[Float[Tensor, "*b D"], Float[Tensor, "*b D"]]:
     """The same touches as a sensor with this noise reports them: points off by it, normals turned by it."""
-    place = torch.randn(points.shape, generator=generator, dtype=points.dtype, device=points.device)
-    turn = torch.randn(normals.shape, generator=generator, dtype=normals.dtype, device=normals.device)
+    on = points.device if generator is None else generator.device
+    place = torch.randn(points.shape, generator=generator, dtype=points.dtype, device=on).to(points)
+    turn = torch.randn(normals.shape, generator=generator, dtype=normals.dtype, device=on).to(normals)
     # across the normal, and so far on that the angle is the one drawn
     across = turn - (turn * normals).sum(-1, keepdim=True) * normals
     angle = noise.normal_rad * across.norm(dim=-1, keepdim=True)
@@ -133,13 +134,13 @@ def divergence(log_weights: Float[Tensor, "*#b N"], log_likelihood: Float[Tensor
     """
     joint = log_weights.log_softmax(-1) + log_likelihood
     evidence = joint.logsumexp(-1)
-    if bool((evidence.isnan() | (evidence == torch.inf)).any()):
+    if is_eager() and bool((evidence.isnan() | (evidence == torch.inf)).any()):
         raise ValueError(
             "Expected log-weights of which one is finite and log-likelihoods that are finite or -inf, got NaN or inf: "
             "are all states, readings and their noise finite, and the noise above 0?"
         )
     possible = torch.isfinite(evidence)
-    if joint.requires_grad:
+    if joint.requires_grad or not is_eager():
         # a sum of nothing but exp(-inf) has no slope
         joint = torch.where(possible[..., None], joint, 0.0)
         evidence = torch.where(possible, joint.logsumexp(-1), -torch.inf)

@@ -15,6 +15,7 @@ from torch import Tensor
 from rumi.information.neighbours import StateMetric, UniqueStates, neighbours, unique_states
 from rumi.weights import check_weights
 from sdf.check import check_shape
+from sdf.numbers import refuse_trained
 
 EntropyChoice = Literal["spatial", "neighbour"]
 ENTROPIES: tuple[str, ...] = get_args(EntropyChoice)
@@ -79,6 +80,7 @@ class SharedSupport:
 
     def __post_init__(self) -> None:
         """Refuse what has no volume."""
+        refuse_trained(self)
         if self.neighbours < 2:
             raise ValueError(f"Expected neighbours to be 2 or more, got {self.neighbours}")
         floors = self.floor if isinstance(self.floor, tuple) else (self.floor,)
@@ -138,6 +140,10 @@ class NeighbourEntropy:
     metric: StateMetric
     neighbours: int = 4
     floor: float = 1e-9
+
+    def __post_init__(self) -> None:
+        """Refuse what would drop a gradient."""
+        refuse_trained(self)
 
     def __call__(self, states: Float[Tensor, "*b N D"], log_weights: Float[Tensor, "*#b N"]) -> Float[Tensor, "*b"]:
         """Entropy of each set."""

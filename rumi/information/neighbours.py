@@ -13,6 +13,7 @@ from torch import Tensor
 from rumi.weights import check_weights
 from sdf import backend, compiled
 from sdf.check import check_finite, is_eager
+from sdf.numbers import refuse_trained
 from sdf.so3 import wrap
 
 # bytes of pairwise differences that are held at once
@@ -36,6 +37,7 @@ class StateMetric:
 
     def __post_init__(self) -> None:
         """Refuse what is no metric."""
+        refuse_trained(self)
         if len(self.scales) != len(self.angles) or not self.scales:
             raise ValueError(f"Expected as many scales as angles, got {len(self.scales)} and {len(self.angles)}")
         if not min(self.scales) > 0:
@@ -92,8 +94,7 @@ def unique_states(
         ValueError: no states, some that are not finite, or weights as `check_weights` refuses them.
     """
     check_weights(log_weights)
-    if is_eager():
-        check_finite("states", states)
+    check_finite("states", states)
     log_weights = log_weights.expand(states.shape[:-1]).log_softmax(-1)
     flat, weights = states.reshape(-1, *states.shape[-2:]), log_weights.reshape(-1, states.shape[-2])
     version = backend.dispatch("leading_states", flat, weights)
@@ -139,12 +140,12 @@ def neighbours(
 @backend.register("leading_states")
 def _leaders(flat: Float[Tensor, "B N D"], weights: Float[Tensor, "B N"], metric: StateMetric) -> Int[Tensor, "B N"]:
     """The first state of weight that is equal to each; 0 where there is none."""
-    leader = torch.empty(weights.shape, dtype=torch.long, device=flat.device)
+    leaders = [torch.zeros(0, weights.shape[-1], dtype=torch.long, device=flat.device)]
     for part in _parts(flat):
         same = (metric.difference(flat[part, :, None], flat[part, None]) == 0).all(-1)
-        same &= (weights[part] > -math.inf)[:, None, :]
-        leader[part] = same.to(torch.uint8).argmax(-1)
-    return leader
+        same = same & (weights[part] > -math.inf)[:, None, :]
+        leaders.append(same.to(torch.uint8).argmax(-1))
+    return torch.cat(leaders)
 
 
 @backend.register("leading_states", "numba", compiled.supports)
@@ -167,10 +168,12 @@ def _nearest(
 ) -> tuple[Float[Tensor, "B N D"], Float[Tensor, "B N"], Float[Tensor, "B N"]]:
     """Sides, distance and mass of the `used` nearest of each state that is `first`."""
     size, dims = flat.shape[1:]
-    sides, distance, mass = torch.zeros_like(flat), torch.zeros_like(weights), torch.zeros_like(weights)
-    take = min(size, int(used.max()) + (not include_self)) if len(used) else 0
+    nothing = torch.zeros_like(flat), torch.zeros_like(weights), torch.zeros_like(weights)
+    # what is traced sorts all: how many count is in the values
+    take = size if not is_eager() else min(size, int(used.max()) + (not include_self)) if len(used) else 0
     if take < 2:
-        return sides, distance, mass
+        return nothing
+    found = []
     rank = torch.arange(take, device=flat.device)
     own = torch.eye(size, dtype=torch.bool, device=flat.device)
     for part in _parts(flat):
@@ -187,11 +190,12 @@ def _nearest(
         low = torch.where(counts[..., None], around, torch.full_like(around, math.inf)).amin(2)
         others = counts & (rank > 0)
         valid = first[part] & others.any(-1)
-        sides[part] = torch.where(valid[..., None], high - low, 0.0)
+        sides = torch.where(valid[..., None], high - low, 0.0)
         farthest = torch.where(others, near.values, torch.zeros_like(near.values)).amax(-1)
-        distance[part] = torch.where(valid, torch.where(valid, farthest, 1.0).sqrt(), 0.0)
+        distance = torch.where(valid, torch.where(valid, farthest, 1.0).sqrt(), 0.0)
         held = weights[part, None, :].expand(-1, size, -1).gather(2, near.indices)
-        mass[part] = torch.where(valid, torch.where(others, held, 0.0).sum(-1), 0.0)
+        found.append((sides, distance, torch.where(valid, torch.where(others, held, 0.0).sum(-1), 0.0)))
+    sides, distance, mass = (torch.cat(column) for column in zip(*found, strict=True))
     return sides, distance, mass
 
 

@@ -205,6 +205,7 @@ class StopEvidence(NamedTuple):
         apc: average pairwise chamfer distance of the particles, metres (RUMI, Eq 33).
         diagonal: of the object's bounding box, metres.
         contacts: actions so far that touched the object.
+        p_right: probability that the belief's best pose is within the task's tolerance, modulo symmetry.
     """
 
     expected_nll: float
@@ -212,6 +213,7 @@ class StopEvidence(NamedTuple):
     apc: float
     diagonal: float
     contacts: int
+    p_right: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -221,13 +223,15 @@ class StopSettings:
     Attributes:
         rule: "self" stops where the expected nll is below `expected_nll` and some particle fits all
             observations (`fit`); "apc" is the paper's, APC below `apc_ratio` of the object's diagonal, which
-            a mug of unknown yaw meets at once, since its handle is 6 % of its surface; "never" does not stop.
+            a mug of unknown yaw meets at once, since its handle is 6 % of its surface; "probability" stops where the
+            best pose is right with a `probability`; "never" does not stop.
         expected_nll: nats over 500 points.
         fit: least discrepancy allowed, of the best particle.
         fit_a_contact: by which more is allowed for each action that touched the object: errors of its measured motion
             add up, so that what was felt before them no longer fits what is felt after them.
         contacts: actions that must have touched the object.
         apc_ratio: beta_t.
+        probability: that the best pose is within the task's tolerance, as the belief has it.
     """
 
     rule: str = "self"
@@ -236,9 +240,12 @@ class StopSettings:
     fit_a_contact: float = 0.5
     contacts: int = 1
     apc_ratio: float = 0.03
+    probability: float = 0.95
 
     def __post_init__(self) -> None:
-        """Refuse unknown rules."""
+        """Refuse unknown rules, and what is no probability."""
+        if not 0 < self.probability <= 1:
+            raise UsageError(f"Expected probability in (0, 1], got {self.probability}")
         if self.rule not in STOP_RULES:
             raise UsageError(f"There is no stop rule {self.rule!r}; there are {', '.join(STOP_RULES)}")
 
@@ -250,13 +257,51 @@ STOP_RULES: Table[StopRule] = Table("stop rule", "rumi.stop_rules")
 """All rules by name."""
 
 
+class Shortfall(NamedTuple):
+    """A part of a stopping rule that does not hold.
+
+    Attributes:
+        part: "fit", no pose explains the observations; "contacts", too few actions touched the object; "spread", poses
+            that explain them differ too much; "rule", a rule without parts.
+        value: of the belief.
+        allowed: bound of it.
+    """
+
+    part: Literal["fit", "contacts", "spread", "rule"]
+    value: float
+    allowed: float
+
+
+def shortfalls(settings: StopSettings, now: StopEvidence) -> tuple[Shortfall, ...]:
+    """The parts of the rule of some settings that do not hold; none where it does."""
+    if settings.rule == "self":
+        allowed = settings.fit + settings.fit_a_contact * now.contacts
+        parts = (
+            (now.fit < allowed, Shortfall("fit", now.fit, allowed)),
+            (now.contacts >= settings.contacts, Shortfall("contacts", now.contacts, settings.contacts)),
+            (now.expected_nll < settings.expected_nll, Shortfall("spread", now.expected_nll, settings.expected_nll)),
+        )
+        return tuple(part for holds, part in parts if not holds)
+    if converged(settings, now):
+        return ()
+    if settings.rule == "probability":
+        if now.contacts < settings.contacts:
+            return (Shortfall("contacts", now.contacts, settings.contacts),)
+        return (Shortfall("spread", now.p_right, settings.probability),)
+    if settings.rule == "apc":
+        return (Shortfall("spread", now.apc, settings.apc_ratio * now.diagonal),)
+    return (Shortfall("rule", math.nan, math.nan),)
+
+
 def _self_consistent(settings: StopSettings, now: StopEvidence) -> bool:
-    fits = now.fit < settings.fit + settings.fit_a_contact * now.contacts
-    return now.expected_nll < settings.expected_nll and fits and now.contacts >= settings.contacts
+    return not shortfalls(settings, now)
 
 
 STOP_RULES.add("self", _self_consistent)
 STOP_RULES.add("apc", lambda settings, now: now.apc < settings.apc_ratio * now.diagonal)
+STOP_RULES.add(
+    "probability", lambda settings, now: now.p_right >= settings.probability and now.contacts >= settings.contacts
+)
 STOP_RULES.add("never", lambda settings, now: False)
 
 

@@ -20,6 +20,7 @@ _HUBER_M = 0.004  # residuals beyond it count linearly
 _FEWEST = 20  # points that a correction is made from
 _MOST = 1500  # of them
 _SHIFTS_M = (-0.016, -0.008, 0.008, 0.016)  # starts along each axis
+_PATCH = 1 / 3  # of the object's diagonal: points within less are one patch, which fits in many places
 _WEAK = 0.03  # of the largest singular value: a direction that the points say less about is left alone
 
 
@@ -30,14 +31,16 @@ class Alignment:
     Attributes:
         surface: signed distances of the surface points (n), metres, positive outside.
         free: the same of the free points (m).
-        correction: (4, 4), world motion that lays the surface points best on the model; None with too few points.
+        correction: (4, 4), world motion that lays the surface points best on the model; None where they cannot tell.
         corrected: signed distances of the surface points after it (n).
+        untold: why they cannot.
     """
 
     surface: Float[Tensor, "n"]
     free: Float[Tensor, "m"]
     correction: Float[Tensor, "4 4"] | None
     corrected: Float[Tensor, "n"]
+    untold: str = ""
 
     def text(self) -> str:
         """A few lines for people."""
@@ -57,6 +60,8 @@ class Alignment:
                 f"nearest  if all were moved by ({x:.1f}, {y:.1f}, {z:.1f}) mm and turned by ({about}) degrees "
                 f"about the object's origin: {_spread(self.corrected)}"
             )
+        elif len(self.surface):
+            lines.append(f"nearest  {self.untold}: this says nothing about how all would have to be moved")
         return "\n".join(lines)
 
 
@@ -74,8 +79,14 @@ def align(points: Observation, world_T_object: Float[Tensor, "4 4"], sdf: SDF) -
     with torch.no_grad():
         signed = sdf.distance(se3.apply(se3.inverse(pose), surface))
         away = sdf.distance(se3.apply(se3.inverse(pose), free))
+    across = float((surface.amax(0) - surface.amin(0)).norm()) if len(surface) else 0.0
+    untold = ""
     if len(surface) < _FEWEST:
-        return Alignment(signed, away, None, signed)
+        untold = f"fewer than {_FEWEST} points"
+    elif across < _PATCH * float((sdf.bounds[1] - sdf.bounds[0]).norm()):
+        untold = f"one patch, {1e3 * across:.0f} mm across"
+    if untold:
+        return Alignment(signed, away, None, signed, untold)
     moved = _nearest(surface, pose, sdf)
     with torch.no_grad():
         corrected = sdf.distance(se3.apply(se3.inverse(pose) @ moved, surface))

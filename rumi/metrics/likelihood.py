@@ -10,6 +10,7 @@ from rumi.belief.particles import PoseBelief
 from sdf import backend, compiled, se3
 from sdf.base import SDF
 from sdf.posed import posed_distance
+from sdf.precision import full_precision
 from sensors.semantics import log_surface_probability
 
 # bytes that a chunk of a table over pairs of a pose and a point may take, temporaries included
@@ -17,14 +18,15 @@ CHUNK_BYTES = 64 * 2**20
 _TEMPORARIES = 9  # numbers of a pair that live at once
 
 
+@full_precision
 def negative_log_likelihood(
     world_T_object: Float[Tensor, "*b N 4 4"],
     log_weights: Float[Tensor, "*b N"],
     truth: Float[Tensor, "*b 4 4"],
     surface_points_o: Float[Tensor, "S 3"],
     sdf: SDF,
-    sharpness: float = 100.0,
-    tolerance: float = 0.003,
+    sharpness: float | Tensor = 100.0,
+    tolerance: float | Tensor = 0.003,
 ) -> Float[Tensor, "*b"]:
     """Nll of the true surface under the belief, nats, 0 or more (RUMI, Eqs 34-36).
 
@@ -51,14 +53,15 @@ class SelfAgreement(NamedTuple):
     apc: Float[Tensor, "*b"]
 
 
+@full_precision
 def self_agreement(
     belief: PoseBelief,
     surface_points_o: Float[Tensor, "S 3"],
     sdf: SDF,
     *,
     nll_points: int = 500,
-    sharpness: float = 100.0,
-    tolerance: float = 0.003,
+    sharpness: float | Tensor = 100.0,
+    tolerance: float | Tensor = 0.003,
 ) -> SelfAgreement:
     """Expected nll and APC from one table sdf(T_i W_j x) over all pairs of particles.
 
@@ -75,7 +78,8 @@ def self_agreement(
         tolerance: of the sensor model, m.
     """
     pose, points = belief.attached_T_object, surface_points_o.to(belief.attached_T_object)
-    version = backend.dispatch("self_agreement", pose, belief.log_weights, points, *sdf.tensors())
+    numbers = [value for value in (sharpness, tolerance) if isinstance(value, Tensor)]
+    version = backend.dispatch("self_agreement", pose, belief.log_weights, points, *sdf.tensors(), *numbers)
     nll, apc = version(pose, belief.log_weights, points, sdf, sharpness, tolerance)
     scale = nll_points / max(len(points), 1)
     return SelfAgreement((belief.weights * nll).sum(-1) * scale, apc)
@@ -87,8 +91,8 @@ def _self_agreement(
     log_weights: Float[Tensor, "*b N"],
     points: Float[Tensor, "S 3"],
     sdf: SDF,
-    sharpness: float,
-    tolerance: float,
+    sharpness: float | Tensor,
+    tolerance: float | Tensor,
 ) -> tuple[Float[Tensor, "*b N"], Float[Tensor, "*b"]]:
     """Nll of each particle as if it were the truth, nats over the points, and the APC."""
     batch, count = pose.shape[:-3], pose.shape[-3]
@@ -111,7 +115,12 @@ def _size(like: Tensor, pairs: int) -> int:
 
 @backend.register("self_agreement", "numba", compiled.supports)
 def _self_agreement_numba(
-    pose: Tensor, log_weights: Tensor, points: Tensor, sdf: SDF, sharpness: float, tolerance: float
+    pose: Tensor,
+    log_weights: Tensor,
+    points: Tensor,
+    sdf: SDF,
+    sharpness: float | Tensor,
+    tolerance: float | Tensor,
 ) -> tuple[Tensor, Tensor]:
     """The same pair by pair, without a table of all."""
     from sdf.grid_numba import grid_arguments
@@ -126,6 +135,6 @@ def _self_agreement_numba(
     kind, (nll, distance) = poses.dtype.type, torch.empty(2, *poses.shape[:2], dtype=torch.float64)
     by_axis = points.detach().mT.reshape(-1).numpy()
     table = grid_arguments(sdf, pose.dtype)
-    kernel(poses, logs, by_axis, table, kind(sharpness), kind(tolerance), nll.numpy(), distance.numpy())
+    kernel(poses, logs, by_axis, table, kind(float(sharpness)), kind(float(tolerance)), nll.numpy(), distance.numpy())
     batch = pose.shape[:-3]
     return nll.to(log_weights).view(*batch, -1), distance.mean(-1).to(pose).view(batch)

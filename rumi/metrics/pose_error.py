@@ -4,9 +4,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf import se3
+from sdf.precision import full_precision
 from sdf.symmetry import Symmetries
 
 
+@full_precision
 def pose_error(
     estimate: Float[Tensor, "*b 4 4"], truth: Float[Tensor, "*b 4 4"], symmetries: Symmetries
 ) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"]]:

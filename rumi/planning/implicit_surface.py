@@ -1,6 +1,5 @@
 """Gaussian-process implicit surface: a zero level set with a variance at each point (RUMI, V-H)."""
 
-import importlib
 import math
 from collections.abc import Callable
 from types import ModuleType
@@ -10,8 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.errors import UsageError
 from sdf.check import check_shape
+from sdf.extras import optional
 from sdf.voxel_grid import lattice_keys
 
 # points whose covariances with the data are held at once: few enough for the processor's cache
@@ -53,21 +52,17 @@ def library() -> ModuleType:
     """The library of Gaussian processes.
 
     Raises:
-        UsageError: it is not installed.
+        ModuleNotFoundError: it is not installed.
     """
-    try:
-        return importlib.import_module("gpytorch")
-    except ImportError as error:
-        raise UsageError(
-            f"The methods gpvr and gpvr-greedy need gpytorch ({error}): pip install 'rumi[baselines]'"
-        ) from error
+    library: ModuleType = optional("gpytorch", "The method gpvr")
+    return library
 
 
 def prepare() -> None:
     """Load all that a fit needs, which takes seconds the first time: not in the midst of a plan.
 
     Raises:
-        UsageError: the library is not installed.
+        ModuleNotFoundError: the library is not installed.
     """
     fit(Labelled(torch.eye(2, 3, dtype=torch.float64), torch.arange(2.0, dtype=torch.float64)), steps=1)
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from rumi.dynamics.tool_lookup import FieldSampler
-from sdf.check import check_shape
+from sdf.check import check_shape, eager_only
 from sdf.voxel_grid import VoxelGrid
 
 
@@ -88,6 +88,7 @@ class ReachabilityCost:
         check_shape("displacements", displacements, "(*b, H, 3)", last=(3,))
         share = self._share(self._share.place(displacements.reshape(1, -1, 3))).view(displacements.shape[:-1])
         if turns is not None and pivot is not None:
+            eager_only("the reachability cost of turns", "a turn's table is made where one first needs it")
             # each by itself: what a row costs must not hang on whether another one turns
             turned = turns != 0
             if bool(turned.any()):

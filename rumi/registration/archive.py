@@ -24,7 +24,9 @@ def orientation_bins(rotation: Float[Tensor, "N 3 3"], width_rad: float, search:
     return torch.cat([(part.flatten(1) @ centres.flatten(1).T).argmax(-1) for part in rotation.split(256)])
 
 
-def fill(bins: Int[Tensor, "N"], discrepancy: Float[Tensor, "N"], margin: float, count: int) -> Int[Tensor, "P"]:
+def fill(
+    bins: Int[Tensor, "N"], discrepancy: Float[Tensor, "N"], margin: float | Tensor, count: int
+) -> Int[Tensor, "P"]:
     """Indices of `count` particles, round robin over the bins' elites, best first, all within `margin` of the best.
 
     Every bin with a plausible pose is served before any bin is served twice; where the plausible poses run out,

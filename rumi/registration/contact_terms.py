@@ -18,6 +18,7 @@ from sdf.mesh.triangles import closest_point
 _PAIRS = 1 << 17
 # metres: nearer than this, the direction to the surface is the triangle's normal
 _ON, _LEAST = 1e-9, 1e-12
+_FAR = 500.0  # nats: farther out an outlier is one, and exponentials would not be finite
 
 
 NOISE_M = (1e-9, 1e3)
@@ -41,6 +42,8 @@ class LocalizeSettings:
             best pose leaves, and `least_noise_m` at least.
         least_noise_m: lower bound of an estimated `noise_m`.
         normal_noise_rad: how far normals are off, a standard deviation (the paper's 6 degrees).
+        outlier: share of touches that may be anywhere on or about the object, 0 for none: a touch beside it, or of
+            another thing.
         mode_m, mode_rad: poses nearer to each other than both, up to the object's symmetries, are one mode.
         plausible: least likelihood of a mode that is kept, relative to the best.
         kept: modes that are kept at most, the heaviest.
@@ -57,6 +60,7 @@ class LocalizeSettings:
     noise_m: float | None = None
     least_noise_m: float = 0.001
     normal_noise_rad: float = math.radians(6.0)
+    outlier: float = 0.05
     mode_m: float = 0.01
     mode_rad: float = 0.2
     plausible: float = 1e-6
@@ -70,6 +74,8 @@ class LocalizeSettings:
         for name in ("least_noise_m", "normal_noise_rad", "mode_m", "mode_rad"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if not 0 <= self.outlier < 1:
+            raise ValueError(f"Expected outlier, a share of the touches, of 0 or more and below 1, got {self.outlier}")
         least, most = NOISE_M
         if not self.least_noise_m <= most:
             raise ValueError(f"Expected least_noise_m of {most:g} m at most, got {self.least_noise_m}")
@@ -77,6 +83,17 @@ class LocalizeSettings:
             raise ValueError(f"Expected noise_m of {least:g} to {most:g} m, got {self.noise_m}")
         if not (0 <= self.from_prior <= 1 and 0 < self.plausible <= 1):
             raise ValueError(f"Expected from_prior in [0, 1] and plausible in (0, 1], got {self}")
+
+    def outlier_odds(self, noise_m: float | Tensor, diagonal_m: float, *, normals: bool) -> float | Tensor:
+        """Odds of an outlier, even over signed distances of a diagonal and all normals, against a touch on the surface.
+
+        Args:
+            noise_m: scale of the Laplace distribution of distances.
+            diagonal_m: of the object's box.
+            normals: whether touches have them.
+        """
+        beside = 0.5 * self.normal_noise_rad**2 if normals else 1.0
+        return self.outlier / (1.0 - self.outlier) * beside * (2.0 / diagonal_m) * noise_m
 
 
 @dataclass(frozen=True)
@@ -89,6 +106,9 @@ class TouchFit:
         reach_m: sigma_p / sigma_n, by which normals count where there are some.
         noise_m: sigma_p, by which distances weigh against normals in the absolute loss.
         smooth_m: the absolute loss is sqrt(d^2 + smooth^2); 0 for the distance itself, which has a kink.
+        outlier: gamma, odds of an outlier against a touch that lies on the surface; 0 for none. A touch then counts by
+            its chance of being none, 1 / (1 + gamma e^l) with l nats of the absolute loss, and costs -log(e^-l + gamma)
+            there, which is bounded (a mixture likelihood).
     """
 
     loss: Literal["square", "absolute"] = "square"
@@ -96,6 +116,12 @@ class TouchFit:
     reach_m: float = 0.0
     noise_m: float = 0.005
     smooth_m: float = 3e-5
+    outlier: float = 0.0
+
+    @property
+    def normal_nats(self) -> float:
+        """Of a squared chord between normals."""
+        return 0.5 * (self.reach_m / self.noise_m) ** 2
 
     @property
     def normal_weight(self) -> float:
@@ -160,16 +186,21 @@ def _terms_of(surface: TouchSurface, pose: Tensor, points: Tensor, normals: Tens
     else:
         loss = (distance.square() + fit.smooth_m**2).sqrt()
         weight = 1.0 / loss.clamp_min(_LEAST)
-    gradient = ((weight * distance)[..., None] * rows).sum(-2)
-    hessian = (weight[..., None] * rows).mT @ rows
-    objective = loss.sum(-1)
+    amount, chord = (fit.normal_weight if fit.reach_m else 0.0), (normals - facing).square().sum(-1)
+    loss, share = loss + amount * chord, torch.ones_like(distance)
+    if fit.outlier:
+        nats = (distance.square() + fit.smooth_m**2).sqrt() / fit.noise_m + fit.normal_nats * chord
+        share = 1.0 / (1.0 + fit.outlier * nats.clamp_max(_FAR).exp())
+        bounded = -fit.noise_m * ((-nats).exp() + fit.outlier).log()
+        loss = bounded if fit.loss == "absolute" else share * loss
+    gradient = ((share * weight * distance)[..., None] * rows).sum(-2)
+    hessian = ((share * weight)[..., None] * rows).mT @ rows
     if fit.reach_m:
-        amount = fit.normal_weight
-        objective = objective + amount * (normals - facing).square().sum((-2, -1))
-        gradient[:, 3:] -= 2.0 * amount * torch.linalg.cross(facing, normals.expand_as(facing)).sum(-2)
+        turned = torch.linalg.cross(facing, normals.expand_as(facing))
+        gradient[:, 3:] -= 2.0 * amount * (share[..., None] * turned).sum(-2)
         cross = so3.hat(facing)
-        hessian[:, 3:, 3:] += 2.0 * amount * (cross.mT @ cross).sum(-3)
-    return Terms(objective, gradient, hessian)
+        hessian[:, 3:, 3:] += 2.0 * amount * (share[..., None, None] * (cross.mT @ cross)).sum(-3)
+    return Terms(loss.sum(-1), gradient, hessian)
 
 
 @backend.register("touch_terms", "numba", compiled.supports)
@@ -192,6 +223,9 @@ def _terms_numba(surface: TouchSurface, pose: Tensor, points: Tensor, normals: T
         fit.loss == "absolute",
         float(fit.smooth_m),
         float(fit.normal_weight) if fit.reach_m else 0.0,
+        float(fit.normal_nats),
+        float(fit.noise_m),
+        float(fit.outlier),
         *(x.numpy() for x in result),
     )
     return Terms(*(x.to(pose) for x in result))

@@ -10,7 +10,7 @@ from sdf.mesh.tree_numba import closest
 from sdf.part_numba import indices
 
 _STACK = 64
-_ON, _LEAST = 1e-9, 1e-12
+_ON, _LEAST, _FAR = 1e-9, 1e-12, 500.0
 
 
 @bare
@@ -22,7 +22,7 @@ def _cell(x, low, step, count):
 
 def _terms(
     poses, points, normals, corners, owner, boxes, faces, facing, cells, low, step, exact, reach, absolute, smooth,
-    amount, objective, gradient, hessian, part,
+    amount, nats, noise, outlier, objective, gradient, hessian, part,
 ):  # fmt: skip
     for n in indices(part, len(poses)):
         stack, gaps = np.empty(_STACK, np.int64), np.empty(_STACK)
@@ -64,30 +64,44 @@ def _terms(
                 ux, uy, uz = fx, fy, fz
             row[0], row[1], row[2] = -ux, -uy, -uz
             row[3], row[4], row[5] = az * uy - ay * uz, ax * uz - az * ux, ay * ux - ax * uy
+            chord = (wx - fx) ** 2 + (wy - fy) ** 2 + (wz - fz) ** 2 if amount > 0.0 else 0.0
             weight, loss = 1.0, 0.5 * square
+            rounded = math.sqrt(square + smooth * smooth)
             if absolute:
-                loss = math.sqrt(square + smooth * smooth)
+                loss = rounded
                 weight = 1.0 / max(loss, _LEAST)
-            total += loss
+            share, worth = 1.0, amount
+            if outlier > 0.0:
+                cost = rounded / noise + nats * chord
+                share = 1.0 / (1.0 + outlier * math.exp(min(cost, _FAR)))
+                worth = amount * share
+                if absolute:
+                    total -= noise * math.log(math.exp(-cost) + outlier)
+                else:
+                    total += share * (loss + amount * chord)
+                weight *= share
+            else:
+                total += loss
             for i in range(6):
                 gradient[n, i] += weight * distance * row[i]
                 for j in range(6):
                     hessian[n, i, j] += weight * row[i] * row[j]
             if amount > 0.0:
-                total += amount * ((wx - fx) ** 2 + (wy - fy) ** 2 + (wz - fz) ** 2)
-                gradient[n, 3] -= 2.0 * amount * (fy * wz - fz * wy)
-                gradient[n, 4] -= 2.0 * amount * (fz * wx - fx * wz)
-                gradient[n, 5] -= 2.0 * amount * (fx * wy - fy * wx)
+                if outlier == 0.0:
+                    total += amount * chord
+                gradient[n, 3] -= 2.0 * worth * (fy * wz - fz * wy)
+                gradient[n, 4] -= 2.0 * worth * (fz * wx - fx * wz)
+                gradient[n, 5] -= 2.0 * worth * (fx * wy - fy * wx)
                 all_of = fx * fx + fy * fy + fz * fz
-                hessian[n, 3, 3] += 2.0 * amount * (all_of - fx * fx)
-                hessian[n, 4, 4] += 2.0 * amount * (all_of - fy * fy)
-                hessian[n, 5, 5] += 2.0 * amount * (all_of - fz * fz)
-                hessian[n, 3, 4] -= 2.0 * amount * fx * fy
-                hessian[n, 4, 3] -= 2.0 * amount * fx * fy
-                hessian[n, 3, 5] -= 2.0 * amount * fx * fz
-                hessian[n, 5, 3] -= 2.0 * amount * fx * fz
-                hessian[n, 4, 5] -= 2.0 * amount * fy * fz
-                hessian[n, 5, 4] -= 2.0 * amount * fy * fz
+                hessian[n, 3, 3] += 2.0 * worth * (all_of - fx * fx)
+                hessian[n, 4, 4] += 2.0 * worth * (all_of - fy * fy)
+                hessian[n, 5, 5] += 2.0 * worth * (all_of - fz * fz)
+                hessian[n, 3, 4] -= 2.0 * worth * fx * fy
+                hessian[n, 4, 3] -= 2.0 * worth * fx * fy
+                hessian[n, 3, 5] -= 2.0 * worth * fx * fz
+                hessian[n, 5, 3] -= 2.0 * worth * fx * fz
+                hessian[n, 4, 5] -= 2.0 * worth * fy * fz
+                hessian[n, 5, 4] -= 2.0 * worth * fy * fz
         objective[n] = total
 
 

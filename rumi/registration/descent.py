@@ -9,7 +9,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sdf import backend, compiled, se3, so3
+from sdf.numbers import refuse_trained
 from sdf.posed import posed_distance, posed_query
+from sdf.precision import full_precision
 from sensors.discrepancy import Discrepancy, poses_at_once, residuals
 from sensors.observation import Observation
 from sensors.semantics import Semantics
@@ -44,6 +46,7 @@ class DescentSettings:
 
     def __post_init__(self) -> None:
         """Refuse what is not a method or a count."""
+        refuse_trained(self)
         if self.method not in ("gauss-newton", "adam"):
             raise ValueError(f"Expected descent method gauss-newton or adam, got {self.method!r}")
         if self.iterations < 0:
@@ -68,6 +71,7 @@ class Pairs(NamedTuple):
     semantics: Int[Tensor, "K"]
 
 
+@full_precision
 def descend(
     discrepancy: Discrepancy,
     frame_T_object: Float[Tensor, "*b N 4 4"],

@@ -10,7 +10,15 @@ from torch import Tensor
 
 from rumi import seeding
 from rumi.registration.archive import super_fibonacci
-from rumi.registration.contact_modes import Localization, distinct, gather_modes
+from rumi.registration.contact_modes import (
+    Localization,
+    distinct,
+    gather_modes,
+    mixture,
+    noise_scale,
+    plausible_modes,
+    touches_off,
+)
 from rumi.registration.contact_terms import LocalizeSettings as LocalizeSettings
 from rumi.registration.contact_terms import TouchFit, touch_terms
 from rumi.registration.descent import DescentSettings, Terms, gauss_newton
@@ -24,6 +32,7 @@ from sdf.symmetry import Symmetries
 # of the object's diagonal: points further apart than the first were not all on it; nearer together than the second say
 # nothing; and of the points' length, what they need across for a plane
 _APART, _TOGETHER, _ACROSS = 2.0, 1e-3, 1e-3
+_MOST_NEAR = 2.0 / 3.0  # share of the points that has to be near the others, for those far off to be left out
 _UNIT = 0.02
 _SCALES = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254}
 _TURNS = 997  # that the starts' orientations may be turned by, all of them alike
@@ -54,6 +63,9 @@ def localize(
 ) -> Localization:
     """All poses of an object that explain where it was touched, over all of SE(3).
 
+    A few touches may be bad: the likelihood is a mixture of a Laplace distribution of distances and a share of outliers
+    (`LocalizeSettings.outlier`), and those too far from the others to be on the object are left out (`left_out`).
+
     Starts turned evenly all over, the middle of the object's box about the points' mean, descend on squared distances
     to the surface; the best of them, and the best of what is unlike those, on distances, which a few touches that are
     far off disturb less. Poses alike up to the object's symmetries then make a mode.
@@ -77,7 +89,8 @@ def localize(
     surface = TouchSurface.of(shape, symmetries)
     if symmetries is not None:
         surface = replace(surface, symmetries=symmetries.to(torch.float64))
-    points, facing = check_contacts(surface, points_w, normals)
+    every, facing, near = check_contacts(surface, points_w, normals)
+    points, facing = every[near], _of(facing, near)
     if clip and prior is None:
         raise ValueError("Expected a prior to clip by, got none: give its centre and radius")
     box = None if prior is None else _checked(prior)
@@ -96,6 +109,13 @@ def localize(
     absolute = TouchFit("absolute", True, reach, noise)
     poses = poses[_to_polish(surface, poses, rough, settings)]
     poses = _descended(surface, poses, points[rest], _of(facing, rest), absolute, settings.fine)
+    scale = noise_scale(surface, poses, points[rest], _of(facing, rest), settings)
+    if settings.outlier:
+        fit = mixture(surface, scale, settings, normals=facing is not None)
+        _, unlike = plausible_modes(surface, poses, points[rest], _of(facing, rest), fit, settings)
+        fit = replace(fit, smooth_m=absolute.smooth_m)
+        settled = _descended(surface, poses[unlike], points[rest], _of(facing, rest), fit, settings.fine)
+        poses = torch.cat((poses, settled))
     if clip and box is not None:
         origin = surface.uncentred(poses)[:, :3, 3]
         inside = ((origin - box.center).abs() <= box.radius).all(-1)
@@ -105,7 +125,11 @@ def localize(
                 "out clip (the prior then only seeds starts), or widen the prior"
             )
         poses = poses[inside]
-    return gather_modes(surface, poses, points, facing, settings)
+    found = gather_modes(surface, poses, points, facing, settings, scale)
+    if bool(near.all()):
+        return found
+    off, _ = touches_off(surface, surface.centred(found.world_T_object), every, None, 0.0)
+    return replace(found, points=len(every), off_m=off, left_out=~near)
 
 
 def gain_of_turned_normals(
@@ -201,8 +225,10 @@ def _checked(prior: PositionPrior) -> PositionPrior:
     return PositionPrior(center, radius)
 
 
-def check_contacts(surface: TouchSurface, points: Tensor, normals: Tensor | None) -> tuple[Tensor, Tensor | None]:
-    """Points and normals in float64 on the CPU.
+def check_contacts(
+    surface: TouchSurface, points: Tensor, normals: Tensor | None
+) -> tuple[Tensor, Tensor | None, Tensor]:
+    """Points and normals in float64 on the CPU, and which points are near enough to the others to be on the object.
 
     Raises:
         ValueError: what is wrong with them, and what to do.
@@ -222,7 +248,11 @@ def check_contacts(surface: TouchSurface, points: Tensor, normals: Tensor | None
                 f"{worst + 1} of length {float(normals[worst].norm()):.4g}: divide each by its length"
             )
         normals = torch.nn.functional.normalize(normals, dim=-1)
-    size = float((points.amax(0) - points.amin(0)).norm())
+    # of all that touch one object none is farther than its diagonal from the median; a few may touch another thing
+    near = (points - points.median(0).values).norm(dim=-1) <= surface.diagonal
+    if int(near.sum()) < max(3, _MOST_NEAR * len(points)) or _size(points) <= _APART * surface.diagonal:
+        near = torch.ones_like(near)
+    size = _size(points[near])
     if size > _APART * surface.diagonal:
         fits = [f"{name} ({x:g})" for name, x in _SCALES.items() if size * x <= _APART * surface.diagonal]
         guess = f"are they in {' or '.join(fits)}, or the mesh in another unit?" if fits else "are they on one object?"
@@ -230,10 +260,11 @@ def check_contacts(surface: TouchSurface, points: Tensor, normals: Tensor | None
             f"Expected points in metres on one object of {surface.diagonal:.4g} m across, got {size:.4g} m from first "
             f"to last: {guess} Scale them (on the command line --points-scale ...)"
         )
-    spread = torch.linalg.svdvals(points - points.mean(0))
+    inner = points[near]
+    spread = torch.linalg.svdvals(inner - inner.mean(0))
     if not float(spread[0]) > _TOGETHER * surface.diagonal:
         raise ValueError(
-            f"Expected points at different places, got all {len(points)} within {1e3 * size:.3g} mm: touch elsewhere, "
+            f"Expected points at different places, got all {len(inner)} within {1e3 * size:.3g} mm: touch elsewhere, "
             "or are they in another unit (on the command line --points-scale ...)?"
         )
     if float(spread[1]) < _ACROSS * float(spread[0]):
@@ -241,7 +272,11 @@ def check_contacts(surface: TouchSurface, points: Tensor, normals: Tensor | None
             f"Expected points that are not all on one line, got {len(points)} on one: the object could turn about it "
             "as it likes; touch beside it too"
         )
-    return points, normals
+    return points, normals, near
+
+
+def _size(points: Tensor) -> float:
+    return float((points.amax(0) - points.amin(0)).norm())
 
 
 def _finite_rows(name: str, values: Tensor) -> Tensor:

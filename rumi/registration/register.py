@@ -103,7 +103,7 @@ def uniform_starts(
 def register(
     discrepancy: Discrepancy,
     observation: Observation,
-    peakiness: float,
+    peakiness: float | Tensor,
     settings: RegisterSettings | None = None,
     *,
     starts: Float[Tensor, "N 4 4"] | None = None,

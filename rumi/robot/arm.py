@@ -1,6 +1,7 @@
 """Robot arm: kinematics and batched inverse kinematics, which set how far the tool gets."""
 
 import math
+import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -8,7 +9,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.errors import UsageError
 from sdf import so3
+from sdf.extras import optional
 
 
 @dataclass(frozen=True)
@@ -67,31 +70,40 @@ class IKResult(NamedTuple):
 
 
 class Arm:
-    """Forward kinematics, Jacobian and inverse kinematics of an `ArmGeometry`; needs pytorch-kinematics.
+    """Forward kinematics, Jacobian and inverse kinematics of a serial arm, batched; needs pytorch-kinematics.
+
+    Attributes:
+        low, high: (J), limits of the joints, radians, or metres of joints that slide; infinite where there is none.
 
     Args:
-        geometry: the arm.
+        urdf: text of the robot's URDF; by default of the `ArmGeometry`.
+        tip: the link at the end of the arm.
         dtype: of all it computes.
         device: where.
+
+    Raises:
+        UsageError: it is no URDF, or no arm that ends in the tip.
     """
 
     def __init__(
         self,
-        geometry: ArmGeometry | None = None,
+        urdf: str | None = None,
+        tip: str = "tool",
         *,
         dtype: torch.dtype = torch.float64,
         device: torch.device | str = "cpu",
     ) -> None:
+        pytorch_kinematics = optional("pytorch_kinematics", "The arm's reach")
+        text = ArmGeometry().urdf() if urdf is None else urdf
+        joints = _joints_to(text, tip)
+        self.joints = tuple(str(joint.get("name")) for joint in joints)
+        limits = torch.tensor([_limits(joint) for joint in joints], dtype=torch.float64)
+        self.low, self.high = limits.to(device, dtype).unbind(-1)
         try:
-            import pytorch_kinematics
-        except ImportError as error:
-            raise ImportError(
-                "The arm's reach needs pytorch-kinematics: install it with pip install 'rumi[robot]'"
-            ) from error
-        self.geometry = geometry or ArmGeometry()
-        text = self.geometry.urdf().encode()
-        self.chain = pytorch_kinematics.build_serial_chain_from_urdf(text, "tool").to(dtype=dtype, device=device)
-        self.limits = torch.tensor(self.geometry.limits_rad, dtype=dtype, device=device)
+            chain = pytorch_kinematics.build_serial_chain_from_urdf(text.encode(), tip)
+        except Exception as error:  # it raises whatever it stumbles over
+            raise UsageError(f"Expected a URDF whose links hang together by joints, got: {error}") from error
+        self.chain = chain.to(dtype=dtype, device=device)
 
     def forward(self, joints: Float[Tensor, "n J"]) -> Float[Tensor, "n 4 4"]:
         """base_T_tool at joint angles (n, J), radians."""
@@ -107,10 +119,12 @@ class Arm:
         base_T_goal: Float[Tensor, "n 4 4"],
         starts: Float[Tensor, "n J"],
         *,
-        limits: Float[Tensor, "J"] | None = None,
+        low: Float[Tensor, "J"] | None = None,
+        high: Float[Tensor, "J"] | None = None,
         rotation_scale_m: float = 0.1,
         iterations: int = 40,
         tolerance_m: float = 1e-5,
+        about: Float[Tensor, "3"] | None = None,
     ) -> IKResult:
         """Damped least squares from one start a goal; the joints never leave their limits.
 
@@ -121,18 +135,27 @@ class Arm:
         Args:
             base_T_goal: (n, 4, 4), where the tool should be.
             starts: (n, J), radians.
-            limits: (J), radians either way, where they should be tighter than the arm's.
+            low: (J), lower limits of the joints, where they should be tighter than the arm's.
+            high: (J), upper limits.
             rotation_scale_m: metres that one radian counts as.
             iterations: at most so many steps.
             tolerance_m: a row whose weighted error is below this is done.
+            about: (3,), unit axis of the tip's frame about which the tip may be turned in any way; None for none.
         """
-        limits = self.limits if limits is None else torch.minimum(limits.to(self.limits), self.limits)
-        joints = starts.clamp(-limits, limits)
+        low = self.low if low is None else torch.maximum(low.to(self.low), self.low)
+        high = self.high if high is None else torch.minimum(high.to(self.high), self.high)
+        joints = starts.clamp(low, high)
         scale = base_T_goal.new_tensor([1.0] * 3 + [rotation_scale_m] * 3)
 
         def errors(joints: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
             jacobian, pose = self.linearised(joints)
-            turn = so3.log(goal[:, :3, :3] @ pose[:, :3, :3].mT)
+            if about is None:
+                turn = so3.log(goal[:, :3, :3] @ pose[:, :3, :3].mT)
+            else:
+                is_, aim = pose[:, :3, :3] @ about, goal[:, :3, :3] @ about
+                turn = _swing(is_, aim)
+                jacobian = jacobian.clone()
+                jacobian[:, 3:] -= is_[..., None] * (is_[:, None] @ jacobian[:, 3:])
             return jacobian * scale[:, None], torch.cat((goal[:, :3, 3] - pose[:, :3, 3], turn), -1) * scale
 
         best_joints, best_error = joints.clone(), errors(joints, base_T_goal)[1]
@@ -145,11 +168,11 @@ class Arm:
         eye = torch.eye(6, dtype=joints.dtype, device=joints.device)
         for iteration in range(iterations):
             slope = (jacobian.mT @ error[..., None])[..., 0]
-            free = ~_blocked(joints, slope, limits)
+            free = ~_blocked(joints, slope, low, high)
             masked = jacobian * free[:, None, :]
             weighted = torch.linalg.solve(masked @ masked.mT + damping[:, None, None] * eye, error[..., None])
             step = (masked.mT @ weighted)[..., 0].clamp(-0.5, 0.5)
-            tried = (joints + step).clamp(-limits, limits)
+            tried = (joints + step).clamp(low, high)
             tried_jacobian, tried_error = errors(tried, goal)
             tried_cost = tried_error.square().sum(-1)
             better = tried_cost < cost
@@ -169,7 +192,60 @@ class Arm:
         return IKResult(best_joints, best_error[:, :3].norm(dim=-1), best_error[:, 3:].norm(dim=-1) / rotation_scale_m)
 
 
+def _swing(a: Float[Tensor, "n 3"], b: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    """Least turns that bring unit vectors a to b, as rotation vectors; of opposite ones, some half turn."""
+    across = torch.linalg.cross(a, b)
+    sine, cosine = across.norm(dim=-1, keepdim=True), (a * b).sum(-1, keepdim=True)
+    aside = torch.linalg.cross(a, torch.eye(3).to(a)[a.abs().argmin(-1)])
+    axis = torch.where(sine > 1e-9, across, aside * (cosine < 0))
+    return torch.nn.functional.normalize(axis, dim=-1) * torch.atan2(sine, cosine)
+
+
 def _blocked(
-    joints: Float[Tensor, "n J"], slope: Float[Tensor, "n J"], limits: Float[Tensor, "J"]
+    joints: Float[Tensor, "n J"], slope: Float[Tensor, "n J"], low: Float[Tensor, "J"], high: Float[Tensor, "J"]
 ) -> Bool[Tensor, "n J"]:
-    return ((joints <= 1e-9 - limits) & (slope < 0)) | ((joints >= limits - 1e-9) & (slope > 0))
+    return ((joints <= low + 1e-9) & (slope < 0)) | ((joints >= high - 1e-9) & (slope > 0))
+
+
+def _joints_to(urdf: str, tip: str) -> list[ElementTree.Element]:
+    """The joints that move between a URDF's root and a link, the root's first."""
+    try:
+        root = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise UsageError(f"Expected a URDF, could not read it: {error}") from error
+    links = [str(link.get("name")) for link in root.findall("link")]
+    if tip not in links:
+        raise UsageError(f"There is no link {tip!r} in the URDF; its links are {', '.join(links) or 'none'}")
+    above = {_end(joint, "child"): joint for joint in root.findall("joint")}
+    found: list[ElementTree.Element] = []
+    at = tip
+    while at in above and len(found) <= len(above):
+        found.append(above[at])
+        at = _end(above[at], "parent")
+    moving = [joint for joint in reversed(found) if joint.get("type") != "fixed"]
+    if not moving:
+        raise UsageError(f"Expected joints that move between the URDF's root and {tip!r}, got none")
+    return moving
+
+
+def _end(joint: ElementTree.Element, side: str) -> str:
+    found = joint.find(side)
+    return "" if found is None else str(found.get("link"))
+
+
+def _limits(joint: ElementTree.Element) -> tuple[float, float]:
+    """Lower and upper limit of a joint that turns or slides."""
+    name, kind, limit = joint.get("name"), joint.get("type"), joint.find("limit")
+    if kind not in ("revolute", "continuous", "prismatic"):
+        raise UsageError(f"Expected joints that turn or slide, got {name!r}, which is {kind}")
+    if joint.find("mimic") is not None:
+        raise UsageError(f"Expected joints that move by themselves, got {name!r}, which mimics another")
+    if kind == "continuous":
+        return -math.inf, math.inf
+    try:
+        low, high = (float(str(limit.get(side, 0.0))) for side in ("lower", "upper")) if limit is not None else (0, 0)
+    except ValueError:
+        low, high = math.nan, math.nan
+    if not (low < high and math.isfinite(high - low)):
+        raise UsageError(f"Expected a lower limit below the upper one for the joint {name!r}, got {low} and {high}")
+    return low, high

@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.errors import UsageError
+from rumi.robot.tool_shape import ToolShape
 from sdf import se3
 from sdf.base import SDF
 from sdf.primitives import Box, Placed
@@ -174,6 +176,20 @@ class GripperShape:
             scaled = (lattice - lattice.new_tensor(center)) / lattice.new_tensor(self.pad_m)
             inside |= scaled.square().sum(-1) <= 1.0
         return lattice[inside]
+
+
+def gripper_of(shape: ToolShape) -> GripperShape:
+    """The shape as the gripper of a palm and two pads, which alone the simulator has.
+
+    Raises:
+        UsageError: it is another tool.
+    """
+    if not isinstance(shape, GripperShape):
+        raise UsageError(
+            f"Expected the gripper of a palm and two pads, which the simulator has, got a {type(shape).__name__}: "
+            "choose the push model 'quasi-static' or 'displacement'"
+        )
+    return shape
 
 
 class Ellipsoid(SDF):

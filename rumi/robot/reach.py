@@ -98,6 +98,14 @@ class Reach(nn.Module):
         """Position error plus the metres that the rotation error counts as, at the table's nodes."""
         return self.position + self.settings.rotation_scale_m * self.rotation
 
+    words = "of the arm"
+    """What a run relies on."""
+
+    @property
+    def nodes(self) -> tuple[float, ...]:
+        """Where the table's nodes are, for `tool_numba`: step of the radius, sector, lowest and highest."""
+        return (self.settings.radius_step_m, SECTOR_RAD, *self.heights_m[:1], *self.heights_m[-1:])
+
     def residual(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b"]:
         """Position error plus the metres that the rotation error counts as, which decides what is reachable."""
         place, beyond = self._locate(q)

@@ -105,8 +105,8 @@ def solve_table(settings: ReachSettings) -> ReachTable:
     solution can be turned to any goal in that sector. And the arm is its own mirror image (the mirror turns the
     joints about z the other way, and all limits are symmetric), so that only relative yaws from 0 to pi are needed.
     """
-    arm = Arm(settings.arm)
-    limits = arm.limits.clone()
+    arm = Arm(settings.arm.urdf())
+    limits = arm.high.clone()
     limits[0] -= SECTOR_RAD
     radii, yaws = table_shape(settings)
     radius = torch.arange(radii, dtype=torch.float64) * settings.radius_step_m
@@ -122,7 +122,8 @@ def solve_table(settings: ReachSettings) -> ReachTable:
         result = arm.solve(
             goals.reshape(-1, 4, 4),
             joints[rows, columns].reshape(-1, joints.shape[-1]),
-            limits=limits,
+            low=-limits,
+            high=limits,
             rotation_scale_m=settings.rotation_scale_m,
             iterations=16,
         )
@@ -154,7 +155,8 @@ def _solve_coarse(
     result = arm.solve(
         flat.repeat(len(starts), 1, 1),
         starts.repeat_interleave(len(flat), 0),
-        limits=limits,
+        low=-limits,
+        high=limits,
         rotation_scale_m=settings.rotation_scale_m,
     )
     errors = torch.stack((result.position_error, result.rotation_error)).reshape(2, len(starts), len(flat))

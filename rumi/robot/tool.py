@@ -9,9 +9,9 @@ from torch import Tensor, nn
 
 from rumi.robot.gripper import GripperShape
 from rumi.robot.reach import Reach
-from rumi.robot.reach_table import SECTOR_RAD
+from rumi.robot.tool_shape import ToolShape
 from sdf import se3
-from sdf.check import check_shape
+from sdf.check import check_shape, is_eager
 
 _PARTS = 16
 # metres by which rounding may make a residual grow that is the same all along a circle about the base
@@ -28,7 +28,7 @@ class Tool(nn.Module):
         bounds: (2, 2) or (2, 3), metres, lower and upper corner of where the tool frame may be: x and y for a tool
             that moves in a plane, x, y and z for one that moves in space.
         reach: what the arm can reach; None for a tool that flies freely.
-        shape: the gripper's shape.
+        shape: of the tool; by default the gripper of the paper.
         height_m: height of the plane above the world's floor; not used in space.
         action_scale_m: metres that a control of 1 asks for, along the world's axes.
         action_scale_rad: radians that a control of 1 asks for.
@@ -41,7 +41,7 @@ class Tool(nn.Module):
         bounds: Float[Tensor, "2 D"],
         reach: Reach | None = None,
         *,
-        shape: GripperShape | None = None,
+        shape: ToolShape | None = None,
         height_m: float = 0.045,
         action_scale_m: float = 0.08,
         action_scale_rad: float = 0.5,
@@ -51,7 +51,7 @@ class Tool(nn.Module):
         super().__init__()
         self.spatial = bounds.shape[-1] == 3
         check_shape("bounds", bounds, "(2, 3)" if self.spatial else "(2, 2)", last=(2, 3 if self.spatial else 2))
-        self.shape = shape or GripperShape()
+        self.shape: ToolShape = shape or GripperShape()
         self.reach = reach
         self.height_m = 0.0 if self.spatial else height_m
         self.register_buffer("bounds", bounds.clone())
@@ -156,6 +156,8 @@ class Tool(nn.Module):
         if mini_steps < 1:
             raise ValueError(f"Expected mini_steps to be at least 1, got {mini_steps}")
         steps = (controls * (self.scale / mini_steps)).repeat_interleave(mini_steps, dim=-2)
+        if not is_eager():
+            return self._step_by_step(q.expand(*steps.shape[:-2], q.shape[-1]), steps)
         path = q[..., None, :] + steps.cumsum(-2)
         flat, steps = path.reshape(-1, *path.shape[-2:]), steps.reshape(-1, *steps.shape[-2:])
         # most paths meet no limit: those are done; the rest go step by step from where the first one meets it
@@ -178,17 +180,24 @@ class Tool(nn.Module):
                 residual[held] = left
         return flat.reshape(path.shape)
 
+    def _step_by_step(self, q: Tensor, steps: Tensor) -> Tensor:
+        """The path (*b, T, Q) of some steps, none skipped, as `torch.compile` and `torch.func` need it."""
+        residual = None if self.reach is None else self.reach.residual(q)
+        path = []
+        for step in steps.unbind(-2):
+            q, residual = self._within(q, q + step, residual)
+            path.append(q)
+        return torch.stack(path, -2)
+
     def arm_arrays(self) -> tuple[Any, ...]:
         """What limits a step, for `tool_numba`: reach table, base, bounds, and an array of numbers."""
         bounds = self.bounds.numpy()
         if self.reach is None:
             none = np.zeros((1,) * self.spatial + (1, 3), bounds.dtype)
-            numbers = (1.0, SECTOR_RAD, 0.0, _SLACK_M, _PARTS, 0.0)
-            return none, none.reshape(-1), bounds, np.array(numbers + (0.0, 1.0) * self.spatial)
-        settings, heights = self.reach.settings, self.reach.heights_m
-        numbers = (settings.radius_step_m, SECTOR_RAD, settings.tolerance_m, _SLACK_M, _PARTS, 1.0)
+            return none, none.reshape(-1), bounds, np.array((0.0, 0.0, _SLACK_M, _PARTS))
         left = self.reach.left.contiguous().numpy()
-        return left, self.reach.base.numpy(), bounds, np.array(numbers + heights[:1] + heights[-1:])
+        numbers = (1.0, self.reach.settings.tolerance_m, _SLACK_M, _PARTS, *self.reach.nodes)
+        return left, self.reach.base.numpy(), bounds, np.array(numbers)
 
     def _inside(self, q: Tensor) -> Bool[Tensor, "*b"]:
         boxed = ((q[..., :-1] >= self.bounds[0]) & (q[..., :-1] <= self.bounds[1])).all(-1)
@@ -208,6 +217,11 @@ class Tool(nn.Module):
         limit = residual.clamp_min(self.reach.settings.tolerance_m) + _SLACK_M
         left = self.reach.residual(reached)
         refused = left > limit
+        if not is_eager():
+            shape = (-1, q.shape[-1])
+            ends, rest = self._up_to_limit(q.reshape(shape), reached.reshape(shape), limit.reshape(-1))
+            reached = torch.where(refused[..., None], ends.reshape(reached.shape), reached)
+            return reached, torch.where(refused, rest.reshape(left.shape), left)
         if bool(refused.any()):
             reached[refused], left[refused] = self._up_to_limit(q[refused], reached[refused], limit[refused])
         return reached, left
@@ -257,7 +271,7 @@ class Tool(nn.Module):
         return torch.stack((x, y, z), -1)
 
 
-def _points(shape: GripperShape, body_m: float, info_m: float, *, spatial: bool) -> dict[str, Float[Tensor, "n 3"]]:
+def _points(shape: ToolShape, body_m: float, info_m: float, *, spatial: bool) -> dict[str, Float[Tensor, "n 3"]]:
     """Body and sensing points: filling the gripper, or its section at z = 0."""
     if spatial:
         return {"body": shape.solid(body_m), "info": shape.pad_solid(info_m)}

@@ -1,8 +1,8 @@
 """The compiled CPU version of a step against the arm's reach; `tool.py` has the definition.
 
 What limits a step comes as `Tool.arm_arrays` gives it: four arrays, the last of numbers. As one tuple, its
-arrays would be counted in and out at every call. A tool that moves in space has a table of three axes: numba compiles
-`if table.ndim == 3` away; in a plane heights are handed through.
+arrays would be counted in and out at every call. Tables are over (radius, yaw), in space with heights before these, or
+(`ArmReach`) over (height, x, y, yaw): numba compiles `if table.ndim == 3` away; in a plane heights are handed through.
 """
 
 import math
@@ -23,9 +23,45 @@ def _within(value, low, high):
 @bare
 def residual(x, y, z, yaw, table, base, limits):
     """What inverse kinematics leaves at a configuration, metres; linear between nodes, the last node's beyond them."""
-    radius_step, sector = limits[0], limits[1]
-    if limits[5] == 0.0:
+    if limits[0] == 0.0:
         return 0.0
+    if table.ndim == 4:
+        value = _residual_in_box(x, y, z, yaw, table, limits)
+    else:
+        value = _residual_about_base(x, y, z, yaw, table, base, limits)
+    return value
+
+
+@bare
+def _residual_in_box(x, y, z, yaw, table, limits):
+    """The residual from a table over (height, x, y, yaw), and the way beyond it."""
+    layers, columns, rows, turns = table.shape
+    low, rise, left, bottom, step, turn = limits[4], limits[5], limits[6], limits[7], limits[8], limits[9]
+    u, v, w = (x - left) / step, (y - bottom) / step, (z - low) / rise
+    i, j, k = _within(u, 0.0, columns - 1.0), _within(v, 0.0, rows - 1.0), _within(w, 0.0, layers - 1.0)
+    beyond = step * (abs(u - i) + abs(v - j))
+    t = (_wrapped(yaw) + math.pi) / turn
+    t = _within(t, 0.0, turns - 1.0)
+    i0, j0, k0, t0 = (
+        min(int(i), columns - 2),
+        min(int(j), rows - 2),
+        max(min(int(k), layers - 2), 0),
+        min(int(t), turns - 2),
+    )
+    value = 0.0
+    for corner in range(16):
+        a, b, c, d = corner & 1, (corner >> 1) & 1, (corner >> 2) & 1, corner >> 3
+        share = (i - i0 if a else 1.0 - (i - i0)) * (j - j0 if b else 1.0 - (j - j0))
+        share *= (k - k0 if c else 1.0 - (k - k0)) * (t - t0 if d else 1.0 - (t - t0))
+        if share > 0.0:
+            value += share * table[min(k0 + c, layers - 1), i0 + a, j0 + b, t0 + d]
+    return value + beyond
+
+
+@bare
+def _residual_about_base(x, y, z, yaw, table, base, limits):
+    """The residual from a table over (radius, yaw from the radial direction), in space over height before these."""
+    radius_step, sector = limits[4], limits[5]
     dx, dy = x - base[0], y - base[1]
     radius, direction = math.sqrt(dx * dx + dy * dy), math.atan2(dy, dx)
     turned, side = abs(_wrapped(yaw - direction)), abs(_wrapped(direction - base[2]))
@@ -59,12 +95,12 @@ def residual(x, y, z, yaw, table, base, limits):
 @bare
 def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, table, base, bounds, limits):
     """Where a step from (x, y, z, yaw) ends, and the arm's residual there; `left` is it now."""
-    tolerance, slack, parts = limits[2], limits[3], int(limits[4])
+    tolerance, slack, parts = limits[1], limits[2], int(limits[3])
     to_x = _within(to_x, bounds[0, 0], bounds[1, 0])
     to_y = _within(to_y, bounds[0, 1], bounds[1, 1])
-    if table.ndim == 3:
+    if bounds.shape[1] == 3:
         to_z = _within(to_z, bounds[0, 2], bounds[1, 2])
-    if limits[5] == 0.0:
+    if limits[0] == 0.0:
         return to_x, to_y, to_z, to_yaw, 0.0
     limit = max(left, tolerance) + slack
     rest = residual(to_x, to_y, to_z, to_yaw, table, base, limits)

@@ -14,6 +14,7 @@ from torch import Tensor
 from rumi.errors import UsageError
 from sdf import se3
 from sdf.base import SDF
+from sdf.extras import optional
 from sdf.mesh.convex import hull
 from sdf.mesh.mesh import TriangleMesh, load_mesh
 from sdf.primitives import Box, Cylinder, Placed, Sphere
@@ -78,14 +79,9 @@ class UrdfBody:
 
         Raises:
             UsageError: no URDF, no collision shapes, a shape of another kind, or joints that cannot be.
-            ImportError: pytorch-kinematics is not installed.
+            ModuleNotFoundError: pytorch-kinematics is not installed.
         """
-        try:
-            import pytorch_kinematics
-        except ImportError as error:
-            raise ImportError(
-                "A robot's chain needs pytorch-kinematics: install it with pip install 'rumi[robot]'"
-            ) from error
+        pytorch_kinematics = optional("pytorch_kinematics", "A robot's chain")
         given = str(robot)
         folder = Path() if given.lstrip().startswith("<") else Path(robot).parent
         text = given if given.lstrip().startswith("<") else Path(robot).read_text()

@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 
 from rumi.errors import UsageError
+from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping import BagMap, Topic
 from rumi.rosbag.mcap import Message, Walk
 from rumi.rosbag.messages import CONVERTERS, RowOf
+from sdf.extras import optional
 from sensors.log.errors import LogError
+from sensors.log.reader import Log
 from sensors.log.writer import LogWriter
 
 _TF = {"/tf": Topic("tf"), "/tf_static": Topic("tf")}
@@ -53,7 +56,7 @@ def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0)
         UsageError: there is no such bag, none of the topics is in it, or the log cannot be written.
         ModuleNotFoundError: rosbags is not installed.
     """
-    import rosbags.rosbag2  # noqa: F401  (says what to install before anything is written)
+    optional("rosbags.rosbag2", "A ROS 2 bag")  # says what to install before anything is written
 
     if not bag.exists():
         raise UsageError(f"There is no bag {bag}: give an .mcap or .db3 file, or the folder of a bag")
@@ -71,6 +74,20 @@ def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0)
     if lacking:
         done.problems.append(f"the bag has no {', '.join(lacking)}; its topics are {listed}")
     return done
+
+
+def check_frames(path: Path, mapping: BagMap) -> None:
+    """Refuse a mapping that names a frame, of the tool or of a topic, which nothing in a log connects to the world.
+
+    Raises:
+        UsageError: with the frame, and those that there are.
+    """
+    with Log(path) as log:
+        tree = FrameTree.of_log(log, mapping)
+        tree.chains(mapping.frames.tool)
+        for topic in mapping.topics.values():
+            if topic.frame is not None:
+                tree.chains(topic.frame)
 
 
 def _attempt(

@@ -126,13 +126,7 @@ class FrameTree:
                 origin that single precision cannot tell where it is.
         """
         stamps = torch.as_tensor(stamps_ns, dtype=torch.long)
-        up, down = self._chain(frame.strip("/")), self._chain(self.world)
-        if up[-1] != down[-1]:
-            listed = ", ".join(sorted({*self._edges, *(edge.parent for edge in self._edges.values())})) or "none"
-            raise UsageError(
-                f"Nothing connects the frame {frame!r} to {self.world!r}; the recording's frames are {listed}: name "
-                "others, or add a [[fixed]] transform to the mapping"
-            )
+        up, down = self.chains(frame)
         root_T_frame, known = self._to_root(up, stamps)
         root_T_world, also = self._to_root(down, stamps)
         pose = self._rise @ se3.inverse(root_T_world) @ root_T_frame
@@ -141,6 +135,21 @@ class FrameTree:
         except ValueError as error:
             raise UsageError(f"{error}: in the mapping, frames.origin_m does that") from error
         return pose, known & also
+
+    def chains(self, frame: str) -> tuple[list[str], list[str]]:
+        """Frames from one up to the root, and from the world.
+
+        Raises:
+            UsageError: nothing connects the frame to the world; the message lists the frames.
+        """
+        up, down = self._chain(frame.strip("/")), self._chain(self.world)
+        if up[-1] != down[-1]:
+            listed = ", ".join(sorted({*self._edges, *(edge.parent for edge in self._edges.values())})) or "none"
+            raise UsageError(
+                f"Nothing connects the frame {frame!r} to {self.world!r}; the recording's frames are {listed}: name "
+                "others, or add a [[fixed]] transform to the mapping"
+            )
+        return up, down
 
     def _chain(self, frame: str) -> list[str]:
         chain = [frame]

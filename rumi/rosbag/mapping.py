@@ -14,10 +14,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
+from rumi.robot.gripper import GripperShape, gripper_links
+from rumi.robot.tool_shape import SolidTool
 from rumi.rosbag.sensor_maps import BubbleMap, RobotMap, TorqueMap, Vector, WrenchMap, placed
 from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings
 from sdf import se3
+from sdf.base import SDF
+from sdf.primitives import Box, Placed
 
 SCHEMA = 1
 """Of mapping files."""
@@ -135,12 +139,46 @@ class SceneMap:
 
 @dataclass(frozen=True)
 class ToolMap:
-    """The gripper's shape: see `rumi.robot.gripper.GripperShape`."""
+    """The tool's shape: a gripper, or a mesh in its place.
+
+    Attributes:
+        palm_m, palm_front_m, pad_m, pad_offset_m: of `rumi.robot.gripper.GripperShape`.
+        mesh: file of the tool's mesh; it feels all over, or within a box.
+        scale: metres that one unit of the file is.
+        position_m, rpy_deg: of the mesh's frame in the tool's.
+        feels_m: lower and upper corner of that box, tool frame.
+    """
 
     palm_m: Vector = (0.09, 0.10, 0.04)
     palm_front_m: float = -0.025
     pad_m: Vector = (0.035, 0.018, 0.022)
     pad_offset_m: float = 0.024
+    mesh: str | None = None
+    scale: float = 1.0
+    position_m: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Vector = (0.0, 0.0, 0.0)
+    feels_m: tuple[Vector, Vector] | None = None
+
+    def shape(self) -> GripperShape | SolidTool:
+        """The tool.
+
+        Raises:
+            UsageError: the mesh cannot be used.
+        """
+        if self.mesh is None:
+            return GripperShape(self.palm_m, self.palm_front_m, self.pad_m, self.pad_offset_m)
+        feels: SDF | None = None
+        if self.feels_m is not None:
+            low, high = torch.tensor(self.feels_m)
+            feels = Placed(Box((0.5 * (high - low)).tolist()), se3.make(torch.eye(3), 0.5 * (low + high)))
+        return SolidTool.of_mesh(
+            self.mesh, scale=self.scale, tool_T_mesh=placed(self.position_m, self.rpy_deg), feels=feels
+        )
+
+    def links(self) -> tuple[SDF, ...]:
+        """Its solids, in the tool frame."""
+        shape = self.shape()
+        return gripper_links(shape) if isinstance(shape, GripperShape) else (shape.body,)
 
 
 @dataclass(frozen=True)
@@ -188,7 +226,7 @@ class BagMap:
         scene: what is known of the object's place.
         fixed: transforms.
         object: a mesh, as the flags of `rumi run` give it.
-        tool: the gripper.
+        tool: its shape.
         view: how a camera is read.
         bubble: how soft bubbles are read.
         wrench: how wrenches are read; None where there are none.

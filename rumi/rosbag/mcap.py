@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
+from sdf.extras import optional
+
 MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _LAST = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
 _LONGEST = 1 << 40  # of a record; more is damage
@@ -131,13 +133,11 @@ def _unpacked(data: bytes, packing: str) -> bytes:
         return data
     unpacker: Any
     if packing == "lz4":
-        import lz4.frame
-
-        unpacker, errors = lz4.frame.LZ4FrameDecompressor(), (RuntimeError, EOFError)
+        unpacker, errors = optional("lz4.frame", "This bag").LZ4FrameDecompressor(), (RuntimeError, EOFError)
     elif packing == "zstd":
         # part of Python from 3.14 on
         home = "compression.zstd" if importlib.util.find_spec("compression") else "backports.zstd"
-        zstd = importlib.import_module(home)
+        zstd = optional(home, "This bag")
         unpacker, errors = zstd.ZstdDecompressor(), (zstd.ZstdError, EOFError)
     else:
         return b""

@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.robot.gripper import GripperShape
 from rumi.rosbag.contact_sample import ContactSample
 from rumi.rosbag.contacts import contact_samples
 from rumi.rosbag.frames import FrameTree
@@ -22,7 +21,8 @@ from sensors.log.reader import Log, Taken
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
-from sensors.touch.tactile import InstantPoints, swept_points
+from sensors.touch.tactile import InstantPoints
+from sensors.touch.touch_readings import swept_clear
 
 _FREE_SPACING = 0.005  # metres, lattice on which free points are reported
 _BODY_SPACING = 0.005  # metres between the tool's points
@@ -74,7 +74,7 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> ImportedReadin
         )
     first_ns = start + round(mapping.actions.view_s * 1e9)
     seen = views.between(start, first_ns)
-    body = GripperShape(**asdict(mapping.tool)).solid(_BODY_SPACING).float()
+    body = mapping.tool.shape().solid(_BODY_SPACING).float()
     cutter = _Cutter(mapping, frames, views, contacts.samples, body, start)
     taken = [cutter.first(seen, first_ns)]
     every = round(mapping.actions.every_s * 1e9)
@@ -138,7 +138,8 @@ class _Cutter:
             clear.append(within)
             clear_at.append(torch.full((len(within),), k))
         points, instant = torch.cat(parts), torch.cat(where)
-        free = self._swept(pose, in_contact, points, instant)
+        touched, clear_m = InstantPoints(points, instant), self._mapping.scene.clear_m
+        free = swept_clear(pose, self._body, in_contact, touched, self._region, _FREE_SPACING, clear_m)
         observation = [
             Observation.of(points, Semantics.SURFACE),
             Observation.of(torch.cat((*clear, free.points)), Semantics.FREE),
@@ -168,22 +169,6 @@ class _Cutter:
         assert config is not None
         every = WrenchTouch(*(torch.cat([getattr(one, part.name) for one in found]) for part in fields(WrenchTouch)))
         return every.at(surest(every.point_sd.square(), config.most))
-
-    def _swept(
-        self, pose: Float[Tensor, "K 4 4"], in_contact: Bool[Tensor, "K"], points: Tensor, instant: Tensor
-    ) -> InstantPoints:
-        """The space that the tool's body went through, but for what is near to where it touches."""
-        # nothing moves while nothing is touched; what was swept while touching belongs to its instant alone
-        group = in_contact.long().cumsum(0)
-        swept, _ = swept_points(pose, self._body, _FREE_SPACING, group=group, region=self._region)
-        keep = torch.ones(len(swept.points), dtype=torch.bool)
-        for k in in_contact.nonzero()[:, 0].tolist():
-            own, touched = (swept.instant == k).nonzero()[:, 0], points[instant == k]
-            if len(touched) == 0:
-                keep[own] = False  # touched, but nobody knows where
-            elif len(own):
-                keep[own] = torch.cdist(swept.points[own], touched).amin(-1) > self._mapping.scene.clear_m
-        return InstantPoints(swept.points[keep], swept.instant[keep])
 
     def _taken(
         self,

@@ -1,7 +1,9 @@
 """Parts of a run on an imported recording, as its mapping describes them."""
 
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -9,74 +11,102 @@ from torch import Tensor
 
 from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel, SignalSettings
 from rumi.errors import UsageError
-from rumi.robot.gripper import GripperShape
-from rumi.robot.tool import Tool
+from rumi.fields.workspace import Workspace
 from rumi.rosbag.mapping import BagMap
 from rumi.tasks.rummage.agent import Rummager
-from rumi.tasks.rummage.build import build_rummager
-from rumi.tasks.rummage.objects import OBJECTS, with_object
-from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec
-from rumi.tasks.rummage.settings import Settings, from_dict
+from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings, own_model
+from rumi.tasks.rummage.own import rummager
+from rumi.tasks.rummage.scenes import PriorSpec
+from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
 from sdf.base import SDF
 from sensors.evidence import EvidenceModel
+from sensors.reading import Reading
 
 _MARGIN = 0.1  # metres about where the object and the tool are, for the workspace
+_BELOW_TOP = 0.95  # of an object's height, above which a tool cannot meet it
 
 
 def settings_of(mapping: BagMap) -> Settings:
-    """The settings that a mapping asks for.
+    """The settings that a mapping asks for, on top of those of its preset.
+
+    A recording's readings have no measured motion of the object: where the mapping names none, it is that of
+    `filter.unmeasured`, or in space "estimated".
 
     Raises:
-        UsageError: it has some that there are not.
+        UsageError: it has some that there are not, or that a recording has no use for.
     """
-    return replace(from_dict({"task": "recording", **mapping.settings}), object=mapping.object)
+    asked = mapping.settings
+    for name, use in (("task", "the recording is the task"), ("object", "the table [object] says it")):
+        if name in asked:
+            raise UsageError(f"Expected no {name} in the mapping's [settings], since {use}: leave it out")
+    start = to_dict(preset(str(asked.get("preset", "default"))))
+    settings = from_dict({**_merged(start, asked), "task": "recording"})
+    if "motion" not in asked.get("filter", {}):
+        unmeasured = settings.filter.unmeasured if mapping.scene.search == "SE(2)" else "estimated"
+        settings = replace(settings, filter=replace(settings.filter, motion=unmeasured))
+    return replace(settings, object=mapping.object)
 
 
 def rummager_of_map(
-    mapping: BagMap, settings: Settings, places: Float[Tensor, "n 3"], cache_dir: Path | None = None
+    mapping: BagMap,
+    settings: Settings,
+    places: Float[Tensor, "n 3"],
+    cache_dir: Path | None = None,
+    *,
+    touching_m: float | None = None,
 ) -> Rummager:
-    """All that a replay of an imported recording needs beside its readings.
+    """`rumi.rummager` of what a mapping says: all that a replay of a recording needs beside its readings.
 
     Args:
         mapping: of the recording.
         settings: of the replay; their object takes the place of the mapping's.
         places: where the tool is or was, which the workspace has to hold.
         cache_dir: folder that keeps tables of distances.
+        touching_m: height of the tool where it touches (`touching_height`), where the settings name none; by default
+            the mean of the places'. What is lower than that is touched just below its top.
 
     Raises:
-        UsageError: no object is named, or it cannot be used.
+        UsageError: no object is named, or it or a setting cannot be used.
     """
     scene = mapping.scene
-    if settings.object.mesh is None and scene.builtin is None:
+    if settings.object.mesh is not None:
+        model = own_model(settings.object, cache_dir=cache_dir)
+    elif scene.builtin is not None:
+        model = OBJECTS[scene.builtin]()
+    else:
         raise UsageError("Expected an object: a mesh in the mapping's table [object], or scene.builtin; or --mesh FILE")
     corners = torch.cat((places.float(), torch.tensor(scene.within)))
-    low, high = ((corners.amin(0) - _MARGIN).tolist(), (corners.amax(0) + _MARGIN).tolist())
+    bounds = torch.stack((corners.amin(0) - _MARGIN, corners.amax(0) + _MARGIN))
     spatial = scene.search == "SE(3)"
-    spec = TaskSpec(
-        "recording",
-        "a recording",
-        OBJECTS[scene.builtin or "mug"],
-        (0.0, 0.0, 0.0),
+    if spatial:
+        bounds[0, 2] = bounds[0, 2].clamp_min(0.0)
+        workspace = Workspace.from_bounds(bounds, 0.02)
+    else:
+        low, high = model.exact.bounds[:, 2].tolist()
+        height = float(places[:, 2].mean()) if touching_m is None else touching_m
+        height = settings.tool_height_m or height
+        workspace = Workspace.from_bounds(bounds, 0.01, planar_height=min(height, _BELOW_TOP * (high - low)))
+    made = rummager(
+        model,
+        workspace,
+        tool=mapping.tool.shape(),
         prior=None if scene.prior_mean_m is None else PriorSpec(scene.prior_mean_m, scene.prior_spread_m),
-        bounds=((low[0], low[1]), (high[0], high[1])),
-        height_m=float(places[:, 2].mean()),
-        heights_m=(max(0.0, low[2]), high[2]) if spatial else None,
-        workspace_top_m=high[2],
-        field_spacing_m=0.02 if spatial else 0.01,
         search=scene.search,
-        camera=None,
-        measures_motion=False,
+        looks_again=scene.looks_again,
+        plans=False,
+        settings=replace(settings, object=ObjectSettings(), tool_height_m=None),
     )
-    spec, model = with_object(spec, settings.object, cache_dir=cache_dir)
-    bounds = torch.tensor([low, high]) if spatial else torch.tensor(spec.bounds)
-    tool = Tool(bounds, shape=GripperShape(**asdict(mapping.tool)), height_m=spec.height_m)
-    planner = replace(settings.planner, push_model="displacement")
-    rummager = build_rummager(spec, replace(settings, method="rumi", planner=planner), model, tool)
-    models = contact_models(mapping, rummager.filter.discrepancy.sdf)
+    models = contact_models(mapping, made.filter.discrepancy.sdf)
     # contacts count as the mapping says, other sensors as the settings do
     contacts = (ContactPointModel, ContactSignalModel)
-    others = [model for model in rummager.filter.further if not isinstance(model, contacts)]
-    return replace(rummager, filter=rummager.filter.with_evidence(*models, *others))
+    others = [model for model in made.filter.further if not isinstance(model, contacts)]
+    return replace(made, filter=made.filter.with_evidence(*models, *others))
+
+
+def touching_height(readings: Sequence[Reading]) -> float | None:
+    """Median height of the tool where it touched, metres; None where it never did."""
+    touching = torch.cat([one.tool_pose[one.in_contact, 2, 3] for one in readings])
+    return float(touching.median()) if len(touching) else None
 
 
 def contact_models(mapping: BagMap, sdf: SDF) -> tuple[EvidenceModel, ...]:
@@ -89,8 +119,17 @@ def contact_models(mapping: BagMap, sdf: SDF) -> tuple[EvidenceModel, ...]:
     if not (mapping.touches_count or mapping.signals_count):
         return ()
     signals = SignalSettings() if mapping.torques is None else mapping.torques.signals()
-    surface = GripperShape(**asdict(mapping.tool)).surface(signals.spacing_m).float()
+    surface = mapping.tool.shape().surface(signals.spacing_m).float()
     points, wrench = ContactPointModel(sdf), mapping.wrench
     if wrench is not None:
         points = ContactPointModel(sdf, wrench.point_m, wrench.normal_rad, wrench.outlier)
     return points, ContactSignalModel(sdf, surface, signals)
+
+
+def _merged(start: Mapping[str, Any], asked: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested settings with others in the place of some."""
+    found = dict(start)
+    for name, value in asked.items():
+        inner = found.get(name)
+        found[name] = _merged(inner, value) if isinstance(inner, Mapping) and isinstance(value, Mapping) else value
+    return found

@@ -8,7 +8,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.robot.gripper import GripperShape, gripper_links
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping import BagMap
 from rumi.rosbag.streams import color_of, lens_of, lenses_of, role_of, unit_of
@@ -42,7 +41,7 @@ class Views:
         self._mapping, self._frames, self._generator = mapping, frames, generator
         self._within = torch.tensor(mapping.scene.within)
         self._settings = ViewSettings(**asdict(mapping.view))
-        tool = gripper_links(GripperShape(**asdict(mapping.tool))) if mapping.scene.tool_seen else ()
+        tool = mapping.tool.links() if mapping.scene.tool_seen else ()
         self._tool = RobotBody(tool)
         self._robot: BodyTrack | None = None
         if mapping.robot is not None and mapping.robot.remove:

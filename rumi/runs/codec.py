@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kmppi import ControlPlan
 from rumi.belief.particles import PoseBelief
+from rumi.belief.remarks import Remark
 from rumi.fields.workspace import Workspace
 from rumi.planning.policy import Plan
 from rumi.records import StepRecord
@@ -18,6 +19,7 @@ from rumi.runs.plain import plain
 from rumi.runs.scene_geometry import OutlineMap, SceneGeometry
 from rumi.runs.trace import TraceWriter
 from rumi.runs.values import read_value, record_classes, write_value
+from sdf.symmetry import Symmetries
 from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.observation import Observation
 from sensors.reading import Reading
@@ -34,7 +36,8 @@ _BELIEF = ("world_T_attached", "attached_T_object", "log_weights", "discrepancy"
 
 def numbers(step: StepRecord) -> dict[str, Any]:
     """The plain numbers of a step, ready for JSON."""
-    return plain({name: getattr(step, name) for name in _NUMBERS} | {"stamp": step.reading.stamp})
+    told = {"stamp": step.reading.stamp, "remarks": step.remarks}
+    return plain({name: getattr(step, name) for name in _NUMBERS} | told)
 
 
 def line(step: Any) -> dict[str, Any]:  # noqa: ANN401  (a record of any task)
@@ -100,7 +103,9 @@ def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, flo
             plan = _read_plan(members, f"{at}/plan", plan_about)
         for name in ("expected_nll", "fit", "apc", "ess"):
             about[name] = math.nan if about[name] is None else about[name]
+        remarks = tuple(Remark(**remark) for remark in about.pop("remarks", ()))
         record = StepRecord(
+            remarks=remarks,
             control=_get(members, f"{at}/control"),
             reading=_read_reading(members, f"{at}/reading", stamp),
             added=_read_points(members, f"{at}/added"),
@@ -129,6 +134,8 @@ def write_geometry(trace: TraceWriter, geometry: SceneGeometry) -> None:
         "workspace_shape": geometry.workspace.shape,
         "outline_spacing": {name: outline.spacing for name, outline in outlines.items()},
         "thresholds": geometry.thresholds,
+        "symmetries": geometry.symmetries,
+        "tolerance": geometry.tolerance,
     }
     trace.json("scene/about", plain(about))
 
@@ -153,8 +160,17 @@ def read_geometry(members: Mapping[str, Any]) -> SceneGeometry | None:
         surface_points=_need(members, "scene/surface_points"),
         reachability=_get(members, "scene/reachability"),
         thresholds=about["thresholds"],
+        symmetries=_read_symmetries(about.get("symmetries")),
+        tolerance=about.get("tolerance", {}),
         **outlines,
     )
+
+
+def _read_symmetries(about: Mapping[str, Any] | None) -> Symmetries | None:
+    if about is None:
+        return None
+    axis = None if about["axis"] is None else torch.tensor(about["axis"])
+    return Symmetries(torch.tensor(about["rotations"]), torch.tensor(about["center"]), axis, about["ball"])
 
 
 def _write(trace: TraceWriter, at: str, arrays: Mapping[str, Tensor | None]) -> None:

@@ -13,8 +13,9 @@ import json
 import os
 import platform
 import subprocess
+import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
@@ -25,9 +26,12 @@ import torch
 from torch import Tensor
 
 from rumi.agent import stop_reason
+from rumi.belief.remarks import Remark
 from rumi.errors import UsageError
 from rumi.records import RunResult
+from rumi.registration.pose_summary import PoseSummary
 from rumi.runs.codec import line, read_geometry, read_steps, write_geometry, write_step
+from rumi.runs.files import naming, new_file, whole_file
 from rumi.runs.plain import plain
 from rumi.runs.scene_geometry import SceneGeometry
 from rumi.runs.trace import TraceWriter, read_trace
@@ -37,9 +41,15 @@ from sdf.processor import processor
 SCHEMA = 1
 """Version of the run folder; raised when an older reader would misread a newer folder."""
 
+FILES = ("log.h5", "object.json", "steps.jsonl", "trace.npz", "settings.json")
+"""What is written before the first step, in the order in which it may be removed."""
+
 
 class RunRecorder:
     """Writes a run folder while the run goes on; usable as `on_step` of `rumi.loop.run` and as a context manager.
+
+    The folder is this run's alone from the first file on, whoever else wants it. A run that fails or is interrupted
+    before its first step leaves nothing there.
 
     Args:
         folder: where; made with its parents. A folder that holds a run already is refused.
@@ -55,28 +65,32 @@ class RunRecorder:
         self._last: Any = None  # a record of any task
         self._closed = False
         prepare_folder(self.folder)
+        _claim(self.folder, {"schema": SCHEMA, **plain(settings), "made_with": provenance()})
         try:
-            _claim(self.folder, {"schema": SCHEMA, **plain(settings), "made_with": provenance()})
-            self._trace = TraceWriter(self.folder / "trace.npz")
-            self._lines = (self.folder / "steps.jsonl").open("w", encoding="utf-8")
-        except OSError as error:
-            raise _unwritable(self.folder, error) from error
-        self._trace.json("format", {"schema": SCHEMA})
-        self._trace.flush()
-        if geometry is not None:
-            self.scene(geometry)
+            with naming(self.folder):
+                self._trace = TraceWriter(self.folder / "trace.npz")
+                self._lines = (self.folder / "steps.jsonl").open("w", encoding="utf-8")
+                self._trace.json("format", {"schema": SCHEMA})
+                self._trace.flush()
+            if geometry is not None:
+                self.scene(geometry)
+        except BaseException:
+            self._discard()
+            raise
 
     def scene(self, geometry: SceneGeometry) -> None:
         """Add what figures need beside the steps; once."""
-        write_geometry(self._trace, geometry)
-        self._trace.flush()
+        with naming(self.folder):
+            write_geometry(self._trace, geometry)
+            self._trace.flush()
 
     def __call__(self, step: Any) -> None:  # noqa: ANN401  (a record of any task)
         """Append a step; once this returns, a kill no longer loses it."""
-        write_step(self._trace, step, self._last)
-        self._trace.flush()
-        self._lines.write(json.dumps(line(step), allow_nan=False) + "\n")
-        self._lines.flush()
+        with naming(self.folder):
+            write_step(self._trace, step, self._last)
+            self._trace.flush()
+            self._lines.write(json.dumps(line(step), allow_nan=False) + "\n")
+            self._lines.flush()
         self._last = step
 
     def finish(self, result: Any) -> None:  # noqa: ANN401  (of any task)
@@ -89,8 +103,9 @@ class RunRecorder:
         if self._closed:
             return
         self._closed = True
-        self._trace.close()
-        self._lines.close()
+        with naming(self.folder):
+            self._trace.close()
+            self._lines.close()
         if self._last is not None and (poses := self._last.poses) is not None:
             write_belief(self.folder / "belief.npz", *poses, stamp=self._last.stamp)
 
@@ -100,7 +115,18 @@ class RunRecorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        try:
+            self.close()
+        finally:
+            if kind is not None and self._last is None:
+                self._discard()
+
+    def _discard(self) -> None:
+        """Remove what a run without a step wrote; settings.json last, until which the folder is nobody else's."""
+        for name in FILES:
+            (self.folder / name).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # other files lie in it
+            self.folder.rmdir()
 
 
 @dataclass(frozen=True)
@@ -165,6 +191,8 @@ def load_run(folder: Path | str) -> Run:
     lost = 0 if result is None else actions + 1 - len(steps)
     if result is not None and lost not in ((0, 1) if result.stopped_by == "interrupted" else (0,)):
         raise UsageError(f"{folder / 'trace.npz'} is damaged: {len(steps)} steps are whole of {actions + 1}")
+    if result is not None and steps:
+        result = replace(result, belief=getattr(steps[-1], "belief", None))
     return Run(folder, settings, geometry, steps, result, ended)
 
 
@@ -187,9 +215,8 @@ def make_folder(folder: Path) -> None:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".writable"
-        probe.touch()
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=folder):
+            pass
     except OSError as error:
         raise _unwritable(folder, error) from error
 
@@ -223,15 +250,10 @@ def free_folder(folder: Path) -> Path:
 
 def _claim(folder: Path, settings: Any) -> None:  # noqa: ANN401  (plain values)
     """Write settings.json in one go, by which the folder is this run's; of two at the same time one is refused."""
-    path, aside = folder / "settings.json", folder / f".settings-{os.getpid()}.part"
-    write_json(aside, settings)
     try:
-        os.link(aside, path)
+        new_file(folder / "settings.json", json_text(settings))
     except FileExistsError:
         raise UsageError(f"{folder} holds a run already: give another folder, or remove this one") from None
-    except OSError:  # where the file system knows no links
-        aside.replace(path)
-    aside.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -245,11 +267,16 @@ def remove_if_empty_on_error(folder: Path) -> Iterator[None]:
         raise
 
 
+def json_text(value: Any) -> str:  # noqa: ANN401  (whatever `plain` takes)
+    """A value as the text of a JSON file."""
+    return json.dumps(plain(value), indent=2, allow_nan=False) + "\n"
+
+
 def write_json(path: Path, value: Any) -> None:  # noqa: ANN401  (whatever `plain` takes)
     """Write JSON in one go: a reader finds the whole file or none."""
-    aside = path.with_name(path.name + ".part")
-    aside.write_text(json.dumps(plain(value), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    aside.replace(path)
+    text = json_text(value)
+    with whole_file(path) as aside:
+        aside.write_text(text, encoding="utf-8")
 
 
 def write_belief(path: Path, poses: Tensor, log_weights: Tensor, *, stamp: float, frame: str = "world") -> None:
@@ -257,13 +284,11 @@ def write_belief(path: Path, poses: Tensor, log_weights: Tensor, *, stamp: float
 
     `poses` (P, 4, 4) map the object's frame to `frame`, `log_weights` (P) are normalised, `stamp` is in seconds.
     """
-    aside = path.with_name(path.name + ".part")
-    with TraceWriter(aside) as archive:
+    with whole_file(path) as aside, TraceWriter(aside) as archive:
         archive.array("poses", poses.detach().cpu().numpy())
         archive.array("log_weights", log_weights.detach().cpu().numpy())
         archive.array("stamp", np.asarray(stamp))
         archive.array("frame", np.asarray(frame))
-    aside.replace(path)
 
 
 def provenance() -> dict[str, Any]:
@@ -316,6 +341,9 @@ def _result(values: Mapping[str, Any]) -> RunResult:
     known = {field.name: values.get(field.name) for field in fields(RunResult)}
     for name in ("apc", "expected_nll"):  # numbers that are always there: null stands for one that is not finite
         known[name] = float("nan") if known[name] is None else known[name]
+    known["pose"] = None if known["pose"] is None else PoseSummary.of(known["pose"])
+    known |= {"relies_on": known["relies_on"] or "", "warnings": tuple(known["warnings"] or ())}
+    known["remarks"] = tuple(Remark(**remark) for remark in known["remarks"] or ())
     return RunResult(**known)  # type: ignore[arg-type]
 
 

@@ -3,12 +3,15 @@
 `rumi.runs.plain.plain` is the way there.
 """
 
+import difflib
 import math
 import types
 import typing
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
+
+import numpy as np
 
 from rumi.errors import UsageError
 
@@ -50,18 +53,67 @@ def dataclass_of(kind: type[_T], values: Any, at: str = "") -> _T:  # noqa: ANN4
         raise UsageError(f"{at.rstrip('.') or 'settings'}: {error}") from error
 
 
+def changed(settings: _T, changes: Mapping[str, Any]) -> _T:
+    """Settings with other values, by names as the command line has them: "seed", "planner.mppi.samples".
+
+    Args:
+        settings: a dataclass, nested as its fields are.
+        changes: values by name; of a group of settings also a mapping by name, or the group as a dataclass.
+
+    Raises:
+        UsageError: a name that is no setting (the message has the nearest), or a value that is none.
+    """
+    for name, value in changes.items():
+        settings = _changed(settings, name, value, "")
+    return settings
+
+
+def _changed(settings: _T, name: str, value: Any, at: str) -> _T:  # noqa: ANN401  (of the setting's type)
+    first, _, rest = name.partition(".")
+    hints = typing.get_type_hints(type(settings))
+    for field, called, group in _groups(type(settings)):
+        current = getattr(settings, field)
+        if first not in (called, field) or (rest and not group):
+            if called or name not in setting_names(type(current)):
+                continue
+            new = _changed(current, name, value, at)  # of a group without a name
+        elif rest:
+            new = _changed(current, rest, value, f"{at}{first}.")
+        elif group and isinstance(value, Mapping):
+            new = current
+            for key, one in value.items():
+                new = _changed(new, key, one, f"{at}{first}.")
+        elif group:
+            if not isinstance(value, type(current)):
+                kind = type(current).__name__
+                raise UsageError(f"Expected {at}{first} to be a dict of its settings or {kind}, got {value!r}")
+            new = value
+        else:
+            new = _value(hints[field], value.item() if isinstance(value, np.generic) else value, f"{at}{first}")
+        return replace(settings, **{field: new})  # type: ignore[type-var]
+    known = setting_names(type(settings))
+    groups = [called for _, called, group in _groups(type(settings)) if group and called]
+    near = [one for one in known if one.endswith(f".{name}")] or difflib.get_close_matches(name, [*groups, *known], 2)
+    meant = " or ".join(at + one for one in near) if near else ", ".join(at + one for one in known)
+    raise UsageError(f"There is no setting {at}{name}; " + (f"did you mean {meant}?" if near else f"there are {meant}"))
+
+
 def setting_names(kind: type, prefix: str = "") -> list[str]:
     """Names of all settings as flags, nested ones with dots."""
     names: list[str] = []
+    for _, called, group in _groups(kind):
+        names += setting_names(group, f"{prefix}{called}." if called else prefix) if group else [prefix + called]
+    return names
+
+
+def _groups(kind: type) -> Iterator[tuple[str, str, type | None]]:
+    """Fields of a settings class: name, name as a flag, and the dataclass where it is a group of settings."""
     for name, hint in typing.get_type_hints(kind, include_extras=True).items():
         # a flag may go by another name than the setting, and a group by none
-        given = [extra.name for extra in get_args(hint)[1:] if getattr(extra, "name", None) is not None]
-        called, inner = given[0] if given else name, get_args(hint)[0] if get_origin(hint) is Annotated else hint
-        if is_dataclass(inner) and isinstance(inner, type):
-            names += setting_names(inner, f"{prefix}{called}." if called else prefix)
-        else:
-            names.append(prefix + called)
-    return names
+        inner, *extras = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        given = [extra.name for extra in extras if getattr(extra, "name", None) is not None]
+        group = inner if is_dataclass(inner) and isinstance(inner, type) else None
+        yield name, given[0] if given else name, group
 
 
 def not_numbers(settings: Any, prefix: str = "") -> Iterator[str]:  # noqa: ANN401  (any settings class)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rumi.errors import UsageError
+from rumi.runs.files import naming
 
 if sys.platform != "win32":  # there one process at a time
     import fcntl
@@ -43,9 +44,17 @@ def append_line(path: Path, value: Mapping[str, Any]) -> None:
     """Add an object, after those that others add at the same time, and have it on the disk when this returns.
 
     What a kill had cut off ends before it, with a line of its own.
+
+    Raises:
+        UsageError: it cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     text = json.dumps(value, allow_nan=False) + "\n"
+    with naming(path):
+        _append(path, text)
+
+
+def _append(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
     file = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
     try:
         if sys.platform != "win32":

@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from rumi.errors import UsageError
+from rumi.runs.files import naming
 from rumi.runs.plain import plain
 from sensors.log.errors import LogError
 
@@ -35,6 +36,7 @@ class LogRecorder:
     ) -> None:
         from sensors.log.writer import LogWriter, StreamSpec
 
+        self._path = Path(path)
         texts = {name: json.dumps(plain(value)) for name, value in (about or {}).items()}
         try:
             self._log = LogWriter(path, [StreamSpec(name, *told) for name, told in (raw or {}).items()], about=texts)
@@ -43,11 +45,13 @@ class LogRecorder:
 
     def raw(self, stream: str, stamp_ns: int, values: Mapping[str, object]) -> None:
         """Append a row to a raw stream, received when it was taken."""
-        self._log.append(stream, stamp_ns, stamp_ns, **values)
+        with naming(self._path):
+            self._log.append(stream, stamp_ns, stamp_ns, **values)
 
     def finish(self, result: Any) -> None:  # noqa: ANN401  (of any task)
         """Write how the run ended, and close."""
-        self._log.finish(plain(result.as_dict()))
+        with naming(self._path):
+            self._log.finish(plain(result.as_dict()))
 
     def __enter__(self) -> Self:
         return self

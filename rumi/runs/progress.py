@@ -1,5 +1,6 @@
 """What a person sees of a run while it goes on: a bar on a terminal, plain lines elsewhere."""
 
+import math
 import sys
 from collections.abc import Callable, Mapping
 from types import TracebackType
@@ -33,8 +34,16 @@ def say(text: str) -> None:
     sys.stderr.flush()
 
 
+def announce(agent: object) -> None:
+    """Say what a run relies on, and what is not measured and may make its belief sure and wrong."""
+    if relies_on := getattr(agent, "relies_on", ""):
+        say(f"relies on {relies_on}")
+    for warning in getattr(agent, "warnings", ()):
+        say(f"warning: {warning}")
+
+
 class Progress:
-    """Shows each step and the seconds by stage; an `on_step` of `rumi.loop.run`, and a context manager.
+    """Shows each step and its seconds, within 80 columns; an `on_step` of `rumi.loop.run`, and a context manager.
 
     Args:
         label: what runs.
@@ -48,30 +57,25 @@ class Progress:
     ) -> None:
         self._stream = sys.stderr if stream is None else stream
         self._describe = describe
-        self._spent: dict[str, float] = {}
-        self._bar = None
+        self._bar, named = None, label.replace("{", "{{").replace("}", "}}")
         if self._stream.isatty():
             self._bar = tqdm(
                 total=steps,
-                desc=label,
+                desc="first view",
                 file=self._stream,
                 dynamic_ncols=True,
                 leave=True,
-                bar_format="{desc} {bar} {n_fmt}/{total_fmt} [{elapsed}] {postfix}",
+                bar_format=named + " {bar:4} {n_fmt}/{total_fmt} [{elapsed}] {desc}",
             )
-            self._bar.set_postfix_str("first view")
 
     def __call__(self, record: Any) -> None:  # noqa: ANN401  (a record of any task: `step` and `timings_s`)
         """Show a step."""
-        for stage, seconds in record.timings_s.items():
-            self._spent[stage] = self._spent.get(stage, 0.0) + seconds
         if self._bar is None:
             at = f"action {record.step}" if record.step else "first view"
-            self._stream.write(f"{at}: {self._describe(record)}  {stages(record.timings_s)}\n")
+            self._stream.write(f"{at}: {self._describe(record)}  {math.fsum(record.timings_s.values()):.1f} s\n")
             self._stream.flush()
             return
-        mean = stages(self._spent, per=max(1, record.step))
-        self._bar.set_postfix_str(f"{self._describe(record)}  {mean}", refresh=False)
+        self._bar.set_description_str(self._describe(record), refresh=False)
         self._bar.update(record.step - self._bar.n)
         self._bar.refresh()
 
@@ -95,7 +99,7 @@ def both(*observers: Callable[[Any], None]) -> Callable[[Any], None]:
     return on_step
 
 
-def stages(seconds: Mapping[str, float], per: int = 1) -> str:
+def stages(seconds: Mapping[str, float]) -> str:
     """Seconds by stage, known stages first."""
     ordered = sorted(seconds, key=lambda stage: _STAGES.index(stage) if stage in _STAGES else len(_STAGES))
-    return " ".join(f"{stage} {seconds[stage] / per:.2f}s" for stage in ordered)
+    return " ".join(f"{stage} {seconds[stage]:.2f}s" for stage in ordered)

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from rumi.fields.workspace import Workspace
 from sdf.object_model import ObjectModel
+from sdf.symmetry import Symmetries
 
 _MARGIN = 0.012  # metres around a shape, so that its outline closes inside the map
 _SPACING = 0.0015  # metres; well under what a figure shows
@@ -42,6 +43,8 @@ class SceneGeometry:
         tool: the tool from above.
         reachability: (V,), r(x) of the workspace's points, None where nothing limits the tool.
         thresholds: lines to draw beside a curve, by the name of the curve.
+        symmetries: of the object; None where they are not known.
+        tolerance: of a pose that counts as right, by `PoseBelief.summary`'s names for it; empty for that one's own.
     """
 
     workspace: Workspace
@@ -51,6 +54,8 @@ class SceneGeometry:
     tool: OutlineMap
     reachability: Float[Tensor, "V"] | None = None
     thresholds: dict[str, float] = field(default_factory=dict)
+    symmetries: Symmetries | None = None
+    tolerance: dict[str, float] = field(default_factory=dict)
 
 
 def make_geometry(
@@ -61,6 +66,7 @@ def make_geometry(
     height_m: float,
     reachability: Float[Tensor, "V"] | None = None,
     thresholds: dict[str, float] | None = None,
+    tolerance: dict[str, float] | None = None,
 ) -> SceneGeometry:
     """The geometry of a scene.
 
@@ -71,6 +77,7 @@ def make_geometry(
         height_m: z of the object's origin in the world, to know where the workspace cuts it.
         reachability: (V,), r(x) of the workspace's points.
         thresholds: lines to draw beside a curve, by the name of the curve.
+        tolerance: of a pose that counts as right.
     """
     bounds = model.exact.bounds
     xy, origin = _raster(bounds[:, :2])
@@ -90,6 +97,8 @@ def make_geometry(
         outline_of_points(tool_points),
         reachability,
         dict(thresholds or {}),
+        model.symmetries,
+        dict(tolerance or {}),
     )
 
 

@@ -24,8 +24,9 @@ from rumi.dynamics.base import (
 from rumi.dynamics.registry import EngineSettings
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
-from rumi.robot.gripper import GripperShape
+from rumi.robot.gripper import GripperShape, gripper_of
 from rumi.robot.tool import Tool
+from rumi.robot.tool_shape import ToolShape
 from rumi.sim.path_push import MujocoPathPush
 from rumi.sim.settings import PhysicsSettings
 from rumi.sim.world import World
@@ -82,7 +83,7 @@ class MujocoRollouts:
             # pressed down with more, objects sink into the floor
             physics = replace(physics, max_force_n=25.0, max_lift_n=15.0, max_torque_nm=4.0)
         height = None if tool.spatial else tool.height_m
-        self.world = World(model.exact, tool.shape, height, own.time_step_s, physics)
+        self.world = World(model.exact, gripper_of(tool.shape), height, own.time_step_s, physics)
         corners = model.exact.bounds[:, :2].abs().amax(0)
         outline = tool.shape.outline(0.005)
         self.reach = float(corners.norm()) + float(outline.norm(dim=-1).max()) + _MARGIN_M
@@ -254,6 +255,6 @@ class MujocoPush(PushModel):
             raise ValueError("Expected the scene of a simulator to push along paths in, got None: give what makes it")
         return MujocoPathPush(scene(), self.settings.threads)
 
-    def motion(self, model: ObjectModel, shape: GripperShape, height_m: float, resting_m: float) -> MujocoMotion:
+    def motion(self, model: ObjectModel, shape: ToolShape, height_m: float, resting_m: float) -> MujocoMotion:
         """Motion along the path of a level tool."""
-        return MujocoMotion(model, shape, height_m, self.settings)
+        return MujocoMotion(model, gripper_of(shape), height_m, self.settings)

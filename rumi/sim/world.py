@@ -15,6 +15,7 @@ from rumi.sim.scene import RAY_GROUPS, scene_model
 from rumi.sim.settings import PhysicsSettings
 from sdf import se3
 from sdf.base import SDF
+from sdf.extras import optional
 
 _SETTLE_S = 1.0
 _STANDS_DEG = 10.0
@@ -257,8 +258,4 @@ def _rotation(quaternion: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b 3 3"]:
 
 
 def _import_mujoco() -> Any:  # noqa: ANN401
-    try:
-        import mujoco
-    except ImportError as error:
-        raise ImportError("The simulator needs MuJoCo 4: install it with pip install 'rumi[sim]'") from error
-    return mujoco
+    return optional("mujoco", "The simulator")

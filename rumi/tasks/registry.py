@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol, Self, TypeVar, runtime_checkable
 
 from rumi.agent import Agent, Parts
 from rumi.errors import UsageError
+from rumi.registration.pose_summary import PoseSummary
 from rumi.registry import Table
 from rumi.runs.folder import Run
 from sensors.reading import Reading
@@ -104,6 +105,10 @@ class TaskEntry(Protocol[S]):
         """Lines on how a run ended, for people; the first one goes behind the task's name."""
         ...
 
+    def pose(self, run: Run) -> PoseSummary | None:
+        """What the last belief of a recorded run knows of the object's pose, also of one that was cut short."""
+        ...
+
     def as_dict(self, settings: S) -> dict[str, Any]:
         """Settings as settings.json has them: plain values or dataclasses, `task` and `seed` among them."""
         ...
@@ -147,9 +152,27 @@ FORMER_NAMES = {"fused": "handle"}
 """Names that tasks had before."""
 
 
+OWN = "own"
+"""What a run of a robot of one's own gives as its task."""
+
+
 def entry_of(run: Run) -> TaskEntry[Any]:
     """The task that a run is of; a recording that was imported is drawn as the first rummaging scene is."""
     return TASKS[run.task] if run.task in TASKS else next(TASKS[name] for name in TASKS)
+
+
+def entry_of_record(name: str) -> TaskEntry[Any]:
+    """The task that a recording names, also by a name that it had before.
+
+    Raises:
+        UsageError: there is no such task, or it was a robot of one's own, of which a folder holds no model.
+    """
+    if name == OWN:
+        raise UsageError(
+            "The run is of a robot of its own, whose model and tool no folder holds: replay it in Python by "
+            "rumi.replay(folder, agent), with the agent of rumi.rummager(...)"
+        )
+    return TASKS[FORMER_NAMES.get(name, name)]
 
 
 def check_seed(seed: int) -> None:

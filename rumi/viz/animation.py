@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from rumi.records import StepRecord
+from rumi.runs.files import whole_file
 from rumi.runs.scene_geometry import SceneGeometry
 from rumi.viz import style
 from rumi.viz.curves import nll_curve
 from rumi.viz.scene import Extent, information_at, interesting, legend_entries, scene_from_above
+from sdf.extras import optional
 
 _DPI = 90
 _MOST_FRAMES = 60
@@ -22,6 +24,7 @@ def animate(
     *,
     extent: Extent | None = None,
     heading: str = "",
+    ending: str = "",
     seconds_per_step: float = 0.6,
 ) -> Path:
     """Write a GIF: one picture a step (60 at most, evenly spread), the last one held.
@@ -32,10 +35,10 @@ def animate(
         path: of the file.
         extent: what to show; by default all that matters in the run.
         heading: line on top.
+        ending: what the line goes on with once the last step is shown.
         seconds_per_step: how long a step is shown.
     """
-    from PIL import Image
-
+    Image = optional("PIL.Image", "An animation")
     extent = interesting(steps, geometry) if extent is None else extent
     across, up = extent[1] - extent[0], extent[3] - extent[2]
     height = 4.6
@@ -43,20 +46,21 @@ def animate(
     threshold = geometry.thresholds.get("nll")
     shown_steps = _evenly(len(steps), _MOST_FRAMES)
     frames = []
-    with style.figure(width + 4.2, height + 1.0, dpi=_DPI) as figure:
+    with style.figure(width + 4.2, height + 1.2, dpi=_DPI) as figure:
         scene, curve = figure.subplots(1, 2, width_ratios=(width, 3.0))
-        figure.suptitle(heading, fontsize=9, x=0.01, ha="left", color=style.INK)
+        title = figure.suptitle(heading, fontsize=9, x=0.01, ha="left", color=style.INK)
         # the last step has all that is ever drawn: it makes the layout, the legend and the palette
         for step in (shown_steps[-1], *shown_steps):
             for ax in (scene, curve):
                 ax.clear()
             so_far = steps[: step + 1]
+            title.set_text(heading + (ending if step == shown_steps[-1] else ""))
             scene_from_above(so_far, geometry, scene, information=information_at(steps, step), extent=extent)
             nll_curve(so_far, curve, threshold=threshold, last=steps[-1].step)
             curve.set_ylim(0, 1.12 * _highest(steps, threshold))
             curve.legend(loc="upper right")
             if not figure.legends:
-                figure.legend(*legend_entries(scene), loc="outside lower center", ncols=7, handlelength=1.6)
+                figure.legend(*legend_entries(scene), loc="outside lower center", ncols=4, handlelength=1.6)
             figure.canvas.draw()
             figure.set_layout_engine("none")
             frames.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3]))
@@ -67,7 +71,8 @@ def animate(
     indexed = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     shown = round(1000 * seconds_per_step)
     durations = [shown] * (len(indexed) - 1) + [5 * shown]
-    indexed[0].save(path, save_all=True, append_images=indexed[1:], duration=durations, loop=0, optimize=False)
+    with whole_file(path) as aside:
+        indexed[0].save(aside, save_all=True, append_images=indexed[1:], duration=durations, loop=0, optimize=False)
     return path
 
 

@@ -11,10 +11,16 @@ from rumi.viz import style
 from rumi.viz.animation import animate
 from rumi.viz.curves import apc_curve, nll_curve, touched
 from rumi.viz.scene import Extent, information_at, interesting, legend_entries, scene_from_above
+from rumi.viz.space import BOXES, scene_in_space, tips
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+_TO_SEE = (
+    "Blue outlines: where the object may be. Orange: where a touch would tell most. The tool goes there, touches, "
+    "and the outlines close in on the true one (dashed)."
+)
 
 
 def make_figures(run: Run, out: Path | str, steps: Sequence[int] | None = None) -> list[Path]:
@@ -40,12 +46,13 @@ def make_figures(run: Run, out: Path | str, steps: Sequence[int] | None = None) 
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("scene_*.png"):  # of an earlier choice of steps
-        old.unlink()
+        old.unlink(missing_ok=True)
     extent = interesting(run.steps, run.geometry)
     written = [_save_curves(run, folder / "curves.png")]
     written += [_save_scene(run, run.geometry, step, extent, folder / f"scene_{step:03d}.png") for step in chosen]
     written.append(_save_overview(run, run.geometry, telling_steps(run), extent, folder / "overview.png"))
-    written.append(animate(run.steps, run.geometry, folder / "run.gif", extent=extent, heading=heading(run)))
+    about, how = asked(run), ending(run)
+    written.append(animate(run.steps, run.geometry, folder / "run.gif", extent=extent, heading=about, ending=how))
     return written
 
 
@@ -59,16 +66,25 @@ def telling_steps(run: Run, count: int = 4) -> list[int]:
 
 def heading(run: Run) -> str:
     """Title of a run: its task, method and outcome."""
-    asked = [str(run.settings[name]) for name in ("task", "method", "preset") if name in run.settings]
-    seed = f", seed {run.settings['seed']}" if "seed" in run.settings else ""
+    return asked(run) + ending(run)
+
+
+def asked(run: Run) -> str:
+    """What a run was to do: its task, method, preset and seed."""
+    names = [str(run.settings[name]) for name in ("task", "method", "preset") if name in run.settings]
+    return " · ".join(names) + (f", seed {run.settings['seed']}" if "seed" in run.settings else "")
+
+
+def ending(run: Run) -> str:
+    """How a run ended, to go behind what it was to do."""
     if run.result is None:
-        return " · ".join(asked) + f"{seed} · not finished"
+        return " · not finished"
     ended = {"steps": "out of actions", "budget": "out of time"}.get(run.result.stopped_by, run.result.stopped_by)
     error = ""
     if run.result.position_error_mm is not None and run.result.rotation_error_deg is not None:
         error = f", off by {run.result.position_error_mm:.1f} mm and {run.result.rotation_error_deg:.1f}°"
     plural = "" if run.result.steps == 1 else "s"
-    return " · ".join(asked) + f"{seed} · {ended} after {run.result.steps} action{plural}{error}"
+    return f" · {ended} after {run.result.steps} action{plural}{error}"
 
 
 def _thresholds(run: Run) -> dict[str, float]:
@@ -80,7 +96,7 @@ def _save_curves(run: Run, path: Path) -> Path:
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
         _draw_curves(run, upper, lower)
         figure.suptitle(heading(run), fontsize=9, x=0.01, ha="left", color=style.INK)
-        return _save(figure, path)
+        return style.save(figure, path)
 
 
 def _draw_curves(run: Run, upper: "Axes", lower: "Axes") -> None:
@@ -118,14 +134,16 @@ def _save_scene(run: Run, geometry: SceneGeometry, step: int, extent: Extent, pa
         )
         _bars(figure, ax)
         figure.legend(*legend_entries(ax), loc="outside lower center", ncols=4, handlelength=1.6, columnspacing=1.4)
-        return _save(figure, path)
+        return style.save(figure, path)
 
 
 def _save_overview(run: Run, geometry: SceneGeometry, steps: Sequence[int], extent: Extent, path: Path) -> Path:
     width = 3.1
     height = width * (extent[3] - extent[2]) / (extent[1] - extent[0])
-    with style.figure(max(width * len(steps) + 1.4, 8.0), height + 3.1) as figure:
-        rows = figure.subfigures(2, 1, height_ratios=(height + 1.0, 2.1))
+    space = 2.9 if tips(run.steps) else 0.0
+    heights = [height + 1.0, *([space] if space else []), 2.1]
+    with style.figure(max(width * len(steps) + 1.4, 8.0), sum(heights) + 0.3) as figure:
+        rows = figure.subfigures(len(heights), 1, height_ratios=heights)
         scenes = rows[0].subplots(1, len(steps), sharey=True, squeeze=False)[0]
         for ax, step in zip(scenes, steps, strict=True):
             scene_from_above(
@@ -134,14 +152,22 @@ def _save_overview(run: Run, geometry: SceneGeometry, steps: Sequence[int], exte
             ax.label_outer()
         _bars(rows[0], scenes)
         rows[0].legend(
-            *legend_entries(scenes[-1]), loc="outside lower center", ncols=7, handlelength=1.6, columnspacing=1.6
+            *legend_entries(scenes[-1]), loc="outside lower center", ncols=8, handlelength=1.6, columnspacing=1.6
         )
-        _draw_curves(run, *rows[1].subplots(1, 2))
-        for ax in rows[1].axes:
+        if space:
+            for ax, step in zip(
+                rows[1].subplots(1, len(steps), subplot_kw={"projection": "3d"}, squeeze=False)[0], steps, strict=True
+            ):
+                scene_in_space(run.steps[step], geometry, ax, extent)
+            rows[1].suptitle(
+                f"in space: boxes about the {BOXES} likeliest, true one dashed", x=0.01, ha="left", fontsize=8
+            )
+        _draw_curves(run, *rows[-1].subplots(1, 2))
+        for ax in rows[-1].axes:
             ax.set_xlabel("actions")
             ax.tick_params(labelbottom=True)
-        figure.suptitle(heading(run), fontsize=10, color=style.INK)
-        return _save(figure, path)
+        figure.suptitle(f"{heading(run)}\n{_TO_SEE}", fontsize=10, color=style.INK)
+        return style.save(figure, path)
 
 
 def _fitting(extent: Extent, longest: float) -> tuple[float, float]:
@@ -175,8 +201,3 @@ def _bars(figure: "Figure | Any", axes: Any) -> None:  # noqa: ANN401  (one axis
             bar.set_ticks([0, images[-1].norm.vmax], labels=["0", "max"])
         bar.set_label("information [nats]" if single else "information")
         bar.outline.set_visible(False)
-
-
-def _save(figure: "Figure", path: Path) -> Path:
-    figure.savefig(path, metadata={"Software": "rumi"})
-    return path

@@ -28,14 +28,14 @@ def object_outline(geometry: SceneGeometry, world_T_object: Float[Tensor, "4 4"]
 
     Of an upright object the exact silhouette; of a tipped one the hull of its surface points.
     """
-    if not _upright(world_T_object):
+    if not upright(world_T_object):
         return [hull(_apply(world_T_object, geometry.surface_points))]
     return placed(geometry.silhouette, world_T_object)
 
 
 def object_section(geometry: SceneGeometry, world_T_object: Float[Tensor, "4 4"]) -> list[np.ndarray]:
     """Lines (M, 2), world x and y: an upright object cut at the workspace's height; none of a tipped one."""
-    return placed(geometry.section, world_T_object) if _upright(world_T_object) else []
+    return placed(geometry.section, world_T_object) if upright(world_T_object) else []
 
 
 def placed(outline: OutlineMap, world_T_frame: Float[Tensor, "4 4"]) -> list[np.ndarray]:
@@ -44,7 +44,8 @@ def placed(outline: OutlineMap, world_T_frame: Float[Tensor, "4 4"]) -> list[np.
     return [line @ pose[:2, :2].T + pose[:2, 3] for line in contours(outline)]
 
 
-def _upright(pose: Float[Tensor, "4 4"]) -> bool:
+def upright(pose: Float[Tensor, "4 4"]) -> bool:
+    """Whether the object's z axis is the world's, but for some degrees."""
     return float(pose[2, 2]) > 0.995
 
 

@@ -33,8 +33,8 @@ def draw_overlay(
 ) -> Path:
     """Draw observations over a model, and save the picture.
 
-    Surface points are coloured by how far off the surface they are; free points are shown where they are inside of
-    the object, which cannot be.
+    Surface points are coloured by how far off the surface they are, dark where they lie on it; free points are shown
+    where they are inside of the object, which cannot be.
 
     Args:
         points: in the world frame.
@@ -48,17 +48,24 @@ def draw_overlay(
         UsageError: matplotlib is missing.
     """
     with style.figure(11.0, 4.4) as figure:
+        from matplotlib.lines import Line2D
+
         axes = figure.subplots(1, 3)
         for ax, (name, across, up) in zip(axes, _VIEWS, strict=True):
             _draw_view(ax, points, world_T_object, model, found, across, up)
             ax.set_title(name)
         drawn = axes[0].collections[1]
-        figure.colorbar(drawn, ax=list(axes), shrink=0.8, label="off the surface, outward [mm]")
+        figure.colorbar(drawn, ax=list(axes), shrink=0.8, label="off the surface [mm]: − inside, + outside")
+        handles = [
+            Line2D([], [], color=style.BODY, marker="o", ms=4, lw=0, label="model"),
+            Line2D([], [], color=style.INK, marker="o", ms=3, lw=0, label="observed surface: dark lies on the model"),
+            Line2D([], [], color=style.CONTACT, marker="x", ms=4, lw=0, label="known to be free, and inside"),
+        ]
+        figure.legend(handles=handles, loc="outside lower center", ncols=3)
         if title:
             figure.suptitle(title)
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=120)
-    return path
+        return style.save(figure, path, dpi=120)
 
 
 def _draw_view(
@@ -71,14 +78,14 @@ def _draw_view(
     up: int,
 ) -> None:
     body = se3.apply(world_T_object.cpu().float(), model.surface_points.cpu().float())
-    ax.scatter(*body[:, [across, up]].T.numpy(), s=9, c=style.FAINT, linewidths=0, zorder=1)
+    ax.scatter(*body[:, [across, up]].T.numpy(), s=9, c=style.BODY, linewidths=0, zorder=1)
     surface = points.points[points.of_class(Semantics.SURFACE)].cpu()
     stride = max(1, len(surface) // _MOST)
     shown, off = surface[::stride], 1e3 * found.surface[::stride]
     limit = 1e3 * GROSS_M
     ax.scatter(
-        *shown[:, [across, up]].T.numpy(), s=4, c=off.numpy(), cmap="coolwarm", vmin=-limit, vmax=limit, linewidths=0,
-        zorder=3,
+        *shown[:, [across, up]].T.numpy(), s=5, c=off.numpy(), cmap=style.residual_map(), vmin=-limit, vmax=limit,
+        linewidths=0, zorder=3,
     )  # fmt: skip
     free = points.points[points.of_class(Semantics.FREE)].cpu()[(found.free < 0).cpu()][:_MOST]
     ax.scatter(*free[:, [across, up]].T.numpy(), s=14, c=style.CONTACT, marker="x", linewidths=0.8, zorder=4)

@@ -67,7 +67,8 @@ def scene_from_above(
     ax.locator_params(nbins=6)
     ax.set_title("first view" if last.control is None else f"action {last.step}" + ", contact" * touched(last))
     known = "" if last.nll is None else f"nll {last.nll:.1f}, "
-    ax.set_title(f"{known}expects {last.expected_nll:.1f}", loc="right", fontsize=8, fontweight="normal")
+    expected = round(last.expected_nll, 1) + 0.0  # no minus before 0
+    ax.set_title(f"{known}expects {expected:.1f}", loc="right", fontsize=8, fontweight="normal")
     return ax
 
 
@@ -112,6 +113,7 @@ def draw_reach(reach: np.ndarray, origin: Sequence[float], spacing: float, ax: "
         axes[0][x], axes[1][y], part.T, levels=REACH_LEVELS, colors=style.QUIET, linewidths=0.8, zorder=1
     )
     lines.set(linestyle=(0, (1, 1.6)))
+    ax.plot([], [], color=style.QUIET, lw=0.8, ls=(0, (1, 1.6)), label="reachability r of the tool's place")
     (left, right), (bottom, top) = limits
     # words near the lower edge, out of the way of what happens, where none is cut off
     wanted, inset = bottom + 0.1 * (top - bottom), 0.03 * (right - left)
@@ -134,7 +136,7 @@ def draw_observations(steps: Sequence[StepRecord], ax: "Axes", most: int = 4000)
     """Surface points dark, free points faint; thinned to what a figure can show."""
     seen = memory(steps)
     for semantics, colour, size, alpha, order, label in (
-        (Semantics.FREE, style.FREE, 2.0, 0.35, 0.5, "known to be free"),
+        (Semantics.FREE, style.FREE, 1.2, 0.35, 0.5, "known to be free"),
         (Semantics.SURFACE, style.SURFACE, 4.0, 0.9, 4, "felt or seen"),
     ):
         every = seen.points[seen.of_class(semantics)][:, :2]
@@ -197,15 +199,14 @@ def draw_path(steps: Sequence[StepRecord], geometry: SceneGeometry, ax: "Axes") 
     return ax
 
 
-def interesting(steps: Sequence[StepRecord], geometry: SceneGeometry, margin: float = 0.06) -> Extent:
-    """The part of the scene that matters in all of these steps: the object, and the tool while it touches."""
+def interesting(steps: Sequence[StepRecord], geometry: SceneGeometry, margin: float = 0.04) -> Extent:
+    """The part of the scene that matters in all of these steps: the object, and the tool at their ends."""
     lines = []
     for step in steps:
         poses = step.belief.world_T_object[heaviest(step.belief.log_weights, 10)]
         for pose in (*poses, *(() if step.truth is None else (step.truth,))):
             lines += object_outline(geometry, pose)
-        if touched(step):
-            lines += placed(geometry.tool, step.reading.tool_pose[-1])
+        lines += placed(geometry.tool, step.reading.tool_pose[-1])
     return bounding_box(lines, margin)
 
 

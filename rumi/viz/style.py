@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rumi.errors import UsageError
+from rumi.runs.files import whole_file
+from sdf.extras import optional
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
 INK = "#222222"
 QUIET = "#8a8f98"
 FAINT = "#e7e9ed"
+BODY = "#d3d7de"
 TRUTH = "#000000"
 SURFACE = "#00707a"
 FREE = "#9fb4c4"
@@ -42,6 +45,8 @@ _RC = {
     "ytick.labelsize": 8.0,
     "xtick.major.width": 0.7,
     "ytick.major.width": 0.7,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.6,
     "legend.fontsize": 8.0,
     "legend.frameon": False,
     "figure.dpi": 100,
@@ -55,18 +60,27 @@ def figure(width: float, height: float, dpi: float | None = None) -> Iterator["F
     """A new figure of a size in inches, in the house style, drawn without a display.
 
     Raises:
-        UsageError: matplotlib is not installed.
+        ModuleNotFoundError: matplotlib is not installed.
     """
-    try:
-        import matplotlib as mpl
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise UsageError("Figures need matplotlib and pillow: pip install 'rumi[plot]'") from error
+    mpl = optional("matplotlib", "A figure")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     with mpl.rc_context(_RC):
         made = Figure(figsize=(width, height), dpi=dpi, layout="constrained")
         FigureCanvasAgg(made)
         yield made
+
+
+def save(figure: "Figure", path: Path, **options: Any) -> Path:  # noqa: ANN401  (of `savefig`)
+    """Write a figure in one go; its path.
+
+    Raises:
+        UsageError: it cannot be written.
+    """
+    with whole_file(path) as aside:
+        figure.savefig(aside, metadata={"Software": "rumi"} if path.suffix == ".png" else None, **options)
+    return path
 
 
 @cache
@@ -83,3 +97,11 @@ def likelihood_map() -> "Colormap":
     from matplotlib.colors import LinearSegmentedColormap
 
     return LinearSegmentedColormap.from_list("likelihood", ["#c3d7ea", "#7fb0dc", "#3b7fc4", "#11408b", "#081d58"])
+
+
+@cache
+def residual_map() -> "Colormap":
+    """Blue through dark to orange: what is off by nothing is seen on paper and on a pale model."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("residual", ["#2f9df4", "#1f5f96", "#1b1b1b", "#a24a12", "#ff7f1f"])

@@ -22,11 +22,12 @@ from torch import Tensor
 
 from rumi.bench.case import Setup
 from sdf import se3
+from sdf.extras import remedy
 from sdf.object_model import ObjectModel
 from sensors.semantics import Semantics
 
 PACKAGES = ("pytorch_volumetric", "chsel", "pytorch_mppi")
-INSTALL = "pip install 'rumi[peers]'"
+INSTALL = remedy("peers")
 SPACING_M = 0.0025
 """Of the peers' tables; this project's own have 2 mm and interpolate."""
 PADDING_M = 0.1

@@ -42,7 +42,7 @@ def reference_posterior(here: Situation, folder: Path, enough: float = 0.01) -> 
         boltzmann(
             here.model.exact,
             points,
-            peakiness=factor * settings.peakiness,
+            peakiness=factor * float(settings.peakiness),
             free_scale=settings.free_scale,
             tolerance=settings.tolerance_m,
         )

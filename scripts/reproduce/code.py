@@ -22,6 +22,7 @@ ROOTS: dict[str, tuple[str, ...]] = {
     "touch-box": ("rumi.tasks.touch_box.build",),
     "touch-ablation": ("rumi.tasks.touch_box.build",),
     "push-run": ("rumi.tasks.rummage.build", "rumi.loop"),
+    "first-day": ("rumi.tasks.rummage.build", "rumi.loop", "scripts.first_day"),
     "prediction": ("rumi.tasks.rummage.build", "rumi.loop", "scripts.bench.prediction"),
     "localize": ("rumi.registration.from_contacts",),
     "torques": ("rumi.sim.torque_arm",),

@@ -25,6 +25,7 @@ from scripts.reproduce.records import Record, Records
 from scripts.reproduce.reports import Report, reports, write_page
 from scripts.reproduce.seeds import seeds_of
 from scripts.reproduce.worker import Errand, failures
+from sdf.extras import remedy
 
 _TOUCH = ", ".join(touch.EXPERIMENTS)
 FAILED = 1
@@ -146,7 +147,7 @@ def chosen(options: ReproduceOptions) -> tuple[list[str], Selection]:
     if options.code and not options.show:
         raise UsageError("--code says which of the kept runs to show: give --show with it")
     if options.figures and find_spec("matplotlib") is None:
-        raise UsageError("Figures need matplotlib and pillow: pip install 'rumi[plot]', or give --no-figures")
+        raise UsageError(f"Figures need matplotlib: {remedy('plot')}, or give --no-figures")
     if options.slurm and options.executor != "submitit":
         raise UsageError("--slurm is about --executor submitit: give both or none")
     parameters_of(options.slurm)  # says what is wrong with them

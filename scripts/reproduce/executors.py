@@ -12,6 +12,7 @@ from rumi.environment import LIBRARIES, variables
 from rumi.errors import UsageError
 from scripts.reproduce.records import Records
 from scripts.reproduce.worker import PAUSE_S, Errand, failures, work, work_until_parent_ends
+from sdf.extras import optional
 
 _ONE_THREAD = dict.fromkeys(LIBRARIES, "1")
 GRACE_S = 3.0
@@ -77,7 +78,7 @@ def on_a_cluster(
         UsageError: a parameter is none of submitit's.
         KeyboardInterrupt: after the jobs were cancelled.
     """
-    import submitit
+    submitit = optional("submitit", "The executor submitit")
 
     executor = submitit.AutoExecutor(folder=folder, cluster=cluster)
     try:

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.check import check_shape
+from sdf.extras import optional
 
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
 SMALLEST_M, LARGEST_M = 0.003, 5.0
@@ -173,10 +174,7 @@ def read_off(text: str) -> tuple[list[list[float]], list[list[int]]]:
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and triangles of all that is in a file."""
-    try:
-        import trimesh
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError("Reading a mesh needs trimesh, which is not installed", name="trimesh") from error
+    trimesh = optional("trimesh", "Reading a mesh")
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # it logs what is raised here
     try:
         loaded: Any = trimesh.load(path, process=False, skip_materials=True)

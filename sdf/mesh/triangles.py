@@ -38,6 +38,9 @@ class Triangles:
 
     Args:
         corners: (F, 3, 3), metres, counter-clockwise from outside.
+
+    Attributes:
+        normals: (F, 3), unit; zero where a triangle has no area.
     """
 
     def __init__(self, corners: Float[Tensor, "F 3 3"]) -> None:
@@ -45,6 +48,8 @@ class Triangles:
         if len(corners) == 0:
             raise ValueError("Expected at least one triangle, got none")
         self.corners = corners.detach()
+        vectors = area_vectors(self.corners)
+        self.normals = torch.nn.functional.normalize(vectors, dim=-1, eps=torch.finfo(vectors.dtype).tiny)
 
     @cached_property
     def tree(self) -> Tree:
@@ -56,12 +61,6 @@ class Triangles:
         """Dipoles of ever smaller groups; the same tree unless long triangles are split."""
         corners = self.corners.double().cpu().numpy()
         return build_tree(corners, split=True) if has_long(corners) else self.tree
-
-    @cached_property
-    def normals(self) -> Float[Tensor, "F 3"]:
-        """Unit normals; zero where a triangle has no area."""
-        vectors = area_vectors(self.corners)
-        return torch.nn.functional.normalize(vectors, dim=-1, eps=torch.finfo(vectors.dtype).tiny)
 
 
 def area_vectors(corners: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3"]:
@@ -111,18 +110,19 @@ def winding_number(
 @backend.register("nearest_triangle")
 def _nearest_plain(points: Tensor, triangles: Triangles) -> tuple[Tensor, Tensor]:
     corners = triangles.corners.to(points)
-    face = torch.empty(len(points), dtype=torch.long, device=points.device)
+    faces = [torch.zeros(0, dtype=torch.long, device=points.device)]
     with torch.no_grad():
-        for rows, part in _parts(points, corners):
+        for part in _parts(points, corners):
             gap = (part[:, None] - closest_point(part[:, None], corners)).square().sum(-1)
-            face[rows] = gap.argmin(-1)
+            faces.append(gap.argmin(-1))
+    face = torch.cat(faces)
     return face, closest_point(points, corners[face])
 
 
 @backend.register("winding_number")
 def _winding_plain(points: Tensor, triangles: Triangles, accuracy: float) -> Tensor:
     corners = triangles.corners.to(points)
-    sums = [solid_angle(part[:, None], corners).sum(-1) / (4.0 * math.pi) for _, part in _parts(points, corners)]
+    sums = [solid_angle(part[:, None], corners).sum(-1) / (4.0 * math.pi) for part in _parts(points, corners)]
     return torch.cat(sums) if sums else points.new_empty(0)
 
 
@@ -179,7 +179,7 @@ def solid_angle(points: Float[Tensor, "*#b 3"], corners: Float[Tensor, "*#b 3 3"
     return 2.0 * torch.atan2(volume, base)
 
 
-def _parts(points: Tensor, corners: Tensor) -> list[tuple[slice, Tensor]]:
+def _parts(points: Tensor, corners: Tensor) -> list[Tensor]:
     """Points in chunks of a bounded number of pairs."""
     size = max(1, _PAIRS // len(corners))
-    return [(slice(i, i + size), points[i : i + size]) for i in range(0, len(points), size)]
+    return [points[i : i + size] for i in range(0, len(points), size)]

@@ -5,14 +5,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-import h5py
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sdf.extras import optional
 from sensors.log.columns import reading_columns, reading_of
 from sensors.log.errors import LogError
 from sensors.log.repaired_header import RepairedHeader
@@ -20,6 +20,9 @@ from sensors.log.stream import Sample, Stream
 from sensors.log.table import DAMAGE, Row, Table
 from sensors.log.writer import FORMAT, SCHEMA
 from sensors.reading import Reading
+
+if TYPE_CHECKING:
+    import h5py
 
 __all__ = ["Log", "Sample", "Stream", "Taken"]
 
@@ -117,14 +120,15 @@ class Log:
         return found
 
     def _look_into(
-        self, group: h5py.Group, prefix: str, found: dict[str, Stream], skip: frozenset[str] = frozenset()
+        self, group: "h5py.Group", prefix: str, found: dict[str, Stream], skip: frozenset[str] = frozenset()
     ) -> None:
         """The streams below a group; what is damaged costs no other one."""
+        subgroup = optional("h5py").Group
         for name in sorted(set(group) - skip):
             path = prefix + name
             try:
                 item = group[name]
-                if not isinstance(item, h5py.Group):
+                if not isinstance(item, subgroup):
                     continue
                 columns: frozenset[str] = frozenset()
                 if "kind" in item.attrs:
@@ -209,8 +213,9 @@ class Log:
         self.close()
 
 
-def _opened(path: Path) -> h5py.File:
+def _opened(path: Path) -> "h5py.File":
     """The file; one that grows, was killed or was cut short as if it had been closed."""
+    h5py = optional("h5py", "A log")
     try:
         with path.open("rb"):
             pass
@@ -236,5 +241,5 @@ def _taken(row: Row, kind: type[Reading]) -> Taken:
     )
 
 
-def _text(dataset: h5py.Dataset) -> str:
+def _text(dataset: "h5py.Dataset") -> str:
     return bytes(dataset[:]).decode()

@@ -3,15 +3,17 @@
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 
 from sensors.log.columns import KINDS, STAMPS
 from sensors.log.errors import LogError
 from sensors.log.table import DAMAGE, Row, Table
 from sensors.log.writer import Odd
+
+if TYPE_CHECKING:
+    import h5py
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class Stream:
         problems: what was wrong with it, as far as it was read.
     """
 
-    def __init__(self, name: str, group: h5py.Group) -> None:
+    def __init__(self, name: str, group: "h5py.Group") -> None:
         self.name = name
         try:
             attrs = {key: group.attrs[key] for key in group.attrs}

@@ -9,9 +9,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import h5py
 import numpy as np
 
+from sdf.extras import optional
 from sensors.log.columns import KINDS, STAMPS, reading_columns, reading_values
 from sensors.log.errors import LogError
 from sensors.log.table import TableWriter
@@ -102,6 +102,7 @@ class LogWriter:
     ) -> None:
         self.path, self._live, self._future_ns = Path(path), live, int(future_s * 1e9)
         self._writes_to = self.path if live else self.path.with_name(self.path.name + ".part")
+        h5py = optional("h5py", "A log")
         if self.path.exists():
             raise LogError(f"{self.path} exists: give another name, or remove it")
         try:

@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf.check import check_finite
+from sdf.check import check_finite, is_eager
+from sdf.so3 import arccos
 
 
 def width_share(distance: Float[Tensor, "*b"], half: Float[Tensor, "2"]) -> Float[Tensor, "*b"]:
@@ -20,9 +21,13 @@ def width_share(distance: Float[Tensor, "*b"], half: Float[Tensor, "2"]) -> Floa
         distance: metres.
         half: half of the edges.
     """
-    circle = float(half.norm())
-    lean = math.atan2(float(half[1]), float(half[0]))
-    past = torch.acos((distance / circle).clamp(-1.0, 1.0))
+    circle: float | Tensor
+    lean: float | Tensor
+    if is_eager() and not half.requires_grad:
+        circle, lean = float(half.norm()), math.atan2(float(half[1]), float(half[0]))
+    else:
+        circle, lean = half.norm(), torch.atan2(half[1], half[0])
+    past = arccos(distance / circle)
     within = past.clamp_max(lean) + past.clamp_max(0.5 * math.pi - lean)
     return 1.0 - within / (0.5 * math.pi)
 
@@ -80,7 +85,7 @@ class CircleTouches:
             total = total + width_share(gap, self.half).clamp_min(torch.finfo(way.dtype).tiny).log().sum(0)
         if len(self.points_w):
             apart = self.points_w[:, None] - places
-            near, far = float(self.half.min()), float(self.half.norm())
+            near, far = self.half.min(), self.half.norm()
             for reach in (apart.norm(dim=-1), (apart * self.normals_w[:, None]).sum(-1)):
                 beyond = (near - reach).clamp_min(0.0) + (reach - far).clamp_min(0.0)
                 total = total - 0.5 * (beyond / self.sigma_m).square().sum(0)

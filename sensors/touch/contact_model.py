@@ -7,10 +7,11 @@ has a step instead.
 
 import torch
 from jaxtyping import Bool, Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from sdf.base import SDF
 from sdf.check import check_shape
+from sdf.numbers import Numbers, Range
 from sdf.posed import posed_distance
 
 _STEEPEST = 1e12
@@ -52,15 +53,16 @@ def touching_probability(
     return false_positive + (true_positive - false_positive) * near
 
 
-class ContactModel(nn.Module):
-    """P(contact signal | distance): buffers, or trained if asked.
+class ContactModel(Numbers):
+    """P(contact signal | distance) of physical numbers, fixed or trained.
 
     Args:
         true_positive: probability of a signal at contact.
         false_positive: probability of a signal far away.
         decay: of the proximity model, 1/m; None for the binary model.
         tolerance: of the binary model, metres.
-        trainable: make them nn.Parameters.
+        trainable: train the rates, and of the proximity model the decay, within their range (`sdf.numbers.Numbers`);
+            the binary model's step has no slope to its tolerance.
     """
 
     def __init__(
@@ -82,18 +84,10 @@ class ContactModel(nn.Module):
                 f"Expected decay above 0 (to {_STEEPEST:g} 1/m), or None for the binary model, got {decay}"
             )
         self.smooth = decay is not None
-        values = {
-            "true_positive": true_positive,
-            "false_positive": false_positive,
-            "decay": 0.0 if decay is None else decay,
-            "tolerance": tolerance,
-        }
-        for name, value in values.items():
-            tensor = torch.tensor(float(value), dtype=torch.float64)
-            if trainable:
-                self.register_parameter(name, nn.Parameter(tensor))
-            else:
-                self.register_buffer(name, tensor)
+        self.enter("true_positive", true_positive, Range.SHARE if trainable else None)
+        self.enter("false_positive", false_positive, Range.SHARE if trainable else None)
+        self.enter("decay", 0.0 if decay is None else decay, Range.POSITIVE if trainable else None)
+        self.enter("tolerance", tolerance)
         self.true_positive: Tensor
         self.false_positive: Tensor
         self.decay: Tensor

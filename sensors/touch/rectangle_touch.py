@@ -9,6 +9,7 @@ from torch import Tensor
 
 from sdf import backend, compiled
 from sdf.check import check_finite
+from sdf.precision import full_precision
 from sdf.sweep import nearest_on_rectangle, turned
 from sensors.touch.touch_likelihood import TouchNoise, box_face_log_likelihoods
 
@@ -16,6 +17,7 @@ _ALLOWED = 2.0
 """Standard deviations by which a free way may seem to overlap."""
 
 
+@full_precision
 def rectangle_log_likelihoods(
     poses: Float[Tensor, "*#b N 3"],
     points_w: Float[Tensor, "*#b K 2"],
@@ -40,7 +42,7 @@ def rectangle_log_likelihoods(
     """
     if poses.dim() == 2:
         flat = points_w.reshape(-1, 2), normals_w.expand_as(points_w).reshape(-1, 2)
-        version = backend.dispatch("rectangle_touches", poses, *flat, half)
+        version = backend.dispatch("rectangle_touches", poses, *flat, half, *noise.tensors())
         best = version(poses, *flat, half, noise, corners).view(*points_w.shape[:-1], len(poses))
     else:
         best = _touches_plain(poses, points_w, normals_w, half, noise, corners)
@@ -75,7 +77,7 @@ def _touches_numba(
 
     arrays = (part.detach().double().contiguous().numpy() for part in (poses, points_w, normals_w))
     found = torch.empty(len(points_w), len(poses), dtype=torch.float64)
-    scales = (0.5 / noise.point_m**2, 0.5 / noise.normal_rad**2)
+    scales = (float(0.5 / noise.point_m**2), float(0.5 / noise.normal_rad**2))
     touches_kernel(*arrays, float(half[0]), float(half[1]), *scales, corners, found.numpy())
     return found.to(points_w)
 
@@ -106,6 +108,7 @@ def _clearances_numba(poses: Tensor, half: Tensor, ways_w: Tensor) -> Tensor:
     return found.to(poses)
 
 
+@full_precision
 def way_clearance(
     poses: Float[Tensor, "*#b 3"],
     half: Float[Tensor, "2"],

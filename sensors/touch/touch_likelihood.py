@@ -7,14 +7,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sdf import numbers
 from sdf.check import check_finite, check_shape, is_eager
 from sdf.mesh.touched import touched_face
 from sdf.mesh.triangles import Triangles
+from sdf.precision import full_precision
+
+_SIX_DEGREES = math.radians(6.0)
 
 
 @dataclass(frozen=True)
 class TouchNoise:
-    """Noise of a touch: its point and its normal.
+    """Noise of a touch: its point and its normal; numbers, or tensors of one number each, to which gradients go.
 
     Attributes:
         point_m: sigma_p, metres.
@@ -23,13 +27,15 @@ class TouchNoise:
         extent_m: an outlier's distance is uniform up to this, and its chord over all chords.
     """
 
-    point_m: float = 0.005
-    normal_rad: float = math.radians(6.0)
-    outlier: float = 0.0
-    extent_m: float = 0.5
+    point_m: float | Tensor = 0.005
+    normal_rad: float | Tensor = _SIX_DEGREES
+    outlier: float | Tensor = 0.0
+    extent_m: float | Tensor = 0.5
 
     def __post_init__(self) -> None:
         """Refuse noise that is none."""
+        if not is_eager():
+            return
         for name in ("point_m", "normal_rad", "extent_m"):
             # squares of less, and logs of more, are no numbers
             if not 1e-12 < getattr(self, name) < 1e12:
@@ -48,14 +54,20 @@ class TouchNoise:
 
     def with_outliers(self, log: Float[Tensor, "*b"], normals: bool) -> Float[Tensor, "*b"]:
         """The same where some of the touches tell nothing; in units of the same constants."""
-        if self.outlier == 0.0:
+        if not isinstance(self.outlier, Tensor) and self.outlier == 0.0:
             return log
-        floor = math.log(self.outlier * math.sqrt(2.0 * math.pi) * self.point_m / self.extent_m)
+        floor = numbers.log(self.outlier * math.sqrt(2.0 * math.pi) * self.point_m / self.extent_m)
         if normals:
-            floor += math.log(math.sqrt(2.0 * math.pi) * self.normal_rad / 2.0)
-        return torch.logaddexp(log + math.log1p(-self.outlier), log.new_full((), floor))
+            floor = floor + numbers.log(math.sqrt(2.0 * math.pi) * self.normal_rad / 2.0)
+        return torch.logaddexp(log + numbers.log1p(-self.outlier), numbers.like(floor, log))
+
+    def tensors(self) -> tuple[Tensor, ...]:
+        """Those of its numbers that are tensors."""
+        parts = (self.point_m, self.normal_rad, self.outlier, self.extent_m)
+        return tuple(part for part in parts if isinstance(part, Tensor))
 
 
+@full_precision
 def touch_log_likelihoods(
     world_T_object: Float[Tensor, "*b 4 4"],
     points_w: Float[Tensor, "K 3"],
@@ -79,10 +91,9 @@ def touch_log_likelihoods(
         ValueError: a shape does not fit, or a point or normal is not finite.
     """
     check_shape("points_w", points_w, "(K, 3)")
-    if is_eager():
-        check_finite("points_w", points_w)
-        if normals_w is not None:
-            check_finite("normals_w", normals_w)
+    check_finite("points_w", points_w)
+    if normals_w is not None:
+        check_finite("normals_w", normals_w)
     noise = noise or TouchNoise()
     rotation, place = world_T_object[..., None, :3, :3], world_T_object[..., None, :3, 3]
     own = (rotation.mT @ (points_w - place)[..., None])[..., 0]

@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from sdf.extras import optional
+
 Unit = Literal["auto", "m", "mm"]
 UNITS: tuple[str, ...] = ("auto", "m", "mm")
 
@@ -19,13 +21,9 @@ def opencv() -> Any:  # noqa: ANN401  (a module without types)
     """The module cv2.
 
     Raises:
-        ImportError: OpenCV is not installed; with what to install.
+        ModuleNotFoundError: OpenCV is not installed; with what to install.
     """
-    try:
-        import cv2
-    except ImportError as error:
-        raise ImportError("Images need OpenCV: install it with pip install 'rumi[vision]'") from error
-    return cv2
+    return optional("cv2", "An image")
 
 
 def depth_metres(

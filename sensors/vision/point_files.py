@@ -11,6 +11,7 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.cache import DAMAGED
+from sdf.extras import optional
 from sensors.vision.images import depth_metres
 from sensors.vision.pcd import read_pcd
 
@@ -47,7 +48,7 @@ def read_cloud(path: str | Path, *, scale: float = 1.0) -> Cloud:
     Raises:
         ValueError: another kind of file, or one that cannot be read; with what was expected.
         FileNotFoundError: there is no such file.
-        ImportError: what reads this kind of file is not installed.
+        ModuleNotFoundError: what reads this kind of file is not installed.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -76,10 +77,7 @@ def read_cloud(path: str | Path, *, scale: float = 1.0) -> Cloud:
 
 
 def _ply(data: bytes) -> Cloud:
-    try:
-        import trimesh
-    except ImportError as error:
-        raise ImportError("PLY files need trimesh: install it with pip install 'rumi[vision]'") from error
+    trimesh = optional("trimesh", "A PLY file")
     if not data.startswith(b"ply"):
         raise ValueError("expected a PLY header")
     loaded: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)

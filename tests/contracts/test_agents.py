@@ -1,5 +1,6 @@
 """What holds of every task's agent, and of the folder that its runs leave."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from rumi.agent import Agent, Parts, Record, State, StopReason
 from rumi.clock import Clock
 from rumi.errors import UsageError
 from rumi.runs.folder import RunRecorder, load_run
+from rumi.runs.plain import plain
 from rumi.runs.progress import both
 from rumi.runs.recorded import RunLog
 from rumi.runs.replay import digest, replay
@@ -22,7 +24,7 @@ from rumi.task import Task
 from rumi.tasks.grasp_table import clearance_table
 from rumi.tasks.handle.build import build_handle
 from rumi.tasks.handle.entry import HandleRunSettings
-from rumi.tasks.handle.grasp import HandleTable
+from rumi.tasks.handle.grasp import handle_odds
 from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.peg.entry import PegRunSettings
 from rumi.tasks.peg.settings import PegSettings
@@ -70,7 +72,7 @@ def touching(settings: TouchBoxSettings) -> Parts[Any, Any]:
 
 
 def handling(settings: HandleRunSettings) -> Parts[Any, Any]:
-    table = HandleTable(torch.ones(9, 6, 13, dtype=torch.float64))
+    table = handle_odds(torch.ones(9, 6, 13, dtype=torch.float64))
     return build_handle(settings.settings, tool=make_tool(task_of(settings.settings), free_flying=True), table=table)
 
 
@@ -129,6 +131,18 @@ def test_its_parts_are_what_the_loop_asks_for(live):
 def test_it_stops_for_a_reason_that_there_is(live):
     assert live.result.stopped_by in get_args(StopReason)
     assert all(set(record.timings_s) for record in live.records)
+
+
+def test_its_answer_is_in_its_result(live):
+    told = json.loads(json.dumps(plain(live.result.as_dict()), allow_nan=False))
+    assert "motion: " in told["relies_on"] and told["relies_on"] == live.parts.agent.relies_on
+    assert told["warnings"] == list(getattr(live.parts.agent, "warnings", ()))
+    assert (told["why_not"] is None) == (live.result.stopped_by == "sure")
+    run = load_run(live.folder)
+    pose = entry_of(run).pose(replace(run, result=None))
+    assert (None if pose is None else plain(pose.as_dict())) == told["pose"]
+    if pose is not None:
+        assert torch.linalg.eigvalsh(pose.covariance)[0] > -1e-12 and 0.0 <= pose.probability <= 1.0
 
 
 def test_the_same_seed_gives_the_same_run(live):

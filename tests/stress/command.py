@@ -20,6 +20,7 @@ from rumi.runs.folder import write_json
 from rumi.runs.jsonlines import check_writable
 from rumi.runs.progress import say
 from scripts.store import commit, machine
+from sdf.extras import remedy
 from tests.stress import exact, subjects
 from tests.stress.sweep import SWEEPS, Outcome, Sweep, carry_out
 
@@ -40,6 +41,7 @@ _HELP = """Hold public operations to references of higher precision, over inputs
     rumi stress --only se3-log-float32 --seed 1234 --rounds 1 --show
     rumi stress --fuzz 100000
     rumi stress --kills 100
+    rumi stress --pairs 200
     rumi stress --readings 10000
 
 Ends with exit code 1 if an error exceeds its limit or something comes out that is not finite, with 2 for bad input."""
@@ -60,6 +62,7 @@ class StressOptions:
         list: name the sweeps, or with --fuzz its targets, and end.
         fuzz: instead of the sweeps, so many cases of functions, files, settings and command lines.
         kills: instead of the sweeps, kill whole commands so many times at random moments, and writers as often.
+        pairs: instead of the sweeps, start so many pairs of runs at once that want one folder.
         readings: instead of the sweeps, follow one object over so many readings.
     """
 
@@ -72,6 +75,7 @@ class StressOptions:
     list: bool = False
     fuzz: int | None = None
     kills: int | None = None
+    pairs: int | None = None
     readings: int | None = None
 
 
@@ -86,19 +90,20 @@ def stress(arguments: Sequence[str]) -> int:
         raise UsageError(f"Expected --seed from 0 and --rounds from 1, got {options.seed} and {options.rounds}")
     if options.json is not None:
         check_writable(options.json)
-    instead = {name: getattr(options, name) for name in ("fuzz", "kills", "readings")}
+    instead = {name: getattr(options, name) for name in ("fuzz", "kills", "pairs", "readings")}
     asked = [name for name, count in instead.items() if count is not None]
     if len(asked) > 1 or any(count is not None and count < 1 for count in instead.values()):
-        raise UsageError("Expected one of --fuzz, --kills and --readings, with a number above 0")
+        raise UsageError("Expected one of --fuzz, --kills, --pairs and --readings, with a number above 0")
     if asked:
-        return int({"fuzz": _fuzz, "kills": _kills, "readings": _readings}[asked[0]](options, instead[asked[0]]))
+        carried = {"fuzz": _fuzz, "kills": _kills, "pairs": _pairs, "readings": _readings}
+        return int(carried[asked[0]](options, instead[asked[0]]))
     subjects.load()
     sweeps = _chosen(options)
     if options.list:
         sys.stdout.write("".join(f"{sweep.name}\n" for sweep in sweeps))
         return DONE
     if not exact.available():
-        say("without mpmath some sweeps are left out: pip install 'rumi[stress]'")
+        say(f"without mpmath some sweeps are left out: {remedy('stress')}")
     began = time.perf_counter()
     found, ended = sweep_all(sweeps, options), DONE
     if len(found) < len(sweeps):
@@ -171,6 +176,20 @@ def _kills(options: StressOptions, count: int) -> int:
         sys.stdout.flush()
     _write(options, {what: asdict(killed) for what, killed in found.items()})
     return WRONG if any(killed.wrong for killed in found.values()) else DONE
+
+
+def _pairs(options: StressOptions, count: int) -> int:
+    """Pairs of runs at once."""
+    from tests.stress.pairs import run_pairs
+
+    with tempfile.TemporaryDirectory() as folder:
+        found = run_pairs(count, Path(folder), seed=options.seed, said=partial(_progress, of=count, name="pairs"))
+    _progress(0, 0, "")
+    told = ", ".join(f"{number} with {kind}" for kind, number in found.pairs.items())
+    sys.stdout.write(f"{count} pairs of runs ({told}); {found.refused} runs refused, {len(found.wrong)} pairs wrong\n")
+    sys.stdout.write("".join(f"    {text}\n" for text in found.wrong))
+    _write(options, asdict(found))
+    return WRONG if found.wrong else DONE
 
 
 def _readings(options: StressOptions, count: int) -> int:

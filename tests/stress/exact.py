@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sdf.extras import optional
+
 DIGITS = 50
 
 
@@ -23,9 +25,7 @@ def mp() -> Any:  # noqa: ANN401  (comes without types)
     Raises:
         ModuleNotFoundError: it is not installed; the message says what brings it.
     """
-    if not available():
-        raise ModuleNotFoundError("No module named 'mpmath': pip install 'rumi[stress]'", name="mpmath")
-    module: Any = importlib.import_module("mpmath")
+    module: Any = optional("mpmath", "This sweep")
     module.mp.dps = DIGITS
     return module
 

@@ -28,6 +28,7 @@ _NEEDED = (
     "rumi.loop",
     "scripts.reproduce.command",
     "rumi.tasks.rummage.simulated",
+    "rumi.tasks.peg.entry",
 )
 _OPTIONAL = ("sensors.log.writer",)
 

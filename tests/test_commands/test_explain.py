@@ -24,15 +24,17 @@ def test_says_how_much_was_done_of_how_much_and_what_that_saved() -> None:
 
 @pytest.mark.sim
 def test_a_run_explains_itself(tmp_path: object, capsys: pytest.CaptureFixture[str]) -> None:
-    code = main(["run", "mug-0", "--steps", "2", "--out", f"{tmp_path}/run", "--no-figures", "--explain"])
+    code = main(["run", "mug-0", "--steps", "2", "--out", f"{tmp_path}/run", "--no-figures", "--explain", "--glossary"])
     said = capsys.readouterr().out
     assert code in (0, 1)
+    assert all(f"\n  {word} " in said for word in ("nll", "expects", "apc", "ess", "agree", "r"))
+    assert "look at" not in said, "there are no figures"
     works = (
-        "workspace points valued",
-        "mini steps in which the tool could touch",
-        "actions planned for",
-        "points weighed",
-        "looks at an observed point",
+        "places whose worth was worked out",
+        "small steps of a push",
+        "actions that were planned anew",
+        "points that were weighed anew",
+        "distances of a point to a pose",
     )
     for words in works:
         assert words in said

@@ -13,6 +13,7 @@ from rumi.runs.json_settings import setting_names
 from rumi.tasks.rummage.settings import Settings, from_dict
 from scripts.bench.mug_mesh import mug_mesh, write_obj
 from sdf.primitives import Mug
+from tests.fixtures.meshes import box
 
 for package in ("trimesh", "scipy", "networkx"):
     pytest.importorskip(package)
@@ -68,6 +69,16 @@ def test_the_tasks_own_object_is_described_too():
     assert run_small(*small, "--out", "own") == exit_codes.NOT_CONVERGED
     said = json.loads(Path("own/object.json").read_text())
     assert (said["name"], said["mesh"]) == ("mug", None)
+
+
+def test_what_is_lower_than_the_usual_tool_is_found_or_refused_before_anything_is_written(tmp_path, capsys):
+    write_obj(box((0.06, 0.04, 0.015)), tmp_path / "slab.obj")
+    write_obj(box((0.08, 0.05, 0.001)), tmp_path / "plate.obj")
+    assert run_small(*SMALL, "--mesh", "slab.obj", "--out", "slab") == exit_codes.NOT_CONVERGED
+    assert float(load_run("slab").steps[0].reading.tool_pose[0, 2, 3]) == pytest.approx(0.023)
+    assert run_small(*SMALL, "--mesh", "plate.obj") == exit_codes.BAD_INPUT
+    assert "got 160 x 100 x 2 mm" in (said := capsys.readouterr().err) and "`rumi localize`" in said
+    assert not list(Path("runs").iterdir())
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def test_golden(golden):
 
 def test_arm_stands_upright_at_zero(arm):
     pose = arm.forward(torch.zeros(1, 7, dtype=torch.float64))[0]
-    geometry = arm.geometry
+    geometry = ArmGeometry()
     height = sum(geometry.offsets_m) + geometry.flange_m + geometry.tool_m
     torch.testing.assert_close(pose[:3, 3], torch.tensor([0.0, 0.0, height], dtype=torch.float64))
     # the flange points up: the tool's x is bent away from it by the pitch
@@ -85,10 +85,10 @@ def test_jacobian_against_finite_differences(arm):
 
 def test_solutions_keep_the_limits_and_reach_the_goal(arm):
     generator = torch.Generator().manual_seed(1)
-    inside = arm.limits * (torch.rand(200, 7, generator=generator, dtype=torch.float64) * 1.6 - 0.8)
+    inside = arm.high * (torch.rand(200, 7, generator=generator, dtype=torch.float64) * 1.6 - 0.8)
     goals = arm.forward(inside)
     result = arm.solve(goals, inside + 0.2 * torch.randn(200, 7, generator=generator, dtype=torch.float64))
-    assert bool((result.joints.abs() <= arm.limits + 1e-12).all())
+    assert bool((result.joints.abs() <= arm.high + 1e-12).all())
     assert float((result.position_error < 1e-4).double().mean()) > 0.95
     left = se3.distance(arm.forward(result.joints), goals)
     torch.testing.assert_close(left[0], result.position_error, atol=1e-9, rtol=0)
@@ -96,10 +96,10 @@ def test_solutions_keep_the_limits_and_reach_the_goal(arm):
 
 
 def test_tighter_limits_hold(arm):
-    limits = arm.limits.clone()
+    limits = arm.high.clone()
     limits[0] = 0.1
     goal = se3.from_planar(torch.tensor([[0.0, 0.7, math.pi / 2]], dtype=torch.float64), 0.045)
-    result = arm.solve(goal, torch.zeros(1, 7, dtype=torch.float64), limits=limits)
+    result = arm.solve(goal, torch.zeros(1, 7, dtype=torch.float64), low=-limits, high=limits)
     assert float(result.joints[0, 0].abs()) <= 0.1 + 1e-12
 
 

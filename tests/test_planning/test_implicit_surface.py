@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rumi.errors import UsageError
 from rumi.planning.implicit_surface import (
     Hyperparameters,
     Labelled,
@@ -175,7 +174,7 @@ class TestFit:
 
 def test_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gpytorch", None)
-    with pytest.raises(UsageError, match=r"need gpytorch.*pip install 'rumi\[baselines\]'"):
+    with pytest.raises(ModuleNotFoundError, match=r"needs gpytorch.*pip install -e '.*\[baselines\]'"):
         fit(ball())
 
 

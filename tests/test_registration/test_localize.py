@@ -1,5 +1,6 @@
 """Poses from touched points: oracles, all modes, and input that cannot be."""
 
+import json
 import math
 import os
 from dataclasses import replace
@@ -231,12 +232,12 @@ def test_a_sheet_can_be_touched_too():
 
 
 @pytest.mark.parametrize("exact", [False, True])
-@pytest.mark.parametrize("loss", ["square", "absolute"])
+@pytest.mark.parametrize(("loss", "outlier"), [("square", 0.0), ("absolute", 0.0), ("absolute", 0.05)])
 @pytest.mark.parametrize("reach", [0.0, 0.05])
-def test_terms_are_the_derivatives(version, wedge, exact, loss, reach):
+def test_terms_are_the_derivatives(version, wedge, exact, loss, outlier, reach):
     truth, points, normals = touches(wedge, 20, noise=0.004)
     poses = wedge.centred(se3.exp(0.02 * torch.randn(4, 6, generator=seeded(2), dtype=F64)) @ truth)
-    fit = TouchFit(loss, exact, reach, smooth_m=1e-3)
+    fit = TouchFit(loss, exact, reach, smooth_m=1e-3, outlier=outlier)
     given = normals if reach else None
     terms = touch_terms(wedge, poses, points, given, fit)
     for k in range(6):
@@ -277,6 +278,8 @@ def test_versions_agree(dtype, box):
         TouchFit("square", True, 0.04),
         TouchFit("absolute", False, 0.04),
         TouchFit("absolute", True, smooth_m=0.0),
+        TouchFit("absolute", True, 0.04, outlier=0.02),
+        TouchFit("square", True, outlier=0.02),
     ):
         for some in (poses, poses[:0]):
             results = []
@@ -291,6 +294,40 @@ def test_versions_agree(dtype, box):
                 assert one.dtype == two.dtype == dtype
                 assert torch.allclose(one[near], two[near], rtol=rough, atol=rough * scale)
                 assert bool(torch.isfinite(two).all())
+
+
+@pytest.mark.parametrize("with_normals", [False, True])
+def test_a_bad_touch_is_named_and_does_no_harm(wedge, with_normals):
+    """One beside the object, and one of another thing, which cannot be on it."""
+    truth, points, normals = touches(wedge, 20, noise=0.0005)
+    points[3] += 0.05 * normals[3]
+    points[8] += 0.5
+    found = localize(wedge, points, normals=normals if with_normals else None, settings=FEW)
+    place, turn = off(wedge, found, truth)
+    assert place < 0.004 and turn < 0.1 and float(found.weights[0]) > 0.9
+    assert found.suspects[:2] == [8, 3] and found.left_out.nonzero().tolist() == [[8]] and found.points == 20
+    assert found.noise_m < 0.0015
+    told = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert [one["touch"] for one in told["suspects"][:2]] == [9, 4] and told["suspects"][0]["left_out"]
+    assert "suspect touches" in found.text() and "9 (" in found.text()
+
+
+def test_the_covariance_of_the_origin(wedge):
+    """What a small shift and turn of the middle do to the mesh's origin."""
+    _, points, _ = touches(wedge, 30, noise=0.001)
+    found = localize(wedge, points, settings=FEW)
+    draw = 1e-4 * torch.randn(4000, 6, generator=seeded(0), dtype=F64)
+    spread = torch.linalg.cholesky(found.covariance[0])
+    moved = draw @ spread.mT
+    middle = wedge.centred(found.world_T_object[0])
+    turn = so3.exp(moved[:, 3:]) @ middle[:3, :3]
+    origin = wedge.uncentred(se3.make(turn, middle[:3, 3] + moved[:, :3]))[:, :3, 3] - found.world_T_object[0, :3, 3]
+    own = torch.cat((origin, moved[:, 3:]), -1) / 1e-4
+    expected = spread @ (draw.mT @ draw / len(draw) / 1e-8) @ spread.mT
+    across = torch.eye(6, dtype=F64)
+    across[:3, 3:] = so3.hat(middle[:3, :3] @ wedge.middle_o)
+    assert torch.allclose(own.mT @ own / len(own), across @ expected @ across.mT, rtol=1e-3, atol=1e-9)
+    assert torch.allclose(found.mode(0).covariance, across @ found.covariance[0] @ across.mT)
 
 
 def test_distinct_counts_what_looks_the_same_once(box):

@@ -326,7 +326,9 @@ def test_the_command(bags, tmp_path, monkeypatch, capsys):
     said = capsys.readouterr()
     assert "bag.h5: 3 rows of 1 streams" in said.out and "(1 duplicate)" in said.out
     assert "the bag has no /cloud" in said.err
-    (tmp_path / "few.toml").write_text(re.sub(r'"/(cloud|depth|metres|color|info|joints|touched)" .*\n', "", ALL))
+    few = re.sub(r'"/(cloud|depth|metres|color|info|joints|touched)" .*\n', "", ALL)
+    fixed = "".join(f'[[fixed]]\nparent = "base"\nchild = "{child}"\n' for child in ("hand", "wrist"))
+    (tmp_path / "few.toml").write_text(few + fixed)
     assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == DONE
     assert main(["import", "bag/bag.mcap", "--map", "few.toml", "--out", "few.h5"]) == BAD_INPUT
     assert "few.h5 exists" in capsys.readouterr().err
@@ -335,6 +337,33 @@ def test_the_command(bags, tmp_path, monkeypatch, capsys):
         assert "Expected --future of 0 s to 1e+09 s" in capsys.readouterr().err
     assert main(["import", "bag/bag.mcap", "--map", "none.toml"]) == BAD_INPUT
     assert "Cannot read the mapping none.toml" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ('tool = "hand"', r"Nothing connects the frame 'hnd' to 'base'; the recording's frames are base, hand"),
+        ('world = "base"', r"Nothing connects the frame 'hand' to 'bse'"),
+        ('"/wrench" = "wrench"', "Nothing connects the frame 'wrst' to 'base'"),
+    ],
+)
+def test_a_frame_that_is_not_there_is_refused_when_it_is_imported(bags, tmp_path, monkeypatch, capsys, wrong, message):
+    monkeypatch.chdir(tmp_path)
+    right = re.sub(r"\[topics\].*\[frames\]", '[topics]\n"/wrench" = "wrench"\n[frames]', ALL, flags=re.DOTALL)
+    maker = bags.Maker(tmp_path / "bag")
+    maker.wrench("/wrench", bags.START, "hand", np.zeros(6))
+    maker.tf(bags.START, "base", "hand", torch.eye(4, dtype=torch.float64))
+    maker.close()
+    (tmp_path / "map.toml").write_text(right)
+    assert main(["import", "bag", "--map", "map.toml"]) == DONE
+    (tmp_path / "bag.h5").unlink()
+    capsys.readouterr()
+    frame = '"/wrench" = { role = "wrench", frame = "wrst" }'
+    changed = frame if "wrench" in wrong else wrong.replace("hand", "hnd").replace("base", "bse")
+    (tmp_path / "map.toml").write_text(right.replace(wrong, changed))
+    assert main(["import", "bag", "--map", "map.toml"]) == BAD_INPUT
+    assert re.search(message, capsys.readouterr().err)
+    assert not list(tmp_path.glob("*.h5*"))
 
 
 @pytest.mark.parametrize(

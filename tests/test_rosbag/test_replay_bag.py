@@ -108,7 +108,7 @@ def test_the_command(log, tmp_path, monkeypatch, capsys, bags):
     assert main(["replay", str(log), "--out", "run"]) == NOT_CONVERGED
     said = capsys.readouterr()
     assert "no live run's to compare with" in said.out
-    assert "likeliest at (0." in said.out
+    assert "pose     x 0." in said.out
     run = load_run("run")
     assert len(run.steps) == 6
     assert run.settings["filter"]["motion"] == "sticking"

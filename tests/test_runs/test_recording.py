@@ -1,22 +1,29 @@
+import errno
 import itertools
 import json
 import math
 import os
 import re
 import stat
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.runs.folder import SCHEMA, RunRecorder, holds_run, load_run, write_json
+from rumi.runs import folder as folder_module
+from rumi.runs.files import new_file
+from rumi.runs.folder import SCHEMA, RunRecorder, holds_run, load_run, write_belief, write_json
 from rumi.runs.plain import plain
 from rumi.runs.trace import TraceWriter, read_trace
 from sdf.processor import processor
 from tests.fixtures.made_up_run import make_up
 
+WRITTEN = {"settings.json", "trace.npz", "steps.jsonl", "belief.npz"}
 SETTINGS = {"task": "mug-0", "seed": 3, "stop": {"fit": float("inf")}}
 
 
@@ -65,7 +72,7 @@ def test_what_is_written_is_read(tmp_path, run):
         for name, values in step.plan.fields.items():
             torch.testing.assert_close(values, again.plan.fields[name], rtol=1e-3, atol=1e-6)
     assert_same(run.geometry, read.geometry)
-    assert_same(run.result, read.result)
+    assert_same(replace(run.result, belief=run.steps[-1].belief), read.result)
     assert read.settings["task"] == "mug-0"
 
 
@@ -161,6 +168,79 @@ def test_a_run_is_never_overwritten(tmp_path, run):
     assert (folder / "trace.npz").read_bytes() == before
     assert holds_run(folder)
     assert not holds_run(tmp_path)
+
+
+def test_of_runs_at_once_one_has_the_folder(tmp_path, run, monkeypatch):
+    """All have found it free when the first one takes it."""
+    count = 6
+    together = threading.Barrier(count)
+    monkeypatch.setattr(folder_module, "provenance", lambda: {"passed": together.wait() >= 0})
+
+    def start(number):
+        try:
+            with RunRecorder(tmp_path / "run", {"seed": number}) as recorder:
+                recorder(run.steps[0])
+        except UsageError as error:
+            return str(error)
+        return number
+
+    with ThreadPoolExecutor(count) as pool:
+        ended = list(pool.map(start, range(count)))
+    assert sum("holds a run already" in str(one) for one in ended) == count - 1
+    (owner,) = (one for one in ended if isinstance(one, int))
+    assert load_run(tmp_path / "run").settings["seed"] == owner
+    assert len(load_run(tmp_path / "run").steps) == 1
+    assert {path.name for path in (tmp_path / "run").iterdir()} == WRITTEN
+
+
+def test_a_file_system_without_links_keeps_runs_apart_too(tmp_path, monkeypatch):
+    def refuse(*names):
+        raise PermissionError(1, "no links here")
+
+    monkeypatch.setattr(os, "link", refuse)
+    new_file(tmp_path / "a", "first")
+    with pytest.raises(FileExistsError):
+        new_file(tmp_path / "a", "second")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("a", "first")]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_what_ends_before_its_first_step_leaves_nothing(tmp_path, run, error):
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "notes.txt").write_text("mine")
+    for name, left in (("run", None), ("own", ["notes.txt"])):
+        with pytest.raises(error), RunRecorder(tmp_path / name, SETTINGS, run.geometry) as recorder:
+            write_json(recorder.folder / "object.json", {})
+            raise error
+        assert left == ([path.name for path in (tmp_path / name).iterdir()] if left else None)
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(error), RunRecorder(tmp_path / "run", SETTINGS) as recorder:
+        recorder(run.steps[0])
+        raise error
+    assert len(load_run(tmp_path / "run").steps) == 1
+
+
+def full(*arguments, **named):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("part", ["write_step", "write_geometry"])
+def test_a_full_disk_says_where_and_an_empty_run_is_taken_away(tmp_path, run, monkeypatch, part):
+    monkeypatch.setattr(folder_module, part, full)
+    with pytest.raises(UsageError, match=r"Cannot write .*run: No space left"):
+        record(tmp_path / "run", run)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", ["belief.npz", "a.json"])
+def test_a_full_disk_leaves_no_half_file(tmp_path, run, monkeypatch, name):
+    monkeypatch.setattr(TraceWriter, "array", full)
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(UsageError, match=rf"Cannot write .*{name}: No space left"):
+        if name == "a.json":
+            write_json(tmp_path / name, {})
+        write_belief(tmp_path / name, *run.steps[0].poses, stamp=0.0)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_unwritable_folder_is_refused(tmp_path):

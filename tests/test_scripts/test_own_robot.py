@@ -1,33 +1,51 @@
-"""The example of an own robot, from its fake driver to its replayed log, and the check of its calibration."""
+"""The example of an own robot, from its stub to its replayed run, and the check of a camera's calibration."""
 
 import importlib.util
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+import rumi
 from rumi import exit_codes
 from rumi.cli import main
-from rumi.errors import UsageError
 from rumi.metrics.alignment import align
-from rumi.rosbag.mapping import read_mapping
-from rumi.rosbag.scene import rummager_of_map, settings_of
-from rumi.runs.replay import replay
 from rumi.task import Task
-from rumi.tasks.rummage.scenes import large_handled_mug
 from rumi.tasks.rummage.settings import preset, to_dict
 from sdf import se3
 from sdf.primitives import Box, Sphere
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
+from sensors.vision.camera import look_at, pinhole
 
 pytest.importorskip("h5py")
 
-from sensors.log.reader import Log
+from sensors.log.writer import LogWriter, StreamSpec
 
 SCRIPT = Path(__file__).resolve().parent.parent.parent / "scripts" / "own_robot.py"
 TRUTH = se3.from_planar(torch.tensor([0.56, 0.03, 0.7]))
+MAP = """
+schema = 1
+[topics]
+"depth" = { role = "depth", camera = "camera" }
+"camera" = "camera"
+[frames]
+world = "base"
+tool = "gripper"
+[scene]
+builtin = "mug"
+within = [[0.40, -0.15, 0.0], [0.75, 0.20, 0.15]]
+[actions]
+view_s = 0.2
+"""
+STREAMS = [
+    StreamSpec("depth", "depth", "camera", {"topic": "depth", "camera": "camera"}),
+    StreamSpec("camera", "camera", "camera", {"topic": "camera"}),
+    StreamSpec("tf/base/gripper", "pose", "base", {"parent": "base", "child": "gripper"}),
+    StreamSpec("tf/base/camera", "pose", "base", {"parent": "base", "child": "camera", "static": True}),
+]
 
 
 @pytest.fixture(scope="module")
@@ -40,93 +58,52 @@ def script():
 
 
 @pytest.fixture(scope="module")
+def robot(script):
+    return script.robot_for()
+
+
+@pytest.fixture(scope="module")
 def found(script, tmp_path_factory):
-    """A run of the fake robot: its folder and its last step."""
-    folder = tmp_path_factory.mktemp("own")
-    _, last = script.main(folder, script.FakeDriver(TRUTH))
-    return folder, last
+    """A run of the made-up robot: its folder, how it ended, its steps and the robot."""
+    folder = tmp_path_factory.mktemp("own") / "run"
+    return folder, *script.main(folder)
 
 
 @pytest.mark.slow
-def test_it_finds_the_mug(found):
-    _, last = found
-    pose = last.belief.mode()
-    assert float((pose[:2, 3] - TRUTH[:2, 3]).norm()) < 0.005
-    assert last.contacts > 0
-
-
-@pytest.mark.parametrize("taken", ["log.h5", "settings.json"])
-def test_a_folder_with_a_run_or_a_log_is_refused(script, taken, tmp_path):
-    (tmp_path / taken).write_text("of another run")
-    with pytest.raises(UsageError, match=r"holds a (run|log) already: give another folder"):
-        script.main(tmp_path, script.FakeDriver(TRUTH))
-    assert [path.name for path in tmp_path.iterdir()] == [taken]
-
-
-def test_a_camera_that_is_off_by_no_number_is_refused(script):
-    with pytest.raises(UsageError, match="Expected --camera-off in metres, got nan"):
-        script.FakeDriver(TRUTH, camera_off_m=float("nan"))
-
-
-def test_it_is_a_task(script, tmp_path):
-    mapping = read_mapping(SCRIPT.with_suffix(".toml"))
-    with script.LogWriter(tmp_path / "log.h5", script.STREAMS) as log:
-        driver = script.FakeDriver(TRUTH)
-        robot = script.OwnRobot(driver, mapping, log)
-        assert isinstance(robot, Task)
-        first = robot.reset(0)
-        seen = first.reading.observation
-        surface, free = (seen.points[seen.of_class(kind)] for kind in (Semantics.SURFACE, Semantics.FREE))
-        exact = large_handled_mug().exact
-        off = exact.distance(se3.apply(se3.inverse(TRUTH), surface))
-        assert len(surface) > 100 and float(off.abs().max()) < 0.006
-        assert float(exact.distance(se3.apply(se3.inverse(TRUTH), free)).min()) > 0
-        robot.tool = rummager_of_map(mapping, settings_of(mapping), first.reading.tool_pose[:, :3, 3]).tool
-        touched = 0
-        for control in torch.tensor([[1.0, 0.4, 0.0]] + 4 * [[1.0, 0.0, 0.0]]):
-            reading = robot.step(control).reading
-            felt = reading.observation.points[reading.observation.of_class(Semantics.SURFACE)]
-            touched += len(felt)
-            if len(felt):
-                assert float(exact.distance(se3.apply(se3.inverse(TRUTH), felt)).abs().max()) < 0.0031
-            free = reading.observation.points[reading.observation.of_class(Semantics.FREE)]
-            if len(free):
-                assert float(exact.distance(se3.apply(se3.inverse(TRUTH), free)).min()) > 0
-        assert touched > 0
+@pytest.mark.outcome
+def test_it_ends_sure_and_right(found):
+    _, result, steps, robot = found
+    shift, turn = se3.distance(steps[-1].belief.mode(), robot.truth)
+    assert result.stopped_by == "sure" and float(shift) < 0.002 and float(turn) < 0.05
+    assert float(se3.distance(robot.truth, TRUTH)[0]) > 0.01  # and the mug was pushed about meanwhile
 
 
 @pytest.mark.slow
-def test_its_readings_give_the_same_belief_bit_for_bit(found):
-    folder, last = found
-    mapping = read_mapping(SCRIPT.with_suffix(".toml"))
-    with Log(folder / "log.h5") as log:
-        taken = log.taken()
-        assert log.problems == [] and log.end["steps"] == last.step
-    rummager = rummager_of_map(mapping, settings_of(mapping), taken[0].reading.tool_pose[:, :3, 3])
-    done = replay(taken, rummager, seed=0)
-    assert done.same == [True] * (last.step + 1)
+def test_its_replay_is_the_run(found):
+    folder, _, steps, robot = found
+    assert rumi.replay(folder, robot.agent).same == [True] * len(steps)
 
 
-@pytest.mark.slow
-def test_its_raw_streams_give_the_object_too(found, capsys, monkeypatch, tmp_path):
-    folder, _ = found
+def test_check_finds_a_camera_that_is_off(robot, capsys, monkeypatch, tmp_path):
+    """The log of one first view, whose camera is where it is, or is not where the log says."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("RUMI_CACHE", str(tmp_path))
-    assert main(["replay", str(folder)]) in (exit_codes.DONE, exit_codes.NOT_CONVERGED)
-    said = capsys.readouterr()
-    assert "left out" not in said.err
-    (line,) = [line for line in said.out.splitlines() if "likeliest at" in line]
-    x, y = (float(word.strip("(,")) for word in line.split()[2:4])
-    assert abs(x - 0.56) < 0.005 and abs(y - 0.03) < 0.005
-
-
-def test_check_finds_a_camera_that_is_off(script, capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("RUMI_CACHE", str(tmp_path))
-    mapping = read_mapping(SCRIPT.with_suffix(".toml"))
+    robot.reset(0)
+    camera, intrinsics = (
+        look_at(torch.tensor([-0.05, 0.0, 0.4]), torch.tensor([0.55, 0.03, 0.02])),
+        pinhole(120, 160, 0.8),
+    )
+    depth = robot.depth(camera, intrinsics).numpy()
     for name, off in (("good.h5", 0.0), ("off.h5", 0.01)):
-        with script.LogWriter(tmp_path / name, script.STREAMS, about={"map": mapping.text}) as log:
-            script.OwnRobot(script.FakeDriver(TRUTH, camera_off_m=off), mapping, log).reset(0)
+        told = camera.clone()
+        told[0, 3] += off
+        with LogWriter(tmp_path / name, STREAMS, about={"map": MAP}) as log:
+            log.append("tf/base/gripper", 10**9, 10**9, pose=robot.tool.pose(robot.at).numpy())
+            log.append("tf/base/camera", 10**9, 10**9, pose=told.numpy())
+            size, none = np.array(depth.shape, np.int32), np.zeros(0)
+            log.append("camera", 10**9, 10**9, intrinsics=intrinsics.numpy(), distortion=none, size=size)
+            log.append("depth", 10**9 + 10**8, 10**9 + 10**8, depth=np.where(np.isfinite(depth), depth, 0.0))
+            log.append("tf/base/gripper", 10**9 + 2 * 10**8, 10**9 + 2 * 10**8, pose=robot.tool.pose(robot.at).numpy())
     pose = ["--pose", "0.56", "0.03", "0", "0", "0", "40.107"]
     assert main(["check", "good.h5", *pose]) == exit_codes.DONE
     good = capsys.readouterr().out
@@ -138,6 +115,25 @@ def test_check_finds_a_camera_that_is_off(script, capsys, monkeypatch, tmp_path)
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "nearest" in line]
     shift = [float(word.strip("(,)")) for word in line.split("moved by ")[1].split()[:3]]
     assert abs(shift[0] + 10.0) < 0.5 and abs(shift[1]) < 0.5 and abs(shift[2]) < 0.5
+
+
+def test_its_readings_are_true(robot):
+    """What it saw and felt is on the mug where it then is, and what it swept is not in it."""
+    exact = robot.model.exact
+    assert isinstance(robot, Task)
+    first, before, touched = robot.reset(0), robot.truth, 0
+    assert int(first.observation.of_class(Semantics.SURFACE).sum()) > 100
+    for control in torch.tensor([[1.0, 0.4, 0.0]] + 4 * [[1.0, 0.0, 0.0]]):
+        reading = robot.step(control)
+        at = (reading.object_motion @ before)[reading.instant]
+        places = se3.apply(se3.inverse(at), reading.observation.points[:, None])[:, 0]
+        off, felt = exact.distance(places), reading.observation.of_class(Semantics.SURFACE)
+        assert bool((off[~felt] > -0.003).all())
+        touched += int(felt.sum())
+        if bool(felt.any()):
+            assert float(off[felt].abs().max()) < 0.003
+        before = reading.object_motion[-1] @ before
+    assert touched > 0 and torch.allclose(before, robot.truth, atol=1e-5)
 
 
 def points_on(solid, count, generator):
@@ -155,7 +151,7 @@ def points_on(solid, count, generator):
 def test_check_of_a_log_without_a_reading_says_so(script, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     settings = to_dict(preset("default", task="mug-0"))
-    with script.LogWriter(tmp_path / "log.h5", settings=settings):
+    with LogWriter(tmp_path / "log.h5", settings=settings):
         pass
     assert main(["check", "log.h5"]) == exit_codes.BAD_INPUT
     assert "Expected a log with a first reading at least, got none: there is nothing to draw" in capsys.readouterr().err
@@ -215,4 +211,13 @@ def test_few_points_give_no_correction():
     seen = Observation.of(torch.zeros(3, 3), Semantics.SURFACE)
     found = align(seen, torch.eye(4), Sphere(0.05))
     assert found.correction is None
-    assert "surface  3 points" in found.text() and "nearest" not in found.text()
+    assert "surface  3 points" in found.text() and "fewer than 20 points: this says nothing" in found.text()
+
+
+def test_one_patch_gives_no_correction(generator):
+    box = Box((0.05, 0.08, 0.03))
+    side = torch.rand(400, 3, dtype=torch.float64, generator=generator)
+    patch = torch.tensor([0.02, 0.02, 0.0]) * side + torch.tensor([0.0, 0.0, 0.033])
+    found = align(Observation.of(patch, Semantics.SURFACE), torch.eye(4, dtype=torch.float64), box)
+    assert found.correction is None
+    assert "nearest  one patch, 28 mm across: this says nothing" in found.text()

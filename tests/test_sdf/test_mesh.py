@@ -161,6 +161,6 @@ def test_right_units_are_not(shapes):
 def test_without_trimesh_it_is_said(shapes, tmp_path, monkeypatch):
     path = write(shapes.box(), tmp_path / "box.obj")
     monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(ModuleNotFoundError, match="needs trimesh") as caught:
+    with pytest.raises(ModuleNotFoundError, match=r"needs trimesh .*pip install -e '.*\[mesh\]'") as caught:
         load_mesh(path)
     assert caught.value.name == "trimesh"

@@ -134,7 +134,7 @@ def test_autograd_reaches_poses_and_parameters():
     with backend.force("torch"):
         module(poses, observation).sum().backward()
     assert torch.isfinite(poses.grad).all()
-    assert float(module.free_scale.grad) > 0
+    assert float(module.raw_free_scale.grad) > 0
 
 
 def test_a_batch_row_equals_the_scene_alone():

@@ -32,8 +32,9 @@ def test_module_trains_its_parameters():
     sensor(torch.tensor([0.01], dtype=torch.float64))[..., Semantics.SURFACE].sum().backward()
     # d/d sharpness of exp(-s (v - t)) at s=100, v-t=0.007
     expected = -0.007 * torch.exp(torch.tensor(-0.7, dtype=torch.float64))
-    torch.testing.assert_close(sensor.sharpness.grad, expected, rtol=1e-6, atol=0)
-    assert set(sensor.state_dict()) == {"sharpness", "tolerance"}
+    # of the logarithm, by which it is trained
+    torch.testing.assert_close(sensor.raw_sharpness.grad, 100.0 * expected, rtol=1e-5, atol=0)
+    assert set(sensor.state_dict()) == {"raw_sharpness", "raw_tolerance"}
 
 
 def test_small_chances_of_surface_keep_their_digits_in_float32():

@@ -116,10 +116,18 @@ def test_what_does_not_fit_the_task(tmp_path, cache):
         own = ObjectSettings(mesh=str(box_file(tmp_path, half)), collision="hull", spacing_m=0.01, **settings)
         return with_object(SPEC, own, cache_dir=cache)
 
-    with pytest.raises(UsageError, match=r"at most 400 mm wide, got 440 x 100 x 100 mm.*--scale 0.001"):
+    with pytest.raises(UsageError, match=r"at most 400 mm wide.*got 440 x 100 x 100 mm: if that is its size") as said:
         fits((0.22, 0.05, 0.05))
-    with pytest.raises(UsageError, match=r"at least 23 mm high.*--upright"):
-        fits((0.05, 0.05, 0.01))
+    assert "millimetres" not in str(said.value)
+    with pytest.raises(
+        UsageError, match=r"23 mm high, got 50 x 50 x 20 mm.*\(--upright 0 -90 0\), or touch it from above"
+    ):
+        fits((0.025, 0.025, 0.01), upright=(0.0, 0.0, 0.0))
+    # what would not stand on another side is not told to
+    with pytest.raises(UsageError, match="pass over: touch it from above"):
+        fits((0.05, 0.05, 0.0008))
+    with pytest.raises(UsageError, match=r"as if it were in millimetres \(0.001\)"):
+        own_model(ObjectSettings(mesh=str(box_file(tmp_path, (30.0, 40.0, 60.0)))))
     fits((0.22, 0.05, 0.05), scale=0.5)
 
 

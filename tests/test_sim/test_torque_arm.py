@@ -48,7 +48,7 @@ def test_the_hand_is_where_the_urdf_of_the_arm_says() -> None:
     pytest.importorskip("pytorch_kinematics")
     physics = ArmPhysics(base=(0.2, -0.3, 0.7))
     kinematics = ArmKinematics(physics)
-    chain = Arm(ArmGeometry(tool_m=physics.hand_m))
+    chain = Arm(ArmGeometry(tool_m=physics.hand_m).urdf())
     joints = np.random.default_rng(0).uniform(-1.5, 1.5, (5, 7))
     for row, base_T_tool in zip(joints, chain.forward(torch.from_numpy(joints)), strict=True):
         x, y, z = base_T_tool[:3, 3].tolist()

@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from rumi import exit_codes
+from rumi.errors import UsageError
 from rumi.robot import reach_table
 from rumi.robot.reach_table import ReachSettings, ReachTable
 from rumi.runs.folder import RunRecorder, load_run, write_json
@@ -20,10 +21,11 @@ from rumi.runs.jsonlines import append_line, read_lines
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.scenes import find_task, make_tool
 from sdf.cache import keep_arrays, load_arrays, save_arrays
-from tests.stress import killed_checks, killed_commands, kills
+from tests.stress import killed_checks, killed_commands, kills, pairs
 from tests.stress.killed_commands import kill_commands
 from tests.stress.kills import kill_many
 from tests.stress.made_run import made_steps
+from tests.stress.pairs import run_pairs
 from tests.stress.processes import Commands
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills by signal")
@@ -80,7 +82,8 @@ def test_a_full_disk_leaves_a_run_up_to_there(tmp_path):
             for step in made_steps(points=60, particles=20):
                 try:
                     recorder(step)
-                except OSError:
+                except UsageError as error:
+                    assert f"Cannot write {tmp_path / 'run'}: File too large" in str(error)
                     return said
                 said += 1
         return 0
@@ -99,7 +102,7 @@ def test_a_full_disk_keeps_the_old_lines_and_results(tmp_path):
                       lambda: write_json(tmp_path / "a.json", {"k": "x" * 10**5})):  # fmt: skip
             try:
                 write()
-            except OSError:
+            except UsageError:
                 continue
             return 1
         return 7
@@ -109,6 +112,26 @@ def test_a_full_disk_keeps_the_old_lines_and_results(tmp_path):
     append_line(tmp_path / "lines.jsonl", {"k": 1})
     assert [line for line, _ in read_lines(tmp_path / "lines.jsonl")] == [{"k": 0}, {"k": 1}]
     assert json.loads((tmp_path / "a.json").read_text()) == {"k": 0}
+
+
+@pytest.mark.sim
+def test_runs_at_once_have_a_folder_each(tmp_path):
+    found = run_pairs(2, tmp_path)
+    assert found.wrong == []
+    assert (found.pairs, found.refused) == ({pairs.NAMED: 1, pairs.DEFAULT: 1}, 1)
+
+
+def test_a_run_that_is_not_as_it_was_is_caught(tmp_path):
+    for name in ("whole", "run"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "steps.jsonl").write_text("{}\n")
+    pairs.check_same(tmp_path / "run", tmp_path / "whole")
+    (tmp_path / "run" / "steps.jsonl").write_text("")
+    with pytest.raises(AssertionError, match="Expected 1 steps"):
+        pairs.check_same(tmp_path / "run", tmp_path / "whole")
+    (tmp_path / "run" / ".part").write_text("")
+    with pytest.raises(AssertionError, match=r"got \['\.part', 'steps\.jsonl'\]"):
+        pairs.check_same(tmp_path / "run", tmp_path / "whole")
 
 
 def test_a_cache_that_cannot_be_written_is_done_without(tmp_path, monkeypatch, caplog):

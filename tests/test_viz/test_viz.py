@@ -4,17 +4,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from matplotlib.text import Text
 from PIL import Image
 
 from rumi.errors import UsageError
 from rumi.runs.folder import RunRecorder, load_run
 from rumi.runs.scene_geometry import outline_of_points
 from rumi.viz import style
+from rumi.viz.animation import animate
 from rumi.viz.curves import apc_curve, nll_curve
 from rumi.viz.figures import heading, make_figures, telling_steps
-from rumi.viz.outlines import contours, hull, object_outline
+from rumi.viz.outlines import contours, hull, object_outline, placed
 from rumi.viz.scene import information_at, interesting, memory, scene_from_above
-from sdf import se3
+from rumi.viz.space import BOXES, scene_in_space, tips
+from sdf import se3, so3
 from tests.fixtures.made_up_run import make_up
 
 
@@ -53,6 +56,33 @@ def test_all_figures_are_written(run, tmp_path):
     # another choice replaces the scenes, nothing else
     make_figures(run, tmp_path / "figures", [2])
     assert [path.name for path in (tmp_path / "figures").glob("scene_*.png")] == ["scene_002.png"]
+
+
+def test_the_animation_keeps_the_tool_in_sight_and_the_ending_to_the_end(run, tmp_path, monkeypatch):
+    titles = []
+    set_text = Text.set_text
+    monkeypatch.setattr(Text, "set_text", lambda self, text: (titles.append(text), set_text(self, text))[1])
+    animate(run.steps, run.geometry, tmp_path / "run.gif", heading="what", ending=" and how")
+    shown = [text for text in titles if text in ("what", "what and how")]
+    assert shown[-1] == "what and how" and shown.count("what") >= len(run.steps) - 1
+    left, right, bottom, top = interesting(run.steps, run.geometry)
+    for step in run.steps:
+        (outline,) = placed(run.geometry.tool, step.reading.tool_pose[-1])[:1]
+        assert ((outline >= [left, bottom]) & (outline <= [right, top])).all()
+
+
+def test_a_view_in_space_where_the_object_tips(run):
+    assert not tips(run.steps)
+    turned = se3.make(so3.exp(torch.tensor([1.2, 0.0, 0.0])), torch.tensor([0.5, 0.0, 0.1]))
+    step = replace(run.steps[-1], truth=turned)
+    assert tips([replace(step, belief=replace(step.belief, world_T_attached=turned))])
+    with style.figure(4, 4) as figure:
+        ax = scene_in_space(step, run.geometry, figure.add_subplot(projection="3d"), (0.0, 1.0, -0.5, 0.5))
+        boxes = [np.stack(line.get_data_3d(), -1) for line in ax.lines if len(line.get_data_3d()[0]) == 36]
+    assert len(boxes) == min(BOXES, len(step.belief.log_weights)) + 1
+    corners = torch.from_numpy(boxes[-1][~np.isnan(boxes[-1]).any(-1)])
+    size = run.geometry.surface_points.amax(0) - run.geometry.surface_points.amin(0)
+    assert float(torch.pdist(corners).max()) == pytest.approx(float(size.norm()), rel=1e-5)
 
 
 def test_steps_that_are_not_there_are_named(run, tmp_path):
@@ -96,7 +126,15 @@ def test_scene_draws_every_part_in_place(made):
         ax = scene_from_above(made.steps, made.geometry, figure.subplots(), information=information_at(made.steps, 2))
         labels = ax.get_legend_handles_labels()[1]
         observed = ["known to be free", "felt or seen"]
-        assert set(labels) == {*observed, "particles", "true outline", "tool", "path of the tool", "in contact"}
+        assert set(labels) == {
+            *observed,
+            "particles",
+            "true outline",
+            "tool",
+            "path of the tool",
+            "in contact",
+            "reachability r of the tool's place",
+        }
         truth = next(line for line in ax.lines if line.get_label() == "true outline").get_xydata()
         left, right, bottom, top = interesting(made.steps, made.geometry)
         assert left < truth[:, 0].min() and truth[:, 0].max() < right

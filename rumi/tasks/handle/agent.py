@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,8 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.settings import SimSettings
 from rumi.task import StepResult
-from rumi.tasks.handle.grasp import Grasp, HandleTable, best_grasp
+from rumi.tasks.grasp_table import Grasp, GraspTable
+from rumi.tasks.handle.grasp import best_grasp
 from rumi.tasks.handle.gripper import GRASP_S
 from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.rummage.agent import Rummager, RummageState, evaluate_step, first_belief, summarise
@@ -90,8 +91,18 @@ class HandleAgent:
 
     settings: HandleSettings
     rummager: Rummager
-    table: HandleTable | None = None
+    table: GraspTable | None = None
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    @property
+    def relies_on(self) -> str:
+        """What a run takes for granted, in a line."""
+        return self.rummager.relies_on
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is not measured, and may make the belief sure and wrong."""
+        return self.rummager.warnings
 
     def begin(self, result: StepResult, *, seed: int, clock: Clock) -> HandleState:
         """Believe what the first view shows, and the prior."""
@@ -180,7 +191,7 @@ class HandleAgent:
             x, y, yaw = grasp.pose.tolist()
             own |= {"lifted": outcome, "believed": grasp.probability, "grasp": (x, y, yaw)}
             own["total_s"] = state.spent_s + GRASP_S
-        return HandleResult(**asdict(found), **own)
+        return HandleResult(**{part.name: getattr(found, part.name) for part in fields(found)}, **own)
 
     def _left_s(self, state: HandleState) -> float:
         """Seconds for a plan, beside what has to come after it."""
@@ -197,7 +208,7 @@ def build_agent(
     cache_dir: Path | None = None,
     tool: Tool | None = None,
     model: ObjectModel | None = None,
-    table: HandleTable | None = None,
+    table: GraspTable | None = None,
 ) -> HandleAgent:
     """Make it of settings.
 
@@ -219,7 +230,8 @@ def build_agent(
         ContactPointModel(model.sdf, wrist.point_m, wrist.normal_rad, wrist.outlier),
         ContactSignalModel(model.sdf, surface, settings.signals),
     )
-    return HandleAgent(settings, replace(rummager, filter=pose_filter, stop_rule=stop), table)
+    sensors = ", ".join(settings.sensors)
+    return HandleAgent(settings, replace(rummager, filter=pose_filter, stop_rule=stop, sensors=sensors), table)
 
 
 def total_nll(nll: Sequence[float], steps: int) -> float:

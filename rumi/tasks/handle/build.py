@@ -4,8 +4,9 @@ from pathlib import Path
 
 from rumi.agent import Parts
 from rumi.robot.tool import Tool
+from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.handle.agent import HandleAgent, build_agent
-from rumi.tasks.handle.grasp import HandleTable, handle_table
+from rumi.tasks.handle.grasp import handle_table
 from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.handle.simulated import HandleTask
 from rumi.tasks.rummage.scenes import make_tool
@@ -16,7 +17,7 @@ def build_handle(
     *,
     cache_dir: Path | None = None,
     tool: Tool | None = None,
-    table: HandleTable | None = None,
+    table: GraspTable | None = None,
 ) -> Parts[HandleTask, HandleAgent]:
     """Make the parts of a run.
 

@@ -9,6 +9,7 @@ import tyro
 
 from rumi.agent import Parts
 from rumi.records import StepRecord
+from rumi.registration.pose_summary import PoseSummary
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
 from rumi.runs.progress import stages
@@ -16,7 +17,7 @@ from rumi.tasks.handle.agent import HandleAgent, HandleResult, build_agent
 from rumi.tasks.handle.settings import SENSORS, HandleSettings
 from rumi.tasks.handle.simulated import HandleTask
 from rumi.tasks.registry import Role, check_preset, check_seed
-from rumi.tasks.rummage.entry import describe, ending
+from rumi.tasks.rummage.entry import describe, ending, recorded_pose
 from rumi.tasks.rummage.settings import PRESETS
 from sensors.contact_reading import ContactReading
 
@@ -122,6 +123,10 @@ class _Handle:
         lines.append(f"clock    {result.total_s:.0f} s of {budget_s:g}{over}; nll summed up {result.total_nll:.0f}")
         lines.append(f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}")
         return lines
+
+    def pose(self, run: Run) -> PoseSummary | None:
+        """What a run's last belief knows of the mug's pose."""
+        return recorded_pose(run)
 
     def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
         """Overview, scenes and animation."""

@@ -19,7 +19,7 @@ from rumi.sim.settings import SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.world import Track
 from rumi.task import StepResult
-from rumi.tasks.handle.grasp import Grasp
+from rumi.tasks.grasp_table import Grasp
 from rumi.tasks.handle.gripper import HandleGripper
 from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.rummage.sensed import SensedTask
@@ -63,9 +63,9 @@ class HandleTask(SensedTask):
         self.fused = settings
         self._drawn = spec
         self.world: ForceSensingWorld = ForceSensingWorld(
-            self.world.body, tool.shape, spec.height_m, simulator.time_step_s, spec.physics
+            self.world.body, self.shape, spec.height_m, simulator.time_step_s, spec.physics
         )
-        shape, wrist = tool.shape, settings.wrist
+        shape, wrist = self.shape, settings.wrist
         ahead = torch.tensor([wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
         self._parts = gripper_parts(shape, ahead)
         self._noise = WrenchNoise(wrist.force_n, wrist.moment_nm)

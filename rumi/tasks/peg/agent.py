@@ -17,7 +17,7 @@ from rumi.information.stopping import TargetEstimate
 from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.peg.cell import Felt, TimedPath
-from rumi.tasks.peg.records import PegRun, PegStep
+from rumi.tasks.peg.records import RELIES_ON, PegRun, PegStep
 from rumi.tasks.peg.search import Found, joined, lanes, start, taken_in
 from rumi.tasks.peg.selection import Chooser, Thought, aim_of, block_filter, confirmed, evidence_of, sure, updated
 from rumi.tasks.peg.settings import PegSettings
@@ -63,6 +63,11 @@ class PegAgent:
 
     settings: PegSettings
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
+
+    @property
+    def relies_on(self) -> str:
+        """What a run takes for granted, in a line."""
+        return RELIES_ON
 
     @cached_property
     def _filter(self) -> ResampleMoveFilter:

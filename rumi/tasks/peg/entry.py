@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from rumi.agent import Parts
+from rumi.registration.pose_summary import PoseSummary, answer_lines
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.peg.agent import PegAgent, build_peg
@@ -98,6 +99,10 @@ class _Peg:
         """A few lines on how a run ended."""
         return summary(run)
 
+    def pose(self, run: Run) -> PoseSummary | None:
+        """What a run's last belief knows of the block's pose."""
+        return PegRun.of(run, self.from_dict(run.settings).settings).pose if run.steps else None
+
     def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
         """Contacts and time-line."""
         from rumi.tasks.peg.figures import draw_run
@@ -120,6 +125,7 @@ def summary(run: PegRun) -> list[str]:
     if run.inserted is not None:
         place = "in the hole" if run.in_hole else "beside the hole"
         lines[0] += f", {place} by {found['off_mm']:.1f} mm from its middle"
+    lines += answer_lines(run.pose, run.why_not, ())
     if run.aim is not None:
         within = f"within {1e3 * run.settings.tolerance_m:g}"
         off = f"off by {found['hole_error_mm']:.1f} mm at most"

@@ -1,9 +1,11 @@
 """The peg task drawn: where the block was touched, and how the time went, reasoning against motion."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 
 from rumi.information.contact_gain import ContactKind
@@ -23,17 +25,18 @@ def draw_run(run: PegRun, folder: Path) -> list[Path]:
     """Contacts and time-line of a run, as files."""
     folder.mkdir(parents=True, exist_ok=True)
     written = [folder / "contacts.png", folder / "timeline.png"]
-    with style.figure(9.0, 3.6) as figure:
+    with style.figure(9.0, 4.0) as figure:
         whole, close = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
         draw_contacts(run, whole)
         draw_contacts(run, close, around_m=0.18)
-        figure.savefig(written[0], metadata={"Software": "rumi"})
+        figure.legend(*_legend(), loc="outside lower center", ncols=4)
+        style.save(figure, written[0])
     with style.figure(9.0, 2.8) as figure:
         one, two = figure.subplots(1, 2)
         draw_timeline(run, one)
         if run.thoughts:
             draw_decision(run.thoughts[0], two).set_title("the first decision")
-        figure.savefig(written[1], metadata={"Software": "rumi"})
+        style.save(figure, written[1])
     return written
 
 
@@ -64,19 +67,22 @@ def draw_contacts(run: PegRun, ax: "Axes", *, around_m: float | None = None) -> 
         ax.add_patch(Circle(hole, 0.015, fc="white", ec=style.TRUTH, lw=0.8, zorder=3))
     for guess in [] if run.aim is None else run.aim.points.tolist():
         ax.plot(*guess, marker="+", color=style.CONTACT, ms=7, zorder=5)
-    count = 0
+    touches: list[tuple[np.ndarray, np.ndarray]] = []
     for felt in (*run.searched, *run.felt):
         if felt.kind == ContactKind.NOTHING:
             ax.plot(*felt.tip[:2].tolist(), marker="x", color=style.QUIET, ms=4, zorder=4)
             continue
-        count += felt.kind == ContactKind.TOUCH
         px, py = felt.point.tolist()
         ax.plot(px, py, marker="o" if felt.kind == ContactKind.TOUCH else "s", color=style.CONTACT, ms=3.5, zorder=4)
         if felt.kind == ContactKind.TOUCH:
             nx, ny = (0.02 * felt.normal).tolist()
             ax.plot([px, px + nx], [py, py + ny], color=style.CONTACT, lw=1.0, zorder=4)
-            ax.annotate(str(count), (px + 1.6 * nx, py + 1.6 * ny), ha="center", va="center", fontsize=7, zorder=6,
-                        clip_on=True)  # fmt: skip
+            touches.append((felt.point.numpy(), felt.normal.numpy()))
+    for words, place, normal in clusters(touches) if around_m is not None else ():
+        x, y = (place + 0.026 * normal).tolist()
+        aligned = ("left", "center", "right")[1 - round(float(normal[0]))]
+        ax.annotate(words, (x, y), ha=aligned, va="center", fontsize=7, zorder=6, clip_on=True,
+                    bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.6})  # fmt: skip
     if run.inserted is not None:
         ax.plot(*run.inserted.at.tolist(), marker="*", color=style.NLL, ms=9, zorder=6)
     ax.set_aspect("equal")
@@ -87,6 +93,55 @@ def draw_contacts(run: PegRun, ax: "Axes", *, around_m: float | None = None) -> 
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
     return ax
+
+
+def clusters(
+    touches: Sequence[tuple[np.ndarray, np.ndarray]], within_m: float = 0.02
+) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Numbers of touches that lie close together, such as "4, 7-9", with their middle and the normal of the first.
+
+    Args:
+        touches: points (2) and outward normals (2), in the order in which they were touched.
+        within_m: of the first one of a cluster, and on the same side.
+    """
+    found: list[list[int]] = []
+    for index, (point, normal) in enumerate(touches):
+        for members in found:
+            first, outward = touches[members[0]]
+            if float(np.hypot(*(point - first))) < within_m and float(outward @ normal) > 0.5:
+                members.append(index)
+                break
+        else:
+            found.append([index])
+    named = []
+    for members in found:
+        runs: list[list[int]] = []
+        for number in members:
+            if runs and number == runs[-1][-1] + 1:
+                runs[-1].append(number)
+            else:
+                runs.append([number])
+        words = ", ".join(f"{run[0] + 1}" + (f"–{run[-1] + 1}" if len(run) > 1 else "") for run in runs)
+        named.append((words, np.mean([touches[member][0] for member in members], 0), touches[members[0]][1]))
+    return named
+
+
+def _legend() -> tuple[list[Any], list[str]]:
+    """What is drawn in which way."""
+    from matplotlib.lines import Line2D
+
+    dot = {"lw": 0.0, "marker": "o"}
+    kinds: dict[str, dict[str, Any]] = {
+        "search": {"color": _SEARCH, "lw": 1.6},
+        "motion": {"color": style.TOOL, "lw": 0.7},
+        "touch from aside, in order, with its normal": dot | {"color": style.CONTACT, "ms": 3.5},
+        "touch from above": dot | {"marker": "s", "color": style.CONTACT, "ms": 3.5},
+        "nothing there": dot | {"marker": "x", "color": style.QUIET, "ms": 4},
+        "hole, as believed at the end": dot | {"marker": "+", "color": style.CONTACT, "ms": 7},
+        "peg inserted": dot | {"marker": "*", "color": style.NLL, "ms": 8},
+        "block and holes": {"color": style.TRUTH, "lw": 1.2},
+    }
+    return [Line2D([], [], **kind) for kind in kinds.values()], list(kinds)
 
 
 def draw_timeline(run: PegRun, ax: "Axes") -> "Axes":

@@ -12,6 +12,7 @@ from rumi.belief.static_filter import StaticBelief
 from rumi.information.contact_gain import ContactKind
 from rumi.information.stopping import TargetEstimate
 from rumi.planning.anytime import Candidate, Evaluated, Selection
+from rumi.registration.pose_summary import PoseSummary, summarise_particles
 from rumi.runs.folder import Run
 from rumi.tasks.peg.cell import Felt, TimedPath
 from rumi.tasks.peg.moves import Motion
@@ -19,6 +20,7 @@ from rumi.tasks.peg.selection import Thought
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.peg.simulated import Insertion
 from sdf import se3
+from sdf.symmetry import Symmetries
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +112,23 @@ class PegRun:
         return cls(settings, records, thoughts, ended.get("stopped_by", "interrupted"), inserted, total_s)
 
     @property
+    def pose(self) -> PoseSummary | None:
+        """What the belief knows of the block's pose, the same after half a turn; None where nothing was met."""
+        found = self.records[-1].poses
+        return None if found is None else summarise_particles(*found, symmetries=Symmetries.parse("z2"))
+
+    @property
+    def why_not(self) -> str | None:
+        """Why the belief is not sure; None where it is."""
+        if self.stopped_by == "sure":
+            return None
+        if self.aim is None:
+            return "the block was not met"
+        return (
+            f"both holes are known within {1e3 * self.settings.tolerance_m:g} mm with {self.aim.probability:.2f} only"
+        )
+
+    @property
     def truth(self) -> Float[Tensor, "3"]:
         """Pose of the block."""
         return self.records[0].truth
@@ -171,6 +190,10 @@ class PegRun:
         return {
             "in_hole": self.in_hole,
             "right": self.hole_error_m is not None and self.hole_error_m < self.settings.tolerance_m,
+            "pose": None if self.pose is None else self.pose.as_dict(),
+            "why_not": self.why_not,
+            "relies_on": RELIES_ON,
+            "warnings": [],
             "off_mm": _mm(self.off_m),
             "hole_error_mm": _mm(self.hole_error_m),
             "middle_error_mm": _mm(self.middle_error_m),
@@ -193,6 +216,10 @@ class PegRun:
             "late_s": max(late, default=0.0),
             "evaluation_s": _median([s for t in self.thoughts for _, s in t.selection.measured]),
         }
+
+
+RELIES_ON = "motion: none, the block is fixed; reach: none; push model: none; sensors: a force-torque sensor at a ball"
+"""What a run takes for granted, in a line."""
 
 
 def _mm(metres: float | None) -> float | None:

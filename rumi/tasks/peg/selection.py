@@ -46,7 +46,7 @@ def block_filter(settings: PegSettings) -> ResampleMoveFilter:
     if settings.power == 1.0:
         return ResampleMoveFilter(space, log_prior)
     lever = 0.5 * settings.length_m
-    least = 0.3 * min(settings.point_m, lever * settings.noise.normal_rad)
+    least = 0.3 * min(settings.point_m, lever * float(settings.noise.normal_rad))
     return ResampleMoveFilter(space, log_prior, ResampleMoveSettings(jitter_m=(min(least, 3e-4), 0.05)))
 
 

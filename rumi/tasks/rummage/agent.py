@@ -1,5 +1,6 @@
 """Rummaging's agent: believe, plan a path of much information that stays in reach, follow it, until sure."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -13,6 +14,7 @@ from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw, verify
+from rumi.belief.remarks import Remark, remarks
 from rumi.clock import Clock
 from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopEvidence, StopSettings, converged
@@ -23,10 +25,13 @@ from rumi.records import RunResult, StepRecord
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.task import StepResult
+from rumi.tasks.rummage.answer import relies_on, warnings, why_not
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, merge
 from sensors.reading import Reading
 from sensors.semantics import Semantics
+
+_PARTS = 8  # of an action, in which its free path is worked out again
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +78,9 @@ class Rummager:
         nll_threshold, position_tolerance_m, rotation_tolerance_rad: what counts as right (metrics only).
         agreement_points: sample of the surface that the belief compares itself on.
         steps: actions at most; None for as many as the loop allows.
+        upright: whether the object is expected to stand as it did at first.
+        looks_again: whether a camera sees the object after every action too.
+        sensors: what the robot senses by, for people.
         about: what a run's folder tells of the settings.
     """
 
@@ -92,6 +100,9 @@ class Rummager:
     rotation_tolerance_rad: float = 0.17453
     agreement_points: int = 200
     steps: int | None = None
+    upright: bool = True
+    looks_again: bool = False
+    sensors: str = "a first view, felt points"
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def begin(self, result: StepResult | Reading, *, seed: int, clock: Clock) -> RummageState:
@@ -146,6 +157,7 @@ class Rummager:
             with clock("belief"):
                 belief = verify(self.filter, belief, memory, self.renewal, generator=random["renewal"])
             record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
+        record = replace(record, remarks=self._odd(state, control, record))
         return replace(
             state,
             record=record,
@@ -155,12 +167,38 @@ class Rummager:
             surprised=bool(info.moved) or touched,
         )
 
+    def _odd(self, state: RummageState, control: Float[Tensor, "A"], record: StepRecord) -> tuple[Remark, ...]:
+        """What the action told that is at odds with the belief."""
+        start, moved = state.record.reading.configuration, None
+        if bool(control.any()):  # a recording may not tell where the tool was to go
+            moved = start, self.tool.free_path(start, control[None].clamp(-1.0, 1.0), _PARTS)[-1]
+        return remarks(
+            record.step,
+            record.reading,
+            record.belief,
+            record.added,
+            self.model,
+            moved=moved,
+            upright=self.upright,
+            said={remark.name for step in state.history for remark in step.remarks},
+        )
+
     def last(self, state: RummageState) -> None:
         """Nothing is done at the end."""
 
     def result(self, state: RummageState, stopped_by: StopReason, outcome: object) -> RunResult:
         """How the run ended."""
         return summarise(self, state.history, stopped_by)
+
+    @property
+    def relies_on(self) -> str:
+        """What a run takes for granted, in a line."""
+        return relies_on(self)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is not measured, and may make the belief sure and wrong."""
+        return warnings(self)
 
     def scene(self, state: RummageState) -> Scene:
         """What a plan has to know beside the belief."""
@@ -192,7 +230,7 @@ def first_belief(rummager: Rummager, reading: Reading, *, generator: torch.Gener
         settings,
         generator=generator,
     )
-    return belief, memory
+    return rummager.filter.begin(belief, memory, generator=generator), memory
 
 
 def evaluate_step(
@@ -218,6 +256,9 @@ def evaluate_step(
     touched = bool(result.reading.in_contact.any()) and control is not None
     contacts = (history[-1].contacts if history else 0) + touched
     fit = float(belief.discrepancy.min())
+    p_right = belief.probability_right(
+        model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
+    )
     return StepRecord(
         step=len(history),
         control=control,
@@ -231,7 +272,7 @@ def evaluate_step(
         ess=float(belief.ess()),
         contacts=contacts,
         resampled=resampled,
-        converged=converged(rummager.stop_rule, StopEvidence(expected, fit, apc, model.diagonal, contacts)),
+        converged=converged(rummager.stop_rule, StopEvidence(expected, fit, apc, model.diagonal, contacts, p_right)),
         truth=result.truth,
         nll=nll,
         timings_s=clock.take(),
@@ -266,15 +307,12 @@ def summarise(rummager: Rummager, history: Sequence[StepRecord], stopped_by: Sto
     for record in records:
         for stage, seconds in record.timings_s.items():
             timings[stage] = timings.get(stage, 0.0) + seconds
-    right = None
-    if nll and errors is not None:
-        right = (
-            nll[-1] <= rummager.nll_threshold
-            and errors[0] <= rummager.position_tolerance_m
-            and errors[1] <= rummager.rotation_tolerance_rad
-        )
+    wrong_by = _wrong_by(rummager, nll[-1], errors) if nll and errors is not None else None
+    pose = last.belief.summary(
+        rummager.model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
+    )
     return RunResult(
-        right=right,
+        right=not wrong_by if nll and errors is not None else None,
         paper_success=min(nll) <= rummager.nll_threshold if nll else None,
         paper_success_at_start=nll[0] <= rummager.nll_threshold if nll else None,
         min_nll=min(nll) if nll else None,
@@ -289,4 +327,25 @@ def summarise(rummager: Rummager, history: Sequence[StepRecord], stopped_by: Sto
         contacts=last.contacts,
         clipped=sum(float(r.reading.clipped) > 1e-4 for r in records),
         timings_s=timings,
+        belief=last.belief,
+        pose=pose,
+        why_not=why_not(rummager, last, pose, stopped_by),
+        wrong_by=wrong_by,
+        relies_on=relies_on(rummager),
+        warnings=warnings(rummager, history),
+        remarks=tuple(remark for record in records for remark in record.remarks),
     )
+
+
+def _wrong_by(rummager: Rummager, nll: float, errors: tuple[float, float]) -> str | None:
+    """What is not within the task's tolerances; None where all is."""
+    metres, radians = errors
+    said = (
+        (nll <= rummager.nll_threshold, f"nll {nll:.1f} above {rummager.nll_threshold:g}"),
+        (metres <= rummager.position_tolerance_m, f"place beyond {1e3 * rummager.position_tolerance_m:g} mm"),
+        (
+            radians <= rummager.rotation_tolerance_rad,
+            f"turn beyond {math.degrees(rummager.rotation_tolerance_rad):.3g} degrees",
+        ),
+    )
+    return ", ".join(words for holds, words in said if not holds) or None

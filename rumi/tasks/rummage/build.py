@@ -14,8 +14,11 @@ from rumi.agent import Parts
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
 from rumi.belief.motion import PushedMotion
-from rumi.belief.pose_filter import PoseFilter
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
+from rumi.belief.pose_trajectories import PushedObject
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
+from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
@@ -32,11 +35,12 @@ from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_tool
 from rumi.tasks.rummage.sensed import SensedTask
 from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.rummage.simulated import SimTask
+from rumi.tasks.rummage.tool_height import at_tool_height
 from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
 
-_PLANAR = ("pushed", "corrected")  # motions by a model of upright objects and a level tool
+_PLANAR = ("pushed", "corrected", "trajectory")  # motions by a model of upright objects and a level tool
 _OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
 
 
@@ -54,10 +58,11 @@ def build(
         UsageError: there is no such task or device, or the object cannot be used or does not suit the task.
     """
     spec, device, dtype = find_task(settings.task), settings.torch_device, settings.torch_dtype
-    _check_pushing(spec, settings)
+    check_pushing(spec, settings)
     if settings.steps is not None:
         spec = replace(spec, steps=settings.steps)
     spec, model = with_object(spec, settings.object, cache_dir=cache_dir, progress=progress)
+    spec = at_tool_height(spec, model.sdf, model.exact, settings.tool_height_m)
     tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
     task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model)
     if device.type != "cpu" or dtype != torch.float32:
@@ -110,25 +115,27 @@ def build_rummager(
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
     prior = prior_of(spec, model)
-    following, stop = settings.filter, settings.stop
-    if following.motion == "measured" and not spec.measures_motion:
-        needs_plane = following.unmeasured in _PLANAR and not _planar(spec)
-        following = replace(following, motion="estimated" if needs_plane else following.unmeasured)
+    following, stop = followed(spec, settings.filter), settings.stop
     if spec.apc_ratio is not None:
         stop = replace(stop, apc_ratio=spec.apc_ratio)
     if settings.simulator.sensors.kind == "camera":  # which feels nothing
         stop = replace(stop, contacts=0)
     standing = 0.0 - float(model.exact.bounds[0, 2])
-    pushed = None
-    if following.motion in _PLANAR:
-        pushed = pushed_motion(settings.planner, model, tool, spec.height_m, standing)
-    further: tuple[EvidenceModel, ...] = ()
-    if following.evidence:
-        surface = tool.shape.surface(SignalSettings().spacing_m).to(*to)
-        further = make_evidence(following.evidence, model.sdf, surface)
+    if following.motion == "trajectory":
+        _check_trajectory(settings)
+        pose_filter: PoseFilter = trajectory_filter(following, discrepancy, tool, spec.height_m, standing)
+    else:
+        pushed = None
+        if predicts_motion(following):
+            pushed = pushed_motion(settings.planner, model, tool, spec.height_m, standing)
+        further: tuple[EvidenceModel, ...] = ()
+        if following.evidence:
+            surface = tool.shape.surface(SignalSettings().spacing_m).to(*to)
+            further = make_evidence(following.evidence, model.sdf, surface)
+        pose_filter = PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed)
     return Rummager(
         model,
-        PoseFilter(following, [discrepancy, *further], cast(Search, spec.search), prior, pushed).to(*to),
+        pose_filter.to(*to),
         make_policy(settings, reachability(tool, workspace)),
         workspace,
         tool,
@@ -141,7 +148,60 @@ def build_rummager(
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
+        upright=spec.search == "SE(2)",
+        looks_again=_looks_again(spec, settings),
+        sensors=_sensors(spec, settings),
     )
+
+
+def _looks_again(spec: TaskSpec, settings: Settings) -> bool:
+    """Whether a camera sees the object after every action too."""
+    return spec.looks_again or settings.simulator.sensors.kind in ("camera", "both")
+
+
+def _sensors(spec: TaskSpec, settings: Settings) -> str:
+    """What the robot senses by, for people."""
+    felt = {"points": "felt points", "bubbles": "bubbles", "both": "bubbles", "camera": ""}
+    view = "no view" if spec.prior is not None else "a first view"
+    seen = "a camera that looks after every action" if _looks_again(spec, settings) else view
+    further = (felt[settings.simulator.sensors.kind], *settings.filter.evidence)
+    return ", ".join(filter(None, (seen, *further)))
+
+
+def followed(spec: TaskSpec, following: FilterSettings) -> FilterSettings:
+    """The filter's settings with the motion that the task has a sensor for, or what takes its place."""
+    if following.motion != "measured" or spec.measures_motion:
+        return following
+    needs_plane = following.unmeasured in _PLANAR and not _planar(spec)
+    return replace(following, motion="estimated" if needs_plane else following.unmeasured)
+
+
+def predicts_motion(following: FilterSettings) -> bool:
+    """Whether the filter moves the object by the planner's push model."""
+    return following.motion in ("pushed", "corrected")
+
+
+def trajectory_filter(
+    settings: FilterSettings, discrepancy: Discrepancy, tool: Tool, height_m: float, resting_m: float
+) -> PoseTrajectoryFilter:
+    """The filter whose particles each have their own motion.
+
+    Args:
+        settings: of the filter.
+        discrepancy: of the object.
+        tool: the gripper.
+        height_m: of the level tool.
+        resting_m: of the object's origin above the floor.
+    """
+    pushed = PushedObject.of(
+        discrepancy.sdf,
+        tool.shape,
+        height_m=height_m,
+        resting_m=resting_m,
+        spacing_m=QuasiStaticSettings().spacing_m,
+        pad_spacing_m=settings.trajectories.pad_spacing_m,
+    )
+    return PoseTrajectoryFilter(settings, discrepancy, pushed)
 
 
 def pushed_motion(
@@ -168,8 +228,10 @@ def _planar(spec: TaskSpec) -> bool:
     return spec.search == "SE(2)" and not spec.spatial
 
 
-def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
+def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
+    if settings.filter.motion == "trajectory":
+        _check_trajectory(settings)
     if _planar(spec):
         return
     upright, name = spec.search == "SE(2)", settings.planner.push_model
@@ -181,6 +243,17 @@ def _check_pushing(spec: TaskSpec, settings: Settings) -> None:
         raise UsageError(
             _other_task(spec, f"filter.motion {settings.filter.motion}", "measured, sticking or estimated")
         )
+
+
+def _check_trajectory(settings: Settings) -> None:
+    """Refuse what trajectories do not take in."""
+    for flag, odd, fits in (
+        ("simulator.sensors.kind", settings.simulator.sensors.kind != "points", "points"),
+        ("filter.evidence", bool(settings.filter.evidence), "none"),
+        ("device", settings.device != "cpu", "cpu"),
+    ):
+        if odd:
+            raise UsageError(f"Expected --{flag} {fits} with --filter.motion trajectory, which takes in no other")
 
 
 def _other_task(spec: TaskSpec, flag: str, fits: str) -> str:
@@ -239,4 +312,5 @@ def scene_geometry(rummager: Rummager) -> SceneGeometry:
             "expected_nll": rummager.stop_rule.expected_nll,
             "apc": rummager.stop_rule.apc_ratio * rummager.model.diagonal,
         },
+        tolerance={"within_m": rummager.position_tolerance_m, "within_rad": rummager.rotation_tolerance_rad},
     )

@@ -11,6 +11,7 @@ from typing import Any
 from rumi.agent import Parts
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
+from rumi.registration.pose_summary import PoseSummary, answer_lines
 from rumi.runs.folder import Run, RunRecorder, provenance, write_json
 from rumi.runs.logbook import LOG, LogRecorder
 from rumi.runs.progress import say, stages
@@ -20,7 +21,7 @@ from rumi.tasks.registry import Role, check_seed
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import record
 from rumi.tasks.rummage.raw_streams import RawStreams
-from rumi.tasks.rummage.scenes import SCENES, TaskSpec
+from rumi.tasks.rummage.scenes import DRAWN, SCENES, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 from sensors.reading import Reading
 
@@ -97,6 +98,10 @@ class RummageTask:
         """A few lines on how a run ended."""
         return [*ending(result), f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}"]
 
+    def pose(self, run: Run) -> PoseSummary | None:
+        """What a run's last belief knows of the object's pose."""
+        return recorded_pose(run)
+
     def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
         """Overview, scenes and animation."""
         from rumi.viz.figures import make_figures
@@ -106,7 +111,7 @@ class RummageTask:
     def role(self, name: str) -> Role:
         """What a setting is to a replay."""
         first = name.partition(".")[0]
-        if first in ("task", "simulator"):
+        if first in ("task", "simulator", "tool_height_m"):
             return "sensed"
         idle = ("method", "preset", "replan_every", "plan_budget_s", "planner", "slide", "gpvr")
         return "idle" if first in idle else "counted"
@@ -120,19 +125,22 @@ class RummageTask:
         return from_dict({name: value for name, value in values.items() if name not in ("schema", "made_with")})
 
     def agent(self, settings: Settings, *, cache_dir: Path | None = None) -> Rummager:
-        """What finds the object; it plans by the simplest means."""
-        from rumi.tasks.rummage.build import build_rummager
+        """What finds the object; it plans by the simplest means, and believes as the run did."""
+        from rumi.tasks.rummage.build import build_rummager, followed, predicts_motion
         from rumi.tasks.rummage.objects import with_object
         from rumi.tasks.rummage.scenes import make_tool
+        from rumi.tasks.rummage.tool_height import at_tool_height
 
         spec, model = with_object(self.spec, settings.object, cache_dir=cache_dir)
+        spec = at_tool_height(spec, model.sdf, model.exact, settings.tool_height_m)
         tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
-        # what plans is not used, and may need packages that are not there
-        planner = replace(settings.planner, push_model="displacement")
-        return build_rummager(spec, replace(settings, method="rumi", planner=planner), model, tool)
+        # what plans is not used, and may need packages that are not there; but a motion may be the push model's
+        if not predicts_motion(followed(spec, settings.filter)):
+            settings = replace(settings, planner=replace(settings.planner, push_model="displacement"))
+        return build_rummager(spec, replace(settings, method="rumi"), model, tool)
 
 
-ENTRIES = {name: RummageTask(spec) for name, spec in SCENES.items()}
+ENTRIES = {name: RummageTask(spec) for name, spec in (SCENES | DRAWN).items()}
 """The scenes by name."""
 
 
@@ -166,26 +174,37 @@ class _Recorder(contextlib.ExitStack):
             self._map.write_text(self._raw.mapping(self._object), encoding="utf-8")
 
 
+def recorded_pose(run: Run) -> PoseSummary | None:
+    """What a run's last belief knows of the object's pose; None of a run without a whole step."""
+    if run.result is not None and run.result.pose is not None:
+        return run.result.pose
+    if not run.steps:
+        return None
+    tolerance = {} if run.geometry is None else run.geometry.tolerance
+    return run.steps[-1].belief.summary(None if run.geometry is None else run.geometry.symmetries, **tolerance)
+
+
 def describe(step: StepRecord) -> str:
     """The numbers of a step that tell how it goes."""
     known = "" if step.nll is None else f"nll {step.nll:.1f}  "
     apc = "-" if math.isnan(step.apc) else f"{1e3 * step.apc:.1f} mm"
     marks = {
         "contact": step.control is not None and bool(step.reading.in_contact.any()),
-        "resampled": step.resampled,
         "sure": step.converged,
     }
-    said = ", ".join(word for word, holds in marks.items() if holds)
-    numbers = f"{known}expects {step.expected_nll:.1f}  apc {apc}  ess {step.ess:.0f}"
-    return f"{numbers}  [{said}]" if said else numbers
+    marks |= {f"{remark.name}!": True for remark in step.remarks}
+    said = "".join(f"  {word}" for word, holds in marks.items() if holds)
+    return f"{known}expects {step.expected_nll:.1f}  apc {apc}  ess {step.ess:.0f}{said}"
 
 
 def ending(result: RunResult) -> list[str]:
     """The lines on what a run came to know."""
     ended = {"steps": "not sure", "budget": "out of time"}.get(result.stopped_by, result.stopped_by)
-    judged = {True: ", and right", False: ", and wrong", None: ""}[result.right]
+    judged = {True: ", and right", False: f", and wrong ({result.wrong_by})", None: ""}[result.right]
     lines = [f"{ended} after {result.steps} actions, {result.contacts} of them in contact{judged}"]
+    lines += answer_lines(result.pose, result.why_not, result.warnings)
+    lines += [f"odd      {remark.name} at action {remark.step}: {remark.sentence}" for remark in result.remarks]
     if result.position_error_mm is not None and result.rotation_error_deg is not None:
-        lines.append(f"pose     off by {result.position_error_mm:.1f} mm and {result.rotation_error_deg:.1f} degrees")
+        lines.append(f"truth    {result.position_error_mm:.1f} mm and {result.rotation_error_deg:.1f} degrees away")
     known = "" if result.final_nll is None else f"{result.final_nll:.1f} at the end, {result.min_nll:.1f} at best; "
     return [*lines, f"nll      {known}the belief expects {result.expected_nll:.1f}"]

@@ -1,5 +1,6 @@
 """The object of a task: the built-in one, or the user's own mesh, put upright and on the task's start."""
 
+import functools
 import hashlib
 import math
 from collections.abc import Callable
@@ -29,7 +30,7 @@ OBJECTS.add("mug", "rumi.tasks.rummage.scenes:large_handled_mug")
 OBJECTS.add("box", "sdf.object_model:box_model")
 OBJECTS.add("drill", "sdf.drill:drill_model")
 
-_PAD_M = 0.022  # half the height of the gripper's pads, which must meet the object
+_LIKELY = 0.02  # probability of a pose at rest that is worth naming
 _ROOM = 0.5  # of the workspace's shorter side: what is wider can hardly be gone round
 
 
@@ -98,17 +99,26 @@ def with_object(
         friction=spec.physics.friction if settings.friction is None else settings.friction,
         collision=settings.collision,
     )
-    spec = replace(spec, physics=physics)
+    draw = spec.draw
+    if draw is not None:  # what is asked for is not drawn
+        mass, friction = settings.mass_kg, settings.friction
+        draw = replace(
+            draw,
+            mass_kg=draw.mass_kg if mass is None else (mass, mass),
+            friction=draw.friction if friction is None else (friction, friction),
+        )
+    spec = replace(spec, physics=physics, draw=draw)
     if settings.mesh is None:
         return spec, spec.object_factory()
-    model = own_model(settings, fits=lambda box: _check_fits(spec, box), cache_dir=cache_dir, progress=progress)
+    fits = functools.partial(_check_fits, spec)
+    model = own_model(settings, fits=fits, cache_dir=cache_dir, progress=progress)
     return replace(spec, object_factory=lambda: model), model
 
 
 def own_model(
     settings: ObjectSettings,
     *,
-    fits: Callable[[Tensor], None] | None = None,
+    fits: "Callable[[MeshSDF, Tensor], None] | None" = None,
     cache_dir: Path | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> "ObjectModel":
@@ -119,14 +129,14 @@ def own_model(
 
     Args:
         settings: of the object; its mesh must be given.
-        fits: looks at the upright object's bounds (2, 3) before what takes time, and raises if they do not suit it.
+        fits: looks at the upright object and object_T_mesh before what takes time, and raises if it does not suit it.
         cache_dir: folder that keeps tables of distances; None keeps nothing.
         progress: called with what is done and how much of it, from 0 to 1.
 
     Raises:
         UsageError: the mesh cannot be used.
     """
-    from sdf.mesh.mesh import MeshError, load_mesh
+    from sdf.mesh.mesh import MeshError, check_size, load_mesh
     from sdf.mesh.mesh_sdf import MeshSDF
     from sdf.object_model import MeshSource, mesh_model
 
@@ -137,8 +147,10 @@ def own_model(
         exact = MeshSDF(load_mesh(path, scale=settings.scale))
         object_T_mesh, how = _standing(exact, settings.upright)
         exact = exact.moved(object_T_mesh)
+        if settings.spacing_m is None:
+            check_size(exact.mesh, settings.scale)
         if fits is not None:
-            fits(exact.bounds)
+            fits(exact, object_T_mesh)
         model = mesh_model(
             exact,
             name=path.stem,
@@ -214,18 +226,29 @@ def _declared(text: str, exact: "MeshSDF", object_T_mesh: Tensor) -> "Symmetries
     return replace(own, rotations=turn @ own.rotations @ turn.mT, center=center, axis=axis)
 
 
-def _check_fits(spec: "TaskSpec", bounds: Float[Tensor, "2 3"]) -> None:
+def _check_fits(spec: "TaskSpec", exact: "MeshSDF", object_T_mesh: Float[Tensor, "4 4"]) -> None:
     """The object is neither larger than the workspace allows nor lower than the tool reaches down."""
-    low, high = bounds.double()
-    size = " x ".join(f"{1e3 * x:.0f}" for x in (high - low).tolist())
-    room = _ROOM * min(b - a for a, b in zip(*spec.bounds, strict=True))
-    if float((high - low)[:2].max()) > room:
+    from rumi.tasks.rummage.tool_height import check_height, words
+
+    bounds, room = exact.bounds, _ROOM * min(b - a for a, b in zip(*spec.bounds, strict=True))
+    if float((bounds[1] - bounds[0])[:2].max()) > room:
         raise UsageError(
-            f"Expected an object at most {1e3 * room:.0f} mm wide, got {size} mm: is it in millimetres (--scale 0.001)?"
+            f"Expected an object at most {1e3 * room:.0f} mm wide, half of the workspace of {spec.name}, so that "
+            f"the tool gets round it, got {words(bounds)}: if that is its size, touch it by other means and give the "
+            "points to `rumi localize`; if not, say how many metres a unit of the file is (--scale)"
         )
-    lowest = (spec.height_m if spec.heights_m is None else spec.heights_m[0]) - _PAD_M
-    if float(high[2] - low[2]) < lowest:
-        raise UsageError(
-            f"Expected an object at least {1e3 * lowest:.0f} mm high, where the tool can touch it, "
-            f"got {size} mm: scale it (--scale), or stand it otherwise (--upright ROLL PITCH YAW)"
-        )
+    check_height(spec, bounds, otherwise=lambda least: _stand(exact, object_T_mesh, least))
+
+
+def _stand(exact: "MeshSDF", object_T_mesh: Float[Tensor, "4 4"], least: float) -> str:
+    """Advice to stand an object on another side, by which it is higher than this; none where it would tip over."""
+    from sdf.mesh.rest import center_of_mass, resting_poses
+
+    for pose in resting_poses(exact.solid, center_of_mass(exact.solid)):
+        along = exact.solid.vertices @ pose.rest_R_mesh[2].to(exact.solid.vertices)
+        if pose.probability >= _LIKELY and float(along.max() - along.min()) > least:
+            turn = pose.rest_R_mesh @ object_T_mesh[:3, :3].to(pose.rest_R_mesh)
+            roll, yaw = torch.atan2(turn[2, 1], turn[2, 2]), torch.atan2(turn[1, 0], turn[0, 0])
+            angles = torch.stack((roll, -turn[2, 0].clamp(-1.0, 1.0).asin(), yaw)).rad2deg()
+            return f"stand it on another side (--upright {' '.join(f'{a + 0.0:.4g}' for a in angles.tolist())}), or "
+    return ""

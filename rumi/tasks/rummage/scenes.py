@@ -3,7 +3,7 @@
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from rumi.errors import UsageError
 from rumi.robot.reach import Reach, SpatialReach
 from rumi.robot.reach_table import ReachSettings
 from rumi.robot.tool import Tool
+from rumi.seeding import split
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.tasks.registry import TASKS
 from sdf.drill import drill_model
@@ -53,6 +54,26 @@ class PriorSpec:
 
 
 @dataclass(frozen=True)
+class DrawSpec:
+    """Ranges of a scene that each seed draws anew, evenly; neither filter nor planner is told them or what came.
+
+    Attributes:
+        distance_m: of the object's origin from the arm's base.
+        bearing_rad: of the object from ahead of the base, to either side at most.
+        turn_rad: of the object's x axis from pointing straight away from the camera, without one from ahead, to either
+            side at most.
+        mass_kg: of the object.
+        friction: sliding friction of everything.
+    """
+
+    distance_m: tuple[float, float]
+    bearing_rad: float
+    turn_rad: float
+    mass_kg: tuple[float, float]
+    friction: tuple[float, float] = (0.3, 0.7)
+
+
+@dataclass(frozen=True)
 class TaskSpec:
     """One task: an object to be found, where it stands, and the robot about it; metres and radians.
 
@@ -90,6 +111,7 @@ class TaskSpec:
         steps: actions at most.
         apc_ratio: of the object's diagonal, below which the paper's rule stops; None for the setting's.
         physics: the object's mass and friction, and the gripper's drive.
+        draw: what the seed draws of start, mass and friction in place of these; None for nothing.
     """
 
     name: str
@@ -123,11 +145,37 @@ class TaskSpec:
     steps: int = 40
     apc_ratio: float | None = None
     physics: PhysicsSettings = field(default_factory=PhysicsSettings)
+    draw: DrawSpec | None = None
 
     @property
     def spatial(self) -> bool:
         """Whether the tool moves in space."""
         return self.heights_m is not None
+
+    def drawn(self, seed: int) -> "TaskSpec":
+        """The scene of a seed: itself where nothing is drawn."""
+        ranges = self.draw
+        if ranges is None:
+            return self
+        share = torch.rand(6, generator=split(seed, "scene"), dtype=torch.float64).tolist()
+        distance, mass, friction = (
+            low + (high - low) * part
+            for (low, high), part in zip((ranges.distance_m, ranges.mass_kg, ranges.friction), share[:3], strict=True)
+        )
+        bearing = (2.0 * share[3] - 1.0) * ranges.bearing_rad
+        turn = (2.0 * share[4] - 1.0) * ranges.turn_rad
+        x, y = (
+            self.base[0] + distance * math.cos(self.base[2] + bearing),
+            self.base[1] + distance * math.sin(self.base[2] + bearing),
+        )
+        if self.camera is not None:
+            turn += math.atan2(y - self.camera.position[1], x - self.camera.position[0])
+        return replace(
+            self,
+            start=(x, y, math.remainder(turn, 2.0 * math.pi)),
+            start_up=self.up[min(int(share[5] * len(self.up)), len(self.up) - 1)],
+            physics=replace(self.physics, mass_kg=mass, friction=friction),
+        )
 
 
 def large_handled_mug() -> ObjectModel:
@@ -260,6 +308,30 @@ SCENES: dict[str, TaskSpec] = {
     )
 }
 """All scenes of the rummaging task by name."""
+
+
+DRAWN: dict[str, TaskSpec] = {
+    "mug": TaskSpec(
+        "mug",
+        "a mug whose place, handle, mass and friction the seed draws",
+        large_handled_mug,
+        SCENES["mug-0"].start,
+        draw=DrawSpec((0.97, 1.05), math.radians(20.0), math.radians(100.0), (0.2, 0.6)),
+    ),
+    "drill": replace(
+        SCENES["drill-0"],
+        name="drill",
+        description="a drill that no camera sees, whose place, yaw, mass and friction the seed draws",
+        draw=DrawSpec((0.96, 1.04), math.radians(4.0), math.pi, (0.6, 1.2)),
+    ),
+    "box": replace(
+        SCENES["box-0"],
+        name="box",
+        description="a box that no camera sees, whose face, place, yaw, mass and friction the seed draws",
+        draw=DrawSpec((0.88, 0.98), math.radians(4.0), math.pi, (0.3, 0.6)),
+    ),
+}
+"""Scenes that the seed draws, by name; experiments on `SCENES` leave them out."""
 
 
 def find_task(name: str) -> TaskSpec:

@@ -72,16 +72,16 @@ class SensedTask(SimTask):
             raise UsageError(f"{spec.name} has no camera: only tasks with one report through other sensors than points")
         super().__init__(spec, settings, tool, model, physics, cache_dir=cache_dir)
         self.sensors = sensors = settings.sensors
-        links = gripper_links(tool.shape)
+        links = gripper_links(self.shape)
         self._links = RobotBody(links)
         deep = torch.stack([link.distance(self._body) for link in links]).amin(0) < -settings.contact_m
         self._inner = self._body[deep]
-        self._bubbles = [BubbleCamera(tool.shape, pad, sensors.membrane_m) for pad in range(2) if sensors.feels]
+        self._bubbles = [BubbleCamera(self.shape, pad, sensors.membrane_m) for pad in range(2) if sensors.feels]
         self._believed: list[Bubble] = []
         self._off = se3.identity()
         self._late = round(sensors.late_s * settings.mini_steps / settings.action_s)
         self._look_frames = math.ceil(_LOOK_S * sensors.frame_rate_hz) + 2
-        self.raw = RawStreams(spec, settings, tool.shape, self._bubbles, self._look_frames)
+        self.raw = RawStreams(spec, settings, self.shape, self._bubbles, self._look_frames)
 
     def reset(self, seed: int) -> StepResult:
         """Put everything at its start and return the first look; the seed draws noise and errors of calibration."""
@@ -232,11 +232,11 @@ class SensedTask(SimTask):
 
     def _near(self, track: Track, tool_pose: Float[Tensor, "K 4 4"]) -> list[bool]:
         """Whether the object is near a bubble at each mini step; elsewhere its membrane is at rest."""
-        pads = torch.tensor(self.tool.shape.pad_centers).double()
+        pads = torch.tensor(self.shape.pad_centers).double()
         there = se3.apply(se3.inverse(track.world_T_object) @ tool_pose.double(), pads.expand(len(tool_pose), -1, 3))
         with torch.no_grad():
             away = self.model.exact.distance(there.float()).amin(-1)
-        near: list[bool] = (away < max(self.tool.shape.pad_m) + self.sensors.membrane_m + _NEAR_M).tolist()
+        near: list[bool] = (away < max(self.shape.pad_m) + self.sensors.membrane_m + _NEAR_M).tolist()
         return near
 
     def _image(

@@ -17,7 +17,7 @@ from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingSettings
 from rumi.planning.slide import SlideSettings
 from rumi.registration.descent import DescentSettings
-from rumi.runs.json_settings import dataclass_of, not_numbers
+from rumi.runs.json_settings import changed, dataclass_of, not_numbers
 from rumi.runs.plain import plain
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.objects import ObjectSettings
@@ -42,6 +42,7 @@ class Settings:
         replan_every: actions carried out of one plan; a contact always asks for a new one.
         plan_budget_s: seconds that each plan may take, for which it makes do with less; runs are not the same then from
             one time to the next. None for as long as it needs.
+        tool_height_m: of a level tool's middle above the table; None for the task's, or lower where the object is.
         filter: how the belief follows the readings.
         initialise: how the first belief is found.
         renewal: when and how particles are drawn anew, where no camera sees the object.
@@ -62,6 +63,7 @@ class Settings:
     dtype: Literal["float32", "float64"] = "float32"
     replan_every: int = 1
     plan_budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    tool_height_m: Annotated[float | None, tyro.conf.arg(name="tool-height", metavar="M")] = None
     filter: FilterSettings = field(default_factory=FilterSettings)
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
     renewal: ReinitialiseSettings = field(default_factory=ReinitialiseSettings)
@@ -84,6 +86,8 @@ class Settings:
             raise UsageError(f"Expected replan_every to be 1 or more, got {self.replan_every}")
         if self.plan_budget_s is not None and self.plan_budget_s < 0:
             raise UsageError(f"Expected plan_budget_s to be 0 or more, got {self.plan_budget_s}")
+        if self.tool_height_m is not None and not self.tool_height_m > 0:
+            raise UsageError(f"Expected tool_height_m above 0, got {self.tool_height_m}")
         for name in not_numbers(self):
             raise UsageError(f"Expected {name} to be a number, got nan")
 
@@ -109,14 +113,14 @@ def preset(name: str = "default", **changes: Any) -> Settings:  # noqa: ANN401  
 
     Args:
         name: of the preset.
-        changes: settings to give another value, such as `task` and `seed`.
+        changes: settings to give another value (`rumi.runs.json_settings.changed`), such as `task` and `seed`.
 
     Raises:
-        UsageError: there is no such preset; the message lists them.
+        UsageError: there is no such preset or setting; the message lists them.
     """
     if name not in PRESETS:
         raise UsageError(f"There is no preset {name!r}; the presets are {', '.join(PRESETS)}")
-    return replace(PRESETS[name](), **changes)
+    return changed(PRESETS[name](), changes)
 
 
 def to_dict(settings: Settings) -> dict[str, Any]:

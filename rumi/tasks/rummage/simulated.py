@@ -11,6 +11,7 @@ from torch import Tensor
 
 from rumi.belief.prior import lying
 from rumi.errors import UsageError
+from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.bodies import body_of
@@ -35,7 +36,7 @@ _SPREADS = 4.0
 class SimTask:
     """A `rumi.task.Task` in simulation: a level gripper about an object on the floor.
 
-    The same seed gives the same bytes; seeds change the noise alone, and without noise nothing. Readings are
+    The same seed gives the same bytes; seeds change the noise and what the task draws, else nothing. Readings are
     float32. Truth is in `StepResult.truth` only.
 
     Args:
@@ -64,12 +65,14 @@ class SimTask:
         physics = physics or spec.physics
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
         height = None if spec.spatial else spec.height_m
-        self.world = World(body, tool.shape, height, settings.time_step_s, physics)
+        self.shape = shape = gripper_of(tool.shape)
+        self.world = World(body, shape, height, settings.time_step_s, physics)
+        self._scene = spec
         # what cannot stand is refused before anything begins
         self.world.reset(torch.tensor(spec.tool_start), self._start())
-        self._pads = tool.shape.pad_shell(settings.pad_spacing_m).float()
-        self._felt_at = self._pads + spec.felt_ahead_m * tool.shape.pad_normals(self._pads)
-        self._body = tool.shape.volume(settings.body_spacing_m).float()
+        self._pads = shape.pad_shell(settings.pad_spacing_m).float()
+        self._felt_at = self._pads + spec.felt_ahead_m * shape.pad_normals(self._pads)
+        self._body = shape.volume(settings.body_spacing_m).float()
         self._generator = torch.Generator()
         self._further_noise = split(0, "further sensors")
         self._region = torch.zeros(2, 3)
@@ -80,10 +83,16 @@ class SimTask:
         """Put everything at its start and return the first view: one instant, seen by the camera if there is one.
 
         Args:
-            seed: of the sensors' noise.
+            seed: of the sensors' noise, and of the scene where the task draws it.
         """
         self._generator.manual_seed(seed)
         self._further_noise = split(seed, "further sensors")
+        self._scene = self.spec.drawn(seed)
+        if self.spec.draw is not None:
+            own = self._scene.physics
+            physics = replace(self.world.physics, mass_kg=own.mass_kg, friction=own.friction)
+            height = None if self.spec.spatial else self.spec.height_m
+            self.world = World(self.world.body, self.shape, height, self.settings.time_step_s, physics)
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
         observation = self._view()
@@ -102,9 +111,9 @@ class SimTask:
 
     def _start(self) -> Tensor:
         """Where the object starts, as `World.reset` takes it."""
-        start = torch.tensor(self.spec.start)
-        if self.spec.start_up != "z" or self.spec.prior is not None:
-            return se3.from_planar(start) @ lying(self.model.exact.bounds.float(), self.spec.start_up)
+        start = torch.tensor(self._scene.start, dtype=torch.float32)
+        if self._scene.start_up != "z" or self._scene.prior is not None:
+            return se3.from_planar(start) @ lying(self.model.exact.bounds.float(), self._scene.start_up)
         return start
 
     def step(self, control: Float[Tensor, "A"]) -> StepResult:
@@ -288,8 +297,9 @@ class SimTask:
         """Free points where the floor is, fixed in the world (RUMI, V.B)."""
         step = self.spec.field_spacing_m
         low, high = self._region[:, :2]
-        x, y = (torch.arange(float(low[axis]), float(high[axis]) + 0.5 * step, step) for axis in (0, 1))
-        points = torch.stack(torch.meshgrid(x, y, torch.zeros(1), indexing="ij"), -1).reshape(-1, 3)
+        ends = [(float(low[axis]), float(high[axis]) + 0.5 * step) for axis in (0, 1)]
+        x, y = (torch.arange(*pair, step, dtype=torch.float32) for pair in ends)
+        points = torch.stack(torch.meshgrid(x, y, x.new_zeros(1), indexing="ij"), -1).reshape(-1, 3)
         return Observation.of(points, Semantics.FREE, attached=False)
 
     def _region_of_prior(self) -> Float[Tensor, "2 3"]:

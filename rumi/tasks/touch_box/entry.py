@@ -10,12 +10,13 @@ import tyro
 
 from rumi.agent import Parts
 from rumi.errors import UsageError
+from rumi.registration.pose_summary import PoseSummary, answer_lines
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.registry import Role, check_preset, check_seed
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.build import Robot, check_robot
-from rumi.tasks.touch_box.records import PARTS, TouchRun, TouchStep, signals
+from rumi.tasks.touch_box.records import PARTS, TouchRun, TouchStep
 from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
@@ -115,7 +116,9 @@ class _TouchBox:
         if step.touched is None:
             return chance
         empty = "out of reach" if step.touched.blocked is None else "blocked"
-        return f"{signals(step.touched.contact) or empty}  {chance}"
+        contact = step.touched.contact
+        felt = f"felt in {int(contact.sum())} of {len(contact)} readings" if len(contact) else empty
+        return f"{felt}  {chance}"
 
     def success(self, run: TouchRun) -> bool:
         """Whether the grasp became likely enough to succeed, and did."""
@@ -130,10 +133,15 @@ class _TouchBox:
         done = "nothing grasped" if run.lifted is None else "lifted" if run.lifted else "not lifted"
         return [
             f"{ended} after {pokes}, {done}",
+            *answer_lines(run.pose, run.why_not, run.warnings),
             f"grasp    believed {found['believed']:.2f}; off by {found['error_mm']:.1f} mm and "
             f"{found['error_deg']:.1f} degrees",
             f"seconds  {math.fsum(run.timings_s.values()):.1f}: {seconds}",
         ]
+
+    def pose(self, run: Run) -> PoseSummary | None:
+        """What a run's last belief knows of the box's pose."""
+        return TouchRun.of(run).pose if run.steps else None
 
     def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
         """Beliefs with pokes and the grasp, and how sure the belief was."""

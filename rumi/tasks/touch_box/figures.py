@@ -32,7 +32,7 @@ def draw_run(run: TouchRun, task: TouchTask, threshold: float, folder: Path) -> 
     paths = [folder / "pokes.png", folder / "sure.png"]
     width = 2.0 * columns
     tall = width / columns * (limits[3] - limits[2]) / (limits[1] - limits[0]) + 0.35
-    with style.figure(width, rows * tall) as figure:
+    with style.figure(width + 0.6, rows * tall + 0.9) as figure:
         axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
         for ax in axes[len(shown) + 2 :]:
             ax.set_axis_off()
@@ -47,14 +47,16 @@ def draw_run(run: TouchRun, task: TouchTask, threshold: float, folder: Path) -> 
         panel(last, run.end.belief, task, limits, "grasp: " + ("lifted" if run.lifted else "not lifted"))
         draw_box(last, run.end.truth, task, color=style.TRUTH, linewidth=1.2)
         draw_grasp(last, run.end.grasp.pose, task)
-        figure.savefig(paths[0])
+        _axes(axes, rows, columns, limits, len(shown) + 2)
+        figure.legend(*_legend(task), loc="outside lower center", ncols=4)
+        style.save(figure, paths[0])
     with style.figure(4.2, 2.6) as figure:
         ax = figure.subplots()
         chance = [step.grasp.probability for step in run.steps]
         ax.plot(range(1, len(chance) + 1), chance, color=style.NLL, marker="o", markersize=3)
         ax.axhline(threshold, color=style.QUIET, linewidth=0.8, linestyle="--")
         ax.set(xlabel="pokes", ylabel="believed chance of lifting", ylim=(0.0, 1.02), title="How sure the belief is")
-        figure.savefig(paths[1])
+        style.save(figure, paths[1])
     return paths
 
 
@@ -71,9 +73,36 @@ def panel(
         draw_box(ax, pose, task, color=style.EXPECTED, linewidth=0.5, alpha=0.25)
     ax.set_title(title)
     ax.set_aspect("equal")
-    ax.set(xlim=limits[:2], ylim=limits[2:], xticks=[], yticks=[])
-    for spine in ax.spines.values():
-        spine.set_visible(False)
+    ax.set(xlim=limits[:2], ylim=limits[2:])
+
+
+def _axes(axes: "list[Axes]", rows: int, columns: int, limits: tuple[float, float, float, float], count: int) -> None:
+    """Metres at the outer panels alone, and a bar of a decimetre in the first one."""
+    for index, ax in enumerate(axes[:count]):
+        left, below = index % columns == 0, index + columns >= count
+        ax.locator_params(nbins=4)
+        ax.tick_params(labelleft=left, labelbottom=below)
+        ax.set(xlabel="x [m]" if below else "", ylabel="y [m]" if left else "")
+    x, y = limits[0] + 0.05 * (limits[1] - limits[0]), limits[2] + 0.03 * (limits[3] - limits[2])
+    axes[0].plot([x, x + 0.1], [y, y], color=style.INK, linewidth=2.0, solid_capstyle="butt")
+    axes[0].annotate("100 mm", (x + 0.05, y), xytext=(0, 3), textcoords="offset points", ha="center", fontsize=7)
+
+
+def _legend(task: TouchTask) -> tuple[list[Any], list[str]]:
+    """What is drawn in which way."""
+    from matplotlib.lines import Line2D
+
+    kinds: dict[str, dict[str, Any]] = {
+        f"belief: {_BOXES} boxes of equal weight": {"color": style.EXPECTED, "linewidth": 1.0},
+        "true box": {"color": style.TRUTH, "linewidth": 1.2},
+        "poke weighed, not chosen": {"color": style.QUIET, "linewidth": 0.8},
+        "poke chosen": {"color": style.PATH, "linewidth": 1.0, "linestyle": ":"},
+        "poke carried out": {"color": style.PATH, "linewidth": 1.8},
+        "felt a contact": {"color": style.CONTACT, "marker": "o", "markersize": 4, "linewidth": 0},
+        "grasp: where the box is taken to be": {"color": style.TOOL, "linewidth": 1.2, "linestyle": "--"},
+        "grasp: fingers": {"color": style.TOOL, "marker": "o", "markersize": 5, "linewidth": 0},
+    }
+    return [Line2D([], [], **kind) for kind in kinds.values()], list(kinds)
 
 
 def draw_box(ax: "Axes", pose: Float[Tensor, "3"], task: TouchTask, **kind: Any) -> None:  # noqa: ANN401

@@ -1,6 +1,5 @@
 """The chance that a grasp succeeds, simulated once over a grid of misplacements of the box."""
 
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -9,18 +8,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.seeding import split
-from rumi.tasks.grasp_table import GraspTable
+from rumi.tasks.grasp_table import GraspTable, simulated_table
 from rumi.tasks.touch_box.gripper_robot import LIFTED_M, GripperRobot
 from rumi.tasks.touch_box.mujoco_scene import GripperPhysics, scene_xml, set_truth
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
-from sdf.cache import content_key, keep_arrays, load_arrays
+from sdf.cache import content_key
 
 _ENDS, _COUNTS = (0.022, 0.09, 0.9), (12, 7, 19)
 _TRUTHS = 6  # friction and mass differ from grasp to grasp, as many ways
 _STEP_S = 0.002
 _ROWS = 64
-
-_logger = logging.getLogger(__name__)
 
 
 def grasp_table(task: TouchTask, *, cache_dir: Path | None = None, threads: int = 1) -> GraspTable:
@@ -33,32 +30,14 @@ def grasp_table(task: TouchTask, *, cache_dir: Path | None = None, threads: int 
     """
     physics = GripperPhysics(time_step_s=_STEP_S)
     robot = GripperRobot(task, physics)
-    axes = [torch.linspace(0.0 if i < 2 else -_ENDS[i], _ENDS[i], _COUNTS[i], dtype=torch.float64) for i in range(3)]
-    boxes = torch.stack(torch.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     ranges = (task.friction, task.floor_friction, task.mass_kg)
     key = content_key(
         repr((scene_xml(task, physics, grasping=True), _ENDS, _COUNTS, _TRUTHS, LIFTED_M, ranges)),
         robot.grasp_controls(torch.zeros(3)).tobytes(),
     )
     path = None if cache_dir is None else cache_dir / f"grasps-{key}.npz"
-    odds = None if path is None else _kept(path)
-    if odds is None:
-        odds = lifted(robot, boxes, truths(task, _TRUTHS), threads=threads).to(torch.float64).view(_COUNTS)
-        if path is not None:
-            keep_arrays(path, {"odds": odds.numpy()})
-    return GraspTable(odds, _ENDS)
-
-
-def _kept(path: Path) -> Tensor | None:
-    """Odds that were kept; None if there are none, or with a warning if they are no odds."""
-    arrays = load_arrays(path, ("odds",))
-    if arrays is None:
-        return None
-    odds = arrays["odds"]
-    if odds.shape == _COUNTS and odds.dtype == np.float64 and bool(((odds >= 0.0) & (odds <= 1.0)).all()):
-        return torch.from_numpy(odds)
-    _logger.warning("%s holds no odds of grasps: simulating them again", path)
-    return None
+    like = GraspTable(torch.zeros(_COUNTS), _ENDS)
+    return simulated_table(like, lambda boxes: lifted(robot, boxes, truths(task, _TRUTHS), threads=threads), path)
 
 
 def truths(task: TouchTask, count: int) -> list[BoxTruth]:

@@ -8,11 +8,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.agent import StopReason
+from rumi.registration.pose_summary import PoseSummary, summarise_particles
 from rumi.runs.folder import Run
 from rumi.tasks.grasp_table import Grasp
 from rumi.tasks.touch_box.robot import Poke, Touched
 from rumi.tasks.touch_box.selection import Choice
 from sdf import se3
+from sdf.symmetry import Symmetries
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +83,27 @@ class TouchRun:
         records: of all steps.
         stopped_by: why it ended.
         lifted: whether the grasp that was carried out lifted the box; None where none was.
+        relies_on: what the run took for granted.
+        warnings: what was not measured, and may have made the belief sure and wrong.
     """
 
     records: tuple[TouchStep, ...]
     stopped_by: StopReason
     lifted: bool | None
+    relies_on: str = ""
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def pose(self) -> PoseSummary:
+        """What the belief knows of the box's pose; after half a turn it looks the same."""
+        return summarise_particles(*self.end.poses, symmetries=Symmetries.parse("z2"))
+
+    @property
+    def why_not(self) -> str | None:
+        """Why the belief is not sure; None where it is."""
+        if self.stopped_by == "sure":
+            return None
+        return f"the best grasp lifts the box with {self.end.grasp.probability:.2f} only, by this belief"
 
     @property
     def first(self) -> TouchStep:
@@ -106,7 +124,8 @@ class TouchRun:
     def of(cls, run: Run) -> "TouchRun":
         """A recorded run, also one that goes on or was killed."""
         ended = run.ended or {"stopped_by": "interrupted", "lifted": None}
-        return cls(tuple(run.steps), ended["stopped_by"], ended["lifted"])
+        told = ended.get("relies_on", ""), tuple(ended.get("warnings", ()))
+        return cls(tuple(run.steps), ended["stopped_by"], ended["lifted"], *told)
 
     def as_dict(self) -> dict[str, Any]:
         """How the run ended and each of its pokes, as plain values."""
@@ -121,6 +140,10 @@ class TouchRun:
             "believed": round(grasp.probability, 4),
             "error_mm": round(1e3 * float(apart[:2].norm()), 1),
             "error_deg": round(math.degrees(abs(turn)), 1),
+            "pose": self.pose.as_dict(),
+            "why_not": self.why_not,
+            "relies_on": self.relies_on,
+            "warnings": list(self.warnings),
             "moved_mm": round(1e3 * float((truth - start)[:2].norm()), 1),
             "steps": [
                 step.numbers() | {"seconds": {name: round(value, 4) for name, value in step.timings_s.items()}}

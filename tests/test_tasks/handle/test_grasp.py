@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.tasks.handle.grasp import HandleTable, best_grasp
+from rumi.tasks.handle.grasp import best_grasp, handle_odds
 from rumi.tasks.handle.gripper import HandleGripper
 from rumi.tasks.handle.settings import HandleSettings, task_of
 from sdf import se3
@@ -48,11 +48,11 @@ def odds():
         torch.linspace(-0.9, 0.9, shape[2]),
     )
     good = (along.abs() < 0.01)[:, None, None] & (aside < 0.01)[:, None] & (yaw.abs() < 0.31)
-    return HandleTable(good.to(torch.float64))
+    return handle_odds(good.to(torch.float64))
 
 
 def test_the_table_knows_mirror_images_and_fails_beyond_its_ends():
-    table = HandleTable(torch.rand(9, 6, 13, generator=torch.Generator().manual_seed(0), dtype=torch.float64))
+    table = handle_odds(torch.rand(9, 6, 13, generator=torch.Generator().manual_seed(0), dtype=torch.float64))
     taken = torch.tensor([0.4, 0.1, 0.7], dtype=torch.float64)
     apart = torch.tensor([[0.01, 0.02, 0.3], [0.01, -0.02, -0.3], [0.05, 0.0, 0.0], [0.0, 0.0, 1.5]])
     true = se3.to_planar(se3.from_planar(taken) @ se3.from_planar(apart.double()))

@@ -24,7 +24,7 @@ from rumi.runs.replay import digest, replay
 from rumi.tasks.handle.agent import HandleResult, build_agent
 from rumi.tasks.handle.build import build_handle
 from rumi.tasks.handle.entry import HANDLE, HandleRunSettings
-from rumi.tasks.handle.grasp import HandleTable
+from rumi.tasks.handle.grasp import handle_odds
 from rumi.tasks.handle.settings import HandleSettings
 from sensors.contact_reading import ContactReading
 from sensors.log.reader import Log
@@ -48,7 +48,7 @@ class Live(NamedTuple):
 @pytest.fixture(scope="module")
 def live(tool, tmp_path_factory):
     """The first of some seeds, one in four of which will do: which one, the last digit of a plan decides."""
-    table = HandleTable(torch.ones(9, 6, 13, dtype=torch.float64))
+    table = handle_odds(torch.ones(9, 6, 13, dtype=torch.float64))
     parts = build_handle(SETTINGS, tool=tool, table=table)
     for seed in SEEDS:
         folder, steps = tmp_path_factory.mktemp("fused"), []

@@ -11,7 +11,7 @@ from rumi.robot.gripper import GripperShape
 from rumi.tasks.handle.agent import total_nll
 from rumi.tasks.handle.build import build_handle
 from rumi.tasks.handle.entry import short_of
-from rumi.tasks.handle.grasp import HandleTable
+from rumi.tasks.handle.grasp import handle_odds
 from rumi.tasks.handle.settings import SENSORS, HandleSettings, sensors_of
 
 
@@ -35,7 +35,7 @@ def test_what_a_stopped_belief_keeps_is_summed_up_to_the_end():
 
 
 def parts_of(tool, **changes):
-    table = HandleTable(torch.ones(9, 6, 13, dtype=torch.float64))
+    table = handle_odds(torch.ones(9, 6, 13, dtype=torch.float64))
     return build_handle(HandleSettings(**changes), tool=tool, table=table)
 
 

@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 import torch
 
@@ -16,6 +17,7 @@ from rumi.runs.jsonlines import read_lines
 from rumi.tasks.peg import selection as refine
 from rumi.tasks.peg.agent import build_peg
 from rumi.tasks.peg.entry import summary
+from rumi.tasks.peg.figures import clusters
 from rumi.tasks.peg.selection import sure
 from rumi.tasks.peg.settings import PegSettings
 from sensors.touch.rectangle_touch import RectangleTouches
@@ -129,3 +131,13 @@ def test_the_command(tmp_path, capsys):
     assert (tmp_path / "again/timeline.png").read_bytes() == pictures[1].read_bytes()
     assert main(["replay", str(folder)]) == 0
     assert f"the recorded one, bit for bit, after each of {len(steps)} readings" in capsys.readouterr().out
+
+
+def test_labels_of_touches_that_lie_together_are_one():
+    ahead, aside = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+    near = [(np.array([0.001 * index, 0.0]), ahead) for index in range(4)]
+    touches = [*near[:2], (np.array([0.0, 0.0]), aside), *near[2:], (np.array([0.5, 0.0]), ahead)]
+    named = clusters(touches)
+    assert [words for words, _, _ in named] == ["1–2, 4–5", "3", "6"]
+    np.testing.assert_allclose(named[0][1], [0.0015, 0.0])
+    assert named[0][2] is ahead

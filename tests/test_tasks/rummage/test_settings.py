@@ -1,13 +1,19 @@
 import json
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 
+import rumi
+from rumi.dynamics.along_path import push_along_path
 from rumi.errors import UsageError
 from rumi.planning.registry import POLICIES
 from rumi.runs.json_settings import setting_names
+from rumi.tasks.registry import TASKS
+from rumi.tasks.rummage import scenes
+from rumi.tasks.rummage.build import build_rummager
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 
 
@@ -33,6 +39,44 @@ def test_settings_of_all_kinds_survive_json():
     read = from_dict(json.loads(json.dumps(to_dict(changed), allow_nan=False)))
     assert read == changed
     assert isinstance(read.planner.mppi.noise_variance, tuple)
+
+
+def test_settings_of_a_preset_are_changed_by_name_as_on_the_command_line():
+    flags = {"planner.mppi.samples": 100, "filter.trigger": 3, "mass": 0.2}
+    dotted = rumi.preset("fast", task="box-1", seed=3, **flags)
+    nested = rumi.preset("fast", task="box-1", seed=3, planner={"mppi": {"samples": 100}}, filter={"trigger": 3.0})
+    fast = PRESETS["fast"]()
+    mppi = replace(fast.planner.mppi, samples=100)
+    expected = replace(
+        fast,
+        task="box-1",
+        seed=3,
+        planner=replace(fast.planner, mppi=mppi),
+        filter=replace(fast.filter, trigger=3.0),
+    )
+    assert nested == expected
+    assert dotted == replace(expected, object=replace(expected.object, mass_kg=0.2))
+    assert rumi.preset(task="peg", most_actions=3, seed=2).settings.most_actions == 3
+    assert rumi.preset("paper", task="peg").settings.stop == "contacts"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"planer": 1}, "no setting planer; did you mean planner"),
+        ({"planner": 3}, "Expected planner to be a dict of its settings or RummagingSettings, got 3"),
+        ({"planner": {"mpi": {}}}, r"no setting planner\.mpi; did you mean planner\.mppi"),
+        ({"filter.triger": 3}, r"no setting filter\.triger; did you mean filter\.trigger"),
+        ({"samples": 3}, r"no setting samples; did you mean planner\.mppi\.samples"),
+        ({"xyzzy": 3}, "no setting xyzzy; there are task, method, preset, seed"),
+        ({"seed": "x"}, "Expected seed to be of type int, got 'x'"),
+        ({"planner": {"push_model": 3}}, r"Expected planner\.push_model to be of type str, got 3"),
+        ({"task": "mug-9"}, "no task 'mug-9'; there are mug-0, .*peg"),
+    ],
+)
+def test_what_is_no_setting_is_named_with_what_is_near(changes, message):
+    with pytest.raises(UsageError, match=message):
+        rumi.preset(**changes)
 
 
 def test_what_a_recorded_run_adds_is_no_setting():
@@ -100,3 +144,14 @@ def test_device_and_dtype(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(UsageError, match="no CUDA device"):
         _ = preset(device="cuda").torch_device
+
+
+def test_a_replay_believes_by_the_push_model_of_its_run(monkeypatch):
+    """Where nothing measures the motion, the belief follows the planner's push model, live and replayed."""
+    monkeypatch.setattr(scenes, "make_tool", partial(scenes.make_tool, free_flying=True))
+    settings, spec = preset("fast", task="shelf-mug"), scenes.find_task("shelf-mug")
+    live = build_rummager(spec, settings, spec.object_factory(), scenes.make_tool(spec))
+    again = TASKS["shelf-mug"].agent(settings)
+    assert again.filter.pushed.predict.push is live.filter.pushed.predict.push is push_along_path
+    measured = TASKS["mug-0"].agent(replace(settings, task="mug-0"))
+    assert measured.filter.pushed is None and measured.policy.settings.push_model == "displacement"

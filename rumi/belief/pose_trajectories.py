@@ -1,0 +1,488 @@
+"""Trajectories of an upright object that a level tool pushes: motion prior, likelihood of what was sensed, replay."""
+
+import math
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
+from typing import NamedTuple, Self
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from rumi.belief.particles import PoseBelief
+from rumi.dynamics.outline import GridOutline, support_of
+from rumi.dynamics.sliding import Sliding, push, rotated
+from rumi.robot.tool_shape import ToolShape
+from sdf import backend, compiled
+from sdf.base import SDF
+
+PHYSICS, NOISE, OWN = 5, 8, 5
+"""Standard normals of a particle, of a segment, and those of a segment that its action does not share."""
+
+
+class Kind(IntEnum):
+    """Meaning of a point."""
+
+    SEEN = 0
+    FREE = 1
+    FELT = 2
+    PAD_FELT = 3
+    PAD_CLEAR = 4
+
+
+@dataclass(frozen=True)
+class PoseTrajectorySettings:
+    """Priors of a pushed object's motion, noise of the sensors, and effort of the filter; metres and radians.
+
+    Friction and lever of a particle are log-normal, and change a little from segment to segment. After each instant
+    the pose is off by noise in proportion to the step, the same throughout a segment: the model's errors last.
+
+    Attributes:
+        particles: N.
+        branches: motions drawn for each particle when a segment comes in.
+        instants: of contact that make a segment.
+        lag: pushed segments, from the last on, whose noise is still moved by itself.
+        memory: segments beyond which the older half is forgotten: the particles then stand for it as they are, and
+            neither start poses nor physics move any more.
+        rounds: of Metropolis moves at every stage of tempering.
+        friction: median and log-deviation of the coefficient between tool and object.
+        lever_ratio: median and log-deviation of c of the limit surface over the mean distance of the base from below
+            the centre of mass.
+        ahead_m: mean and deviation of how far the pressure's centre is ahead, in the direction of the push.
+        centre_m: deviation of the centre of friction from below the centre of mass, along x and along y.
+        friction_change, lever_change: log-deviation from segment to segment.
+        along, across: deviations of a step along itself and across it, as shares of its length.
+        turn_rad_per_m: deviation of its turn.
+        m_per_rad: length that a radian of a step counts as.
+        tails: h of Tukey's g-and-h distribution of this noise.
+        shared: part of its variance that a whole action has in common.
+        seen_sd_m: deviation of what a camera sees.
+        seen_points: independent points that all seen surface points of a view are worth.
+        free_m, free_sd_m, free_weight: depth allowed to a free point, deviation beyond, and what a cell of
+            `free_cell_m` is worth; all of them in a view no more than `seen_points`.
+        free_cell_m: lattice that keeps one free point a cell.
+        felt_m, felt_sd_m, felt_weight: mean distance of felt points from the surface, its deviation, and what those of
+            an instant are worth.
+        pad_m, pad_slope_m, pad_weight, pad_spacing_m: distance within which a pad's point feels the surface, width of
+            that border, what a point is worth, and the points' spacing.
+        outliers: share of readings that mean nothing.
+        most: points that are kept of a view, the free ones of it, and of a segment's felt points and pads.
+    """
+
+    particles: int = 150
+    branches: int = 6
+    instants: int = 5
+    lag: int = 10
+    memory: int = 80
+    rounds: int = 2
+    friction: tuple[float, float] = (0.5, 0.35)
+    lever_ratio: tuple[float, float] = (1.3, 0.15)
+    ahead_m: tuple[float, float] = (0.004, 0.005)
+    centre_m: float = 0.004
+    friction_change: float = 0.2
+    lever_change: float = 0.1
+    along: float = 0.15
+    across: float = 0.35
+    turn_rad_per_m: float = 3.0
+    m_per_rad: float = 0.02
+    tails: float = 0.15
+    shared: float = 0.5
+    seen_sd_m: float = 0.0015
+    seen_points: float = 25.0
+    free_m: float = 0.001
+    free_sd_m: float = 0.0015
+    free_weight: float = 0.15
+    free_cell_m: float = 0.005
+    felt_m: float = 0.0015
+    felt_sd_m: float = 0.002
+    felt_weight: float = 0.5
+    pad_m: float = 0.003
+    pad_slope_m: float = 0.0007
+    pad_weight: float = 0.03
+    pad_spacing_m: float = 0.0025
+    outliers: float = 0.02
+    most: tuple[int, int, int, int] = (500, 250, 60, 120)
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        for part in fields(self):
+            value = getattr(self, part.name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if not 0 <= number < math.inf:
+                    raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")
+        whole = ("particles", "branches", "instants", "lag", "memory", "rounds")
+        positive = ("seen_sd_m", "free_sd_m", "felt_sd_m", "pad_slope_m", "pad_spacing_m", "free_cell_m")
+        for name in (*whole, *positive):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if min(self.most) < 1 or self.friction[0] == 0 or self.lever_ratio[0] == 0:
+            raise ValueError("Expected most, and the medians of friction and lever_ratio, to be above 0")
+        if self.shared > 1 or not 0 < self.outliers < 0.5:
+            raise ValueError(f"Expected shared in [0, 1] and outliers in (0, 0.5), got {self.shared}, {self.outliers}")
+
+
+@dataclass(frozen=True, eq=False)
+class PushedObject:
+    """Upright object and level tool, as trajectories need them; float64.
+
+    Attributes:
+        sdf: of the object.
+        resting_m: height of its origin above the floor.
+        outline: of the object at the tool's height.
+        centre: (2,), below the centre of mass, object frame.
+        spread_m: mean distance of what rests on the floor from there.
+        tool: (n, 2), points of the tool's border, tool frame.
+        pads: (m, 3), points of its pads, tool frame.
+    """
+
+    sdf: SDF
+    resting_m: float
+    outline: GridOutline
+    centre: Float[Tensor, "2"]
+    spread_m: float
+    tool: Float[Tensor, "n 2"]
+    pads: Float[Tensor, "m 3"]
+
+    @classmethod
+    def of(
+        cls, sdf: SDF, shape: ToolShape, *, height_m: float, resting_m: float, spacing_m: float, pad_spacing_m: float
+    ) -> Self:
+        """For an object and a gripper.
+
+        Args:
+            sdf: of the object.
+            shape: of the gripper.
+            height_m: of the tool above the floor.
+            resting_m: of the object's origin above the floor.
+            spacing_m: between the points of the tool's border.
+            pad_spacing_m: between the points of the pads.
+        """
+        support, like = support_of(sdf), torch.zeros((), dtype=torch.float64)
+        outline = GridOutline.of_slice(sdf, height_m - resting_m).to(like)
+        tool, pads = shape.outline(spacing_m).to(like), shape.pad_shell(pad_spacing_m).to(like)
+        return cls(sdf, resting_m, outline, support.centre.to(like), support.spread, tool, pads)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance from the tool's origin beyond which nothing is touched."""
+        return float(self.tool.norm(dim=-1).max()) + self.outline.radius
+
+
+class Segment(NamedTuple):
+    """Part of an action with what was sensed in it; world frame, float64, never re-attached.
+
+    Attributes:
+        tool: (K, 2, 3), (x, y, yaw) of the tool before and after each instant.
+        pushes: whether the tool may push the object; else it stands still.
+        points: (M, 3), heights counted from the object's origin.
+        instant: (M), in ascending order.
+        kind: (M), of `Kind`.
+        weight: (M), independent readings that a point is worth.
+    """
+
+    tool: Float[Tensor, "K 2 3"]
+    pushes: bool
+    points: Float[Tensor, "M 3"]
+    instant: Int[Tensor, "M"]
+    kind: Int[Tensor, "M"]
+    weight: Float[Tensor, "M"]
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Segments one after the other: S of them, T instants, M points.
+
+    Attributes:
+        tool: (T, 2, 3).
+        pushes: (T).
+        ends: (S), instant behind each segment's last.
+        action: (S), the first segment of each one's action.
+        points: (M, 3).
+        kind: (M).
+        weight: (M).
+        point_ends: (T), point behind each instant's last.
+    """
+
+    tool: Float[Tensor, "T 2 3"]
+    pushes: Bool[Tensor, "T"]
+    ends: Int[Tensor, "S"]
+    action: Int[Tensor, "S"]
+    points: Float[Tensor, "M 3"]
+    kind: Int[Tensor, "M"]
+    weight: Float[Tensor, "M"]
+    point_ends: Int[Tensor, "T"]
+
+    @classmethod
+    def empty(cls) -> Self:
+        """Nothing yet."""
+        none, flat = torch.zeros(0, dtype=torch.long), torch.zeros(0, dtype=torch.float64)
+        return cls(flat.view(0, 2, 3), none.bool(), none, none, flat.view(0, 3), none, flat, none)
+
+    def __len__(self) -> int:
+        """Number of segments."""
+        return len(self.ends)
+
+    def appended(self, segment: Segment, *, opens: bool = True) -> Self:
+        """With one more segment.
+
+        Args:
+            segment: what came.
+            opens: whether it is the first of its action.
+        """
+        count, instants = len(self), len(segment.tool)
+        action = count if opens or not count else int(self.action[-1])
+        counts = torch.bincount(segment.instant, minlength=instants)
+        return replace(
+            self,
+            tool=torch.cat((self.tool, segment.tool)),
+            pushes=torch.cat((self.pushes, torch.full((instants,), segment.pushes))),
+            ends=torch.cat((self.ends, torch.tensor([len(self.tool) + instants]))),
+            action=torch.cat((self.action, torch.tensor([action]))),
+            points=torch.cat((self.points, segment.points)),
+            kind=torch.cat((self.kind, segment.kind)),
+            weight=torch.cat((self.weight, segment.weight)),
+            point_ends=torch.cat((self.point_ends, len(self.points) + counts.cumsum(0))),
+        )
+
+    def tempered(self, power: float) -> Self:
+        """The last segment's readings raised to a power."""
+        if power == 1.0 or not len(self):
+            return self
+        weight = self.weight.clone()
+        weight[self._points_before(len(self) - 1) :] *= power
+        return replace(self, weight=weight)
+
+    def last(self) -> Self:
+        """The last segment alone, as an action of its own."""
+        alone = self.since(len(self) - 1)
+        return replace(alone, action=torch.zeros_like(alone.action))
+
+    def since(self, segment: int) -> Self:
+        """The same from a segment on, which must be the first of its action."""
+        first, point = (int(self.ends[segment - 1]) if segment else 0), self._points_before(segment)
+        return replace(
+            self,
+            tool=self.tool[first:],
+            pushes=self.pushes[first:],
+            ends=self.ends[segment:] - first,
+            action=self.action[segment:] - segment,
+            points=self.points[point:],
+            kind=self.kind[point:],
+            weight=self.weight[point:],
+            point_ends=self.point_ends[first:] - point,
+        )
+
+    def moving(self) -> Int[Tensor, "s"]:
+        """The segments in which the object may have been pushed."""
+        return self.pushes[self.ends - 1].nonzero()[:, 0]
+
+    def since_push(self) -> Int[Tensor, "m"]:
+        """The points that were sensed after the last push."""
+        moving = self.moving()
+        return torch.arange(self._points_before(int(moving[-1]) + 1) if len(moving) else 0, len(self.points))
+
+    def _points_before(self, segment: int) -> int:
+        """Number of points of the segments before one."""
+        first = int(self.ends[segment - 1]) if segment else 0
+        return int(self.point_ends[first - 1]) if first else 0
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """N particles, each with a history of its own; float64.
+
+    Attributes:
+        physics: (N, 5) standard normals: log-friction, log-lever, centre of friction (x, y), pressure ahead.
+        noise: (N, S, 8) standard normals of each segment: log-friction, log-lever, motion along, across and turn;
+            and the last three once more for the whole action, of which its first segment's count.
+        poses: (N, S + 1, 3), (x, y, yaw) before the first segment and after each.
+        log_likelihood: (N, S), of each segment's readings.
+        history: what was done and sensed.
+        starts: (Q, 3), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
+    """
+
+    physics: Float[Tensor, "N 5"]
+    noise: Float[Tensor, "N S 8"]
+    poses: Float[Tensor, "N S1 3"]
+    log_likelihood: Float[Tensor, "N S"]
+    history: History
+    starts: Float[Tensor, "Q 3"]
+
+    def __len__(self) -> int:
+        """Number of particles."""
+        return len(self.physics)
+
+    @property
+    def pose(self) -> Float[Tensor, "N 3"]:
+        """Where each particle is now."""
+        return self.poses[:, -1]
+
+    def at(self, rows: Tensor) -> Self:
+        """Some particles."""
+        return self._with([getattr(self, name)[rows] for name in _PARTS])
+
+    def put(self, rows: Int[Tensor, "R"], other: Self) -> Self:
+        """The same with another's particles in some rows."""
+        return self._with([getattr(self, name).index_copy(0, rows, getattr(other, name)) for name in _PARTS])
+
+    def where(self, accept: Bool[Tensor, "N"], other: Self) -> Self:
+        """Another's particles where accepted, else one's own."""
+        return self.put(rows := accept.nonzero()[:, 0], other.at(rows))
+
+    def _with(self, parts: list[Tensor]) -> Self:
+        physics, noise, poses, log_likelihood = parts
+        return replace(self, physics=physics, noise=noise, poses=poses, log_likelihood=log_likelihood)
+
+    def remembered(self, most: int) -> Self:
+        """The same without the older half of a history of more segments, cut where an action begins."""
+        begins = (self.history.action == torch.arange(len(self.history))).nonzero()[:, 0]
+        begins = begins[begins >= len(self.history) - max(1, most // 2)]
+        if len(self.history) <= most or not len(begins):
+            return self
+        at = int(begins[0])
+        return replace(
+            self,
+            noise=self.noise[:, at:],
+            poses=self.poses[:, at:],
+            log_likelihood=self.log_likelihood[:, at:],
+            history=self.history.since(at),
+            starts=self.starts[:0],
+        )
+
+    def log_prior(self) -> Float[Tensor, "N"]:
+        """Log-density of physics and noise, up to a constant; start poses are even."""
+        return -0.5 * (self.physics.square().sum(-1) + self.noise.square().sum((-2, -1)))
+
+    def replayed(
+        self, model: PushedObject, settings: PoseTrajectorySettings, history: History, first: Int[Tensor, "N"]
+    ) -> Self:
+        """Poses and likelihood under a history of as many segments, from a segment of each particle's own on."""
+        version = backend.dispatch("replay_trajectories", self.poses, *model.sdf.tensors())
+        poses, log_likelihood = version(model, settings, history, self, first)
+        return replace(self, poses=poses, log_likelihood=log_likelihood)
+
+
+_PARTS = ("physics", "noise", "poses", "log_likelihood")
+
+
+@dataclass(frozen=True)
+class PoseTrajectoryBelief(PoseBelief):
+    """Pose particles that each have a trajectory of their own.
+
+    Poses are those at present; `world_T_attached` is the motion of one of them, in whose frame the points are kept
+    that planners and figures ask for. `discrepancy` is 0: evidence counts by its likelihood.
+
+    Attributes:
+        trajectories: of the particles, in their order.
+    """
+
+    trajectories: Trajectories | None = None
+
+
+def log_likelihood_of(
+    distance: Float[Tensor, "*b M"], kind: Int[Tensor, "*#M"], own: PoseTrajectorySettings
+) -> Float[Tensor, "*b M"]:
+    """Log-likelihood of a point at a signed distance from the surface, by its kind, up to a constant of each kind."""
+    seen, felt = distance / own.seen_sd_m, (distance - own.felt_m) / own.felt_sd_m
+    free = (-distance - own.free_m).clamp_min(0.0) / own.free_sd_m
+    off = torch.where(kind == Kind.SEEN, seen, torch.where(kind == Kind.FREE, free, felt))
+    near = (own.outliers + (1.0 - own.outliers) * (-0.5 * off.square()).exp()).log()
+    feels = own.outliers + (1.0 - 2.0 * own.outliers) * torch.sigmoid((own.pad_m - distance) / own.pad_slope_m)
+    bit = torch.where(kind == Kind.PAD_FELT, feels, 1.0 - feels).log()
+    return torch.where(kind >= Kind.PAD_FELT, bit, near)
+
+
+# the compiled version looks likelihoods up over distances: metres between nodes, and nodes to either side of 0
+_STEP_M, _STEPS = 3e-5, 1000
+
+
+@backend.register("replay_trajectories")
+def _replay(
+    model: PushedObject, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+) -> tuple[Tensor, Tensor]:
+    poses, logs = given.poses.clone(), given.log_likelihood.clone()
+    for segment in range(len(history)):
+        rows = (first <= segment).nonzero()[:, 0]
+        if not len(rows):
+            continue
+        noise, physics = given.noise[rows, segment], given.physics[rows]
+        together = given.noise[rows, int(history.action[segment]), OWN:]
+        friction = own.friction[0] * (own.friction[1] * physics[:, 0] + own.friction_change * noise[:, 0]).exp()
+        lever = own.lever_ratio[1] * physics[:, 1] + own.lever_change * noise[:, 1]
+        lever = model.spread_m * own.lever_ratio[0] * lever.exp()
+        mixed = math.sqrt(1.0 - own.shared) * noise[:, 2:OWN] + math.sqrt(own.shared) * together
+        mixed = mixed * (0.5 * own.tails * mixed.square()).exp()
+        pose, total = poses[rows, segment], torch.zeros_like(friction)
+        for instant in range(int(history.ends[segment - 1]) if segment else 0, int(history.ends[segment])):
+            if bool(history.pushes[instant]):
+                before, after = history.tool[instant]
+                pose = _stepped(model, own, pose, before, after, Sliding(physics[:, 2:], lever, friction), mixed)
+            begin = int(history.point_ends[instant - 1]) if instant else 0
+            some = slice(begin, int(history.point_ends[instant]))
+            there = history.points[some]
+            local = rotated(there[:, :2] - pose[:, None, :2], -pose[:, None, 2])
+            places = torch.cat((local, there[:, 2:].expand(len(pose), -1, 1)), -1)
+            distance = model.sdf.distance(places.to(model.sdf.bounds)).to(pose)
+            total = total + log_likelihood_of(distance, history.kind[some], own) @ history.weight[some]
+        poses[rows, segment + 1], logs[rows, segment] = pose, total
+    return poses, logs
+
+
+def _stepped(
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+    pose: Float[Tensor, "N 3"],
+    before: Float[Tensor, "3"],
+    after: Float[Tensor, "3"],
+    body: Sliding,
+    noise: Float[Tensor, "N 3"],
+) -> Float[Tensor, "N 3"]:
+    """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
+    near = ((after[:2] - pose[:, :2]).norm(dim=-1) < model.reach_m).nonzero()[:, 0]
+    if not len(near):
+        return pose
+    start, many = pose[near], len(near)
+    way = after[:2] - before[:2]
+    direction = way / way.norm().clamp_min(1e-12)
+    ahead = own.ahead_m[0] + own.ahead_m[1] * body.centre[near, 2]
+    centre = model.centre + own.centre_m * body.centre[near, :2]
+    centre = centre + ahead[:, None] * rotated(direction.expand(many, 2), -start[:, 2])
+    sliding = Sliding(centre, body.lever[near], body.friction[near])
+    both = before.expand(many, 3), after.expand(many, 3)
+    moved, _ = push(start, *both, model.tool, model.outline, sliding, passes=2)
+    step = moved - start
+    length = step[:, :2].norm(dim=-1)
+    size = length + own.m_per_rad * step[:, 2].abs()
+    along = torch.where(length[:, None] > 1e-9, step[:, :2] / length[:, None].clamp_min(1e-9), direction)
+    across = torch.stack((-along[:, 1], along[:, 0]), -1)
+    own_noise = noise[near] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
+    shift = own_noise[:, :1] * along + own_noise[:, 1:2] * across
+    return pose.index_copy(0, near, moved + torch.cat((shift, own_noise[:, 2:]), -1))
+
+
+@backend.register("replay_trajectories", "numba", compiled.supports)
+def _replay_numba(
+    model: PushedObject, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+) -> tuple[Tensor, Tensor]:
+    from sdf.grid_sdf import GridSDF
+
+    if not isinstance(model.sdf, GridSDF):
+        return _replay(model, own, history, given, first)
+    from rumi.belief.pose_trajectories_numba import replay as kernel
+    from sdf.grid_numba import grid_arguments
+
+    poses, logs = given.poses.clone(), given.log_likelihood.clone()
+    outline = model.outline
+    place = (*outline.origin.tolist(), outline.spacing, model.reach_m, outline.radius, model.spread_m)
+    numbers = torch.tensor((*place, *model.centre.tolist()), dtype=torch.float64)
+    prior = (*own.friction, *own.lever_ratio, *own.ahead_m, own.centre_m, own.friction_change, own.lever_change)
+    noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)
+    scales = torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64)
+    distance = _STEP_M * (torch.arange(2 * _STEPS + 1, dtype=torch.float64) - _STEPS)
+    priced = torch.stack([log_likelihood_of(distance, torch.tensor(int(kind)), own) for kind in Kind])
+    tensors = (first, poses, logs, given.physics, given.noise, history.tool, history.pushes, history.ends)
+    points = (history.action, history.points, history.kind, history.weight, history.point_ends)
+    shape = (model.tool, outline.values, numbers, scales, priced)
+    arrays = (part.detach().contiguous().numpy() for part in (*tensors, *points, *shape))
+    kernel(*arrays, grid_arguments(model.sdf, torch.float32))
+    return poses, logs

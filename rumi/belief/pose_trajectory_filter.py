@@ -1,0 +1,288 @@
+"""Pose filter whose particles each have their own motion: resample-move over trajectories, with tempering.
+
+No sensor measures how the object moved. Every particle is a start pose, the physics of pushing it, and what its
+motion was off; each reading is compared with the particle's pose at the instant of the reading, so that a new one
+costs its own points alone. Where weights degenerate, readings come in by and by (tempering), and particles are
+resampled and moved under their whole history (Chopin's IBIS, 2002, with Del Moral's tempering, 2006).
+"""
+
+import math
+from dataclasses import replace
+from typing import Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import FilterInfo, FilterSettings, PoseFilter
+from rumi.belief.pose_trajectories import (
+    NOISE,
+    OWN,
+    PHYSICS,
+    History,
+    PoseTrajectoryBelief,
+    PushedObject,
+    Segment,
+    Trajectories,
+)
+from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
+from rumi.belief.trajectory_moves import Moves, start_density
+from rumi.dynamics.along_path import Pusher, push_along_path
+from rumi.dynamics.sliding import Sliding
+from rumi.errors import DegenerateBeliefError, UsageError
+from rumi.resampling import resample_systematic, systematic
+from rumi.seeding import Generators, normal
+from rumi.weights import effective_sample_size, normalise
+from sdf import se3
+from sensors.discrepancy import Discrepancy
+from sensors.evidence import EvidenceModel
+from sensors.observation import Observation, attach, merge
+from sensors.reading import Reading
+
+_SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of draws about fitted poses: metres, radians
+_DRAWS, _STARTS, _LOOKED_AT, _FIRST_SWEEPS = 6000, 300, 24, 4
+_MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of the belief
+_LONG = 6  # pushed segments up to which moves from the start are tried after each, not after each action
+
+
+class PoseTrajectoryFilter(PoseFilter):
+    """Follows upright objects pushed by a level tool, without a sensor of their motion; holds settings alone.
+
+    Args:
+        settings: of which `trajectories` count here, and the lattice of the points kept for planners.
+        discrepancy: C^, by which the first view's poses are found.
+        model: object and tool.
+    """
+
+    def __init__(self, settings: FilterSettings, discrepancy: Discrepancy, model: PushedObject) -> None:
+        super().__init__(settings, [discrepancy], "SE(2)")
+        self.model, self.own = model, settings.trajectories
+
+    def with_evidence(self, *models: EvidenceModel) -> Self:
+        """Refused: trajectories take in points alone."""
+        raise UsageError("Expected a motion other than 'trajectory' where further evidence counts: it takes in none")
+
+    def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
+        """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves."""
+        random, own = _one(generator), self.own
+        fitted = se3.to_planar(belief.world_T_object.double())
+        draws = max(_DRAWS // len(fitted), 1)
+        spread = fitted.new_tensor([(m, m, rad) for m, rad in _SPREADS])
+        scale = spread[torch.arange(draws * len(fitted)) % len(spread)]
+        start = fitted.repeat(draws, 1) + scale * normal(scale.shape, generator=random, dtype=torch.float64)
+        view = standing(memory, fitted, self.model, own)
+        history = History.empty() if view is None else History.empty().appended(view)
+        drawn = self._fresh(start, history, start[:0], random)
+        drawn = drawn.replayed(self.model, own, history, torch.zeros(len(start), dtype=torch.long))
+        proposal = torch.stack([start_density(start, fitted, s) for s in spread]).logsumexp(0)
+        log_weights = drawn.log_likelihood.sum(-1) - proposal
+        starts = start[resample_systematic(log_weights, _STARTS, generator=random)]
+        drawn = replace(drawn.at(resample_systematic(log_weights, own.particles, generator=random)), starts=starts)
+        moves = Moves(self.model, own, random)
+        for _ in range(_FIRST_SWEEPS):
+            drawn = moves.sweep(drawn, history, whole=True)
+        flat = torch.zeros(own.particles, dtype=torch.float64)
+        return self._belief(drawn, normalise(flat), belief.world_T_attached, belief.log_weights)
+
+    @torch.no_grad()
+    def forward(
+        self, belief: PoseBelief, memory: Observation, reading: Reading, *, generator: Generators
+    ) -> tuple[PoseBelief, Observation, FilterInfo]:
+        """One whole filter step; arguments as of `PoseFilter`."""
+        if not isinstance(belief, PoseTrajectoryBelief) or belief.trajectories is None:
+            raise TypeError("Expected a belief with trajectories, as `begin` gives it, got one of poses alone")
+        if reading.tool_pose.ndim != 3:
+            raise ValueError(f"Expected a reading of one scene, got tool_pose {tuple(reading.tool_pose.shape)}")
+        random, own = _one(generator), self.own
+        now, log_weights, resampled = belief.trajectories, belief.log_weights.double(), False
+        spans: list[int] = []
+        path = path_of(reading)
+        touched = self._pushes(now, log_weights, reading, path)
+        if touched:
+            felt = felt_pads(reading, self.model, own)
+            parts = cut(reading, own)
+            for instants in parts:
+                tracks = self._tracks(now, log_weights, path[instants])
+                segment = pushed(reading, instants, path, felt, tracks, self.model, own)
+                now = self._absorb(now, log_weights, segment, random, opens=not spans, closes=instants is parts[-1])
+                log_weights, resampled = normalise(torch.zeros_like(log_weights)), True
+                spans.append(len(instants))
+        rides = self._ridden(now, spans, len(reading.in_contact))
+        stood = reading.observation if not touched else seen_besides(reading, self.model, own)
+        still = standing(stood, now.pose, self.model, own, now.history)
+        if still is not None:
+            now, log_weights, again = self._weighed(now, log_weights, still, random)
+            resampled |= again
+        frames = rides.to(belief.world_T_attached) @ belief.world_T_attached
+        memory, added = merge(memory, attach(reading.observation, reading.instant, frames), self.lattice)
+        if touched or still is not None:
+            now = now.remembered(own.memory)
+            belief = self._belief(now, log_weights, frames[-1], belief.log_weights)
+        return belief, memory, FilterInfo(torch.tensor(touched), torch.tensor(resampled), added)
+
+    def _fresh(self, start: Tensor, history: History, starts: Tensor, random: torch.Generator) -> Trajectories:
+        """Start poses with physics and noise of the prior, not replayed yet."""
+        count, segments = len(start), len(history)
+        shapes = (count, PHYSICS), (count, segments, NOISE)
+        draw = [normal(shape, generator=random, dtype=torch.float64) for shape in shapes]
+        poses = start[:, None].repeat(1, segments + 1, 1)
+        return Trajectories(draw[0], draw[1], poses, start.new_zeros(count, segments), history, starts)
+
+    def _pushes(self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor) -> bool:
+        """Whether the tool may have moved the object: where the pads felt it, or else met it beside the pads."""
+        if bool(reading.in_contact.any()):
+            return True
+        looked = systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))
+        moved = (self._tracks(now, log_weights, path)[:, -1] - now.pose[looked])[:, :2].norm(dim=-1) > _MOVED_M
+        return float(moved.double().mean()) >= _MOVED
+
+    def _tracks(self, now: Trajectories, log_weights: Tensor, path: Tensor) -> Float[Tensor, "n k 3"]:
+        """Where some of the particles go by the median of the prior."""
+        model, own = self.model, self.own
+        some = now.pose[systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))]
+        like = some.new_tensor(model.spread_m * own.lever_ratio[0])
+        sliding = Sliding(model.centre, like, some.new_tensor(own.friction[0]))
+        whole = torch.cat((path[:1, 0], path[:, 1]))[None]
+        return push_along_path(some, whole, Pusher(model.tool), model.outline, sliding, substeps=1).track
+
+    def _absorb(
+        self,
+        now: Trajectories,
+        log_weights: Tensor,
+        segment: Segment,
+        random: torch.Generator,
+        *,
+        opens: bool,
+        closes: bool,
+    ) -> Trajectories:
+        """Particles, equally weighted, after a segment with contact: motions branch, the likely ones are kept."""
+        own, count = self.own, len(now)
+        history = now.history.appended(segment, opens=opens)
+        parents = torch.arange(count).repeat_interleave(own.branches)
+        noise = normal((len(parents), 1, NOISE), generator=random, dtype=torch.float64)
+        # alone, a segment's action is its own: what the action shares comes along in its place
+        inner = noise.clone()
+        if not opens:
+            inner[:, 0, OWN:] = now.noise[parents, int(history.action[-1]), OWN:]
+        start = now.pose[parents]
+        tried = Trajectories(
+            now.physics[parents],
+            inner,
+            start[:, None].repeat(1, 2, 1),
+            start.new_zeros(len(parents), 1),
+            history,
+            start,
+        )
+        tried = tried.replayed(self.model, own, history.last(), torch.zeros(len(parents), dtype=torch.long))
+        base, gained = log_weights[parents], tried.log_likelihood[:, 0]
+        _check(gained)
+        power = _power(base, gained, 0.0, float(count))
+        kept = resample_systematic(base + power * gained, count, generator=random)
+        from_ = parents[kept]
+        now = replace(
+            now.at(from_),
+            noise=torch.cat((now.noise[from_], noise[kept]), 1),
+            poses=torch.cat((now.poses[from_], tried.poses[kept, 1:]), 1),
+            log_likelihood=torch.cat((now.log_likelihood[from_], power * gained[kept, None]), 1),
+            history=history,
+        )
+        return self._tempered(now, power, random, whole=closes)
+
+    def _weighed(
+        self, now: Trajectories, log_weights: Tensor, segment: Segment, random: torch.Generator
+    ) -> tuple[Trajectories, Tensor, bool]:
+        """Particles weighed by what was sensed while the object stood still; resampled only where that degenerates."""
+        count, history = len(now), now.history.appended(segment)
+        noise = normal((count, 1, NOISE), generator=random, dtype=torch.float64)
+        now = replace(
+            now,
+            noise=torch.cat((now.noise, noise), 1),
+            poses=torch.cat((now.poses, now.poses[:, -1:]), 1),
+            log_likelihood=torch.cat((now.log_likelihood, now.log_likelihood.new_zeros(count, 1)), 1),
+            history=history,
+        )
+        last = torch.full((count,), len(history) - 1)
+        now = now.replayed(self.model, self.own, history, last)
+        gained = now.log_likelihood[:, -1]
+        _check(gained)
+        heavier = log_weights + gained
+        if float(effective_sample_size(heavier)) >= 0.5 * count:
+            return now, normalise(heavier), False
+        power = _power(log_weights, gained, 0.0, 0.5 * count)
+        now = now.at(resample_systematic(log_weights + power * gained, generator=random))
+        scaled = now.log_likelihood.clone()
+        scaled[:, -1] *= power
+        now = self._tempered(replace(now, log_likelihood=scaled), power, random, whole=True)
+        return now, normalise(torch.zeros_like(log_weights)), True
+
+    def _tempered(self, now: Trajectories, power: float, random: torch.Generator, *, whole: bool) -> Trajectories:
+        """Particles moved and resampled until the last segment's readings count in full, at last from the start."""
+        moves, history = Moves(self.model, self.own, random), now.history
+        whole |= len(history.moving()) <= _LONG
+        while True:
+            now = moves.sweep(now, history.tempered(power), whole=whole and power == 1.0)
+            if power == 1.0:
+                return now
+            gained = now.log_likelihood[:, -1] / power
+            flat = torch.zeros_like(gained)
+            more = _power(flat, gained, power, 0.5 * len(now))
+            now = now.at(resample_systematic((more - power) * gained, generator=random))
+            scaled = now.log_likelihood.clone()
+            scaled[:, -1] *= more / power
+            now, power = replace(now, log_likelihood=scaled), more
+
+    def _ridden(self, now: Trajectories, spans: list[int], count: int) -> Float[Tensor, "K 4 4"]:
+        """Motion of a particle in the middle of the belief up to each instant of an action, segments evenly divided."""
+        if not spans:
+            return se3.identity((count,), dtype=torch.float64)
+        pose = now.pose
+        middle = int((pose - pose.median(0).values).mul(pose.new_tensor((1.0, 1.0, 0.05))).square().sum(-1).argmin())
+        track = now.poses[middle, -len(spans) - 1 :]
+        steps = []
+        for at, length in enumerate(spans):
+            share = (torch.arange(length, dtype=torch.float64) + 1.0)[:, None] / length
+            steps.append(track[at] + share * (track[at + 1] - track[at]))
+        moved = se3.from_planar(torch.cat(steps))
+        return moved @ se3.inverse(se3.from_planar(track[0]))
+
+    def _belief(
+        self, now: Trajectories, log_weights: Tensor, world_T_attached: Tensor, like: Tensor
+    ) -> PoseTrajectoryBelief:
+        """The belief of trajectories, in the dtype of another."""
+        frame = world_T_attached.to(like)
+        poses = se3.from_planar(now.pose.to(like), self.model.resting_m)
+        attached = se3.inverse(frame) @ poses
+        flat = torch.zeros_like(log_weights).to(like)
+        return PoseTrajectoryBelief(frame, attached, normalise(log_weights.to(like)), flat, None, now)
+
+
+def _one(generator: Generators) -> torch.Generator:
+    if not isinstance(generator, torch.Generator):
+        raise TypeError("Expected one generator: trajectories are of one scene")
+    return generator
+
+
+def _check(gained: Float[Tensor, "N"]) -> None:
+    if not bool(torch.isfinite(gained).all()):
+        raise DegenerateBeliefError("Expected finite likelihoods, got NaN or infinity: check the reading's points")
+
+
+def _power(log_weights: Float[Tensor, "N"], gained: Float[Tensor, "N"], least: float, wanted: float) -> float:
+    """Greatest power up to 1 of new readings that leaves an effective sample size, by bisection.
+
+    Args:
+        log_weights: of the particles, in which the readings count with the power `least`.
+        gained: log-likelihood of the readings.
+        least: power so far.
+        wanted: effective sample size, where the weights have it now; else nine tenths of what they have.
+    """
+    wanted = min(wanted, 0.9 * float(effective_sample_size(log_weights)))
+    low, high = least, 1.0
+    if float(effective_sample_size(log_weights + (high - least) * gained)) >= wanted:
+        return 1.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        enough = float(effective_sample_size(log_weights + (middle - least) * gained)) >= wanted
+        low, high = (middle, high) if enough else (low, middle)
+    return min(1.0, max(low, least + 1e-3 * (1.0 - least) + 1e-6, math.nextafter(least, 1.0)))

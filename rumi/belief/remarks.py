@@ -1,0 +1,174 @@
+"""Remarks: what a reading tells against what is believed, found in both alone and never in a simulator's state.
+
+An object that resists being pushed, has toppled, is lifted or has left the table, or is not where it is believed to be.
+What the cause is, and what to do, is not decided here.
+"""
+
+import math
+from collections.abc import Container
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.particles import PoseBelief
+from sdf import se3
+from sdf.base import SDF
+from sdf.object_model import ObjectModel
+from sensors.observation import Observation
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+
+_BEST = 5  # particles of least discrepancy that are asked: one that explains a reading is enough
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something odd that a reading told.
+
+    Attributes:
+        name: in one or two words, one of "resists", "toppled", "lifted", "dropped", "not there", "elsewhere".
+        step: number of the action after which it was noticed first.
+        sentence: for people.
+    """
+
+    name: str
+    step: int
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How much is odd.
+
+    Attributes:
+        short_m: by which a tool that presses against an object stops before its goal, at least.
+        share: the same, of the way that it was to go.
+        held: instants at the end of an action over which it presses.
+        tilt_rad: of an object that stands.
+        height_m: of an object's lowest point above or below the table.
+        apart_m: between a surface that was felt or seen and the nearest that is believed, and how deep in what is
+            believed the tool may have been.
+    """
+
+    short_m: float = 0.015
+    share: float = 0.5
+    held: int = 3
+    tilt_rad: float = math.radians(45.0)
+    height_m: float = 0.010
+    apart_m: float = 0.012
+
+
+def held_up(
+    start: Float[Tensor, "Q"], wanted: Float[Tensor, "Q"], reading: Reading, limits: Limits
+) -> tuple[float, float | None] | None:
+    """How far a tool that pressed against an object stopped short of its goal, and how far it moved the object.
+
+    Args:
+        start: configuration before the action.
+        wanted: the one that the action would have led to with nothing in its way.
+        reading: of the action.
+        limits: how much is odd.
+
+    Returns:
+        metres along the table, and metres that were measured; None where they were not. None where the tool did not
+        touch over the last instants or came nearly as far as it should.
+    """
+    if not bool(reading.in_contact[-limits.held :].all()):
+        return None
+    short, asked = (float((wanted - place)[:2].norm()) for place in (reading.configuration, start))
+    if short <= max(limits.short_m, limits.share * asked):
+        return None
+    if reading.object_motion is None:
+        return short, None
+    place = reading.tool_pose[-1, :3, 3]
+    return short, float((se3.apply(se3.inverse(reading.object_motion[-1]), place[None])[0] - place).norm())
+
+
+def least_tilt(world_T_object: Float[Tensor, "N 4 4"]) -> float:
+    """Angle off upright of the particle that is nearest to it, radians."""
+    return math.acos(max(-1.0, min(1.0, float(world_T_object[:, 2, 2].max()))))
+
+
+def nearest_to_floor(world_T_object: Float[Tensor, "N 4 4"], surface_points: Float[Tensor, "S 3"]) -> float:
+    """Height of an object's lowest point, metres, by the particle that is nearest to resting on z = 0."""
+    heights = world_T_object[:, 2, :3] @ surface_points.mT + world_T_object[:, 2, 3:]
+    lowest = heights.amin(-1)
+    return float(lowest[lowest.abs().argmin()])
+
+
+def unexplained(belief: PoseBelief, added: Observation, sdf: SDF) -> tuple[float, float]:
+    """Distances that the best particles leave between what is believed and what a reading added, metres.
+
+    Args:
+        belief: after the reading.
+        added: its new points, in the frame that rides with the object.
+        sdf: of the object.
+
+    Returns:
+        of the particle that explains most: how far the middle one of the surface points is from its surface, and how
+        deep a free point is inside; 0 without such points.
+    """
+    best = belief.discrepancy.topk(min(_BEST, len(belief.discrepancy)), largest=False).indices
+    object_T_attached = se3.inverse(belief.attached_T_object[best])
+    rides = added.valid & added.attached
+    pairs = []
+    with torch.no_grad():
+        surface, free = (
+            sdf.distance(se3.apply(object_T_attached, added.points[rides & added.of_class(kind)]))
+            for kind in (Semantics.SURFACE, Semantics.FREE)
+        )
+    for felt, inside in zip(surface, free, strict=True):
+        off = float(felt.abs().median()) if len(felt) else 0.0
+        deep = float((-inside).max().clamp_min(0.0)) if len(inside) else 0.0
+        pairs.append((off, deep))
+    return min(pairs, key=max)
+
+
+def remarks(
+    step: int,
+    reading: Reading,
+    belief: PoseBelief,
+    added: Observation,
+    model: ObjectModel,
+    *,
+    moved: tuple[Float[Tensor, "Q"], Float[Tensor, "Q"]] | None,
+    upright: bool,
+    said: Container[str] = (),
+    limits: Limits | None = None,
+) -> tuple[Remark, ...]:
+    """What is odd after an action, each kind once a run.
+
+    Args:
+        step: number of the action.
+        reading: of the action.
+        belief: after it.
+        added: points that the reading added, in the frame that rides with the object.
+        model: the object.
+        moved: configurations from which the tool went, and to which it would have gone with nothing in its way; None
+            where nobody knows.
+        upright: whether the object is expected to stand as it did at first.
+        said: names of the remarks of the run so far.
+        limits: how much is odd.
+    """
+    limits, found = limits or Limits(), []
+    pressed = None if moved is None else held_up(*moved, reading, limits)
+    if pressed is not None:
+        short, went = (None if metres is None else 1e3 * metres for metres in pressed)
+        by = "" if went is None else f", which moved by {went:.0f} mm"
+        found.append(("resists", f"the tool stopped {short:.0f} mm before its goal, pressed against the object{by}"))
+    poses = belief.world_T_object
+    tilt, height = least_tilt(poses), 1e3 * nearest_to_floor(poses, model.surface_points)
+    if upright and tilt > limits.tilt_rad:
+        found.append(("toppled", f"by its motion the object is {math.degrees(tilt):.0f} degrees off upright"))
+    if abs(height) > 1e3 * limits.height_m:
+        name, where = ("lifted", "above") if height > 0 else ("dropped", "below")
+        found.append((name, f"by its motion the object's lowest point is {abs(height):.0f} mm {where} the table"))
+    off, deep = (1e3 * metres for metres in unexplained(belief, added, model.sdf))
+    if deep > 1e3 * limits.apart_m:
+        inside = f"the tool went {deep:.0f} mm deep into where the object is believed to be"
+        found.append(("not there", f"{inside}, and felt nothing"))
+    if off > 1e3 * limits.apart_m:
+        found.append(("elsewhere", f"a surface was met {off:.0f} mm from the nearest one that is believed"))
+    return tuple(Remark(name, step, sentence) for name, sentence in found if name not in said)

@@ -1,0 +1,161 @@
+"""Segments of a history from a reading: what pads felt and did not feel, what was seen, what was free."""
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from rumi.belief.pose_trajectories import History, Kind, PoseTrajectorySettings, PushedObject, Segment
+from rumi.dynamics.along_path import unwrapped
+from sdf import se3
+from sdf.posed import posed_distance
+from sensors.observation import Observation, observation_keys
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+
+_NEAR_M = 0.012  # of a particle's surface: what is farther from all of them tells none from another
+_OWN = 0.6  # of the pads' spacing: a felt point this near is a pad point's own
+_STRIDE = 4  # of the pads' points one is looked at, and counts for as many
+
+
+def standing(
+    observation: Observation,
+    poses: Float[Tensor, "N 3"],
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+    taken: History | None = None,
+) -> Segment | None:
+    """What was seen and free while the object stood still; None where that is nothing new.
+
+    Args:
+        observation: points, world frame.
+        poses: that the object may have.
+        model: object and tool.
+        own: of the sensors.
+        taken: free cells of this history since its last push are not counted again.
+    """
+    seen = observation.points[observation.of_class(Semantics.SURFACE)].double()
+    free = observation.points[observation.of_class(Semantics.FREE)].double()
+    seen, free = _from_origin(seen, model), _from_origin(free, model)
+    if taken is not None:
+        since = taken.since_push()
+        old = taken.points[since[taken.kind[since] == Kind.FREE]]
+        free = free[~torch.isin(_cells(free, own), _cells(old, own))]
+    if len(free):
+        free = free[_distance(model, poses, free).amin(0) < _NEAR_M]
+    if not len(seen) + len(free):
+        return None
+    parts = []
+    for points, kind, each, most in (
+        (seen, Kind.SEEN, own.seen_points / max(1, len(seen)), own.most[0]),
+        (free, Kind.FREE, min(own.free_weight, own.seen_points / max(1, len(free))), own.most[1]),
+    ):
+        kept, counts = _thinned(len(points), most)
+        parts.append((points[kept], torch.full((len(kept),), int(kind)), torch.full((len(kept),), each * counts)))
+    points, kinds, weights = (torch.cat(part) for part in zip(*parts, strict=True))
+    still = torch.zeros(1, 2, 3, dtype=torch.float64)
+    return Segment(still, False, points, torch.zeros(len(points), dtype=torch.long), kinds, weights.double())
+
+
+def cut(reading: Reading, own: PoseTrajectorySettings) -> list[Int[Tensor, "k"]]:
+    """Instants of each segment of an action: what is before contact, a few at a time, and what is after it."""
+    touched, count = reading.in_contact.nonzero()[:, 0], len(reading.in_contact)
+    if not len(touched):
+        return [torch.arange(count)]
+    first, last = int(touched[0]), int(touched[-1])
+    parts = [torch.arange(0, first)]
+    parts += [torch.arange(at, min(at + own.instants, last + 1)) for at in range(first, last + 1, own.instants)]
+    parts.append(torch.arange(last + 1, count))
+    return [part for part in parts if len(part)]
+
+
+def path_of(reading: Reading) -> Float[Tensor, "K 2 3"]:
+    """Where the tool was before and after each instant; the way to the first one is not reported."""
+    tool = unwrapped(se3.to_planar(reading.tool_pose.double()))
+    return torch.stack((torch.cat((tool[:1], tool[:-1])), tool), 1)
+
+
+def felt_pads(reading: Reading, model: PushedObject, own: PoseTrajectorySettings) -> Bool[Tensor, "K m"]:
+    """Which of the pads' points felt something at each instant, from the felt points that were reported."""
+    found = torch.zeros(len(reading.in_contact), len(model.pads), dtype=torch.bool)
+    surface = reading.observation.of_class(Semantics.SURFACE)
+    for instant in reading.in_contact.nonzero()[:, 0].tolist():
+        there = reading.observation.points[surface & (reading.instant == instant)].double()
+        if len(there):
+            back = se3.apply(se3.inverse(reading.tool_pose[instant].double()), there)
+            found[instant] = torch.cdist(model.pads, back).amin(-1) < _OWN * own.pad_spacing_m
+    return found
+
+
+def seen_besides(reading: Reading, model: PushedObject, own: PoseTrajectorySettings) -> Observation:
+    """Surface points of an action's last instant that the pads are not at: what a camera saw then."""
+    there = reading.observation
+    last = there.of_class(Semantics.SURFACE) & (reading.instant == len(reading.in_contact) - 1)
+    back = se3.apply(se3.inverse(reading.tool_pose[-1].double()), there.points[last].double())
+    apart = torch.cdist(back, model.pads).amin(-1) >= _OWN * own.pad_spacing_m
+    return there[last.nonzero()[:, 0][apart]]
+
+
+def pushed(
+    reading: Reading,
+    instants: Int[Tensor, "k"],
+    path: Float[Tensor, "K 2 3"],
+    felt: Bool[Tensor, "K m"],
+    tracks: Float[Tensor, "N k 3"],
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+) -> Segment:
+    """One segment of an action with contact.
+
+    Args:
+        reading: of the action.
+        instants: of the segment.
+        path: of the tool, of all instants.
+        felt: by the pads, at all instants.
+        tracks: where the object may be at these instants, for choosing points that tell.
+        model: object and tool.
+        own: of the sensors.
+    """
+    stride = _STRIDE if len(model.pads) > 4 * _STRIDE else 1
+    some = model.pads[::stride]
+    places = _from_origin(se3.apply(reading.tool_pose[instants].double(), some), model)
+    bits = felt[instants][:, ::stride]
+    tells = bits | (_distance(model, tracks.movedim(1, 0), places).amin(1) < _NEAR_M)
+    at, which = tells.nonzero(as_tuple=True)
+    kept, counts = _thinned(len(at), own.most[3])
+    at, which = at[kept], which[kept]
+    kind = torch.where(bits[at, which], int(Kind.PAD_FELT), int(Kind.PAD_CLEAR))
+    pads = places[at, which], at, kind, torch.full((len(at),), own.pad_weight * stride * counts, dtype=torch.float64)
+    at, which = felt[instants].nonzero(as_tuple=True)
+    kept, counts = _thinned(len(at), own.most[2])
+    each = own.felt_weight * counts / felt[instants].sum(-1).clamp_min(1).double()
+    at, which = at[kept], which[kept]
+    there = se3.apply(reading.tool_pose[instants[at]].double(), model.pads[which][:, None])[:, 0]
+    touched = _from_origin(there, model), at, torch.full((len(at),), int(Kind.FELT)), each[at]
+    points, instant, kinds, weights = (torch.cat(part) for part in zip(pads, touched, strict=True))
+    order = instant.argsort(stable=True)
+    return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order])
+
+
+def _from_origin(points: Float[Tensor, "*b 3"], model: PushedObject) -> Float[Tensor, "*b 3"]:
+    """The same with heights counted from the object's origin."""
+    return points - points.new_tensor((0.0, 0.0, model.resting_m))
+
+
+def _distance(
+    model: PushedObject, poses: Float[Tensor, "*b N 3"], points: Float[Tensor, "*b M 3"]
+) -> Float[Tensor, "*b N M"]:
+    like = model.sdf.bounds
+    with torch.no_grad():
+        return posed_distance(model.sdf, se3.from_planar(poses).to(like), points.to(like)).double()
+
+
+def _cells(points: Float[Tensor, "M 3"], own: PoseTrajectorySettings) -> Int[Tensor, "M"]:
+    spacing = torch.full((3,), own.free_cell_m, dtype=torch.float64)
+    return observation_keys(Observation.of(points, Semantics.FREE), spacing)
+
+
+def _thinned(count: int, most: int) -> tuple[Int[Tensor, "k"], float]:
+    """Every so many of some points, and what each of them then stands for."""
+    kept = min(count, most)
+    index = ((torch.arange(kept, dtype=torch.float64) + 0.5) * (count / max(1, kept))).long()
+    return index, count / max(1, kept)

@@ -1,0 +1,147 @@
+"""Metropolis-Hastings moves of trajectories under their history: they leave its posterior as it is.
+
+Noise of a segment turns towards a fresh draw of its prior; noise of all segments from one on, with start pose and
+physics where that is the first, goes by the difference of two other particles. The particles are moved half by half,
+with differences of the other half, so that each half's proposals are symmetric whatever the other is.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from rumi.belief.pose_trajectories import OWN, History, PoseTrajectorySettings, PushedObject, Trajectories
+from sdf.so3 import wrap
+
+_KERNEL = (0.0015, 0.0015, math.radians(2.0))  # deviations about the starts that the view leaves open
+_AFRESH = 0.15
+
+
+@dataclass(frozen=True)
+class Moves:
+    """Moves for one object and one motion prior; without state.
+
+    Attributes:
+        model: object and tool.
+        settings: of motion prior and sensors.
+        generator: of the random draws.
+    """
+
+    model: PushedObject
+    settings: PoseTrajectorySettings
+    generator: torch.Generator
+
+    def sweep(self, given: Trajectories, history: History, *, whole: bool) -> Trajectories:
+        """Moves of all particles; `whole` ones from the start, too."""
+        for _ in range(self.settings.rounds):
+            if len(history.moving()):
+                given = self.turned(given, history)
+                given = self.shifted(given, history, whole=False)
+        if whole and len(given.starts):
+            given = self.shifted(given, history, whole=True)
+            given = self.restarted(given, history)
+        return given
+
+    def turned(self, given: Trajectories, history: History) -> Trajectories:
+        """Noise of a late segment, its own or its action's, turned towards a fresh draw."""
+        count, segment = len(given), self._segment(history, len(given))
+        share = self._uniform(count) < 0.3
+        segment = torch.where(share, history.action[segment], segment)
+        angle = 0.5 * math.pi * self._uniform(count)[:, None] ** 2
+        rows = torch.arange(count)
+        old = given.noise[rows, segment]
+        fresh = angle.cos() * old + angle.sin() * self._normal(old.shape)
+        chosen = (torch.arange(old.shape[1]) >= OWN) == share[:, None]
+        noise = given.noise.clone()
+        noise[rows, segment] = torch.where(chosen, fresh, old)
+        return self.accepted(given, replace(given, noise=noise), history, segment)
+
+    def shifted(self, given: Trajectories, history: History, *, whole: bool) -> Trajectories:
+        """Each half by differences of the other half's particles, from a late segment on or in everything."""
+        count = len(given)
+        if count < 6:
+            return given
+        order = torch.randperm(count, generator=self.generator)
+        for rows, others in ((order[: count // 2], order[count // 2 :]), (order[count // 2 :], order[: count // 2])):
+            some, many = given.at(rows), len(rows)
+            draw = torch.rand(many, len(others), generator=self.generator).topk(2, -1).indices
+            one, other = given.at(others[draw[:, 0]]), given.at(others[draw[:, 1]])
+            size = 0.7 * self._uniform(many) ** 2
+            size = torch.where(self._uniform(many) < 0.1, 1.0, size)
+            first = torch.zeros(many, dtype=torch.long) if whole else self._segment(history, many)
+            late = torch.arange(len(history)) >= first[:, None]
+            step = size[:, None, None] * late[..., None] * (one.noise - other.noise)
+            proposed = replace(some, noise=some.noise + step)
+            if whole:
+                apart = one.poses[:, 0] - other.poses[:, 0]
+                apart = torch.cat((apart[:, :2], wrap(apart[:, 2:])), -1)
+                jitter = 0.1 * self._normal(apart.shape) * apart.new_tensor(_KERNEL)
+                poses = some.poses.clone()
+                poses[:, 0] += size[:, None] * apart + jitter
+                physics = some.physics + size[:, None] * (one.physics - other.physics)
+                proposed = replace(proposed, poses=poses, physics=physics)
+            change = proposed.log_prior() - some.log_prior()
+            moved = self.accepted(some, proposed, history, first, change)
+            given = given.put(rows, moved)
+        return given
+
+    def restarted(self, given: Trajectories, history: History) -> Trajectories:
+        """Start poses drawn anew about those that the view leaves open."""
+        rows = (self._uniform(len(given)) < _AFRESH).nonzero()[:, 0]
+        if not len(rows):
+            return given
+        some, many = given.at(rows), len(rows)
+        chosen = (self._uniform(many) * len(given.starts)).long().clamp_max(len(given.starts) - 1)
+        scale = given.starts.new_tensor(_KERNEL)
+        start = given.starts[chosen] + self._normal((many, 3)) * scale
+        poses = some.poses.clone()
+        poses[:, 0] = start
+        odds = start_density(some.poses[:, 0], given.starts, scale) - start_density(start, given.starts, scale)
+        first = torch.zeros(many, dtype=torch.long)
+        return given.put(rows, self.accepted(some, replace(some, poses=poses), history, first, odds))
+
+    def accepted(
+        self,
+        given: Trajectories,
+        proposed: Trajectories,
+        history: History,
+        first: Int[Tensor, "N"],
+        log_odds: Float[Tensor, "N"] | float = 0.0,
+    ) -> Trajectories:
+        """Proposals replayed from a segment on, and taken by Metropolis's rule.
+
+        Args:
+            given: the particles.
+            proposed: with other numbers; poses and likelihood from `first` on are worked out here.
+            history: whose posterior is kept.
+            first: segment of each particle before which nothing is proposed.
+            log_odds: of prior times proposal back over those there.
+        """
+        proposed = proposed.replayed(self.model, self.settings, history, first)
+        odds = proposed.log_likelihood.sum(-1) - given.log_likelihood.sum(-1) + log_odds
+        accept: Bool[Tensor, "N"] = self._uniform(len(given)).log() < odds
+        return given.where(accept, proposed)
+
+    def _segment(self, history: History, count: int) -> Int[Tensor, "count"]:
+        """A late pushed segment for each particle; half of the time the last."""
+        moving = history.moving()[-self.settings.lag :]
+        place = (self._uniform(count) * len(moving)).long().clamp_max(len(moving) - 1)
+        return torch.where(self._uniform(count) < 0.5, moving[-1], moving[place])
+
+    def _uniform(self, count: int) -> Float[Tensor, "count"]:
+        return torch.rand(count, generator=self.generator, dtype=torch.float64)
+
+    def _normal(self, shape: Sequence[int]) -> Tensor:
+        return torch.randn(tuple(shape), generator=self.generator, dtype=torch.float64)
+
+
+def start_density(
+    starts: Float[Tensor, "N 3"], about: Float[Tensor, "Q 3"], scale: Float[Tensor, "3"]
+) -> Float[Tensor, "N"]:
+    """Log-density, up to a constant, of poses drawn about others with normal deviations `scale`."""
+    apart = starts[:, None] - about
+    apart = torch.cat((apart[..., :2], wrap(apart[..., 2:])), -1) / scale
+    return (-0.5 * apart.square().sum(-1)).logsumexp(-1) - scale.log().sum()

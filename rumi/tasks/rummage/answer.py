@@ -1,0 +1,163 @@
+"""What rummaging says of its own answer: what it relies on, what was not measured, and why it is not sure."""
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import torch
+
+from rumi.agent import StopReason
+from rumi.belief.motion import Motion
+from rumi.belief.pose_filter import PoseFilter
+from rumi.information.stopping import StopEvidence, StopSettings, shortfalls
+from rumi.planning.policy import Policy
+from rumi.records import StepRecord
+from rumi.registration.pose_summary import PoseSummary
+from rumi.robot.tool import Tool
+from sdf import se3
+from sdf.object_model import ObjectModel
+from sensors.semantics import Semantics
+
+_TAKEN: dict[Motion, str] = {
+    "sticking": "taken to stick to the tool",
+    "pushed": "taken from the push model",
+    "estimated": "estimated from the touches, from sticking contact on",
+    "corrected": "taken from the push model and corrected by what is sensed",
+    "trajectory": "each particle's own, by a push model with noise",
+}
+"""How a motion comes about that nothing measures."""
+
+_RECORD: dict[Motion, str] = {
+    "pushed": ": 8 of 8 such runs on record ended sure and 8 to 31 mm off",
+    "estimated": ": 4 of 4 such runs on record ended 8 to 102 mm off",
+    "corrected": ": 4 of 8 such runs on record ended sure and 10 to 17 mm off",
+}
+"""What such runs came to; scripts/docs/push_models.md, mug-0 and mug-1 without a slip sensor."""
+
+_ENDED: dict[StopReason, str] = {
+    "steps": "all actions are used up",
+    "budget": "the time is up",
+    "nothing to do": "no action was found worth doing",
+    "interrupted": "the run was interrupted",
+}
+_TOLD = 0.05  # weight of a mode that counts as a rival
+_LEVEL_M = 0.02  # above and below a level tool, that it touches
+
+
+@runtime_checkable
+class Answerer(Protocol):
+    """The parts of a `Rummager` that its answer tells of."""
+
+    @property
+    def model(self) -> ObjectModel: ...  # noqa: D102
+    @property
+    def filter(self) -> PoseFilter: ...  # noqa: D102
+    @property
+    def policy(self) -> Policy: ...  # noqa: D102
+    @property
+    def tool(self) -> Tool: ...  # noqa: D102
+    @property
+    def stop_rule(self) -> StopSettings: ...  # noqa: D102
+    @property
+    def sensors(self) -> str: ...  # noqa: D102
+    @property
+    def looks_again(self) -> bool: ...  # noqa: D102
+
+
+def relies_on(rummager: Answerer) -> str:
+    """What a run takes for granted, in a line."""
+    motion = rummager.filter.settings.motion
+    moved = "measured" if motion == "measured" else f"not measured, {_TAKEN[motion]}"
+    reach = "none" if rummager.tool.reach is None else rummager.tool.reach.words
+    return f"motion: {moved}; reach: {reach}; push model: {_pushed_by(rummager)}; sensors: {rummager.sensors}"
+
+
+def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[str, ...]:
+    """What was not measured and can make a belief sure and wrong, from settings and from what came."""
+    motion = rummager.filter.settings.motion
+    if rummager.looks_again or motion == "trajectory" or _seen_again(history):
+        return ()
+    if motion != "measured":
+        return (
+            f"the object's motion is not measured, but {_TAKEN[motion]}, and no camera looks again: the belief may end "
+            f"sure and wrong{_RECORD.get(motion, '')} (scripts/docs/push_models.md)",
+        )
+    missing = [str(record.step) for record in history[1:] if record.reading.object_motion is None]
+    if not missing:
+        return ()
+    plural = "s" if len(missing) > 1 else ""
+    return (
+        f"the object's motion was not measured in action{plural} {', '.join(missing)}, and no camera looks again: the "
+        "belief may end sure and wrong (scripts/docs/push_models.md)",
+    )
+
+
+def _seen_again(history: Sequence[StepRecord]) -> bool:
+    """Whether most actions that touched nothing saw the object's surface: a camera looks again."""
+    free = [record.reading for record in history[1:] if not bool(record.reading.in_contact.any())]
+    seen = sum(bool(reading.observation.of_class(Semantics.SURFACE).any()) for reading in free)
+    return 2 * seen > len(free)
+
+
+def why_not(rummager: Answerer, record: StepRecord, pose: PoseSummary, stopped_by: StopReason) -> str | None:
+    """Why a belief is not sure, by the parts of its stopping rule; None where it is."""
+    if stopped_by == "sure":
+        return None
+    ended = _ENDED.get(stopped_by, stopped_by)
+    evidence = StopEvidence(
+        record.expected_nll, record.fit, record.apc, rummager.model.diagonal, record.contacts, pose.probability
+    )
+    short = shortfalls(rummager.stop_rule, evidence)
+    if not short:
+        return ended
+    first = short[0]
+    if first.part == "fit":
+        return (
+            f"no pose explains the observations (least discrepancy {first.value:.3g}, allowed {first.allowed:.3g}): "
+            f"calibration, wrench sign, floor height, mesh? `rumi check` shows where; {ended}"
+        )
+    if first.part == "contacts":
+        return f"{first.value:.0f} actions touched the object, {first.allowed:.0f} are asked for; {ended}"
+    if first.part == "rule":
+        return f"the stop rule {rummager.stop_rule.rule!r} does not hold; {ended}"
+    if rummager.stop_rule.rule == "probability":
+        return f"believed right with probability {first.value:.2f}, {first.allowed:.2f} is asked for; {ended}"
+    if sum(mode.weight >= _TOLD for mode in pose.modes) > 1:
+        return f"{_rivals(rummager, record, pose)}; {ended}"
+    return (
+        "one pose explains the observations, but not closely enough (the belief expects "
+        f"{first.value:.3g}, allowed {first.allowed:.3g}): touch it where it was not touched; {ended}"
+    )
+
+
+def _rivals(rummager: Answerer, record: StepRecord, pose: PoseSummary) -> str:
+    """Which poses explain the observations, how far they are apart, and what would tell the first two apart."""
+    rivals = [mode for mode in pose.modes if mode.weight >= _TOLD]
+    first, second = (mode.world_T_object for mode in rivals[:2])
+    own = rummager.model.symmetries.to(torch.float64)
+    metres, radians = se3.distance(own.nearest(second, first), first)
+    shares = ", ".join(f"{mode.weight:.2f}" for mode in rivals)
+    points = se3.apply(first, rummager.model.surface_points.to(first))
+    height = record.reading.tool_pose[-1, 2, 3].to(first)
+    level = (points[:, 2] - height).abs() <= _LEVEL_M
+    if not rummager.tool.spatial and bool(level.any()):
+        points = points[level]
+    exact = rummager.model.exact
+    with torch.no_grad():
+        apart = exact.distance(se3.apply(se3.inverse(second), points).to(rummager.model.surface_points)).abs()
+    best = int(apart.argmax())
+    x, y, z = points[best].tolist()
+    return (
+        f"{len(rivals)} poses explain the observations ({shares} of the weight), the first two "
+        f"{1e3 * float(metres):.0f} mm and {float(torch.rad2deg(radians)):.0f} degrees apart: a touch at "
+        f"({x:.3f}, {y:.3f}, {z:.3f}) m would tell them apart, where the first has its surface and the second is "
+        f"{1e3 * float(apart[best]):.0f} mm off"
+    )
+
+
+def _pushed_by(rummager: Answerer) -> str:
+    """The planner's push model, as far as it plans by one."""
+    name = getattr(getattr(rummager.policy, "settings", None), "push_model", None)
+    if name != "auto":
+        return name or "none"
+    upright = rummager.filter.search == "SE(2)" and not rummager.tool.spatial
+    return "quasi-static" if upright else "displacement"

@@ -1,0 +1,306 @@
+"""Trajectories: the compiled replay is the plain one, moves keep the posterior, the filter takes in anything."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief import pose_trajectories
+from rumi.belief.particles import PoseBelief, subsample
+from rumi.belief.pose_filter import FilterSettings
+from rumi.belief.pose_trajectories import (
+    NOISE,
+    PHYSICS,
+    History,
+    Kind,
+    PoseTrajectorySettings,
+    PushedObject,
+    Segment,
+    Trajectories,
+    log_likelihood_of,
+)
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.segments import cut, felt_pads, standing
+from rumi.belief.trajectory_moves import Moves
+from rumi.dynamics.along_path import Pusher, push_along_path
+from rumi.dynamics.sliding import Sliding
+from rumi.robot.gripper import GripperShape
+from rumi.seeding import generator
+from sdf import backend, se3
+from sdf.grid_sdf import GridSDF
+from sdf.primitives import Box
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation, concatenate
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+
+DOUBLE = {"dtype": torch.float64}
+OWN = PoseTrajectorySettings(particles=60, branches=3, rounds=1)
+SHAPE, HEIGHT = GripperShape(), 0.03
+
+
+@pytest.fixture(scope="module")
+def block() -> GridSDF:
+    return GridSDF.from_sdf(Box([0.04, 0.06, 0.03]), 0.003)
+
+
+@pytest.fixture(scope="module")
+def model(block) -> PushedObject:
+    return PushedObject.of(block, SHAPE, height_m=HEIGHT, resting_m=0.03, spacing_m=0.006, pad_spacing_m=0.006)
+
+
+@pytest.fixture(autouse=True)
+def settings_of_the_shape() -> Iterator[None]:
+    with backend.force("numba"):
+        yield
+
+
+def approach(first_x=-0.11, step=0.006, count=6, y=0.01) -> torch.Tensor:
+    """A tool that comes along x towards a block at the origin, whose face is at -0.04 and pads' tips 35 mm ahead."""
+    x = first_x + step * torch.arange(count + 1, **DOUBLE)
+    tool = torch.stack((x, 0 * x + y, 0 * x), -1)
+    return torch.stack((tool[:-1], tool[1:]), 1)
+
+
+def segment(path=None, *, pushes=True, points=12, seed=0) -> Segment:
+    path = approach() if path is None else path
+    random = generator(seed)
+    place = 0.1 * (torch.rand(points, 3, generator=random, **DOUBLE) - 0.5)
+    instant = torch.randint(len(path), (points,), generator=random).sort().values
+    kind = torch.randint(len(Kind), (points,), generator=random)
+    return Segment(path, pushes, place, instant, kind, torch.rand(points, generator=random, **DOUBLE))
+
+
+def drawn(history: History, count: int, *, seed=1, spread=(0.004, 0.004, 0.2)) -> Trajectories:
+    random = generator(seed)
+    start = torch.randn(count, 3, generator=random, **DOUBLE) * torch.tensor(spread, **DOUBLE)
+    physics = torch.randn(count, PHYSICS, generator=random, **DOUBLE)
+    noise = torch.randn(count, len(history), NOISE, generator=random, **DOUBLE)
+    poses = start[:, None].repeat(1, len(history) + 1, 1)
+    return Trajectories(physics, noise, poses, start.new_zeros(count, len(history)), history, start)
+
+
+def long_history() -> History:
+    history = History.empty().appended(segment(pushes=False, path=torch.zeros(1, 2, 3, **DOUBLE), points=30, seed=5))
+    history = history.appended(segment()).appended(segment(approach(-0.074, 0.004, 5), seed=2), opens=False)
+    return history.appended(segment(approach(-0.05, 0.005, 4, y=-0.02), points=0))
+
+
+def test_the_compiled_replay_is_the_plain_one(model):
+    history = long_history()
+    given, first = drawn(history, 40), torch.arange(40) % len(history)
+    found = {}
+    for version in ("torch", "numba"):
+        with backend.force(version):
+            whole = given.replayed(model, OWN, history, torch.zeros(40, dtype=torch.long))
+            found[version] = whole, whole.replayed(model, OWN, history, first)
+    for one, other in zip(*found.values(), strict=True):
+        assert float((one.poses[:, -1, :2] - one.poses[:, 0, :2]).norm(dim=-1).max()) > 0.01  # it was pushed
+        torch.testing.assert_close(one.poses, other.poses, atol=2e-7, rtol=0)
+        torch.testing.assert_close(one.log_likelihood, other.log_likelihood, atol=2e-3, rtol=2e-4)
+    again = found["numba"][1]
+    torch.testing.assert_close(again.poses, found["numba"][0].poses, atol=0, rtol=0)  # the same from any segment on
+
+
+def test_two_particles_by_hand(model):
+    """Without noise and shifts the motion is the push model's; the likelihood sums points at their instants."""
+    own = replace(OWN, friction_change=0.0, ahead_m=(0.0, 0.0), centre_m=0.0, along=0.0, across=0.0, turn_rad_per_m=0.0)
+    point = torch.tensor([[-0.045, 0.0, 0.0]], **DOUBLE).repeat(2, 1)
+    both = Segment(
+        approach(),
+        True,
+        point,
+        torch.tensor([0, 5]),
+        torch.tensor([Kind.FELT, Kind.FELT]),
+        torch.tensor([1.0, 2.0], **DOUBLE),
+    )
+    history = History.empty().appended(both)
+    given = drawn(history, 2, spread=(0.0, 0.0, 0.0))
+    given = replace(given, physics=torch.zeros(2, PHYSICS, **DOUBLE), noise=0 * given.noise)
+    given.poses[1, :, 0] = 0.5  # far away: nothing moves it
+    found = given.replayed(model, own, history, torch.zeros(2, dtype=torch.long))
+    body = Sliding(model.centre, torch.tensor(1.3 * model.spread_m, **DOUBLE), torch.tensor(0.5, **DOUBLE))
+    path = torch.cat((both.tool[:1, 0], both.tool[:, 1]))[None]
+    track = push_along_path(given.poses[:1, 0], path, Pusher(model.tool), model.outline, body, substeps=1).track[0]
+    torch.testing.assert_close(found.pose[0], track[-1], atol=1e-9, rtol=0)
+    torch.testing.assert_close(found.pose[1], given.poses[1, 0], atol=0, rtol=0)
+    places = torch.stack([se3.apply(se3.inverse(se3.from_planar(track[k])), point[:1])[0] for k in (0, 5)])
+    each = log_likelihood_of(model.sdf.distance(places.float()).double()[None], both.kind, own)[0]
+    assert float(found.log_likelihood[0, 0]) == pytest.approx(float(each @ both.weight), abs=1e-3)
+    assert float(found.log_likelihood[1, 0]) == pytest.approx(3 * math.log(own.outliers), abs=1e-6)
+
+
+def test_metropolis_moves_keep_a_posterior_that_a_grid_gives(model):
+    """A view of two sides leaves (x, y, yaw) open: moves from far too wide starts come to the grid's moments."""
+    own = replace(OWN, seen_sd_m=0.003)
+    wall = torch.linspace(-0.03, 0.03, 9, **DOUBLE)
+    seen = torch.cat(
+        (
+            torch.stack((0 * wall - 0.04, wall, 0 * wall), -1),
+            torch.stack((wall * 1.1, 0 * wall - 0.06, 0 * wall), -1),
+        )
+    )
+    still = Segment(
+        torch.zeros(1, 2, 3, **DOUBLE),
+        False,
+        seen,
+        torch.zeros(18, dtype=torch.long),
+        torch.zeros(18, dtype=torch.long),
+        torch.full((18,), 0.3, **DOUBLE),
+    )
+    history = History.empty().appended(still)
+    axes = torch.linspace(-0.009, 0.009, 31, **DOUBLE), torch.linspace(-0.18, 0.18, 31, **DOUBLE)
+    nodes = torch.stack(torch.meshgrid(axes[0], axes[0], axes[1], indexing="ij"), -1).reshape(-1, 3)
+    grid = replace(drawn(history, len(nodes)), poses=nodes[:, None].repeat(1, 2, 1))
+    weights = (
+        grid.replayed(model, own, history, torch.zeros(len(nodes), dtype=torch.long)).log_likelihood[:, 0].softmax(0)
+    )
+    mean = weights @ nodes
+    sd = (weights @ (nodes - mean).square()).sqrt()
+    given = drawn(history, 600, spread=(0.004, 0.004, 0.06)).replayed(
+        model, own, history, torch.zeros(600, dtype=torch.long)
+    )
+    moves = Moves(model, own, generator(3))
+    for _ in range(40):
+        given = moves.sweep(given, history, whole=True)
+    starts = given.poses[:, 0]
+    assert bool(((starts.mean(0) - mean).abs() < 0.2 * sd).all())
+    torch.testing.assert_close(starts.std(0), sd, rtol=0.12, atol=0)
+    # what no reading tells of keeps its prior
+    torch.testing.assert_close(given.physics.std(0), torch.ones(PHYSICS, **DOUBLE), rtol=0.15, atol=0)
+
+
+def test_tempering_and_parts_of_a_history():
+    history = long_history()
+    assert len(history) == 4 and history.action.tolist() == [0, 1, 1, 3] and history.moving().tolist() == [1, 2, 3]
+    half = long_history().appended(segment(seed=9)).tempered(0.5)
+    torch.testing.assert_close(half.weight[-12:], 0.5 * segment(seed=9).weight)
+    torch.testing.assert_close(half.weight[:-12], history.weight)
+    last = half.last()
+    assert len(last) == 1 and last.ends.tolist() == [6] and int(last.point_ends[-1]) == len(last.points) == 12
+    assert len(history.since_push()) == 0
+
+
+def felt_by(pose: torch.Tensor, tool: torch.Tensor, block: GridSDF) -> Reading:
+    """What the pads feel of a block at a pose, and free points where they are not."""
+    pads = SHAPE.pad_shell(0.006).double()
+    at = se3.from_planar(tool, HEIGHT)
+    there = se3.apply(at, pads)
+    local = se3.apply(se3.inverse(se3.from_planar(pose, 0.03)), there)
+    felt = block.distance(local.float()).abs() <= 0.003
+    instant, index = felt.nonzero(as_tuple=True)
+    free = there[:, ::8].reshape(-1, 3)
+    points = concatenate(
+        [Observation.of(there[instant, index].float(), Semantics.SURFACE), Observation.of(free.float(), Semantics.FREE)]
+    )
+    when = torch.cat((instant, torch.arange(len(tool)).repeat_interleave(len(free) // len(tool))))
+    return Reading(points, when, at.float(), felt.any(-1), None, tool[-1].float(), torch.zeros(()))
+
+
+def follow(block, model, dtype=torch.float32, **changes):
+    settings = replace(FilterSettings(motion="trajectory"), trajectories=replace(OWN, pad_spacing_m=0.006, **changes))
+    sdf = block if dtype == torch.float32 else GridSDF.from_sdf(Box([0.04, 0.06, 0.03]), 0.003).to(dtype)
+    discrepancy = Discrepancy(sdf, 0.08, free_scale=80.0, tolerance=0.001).to(dtype)
+    return PoseTrajectoryFilter(settings, discrepancy, replace(model, sdf=sdf))
+
+
+def begin(followed, dtype=torch.float32, seed=0):
+    around = torch.tensor([[0.0, 0.0, 0.0], [0.004, 0.0, 0.05], [0.0, -0.004, -0.05]], dtype=dtype)
+    wall = torch.linspace(-0.05, 0.05, 12, dtype=dtype)
+    view = Observation.of(torch.stack((0 * wall - 0.04, wall, 0 * wall + 0.03), -1), Semantics.SURFACE)
+    poses = PoseBelief.uniform(se3.from_planar(around, 0.03))
+    return followed.begin(poses, view, generator=generator(seed)), view
+
+
+PUSH = torch.stack((torch.linspace(-0.10, -0.06, 8), torch.full((8,), 0.012), torch.zeros(8)), -1).double()
+AWAY = PUSH - torch.tensor([0.1, 0.0, 0.0], **DOUBLE)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_filter_follows_a_push_that_nothing_measures(block, model, dtype):
+    followed = follow(block, model, dtype)
+    belief, memory = begin(followed, dtype)
+    # away from the object nothing is learnt, and the very same belief comes back
+    same, memory, info = followed(
+        belief, memory, felt_by(0 * PUSH[0], AWAY, block).to(dtype=dtype), generator=generator(1)
+    )
+    assert same is belief and not bool(info.moved)
+    true = push_along_path(
+        torch.zeros(1, 3, **DOUBLE),
+        torch.cat((PUSH[:1], PUSH))[None],
+        Pusher(model.tool),
+        model.outline,
+        Sliding(model.centre, torch.tensor(1.2 * model.spread_m, **DOUBLE), torch.tensor(0.4, **DOUBLE)),
+    ).track[0]
+    reading = felt_by(true, PUSH, block).to(dtype=dtype)
+    assert bool(reading.in_contact.any()) and float(true[-1, 0]) > 0.01
+    runs = [followed(same, memory, reading, generator=generator(2)) for _ in range(2)]
+    assert torch.equal(runs[0][0].world_T_object, runs[1][0].world_T_object)  # the same seed, the same bits
+    belief, memory, info = runs[0]
+    assert bool(info.moved) and bool(info.resampled) and belief.world_T_object.dtype == dtype
+    apart, turned = se3.distance(belief.mode(), se3.from_planar(true[-1], 0.03).to(dtype))
+    assert float(apart) < 0.006 and float(turned) < 0.1
+    # what was taken in bit by bit is what a replay of the whole history gives
+    now = belief.trajectories
+    whole = now.replayed(followed.model, followed.own, now.history, torch.zeros(len(now), dtype=torch.long))
+    torch.testing.assert_close(whole.poses, now.poses, atol=1e-12, rtol=0)
+    torch.testing.assert_close(whole.log_likelihood, now.log_likelihood, atol=1e-9, rtol=0)
+    few = subsample(belief, 10)
+    assert type(few) is PoseBelief and few.world_T_object.shape == (10, 4, 4)
+
+
+@pytest.mark.parametrize("particles", [1, 60])
+def test_odd_beliefs_and_readings_give_no_nan(block, model, particles):
+    followed = follow(block, model, particles=particles)
+    belief, memory = begin(followed)
+    only = torch.full((particles,), -torch.inf).index_fill(0, torch.tensor(0), 0.0)
+    belief = replace(belief, log_weights=only)
+    nothing = felt_by(0 * PUSH[0], AWAY, block)
+    nothing = replace(nothing, observation=Observation.empty(), instant=torch.zeros(0, dtype=torch.long))
+    for reading in (nothing, felt_by(0 * PUSH[0], PUSH, block), nothing, felt_by(0 * PUSH[0], PUSH[-1:], block)):
+        belief, memory, _ = followed(belief, memory, reading, generator=generator(3))
+        assert bool(torch.isfinite(belief.world_T_object).all())
+        assert float(belief.log_weights.exp().sum()) == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("readings", [40, pytest.param(1000, marks=pytest.mark.slow)])
+def test_a_long_history_is_forgotten_bit_by_bit(block, model, readings):
+    followed = follow(block, model, particles=8, memory=10)
+    belief, memory = begin(followed)
+    both = [felt_by(0 * PUSH[0], path, block) for path in (PUSH[-3:], AWAY)]
+    for index in range(readings):
+        belief, memory, _ = followed(belief, memory, both[index % 2], generator=generator(index))
+    now = belief.trajectories
+    assert len(now.history) <= 10 + 2 and now.noise.shape[1] == len(now.history) == now.poses.shape[1] - 1
+    assert not len(now.starts) and bool(torch.isfinite(belief.world_T_object).all())
+    whole = now.replayed(followed.model, followed.own, now.history, torch.zeros(len(now), dtype=torch.long))
+    torch.testing.assert_close(whole.poses, now.poses, atol=1e-12, rtol=0)
+    torch.testing.assert_close(whole.log_likelihood, now.log_likelihood, atol=1e-9, rtol=0)
+
+
+def test_what_is_felt_is_told_from_the_points(block, model):
+    reading, own = felt_by(0 * PUSH[0], PUSH, block), replace(OWN, pad_spacing_m=0.006)
+    felt = felt_pads(reading, model, own)
+    assert torch.equal(felt.any(-1), reading.in_contact)
+    assert int(felt.sum()) == int(reading.observation.of_class(Semantics.SURFACE).sum())
+    assert torch.equal(torch.cat(cut(reading, own)), torch.arange(len(PUSH)))
+    none = replace(reading, in_contact=torch.zeros_like(reading.in_contact))
+    assert [len(part) for part in cut(none, own)] == [len(PUSH)]
+
+
+def test_free_cells_count_once(block, model):
+    far = Observation.of(torch.tensor([[0.5, 0.5, 0.03]]), Semantics.FREE)
+    near = Observation.of(torch.tensor([[-0.045, 0.0, 0.03]]), Semantics.FREE)
+    poses = torch.zeros(2, 3, **DOUBLE)
+    assert standing(far, poses, model, OWN) is None
+    first = standing(near, poses, model, OWN)
+    assert len(first.points) == 1
+    assert standing(near, poses, model, OWN, History.empty().appended(first)) is None
+
+
+@pytest.mark.parametrize("change", [{"particles": 0}, {"along": -1.0}, {"friction": (0.0, 1.0)}, {"outliers": 0.7}])
+def test_settings_without_meaning_are_refused(change):
+    with pytest.raises(ValueError, match="Expected"):
+        replace(pose_trajectories.PoseTrajectorySettings(), **change)

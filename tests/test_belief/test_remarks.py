@@ -1,0 +1,119 @@
+"""Remarks on readings that nobody took: each kind where it is due, once, and never where all is as believed."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief.particles import PoseBelief
+from rumi.belief.remarks import Limits, held_up, remarks
+from sdf import se3
+from sdf.object_model import box_model
+from sensors.observation import Observation
+from sensors.semantics import Semantics
+from tests.fixtures.readings import make_reading
+
+BOX = box_model()  # 60 x 158 x 210 mm about its origin
+HIGH = 0.105
+START, GOAL = torch.tensor([0.2, 0.0, 0.0]), torch.tensor([0.28, 0.0, 0.0])
+
+
+def belief(world_T_attached=None):
+    """Particles a few millimetres apart about (0.4, 0), standing, in a frame that rides with the object."""
+    shifts = torch.tensor([[0.4, 0.0, HIGH], [0.402, 0.001, HIGH], [0.399, -0.002, HIGH]])
+    poses = se3.make(torch.eye(3), shifts)
+    return PoseBelief(
+        se3.identity() if world_T_attached is None else world_T_attached,
+        poses,
+        torch.zeros(3).log_softmax(-1),
+        torch.zeros(3),
+    )
+
+
+def turned(axis, degrees, about):
+    """World motion that turns about a level line through a point."""
+    turn = se3.exp(torch.cat((torch.zeros(3), math.radians(degrees) * torch.eye(3)[axis])))
+    place = se3.make(torch.eye(3), torch.tensor(about))
+    return place @ turn @ se3.inverse(place)
+
+
+def lifted(metres):
+    return se3.make(torch.eye(3), torch.tensor([0.0, 0.0, metres]))
+
+
+def points(kind, *places):
+    return Observation.of(torch.tensor(places), kind)
+
+
+def found(reading=None, told=None, added=None, moved=(START, GOAL), **more):
+    reading = make_reading(configuration=GOAL) if reading is None else reading
+    added = Observation.empty() if added is None else added
+    more = {"upright": True} | more
+    return [one.name for one in remarks(7, reading, told or belief(), added, BOX, moved=moved, **more)]
+
+
+def pressed(reached, contact=True, motion=None, instants=5):
+    tool = se3.from_planar(torch.tensor([reached, 0.0, 0.0]), 0.045).expand(instants, 4, 4)
+    motion = None if motion is None else motion.expand(instants, 4, 4)
+    configuration = torch.tensor([reached, 0.0, 0.0])
+    return make_reading(tool=tool, contact=contact, motion=motion, configuration=configuration)
+
+
+ON_EDGE = [0.43, 0.0, 0.0]  # of its base, ahead
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("resists", {"reading": pressed(0.22)}),
+        ("resists", {"reading": pressed(0.22, motion=se3.identity())}),
+        ("toppled", {"told": belief(turned(1, 90.0, ON_EDGE))}),
+        ("lifted", {"told": belief(lifted(0.03))}),
+        ("dropped", {"told": belief(lifted(-0.05))}),
+        ("not there", {"added": points(Semantics.FREE, (0.4, 0.0, 0.05), (0.3, 0.0, 0.05))}),
+        ("elsewhere", {"added": points(Semantics.SURFACE, (0.30, 0.0, 0.05), (0.30, 0.01, 0.05))}),
+    ],
+)
+def test_each_where_it_is_due_and_once(name, given):
+    assert found(**given) == [name]
+    assert found(**given, said={name}) == []
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"moved": None, "reading": pressed(0.20)},  # nobody knows where it was to go
+        {"reading": pressed(0.279)},
+        {"reading": pressed(0.22, contact=False)},  # the reach may have held it
+        {"reading": pressed(0.22, contact=torch.tensor([1, 1, 1, 1, 0]).bool())},
+        {"told": belief(turned(1, 20.0, ON_EDGE))},
+        {"told": belief(turned(1, 90.0, ON_EDGE)), "upright": False},
+        {"added": points(Semantics.FREE, (0.372, 0.0, 0.05), (0.3, 0.0, 0.05))},
+        {"added": points(Semantics.SURFACE, (0.366, 0.0, 0.05), (0.9, 0.0, 0.05), (0.371, 0.01, 0.05))},
+        {"added": replace(points(Semantics.FREE, (0.4, 0.0, 0.05)), attached=torch.zeros(1, dtype=torch.bool))},
+    ],
+)
+def test_nothing_where_all_is_as_believed(given):
+    assert found(**given) == []
+
+
+def test_what_it_says():
+    (one,) = remarks(
+        7, pressed(0.22, motion=lifted(0.001)), belief(), Observation.empty(), BOX, moved=(START, GOAL), upright=True
+    )
+    assert (one.name, one.step) == ("resists", 7)
+    assert one.sentence == "the tool stopped 60 mm before its goal, pressed against the object, which moved by 1 mm"
+    # a small action needs more than half of it
+    near = torch.tensor([0.24, 0.0, 0.0])
+    assert held_up(START, near, pressed(0.225), Limits()) is None
+    assert held_up(START, near, pressed(0.21), Limits()) == (pytest.approx(0.03), None)
+
+
+def test_one_particle_that_explains_is_enough():
+    """Where poses are still many, a reading that one of them explains is no surprise."""
+    told, raised = belief(), lifted(HIGH)[None]
+    poses = torch.cat((told.attached_T_object, raised))
+    told = PoseBelief(told.world_T_attached, poses, torch.zeros(4).log_softmax(-1), torch.zeros(4))
+    assert found(told=told, added=points(Semantics.FREE, (0.4, 0.0, 0.05))) == []

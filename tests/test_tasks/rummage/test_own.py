@@ -1,0 +1,73 @@
+"""The rummager of a robot of one's own: what it is given is followed, or refused in words."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+import rumi
+from rumi.errors import UsageError
+from rumi.runs.folder import RunRecorder
+from rumi.sim.settings import SimSettings
+from rumi.tasks.rummage.objects import ObjectSettings
+from sdf.object_model import box_model
+from sdf.primitives import Sphere
+
+
+def lattice(low=0.03, high=0.03):
+    bounds = torch.tensor([[0.2, -0.2, low], [0.6, 0.2, high]])
+    return rumi.Workspace.from_bounds(bounds, 0.05, planar_height=low if low == high else None)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return box_model()
+
+
+def test_what_is_said_is_what_it_has(model):
+    ball = rumi.SolidTool([Sphere(0.01)])
+    settings = rumi.preset("fast", method="info-only", steps=5)
+    agent = rumi.rummager(
+        model, lattice(), tool=ball, motion="measured", action_m=0.03, action_rad=0.2, settings=settings
+    )
+    assert (
+        isinstance(agent.tool.shape, rumi.SolidTool) and agent.steps == 5 and agent.filter.settings.motion == "measured"
+    )
+    torch.testing.assert_close(agent.tool.scale, torch.tensor([0.03, 0.03, 0.2]))
+    assert agent.initialise == settings.initialise and agent.filter.pushed is None
+
+
+@pytest.mark.parametrize(("workspace", "motion"), [(lattice(), "corrected"), (lattice(0.03, 0.2), "estimated")])
+def test_without_a_word_nothing_is_taken_for_measured(workspace, motion, model):
+    agent = rumi.rummager(model, workspace)
+    assert agent.filter.settings.motion == motion and (agent.filter.pushed is not None) == (motion == "corrected")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"settings": rumi.preset("default", object=ObjectSettings(mesh="part.stl"))}, "the model is given"),
+        ({"settings": rumi.preset("default", simulator=SimSettings(action_scale_m=0.05))}, "action_m"),
+        ({"action_m": float("nan")}, "action_m to be a finite number"),
+        ({"motion": "corrected", "workspace": lattice(0.03, 0.2)}, "upright objects with a level tool"),
+        ({"workspace": lattice(0.5, 0.5)}, "below the top of the object"),
+        ({"workspace": lattice(0.01, 0.01)}, "0.012 m below"),
+        ({"settings": rumi.preset("default", tool_height_m=0.03)}, "workspace has the tool's height"),
+        ({"settings": replace(rumi.preset(), planner=replace(rumi.preset().planner, push_model="mujoco"))}, None),
+    ],
+)
+def test_what_nothing_could_follow_is_refused(changes, said, model):
+    workspace = changes.pop("workspace", lattice())
+    if said is None:
+        pytest.importorskip("mujoco")
+        changes, said = {**changes, "tool": rumi.SolidTool([Sphere(0.01)])}, "'quasi-static' or 'displacement'"
+    with pytest.raises(UsageError, match=said):
+        rumi.rummager(model, workspace, **changes)
+
+
+def test_a_folder_of_such_a_run_says_how_to_replay_it(model, tmp_path):
+    agent = rumi.rummager(model, lattice())
+    with RunRecorder(tmp_path / "run", {**agent.about, "seed": 0}, None):
+        pass
+    with pytest.raises(UsageError, match=r"rumi\.replay"):
+        rumi.replay(tmp_path / "run")

@@ -1,0 +1,65 @@
+"""Runs without a sensor of the object's motion, by trajectories: what is refused, and when they stop."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+import rumi
+from rumi.belief.particles import PoseBelief
+from rumi.errors import UsageError
+from rumi.information.stopping import StopEvidence, StopSettings, converged, shortfalls
+from rumi.tasks.rummage.build import build
+from sdf import se3
+from sdf.symmetry import Symmetries
+
+
+def settings(**changes):
+    chosen = rumi.preset("fast", task="mug", seed=1000, steps=2, **changes)
+    few = replace(chosen.filter.trajectories, particles=20, branches=2, rounds=1)
+    return replace(
+        chosen,
+        filter=replace(chosen.filter, motion="trajectory", trajectories=few),
+        stop=replace(chosen.stop, rule="probability"),
+        planner=replace(chosen.planner, mppi=replace(chosen.planner.mppi, samples=20), rollouts=1),
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"task": "drill-0"}, "drill-0 is another task"),
+        ({"task": "box"}, "box is another task"),
+    ],
+)
+def test_other_tasks_are_refused(changes, said):
+    with pytest.raises(UsageError, match=said):
+        build(replace(settings(), **changes))
+
+
+def test_other_sensors_and_evidence_are_refused():
+    own = settings()
+    camera = replace(own, simulator=replace(own.simulator, sensors=replace(own.simulator.sensors, kind="camera")))
+    wrench = replace(own, filter=replace(own.filter, evidence=("contact-points",)))
+    for odd in (camera, wrench):
+        with pytest.raises(UsageError, match=r"Expected --[a-z.]+ [a-z]+ with"):
+            build(odd)
+
+
+def test_the_probability_of_being_right_is_the_weight_within_the_tolerance():
+    near, far = torch.zeros(3, 3), torch.tensor([[0.02, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    poses = se3.from_planar(torch.cat((near, far)))
+    belief = PoseBelief.uniform(poses).reweighted(torch.tensor([0.3, 0.2, 0.1, 0.15, 0.25]).log())
+    none = Symmetries.none()
+    for metres, expected in ((0.005, 0.6), (0.03, 0.75)):
+        assert belief.probability_right(none, within_m=metres, within_rad=0.17) == pytest.approx(expected, abs=1e-6)
+        assert belief.summary(none, within_m=metres, within_rad=0.17).probability == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_run_stops_where_it_is_probably_right_and_has_touched():
+    rule, state = StopSettings(rule="probability"), {"expected_nll": 9.0, "fit": 9.0, "apc": 1.0, "diagonal": 0.1}
+    for p, contacts, sure in ((0.96, 1, True), (0.94, 1, False), (0.99, 0, False), (float("nan"), 3, False)):
+        evidence = StopEvidence(**state, contacts=contacts, p_right=p)
+        assert converged(rule, evidence) is sure is not bool(shortfalls(rule, evidence))
+    with pytest.raises(UsageError, match="probability"):
+        StopSettings(probability=0.0)
