@@ -16,7 +16,9 @@ import torch
 from torch import Tensor
 
 from rumi.cli import script
+from rumi.dynamics.along_path import displace_along_path
 from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
 from scripts.bench.real_pushes import (
     SETS,
@@ -48,7 +50,7 @@ LEARNT = {"never seen": 0, "after 1": 1, "after 3": 3, "after 10": 10}
 SHIPPED = {"library prior": 0, "library after 10": 10}
 WRENCHES = {"10 pushes": False, "10 pushes and wrenches": True}
 """Learnt alike by weights alone, with and without 10 measured pairs of wrench and twist of the same set."""
-MODELS = (FIT, "stays", *FIXED, "Zhou by 600 wrenches", *SHIPPED, *LEARNT, *WRENCHES)
+MODELS = (FIT, "stays", "displacement", *FIXED, "Zhou by 600 wrenches", *SHIPPED, *LEARNT, *WRENCHES)
 DRAWS, PARTICLES, SHOWN = 20, 128, 48
 """Times that pushes are drawn to learn from; particles that learn; draws of them that predict."""
 SHARES = (0.5, 0.9, 0.95)
@@ -62,6 +64,11 @@ def measure(model: str, set: str) -> dict[str, Any]:
     rows = torch.arange(len(own.start))
     if model == "stays":
         return _summary([scores(own.start, own.end, own.path)])
+    if model == "displacement":
+        # of this model the outline alone tells: how the object slides plays no part
+        slides = Sliding(torch.zeros(2), torch.ones(()), torch.ones(())).to(own.start)
+        carried = displace_along_path(own.start, own.path, own.body.pusher, own.body.outline, slides)
+        return _summary([scores(carried.track[:, -1], own.end, own.path)])
     if model.startswith("Zhou"):
         return _summary([scores(own.zhou, own.end, own.path)])
     if model in WRENCHES:

@@ -41,10 +41,11 @@ def push_figure(
     far = sorted(pushes, key=lambda push: -float((push.end - push.start)[:2].norm()))[:rows]
     with style.figure(2.2 * (len(beliefs) + 1), 2.2 * len(far)) as figure:
         axes = figure.subplots(len(far), len(beliefs) + 1, squeeze=False)
+        for ax, name in zip(axes[0], names, strict=False):
+            ax.set_title(name)
         for row, push in zip(axes, far, strict=True):
-            for ax, belief, name in zip(row, beliefs, names, strict=False):
+            for ax, belief in zip(row, beliefs, strict=False):
                 draw_push(ax, belief, push, body)
-                ax.set_title(name if row is axes[0] else "")
             row[-1].set_axis_off()
         own = axes[0, -1]
         own.set_axis_on()
