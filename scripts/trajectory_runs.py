@@ -24,7 +24,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.cli import script
 from rumi.information.stopping import STOP_RULES
 from rumi.loop import run
-from rumi.metrics.pose_error import pose_error, probability_right
+from rumi.metrics.pose_error import pose_error
 from rumi.records import StepRecord
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
@@ -114,7 +114,9 @@ def measured(options: Options, motion: str, seed: int) -> dict[str, Any]:
                     "touched": bool(step.reading.in_contact.any()),
                     "mm": round(float(metres) * 1e3, 2),
                     "deg": round(float(radians) * 180.0 / torch.pi, 2),
-                    "p": round(float(probability_right(belief, agent.model.symmetries, _WRONG_M, _WRONG_RAD)), 4),
+                    "p": round(
+                        belief.probability_right(agent.model.symmetries, within_m=_WRONG_M, within_rad=_WRONG_RAD), 4
+                    ),
                     "level": round(level(belief, truth), 4),
                     "expected": round(step.expected_nll, 2),
                     "nll": round(float(step.nll or 0.0), 2),

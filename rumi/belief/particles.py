@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.errors import DegenerateBeliefError
-from rumi.registration.pose_summary import PoseSummary, summarise_particles
+from rumi.registration.pose_summary import PoseSummary, mass_within, summarise_particles
 from rumi.resampling import systematic
 from rumi.weights import effective_sample_size, normalise, resampled_weights
 from sdf import se3
@@ -120,6 +120,15 @@ class PoseBelief:
         """
         poses, best = self.world_T_object, self.mode()
         return summarise_particles(poses, self.log_weights, best, symmetries, within_m=within_m, within_rad=within_rad)
+
+    def probability_right(self, symmetries: Symmetries, *, within_m: float, within_rad: float) -> float:
+        """The `probability` of one scene's `summary` alone: that the best pose is right, by the belief itself."""
+        poses, weights = (
+            se3.renormalised(self.world_T_object.double().cpu()),
+            self.log_weights.double().cpu().softmax(-1),
+        )
+        at = se3.renormalised(self.mode().double().cpu())
+        return mass_within(poses, weights, at, symmetries.to(torch.float64), within_m, within_rad)
 
     def moved(self, motion: Float[Tensor, "*b 4 4"]) -> Self:
         """The belief after a known world motion: `world_T_object' = motion @ world_T_object`."""

@@ -79,7 +79,7 @@ def _stepped(x, y, yaw, before, after, tool, table, numbers, scales, body, noise
             gy,
             -apart,
             0.0,
-            (centre_x, centre_y, body[3], body[4]),
+            (centre_x, centre_y, body[3], body[4], 0.0, 0.0, 0.0, 0.0, 0.0),
         )
     if not touched:
         return x, y, yaw

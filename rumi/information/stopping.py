@@ -284,6 +284,10 @@ def shortfalls(settings: StopSettings, now: StopEvidence) -> tuple[Shortfall, ..
         return tuple(part for holds, part in parts if not holds)
     if converged(settings, now):
         return ()
+    if settings.rule == "probability":
+        if now.contacts < settings.contacts:
+            return (Shortfall("contacts", now.contacts, settings.contacts),)
+        return (Shortfall("spread", now.p_right, settings.probability),)
     if settings.rule == "apc":
         return (Shortfall("spread", now.apc, settings.apc_ratio * now.diagonal),)
     return (Shortfall("rule", math.nan, math.nan),)

@@ -1,9 +1,8 @@
-"""Pose error: distance between poses of an object up to its symmetries, and a belief's probability of a small one."""
+"""Pose error: distance between poses of an object up to its symmetries."""
 
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.particles import PoseBelief
 from sdf import se3
 from sdf.precision import full_precision
 from sdf.symmetry import Symmetries
@@ -23,17 +22,3 @@ def pose_error(
         symmetries: of the object.
     """
     return se3.distance(estimate, symmetries.nearest(truth, estimate))
-
-
-def probability_right(belief: PoseBelief, symmetries: Symmetries, metres: float, radians: float) -> Float[Tensor, "*b"]:
-    """Probability, by the belief itself, that its mode is within a tolerance of the true pose, modulo symmetries.
-
-    Args:
-        belief: of the pose.
-        symmetries: of the object.
-        metres: tolerance of the origin's place.
-        radians: of the rotation.
-    """
-    poses = belief.world_T_object
-    shift, turn = pose_error(belief.mode()[..., None, :, :].expand(poses.shape), poses, symmetries)
-    return (((shift <= metres) & (turn <= radians)) * belief.weights).sum(-1)

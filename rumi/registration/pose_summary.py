@@ -175,11 +175,20 @@ def summarise_particles(
         modes.append(PoseMode(middle, float(shares[near].sum()), moments(few[near], shares[near], middle, own)))
         left = left & ~near
     at = modes[0].world_T_object
-    there = at.expand(len(poses), 4, 4)
-    metres, radians = se3.distance(own.nearest(poses, there), there)
-    inside = (metres <= within_m) & (radians <= within_rad)
-    probability = min(1.0, float(weights[inside].sum()))
+    probability = mass_within(poses, weights, at, own, within_m, within_rad)
     return PoseSummary(at, moments(poses, weights, at, own), probability, within_m, within_rad, tuple(modes))
+
+
+def mass_within(
+    poses: Float[Tensor, "N 4 4"],
+    weights: Float[Tensor, "N"],
+    at: Float[Tensor, "4 4"],
+    own: Symmetries,
+    within_m: float,
+    within_rad: float,
+) -> float:
+    """Weight of the poses that are, as the nearest that looks the same, within both tolerances of one."""
+    return min(1.0, float(weights[_within(poses, at, own, within_m, within_rad)].sum()))
 
 
 def moments(
@@ -224,11 +233,17 @@ def answer_lines(pose: PoseSummary | None, why_not: str | None, warnings: Sequen
     return found + [f"warning  {warning}" for warning in warnings]
 
 
-def _within(poses: Float[Tensor, "N 4 4"], at: Float[Tensor, "4 4"], own: Symmetries) -> Bool[Tensor, "N"]:
-    """Whether each pose, as the nearest that looks the same, is within 10 mm and 10 degrees of one."""
+def _within(
+    poses: Float[Tensor, "N 4 4"],
+    at: Float[Tensor, "4 4"],
+    own: Symmetries,
+    within_m: float = _NEAR_M,
+    within_rad: float = _NEAR_RAD,
+) -> Bool[Tensor, "N"]:
+    """Whether each pose, as the nearest that looks the same, is within 10 mm and 10 degrees of one, or as asked."""
     there = at.expand(len(poses), 4, 4)
     metres, radians = se3.distance(own.nearest(poses, there), there)
-    return (metres <= _NEAR_M) & (radians <= _NEAR_RAD)
+    return (metres <= within_m) & (radians <= within_rad)
 
 
 def _largest(block: Float[Tensor, "3 3"]) -> float:

@@ -19,7 +19,7 @@ from rumi.clock import Clock
 from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopEvidence, StopSettings, converged
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
-from rumi.metrics.pose_error import pose_error, probability_right
+from rumi.metrics.pose_error import pose_error
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.records import RunResult, StepRecord
 from rumi.robot.tool import Tool
@@ -256,8 +256,9 @@ def evaluate_step(
     touched = bool(result.reading.in_contact.any()) and control is not None
     contacts = (history[-1].contacts if history else 0) + touched
     fit = float(belief.discrepancy.min())
-    tolerance = rummager.position_tolerance_m, rummager.rotation_tolerance_rad
-    p_right = float(probability_right(belief, model.symmetries, *tolerance))
+    p_right = belief.probability_right(
+        model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
+    )
     return StepRecord(
         step=len(history),
         control=control,

@@ -22,6 +22,7 @@ _TAKEN: dict[Motion, str] = {
     "pushed": "taken from the push model",
     "estimated": "estimated from the touches, from sticking contact on",
     "corrected": "taken from the push model and corrected by what is sensed",
+    "trajectory": "each particle's own, by a push model with noise",
 }
 """How a motion comes about that nothing measures."""
 
@@ -73,7 +74,7 @@ def relies_on(rummager: Answerer) -> str:
 def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[str, ...]:
     """What was not measured and can make a belief sure and wrong, from settings and from what came."""
     motion = rummager.filter.settings.motion
-    if rummager.looks_again or _seen_again(history):
+    if rummager.looks_again or motion == "trajectory" or _seen_again(history):
         return ()
     if motion != "measured":
         return (
@@ -102,7 +103,9 @@ def why_not(rummager: Answerer, record: StepRecord, pose: PoseSummary, stopped_b
     if stopped_by == "sure":
         return None
     ended = _ENDED.get(stopped_by, stopped_by)
-    evidence = StopEvidence(record.expected_nll, record.fit, record.apc, rummager.model.diagonal, record.contacts)
+    evidence = StopEvidence(
+        record.expected_nll, record.fit, record.apc, rummager.model.diagonal, record.contacts, pose.probability
+    )
     short = shortfalls(rummager.stop_rule, evidence)
     if not short:
         return ended
@@ -116,6 +119,8 @@ def why_not(rummager: Answerer, record: StepRecord, pose: PoseSummary, stopped_b
         return f"{first.value:.0f} actions touched the object, {first.allowed:.0f} are asked for; {ended}"
     if first.part == "rule":
         return f"the stop rule {rummager.stop_rule.rule!r} does not hold; {ended}"
+    if rummager.stop_rule.rule == "probability":
+        return f"believed right with probability {first.value:.2f}, {first.allowed:.2f} is asked for; {ended}"
     if sum(mode.weight >= _TOLD for mode in pose.modes) > 1:
         return f"{_rivals(rummager, record, pose)}; {ended}"
     return (

@@ -8,8 +8,7 @@ import torch
 import rumi
 from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
-from rumi.information.stopping import StopEvidence, StopSettings, converged
-from rumi.metrics.pose_error import probability_right
+from rumi.information.stopping import StopEvidence, StopSettings, converged, shortfalls
 from rumi.tasks.rummage.build import build
 from sdf import se3
 from sdf.symmetry import Symmetries
@@ -52,13 +51,15 @@ def test_the_probability_of_being_right_is_the_weight_within_the_tolerance():
     poses = se3.from_planar(torch.cat((near, far)))
     belief = PoseBelief.uniform(poses).reweighted(torch.tensor([0.3, 0.2, 0.1, 0.15, 0.25]).log())
     none = Symmetries.none()
-    assert float(probability_right(belief, none, 0.005, 0.17)) == pytest.approx(0.6, abs=1e-6)
-    assert float(probability_right(belief, none, 0.03, 0.17)) == pytest.approx(0.75, abs=1e-6)
+    for metres, expected in ((0.005, 0.6), (0.03, 0.75)):
+        assert belief.probability_right(none, within_m=metres, within_rad=0.17) == pytest.approx(expected, abs=1e-6)
+        assert belief.summary(none, within_m=metres, within_rad=0.17).probability == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_run_stops_where_it_is_probably_right_and_has_touched():
     rule, state = StopSettings(rule="probability"), {"expected_nll": 9.0, "fit": 9.0, "apc": 1.0, "diagonal": 0.1}
     for p, contacts, sure in ((0.96, 1, True), (0.94, 1, False), (0.99, 0, False), (float("nan"), 3, False)):
-        assert converged(rule, StopEvidence(**state, contacts=contacts, p_right=p)) is sure
+        evidence = StopEvidence(**state, contacts=contacts, p_right=p)
+        assert converged(rule, evidence) is sure is not bool(shortfalls(rule, evidence))
     with pytest.raises(UsageError, match="probability"):
         StopSettings(probability=0.0)
