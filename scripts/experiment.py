@@ -57,7 +57,7 @@ class Experiment:
     def main(self, arguments: Sequence[str] | None = None) -> None:
         """Run what is missing and show it, only show it, or carry out another command."""
         own = {"run": self._options("run"), "show": self._options("show")}
-        kinds: dict[str, Callable[..., Any]] = own | {name: kind for name, (kind, _) in self.commands.items()}
+        kinds: dict[str, Callable[..., Any]] = {**own, **{name: kind for name, (kind, _) in self.commands.items()}}
         options = tyro.extras.subcommand_cli_from_dict(kinds, description=self.description, args=arguments)
         for name, (kind, command) in self.commands.items():
             if type(options) is kind and name not in own:
