@@ -6,8 +6,8 @@
 
 Their meshes are made here. With --motions measured a sensor reports exactly how an object moved, with the others none
 does. A run ends found (sure, the pose within the task's tolerance modulo the object's symmetries), unsure (it says so),
-refused (before anything is run, with what to do), wrong (sure, the pose is not) or as a crash. Tune on seeds of 1000 and
-more; seeds 0-2 are for the record.
+refused (before anything is run, with what to do), wrong (sure, the pose is not) or as a crash. Tune on seeds of 1000
+and more; seeds 0-2 are for the record.
 """
 
 import math
