@@ -18,8 +18,8 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.pose_trajectories import PushedObject
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
-from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.push_posterior import push_posterior
+from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
