@@ -152,8 +152,9 @@ def drill() -> Mesh:
     for start, end, radius in own.capsules:
         way = np.subtract(end, start)
         part = trimesh.creation.capsule(np.linalg.norm(way), radius)
+        part.apply_translation(-part.bounds.mean(0))
         part.apply_transform(trimesh.geometry.align_vectors((0.0, 0.0, 1.0), way))
-        part.apply_translation(start)
+        part.apply_translation(0.5 * np.add(start, end))
         parts.append(part)
     return joined(*parts)
 

@@ -55,6 +55,7 @@ from sdf.mesh.mesh import TriangleMesh
 
 DIGESTS = Path(__file__).resolve().parent.parent / "tests" / "golden" / "digests.json"
 _DIGITS = 16  # of a SHA-256
+_WORDS = ("pose", "why_not", "wrong_by")  # of a result, also where there are none
 
 Record = dict[str, Any]
 """`steps`, a pair of digests each, of the action and of the belief after it; `result`, numbers by name."""
@@ -97,7 +98,8 @@ def digest(tensors: Iterable[Tensor]) -> str:
 
 def of_result(result: RunResult) -> Record:
     """The numbers of a result."""
-    return {name: value for name, value in result.as_dict().items() if value is None or isinstance(value, int | float)}
+    numbers = {name: value for name, value in result.as_dict().items() if name not in _WORDS}
+    return {name: value for name, value in numbers.items() if value is None or isinstance(value, int | float)}
 
 
 def of_rummaging(trace: Trace, settings: Settings, steps: int) -> Record:

@@ -3,7 +3,8 @@
     python -m scripts.localize_outliers --poses 40 --outlier 0.05       # Markdown; seeds 1000-1039
     RUMI_DATA=... python -m scripts.localize_outliers --shape drill
 
-A bad touch is 15 mm off in a direction drawn evenly. Right is within 10 mm and 10 degrees, up to symmetries.
+A bad touch is 15 mm off in a direction drawn evenly. Right is within 10 mm, at the middle of the object's box,
+and 10 degrees, up to symmetries.
 """
 
 import math
@@ -18,7 +19,6 @@ import tyro
 from torch import Tensor
 
 from rumi.cli import script
-from rumi.metrics.pose_error import pose_error
 from rumi.registration.from_contacts import LocalizeSettings, localize
 from rumi.registration.touch_surface import TouchSurface
 from rumi.seeding import generator
@@ -85,7 +85,8 @@ def cell(surface: TouchSurface, options: Options, count: int, bad: int, with_nor
             surface, points, normals=normals if with_normals else None, settings=settings, generator=generator(seed)
         )
         seconds.append(time.perf_counter() - began)
-        metres, radians = pose_error(found.world_T_object[0], truth, surface.symmetries)
+        own = surface.symmetries.nearest(truth, found.world_T_object[0])
+        metres, radians = se3.distance(surface.centred(own), surface.centred(found.world_T_object[0]))
         good = float(metres) < 0.01 and float(radians) < math.radians(10.0)
         right += good
         sure += not good and float(found.weights[0]) > 0.95

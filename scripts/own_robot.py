@@ -98,10 +98,9 @@ def robot_for(motion: Motion = "measured") -> Robot:
 def main(folder: Path, *, motion: Motion = "measured", seed: int = 0) -> tuple[RunResult, list[StepRecord], Robot]:
     """Find the mug until sure, and keep the run."""
     robot, steps = robot_for(motion), list[StepRecord]()
-    print(robot.agent.relies_on)
     result = rumi.run(robot, robot.agent, seed=seed, steps=30, folder=folder, on_step=steps.append)
     off_mm = 1e3 * float((steps[-1].belief.mode()[:2, 3] - robot.truth[:2, 3]).norm())
-    print(f"{result.stopped_by} after {result.steps} actions, {off_mm:.1f} mm off", *result.warnings, sep="\n")
+    print(f"{result.stopped_by} after {result.steps} actions, {off_mm:.1f} mm off")
     return result, steps, robot
 
 

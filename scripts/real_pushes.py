@@ -4,10 +4,11 @@ python -m scripts.real_pushes run     # needs RUMI_DATA; again to go on
 python -m scripts.real_pushes show
 
 Priors of a shape are fitted to the other six on both surfaces; "after n" learns from n random pushes of the set, 20
-times, and is scored on all others of it (its regions on every fourth of those).
+times, and is scored on all others of it (its regions on every eighth of those).
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,9 @@ import torch
 from torch import Tensor
 
 from rumi.cli import script
+from rumi.dynamics.along_path import displace_along_path
 from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
 from scripts.bench.real_pushes import (
     SETS,
@@ -28,6 +31,8 @@ from scripts.bench.real_pushes import (
     prior_without,
     push_set,
     scores,
+    wrench_log_likelihood,
+    wrench_twists,
 )
 from scripts.experiment import RESULTS, Experiment, Line
 from scripts.reproduce.cells import table
@@ -43,9 +48,11 @@ FIXED = {
 """Friction and lever ratio by what a table calls them."""
 LEARNT = {"never seen": 0, "after 1": 1, "after 3": 3, "after 10": 10}
 SHIPPED = {"library prior": 0, "library after 10": 10}
-MODELS = (FIT, "stays", *FIXED, "Zhou by 600 wrenches", *SHIPPED, *LEARNT)
-DRAWS, SHOWN = 20, 64
-"""Times that pushes are drawn to learn from; particles that predict."""
+WRENCHES = {"10 pushes": False, "10 pushes and wrenches": True}
+"""Learnt alike by weights alone, with and without 10 measured pairs of wrench and twist of the same set."""
+MODELS = (FIT, "stays", "displacement", *FIXED, "Zhou by 600 wrenches", *SHIPPED, *LEARNT, *WRENCHES)
+DRAWS, PARTICLES, SHOWN = 20, 128, 48
+"""Times that pushes are drawn to learn from; particles that learn; draws of them that predict."""
 SHARES = (0.5, 0.9, 0.95)
 
 
@@ -57,28 +64,53 @@ def measure(model: str, set: str) -> dict[str, Any]:
     rows = torch.arange(len(own.start))
     if model == "stays":
         return _summary([scores(own.start, own.end, own.path)])
+    if model == "displacement":
+        # of this model the outline alone tells: how the object slides plays no part
+        slides = Sliding(torch.zeros(2), torch.ones(()), torch.ones(())).to(own.start)
+        carried = displace_along_path(own.start, own.path, own.body.pusher, own.body.outline, slides)
+        return _summary([scores(carried.track[:, -1], own.end, own.path)])
     if model.startswith("Zhou"):
         return _summary([scores(own.zhou, own.end, own.path)])
+    if model in WRENCHES:
+        return _with_wrenches(set, known=WRENCHES[model])
     if model in FIXED:
         return _summary([scores(predicted(fixed(*FIXED[model]), own, rows).mean(), own.end, own.path)])
     count = (SHIPPED | LEARNT)[model]
-    prior = PushPosterior.prior() if model in SHIPPED else prior_without(set.split()[1], fits())
+    shape = set.split()[1]
+    prior = PushPosterior.prior(PARTICLES) if model in SHIPPED else prior_without(shape, fits(), PARTICLES)
     found, densities, levels, numbers = [], [], [], []
     for draw in range(DRAWS if count else 1):
         generator = split(draw, f"real pushes {set}")
         order = torch.randperm(len(rows), generator=generator)
         learnt, rest = order[:count], order[count:]
         posterior = prior.update(own.observed(learnt), own.body, generator)
-        shown = predicted(drawn(posterior, SHOWN), own, rest)
+        shown = predicted(drawn(posterior, SHOWN) if count else posterior, own, rest)
         end = own.end[rest]
         found.append(scores(shown.mean(), end, own.path[rest]))
         densities.append(float(shown.log_density(end).mean()))
-        some = predicted(drawn(posterior, SHOWN), own, rest[::4])
-        levels.append(some.level(end[::4], generator, draws=200))
+        some = predicted(drawn(posterior, SHOWN), own, rest[::8])
+        levels.append(some.level(end[::8], generator, draws=200))
         numbers.append(posterior.quantiles((0.5,))[0, :2].exp())
     held = {f"held_{share:g}": float((torch.cat(levels) <= share).double().mean()) for share in SHARES}
     middle = torch.stack(numbers).mean(0).tolist()
     return _summary(found) | held | {"log_density": float(np.mean(densities)), "friction_lever": middle}
+
+
+def _with_wrenches(name: str, *, known: bool) -> dict[str, Any]:
+    own, pairs = push_set(name), wrench_twists(name)
+    prior = prior_without(name.split()[1], fits(), 1024)
+    found = []
+    for draw in range(5):
+        generator = split(draw, f"real pushes {name}")
+        order = torch.randperm(len(own.start), generator=generator)
+        learnt, rest = order[:10], order[10:]
+        weighed = prior.log_weights + prior.log_likelihood(own.observed(learnt), own.body)
+        rows = torch.randperm(len(pairs.wrench), generator=generator)[:10]
+        if known:
+            weighed = weighed + 0.3 * wrench_log_likelihood(prior.parameters, rows, pairs, own.body)
+        posterior = replace(prior, log_weights=weighed.log_softmax(-1))
+        found.append(scores(predicted(drawn(posterior, SHOWN), own, rest).mean(), own.end[rest], own.path[rest]))
+    return _summary(found)
 
 
 def fits() -> dict[str, tuple[float, ...]]:
@@ -127,7 +159,7 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
     rows, covered = [], []
     for model in chosen.get("model", MODELS):
         own = [line for line in lines if line["model"] == model]
-        if model == FIT or {line["set"] for line in own} != set(SETS):
+        if model == FIT or len({line["set"] for line in own}) < (12 if model in WRENCHES else len(SETS)):
             continue
         density = f"{over_sets(own, 'log_density'):.2f}" if "log_density" in own[0] else "-"
         cells = [f"{over_sets(own, name):.2f}" for name in ("mm_median", "mm_90", "along_mm", "across_mm")]
@@ -141,7 +173,14 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
     return table(heads, rows) + ("\n" + table(regions, covered) if covered else "")
 
 
-EXPERIMENT = Experiment(__doc__, FILE, {"model": MODELS, "set": SETS}, measure, show)
+EXPERIMENT = Experiment(
+    __doc__,
+    FILE,
+    {"model": MODELS, "set": SETS},
+    measure,
+    show,
+    possible=lambda variant: variant["model"] not in WRENCHES or not variant["set"].endswith("tri2"),
+)
 
 if __name__ == "__main__":
     script(EXPERIMENT.main)

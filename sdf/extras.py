@@ -7,7 +7,7 @@ from typing import Any
 EXTRAS = {
     "sim": "mujoco",
     "robot": "pytorch_kinematics",
-    "plot": "matplotlib PIL contourpy",
+    "plot": "matplotlib mpl_toolkits PIL contourpy",
     "mesh": "trimesh scipy networkx coacd",
     "cluster": "submitit",
     "vision": "cv2",

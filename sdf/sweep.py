@@ -76,14 +76,15 @@ def nearest_on_rectangle(
     """
     clamped = torch.minimum(torch.maximum(points_o, -half), half)
     apart = points_o - clamped
-    size = apart.norm(dim=-1)
+    inside = (apart == 0).all(-1)
+    # the length of nothing has no slope of second order
+    away = torch.where(inside[..., None], torch.ones_like(apart), apart).norm(dim=-1)
     depth = half - points_o.abs()
     towards = torch.where(points_o < 0, -1.0, 1.0).to(points_o)
     side = _one_hot(depth.argmin(-1), points_o) * towards
-    inside = size == 0
     foot = torch.where(inside[..., None], torch.where(side != 0, side * half, points_o), clamped)
-    normal = torch.where(inside[..., None], side, apart / size.clamp_min(torch.finfo(size.dtype).tiny)[..., None])
-    return foot, normal, torch.where(inside, -depth.amin(-1), size)
+    normal = torch.where(inside[..., None], side, apart / away.clamp_min(torch.finfo(away.dtype).tiny)[..., None])
+    return foot, normal, torch.where(inside, -depth.amin(-1), away)
 
 
 def _one_hot(axis: Tensor, like: Tensor) -> Float[Tensor, "*b 2"]:

@@ -13,7 +13,7 @@ from torch import Tensor
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.sliding import Sliding, push, rotated
-from rumi.robot.gripper import GripperShape
+from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled
 from sdf.base import SDF
 
@@ -146,7 +146,7 @@ class PushedObject:
 
     @classmethod
     def of(
-        cls, sdf: SDF, shape: GripperShape, *, height_m: float, resting_m: float, spacing_m: float, pad_spacing_m: float
+        cls, sdf: SDF, shape: ToolShape, *, height_m: float, resting_m: float, spacing_m: float, pad_spacing_m: float
     ) -> Self:
         """For an object and a gripper.
 

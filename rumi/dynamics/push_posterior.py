@@ -17,10 +17,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.dynamics.along_path import Pusher, push_along_path
-from rumi.dynamics.outline import Support
+from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.sliding import Outline, Sliding, rotated
 from rumi.errors import UsageError
 from rumi.resampling import resample_systematic, systematic
+from rumi.robot.tool_shape import ToolShape
+from sdf.base import SDF
 from sdf.check import check_shape
 from sdf.so3 import wrap
 
@@ -58,6 +60,12 @@ class PushedBody(NamedTuple):
     outline: Outline
     support: Support
     pusher: Pusher
+
+    @classmethod
+    def of(cls, sdf: SDF, height_m: float, shape: ToolShape, *, spacing_m: float = 0.005) -> "PushedBody":
+        """Of an object and a gripper, at a height in the object's frame; points of its border so far apart."""
+        outline, support = GridOutline.of_slice(sdf, height_m), support_of(sdf)
+        return cls(outline, support, Pusher(shape.outline(spacing_m).to(support.centre)))
 
 
 class ObservedPush(NamedTuple):
@@ -204,6 +212,8 @@ class PushPosterior:
         if len(mean) != len(PARAMETERS) or len(deviation) != len(PARAMETERS) or not min(deviation) > 0:
             raise ValueError(f"Expected a mean and a deviation above 0 for each of {len(PARAMETERS)} parameters")
         uniform = torch.quasirandom.SobolEngine(len(PARAMETERS), scramble=True, seed=1).draw(count, dtype=torch.float64)
+        # every n-th point of the sequence lies in a part of the space
+        uniform = uniform[torch.randperm(count, generator=torch.Generator().manual_seed(1))]
         normal = math.sqrt(2.0) * torch.erfinv((2.0 * uniform - 1.0).clamp(-1.0 + 1e-9, 1.0 - 1e-9))
         parameters = torch.tensor(mean, dtype=torch.float64) + torch.tensor(deviation, dtype=torch.float64) * normal
         flat = parameters.new_zeros(count).log_softmax(-1)
@@ -225,6 +235,11 @@ class PushPosterior:
         """Particles that stand for equal shares of the posterior (systematic, nothing random)."""
         return self.parameters[systematic(self.log_weights, 0.5, count)]
 
+    def middle(self, support: Support) -> Sliding:
+        """How an object slides by the mean of the particles."""
+        mean = sliding_of((self.log_weights.exp() @ self.parameters)[None], support)
+        return mean.map(lambda part: part[0])
+
     def predict(
         self, start: Float[Tensor, "E 3"], path: Float[Tensor, "#E K1 3"], body: PushedBody, *, substeps: int = 1
     ) -> PushPrediction:
@@ -232,6 +247,10 @@ class PushPosterior:
         check_shape("start", start, "(E, 3)", last=(3,))
         ends, scale, heading = self._ends(self.parameters, start, path, body, substeps)
         return PushPrediction(ends, self.log_weights, scale, heading, body.support, self.residual)
+
+    def log_likelihood(self, pushes: Sequence[ObservedPush], body: PushedBody) -> Float[Tensor, "N"]:
+        """Of some pushes by each particle, to the residual's power."""
+        return self._log_likelihood(self.parameters, pushes, body)
 
     def update(self, pushes: Sequence[ObservedPush], body: PushedBody, generator: torch.Generator) -> "PushPosterior":
         """The posterior after more pushes of the same object, one after the other."""
@@ -365,6 +384,16 @@ class PushPosterior:
 
 
 _FORMAT = "rumi push parameters 1"
+
+
+FIXED, PRIOR = "fixed", "prior"
+
+
+def push_posterior(name: str) -> PushPosterior | None:
+    """The posterior that a setting names: None for "fixed", the prior for "prior", else that of a file."""
+    if name == FIXED:
+        return None
+    return PushPosterior.prior() if name == PRIOR else PushPosterior.load(Path(name))
 
 
 def sliding_of(parameters: Float[Tensor, "N 8"], support: Support) -> Sliding:

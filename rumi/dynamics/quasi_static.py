@@ -1,7 +1,7 @@
 """Quasi-static pushing of single particles: each rollout pushes one pose that the belief holds likely."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -22,6 +22,7 @@ from rumi.dynamics.base import (
     rigid_motions,
 )
 from rumi.dynamics.outline import GridOutline, Support, support_of
+from rumi.dynamics.push_posterior import PushPosterior, push_posterior, sliding_of
 from rumi.dynamics.sliding import Sliding, push
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
@@ -81,6 +82,7 @@ class QuasiStaticRollouts:
         world_T_object: (N, 4, 4), upright poses.
         log_weights: (N), of the poses.
         settings: friction, limit surface and mini steps of a push.
+        posterior: over friction and limit surface, of which each rollout has a draw; None for the settings' own.
     """
 
     def __init__(
@@ -91,6 +93,7 @@ class QuasiStaticRollouts:
         world_T_object: Float[Tensor, "N 4 4"],
         log_weights: Float[Tensor, "N"],
         settings: QuasiStaticSettings | None = None,
+        posterior: PushPosterior | None = None,
     ) -> None:
         self.settings = settings or QuasiStaticSettings()
         self.tool = tool
@@ -104,6 +107,9 @@ class QuasiStaticRollouts:
             self.poses.new_tensor(self.settings.lever_ratio * support.spread),
             self.poses.new_tensor(self.settings.friction),
         )
+        self.support, self.posterior = support, posterior
+        if posterior is not None:
+            self.sliding = posterior.middle(support).to(self.poses)
         # a tool farther than this from an object does not touch it
         self.reach = float(self.points.norm(dim=-1).max()) + self.outline.radius
 
@@ -128,7 +134,13 @@ class QuasiStaticRollouts:
         generator: torch.Generator | None = None,
     ) -> PushRollouts:
         """Roll control sequences out from one configuration (x, y, yaw), once for each of `rollouts` poses."""
-        return self.rollout_poses(configuration, controls, self.representatives(rollouts))
+        return self.rollout_poses(configuration, controls, self.representatives(rollouts), self._drawn(rollouts))
+
+    def _drawn(self, count: int) -> Sliding | None:
+        """How the object slides in each rollout, the same for every control sequence."""
+        if self.posterior is None:
+            return None
+        return sliding_of(self.posterior.draws(count), self.support).to(self.poses)
 
     def nominal_rollout(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) of the likeliest pose."""
@@ -230,19 +242,20 @@ class QuasiStaticPush(PushModel):
 
     Args:
         settings: friction, limit surface and mini steps of a push.
+        posterior: over friction and limit surface, in place of the settings' own.
     """
 
     defaults = PushDefaults(reachability_scale=4.0, rollouts=8)
     objects = "planar"
 
-    def __init__(self, settings: QuasiStaticSettings) -> None:
-        self.settings = settings
+    def __init__(self, settings: QuasiStaticSettings, posterior: PushPosterior | None = None) -> None:
+        self.settings, self.posterior = settings, posterior
         self._shape: tuple[SDF, float, GridOutline, Support] | None = None
 
     @classmethod
     def make(cls, settings: Any) -> Self:  # noqa: ANN401
         """The model that settings describe."""
-        return cls(settings.quasi_static)
+        return cls(settings.quasi_static, push_posterior(settings.push_parameters))
 
     def fits(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> bool:
         """Whether the tool is level and all particles stand upright at one height."""
@@ -263,7 +276,7 @@ class QuasiStaticPush(PushModel):
             ValueError: particles do not stand upright at one height.
         """
         outline, support = self._shape_at(model.sdf, tool.height_m - resting_height(world_T_object))
-        return QuasiStaticRollouts(outline, support, tool, world_T_object, log_weights, self.settings)
+        return QuasiStaticRollouts(outline, support, tool, world_T_object, log_weights, self.settings, self.posterior)
 
     def path(self, scene: Callable[[], Any] | None = None) -> PathPush:
         """Pushes along given paths."""
@@ -272,7 +285,7 @@ class QuasiStaticPush(PushModel):
     def motion(self, model: ObjectModel, shape: ToolShape, height_m: float, resting_m: float) -> PathMotion:
         """Motion along the path of a level tool."""
         own = self.settings
-        return PathMotion.of(
+        motion = PathMotion.of(
             model.sdf,
             height_m - resting_m,
             shape,
@@ -281,6 +294,9 @@ class QuasiStaticPush(PushModel):
             lever_ratio=own.lever_ratio,
             friction=own.friction,
         )
+        if self.posterior is None:
+            return motion
+        return replace(motion, sliding=self.posterior.middle(support_of(model.sdf)))
 
     def _shape_at(self, sdf: SDF, height: float) -> tuple[GridOutline, Support]:
         known = self._shape

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from rumi.dynamics.base import PushModel, RolloutModel, Use
 from rumi.dynamics.displacement import DisplacementPush, DisplacementSettings
+from rumi.dynamics.push_posterior import FIXED
 from rumi.dynamics.quasi_static import QuasiStaticPush, QuasiStaticSettings
 from rumi.errors import UsageError
 from rumi.fields.information import WorkspaceFields
@@ -62,12 +63,16 @@ class PushSettings:
             the simulator's physics (slow: ask for few samples); or a name that an installed package adds. "auto" is
             the quasi-static model where it can be, with upright particles and a level tool, and the displacement model
             elsewhere.
+        push_parameters: how the object slides, for the quasi-static model: "fixed", as its settings say; "prior", where
+            each rollout has its own draw of what real objects do; or a file of what was learnt of the object, as
+            `rumi pushes --out` writes.
         push: settings of the displacement model.
         quasi_static: settings of the quasi-static model.
         engine: settings of the physics.
     """
 
     push_model: str = AUTO
+    push_parameters: str = FIXED
     push: DisplacementSettings = field(default_factory=DisplacementSettings)
     quasi_static: QuasiStaticSettings = field(default_factory=QuasiStaticSettings)
     engine: EngineSettings = field(default_factory=EngineSettings)

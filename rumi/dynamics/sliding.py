@@ -21,6 +21,7 @@ from torch import Tensor
 # friction at the contact would wedge the object, there is no quasi-static motion
 _WEDGED = 0.1
 
+_STICKS = 10.0  # friction beyond which nothing changes
 _ROOTS = 8  # steps of the Illinois method, which finds the force that moves a sticking contact as it is wanted
 
 
@@ -165,7 +166,8 @@ def quartic_twist(
         tangential = ux * across[..., 0] + uy * across[..., 1]
         return torch.stack((vx, vy, turn), -1), normal, aside * normal - tangential * forward
 
-    low, high = -friction, friction.clone()
+    high = friction.clamp_max(_STICKS)
+    low = -high
     least, most = moved(low)[2], moved(high)[2]
     force = torch.where(least <= 0, low, high)
     sticks, side = (least > 0) & (most < 0), torch.zeros_like(low)
@@ -182,7 +184,9 @@ def quartic_twist(
         force = torch.where(sticks, edge, force)
     twist, normal, _ = moved(force)
     straight = moved(torch.zeros_like(low))[1]
-    return (forward / torch.maximum(normal, _WEDGED * straight))[..., None] * twist
+    twist = (forward / torch.maximum(normal, _WEDGED * straight))[..., None] * twist
+    most, size = wanted.norm(dim=-1) / _WEDGED, twist[..., :2].norm(dim=-1)
+    return torch.where(size > most, most / size, torch.ones_like(size))[..., None] * twist
 
 
 def turned_quartic(quartic: Float[Tensor, "*b 5"], angle: Float[Tensor, "*b"]) -> Float[Tensor, "*b 5"]:

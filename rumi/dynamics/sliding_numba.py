@@ -5,6 +5,7 @@ import math
 from sdf.compiled import bare
 
 _WEDGED = 0.1
+_STICKS = 10.0
 _ROOTS = 8
 
 
@@ -86,7 +87,8 @@ def quartic_twist(rx, ry, nx, ny, wx, wy, lever, friction, quartic, cos, sin):
     grown, stretch = math.cosh(size), (math.sinh(size) / size if size > 1e-9 else 1.0)
     surface = (grown + stretch * first, stretch * second, grown - stretch * first, mean + level, slant, mean - level)
     forward, aside = wx * nx + wy * ny, wy * nx - wx * ny
-    low, high, edge = -friction, friction, -friction
+    high = min(friction, _STICKS)
+    low, edge = -high, -high
     _, _, _, normal, tangential = _moved(low, rx, ry, nx, ny, lever, surface)
     least = aside * normal - tangential * forward
     if least > 0.0:
@@ -114,6 +116,9 @@ def quartic_twist(rx, ry, nx, ny, wx, wy, lever, friction, quartic, cos, sin):
     vx, vy, turn, normal, _ = _moved(edge, rx, ry, nx, ny, lever, surface)
     _, _, _, straight, _ = _moved(0.0, rx, ry, nx, ny, lever, surface)
     size = forward / max(normal, _WEDGED * straight)
+    most, gone = math.sqrt(wx * wx + wy * wy) / _WEDGED, math.sqrt(vx * vx + vy * vy) * abs(size)
+    if gone > most:
+        size *= most / gone
     return size * vx, size * vy, size * turn
 
 

@@ -3,14 +3,16 @@
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 
 from rumi.errors import UsageError
 from sdf import se3
+from sdf.extras import optional
 
+_MUJOCO = ("mujoco", "An arm by MJCF")
 Numbers = Sequence[float] | np.ndarray
 
 
@@ -26,6 +28,7 @@ def urdf_of_mjcf(robot: str | Path, tip: str) -> str:
     Raises:
         UsageError: it cannot be read, there is no such tip, or a joint is neither a hinge nor a slide.
     """
+    mujoco = optional(*_MUJOCO)
     inline = str(robot).lstrip().startswith("<")
     try:
         load = mujoco.MjModel.from_xml_string if inline else mujoco.MjModel.from_xml_path
@@ -59,7 +62,8 @@ def urdf_of_mjcf(robot: str | Path, tip: str) -> str:
     return "".join([*parts, '<link name="tip"/>', _fixed("tip_mount", parent, "tip", end), "</robot>"])
 
 
-def _joint(model: mujoco.MjModel, joint: int, name: str, parent: str, place: torch.Tensor) -> str:
+def _joint(model: Any, joint: int, name: str, parent: str, place: torch.Tensor) -> str:  # noqa: ANN401  (of MuJoCo)
+    mujoco = optional(*_MUJOCO)
     kinds = {mujoco.mjtJoint.mjJNT_HINGE: "revolute", mujoco.mjtJoint.mjJNT_SLIDE: "prismatic"}
     kind = kinds.get(mujoco.mjtJoint(int(model.jnt_type[joint])))
     if kind is None:
@@ -79,7 +83,8 @@ def _fixed(name: str, parent: str, child: str, place: torch.Tensor) -> str:
     return f'<joint name="{name}" type="fixed"><parent link="{parent}"/><child link="{child}"/>{_origin(place)}</joint>'
 
 
-def _link(model: mujoco.MjModel, body: int, name: str) -> str:
+def _link(model: Any, body: int, name: str) -> str:  # noqa: ANN401  (of MuJoCo)
+    mujoco = optional(*_MUJOCO)
     shapes = []
     for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
         if not (model.geom_contype[geom] or model.geom_conaffinity[geom]):
@@ -104,6 +109,7 @@ def _link(model: mujoco.MjModel, body: int, name: str) -> str:
 
 
 def _pose(position: Numbers, quaternion_wxyz: Numbers) -> torch.Tensor:
+    mujoco = optional(*_MUJOCO)
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, np.asarray(quaternion_wxyz, dtype=float))
     return se3.make(torch.from_numpy(turn.reshape(3, 3)), torch.from_numpy(np.asarray(position, dtype=float).copy()))

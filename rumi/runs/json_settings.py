@@ -11,6 +11,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
+import numpy as np
+
 from rumi.errors import UsageError
 
 _T = TypeVar("_T")
@@ -87,7 +89,7 @@ def _changed(settings: _T, name: str, value: Any, at: str) -> _T:  # noqa: ANN40
                 raise UsageError(f"Expected {at}{first} to be a dict of its settings or {kind}, got {value!r}")
             new = value
         else:
-            new = _value(hints[field], value.item() if hasattr(value, "item") else value, f"{at}{first}")
+            new = _value(hints[field], value.item() if isinstance(value, np.generic) else value, f"{at}{first}")
         return replace(settings, **{field: new})  # type: ignore[type-var]
     known = setting_names(type(settings))
     groups = [called for _, called, group in _groups(type(settings)) if group and called]
@@ -108,8 +110,8 @@ def _groups(kind: type) -> Iterator[tuple[str, str, type | None]]:
     """Fields of a settings class: name, name as a flag, and the dataclass where it is a group of settings."""
     for name, hint in typing.get_type_hints(kind, include_extras=True).items():
         # a flag may go by another name than the setting, and a group by none
-        given = [extra.name for extra in get_args(hint)[1:] if getattr(extra, "name", None) is not None]
-        inner = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+        inner, *extras = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        given = [extra.name for extra in extras if getattr(extra, "name", None) is not None]
         group = inner if is_dataclass(inner) and isinstance(inner, type) else None
         yield name, given[0] if given else name, group
 

@@ -61,6 +61,8 @@ def scene_in_space(step: StepRecord, geometry: SceneGeometry, ax: "Axes3D", exte
         axis.set_tick_params(labelsize=6, pad=-3)
         axis.set_label_text(f"{name} [m]", fontsize=7)
         axis.labelpad = -8
+    if not ax.get_subplotspec().is_first_col():  # beside the last one there is no room
+        ax.set_zlabel("")
     return ax
 
 

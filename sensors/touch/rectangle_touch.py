@@ -130,14 +130,16 @@ def way_clearance(
     # gaps between shadows: along the edges, and across the way
     low, high = torch.minimum(a, b), torch.maximum(a, b)
     gaps = torch.maximum(low - half, -half - high)
-    along = torch.nn.functional.normalize(b - a, dim=-1)
+    still = (a == b).all(-1, keepdim=True)  # a point, which has no direction
+    along = torch.nn.functional.normalize(torch.where(still, torch.ones_like(a), b - a), dim=-1) * ~still
     across = torch.stack((-along[..., 1], along[..., 0]), -1)
     side = (a * across).sum(-1).abs() - (across.abs() * half).sum(-1)
     apart = torch.maximum(gaps.amax(-1), torch.where(across.abs().sum(-1) > 0, side, -torch.inf))
     corners = half * half.new_tensor([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
     from_a = corners - a[..., None, :]
     way = (b - a)[..., None, :]
-    share = (from_a * way).sum(-1) / way.square().sum(-1).clamp_min(torch.finfo(way.dtype).tiny)
+    length = way.square().sum(-1).clamp_min(torch.finfo(way.dtype).tiny)
+    share = (from_a * way).sum(-1) / torch.where(still, torch.ones_like(length), length)
     to_corner = (from_a - share.clamp(0.0, 1.0)[..., None] * way).norm(dim=-1).amin(-1)
     ends = torch.minimum(*(nearest_on_rectangle(x, half)[2] for x in (a, b)))
     return torch.where(apart > 0, torch.minimum(to_corner, ends), apart)

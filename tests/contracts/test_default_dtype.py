@@ -78,8 +78,9 @@ def test_pixels_that_last() -> None:
 
 
 @pytest.mark.slow
-def test_a_run() -> None:
-    robot, rummager = build(preset("fast", task="mug-0", seed=1000, steps=2))
+@pytest.mark.parametrize("task", ["mug-0", "box-0"])
+def test_a_run(task: str) -> None:
+    robot, rummager = build(preset("fast", task=task, seed=1000, steps=2))
     try:
         assert run(robot, rummager, seed=1000, steps=2).stopped_by == "steps"
     finally:

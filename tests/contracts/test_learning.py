@@ -48,10 +48,6 @@ def alone(of: str, names: list[str]) -> None:
     assert found == {name for name in names if of in PIECES[name].cannot}, done.stderr[-6000:]
 
 
-def test_compiled_in_one_graph() -> None:
-    alone("trace", list(FEW))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("of", ["compile", "export"])
 def test_all_alone(of: str) -> None:

@@ -12,8 +12,11 @@ from rumi import __version__, exit_codes
 from rumi.cache import cache_folder
 from rumi.cli import COMMANDS, main
 from rumi.commands.run import parse
+from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.registry import push_model
 from rumi.errors import DegenerateBeliefError, UsageError
-from rumi.runs.folder import load_run
+from rumi.runs.folder import RunRecorder, load_run
+from rumi.runs.plain import plain
 from rumi.runs.progress import Progress
 from rumi.sim.sensor_settings import degraded
 from rumi.tasks.registry import TASKS
@@ -120,6 +123,7 @@ def test_an_interrupt_leaves_a_readable_run(monkeypatch, capsys):
         (["mug-0"], "rumi.tasks.rummage.build.build"),
         (["handle", "--record"], "rumi.tasks.handle.build.build_handle"),
         (["peg"], "rumi.tasks.peg.entry.build_peg"),
+        (["peg"], "rumi.tasks.peg.simulated.PegTask.reset"),
         (["touch-box"], "rumi.tasks.touch_box.build.build_touch_box"),
     ],
 )
@@ -359,3 +363,21 @@ def test_models_that_push_in_a_plane_refuse_other_tasks(asked, cache):
     """Before any step is made, and in words."""
     with pytest.raises(UsageError, match=f"{asked[1]} {asked[2]} .*{asked[0]}"):
         build(settings_of(*asked), cache_dir=cache)
+
+
+def test_pushes_of_a_run_are_learnt_from(tmp_path, capsys):
+    made = make_up(9, particles=10)
+    with RunRecorder(tmp_path / "run", plain(preset(task="mug-0")), made.geometry) as record:
+        for step in made.steps:
+            record(step)
+    out, figure = tmp_path / "mug.json", tmp_path / "mug.png"
+    assert main(["pushes", str(tmp_path / "run"), "--out", str(out), "--figure", str(figure)]) == exit_codes.DONE
+    assert "5 pushes" in capsys.readouterr().out
+    assert len(PushPosterior.load(out).pushes) == 5 and figure.stat().st_size > 1000
+    assert main(["pushes", str(tmp_path / "run"), "--pushes", str(out)]) == exit_codes.DONE
+    assert preset().planner.push_parameters == "fixed"
+    settings = replace(preset(task="mug-0").planner, push_parameters=str(out))
+    assert len(push_model("quasi-static", "rollouts", settings).posterior.pushes) == 5
+    out.write_text("{}")
+    assert main(["pushes", str(tmp_path / "run"), "--pushes", str(out)]) == exit_codes.BAD_INPUT
+    assert "Expected push parameters" in capsys.readouterr().err

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from rumi.dynamics.base import representatives, rests
 from rumi.dynamics.outline import GridOutline, Support, support_of
+from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.quasi_static import QuasiStaticRollouts, QuasiStaticSettings
 from rumi.dynamics.registry import PushModels, PushSettings
 from rumi.dynamics.sliding import push, rotated
@@ -43,13 +44,14 @@ def make(
     settings: QuasiStaticSettings = COARSE,
     *,
     reaching: bool = False,
+    posterior: PushPosterior | None = None,
 ) -> QuasiStaticRollouts:
     """With a tool that flies freely, or one that must stay within 0.35 m of the origin."""
     radius = torch.arange(141.0)[:, None].expand(141, 61) * 0.01
     reach = Reach(ReachTable((radius - 0.35).clamp_min(0), torch.zeros(141, 61))) if reaching else None
     tool = Tool(FREE, reach, height_m=HEIGHT).to(poses)
     log_weights = torch.zeros(len(poses), dtype=poses.dtype) if weights is None else weights.log()
-    return QuasiStaticRollouts(*shape, tool, se3.from_planar(poses), log_weights.log_softmax(-1), settings)
+    return QuasiStaticRollouts(*shape, tool, se3.from_planar(poses), log_weights.log_softmax(-1), settings, posterior)
 
 
 def scattered(generator: torch.Generator, count: int, dtype: torch.dtype = torch.float64) -> Tensor:
@@ -97,12 +99,13 @@ def test_rollouts_are_single_pushes_in_a_row(shape: tuple[GridOutline, Support],
                 assert float(found.turns[k, m, h + 1]) == pytest.approx(float(now[0, 2] - starts[m, 2]), abs=1e-9)
 
 
-@pytest.mark.parametrize("reaching", [False, True])
+@pytest.mark.parametrize(("reaching", "believed"), [(False, False), (True, False), (False, True)])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_versions_agree(
-    shape: tuple[GridOutline, Support], dtype: torch.dtype, reaching: bool, generator: torch.Generator
+    shape: tuple[GridOutline, Support], dtype: torch.dtype, reaching: bool, believed: bool, generator: torch.Generator
 ) -> None:
-    model = make(shape, scattered(generator, 20, dtype), reaching=reaching)
+    posterior = PushPosterior.prior(8) if believed else None
+    model = make(shape, scattered(generator, 20, dtype), reaching=reaching, posterior=posterior)
     controls = walks(generator, 30, 5, dtype)
     found = model.rollout(START.to(dtype), controls, rollouts=4)
     with backend.force("torch"):
@@ -115,6 +118,18 @@ def test_versions_agree(
     assert torch.equal(found.contact[~off], plain.contact[~off])
     assert torch.equal(found.duplicate_of[~off], plain.duplicate_of[~off])
     assert 0 < found.checked <= plain.checked <= 1
+
+
+def test_each_rollout_has_its_own_draw_of_how_the_object_slides(
+    shape: tuple[GridOutline, Support], generator: torch.Generator
+) -> None:
+    pose, controls = torch.tensor([[0.4, 0.0, 0.3]], dtype=torch.float64), walks(generator, 12, 4)
+    found = make(shape, pose, posterior=PushPosterior.prior(16)).rollout(START, controls, rollouts=4)
+    assert float(found.displacements[found.touched.all(-1)].std(1).amax()) > 1e-3
+    # a posterior without doubt is the settings' own, but for the limit surface
+    sure = PushPosterior(torch.tensor([[math.log(0.5), math.log(1.5), *[0.0] * 6]]).double(), torch.zeros(1).double())
+    one, fixed = (make(shape, pose, posterior=own).rollout(START, controls, rollouts=2) for own in (sure, None))
+    torch.testing.assert_close(one.displacements, fixed.displacements, atol=1e-7, rtol=0)
 
 
 @pytest.mark.parametrize("sizes", [(0, 3, 2), (2, 3, 1)])

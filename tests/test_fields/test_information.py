@@ -375,10 +375,11 @@ def test_module_without_a_graph_is_the_function(mug: SDF, beliefs: Beliefs, poin
     module = InformationField(mug, settings, trainable=True).double()
     with torch.no_grad():
         found = module(poses, log_weights, points)
-    settings = replace(settings, sharpness=module.sharpness.item(), surface_tolerance=module.surface_tolerance.item())
+    names = ("sharpness", "surface_tolerance", "peakiness", "free_scale")
+    settings = replace(settings, **{name: getattr(module, name).item() for name in names})  # as float32 has them
     close(found, information_field(mug, poses, log_weights, points, settings))
     # a number of its own for every point is nothing that one pass can take
-    each = torch.full((80,), 1.5, dtype=torch.float64)
+    each = torch.full((80,), settings.peakiness, dtype=torch.float64)
     plain = information_field(mug, poses, log_weights, points, settings, peakiness=each)
     close(plain, found)
 

@@ -5,13 +5,19 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi.belief.pose_filter import FilterSettings
 from rumi.dynamics.outline import GridOutline, slice_of, support_of
 from rumi.errors import UsageError
+from rumi.fields.workspace import Workspace
 from rumi.robot.gripper import GripperShape
+from rumi.tasks.rummage.own import rummager
 from rumi.tasks.rummage.scenes import SCENES
+from rumi.tasks.rummage.settings import preset
 from rumi.tasks.rummage.tool_height import at_tool_height, lowest_height
 from sdf.grid_sdf import GridSDF
+from sdf.object_model import object_model
 from sdf.primitives import Box
+from sdf.symmetry import Symmetries
 
 MUG, DRILL, BOX, SHELF = (SCENES[name] for name in ("mug-0", "drill-0", "box-0", "shelf-mug"))
 
@@ -61,6 +67,19 @@ def test_a_height_that_is_asked_for():
 def test_heights_that_meet_nothing(spec, half, asked, said):
     with pytest.raises(UsageError, match=said):
         placed(spec, half, asked)
+
+
+def test_an_own_robots_workspace_and_object_meet():
+    def made(height, **settings):
+        bounds = torch.tensor([[0.2, -0.2, height], [0.6, 0.2, height]])
+        slab = object_model("slab", Box((0.06, 0.04, 0.015)), Symmetries.parse("x2,y2"))
+        return rummager(slab, Workspace.from_bounds(bounds, 0.02, planar_height=height), settings=preset(**settings))
+
+    assert made(0.025, filter=FilterSettings(motion="corrected")).tool.height_m == pytest.approx(0.025)
+    with pytest.raises(UsageError, match=r"45 mm above the table, got 120 x 80 x 30 mm: .* another planar_height"):
+        made(0.045)
+    with pytest.raises(UsageError, match="no tool_height_m"):
+        made(0.025, tool_height_m=0.025)
 
 
 def test_walls_that_the_table_has_lost():

@@ -172,11 +172,13 @@ class Rummager:
         start, moved = state.record.reading.configuration, None
         if bool(control.any()):  # a recording may not tell where the tool was to go
             moved = start, self.tool.free_path(start, control[None].clamp(-1.0, 1.0), _PARTS)[-1]
+        # particles that moved each in its own way have no frame in which new points are the same to all
+        apart, points = self.filter.settings.motion == "trajectory", record.added.points
         return remarks(
             record.step,
             record.reading,
             record.belief,
-            record.added,
+            Observation.empty(dtype=points.dtype, device=points.device) if apart else record.added,
             self.model,
             moved=moved,
             upright=self.upright,

@@ -25,7 +25,6 @@ from rumi.fields.workspace import Workspace
 from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
-from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from rumi.runs.scene_geometry import SceneGeometry, make_geometry
 from rumi.sim.settings import SimSettings
@@ -196,7 +195,7 @@ def trajectory_filter(
     """
     pushed = PushedObject.of(
         discrepancy.sdf,
-        gripper_of(tool.shape),
+        tool.shape,
         height_m=height_m,
         resting_m=resting_m,
         spacing_m=QuasiStaticSettings().spacing_m,

@@ -16,6 +16,7 @@ from rumi.tasks.rummage.build import build_rummager, check_pushing
 from rumi.tasks.rummage.objects import ObjectSettings
 from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, preset, to_dict
+from rumi.tasks.rummage.tool_height import check_slice
 from sdf.object_model import ObjectModel
 
 
@@ -83,6 +84,8 @@ def rummager(
         looks_again=looks_again,
     )
     check_pushing(spec, settings)
+    if not spatial:
+        check_slice(model.sdf, model.exact.bounds, low, "the workspace another planar_height")
     step = workspace.spacing
     made = Tool(
         workspace.bounds if spatial else workspace.bounds[:, :2],

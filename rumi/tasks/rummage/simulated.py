@@ -111,7 +111,7 @@ class SimTask:
 
     def _start(self) -> Tensor:
         """Where the object starts, as `World.reset` takes it."""
-        start = torch.tensor(self._scene.start)
+        start = torch.tensor(self._scene.start, dtype=torch.float32)
         if self._scene.start_up != "z" or self._scene.prior is not None:
             return se3.from_planar(start) @ lying(self.model.exact.bounds.float(), self._scene.start_up)
         return start
@@ -297,8 +297,9 @@ class SimTask:
         """Free points where the floor is, fixed in the world (RUMI, V.B)."""
         step = self.spec.field_spacing_m
         low, high = self._region[:, :2]
-        x, y = (torch.arange(float(low[axis]), float(high[axis]) + 0.5 * step, step) for axis in (0, 1))
-        points = torch.stack(torch.meshgrid(x, y, torch.zeros(1), indexing="ij"), -1).reshape(-1, 3)
+        ends = [(float(low[axis]), float(high[axis]) + 0.5 * step) for axis in (0, 1)]
+        x, y = (torch.arange(*pair, step, dtype=torch.float32) for pair in ends)
+        points = torch.stack(torch.meshgrid(x, y, x.new_zeros(1), indexing="ij"), -1).reshape(-1, 3)
         return Observation.of(points, Semantics.FREE, attached=False)
 
     def _region_of_prior(self) -> Float[Tensor, "2 3"]:

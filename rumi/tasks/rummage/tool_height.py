@@ -71,9 +71,9 @@ def at_tool_height(
         UsageError: the object is too low, the tool would scrape the table or moves in space and is given a height, or
             the table of distances has lost what there is at that height.
     """
-    shape, bottom = shape or GripperShape(), float(exact.bounds[0, 2])
+    shape = shape or GripperShape()
     check_height(spec, exact.bounds, shape)
-    lowest, rises = lowest_height(shape), float(exact.bounds[1, 2]) - bottom
+    lowest, rises = lowest_height(shape), float(exact.bounds[1, 2] - exact.bounds[0, 2])
     if spec.heights_m is not None:
         if asked_m is not None:
             raise UsageError(f"Expected no tool_height for {spec.name}, whose tool moves in space, got {asked_m:g} m")
@@ -84,14 +84,35 @@ def at_tool_height(
             f"the height of the object, got {asked_m:g} m"
         )
     height = asked_m or (spec.height_m if rises > spec.height_m else lowest)
-    if slice_of(sdf, height + bottom) is None:
+    check_slice(sdf, exact.bounds, height, "another --tool-height")
+    return spec if height == spec.height_m else replace(spec, height_m=height)
+
+
+def check_slice(sdf: SDF, bounds: Float[Tensor, "2 3"], height_m: float, otherwise: str) -> None:
+    """Refuse a tool that works where its object has no section.
+
+    Args:
+        sdf: of the object as it stands, tabulated.
+        bounds: of the object.
+        height_m: of the tool above the table.
+        otherwise: how to give another height.
+
+    Raises:
+        UsageError: the tool is above the object, or the table of distances has lost what there is at that height.
+    """
+    bottom, top = bounds[:, 2].tolist()
+    if height_m >= top - bottom:
+        raise UsageError(
+            f"Expected an object that reaches up to the middle of the tool, {1e3 * height_m:.0f} mm above the table, "
+            f"got {words(bounds)}: give {otherwise}"
+        )
+    if slice_of(sdf, height_m + bottom) is None:
         spacing = getattr(sdf, "spacing", None)
         table = "the table of distances" if spacing is None else f"a table with a node every {1e3 * spacing:.2g} mm"
         raise UsageError(
-            f"Expected the object to have walls {1e3 * height:.0f} mm above the table, where the tool is, but they "
-            f"are too thin for {table}: give half of the thinnest wall as --spacing, or another --tool-height"
+            f"Expected the object to have walls {1e3 * height_m:.0f} mm above the table, where the tool is, but they "
+            f"are too thin for {table}: give half of the thinnest wall as --spacing, or {otherwise}"
         )
-    return spec if height == spec.height_m else replace(spec, height_m=height)
 
 
 def words(bounds: Float[Tensor, "2 3"]) -> str:

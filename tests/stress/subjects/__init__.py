@@ -4,7 +4,7 @@ from importlib import import_module
 
 import torch
 
-SUBJECTS = ("se3", "beliefs", "distances", "fields", "planning", "entropy", "likelihoods", "touching")
+SUBJECTS = ("se3", "beliefs", "distances", "fields", "planning", "entropy", "likelihoods", "touching", "pushes")
 
 
 def load() -> None:

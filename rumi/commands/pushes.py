@@ -1,0 +1,85 @@
+"""The command `rumi pushes`: how an object slides, learnt from the pushes of a run."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import torch
+import tyro
+
+from rumi.cache import cache_folder
+from rumi.errors import UsageError
+from rumi.exit_codes import DONE
+
+
+@dataclass(frozen=True)
+class PushesOptions:
+    """Learn friction and limit surface of an object from the pushes of a run, whose outcome was measured or seen again.
+
+    Prints what is believed of them before and after, and how far predicted pushes are from the real ones. The file that
+    --out writes is what `rumi run --planner.push-parameters FILE` plans with, and --pushes goes on from.
+
+    Attributes:
+        run: folder of a rummaging run; of a log the one that `rumi replay LOG --out RUN` leaves.
+        pushes: file of what was learnt before; by default the prior, from real objects.
+        out: file for what is believed then.
+        figure: picture for it.
+        seed: of the draws.
+    """
+
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    pushes: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    figure: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
+    seed: int = 0
+
+
+def pushes(arguments: Sequence[str]) -> int:
+    """`rumi pushes`: 0 if something was learnt, 2 for bad input."""
+    options = tyro.cli(PushesOptions, prog="rumi pushes", args=arguments)
+    from rumi.belief.measured_pushes import measured_pushes
+    from rumi.dynamics.push_posterior import PushedBody, PushPosterior
+    from rumi.runs.folder import load_run
+    from rumi.seeding import split
+    from rumi.tasks.registry import entry_of
+    from rumi.tasks.rummage.agent import Rummager
+
+    run = load_run(options.run)
+    before = PushPosterior.prior() if options.pushes is None else PushPosterior.load(options.pushes)
+    entry = entry_of(run)
+    agent = entry.agent(entry.from_dict(run.settings), cache_dir=cache_folder())
+    if not isinstance(agent, Rummager) or agent.tool.spatial:
+        raise UsageError(f"Expected a rummaging run with a level tool, got {run.task}: no other tells of its pushes so")
+    told = all(step.reading.object_motion is not None for step in run.steps[1:])
+    if not told and agent.filter.settings.motion not in ("estimated", "corrected"):
+        raise UsageError("Expected motions that were measured or seen again, got the push model's own")
+    found = measured_pushes([(step.belief, step.reading) for step in run.steps])
+    if not found:
+        raise UsageError(f"Expected a run that touched the object, got none in {len(run.steps) - 1} actions")
+    body = PushedBody.of(agent.model.sdf, agent.tool.height_m - agent.height_m, agent.tool.shape)
+    after = before.update(found, body, split(options.seed, "pushes"))
+    write = sys.stdout.write
+    write(f"{len(found)} pushes; median [5 %, 95 %]\n")
+    for name, own in (("before", before), ("after", after)):
+        friction, lever = own.quantiles((0.5, 0.05, 0.95))[:, :2].exp().T.tolist()
+        ends, starts = torch.stack([push.end for push in found]), torch.stack([push.start for push in found])
+        shown = [own.predict(push.start[None], push.path[None], body) for push in found]
+        off = torch.cat([part.mean() for part in shown]) - ends
+        density = torch.cat([part.log_density(end[None]) for part, end in zip(shown, ends, strict=True)]).mean()
+        write(
+            f"{name}: friction {friction[0]:.2f} [{friction[1]:.2f}, {friction[2]:.2f}], "
+            f"lever {lever[0]:.2f} [{lever[1]:.2f}, {lever[2]:.2f}] of even pressure's; "
+            f"{1e3 * off[:, :2].norm(dim=-1).mean():.1f} mm and {off[:, 2].abs().mean().rad2deg():.1f} degrees off "
+            f"(the object went {1e3 * (ends - starts)[:, :2].norm(dim=-1).mean():.0f} mm), log density {density:.2f}\n"
+        )
+    if options.out is not None:
+        after.save(options.out)
+        write(f"{options.out}\n")
+    if options.figure is not None:
+        from rumi.viz.pushes import push_figure
+
+        push_figure([before, after], ("before", "after"), found, body, options.figure)
+        write(f"{options.figure}\n")
+    return DONE
