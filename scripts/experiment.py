@@ -9,6 +9,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field, make_dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from types import GenericAlias
 from typing import Annotated, Any
 
 import torch
@@ -56,7 +57,7 @@ class Experiment:
     def main(self, arguments: Sequence[str] | None = None) -> None:
         """Run what is missing and show it, only show it, or carry out another command."""
         own = {"run": self._options("run"), "show": self._options("show")}
-        kinds = own | {name: kind for name, (kind, _) in self.commands.items()}
+        kinds: dict[str, Callable[..., Any]] = {**own, **{name: kind for name, (kind, _) in self.commands.items()}}
         options = tyro.extras.subcommand_cli_from_dict(kinds, description=self.description, args=arguments)
         for name, (kind, command) in self.commands.items():
             if type(options) is kind and name not in own:
@@ -139,7 +140,7 @@ class Experiment:
             fields.append((name, Annotated[kind, tyro.conf.arg(help=text)], default))
 
         for axis, values in self.axes.items():
-            kind = tuple[type(values[0]), ...]  # type: ignore[misc]
+            kind: Any = GenericAlias(tuple, (type(values[0]), ...))
             option(_flag(axis), kind, (), f"which; by default {self.usual.get(axis, values)}")
         if self.seeds:
             option("seeds", str | None, None, f"such as 0-9 or 3,5; {self.seeds} to run; tuning starts from 1000")

@@ -4,10 +4,10 @@
     python -m scripts.first_day run --objects can ball --seeds 1000
     python -m scripts.first_day show                            # Markdown
 
-Their meshes are made here. With --motions measured a sensor reports exactly how an object moved, with corrected none
-does. A run ends found (sure, the pose within the task's tolerance modulo the object's symmetries), unsure (it says
-so), refused (before anything is run, with what to do), wrong (sure, the pose is not) or as a crash. Tune on seeds of
-1000 and more; seeds 0-2 are for the record.
+Their meshes are made here. With --motions measured a sensor reports exactly how an object moved, with the others none
+does. A run ends found (sure, the pose within the task's tolerance modulo the object's symmetries), unsure (it says so),
+refused (before anything is run, with what to do), wrong (sure, the pose is not) or as a crash. Tune on seeds of 1000
+and more; seeds 0-2 are for the record.
 """
 
 import math
@@ -36,7 +36,7 @@ from scripts.reproduce.code import code_of
 from sdf.drill import Drill
 
 PART = "first-day"
-MOTIONS = ("measured", "corrected")
+MOTIONS = ("measured", "trajectory", "corrected")
 OUTCOMES = ("found", "unsure", "refused", "wrong", "crash")
 Mesh = Any  # trimesh has no types
 
