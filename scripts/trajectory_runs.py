@@ -27,6 +27,7 @@ from rumi.loop import run
 from rumi.metrics.pose_error import pose_error
 from rumi.records import StepRecord
 from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
 from scripts.store import Store
 from sdf import se3
@@ -77,7 +78,8 @@ def level(belief: PoseBelief, truth: Float[Tensor, "4 4"]) -> float:
 
 def settings_of(options: Options, motion: str, seed: int) -> Settings:
     """Of one run."""
-    settings = preset("default", task=options.task, seed=seed, steps=options.steps)
+    most = min(options.steps, find_task(options.task).steps)
+    settings = preset("default", task=options.task, seed=seed, steps=most)
     values = to_dict(settings)
     for assignment in options.set:
         name, _, number = assignment.partition("=")
@@ -141,9 +143,13 @@ RULES = {
 }
 
 
-def right(step: dict[str, Any]) -> bool:
-    """As a run of the mug is judged."""
-    return step["mm"] <= 5.0 and step["deg"] <= 10.0 and step["nll"] <= 20.0
+def right(step: dict[str, Any], task: str) -> bool:
+    """As a run of the task is judged."""
+    spec = find_task(task)
+    near = (
+        step["mm"] <= 1e3 * spec.position_tolerance_m and step["deg"] <= 180.0 / torch.pi * spec.rotation_tolerance_rad
+    )
+    return bool(near and step["nll"] <= spec.nll_threshold)
 
 
 def tables(lines: Sequence[dict[str, Any]]) -> str:
@@ -166,8 +172,8 @@ def tables(lines: Sequence[dict[str, Any]]) -> str:
                 sure = [k for k, s in enumerate(steps) if s["contacts"] > 0 and holds(s)]
                 stopped = bool(sure) or (name == "as it is" and line["stopped_by"] == "sure")
                 ends.append((sure[0] if sure else len(steps) - 1, stopped, steps))
-            good = sum(right(steps[k]) for k, _, steps in ends)
-            wrong = sum(stopped and not right(steps[k]) for k, stopped, steps in ends)
+            good = sum(right(steps[k], own[0]["part"]) for k, _, steps in ends)
+            wrong = sum(stopped and not right(steps[k], own[0]["part"]) for k, stopped, steps in ends)
             unsure = sum(not stopped for _, stopped, _ in ends)
             off = sorted(steps[k]["mm"] for k, _, steps in ends)
             actions = statistics.median(k for k, _, _ in ends)

@@ -1,5 +1,6 @@
 """Trajectories of an upright object that a level tool pushes: motion prior, likelihood of what was sensed, replay."""
 
+import functools
 import math
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
@@ -475,14 +476,19 @@ def _replay_numba(
     outline = model.outline
     place = (*outline.origin.tolist(), outline.spacing, model.reach_m, outline.radius, model.spread_m)
     numbers = torch.tensor((*place, *model.centre.tolist()), dtype=torch.float64)
-    prior = (*own.friction, *own.lever_ratio, *own.ahead_m, own.centre_m, own.friction_change, own.lever_change)
-    noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)
-    scales = torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64)
-    distance = _STEP_M * (torch.arange(2 * _STEPS + 1, dtype=torch.float64) - _STEPS)
-    priced = torch.stack([log_likelihood_of(distance, torch.tensor(int(kind)), own) for kind in Kind])
     tensors = (first, poses, logs, given.physics, given.noise, history.tool, history.pushes, history.ends)
     points = (history.action, history.points, history.kind, history.weight, history.point_ends)
-    shape = (model.tool, outline.values, numbers, scales, priced)
+    shape = (model.tool, outline.values, numbers, *_tables(own))
     arrays = (part.detach().contiguous().numpy() for part in (*tensors, *points, *shape))
     kernel(*arrays, grid_arguments(model.sdf, torch.float32))
     return poses, logs
+
+
+@functools.cache
+def _tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
+    """Numbers of the motion prior as the kernel takes them, and log-likelihoods of every kind over distances."""
+    prior = (*own.friction, *own.lever_ratio, *own.ahead_m, own.centre_m, own.friction_change, own.lever_change)
+    noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)
+    distance = _STEP_M * (torch.arange(2 * _STEPS + 1, dtype=torch.float64) - _STEPS)
+    priced = torch.stack([log_likelihood_of(distance, torch.tensor(int(kind)), own) for kind in Kind])
+    return torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64), priced

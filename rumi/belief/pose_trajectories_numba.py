@@ -15,15 +15,16 @@ from sdf.part_numba import indices
 def _deepest(x, y, yaw, tool_x, tool_y, tool_yaw, tool, table, numbers):
     """Least distance of the tool's border from the object, the point there, and its place in the object's frame."""
     cos, sin = math.cos(yaw), math.sin(yaw)
-    tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
+    off_x, off_y = tool_x - x, tool_y - y
+    off_x, off_y = cos * off_x + sin * off_y, cos * off_y - sin * off_x
+    cos, sin = math.cos(tool_yaw - yaw), math.sin(tool_yaw - yaw)
     square = numbers[4] * numbers[4]
     least, best, at_x, at_y = math.inf, 0, 0.0, 0.0
     for k in range(len(tool)):
-        dx = tool_x + tool_cos * tool[k, 0] - tool_sin * tool[k, 1] - x
-        dy = tool_y + tool_sin * tool[k, 0] + tool_cos * tool[k, 1] - y
-        if dx * dx + dy * dy > square:  # not within the object, whatever its yaw
+        place_x = off_x + cos * tool[k, 0] - sin * tool[k, 1]
+        place_y = off_y + sin * tool[k, 0] + cos * tool[k, 1]
+        if place_x * place_x + place_y * place_y > square:  # not within the object, whatever its yaw
             continue
-        place_x, place_y = cos * dx + sin * dy, cos * dy - sin * dx
         found = value(place_x, place_y, table, numbers[0], numbers[1], numbers[2])
         if found < least:
             least, best, at_x, at_y = found, k, place_x, place_y

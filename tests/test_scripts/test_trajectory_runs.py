@@ -30,9 +30,27 @@ def step(**changes):
 
 def test_the_tables_tell_right_from_sure_and_wrong():
     lines = [
-        {"motion": "trajectory", "set": [], "stopped_by": "sure", "steps": [step(contacts=0), step(p=0.5), step()]},
-        {"motion": "trajectory", "set": [], "stopped_by": "sure", "steps": [step(contacts=0), step(mm=9.0)]},
-        {"motion": "corrected", "set": [], "stopped_by": "steps", "steps": [step(contacts=0), step(mm=9.0, level=1.0)]},
+        {
+            "part": "mug",
+            "motion": "trajectory",
+            "set": [],
+            "stopped_by": "sure",
+            "steps": [step(contacts=0), step(p=0.5), step()],
+        },
+        {
+            "part": "mug",
+            "motion": "trajectory",
+            "set": [],
+            "stopped_by": "sure",
+            "steps": [step(contacts=0), step(mm=9.0)],
+        },
+        {
+            "part": "mug",
+            "motion": "corrected",
+            "set": [],
+            "stopped_by": "steps",
+            "steps": [step(contacts=0), step(mm=9.0, level=1.0)],
+        },
     ]
     said = tables(lines)
     assert "| trajectory | P(right) >= .95 | 2 | 1 | 1 | 0 | 1.5 |" in said
