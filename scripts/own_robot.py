@@ -1,7 +1,7 @@
 """Your own robot: put it in the place of `Robot`, your object in that of the mug, and run this.
 
     python scripts/own_robot.py                      # finds the mug, keeps the run in runs/own-robot
-    python scripts/own_robot.py --motion corrected   # the same robot without the tracker of the object
+    python scripts/own_robot.py --motion trajectory  # the same robot without the tracker of the object
     rumi plot runs/own-robot
 
 The page scripts/docs/own-robot.md goes through it. It needs no simulator.

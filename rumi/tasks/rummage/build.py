@@ -234,6 +234,8 @@ def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     push_posterior(settings.planner.push_parameters)  # a file that is none is told before anything is done
     if settings.filter.motion == "trajectory":
         _check_trajectory(settings)
+        if spec.prior is not None:
+            raise UsageError("Expected a first view for --filter.motion trajectory to start from, got a prior")
     if _planar(spec):
         return
     upright, name = spec.search == "SE(2)", settings.planner.push_model

@@ -44,9 +44,10 @@ def rummager(
         tool: its shape; by default the gripper of the paper.
         arm: what the arm reaches, such as `rumi.ArmReach.of_urdf` makes it; None for a tool that gets everywhere.
         motion: how the object's motion is known. "measured": every reading must have `object_motion`, and one that
-            lacks it is refused. Otherwise nothing measures it: "corrected" or "pushed" (a push model, for upright
-            objects and a tool in the plane), "estimated" or "sticking". By default that of the settings, or without
-            settings "corrected" in the plane and "estimated" in space.
+            lacks it is refused. Otherwise nothing measures it: "trajectory" (each particle's own), "corrected" or
+            "pushed" (a push model; these three for upright objects and a tool in the plane), "estimated" or
+            "sticking". By default that of the settings, or without settings "trajectory" in the plane, "corrected"
+            where a camera looks again or nothing is seen at first, and "estimated" in space.
         prior: where the object is about, if the robot does not look at it first.
         search: freedom of the object's pose; by default "SE(3)" for a tool that moves in space.
         action_m: metres that a control of 1 asks for; no more than the robot does in one action: its limit of speed
@@ -61,7 +62,8 @@ def rummager(
     """
     spatial = not workspace.planar
     if settings is None:
-        settings, motion = preset("default"), motion or ("estimated" if spatial else "corrected")
+        planar: Motion = "corrected" if looks_again or prior is not None else "trajectory"
+        settings, motion = preset("default"), motion or ("estimated" if spatial else planar)
     _check_followed(settings)
     settings = replace(settings, filter=replace(settings.filter, motion=motion or settings.filter.motion))
     for name, value in (("action_m", action_m), ("action_rad", action_rad)):
@@ -97,24 +99,18 @@ def rummager(
         **({"body_spacing_m": 0.6 * step, "info_spacing_m": 0.5 * step} if spatial else {}),
     )
     if plans:
-        _check_plans(settings, model, made, low)
+        _check_plans(settings, made, low)
     found = build_rummager(spec, settings, model, made, workspace)
     return replace(found, steps=settings.steps, about={**to_dict(settings), "task": OWN})
 
 
-def _check_plans(settings: Settings, model: ObjectModel, tool: Tool, low: float) -> None:
-    """Refuse a tool that would scrape the table or meet nothing, and one that the push model has not."""
+def _check_plans(settings: Settings, tool: Tool, low: float) -> None:
+    """Refuse a tool that would scrape the table, and one that the push model has not."""
     under = low + float(tool.shape.solid(0.01)[:, 2].min())
-    bottom, top = model.exact.bounds[:, 2].tolist()
     if under < 0:
         raise UsageError(
             f"Expected a tool above the table, z = 0, got one that reaches {-under:.3f} m below it with its frame at "
             f"{low:.3f} m: raise the workspace"
-        )
-    if not tool.spatial and low >= top - bottom:
-        raise UsageError(
-            f"Expected a workspace below the top of the object, at {top - bottom:.3f} m, got one at {low:.3f} m, where "
-            "the tool meets nothing"
         )
     if settings.planner.push_model == "mujoco":
         gripper_of(tool.shape)

@@ -10,6 +10,7 @@ from rumi.errors import UsageError
 from rumi.runs.folder import RunRecorder
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.objects import ObjectSettings
+from rumi.tasks.rummage.scenes import PriorSpec
 from sdf.object_model import box_model
 from sdf.primitives import Sphere
 
@@ -37,10 +38,17 @@ def test_what_is_said_is_what_it_has(model):
     assert agent.initialise == settings.initialise and agent.filter.pushed is None
 
 
-@pytest.mark.parametrize(("workspace", "motion"), [(lattice(), "corrected"), (lattice(0.03, 0.2), "estimated")])
-def test_without_a_word_nothing_is_taken_for_measured(workspace, motion, model):
-    agent = rumi.rummager(model, workspace)
-    assert agent.filter.settings.motion == motion and (agent.filter.pushed is not None) == (motion == "corrected")
+@pytest.mark.parametrize(
+    ("workspace", "given", "motion"),
+    [
+        (lattice(), {}, "trajectory"),
+        (lattice(), {"looks_again": True}, "corrected"),
+        (lattice(), {"prior": PriorSpec((0.5, 0.0), 0.02)}, "corrected"),
+        (lattice(0.03, 0.2), {}, "estimated"),
+    ],
+)
+def test_without_a_word_nothing_is_taken_for_measured(workspace, given, motion, model):
+    assert rumi.rummager(model, workspace, **given).filter.settings.motion == motion
 
 
 @pytest.mark.parametrize(
@@ -50,7 +58,8 @@ def test_without_a_word_nothing_is_taken_for_measured(workspace, motion, model):
         ({"settings": rumi.preset("default", simulator=SimSettings(action_scale_m=0.05))}, "action_m"),
         ({"action_m": float("nan")}, "action_m to be a finite number"),
         ({"motion": "corrected", "workspace": lattice(0.03, 0.2)}, "upright objects with a level tool"),
-        ({"workspace": lattice(0.5, 0.5)}, "below the top of the object"),
+        ({"motion": "trajectory", "prior": PriorSpec((0.5, 0.0), 0.02)}, "a first view"),
+        ({"workspace": lattice(0.5, 0.5)}, "up to the middle of the tool"),
         ({"workspace": lattice(0.01, 0.01)}, "0.012 m below"),
         ({"settings": rumi.preset("default", tool_height_m=0.03)}, "workspace has the tool's height"),
         ({"settings": replace(rumi.preset(), planner=replace(rumi.preset().planner, push_model="mujoco"))}, None),
