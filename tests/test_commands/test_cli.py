@@ -183,7 +183,7 @@ def test_bad_input_is_named_without_a_traceback(arguments, message, capsys):
     assert message in said.err
     assert "Traceback" not in said.err
     assert said.out == ""
-    assert not Path("runs").exists()
+    assert not list(Path("runs").glob("*"))
 
 
 def test_no_cuda_is_bad_input(monkeypatch, capsys):
@@ -381,3 +381,5 @@ def test_pushes_of_a_run_are_learnt_from(tmp_path, capsys):
     out.write_text("{}")
     assert main(["pushes", str(tmp_path / "run"), "--pushes", str(out)]) == exit_codes.BAD_INPUT
     assert "Expected push parameters" in capsys.readouterr().err
+    assert run_small("--planner.push-parameters", str(out)) == exit_codes.BAD_INPUT
+    assert not list(Path("runs").glob("*"))

@@ -18,6 +18,7 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.pose_trajectories import PushedObject
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
+from rumi.dynamics.push_posterior import push_posterior
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
@@ -230,6 +231,7 @@ def _planar(spec: TaskSpec) -> bool:
 
 def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
+    push_posterior(settings.planner.push_parameters)  # a file that is none is told before anything is done
     if settings.filter.motion == "trajectory":
         _check_trajectory(settings)
     if _planar(spec):
