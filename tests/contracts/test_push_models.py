@@ -92,7 +92,7 @@ class Case(NamedTuple):
         push = member(name, "path").path(lambda: path_scene(TASK))
         count = len(self.poses)
         sliding = Sliding(torch.zeros(count, 2), torch.full((count,), 0.05), torch.full((count,), 0.4))
-        own = Sliding(*(part.to(self.poses) for part in sliding))
+        own = sliding.to(self.poses)
         fingers = TASK.fingers._replace(points=TASK.fingers.points.to(self.poses))
         outcome = push(self.poses, self.path, fingers, TASK.outline, own)
         assert outcome.track.dtype == outcome.distance.dtype == self.poses.dtype

@@ -22,7 +22,7 @@ from rumi.sim.sensor_settings import degraded
 from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.entry import describe
-from rumi.tasks.rummage.scenes import SCENES
+from rumi.tasks.rummage.scenes import DRAWN, SCENES
 from rumi.tasks.rummage.settings import preset
 from tests.fixtures.made_up_run import make_up
 
@@ -155,7 +155,10 @@ def test_figures_are_drawn_and_drawn_again(capsys):
     ("arguments", "message"),
     [
         (["find"], "There is no command 'find'; the commands are tasks, run, replay"),
-        (["run", "mug-9"], f"There is no task 'mug-9'; there are {', '.join(SCENES)}, touch-box, peg, handle"),
+        (
+            ["run", "mug-9"],
+            f"There is no task 'mug-9'; there are {', '.join([*SCENES, *DRAWN])}, touch-box, peg, handle",
+        ),
         (["run", "mug-0", "--preset", "quick"], "There is no preset 'quick'; the presets are default, fast, paper"),
         (["run", "mug-0", "--preset=quick"], "There is no preset 'quick'"),
         (["run", "peg", "--preset", "fast"], "There is no preset 'fast'; the presets are default, paper"),
@@ -218,7 +221,7 @@ def test_what_goes_wrong_in_a_run_is_named(error, message, monkeypatch, capsys):
 def test_tasks_are_listed(capsys):
     assert main(["tasks"]) == exit_codes.DONE
     listed = capsys.readouterr().out.splitlines()
-    assert [text.split()[0] for text in listed] == [*SCENES, "touch-box", "peg", "handle"] == list(TASKS)
+    assert [text.split()[0] for text in listed] == [*SCENES, *DRAWN, "touch-box", "peg", "handle"] == list(TASKS)
     assert main(["run", "--help"]) == exit_codes.DONE
     assert capsys.readouterr().out.endswith("\n".join(listed) + "\n")
 

@@ -209,7 +209,7 @@ def test_an_outline_is_solid_where_the_slice_is(generator: torch.Generator) -> N
 
 
 def test_no_outline_where_there_is_no_object() -> None:
-    with pytest.raises(ValueError, match="reach the height"):
+    with pytest.raises(ValueError, match="got nothing there"):
         GridOutline.of_slice(Box((0.03, 0.05, 0.04)), 0.2)
 
 

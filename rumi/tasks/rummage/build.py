@@ -234,7 +234,7 @@ def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     push_posterior(settings.planner.push_parameters)  # a file that is none is told before anything is done
     if settings.filter.motion == "trajectory":
         _check_trajectory(settings)
-        if spec.prior is not None:
+        if _planar(spec) and spec.prior is not None:
             raise UsageError("Expected a first view for --filter.motion trajectory to start from, got a prior")
     if _planar(spec):
         return
