@@ -27,7 +27,7 @@ from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.rummage.answer import relies_on, warnings, why_not
 from sdf.object_model import ObjectModel
-from sensors.observation import Observation, merge
+from sensors.observation import Observation, attach, merge
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 
@@ -172,13 +172,17 @@ class Rummager:
         start, moved = state.record.reading.configuration, None
         if bool(control.any()):  # a recording may not tell where the tool was to go
             moved = start, self.tool.free_path(start, control[None].clamp(-1.0, 1.0), _PARTS)[-1]
-        # particles that moved each in its own way have no frame in which new points are the same to all
-        apart, points = self.filter.settings.motion == "trajectory", record.added.points
+        added = record.added
+        if self.filter.settings.motion == "trajectory":
+            # particles that moved each in its own way share no frame but the present one: what was sensed just now
+            sensed, instant = record.reading.observation, record.reading.instant
+            now = sensed[instant == record.reading.tool_pose.shape[-3] - 1]
+            added = attach(now, torch.zeros_like(now.semantics), record.belief.world_T_attached[None])
         return remarks(
             record.step,
             record.reading,
             record.belief,
-            Observation.empty(dtype=points.dtype, device=points.device) if apart else record.added,
+            added,
             self.model,
             moved=moved,
             upright=self.upright,
