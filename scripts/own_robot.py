@@ -7,14 +7,14 @@
 The page scripts/docs/own-robot.md goes through it. It needs no simulator.
 """
 
-import argparse
 from pathlib import Path
 
 import torch
+import tyro
 from torch import Tensor
 
 import rumi
-from rumi.belief.motion import MOTIONS, Motion
+from rumi.belief.motion import Motion
 from rumi.cli import script
 from rumi.records import RunResult, StepRecord
 from rumi.robot.gripper import GripperShape
@@ -95,10 +95,18 @@ def robot_for(motion: Motion = "measured") -> Robot:
     return Robot(agent, se3.from_planar(torch.tensor([0.56, 0.03, 0.7]), float(-model.exact.bounds[0, 2])))
 
 
-def main(folder: Path, *, motion: Motion = "measured", seed: int = 0) -> tuple[RunResult, list[StepRecord], Robot]:
-    """Find the mug until sure, and keep the run."""
+def main(
+    out: Path = Path("runs/own-robot"), *, motion: Motion = "measured", seed: int = 0
+) -> tuple[RunResult, list[StepRecord], Robot]:
+    """Find the mug until sure, and keep the run.
+
+    Args:
+        out: folder of the run.
+        motion: how the object's motion is known.
+        seed: of all randomness.
+    """
     robot, steps = robot_for(motion), list[StepRecord]()
-    result = rumi.run(robot, robot.agent, seed=seed, steps=30, folder=folder, on_step=steps.append)
+    result = rumi.run(robot, robot.agent, seed=seed, steps=30, folder=out, on_step=steps.append)
     off_mm = 1e3 * float((steps[-1].belief.mode()[:2, 3] - robot.truth[:2, 3]).norm())
     print(f"{result.stopped_by} after {result.steps} actions, {off_mm:.1f} mm off")
     return result, steps, robot
@@ -106,12 +114,7 @@ def main(folder: Path, *, motion: Motion = "measured", seed: int = 0) -> tuple[R
 
 def command() -> None:
     """Run with the made-up robot."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("runs/own-robot"), help="folder of the run")
-    parser.add_argument("--motion", choices=MOTIONS, default="measured", help="how the object's motion is known")
-    parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
-    main(asked.out, motion=asked.motion, seed=asked.seed)
+    tyro.cli(main, description=__doc__)
 
 
 if __name__ == "__main__":
