@@ -110,7 +110,10 @@ def unexplained(belief: PoseBelief, added: Observation, sdf: SDF) -> tuple[float
         of the particle that explains most: how far the middle one of the surface points is from its surface, and how
         deep a free point is inside; 0 without such points.
     """
-    best = belief.discrepancy.topk(min(_BEST, len(belief.discrepancy)), largest=False).indices
+    cost = belief.discrepancy
+    # trajectories count by their likelihoods, and their costs are all 0: none is known to be best, so all are asked
+    count = len(cost) if bool((cost == cost[0]).all()) else min(_BEST, len(cost))
+    best = cost.topk(count, largest=False).indices
     object_T_attached = se3.inverse(belief.attached_T_object[best])
     rides = added.valid & added.attached
     pairs = []

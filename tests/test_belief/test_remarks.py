@@ -117,3 +117,15 @@ def test_one_particle_that_explains_is_enough():
     poses = torch.cat((told.attached_T_object, raised))
     told = PoseBelief(told.world_T_attached, poses, torch.zeros(4).log_softmax(-1), torch.zeros(4))
     assert found(told=told, added=points(Semantics.FREE, (0.4, 0.0, 0.05))) == []
+
+
+@pytest.mark.parametrize("which", range(8))
+def test_where_no_particle_is_known_to_be_best_any_may_explain(which):
+    shifts = torch.tensor([[0.2 * i, 0.0, HIGH] for i in range(8)])
+    poses = se3.make(torch.eye(3), shifts)
+    wide = PoseBelief(se3.identity(), poses, torch.zeros(8).log_softmax(-1), torch.zeros(8))
+    side = float(shifts[which, 0]) - 0.03
+    added = points(Semantics.SURFACE, (side, 0.0, 0.1), (side, 0.01, 0.1))
+    assert found(told=wide, added=added) == []
+    ranked = replace(wide, discrepancy=(torch.arange(8) == which).float())  # it is known to be the worst
+    assert found(told=ranked, added=added) == ["elsewhere"]
