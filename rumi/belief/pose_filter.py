@@ -12,8 +12,8 @@ from torch import Tensor, nn
 
 from rumi.belief.motion import MOTIONS, Motion, Predictor, object_motion
 from rumi.belief.particles import PoseBelief
-from rumi.belief.pose_trajectories import PoseTrajectorySettings
 from rumi.belief.prior import PosePrior
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.errors import DegenerateBeliefError
 from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
 from rumi.resampling import resample_systematic

@@ -13,7 +13,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import OWN, History, PoseTrajectorySettings, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import OWN, History, PushedObject, Trajectories
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from sdf.so3 import wrap
 
 _KERNEL = (0.0015, 0.0015, math.radians(2.0))  # deviations about the starts that the view leaves open

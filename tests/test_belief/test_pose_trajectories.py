@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.belief import pose_trajectories
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import (
@@ -15,7 +14,6 @@ from rumi.belief.pose_trajectories import (
     PHYSICS,
     History,
     Kind,
-    PoseTrajectorySettings,
     PushedObject,
     Segment,
     Trajectories,
@@ -24,6 +22,7 @@ from rumi.belief.pose_trajectories import (
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.segments import cut, felt_pads, standing
 from rumi.belief.trajectory_moves import Moves
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.robot.gripper import GripperShape
@@ -303,4 +302,4 @@ def test_free_cells_count_once(block, model):
 @pytest.mark.parametrize("change", [{"particles": 0}, {"along": -1.0}, {"friction": (0.0, 1.0)}, {"outliers": 0.7}])
 def test_settings_without_meaning_are_refused(change):
     with pytest.raises(ValueError, match="Expected"):
-        replace(pose_trajectories.PoseTrajectorySettings(), **change)
+        replace(PoseTrajectorySettings(), **change)

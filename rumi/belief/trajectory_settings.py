@@ -1,0 +1,95 @@
+"""Settings of trajectories of a pushed object: priors of its motion, noise of the sensors, effort of the filter."""
+
+import math
+from dataclasses import dataclass, fields
+
+
+@dataclass(frozen=True)
+class PoseTrajectorySettings:
+    """Priors of a pushed object's motion, noise of the sensors, and effort of the filter; metres and radians.
+
+    Friction and lever of a particle are log-normal, and change a little from segment to segment. After each instant
+    the pose is off by noise in proportion to the step, the same throughout a segment: the model's errors last.
+
+    Attributes:
+        particles: N.
+        branches: motions drawn for each particle when a segment comes in.
+        instants: of contact that make a segment.
+        lag: pushed segments, from the last on, whose noise is still moved by itself.
+        memory: segments beyond which the older half is forgotten: the particles then stand for it as they are, and
+            neither start poses nor physics move any more.
+        rounds: of Metropolis moves at every stage of tempering.
+        friction: median and log-deviation of the coefficient between tool and object.
+        lever_ratio: median and log-deviation of c of the limit surface over the mean distance of the base from below
+            the centre of mass.
+        ahead_m: mean and deviation of how far the pressure's centre is ahead, in the direction of the push.
+        centre_m: deviation of the centre of friction from below the centre of mass, along x and along y.
+        friction_change, lever_change: log-deviation from segment to segment.
+        along, across: deviations of a step along itself and across it, as shares of its length.
+        turn_rad_per_m: deviation of its turn.
+        m_per_rad: length that a radian of a step counts as.
+        tails: h of Tukey's g-and-h distribution of this noise.
+        shared: part of its variance that a whole action has in common.
+        seen_sd_m: deviation of what a camera sees.
+        seen_points: independent points that all seen surface points of a view are worth.
+        free_m, free_sd_m, free_weight: depth allowed to a free point, deviation beyond, and what a cell of
+            `free_cell_m` is worth; all of them in a view no more than `seen_points`.
+        free_cell_m: lattice that keeps one free point a cell.
+        felt_m, felt_sd_m, felt_weight: mean distance of felt points from the surface, its deviation, and what those of
+            an instant are worth.
+        pad_m, pad_slope_m, pad_weight, pad_spacing_m: distance within which a pad's point feels the surface, width of
+            that border, what a point is worth, and the points' spacing.
+        outliers: share of readings that mean nothing.
+        most: points that are kept of a view, the free ones of it, and of a segment's felt points and pads.
+    """
+
+    particles: int = 150
+    branches: int = 6
+    instants: int = 5
+    lag: int = 10
+    memory: int = 80
+    rounds: int = 2
+    friction: tuple[float, float] = (0.5, 0.35)
+    lever_ratio: tuple[float, float] = (1.3, 0.15)
+    ahead_m: tuple[float, float] = (0.004, 0.005)
+    centre_m: float = 0.004
+    friction_change: float = 0.2
+    lever_change: float = 0.1
+    along: float = 0.15
+    across: float = 0.35
+    turn_rad_per_m: float = 3.0
+    m_per_rad: float = 0.02
+    tails: float = 0.15
+    shared: float = 0.5
+    seen_sd_m: float = 0.0015
+    seen_points: float = 25.0
+    free_m: float = 0.001
+    free_sd_m: float = 0.0015
+    free_weight: float = 0.15
+    free_cell_m: float = 0.005
+    felt_m: float = 0.0015
+    felt_sd_m: float = 0.002
+    felt_weight: float = 0.5
+    pad_m: float = 0.003
+    pad_slope_m: float = 0.0007
+    pad_weight: float = 0.03
+    pad_spacing_m: float = 0.0025
+    outliers: float = 0.02
+    most: tuple[int, int, int, int] = (500, 250, 60, 120)
+
+    def __post_init__(self) -> None:
+        """Refuse what has no meaning."""
+        for part in fields(self):
+            value = getattr(self, part.name)
+            for number in value if isinstance(value, tuple) else (value,):
+                if not 0 <= number < math.inf:
+                    raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")
+        whole = ("particles", "branches", "instants", "lag", "memory", "rounds")
+        positive = ("seen_sd_m", "free_sd_m", "felt_sd_m", "pad_slope_m", "pad_spacing_m", "free_cell_m")
+        for name in (*whole, *positive):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
+        if min(self.most) < 1 or self.friction[0] == 0 or self.lever_ratio[0] == 0:
+            raise ValueError("Expected most, and the medians of friction and lever_ratio, to be above 0")
+        if self.shared > 1 or not 0 < self.outliers < 0.5:
+            raise ValueError(f"Expected shared in [0, 1] and outliers in (0, 0.5), got {self.shared}, {self.outliers}")
