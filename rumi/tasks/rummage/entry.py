@@ -64,6 +64,10 @@ class RummageTask:
                 "got points"
             )
         _ = settings.torch_device
+        if settings.fault:
+            from rumi.tasks.rummage.build import faults_of
+
+            faults_of(self.spec, settings)
         if settings.object.mesh is None:
             return ()
         return (f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)",)
@@ -111,7 +115,7 @@ class RummageTask:
     def role(self, name: str) -> Role:
         """What a setting is to a replay."""
         first = name.partition(".")[0]
-        if first in ("task", "simulator", "tool_height_m"):
+        if first in ("task", "simulator", "tool_height_m", "fault"):
             return "sensed"
         idle = ("method", "preset", "replan_every", "plan_budget_s", "planner", "slide", "gpvr")
         return "idle" if first in idle else "counted"

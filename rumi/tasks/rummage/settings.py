@@ -52,6 +52,8 @@ class Settings:
         stop: when the belief is sure enough.
         simulator: how the simulator steps and what its sensors report.
         object: the object to find, where that is not the task's own.
+        fault: what goes wrong in simulation, KIND[:SIZE][@STEP], once for each: the kinds are rows of
+            `rumi.sim.faults.FAULTS`, SIZE in their units, STEP the action from which on it holds.
     """
 
     task: Annotated[str, tyro.conf.Suppress] = "mug-0"
@@ -73,6 +75,7 @@ class Settings:
     stop: StopSettings = field(default_factory=StopSettings)
     simulator: SimSettings = field(default_factory=SimSettings)
     object: Annotated[ObjectSettings, tyro.conf.arg(name="")] = field(default_factory=ObjectSettings)
+    fault: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KIND[:SIZE][@STEP]")] = ()
 
     def __post_init__(self) -> None:
         for name, valid in (("method", tuple(POLICIES)), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
