@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sdf import numbers, se3, so3
 from sdf.base import SDF
+from sdf.containers import container
 from sdf.posed import posed_query
 from sensors.contact_reading import ContactReading
 from sensors.reading import Reading
@@ -54,6 +55,7 @@ class SignalSettings:
             raise ValueError(f"Expected spacing_m of 0.001 to 1, got {self.spacing_m}")
 
 
+@container()
 @dataclass(frozen=True)
 class ContactPointEvidence:
     """Likelihood of contact points with normals, against a signed distance function: an `Evidence`.
@@ -150,6 +152,7 @@ class ContactPointModel:
         )
 
 
+@container()
 @dataclass(frozen=True)
 class ContactSignalEvidence:
     """Likelihood of contact signals, each of some point of the gripper's surface, nobody knows which: an `Evidence`.
