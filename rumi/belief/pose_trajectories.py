@@ -450,7 +450,7 @@ def _arrays(tensors: tuple[Tensor, ...]) -> tuple[np.ndarray, ...]:
 
 @functools.cache
 def _tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
-    """Numbers of the motion prior as the kernel takes them, and every kind's log-likelihoods over distances, float32."""
+    """The motion prior's numbers as the kernel takes them, and log-likelihoods of each kind over distances, float32."""
     prior = (*own.friction, *own.lever_ratio, *own.ahead_m, own.centre_m, own.friction_change, own.lever_change)
     noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)
     distance = _STEP_M * (torch.arange(2 * _STEPS + 1, dtype=torch.float64) - _STEPS)
