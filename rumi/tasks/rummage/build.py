@@ -147,6 +147,7 @@ def build_rummager(
         initialise=settings.initialise,
         renewal=settings.renewal,
         stop_rule=stop,
+        misfit=settings.misfit,
         height_m=standing,
         replan_every=settings.replan_every,
         budget_s=settings.plan_budget_s,
