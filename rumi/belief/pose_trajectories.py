@@ -45,6 +45,7 @@ class PushedObject:
         spread_m: mean distance of what rests on the floor from there.
         tool: (n, 2), points of the tool's border, tool frame.
         pads: (m, 3), points of its pads, tool frame.
+        height_m: of the tool above the floor.
     """
 
     sdf: SDF
@@ -54,6 +55,7 @@ class PushedObject:
     spread_m: float
     tool: Float[Tensor, "n 2"]
     pads: Float[Tensor, "m 3"]
+    height_m: float
 
     @classmethod
     def of(
@@ -72,7 +74,7 @@ class PushedObject:
         support, like = support_of(sdf), torch.zeros((), dtype=torch.float64)
         outline = GridOutline.of_slice(sdf, height_m - resting_m).to(like)
         tool, pads = shape.outline(spacing_m).to(like), shape.pad_shell(pad_spacing_m).to(like)
-        return cls(sdf, resting_m, outline, support.centre.to(like), support.spread, tool, pads)
+        return cls(sdf, resting_m, outline, support.centre.to(like), support.spread, tool, pads, height_m)
 
     @functools.cached_property
     def reach_m(self) -> float:
@@ -93,7 +95,7 @@ class PushedObject:
             groups.append((*centre.tolist(), far, first, first + len(some)))
         outline = self.outline
         place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)
-        numbers = self.tool.new_tensor((*place, *self.centre.tolist()))
+        numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m))
         return _arrays((self.tool, self.tool.new_tensor(groups), outline.values, numbers))
 
 
@@ -404,7 +406,7 @@ def _stepped(
     start, many = pose[near], len(near)
     way = after[:2] - before[:2]
     direction = way / way.norm().clamp_min(1e-12)
-    ahead = own.ahead_m[0] + own.ahead_m[1] * body.centre[near, 2]
+    ahead = model.height_m * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
     centre = model.centre + own.centre_m * body.centre[near, :2]
     centre = centre + ahead[:, None] * rotated(direction.expand(many, 2), -start[:, 2])
     sliding = Sliding(centre, body.lever[near], body.friction[near])
@@ -450,8 +452,8 @@ def _arrays(tensors: tuple[Tensor, ...]) -> tuple[np.ndarray, ...]:
 
 @functools.cache
 def _tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
-    """Numbers of the motion prior as the kernel takes them, and every kind's log-likelihoods over distances, float32."""
-    prior = (*own.friction, *own.lever_ratio, *own.ahead_m, own.centre_m, own.friction_change, own.lever_change)
+    """Numbers of the motion prior as the kernel takes them, and all kinds' log-likelihoods over distances, float32."""
+    prior = (*own.friction, *own.lever_ratio, *own.ahead, own.centre_m, own.friction_change, own.lever_change)
     noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)
     distance = _STEP_M * (torch.arange(2 * _STEPS + 1, dtype=torch.float64) - _STEPS)
     priced = torch.stack([log_likelihood_of(distance, torch.tensor(int(kind)), own) for kind in Kind])

@@ -129,7 +129,7 @@ def _one(n, particles, done, sensed, shape, scales, logs, flat, lattice):
     numbers = shape[3]
     begin, total = first[n], 0.0
     x, y, yaw = poses[n, begin, 0], poses[n, begin, 1], poses[n, begin, 2]
-    ahead = scales[4] + scales[5] * physics[n, 4]
+    ahead = numbers[8] * (scales[4] + scales[5] * physics[n, 4])
     centre_x, centre_y = numbers[6] + scales[6] * physics[n, 2], numbers[7] + scales[6] * physics[n, 3]
     own, together = math.sqrt(1.0 - scales[14]), math.sqrt(scales[14])
     inverse = np.float32(1.0 / scales[15])
