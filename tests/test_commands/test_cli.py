@@ -22,8 +22,9 @@ from rumi.runs.progress import Progress
 from rumi.sim.sensor_settings import degraded
 from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.entry import describe
-from rumi.tasks.rummage.scenes import DRAWN, SCENES
+from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
 from tests.fixtures.made_up_run import make_up
 
@@ -171,7 +172,7 @@ def test_figures_are_drawn_and_drawn_again(capsys):
         (["run", "mug-0", "--method", "poke"], "There is no method 'poke'; there are"),
         (["run", "mug-0", "--seed", "x"], "--seed"),
         (["run", "mug-0", "--seed", "-1"], "Expected seed to be 0 or more, got -1"),
-        (["run", "mug-0", "--initialise.particles", "0"], "Expected at least one particle, got 0"),
+        (["run", "mug-0", "--initialise.particles", "0"], "Expected particles to be 1 or more, got 0"),
         (["run", "mug-0", "--planner.mppi.samples", "0"], "samples"),
         (["run", "mug-0", "--out", "file/run"], "Cannot write to the folder file"),
         (["run", "touch-box", "--out", "file"], "Cannot write to the folder file"),
