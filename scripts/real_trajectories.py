@@ -20,8 +20,9 @@ import torch
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, History, Kind, PushedObject, Segment, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.cli import script
 from rumi.dynamics.push_posterior import PushPosterior

@@ -16,17 +16,9 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings, PoseFilter
-from rumi.belief.pose_trajectories import (
-    NOISE,
-    OWN,
-    PHYSICS,
-    History,
-    PoseTrajectoryBelief,
-    PushedObject,
-    Segment,
-    Trajectories,
-)
+from rumi.belief.pose_trajectories import NOISE, OWN, PHYSICS, PoseTrajectoryBelief, PushedObject, Trajectories
 from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
+from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_moves import Moves, start_density
 from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.sliding import Sliding

@@ -30,7 +30,8 @@ class PoseTrajectorySettings:
         along, across: deviations of a step along itself and across it, as shares of its length.
         turn_rad_per_m: deviation of its turn.
         m_per_rad: length that a radian of a step counts as.
-        tails: h of Tukey's g-and-h distribution of this noise.
+        tails: h of the size of an action's noise, exp(h z^2 / 2) of a standard normal z: once in a while all of it is
+            large.
         shared: part of its variance that a whole action has in common.
         seen_sd_m: deviation of what a camera sees.
         seen_points: independent points that all seen surface points of a view are worth.
@@ -57,11 +58,11 @@ class PoseTrajectorySettings:
     centre_m: float = 0.001
     friction_change: float = 0.1
     lever_change: float = 0.05
-    along: float = 0.055
-    across: float = 0.05
-    turn_rad_per_m: float = 1.1
+    along: float = 0.05
+    across: float = 0.045
+    turn_rad_per_m: float = 1.0
     m_per_rad: float = 0.02
-    tails: float = 0.25
+    tails: float = 0.5
     shared: float = 0.5
     seen_sd_m: float = 0.0015
     seen_points: float = 25.0

@@ -71,9 +71,11 @@ def checked(
     shape = (count + 1, count + 1, 4, 4)
     place, turn = pose_error(every[:, None].expand(shape), every[None].expand(shape), own)
     both = torch.hypot(place / _M, turn / _RAD)
-    levels = [_level(part, weights) for part in (place, turn, both)]
+    of_place, of_turn, of_both = (_level(part, weights) for part in (place, turn, both))
     right = float(metres) <= within_m and float(radians) <= within_rad
-    return CheckedBelief(p_right, right, *levels, _ranks(poses, weights, own.nearest(truth.expand_as(poses), poses)))
+    return CheckedBelief(
+        p_right, right, of_place, of_turn, of_both, _ranks(poses, weights, own.nearest(truth.expand_as(poses), poses))
+    )
 
 
 def covered(levels: Sequence[float], share: float) -> float:
@@ -84,7 +86,7 @@ def covered(levels: Sequence[float], share: float) -> float:
 class ReliabilityBin(NamedTuple):
     """Beliefs of like P(right): how many, their mean P(right), and the share that is right."""
 
-    count: int
+    beliefs: int
     p_right: float
     right: float
 
@@ -103,7 +105,7 @@ def reliability(p_right: Sequence[float], right: Sequence[bool], bins: int = 10)
 def calibration_error(p_right: Sequence[float], right: Sequence[bool], bins: int = 10) -> float:
     """Expected calibration error: mean difference between P(right) and the share that is right, over bins."""
     found = reliability(p_right, right, bins)
-    return sum(own.count * abs(own.p_right - own.right) for own in found) / max(1, len(p_right))
+    return sum(own.beliefs * abs(own.p_right - own.right) for own in found) / max(1, len(p_right))
 
 
 def chance_error(p_right: Sequence[float], bins: int = 10, draws: int = 200) -> float:

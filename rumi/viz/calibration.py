@@ -34,7 +34,7 @@ def calibration_figure(
         left.set(xlabel="region", ylabel="holds the truth", title="regions")
         left.legend(loc="upper left")
         bins = reliability(p_right, right)
-        size = [12.0 + 80.0 * own.count / max(1, len(p_right)) for own in bins]
+        size = [12.0 + 80.0 * own.beliefs / max(1, len(p_right)) for own in bins]
         middle.scatter([own.p_right for own in bins], [own.right for own in bins], s=size, color=style.SURFACE, lw=0)
         middle.set(xlabel="P(right)", ylabel="right", title="reliability")
         for axes in (left, middle):

@@ -392,7 +392,7 @@ def test_pushes_of_a_run_are_learnt_from(tmp_path, capsys):
 
 @pytest.mark.sim
 def test_beliefs_are_held_against_the_truth(capsys):
-    asked = ["calibrate", "mug", "--seed", "1000", "--steps", "1", "--no-simulator.measures-motion", *SMALL]
+    asked = ["calibrate", "mug", "--seed", "1000", "--steps", "1", "--simulator.no-measures-motion", *SMALL]
     asked += ["--filter.motion", "trajectory", "--filter.trajectories.particles", "10", "--out", "c.jsonl"]
     assert main([*asked, "--episodes", "1"]) == exit_codes.DONE
     said = capsys.readouterr()

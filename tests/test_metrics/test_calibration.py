@@ -77,7 +77,7 @@ def test_any_number_of_particles(particles, dtype):
 def test_errors_by_hand():
     p, right = [0.95, 0.91, 0.15, 0.11, 0.13, 1.0], [True, False, False, False, True, True]
     bins = reliability(p, right)
-    assert [(one.count, round(one.p_right, 4), round(one.right, 4)) for one in bins] == [
+    assert [(one.beliefs, round(one.p_right, 4), round(one.right, 4)) for one in bins] == [
         (3, 0.13, 0.3333),
         (3, 0.9533, 0.6667),
     ]

@@ -8,8 +8,9 @@ from torch import Tensor
 
 from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, History, PushedObject, Segment, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.trajectory_history import History, Segment
 from rumi.bench.case import Case, Setup, case
 from rumi.bench.scenes import HEIGHT_M, mug_scene
 from rumi.robot.gripper import GripperShape
