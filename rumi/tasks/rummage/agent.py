@@ -81,6 +81,7 @@ class Rummager:
         upright: whether the object is expected to stand as it did at first.
         looks_again: whether a camera sees the object after every action too.
         sensors: what the robot senses by, for people.
+        remarks: whether steps are remarked on.
         about: what a run's folder tells of the settings.
     """
 
@@ -103,6 +104,7 @@ class Rummager:
     upright: bool = True
     looks_again: bool = False
     sensors: str = "a first view, felt points"
+    remarks: bool = True
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def begin(self, result: StepResult | Reading, *, seed: int, clock: Clock) -> RummageState:
@@ -157,7 +159,8 @@ class Rummager:
             with clock("belief"):
                 belief = verify(self.filter, belief, memory, self.renewal, generator=random["renewal"])
             record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
-        record = replace(record, remarks=self._odd(state, control, record))
+        if self.remarks:
+            record = replace(record, remarks=self._odd(state, control, record))
         return replace(
             state,
             record=record,
