@@ -3,12 +3,10 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-import gymnasium
 import numpy as np
 import torch
-from gymnasium import spaces
 from torch import Tensor
 
 from rumi.api import build
@@ -21,7 +19,15 @@ from rumi.tasks.rummage.agent import Rummager, RummageState
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import Settings, preset
 from sdf import se3, so3
+from sdf.extras import optional
 from sdf.symmetry import Symmetries
+
+if TYPE_CHECKING:
+    import gymnasium
+    from gymnasium import spaces
+else:
+    gymnasium = optional("gymnasium", "An environment")
+    spaces = gymnasium.spaces
 
 
 class PoseLoss:
