@@ -22,7 +22,7 @@ QUICK += ["--most-actions", "3"]
         ("--table-m 0.8", "--table-m"),
         ("--particles 10.5", "--particles"),
         ("--sampled maybe", "maybe"),
-        ("--action-budget-s nan", "action_budget_s to be a finite number"),
+        ("--action-budget-s nan", "action_budget_s above 0 and finite"),
         ("--action-budget-s None", "--action-budget-s"),
         ("--point-m many", "--point-m"),
         ("--stop luck", "'luck'"),
