@@ -15,6 +15,7 @@ from torch import Tensor
 from sdf import numbers, se3, so3
 from sdf.base import SDF
 from sdf.bounds import Checked, Count, Share, TrainedPositive, TrainedShareBelow1
+from sdf.containers import container
 from sdf.posed import posed_query
 from sensors.contact_reading import ContactReading
 from sensors.reading import Reading
@@ -51,6 +52,7 @@ class SignalSettings(Checked):
             )
 
 
+@container()
 @dataclass(frozen=True)
 class ContactPointEvidence:
     """Likelihood of contact points with normals, against a signed distance function: an `Evidence`.
@@ -139,6 +141,7 @@ class ContactPointModel(Checked):
         )
 
 
+@container()
 @dataclass(frozen=True)
 class ContactSignalEvidence:
     """Likelihood of contact signals, each of some point of the gripper's surface, nobody knows which: an `Evidence`.

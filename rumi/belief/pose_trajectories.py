@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple, Self
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -73,10 +74,27 @@ class PushedObject:
         tool, pads = shape.outline(spacing_m).to(like), shape.pad_shell(pad_spacing_m).to(like)
         return cls(sdf, resting_m, outline, support.centre.to(like), support.spread, tool, pads)
 
-    @property
+    @functools.cached_property
     def reach_m(self) -> float:
         """Distance from the tool's origin beyond which nothing is touched."""
         return float(self.tool.norm(dim=-1).max()) + self.outline.radius
+
+    @functools.cached_property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Tool, groups of its points that are neighbours, outline and numbers, as the compiled version takes them.
+
+        A group is the centre of its points (x, y), how far they are from it, and the first of them and the one behind.
+        """
+        groups = []
+        for first in range(0, len(self.tool), _GROUP):
+            some = self.tool[first : first + _GROUP]
+            centre = 0.5 * (some.amin(0) + some.amax(0))
+            far = float((some - centre).norm(dim=-1).max())
+            groups.append((*centre.tolist(), far, first, first + len(some)))
+        outline = self.outline
+        place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)
+        numbers = self.tool.new_tensor((*place, *self.centre.tolist()))
+        return _arrays((self.tool, self.tool.new_tensor(groups), outline.values, numbers))
 
 
 class Segment(NamedTuple):
@@ -132,6 +150,13 @@ class History:
     def __len__(self) -> int:
         """Number of segments."""
         return len(self.ends)
+
+    @functools.cached_property
+    def arrays(self) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+        """What was done and what was sensed, as the compiled version takes them: points by coordinate, float32."""
+        done = self.tool, self.pushes, self.ends, self.action, self.point_ends
+        sensed = self.points.T.float().flatten(), self.weight.float(), ((2 * _STEPS + 1) * self.kind).int()
+        return _arrays(done), _arrays(sensed)
 
     def appended(self, segment: Segment, *, opens: bool = True) -> Self:
         """With one more segment.
@@ -238,7 +263,10 @@ class Trajectories:
 
     def where(self, accept: Bool[Tensor, "N"], other: Self) -> Self:
         """Another's particles where accepted, else one's own."""
-        return self.put(rows := accept.nonzero()[:, 0], other.at(rows))
+        wide = accept[:, None]
+        masks = wide, wide[..., None], wide[..., None], wide
+        pairs = ((getattr(other, name), getattr(self, name)) for name in _PARTS)
+        return self._with([torch.where(mask, *pair) for mask, pair in zip(masks, pairs, strict=True)])
 
     def _with(self, parts: list[Tensor]) -> Self:
         physics, noise, poses, log_likelihood = parts
@@ -265,11 +293,26 @@ class Trajectories:
         return -0.5 * (self.physics.square().sum(-1) + self.noise.square().sum((-2, -1)))
 
     def replayed(
-        self, model: PushedObject, settings: PoseTrajectorySettings, history: History, first: Int[Tensor, "N"]
+        self,
+        model: PushedObject,
+        settings: PoseTrajectorySettings,
+        history: History,
+        first: Int[Tensor, "N"],
+        least: Float[Tensor, "N"] | None = None,
     ) -> Self:
-        """Poses and likelihood under a history of as many segments, from a segment of each particle's own on."""
+        """Poses and likelihood under a history of as many segments, from a segment of each particle's own on.
+
+        Args:
+            model: object and tool.
+            settings: of motion prior and sensors.
+            history: what is replayed.
+            first: segment of each particle from which on.
+            least: log-likelihood from there on below which a particle may be given up: a segment's is then -inf, and
+                what comes after it is left as it was.
+        """
         version = backend.dispatch("replay_trajectories", self.poses, *model.sdf.tensors())
-        poses, log_likelihood = version(model, settings, history, self, first)
+        least = torch.full_like(first, -torch.inf, dtype=torch.float64) if least is None else least
+        poses, log_likelihood = version(model, settings, history, self, first, least)
         return replace(self, poses=poses, log_likelihood=log_likelihood)
 
 
@@ -305,11 +348,17 @@ def log_likelihood_of(
 
 # the compiled version looks likelihoods up over distances: metres between nodes, and nodes to either side of 0
 _STEP_M, _STEPS = 3e-5, 1000
+_GROUP = 8  # points of the tool's border that it leaves out together
 
 
 @backend.register("replay_trajectories")
 def _replay(
-    model: PushedObject, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+    history: History,
+    given: Trajectories,
+    first: Int[Tensor, "N"],
+    least: Float[Tensor, "N"],
 ) -> tuple[Tensor, Tensor]:
     poses, logs = given.poses.clone(), given.log_likelihood.clone()
     for segment in range(len(history)):
@@ -373,32 +422,37 @@ def _stepped(
 
 @backend.register("replay_trajectories", "numba", compiled.supports)
 def _replay_numba(
-    model: PushedObject, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+    history: History,
+    given: Trajectories,
+    first: Int[Tensor, "N"],
+    least: Float[Tensor, "N"],
 ) -> tuple[Tensor, Tensor]:
     from sdf.grid_sdf import GridSDF
 
     if not isinstance(model.sdf, GridSDF):
-        return _replay(model, own, history, given, first)
+        return _replay(model, own, history, given, first, least)
     from rumi.belief.pose_trajectories_numba import replay as kernel
     from sdf.grid_numba import grid_arguments
 
-    poses, logs = given.poses.clone(), given.log_likelihood.clone()
-    outline = model.outline
-    place = (*outline.origin.tolist(), outline.spacing, model.reach_m, outline.radius, model.spread_m)
-    numbers = torch.tensor((*place, *model.centre.tolist()), dtype=torch.float64)
-    tensors = (first, poses, logs, given.physics, given.noise, history.tool, history.pushes, history.ends)
-    points = (history.action, history.points, history.kind, history.weight, history.point_ends)
-    shape = (model.tool, outline.values, numbers, *_tables(own))
-    arrays = (part.detach().contiguous().numpy() for part in (*tensors, *points, *shape))
-    kernel(*arrays, grid_arguments(model.sdf, torch.float32))
-    return poses, logs
+    poses, found = given.poses.clone(), given.log_likelihood.clone()
+    scales, logs = _tables(own)
+    particles = _arrays((first, least, poses, found, given.physics, given.noise))
+    grid = grid_arguments(model.sdf, torch.float32)
+    kernel(particles, *history.arrays, model.arrays, scales.numpy(), logs.numpy(), grid)
+    return poses, found
+
+
+def _arrays(tensors: tuple[Tensor, ...]) -> tuple[np.ndarray, ...]:
+    return tuple(part.detach().contiguous().numpy() for part in tensors)
 
 
 @functools.cache
 def _tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
-    """Numbers of the motion prior as the kernel takes them, and log-likelihoods of every kind over distances."""
+    """The motion prior's numbers as the kernel takes them, and log-likelihoods of each kind over distances, float32."""
     prior = (*own.friction, *own.lever_ratio, *own.ahead_m, own.centre_m, own.friction_change, own.lever_change)
     noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)
     distance = _STEP_M * (torch.arange(2 * _STEPS + 1, dtype=torch.float64) - _STEPS)
     priced = torch.stack([log_likelihood_of(distance, torch.tensor(int(kind)), own) for kind in Kind])
-    return torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64), priced
+    return torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64), priced.float()

@@ -134,6 +134,8 @@ class PoseTrajectoryFilter(PoseFilter):
         if bool(reading.in_contact.any()):
             return True
         looked = systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))
+        if float(torch.cdist(path[:, 1, :2], now.pose[looked, :2]).min()) >= self.model.reach_m:
+            return False
         moved = (self._tracks(now, log_weights, path)[:, -1] - now.pose[looked])[:, :2].norm(dim=-1) > _MOVED_M
         return float(moved.double().mean()) >= _MOVED
 

@@ -29,7 +29,7 @@ from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf import backend, se3
 from sdf.grid_sdf import GridSDF
-from sdf.primitives import Box
+from sdf.primitives import Box, Placed, Union
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
@@ -101,6 +101,43 @@ def test_the_compiled_replay_is_the_plain_one(model):
         torch.testing.assert_close(one.log_likelihood, other.log_likelihood, atol=2e-3, rtol=2e-4)
     again = found["numba"][1]
     torch.testing.assert_close(again.poses, found["numba"][0].poses, atol=0, rtol=0)  # the same from any segment on
+
+
+def test_what_cannot_reach_its_least_likelihood_is_given_up_and_nothing_else(model):
+    history = long_history()
+    given, first = drawn(history, 60), torch.arange(60) % len(history)
+    whole = given.replayed(model, OWN, history, first)
+    late = torch.arange(len(history)) >= first[:, None]
+    total = torch.where(late, whole.log_likelihood, 0.0).sum(-1)
+    least = total + 30.0 * (torch.rand(60, generator=generator(4), **DOUBLE) - 0.5)
+    found = given.replayed(model, OWN, history, first, least)
+    kept = torch.isfinite(found.log_likelihood).all(-1)
+    assert torch.equal(kept, total >= least) and 10 < int(kept.sum()) < 50
+    torch.testing.assert_close(found.poses[kept], whole.poses[kept], atol=0, rtol=0)
+    torch.testing.assert_close(found.log_likelihood[kept], whole.log_likelihood[kept], atol=0, rtol=0)
+
+
+def test_no_point_of_the_tool_that_may_be_deepest_is_left_out(model):
+    """Tools all about an L of two blocks push it as the plain version, which looks at all points."""
+    aside = se3.from_planar(torch.tensor([-0.02, 0.03, 0.0]))
+    corner = Union([Placed(Box([0.02, 0.05, 0.03]), aside), Box([0.05, 0.02, 0.03])])
+    sdf = GridSDF.from_sdf(corner, 0.003)
+    own = PushedObject.of(sdf, SHAPE, height_m=HEIGHT, resting_m=0.03, spacing_m=0.004, pad_spacing_m=0.006)
+    random, poses = generator(7), {}
+    angle = 2 * math.pi * torch.rand(40, 1, generator=random, **DOUBLE)
+    there = torch.cat((0.13 * angle.cos(), 0.13 * angle.sin(), angle + math.pi), -1)
+    there = there + 0.03 * torch.randn(40, 3, generator=random, **DOUBLE)
+    path = torch.stack((there, there - 0.02 * torch.cat((angle.cos(), angle.sin(), 0 * angle), -1)), 1)
+    history = History.empty()
+    for each in path:
+        history = history.appended(segment(each[None], points=0))
+    given = drawn(history, 20, spread=(0.01, 0.01, 1.0))
+    for version in ("torch", "numba"):
+        with backend.force(version):
+            poses[version] = given.replayed(own, OWN, history, torch.zeros(20, dtype=torch.long)).poses
+    moved = (poses["torch"].diff(dim=1).abs().amax(-1) > 0).double().mean()
+    assert 0.05 < float(moved) < 0.95
+    torch.testing.assert_close(poses["numba"], poses["torch"], atol=1e-6, rtol=0)
 
 
 def test_two_particles_by_hand(model):

@@ -21,8 +21,9 @@ from rumi.runs.progress import Progress
 from rumi.sim.sensor_settings import degraded
 from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.entry import describe
-from rumi.tasks.rummage.scenes import DRAWN, SCENES
+from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
 from tests.fixtures.made_up_run import make_up
 

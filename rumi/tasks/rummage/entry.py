@@ -19,9 +19,10 @@ from rumi.sim.sensor_settings import SensorSettings
 from rumi.task import Task
 from rumi.tasks.registry import Role, check_seed
 from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.objects import record
 from rumi.tasks.rummage.raw_streams import RawStreams
-from rumi.tasks.rummage.scenes import DRAWN, SCENES, TaskSpec
+from rumi.tasks.rummage.scenes import SCENES, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 from sensors.reading import Reading
 

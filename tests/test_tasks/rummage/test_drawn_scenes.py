@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from rumi.tasks.rummage.build import make_task
+from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.objects import ObjectSettings, with_object
-from rumi.tasks.rummage.scenes import DRAWN, SCENES, find_task, make_tool
+from rumi.tasks.rummage.scenes import SCENES, find_task, make_tool
 
 
 @pytest.mark.parametrize("name", DRAWN)
