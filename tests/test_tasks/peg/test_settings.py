@@ -12,7 +12,7 @@ from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.peg.settings import PegSettings
 
 QUICK = ["--particles", "100", "--search-particles", "300", "--point-m", "0.001", "--normal-deg", "2"]
-QUICK += ["--most-actions", "3"]
+QUICK += ["--most-actions", "1"]
 
 
 @pytest.mark.parametrize(
