@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cache
+from numbers import Integral
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -102,6 +103,8 @@ def _expected(hint: Any, value: Any) -> str:  # noqa: ANN401  (any type, any val
     if origin is Literal:
         return "" if value in parts else f"to be one of {', '.join(map(str, parts))}"
     if origin is Annotated:
+        if parts[0] is int and not isinstance(value, Integral):
+            return "to be a whole number"
         return _expected(parts[0], value) or _out_of_bounds(parts[1:], value)
     if origin in (Union, UnionType):
         if value is None and NoneType in parts:
