@@ -46,11 +46,6 @@ def _deepest(x, y, yaw, at_tool, tool, groups, table, numbers):
     return least, best, at_x, at_y
 
 
-@bare
-def _tailed(z, tails):
-    return z * math.exp(0.5 * tails * z * z)
-
-
 @fast
 def _readings(first, last, pose, points, weight, row, logs, inverse, flat, lattice):
     """Log-likelihood of the points from one to before another, of their distances from the surface by a table."""
@@ -129,7 +124,7 @@ def _one(n, particles, done, sensed, shape, scales, logs, flat, lattice):
     numbers = shape[3]
     begin, total = first[n], 0.0
     x, y, yaw = poses[n, begin, 0], poses[n, begin, 1], poses[n, begin, 2]
-    ahead = scales[4] + scales[5] * physics[n, 4]
+    ahead = numbers[8] * (scales[4] + scales[5] * physics[n, 4])
     centre_x, centre_y = numbers[6] + scales[6] * physics[n, 2], numbers[7] + scales[6] * physics[n, 3]
     own, together = math.sqrt(1.0 - scales[14]), math.sqrt(scales[14])
     inverse = np.float32(1.0 / scales[15])
@@ -139,10 +134,11 @@ def _one(n, particles, done, sensed, shape, scales, logs, flat, lattice):
         lever = scales[3] * physics[n, 1] + scales[8] * noises[n, segment, 1]
         lever = numbers[5] * scales[2] * math.exp(lever)
         body = (centre_x, centre_y, ahead, lever, friction)
+        size = math.exp(0.5 * scales[13] * noises[n, shared, 8] * noises[n, shared, 8])
         noise = (
-            _tailed(own * noises[n, segment, 2] + together * noises[n, shared, 5], scales[13]),
-            _tailed(own * noises[n, segment, 3] + together * noises[n, shared, 6], scales[13]),
-            _tailed(own * noises[n, segment, 4] + together * noises[n, shared, 7], scales[13]),
+            size * (own * noises[n, segment, 2] + together * noises[n, shared, 5]),
+            size * (own * noises[n, segment, 3] + together * noises[n, shared, 6]),
+            size * (own * noises[n, segment, 4] + together * noises[n, shared, 7]),
         )
         for instant in range(ends[segment - 1] if segment > 0 else 0, ends[segment]):
             if pushes[instant]:

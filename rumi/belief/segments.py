@@ -4,7 +4,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import History, Kind, PushedObject, Segment
+from rumi.belief.pose_trajectories import PushedObject
+from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import unwrapped
 from sdf import se3

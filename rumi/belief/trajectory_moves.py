@@ -13,7 +13,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import OWN, History, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import OWN, PushedObject, Trajectories
+from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from sdf.so3 import wrap
 

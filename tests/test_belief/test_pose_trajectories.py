@@ -9,18 +9,10 @@ import torch
 
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import (
-    NOISE,
-    PHYSICS,
-    History,
-    Kind,
-    PushedObject,
-    Segment,
-    Trajectories,
-    log_likelihood_of,
-)
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories, log_likelihood_of
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.segments import cut, felt_pads, standing
+from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path
@@ -142,7 +134,7 @@ def test_no_point_of_the_tool_that_may_be_deepest_is_left_out(model):
 
 def test_two_particles_by_hand(model):
     """Without noise and shifts the motion is the push model's; the likelihood sums points at their instants."""
-    own = replace(OWN, friction_change=0.0, ahead_m=(0.0, 0.0), centre_m=0.0, along=0.0, across=0.0, turn_rad_per_m=0.0)
+    own = replace(OWN, friction_change=0.0, ahead=(0.0, 0.0), centre_m=0.0, along=0.0, across=0.0, turn_rad_per_m=0.0)
     point = torch.tensor([[-0.045, 0.0, 0.0]], **DOUBLE).repeat(2, 1)
     both = Segment(
         approach(),
@@ -157,7 +149,11 @@ def test_two_particles_by_hand(model):
     given = replace(given, physics=torch.zeros(2, PHYSICS, **DOUBLE), noise=0 * given.noise)
     given.poses[1, :, 0] = 0.5  # far away: nothing moves it
     found = given.replayed(model, own, history, torch.zeros(2, dtype=torch.long))
-    body = Sliding(model.centre, torch.tensor(1.3 * model.spread_m, **DOUBLE), torch.tensor(0.5, **DOUBLE))
+    body = Sliding(
+        model.centre,
+        torch.tensor(own.lever_ratio[0] * model.spread_m, **DOUBLE),
+        torch.tensor(own.friction[0], **DOUBLE),
+    )
     path = torch.cat((both.tool[:1, 0], both.tool[:, 1]))[None]
     track = push_along_path(given.poses[:1, 0], path, Pusher(model.tool), model.outline, body, substeps=1).track[0]
     torch.testing.assert_close(found.pose[0], track[-1], atol=1e-9, rtol=0)

@@ -86,6 +86,7 @@ class Rummager:
         upright: whether the object is expected to stand as it did at first.
         looks_again: whether a camera sees the object after every action too.
         sensors: what the robot senses by, for people.
+        remarks: whether steps are remarked on.
         about: what a run's folder tells of the settings.
     """
 
@@ -109,6 +110,7 @@ class Rummager:
     upright: bool = True
     looks_again: bool = False
     sensors: str = "a first view, felt points"
+    remarks: bool = True
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def begin(self, result: StepResult | Reading, *, seed: int, clock: Clock) -> RummageState:
@@ -163,15 +165,17 @@ class Rummager:
             with clock("belief"):
                 belief = verify(self.filter, belief, memory, self.renewal, generator=random["renewal"])
             record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
-        record = replace(record, remarks=self._odd(state, control, record))
-        now, nats, alarm = watch(state.watch, last.belief, record, self.filter, self.model, self.misfit)
-        record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
+        now, alarm = state.watch, None
+        if self.remarks:
+            record = replace(record, remarks=self._odd(state, control, record))
+            now, nats, alarm = watch(state.watch, last.belief, record, self.filter, self.model, self.misfit)
+            record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
         if alarm is not None and not now.lost:
             with clock("belief"):
                 belief, memory = searched_again(record, self.filter, self.misfit, generator=random["lost"])
             again = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
             timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}
-            record = replace(again, lost=nats, remarks=record.remarks, timings_s=record.timings_s | timings)
+            record = replace(again, lost=record.lost, remarks=record.remarks, timings_s=record.timings_s | timings)
         return replace(
             state,
             record=record,
