@@ -123,7 +123,7 @@ class Rummager:
         return RummageState(record, (record,), memory, random, clock)
 
     def stop(self, state: RummageState) -> StopReason | None:
-        """Stop where the belief is sure and no fault is likely, or after as many actions as there may be."""
+        """Stop where the belief is sure and nothing speaks for a fault, or after as many actions as there may be."""
         if state.record.converged and not state.watch.doubts(self.misfit):
             return "sure"
         return "steps" if self.steps is not None and state.record.step >= self.steps else None
