@@ -47,6 +47,11 @@ class LocalizeSettings:
         mode_m, mode_rad: poses nearer to each other than both, up to the object's symmetries, are one mode.
         plausible: least likelihood of a mode that is kept, relative to the best.
         kept: modes that are kept at most, the heaviest.
+        robust: steps of the first descent that follow, on a loss in which touches farther off than `robust_m` count
+            ever less.
+        robust_m: see there.
+        nearby: poses drawn about each mode, in search of better ones, at most.
+        draws: poses drawn about all modes to weigh them, at most; 0 to weigh each by its curvature alone.
     """
 
     starts: int = 800
@@ -65,13 +70,20 @@ class LocalizeSettings:
     mode_rad: float = 0.2
     plausible: float = 1e-6
     kept: int = 30
+    robust: int = 4
+    robust_m: float = 0.004
+    nearby: int = 30
+    draws: int = 4000
 
     def __post_init__(self) -> None:
         """Refuse empty searches."""
         for name in ("starts", "coarse_points", "polished", "fine_points", "kept"):
             if getattr(self, name) < 1:
                 raise ValueError(f"Expected {name} to be 1 or more, got {getattr(self, name)}")
-        for name in ("least_noise_m", "normal_noise_rad", "mode_m", "mode_rad"):
+        for name in ("robust", "nearby", "draws"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
+        for name in ("least_noise_m", "normal_noise_rad", "mode_m", "mode_rad", "robust_m"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
         if not 0 <= self.outlier < 1:
