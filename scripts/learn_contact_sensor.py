@@ -9,7 +9,7 @@ its gradient with the same draws; the profile of a parameter has the others trai
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -104,9 +104,6 @@ def learn(options: Options, seed: int) -> dict[str, Any]:
     errors = standard_errors(sensor, data, options.particles)
     found = physical(sensor)
     return {
-        "seed": seed,
-        "episodes": options.episodes,
-        "particles": options.particles,
         "found": dict(zip(NAMES, found, strict=True)),
         "standard_errors": dict(zip(NAMES, errors, strict=True)),
         "within": {
@@ -164,20 +161,28 @@ def draw(lines: Sequence[dict[str, Any]], factors: Sequence[float], profiled: Se
 
 
 def main(options: Options) -> list[dict[str, Any]]:
-    """Learn from each set, append the lines and draw the figure."""
+    """Learn from each set, its line added to the file as it comes, and draw; what is there is not done again."""
     torch.set_num_threads(1)
     options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "contact_sensor.jsonl"
     first, count = options.seeds
-    lines = []
-    for seed in range(first, first + count):
-        lines.append(learn(options, seed))
-        print(json.dumps(lines[-1]), flush=True)
+    asked = {"episodes": options.episodes, "particles": options.particles, "steps": options.steps}
+
+    def once(about: dict[str, Any], work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+        lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+        for line in map(json.loads, lines):
+            if about.items() <= line.items():
+                return dict(line)
+        line = about | work()
+        with file.open("a", encoding="utf-8") as out:
+            out.write(json.dumps(line) + "\n")
+        print(json.dumps(line), flush=True)
+        return line
+
+    lines = [once({"seed": seed} | asked, lambda: learn(options, seed)) for seed in range(first, first + count)]  # noqa: B023
     factors = (0.6, 0.75, 0.9, 1.0, 1.15, 1.35, 1.6)
-    profiled = profile(options, first, factors)
-    lines.append({"seed": first, "episodes": options.episodes, "profile": dict(zip(factors, profiled, strict=True))})
-    with (options.out / "contact_sensor.jsonl").open("a", encoding="utf-8") as file:
-        file.writelines(json.dumps(line) + "\n" for line in lines)
-    draw(lines[:-1], factors, profiled, options.out / "contact_sensor.png")
+    profiled = once({"profile": first} | asked, lambda: {"nats": profile(options, first, factors)})["nats"]
+    draw(lines, factors, profiled, options.out / "contact_sensor.png")
     return lines
 
 
