@@ -1,5 +1,6 @@
 """Rummaging's agent: believe, plan a path of much information that stays in reach, follow it, until sure."""
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -33,6 +34,7 @@ from sensors.observation import Observation, merge
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 
+_PADS_M = 0.004  # between the points of the pads by which remarks tell where they feel
 _PARTS = 8  # of an action, in which its free path is worked out again
 
 
@@ -199,8 +201,14 @@ class Rummager:
             self.model,
             moved=moved,
             upright=self.upright,
+            pads=self._pads,
             said={remark.name for step in state.history for remark in step.remarks},
         )
+
+    @functools.cached_property
+    def _pads(self) -> Float[Tensor, "P 3"]:
+        """Points of the pads, tool frame."""
+        return self.tool.shape.pad_shell(_PADS_M)
 
     def last(self, state: RummageState) -> None:
         """Nothing is done at the end."""
