@@ -1,5 +1,6 @@
 """Rummaging's agent: believe, plan a path of much information that stays in reach, follow it, until sure."""
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -33,6 +34,7 @@ from sensors.observation import Observation, merge
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 
+_PADS_M = 0.004  # between the points of the pads by which remarks tell where they feel
 _PARTS = 8  # of an action, in which its free path is worked out again
 
 
@@ -123,8 +125,8 @@ class Rummager:
         return RummageState(record, (record,), memory, random, clock)
 
     def stop(self, state: RummageState) -> StopReason | None:
-        """Stop where the belief is sure, or after as many actions as there may be."""
-        if state.record.converged:
+        """Stop where the belief is sure and no fault is likely, or after as many actions as there may be."""
+        if state.record.converged and not state.watch.doubts(self.misfit):
             return "sure"
         return "steps" if self.steps is not None and state.record.step >= self.steps else None
 
@@ -168,7 +170,7 @@ class Rummager:
         now, alarm = state.watch, None
         if self.remarks:
             record = replace(record, remarks=self._odd(state, control, record))
-            now, nats, alarm = watch(state.watch, record, self.filter, self.model, self.misfit)
+            now, nats, alarm = watch(state.watch, last.belief, record, self.filter, self.model, self.misfit)
             record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
         if alarm is not None and not now.lost:
             with clock("belief"):
@@ -199,8 +201,14 @@ class Rummager:
             self.model,
             moved=moved,
             upright=self.upright,
+            pads=self._pads,
             said={remark.name for step in state.history for remark in step.remarks},
         )
+
+    @functools.cached_property
+    def _pads(self) -> Float[Tensor, "P 3"]:
+        """Points of the pads, tool frame."""
+        return self.tool.shape.pad_shell(_PADS_M)
 
     def last(self, state: RummageState) -> None:
         """Nothing is done at the end."""
