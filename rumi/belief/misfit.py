@@ -1,9 +1,9 @@
 """Whether a reading fits any pose that is believed: log-likelihood ratios of faults against the belief, a reading each.
 
 What is felt or seen is summed up for each particle as how far the middle one of the reading's surface points is from
-its surface, and how deep its free points go into it, so that many points that err together count as one reading. The
-belief that is asked has taken the reading in already: it fits better than what was predicted, and a test of the ratios
-(`ChangeTest`) is wrong less often than it says, not more.
+its surface, and how deep its free points go into it, so that many points that err together count as one reading. A
+belief that has taken the reading in fits better than what was predicted: a test of its ratios (`ChangeTest`) is wrong
+less often than it says, and finds less.
 """
 
 import math
@@ -71,8 +71,8 @@ def log_ratios(belief: PoseBelief, added: Observation, sdf: SDF, own: MisfitSett
     """Log-likelihood ratio of each of `MISFITS` against the belief, nats.
 
     Args:
-        belief: after the reading.
-        added: its points, in the frame that rides with the object.
+        belief: that is asked, before the reading or after.
+        added: the reading's points, in the frame that rides with the object.
         sdf: of the object.
         own: settings.
     """

@@ -125,8 +125,8 @@ class Rummager:
         return RummageState(record, (record,), memory, random, clock)
 
     def stop(self, state: RummageState) -> StopReason | None:
-        """Stop where the belief is sure, or after as many actions as there may be."""
-        if state.record.converged:
+        """Stop where the belief is sure and no fault is likely, or after as many actions as there may be."""
+        if state.record.converged and not state.watch.doubts(self.misfit):
             return "sure"
         return "steps" if self.steps is not None and state.record.step >= self.steps else None
 
@@ -170,7 +170,7 @@ class Rummager:
         now, alarm = state.watch, None
         if self.remarks:
             record = replace(record, remarks=self._odd(state, control, record))
-            now, nats, alarm = watch(state.watch, record, self.filter, self.model, self.misfit)
+            now, nats, alarm = watch(state.watch, last.belief, record, self.filter, self.model, self.misfit)
             record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
         if alarm is not None and not now.lost:
             with clock("belief"):

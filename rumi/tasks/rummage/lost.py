@@ -35,6 +35,10 @@ class Watch:
     begun: int = 0
     lost: bool = False
 
+    def doubts(self, own: MisfitSettings) -> bool:
+        """Whether a fault is likelier than none: no time to be sure."""
+        return self.evidence is not None and float(own.test.explanations(self.evidence)[0]) < 0.5
+
 
 def sensed_now(record: StepRecord, motion: str) -> Observation:
     """The points of a step that its belief can be asked about, in the frame that rides with the object.
@@ -49,12 +53,21 @@ def sensed_now(record: StepRecord, motion: str) -> Observation:
 
 
 def watch(
-    before: Watch, record: StepRecord, pose_filter: PoseFilter, model: ObjectModel, own: MisfitSettings
+    before: Watch,
+    last: PoseBelief,
+    record: StepRecord,
+    pose_filter: PoseFilter,
+    model: ObjectModel,
+    own: MisfitSettings,
 ) -> tuple[Watch, float, Remark | None]:
     """Take a step's reading into the test.
 
+    The belief before it is asked, which with a measured motion rides along with the object; where particles move on
+    their own, or a prior is all there is at first and particles are drawn anew, the belief that has taken it in.
+
     Args:
         before: what was known.
+        last: belief before the step.
         record: of the step.
         pose_filter: that the belief is of.
         model: the object.
@@ -68,7 +81,9 @@ def watch(
     test = own.test
     evidence = test.begin() if before.evidence is None else before.evidence
     added = sensed_now(record, pose_filter.settings.motion)
-    evidence = test.update(evidence, log_ratios(record.belief, added, model.sdf, own))
+    rides = pose_filter.settings.motion == "measured" and pose_filter.prior is None
+    asked = replace(last, world_T_attached=record.belief.world_T_attached) if rides else record.belief
+    evidence = test.update(evidence, log_ratios(asked, added, model.sdf, own))
     after, nats = replace(before, evidence=evidence), float(test.log_evidence(evidence))
     if not bool(test.alarm(evidence)):
         return after, nats, None

@@ -51,7 +51,7 @@ def step(model, number, felt_at, free_at=None, spread=1e-3):
 def followed(model, pose_filter, steps, own=OWN):
     now, found = Watch(), []
     for record in steps:
-        now, nats, remark = watch(now, record, pose_filter, model, own)
+        now, nats, remark = watch(now, record.belief, record, pose_filter, model, own)
         found.append((now, nats, remark))
     return found
 
@@ -85,6 +85,14 @@ def test_without_recovery_an_alarm_leaves_the_run_lost_and_0_never_asks(model, p
     assert all(
         nats == 0.0 and remark is None for _, nats, remark in followed(model, pose_filter, steps, MisfitSettings(0.0))
     )
+
+
+def test_a_fault_that_is_likely_is_no_time_to_be_sure(model, pose_filter):
+    own = replace(OWN, alpha=1e-6)  # no alarm yet
+    steps = [step(model, 1, 0.0), step(model, 2, -0.03), *(step(model, number, 0.0) for number in range(3, 12))]
+    doubts = [now.doubts(own) for now, _, _ in followed(model, pose_filter, steps, own)]
+    assert doubts[:2] == [False, True] and not doubts[-1]
+    assert not Watch().doubts(own)
 
 
 def test_a_search_finds_the_object_by_the_reading_alone(model, pose_filter):
