@@ -4,7 +4,7 @@ import functools
 import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple, Self
+from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,10 +12,11 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.along_path import Pusher, push_along_path, unwrapped
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.sliding import Sliding, push, rotated
 from rumi.robot.tool_shape import ToolShape
-from sdf import backend, compiled
+from sdf import backend, compiled, se3
 from sdf.base import SDF
 
 PHYSICS, NOISE, OWN = 5, 8, 5
@@ -44,6 +45,7 @@ class PushedObject:
         spread_m: mean distance of what rests on the floor from there.
         tool: (n, 2), points of the tool's border, tool frame.
         pads: (m, 3), points of its pads, tool frame.
+        replay: name of the versions that replay its trajectories.
     """
 
     sdf: SDF
@@ -53,6 +55,7 @@ class PushedObject:
     spread_m: float
     tool: Float[Tensor, "n 2"]
     pads: Float[Tensor, "m 3"]
+    replay: str = "replay_trajectories"
 
     @classmethod
     def of(
@@ -78,12 +81,115 @@ class PushedObject:
         """Distance from the tool's origin beyond which nothing is touched."""
         return float(self.tool.norm(dim=-1).max()) + self.outline.radius
 
+    @property
+    def reported(self) -> Float[Tensor, "m 3"]:
+        """Where what the pads' points felt is reported, tool frame: at them."""
+        return self.pads
+
+    def world_T_object(self, poses: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 4 4"]:
+        """Poses in space, heights counted from the object's origin."""
+        return se3.from_planar(poses)
+
+    def local(self, pose: Float[Tensor, "N 3"], points: Float[Tensor, "M 3"]) -> Float[Tensor, "N M 3"]:
+        """Points in the frame of each pose."""
+        local = rotated(points[:, :2] - pose[:, None, :2], -pose[:, None, 2])
+        return torch.cat((local, points[:, 2:].expand(len(pose), -1, 1)), -1)
+
+    def unsettled(self, poses: Float[Tensor, "N 3"]) -> Bool[Tensor, "N"]:
+        """Never: it stands upright."""
+        return torch.zeros(len(poses), dtype=torch.bool)
+
+    def path(self, tool_pose: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K 3"]:
+        """What counts of the tool's poses: (x, y, yaw)."""
+        return unwrapped(se3.to_planar(tool_pose.double()))
+
+    def tracks(
+        self, own: PoseTrajectorySettings, some: Float[Tensor, "n 3"], path: Float[Tensor, "K 2 3"]
+    ) -> Float[Tensor, "n K 3"]:
+        """Where poses go by the median of the prior."""
+        like = some.new_tensor(self.spread_m * own.lever_ratio[0])
+        sliding = Sliding(self.centre, like, some.new_tensor(own.friction[0]))
+        whole = torch.cat((path[:1, 0], path[:, 1]))[None]
+        return push_along_path(some, whole, Pusher(self.tool), self.outline, sliding, substeps=1).track
+
+    def step(
+        self,
+        own: PoseTrajectorySettings,
+        pose: Float[Tensor, "N 3"],
+        before: Float[Tensor, "3"],
+        after: Float[Tensor, "3"],
+        body: Sliding,
+        noise: Float[Tensor, "N 3"],
+    ) -> Float[Tensor, "N 3"]:
+        """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
+        return _stepped(self, own, pose, before, after, body, noise)
+
+
+@runtime_checkable
+class Pushed(Protocol):
+    """Object and tool, as trajectories need them: `PushedObject` in the plane, `ToppledObject` in space.
+
+    A pose is of D numbers, a tool's of T: (x, y, yaw) in the plane.
+
+    Attributes:
+        sdf: of the object.
+        resting_m: height of the object's origin from which the heights of points count.
+        spread_m: mean distance of what rests on the floor from below the centre of mass; 1 where poses tell it.
+        pads: (m, 3), points of its pads, tool frame.
+        replay: name of the versions that replay its trajectories.
+    """
+
+    sdf: SDF
+    resting_m: float
+    spread_m: float
+    pads: Float[Tensor, "m 3"]
+    replay: str
+
+    @property
+    def reported(self) -> Float[Tensor, "m 3"]:
+        """Where what the pads' points felt is reported, tool frame."""
+        ...  # abstract: every member has one
+
+    def world_T_object(self, poses: Float[Tensor, "*b D"]) -> Float[Tensor, "*b 4 4"]:
+        """Poses in space, heights counted as those of points."""
+        ...
+
+    def local(self, pose: Float[Tensor, "N D"], points: Float[Tensor, "M 3"]) -> Float[Tensor, "N M 3"]:
+        """Points in the frame of each pose."""
+        ...
+
+    def unsettled(self, poses: Float[Tensor, "N D"]) -> Bool[Tensor, "N"]:
+        """Whether each moves as soon as the tool does, touched or not."""
+        ...
+
+    def path(self, tool_pose: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K T"]:
+        """What counts of the tool's poses, without jumps."""
+        ...
+
+    def tracks(
+        self, own: PoseTrajectorySettings, some: Float[Tensor, "n D"], path: Float[Tensor, "K 2 T"]
+    ) -> Float[Tensor, "n K D"]:
+        """Where poses go by the median of the prior."""
+        ...
+
+    def step(
+        self,
+        own: PoseTrajectorySettings,
+        pose: Float[Tensor, "N D"],
+        before: Float[Tensor, "T"],
+        after: Float[Tensor, "T"],
+        body: Sliding,
+        noise: Float[Tensor, "N 3"],
+    ) -> Float[Tensor, "N D"]:
+        """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
+        ...
+
 
 class Segment(NamedTuple):
     """Part of an action with what was sensed in it; world frame, float64, never re-attached.
 
     Attributes:
-        tool: (K, 2, 3), (x, y, yaw) of the tool before and after each instant.
+        tool: (K, 2, T), (x, y, yaw) of the tool before and after each instant; in space its height, too.
         pushes: whether the tool may push the object; else it stands still.
         points: (M, 3), heights counted from the object's origin.
         instant: (M), in ascending order.
@@ -91,7 +197,7 @@ class Segment(NamedTuple):
         weight: (M), independent readings that a point is worth.
     """
 
-    tool: Float[Tensor, "K 2 3"]
+    tool: Float[Tensor, "K 2 T"]
     pushes: bool
     points: Float[Tensor, "M 3"]
     instant: Int[Tensor, "M"]
@@ -104,7 +210,7 @@ class History:
     """Segments one after the other: S of them, T instants, M points.
 
     Attributes:
-        tool: (T, 2, 3).
+        tool: (T, 2, 3), in space (T, 2, 4).
         pushes: (T).
         ends: (S), instant behind each segment's last.
         action: (S), the first segment of each one's action.
@@ -114,7 +220,7 @@ class History:
         point_ends: (T), point behind each instant's last.
     """
 
-    tool: Float[Tensor, "T 2 3"]
+    tool: Float[Tensor, "T 2 C"]
     pushes: Bool[Tensor, "T"]
     ends: Int[Tensor, "S"]
     action: Int[Tensor, "S"]
@@ -124,10 +230,10 @@ class History:
     point_ends: Int[Tensor, "T"]
 
     @classmethod
-    def empty(cls) -> Self:
-        """Nothing yet."""
+    def empty(cls, numbers: int = 3) -> Self:
+        """Nothing yet; of a tool's pose by 3 numbers, in space by 4."""
         none, flat = torch.zeros(0, dtype=torch.long), torch.zeros(0, dtype=torch.float64)
-        return cls(flat.view(0, 2, 3), none.bool(), none, none, flat.view(0, 3), none, flat, none)
+        return cls(flat.view(0, 2, numbers), none.bool(), none, none, flat.view(0, 3), none, flat, none)
 
     def __len__(self) -> int:
         """Number of segments."""
@@ -206,25 +312,26 @@ class Trajectories:
         physics: (N, 5) standard normals: log-friction, log-lever, centre of friction (x, y), pressure ahead.
         noise: (N, S, 8) standard normals of each segment: log-friction, log-lever, motion along, across and turn;
             and the last three once more for the whole action, of which its first segment's count.
-        poses: (N, S + 1, 3), (x, y, yaw) before the first segment and after each.
+        poses: (N, S + 1, 3), (x, y, yaw) before the first segment and after each; in space (N, S + 1, 6), with the
+            resting pose, the edge that it leans about, and the tilt (`rumi.dynamics.toppling.Leaning`).
         log_likelihood: (N, S), of each segment's readings.
         history: what was done and sensed.
-        starts: (Q, 3), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
+        starts: (Q, 3 or 6), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
     """
 
     physics: Float[Tensor, "N 5"]
     noise: Float[Tensor, "N S 8"]
-    poses: Float[Tensor, "N S1 3"]
+    poses: Float[Tensor, "N S1 D"]
     log_likelihood: Float[Tensor, "N S"]
     history: History
-    starts: Float[Tensor, "Q 3"]
+    starts: Float[Tensor, "Q D"]
 
     def __len__(self) -> int:
         """Number of particles."""
         return len(self.physics)
 
     @property
-    def pose(self) -> Float[Tensor, "N 3"]:
+    def pose(self) -> Float[Tensor, "N D"]:
         """Where each particle is now."""
         return self.poses[:, -1]
 
@@ -243,6 +350,16 @@ class Trajectories:
     def _with(self, parts: list[Tensor]) -> Self:
         physics, noise, poses, log_likelihood = parts
         return replace(self, physics=physics, noise=noise, poses=poses, log_likelihood=log_likelihood)
+
+    def lengthened(self, noise: Float[Tensor, "N 1 8"], history: History) -> Self:
+        """With one more segment, which is not replayed yet."""
+        return replace(
+            self,
+            noise=torch.cat((self.noise, noise), 1),
+            poses=torch.cat((self.poses, self.poses[:, -1:]), 1),
+            log_likelihood=torch.cat((self.log_likelihood, self.log_likelihood.new_zeros(len(self), 1)), 1),
+            history=history,
+        )
 
     def remembered(self, most: int) -> Self:
         """The same without the older half of a history of more segments, cut where an action begins."""
@@ -265,10 +382,10 @@ class Trajectories:
         return -0.5 * (self.physics.square().sum(-1) + self.noise.square().sum((-2, -1)))
 
     def replayed(
-        self, model: PushedObject, settings: PoseTrajectorySettings, history: History, first: Int[Tensor, "N"]
+        self, model: Pushed, settings: PoseTrajectorySettings, history: History, first: Int[Tensor, "N"]
     ) -> Self:
         """Poses and likelihood under a history of as many segments, from a segment of each particle's own on."""
-        version = backend.dispatch("replay_trajectories", self.poses, *model.sdf.tensors())
+        version = backend.dispatch(model.replay, self.poses, *model.sdf.tensors())
         poses, log_likelihood = version(model, settings, history, self, first)
         return replace(self, poses=poses, log_likelihood=log_likelihood)
 
@@ -308,9 +425,10 @@ _STEP_M, _STEPS = 3e-5, 1000
 
 
 @backend.register("replay_trajectories")
-def _replay(
-    model: PushedObject, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+def replay_plain(
+    model: Pushed, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
 ) -> tuple[Tensor, Tensor]:
+    """The definition: poses and likelihoods from a segment of each particle's own on."""
     poses, logs = given.poses.clone(), given.log_likelihood.clone()
     for segment in range(len(history)):
         rows = (first <= segment).nonzero()[:, 0]
@@ -327,13 +445,13 @@ def _replay(
         for instant in range(int(history.ends[segment - 1]) if segment else 0, int(history.ends[segment])):
             if bool(history.pushes[instant]):
                 before, after = history.tool[instant]
-                pose = _stepped(model, own, pose, before, after, Sliding(physics[:, 2:], lever, friction), mixed)
+                pose = model.step(own, pose, before, after, Sliding(physics[:, 2:], lever, friction), mixed)
             begin = int(history.point_ends[instant - 1]) if instant else 0
             some = slice(begin, int(history.point_ends[instant]))
             there = history.points[some]
-            local = rotated(there[:, :2] - pose[:, None, :2], -pose[:, None, 2])
-            places = torch.cat((local, there[:, 2:].expand(len(pose), -1, 1)), -1)
-            distance = model.sdf.distance(places.to(model.sdf.bounds)).to(pose)
+            if not len(there):
+                continue
+            distance = model.sdf.distance(model.local(pose, there).to(model.sdf.bounds)).to(pose)
             total = total + log_likelihood_of(distance, history.kind[some], own) @ history.weight[some]
         poses[rows, segment + 1], logs[rows, segment] = pose, total
     return poses, logs
@@ -373,12 +491,12 @@ def _stepped(
 
 @backend.register("replay_trajectories", "numba", compiled.supports)
 def _replay_numba(
-    model: PushedObject, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+    model: Pushed, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
 ) -> tuple[Tensor, Tensor]:
     from sdf.grid_sdf import GridSDF
 
     if not isinstance(model.sdf, GridSDF):
-        return _replay(model, own, history, given, first)
+        return replay_plain(model, own, history, given, first)
     from rumi.belief.pose_trajectories_numba import replay as kernel
     from sdf.grid_numba import grid_arguments
 
@@ -388,14 +506,14 @@ def _replay_numba(
     numbers = torch.tensor((*place, *model.centre.tolist()), dtype=torch.float64)
     tensors = (first, poses, logs, given.physics, given.noise, history.tool, history.pushes, history.ends)
     points = (history.action, history.points, history.kind, history.weight, history.point_ends)
-    shape = (model.tool, outline.values, numbers, *_tables(own))
+    shape = (model.tool, outline.values, numbers, *tables(own))
     arrays = (part.detach().contiguous().numpy() for part in (*tensors, *points, *shape))
     kernel(*arrays, grid_arguments(model.sdf, torch.float32))
     return poses, logs
 
 
 @functools.cache
-def _tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
+def tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
     """Numbers of the motion prior as the kernel takes them, and log-likelihoods of every kind over distances."""
     prior = (*own.friction, *own.lever_ratio, *own.ahead_m, own.centre_m, own.friction_change, own.lever_change)
     noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)

@@ -28,6 +28,8 @@ class PoseTrajectorySettings:
         along, across: deviations of a step along itself and across it, as shares of its length.
         turn_rad_per_m: deviation of its turn.
         m_per_rad: length that a radian of a step counts as.
+        fall_m: length that a fall counts as.
+        firm_change: log-deviation of the tilt at which an object falls over.
         tails: h of Tukey's g-and-h distribution of this noise.
         shared: part of its variance that a whole action has in common.
         seen_sd_m: deviation of what a camera sees.
@@ -59,6 +61,8 @@ class PoseTrajectorySettings:
     across: float = 0.35
     turn_rad_per_m: float = 3.0
     m_per_rad: float = 0.02
+    fall_m: float = 0.04
+    firm_change: float = 0.2
     tails: float = 0.15
     shared: float = 0.5
     seen_sd_m: float = 0.0015
