@@ -43,7 +43,10 @@ from sensors.reading import Reading
 _SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of draws about fitted poses: metres, radians
 _DRAWS, _STARTS, _LOOKED_AT, _FIRST_SWEEPS = 6000, 300, 24, 4
 _MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of the belief
-_UNMET, _MET = 20000, 3000  # draws of the prior at the first touch, and those of them that its motion is worked out for
+_UNMET, _MET = (
+    40000,
+    10000,
+)  # draws of the prior at the first touch, and those of them that its motion is worked out for
 _TOUCHED_ABOUT = (0.004, 0.004, 0.1)  # of starts after it
 _UNSETTLED = 0.03  # share of the belief that leans on the tool, and so moves with it, felt or not
 _LONG = 6  # pushed segments up to which moves from the start are tried after each, not after each action
@@ -81,11 +84,11 @@ class PoseTrajectoryFilter(PoseFilter):
         Without a view: draws of the prior.
         """
         random, own = _one(generator), self.own
-        flat = torch.zeros(own.particles, dtype=torch.float64)
         if self.prior is not None:
-            start, starts = (from_prior(self.prior, count, random) for count in (own.particles, _STARTS))
+            start, starts = (from_prior(self.prior, count, random) for count in (own.unseen_particles, _STARTS))
             drawn = self._fresh(start, History.empty(4), starts, random)
-            return self._belief(drawn, normalise(flat), belief.world_T_attached, belief.log_weights)
+            even = normalise(torch.zeros(len(start), dtype=torch.float64))
+            return self._belief(drawn, even, belief.world_T_attached, belief.log_weights)
         fitted = se3.to_planar(belief.world_T_object.double())
         draws = max(_DRAWS // len(fitted), 1)
         spread = fitted.new_tensor([(m, m, rad) for m, rad in _SPREADS])
@@ -102,6 +105,7 @@ class PoseTrajectoryFilter(PoseFilter):
         moves = Moves(self.model, own, random)
         for _ in range(_FIRST_SWEEPS):
             drawn = moves.sweep(drawn, history, whole=True)
+        flat = torch.zeros(own.particles, dtype=torch.float64)
         return self._belief(drawn, normalise(flat), belief.world_T_attached, belief.log_weights)
 
     @torch.no_grad()
@@ -172,7 +176,7 @@ class PoseTrajectoryFilter(PoseFilter):
     def _met(self, now: Trajectories, segment: Segment, random: torch.Generator) -> Trajectories:
         """Particles after the first touch, drawn from the prior anew: those from before it stand too far apart."""
         assert self.prior is not None
-        own, count, still = self.own, self.own.particles, now.history
+        own, count, still = self.own, len(now), now.history
         drawn = self._fresh(from_prior(self.prior, _UNMET, random), still, now.starts, random)
         drawn = drawn.replayed(self.model, own, still, torch.zeros(_UNMET, dtype=torch.long))
         _check(drawn.log_likelihood)

@@ -10,7 +10,8 @@ from sdf.compiled import Kernel, bare
 from sdf.grid_numba import lattice_of, value, value_and_gradient
 from sdf.part_numba import indices
 
-_LEVEL, _ACROSS, _MOST_M = 0.5, 0.3, 0.012
+_LEVEL, _ACROSS, _MOST_M, _LEAST_M = 0.5, 0.3, 0.012, 0.01
+_TILTS, _HALVES = 2, 5
 
 
 @bare
@@ -126,82 +127,108 @@ def _ahead(yaw, rest, in_x, in_y, rests):
 
 
 @bare
+def _leant(x, y, yaw, rest, edge, tilt, after, tool, starts, centres, rests, box, flat, lattice):
+    """Edge and tilt of an object that leans on the tool where it is now."""
+    normal = rests[5]
+    c, s = math.cos(yaw), math.sin(yaw)
+    out_x = c * normal[rest, edge, 0] - s * normal[rest, edge, 1]
+    out_y = s * normal[rest, edge, 0] + c * normal[rest, edge, 1]
+    touched = False
+    for _ in range(_TILTS):
+        frame = _placed(x, y, yaw, rest, edge, tilt, rests)
+        depth, in_x, in_y, _, _, high = _deepest(frame, after, tool, starts, centres, box, flat, lattice)
+        if not depth > 0.0:
+            break
+        touched = True
+        along = in_x * out_x + in_y * out_y
+        if along > _ACROSS:
+            tilt += depth / max(high * along, _LEAST_M)
+    if touched:
+        return edge, tilt
+    low, high = 0.0, tilt
+    for turn in range(_HALVES):
+        middle = low if turn == 0 else 0.5 * (low + high)
+        frame = _placed(x, y, yaw, rest, edge, middle, rests)
+        if _deepest(frame, after, tool, starts, centres, box, flat, lattice)[0] > 0.0:
+            low = middle
+        else:
+            high = middle
+    if high <= 0.0:
+        return -1, 0.0
+    return edge, high
+
+
+@bare
 def _stepped(state, before, after, tool, starts, centres, rests, numbers, scales, body, noise, box, flat, lattice):
     x, y, yaw, rest, edge, tilt = state
     if (after[0] - x) ** 2 + (after[1] - y) ** 2 >= numbers[0] * numbers[0]:
         return state
-    frame = _placed(x, y, yaw, rest, -1, 0.0, rests)
-    depth, in_x, in_y, at_x, at_y, at_z = _deepest(frame, after, tool, starts, centres, box, flat, lattice)
-    if not depth > 0.0:
-        return x, y, yaw, rest, -1, 0.0
     normal, tip = rests[5], rests[6]
-    about, off, rate = _ahead(yaw, rest, in_x, in_y, rests)
-    still = False
+    unit_x, unit_y, size = 0.0, 0.0, 0.0
     if edge >= 0:
         c, s = math.cos(yaw), math.sin(yaw)
-        own = normal[rest, edge, 0] * (c * in_x + s * in_y) + normal[rest, edge, 1] * (c * in_y - s * in_x)
-        if own > _ACROSS:
-            still, about, rate = True, edge, own
-    leans = still
-    if about >= 0 and rate > _ACROSS and at_z > off * (1.0 / body[4] + body[4]):
-        leans = True
-    first = (x, y, yaw)
-    if leans:
-        tilt = depth / max(at_z * rate, 0.01)
-        for _ in range(2):
-            frame = _placed(x, y, yaw, rest, about, tilt, rests)
-            deep, nx, ny, _, _, high = _deepest(frame, after, tool, starts, centres, box, flat, lattice)
-            if not deep > 0.0:
-                break
+        unit_x = c * normal[rest, edge, 0] - s * normal[rest, edge, 1]
+        unit_y = s * normal[rest, edge, 0] + c * normal[rest, edge, 1]
+        edge, tilt = _leant(x, y, yaw, rest, edge, tilt, after, tool, starts, centres, rests, box, flat, lattice)
+    if edge < 0:
+        frame = _placed(x, y, yaw, rest, -1, 0.0, rests)
+        depth, in_x, in_y, at_x, at_y, at_z = _deepest(frame, after, tool, starts, centres, box, flat, lattice)
+        if not depth > 0.0:
+            return x, y, yaw, rest, -1, 0.0
+        about, off, rate = _ahead(yaw, rest, in_x, in_y, rests)
+        if about >= 0 and rate > _ACROSS and at_z > off * (1.0 / body[4] + body[4]):
+            unit_x, unit_y = in_x, in_y
+            tilt = depth / max(at_z * rate, _LEAST_M)
+            edge, tilt = _leant(x, y, yaw, rest, about, tilt, after, tool, starts, centres, rests, box, flat, lattice)
+            if edge < 0:
+                return x, y, yaw, rest, -1, 0.0
+        else:
+            first = (x, y, yaw)
+            way = (after[0] - before[0], after[1] - before[1], after[2] - before[2])
+            length = max(math.sqrt(way[0] * way[0] + way[1] * way[1]), 1e-12)
             c, s = math.cos(yaw), math.sin(yaw)
-            out_x = c * normal[rest, about, 0] - s * normal[rest, about, 1]
-            out_y = s * normal[rest, about, 0] + c * normal[rest, about, 1]
-            tilt += deep / max(high * (nx * out_x + ny * out_y), 0.01)
-        if tilt < tip[rest, about] * math.exp(scales[17] * noise[2]):
-            return x, y, yaw, rest, about, tilt
+            centre, spread = rests[2], rests[3]
+            centre_x = centre[rest, 0] + body[0] + body[2] * (c * way[0] + s * way[1]) / length
+            centre_y = centre[rest, 1] + body[1] + body[2] * (c * way[1] - s * way[0]) / length
+            sliding = (centre_x, centre_y, body[3] * spread[rest], body[4], 0.0, 0.0, 0.0, 0.0, 0.0)
+            unit_x, unit_y = in_x, in_y
+            for turn in range(2):
+                if turn > 0:
+                    frame = _placed(x, y, yaw, rest, -1, 0.0, rests)
+                    depth, in_x, in_y, at_x, at_y, _ = _deepest(frame, after, tool, starts, centres, box, flat, lattice)
+                    if not depth > 0.0:
+                        break
+                c, s = math.cos(yaw), math.sin(yaw)
+                x, y, yaw = settled(
+                    x,
+                    y,
+                    yaw,
+                    first,
+                    (after[0], after[1]),
+                    way,
+                    at_x - after[0],
+                    at_y - after[1],
+                    -(c * in_x + s * in_y),
+                    -(c * in_y - s * in_x),
+                    min(depth, _MOST_M),
+                    0.0,
+                    sliding,
+                )
+            dx, dy, turned = x - first[0], y - first[1], yaw - first[2]
+            length = math.sqrt(dx * dx + dy * dy)
+            size = length + scales[12] * abs(turned)
+            if length > 1e-9:
+                unit_x, unit_y = dx / length, dy / length
+    if edge >= 0:
+        if tilt < tip[rest, edge] * math.exp(scales[17] * noise[2]):
+            return x, y, yaw, rest, edge, tilt
         following, change = rests[7], rests[8]
         c, s = math.cos(yaw), math.sin(yaw)
-        x += c * change[rest, about, 0] - s * change[rest, about, 1]
-        y += s * change[rest, about, 0] + c * change[rest, about, 1]
-        yaw += change[rest, about, 2]
-        rest = following[rest, about]
-        size, unit_x, unit_y = scales[16], in_x, in_y
-    else:
-        way = (after[0] - before[0], after[1] - before[1], after[2] - before[2])
-        length = max(math.sqrt(way[0] * way[0] + way[1] * way[1]), 1e-12)
-        c, s = math.cos(yaw), math.sin(yaw)
-        centre, spread = rests[2], rests[3]
-        centre_x = centre[rest, 0] + body[0] + body[2] * (c * way[0] + s * way[1]) / length
-        centre_y = centre[rest, 1] + body[1] + body[2] * (c * way[1] - s * way[0]) / length
-        sliding = (centre_x, centre_y, body[3] * spread[rest], body[4], 0.0, 0.0, 0.0, 0.0, 0.0)
-        for turn in range(2):
-            if turn > 0:
-                frame = _placed(x, y, yaw, rest, -1, 0.0, rests)
-                depth, in_x, in_y, at_x, at_y, _ = _deepest(frame, after, tool, starts, centres, box, flat, lattice)
-                if not depth > 0.0:
-                    break
-            c, s = math.cos(yaw), math.sin(yaw)
-            x, y, yaw = settled(
-                x,
-                y,
-                yaw,
-                first,
-                (after[0], after[1]),
-                way,
-                at_x - after[0],
-                at_y - after[1],
-                -(c * in_x + s * in_y),
-                -(c * in_y - s * in_x),
-                min(depth, _MOST_M),
-                0.0,
-                sliding,
-            )
-        dx, dy, turned = x - first[0], y - first[1], yaw - first[2]
-        length = math.sqrt(dx * dx + dy * dy)
-        size = length + scales[12] * abs(turned)
-        unit_x, unit_y = in_x, in_y
-        if length > 1e-9:
-            unit_x, unit_y = dx / length, dy / length
+        x += c * change[rest, edge, 0] - s * change[rest, edge, 1]
+        y += s * change[rest, edge, 0] + c * change[rest, edge, 1]
+        yaw += change[rest, edge, 2]
+        rest = following[rest, edge]
+        size = scales[16]
     along, across = noise[0] * size * scales[9], noise[1] * size * scales[10]
     x, y = x + along * unit_x - across * unit_y, y + along * unit_y + across * unit_x
     return x, y, yaw + noise[2] * size * scales[11], rest, -1, 0.0

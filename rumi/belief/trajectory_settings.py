@@ -12,7 +12,8 @@ class PoseTrajectorySettings:
     the pose is off by noise in proportion to the step, the same throughout a segment: the model's errors last.
 
     Attributes:
-        particles: N.
+        particles: N, where a view shows the object.
+        unseen_particles: N, where only a prior tells of it at first: touches leave many ways open.
         branches: motions drawn for each particle when a segment comes in.
         instants: of contact that make a segment.
         lag: pushed segments, from the last on, whose noise is still moved by itself.
@@ -46,6 +47,7 @@ class PoseTrajectorySettings:
     """
 
     particles: int = 150
+    unseen_particles: int = 450
     branches: int = 6
     instants: int = 5
     lag: int = 10
@@ -88,7 +90,7 @@ class PoseTrajectorySettings:
             for number in value if isinstance(value, tuple) else (value,):
                 if not 0 <= number < math.inf:
                     raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")
-        whole = ("particles", "branches", "instants", "lag", "memory", "rounds")
+        whole = ("particles", "unseen_particles", "branches", "instants", "lag", "memory", "rounds")
         positive = ("seen_sd_m", "free_sd_m", "felt_sd_m", "pad_slope_m", "pad_spacing_m", "free_cell_m")
         for name in (*whole, *positive):
             if not getattr(self, name) > 0:

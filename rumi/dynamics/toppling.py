@@ -19,7 +19,8 @@ from sdf.base import SDF
 
 _MOST_M = 0.012  # that one contact moves an object, at most
 _LEVEL = 0.5  # share of a contact's normal that has to be level for it to push
-_PASSES, _TILTS = 2, 3
+_LEAST_M = 0.01  # lever of a lean, at least
+_PASSES, _TILTS, _HALVES = 2, 2, 5
 _ACROSS = 0.3  # cosine to the edge's normal below which a push does not lean on it
 
 
@@ -68,90 +69,115 @@ def push_in_space(
         body: friction and sliding of each; `centre` in the resting frame.
         firm: tilt at which each falls over, as a share of that at which its centre of mass is above the edge.
     """
-    planar, lying = state
+    planar, lying = state[0], state[1].clone()
     count = len(planar)
     points = torch.cat((rotated(tool[:, :2], after[2].expand(len(tool))) + after[:2], tool[:, 2:] + after[3]), -1)
     slid, fell = (torch.zeros(count, dtype=torch.bool) for _ in range(2))
     ahead = planar.new_zeros(count, 2)
-    flat = torch.stack((lying[:, 0], torch.full_like(lying[:, 1], -1.0), torch.zeros_like(lying[:, 2])), -1)
-    found, depth, inward, place = _deepest(sdf, rests, points, planar, flat)
-    met = torch.zeros(count, dtype=torch.bool)
-    met[found] = True
-    # what the tool does not reach stands as it rests
-    lying = torch.where(met[:, None], lying, flat)
-    if not len(found):
-        return Push(Leaning(planar, lying), slid, fell, ahead)
-    ahead[found] = inward
-    rest, edge = lying[found, 0].long(), lying[found, 1].long()
-    way = rotated(inward, -planar[found, 2])
-    # the edge ahead of the push, from below the centre of mass
-    edges = rests.edges
-    centre = rests.centre[rest][:, None]
-    off = ((edges.point[rest] - centre) * edges.normal[rest]).sum(-1)
-    rate = (edges.normal[rest] * way[:, None]).sum(-1)
-    real = edges.tip_rad[rest].isfinite() & (rate > 1e-3)
-    ratio = torch.where(real, off / rate.clamp_min(1e-3), torch.full_like(rate, torch.inf))
-    chosen = ratio.argmin(-1)
-    rows = torch.arange(len(found))
-    friction = body.friction[found]
-    high = place[:, 2] > ratio[rows, chosen] * (1.0 / friction + friction)
-    leans = high & ratio[rows, chosen].isfinite() & (rate[rows, chosen] > _ACROSS)
-    still = (edge >= 0) & (rate[rows, edge.clamp_min(0)] > _ACROSS)
-    about = torch.where(still, edge, chosen)
-    leans = leans | still
-    tips = found[leans]
-    if len(tips):
-        about = about[leans].to(lying)
-        tilt = depth[leans] / (place[leans, 2] * rate[leans, about.long()]).clamp_min(0.01)
-        for turn in range(_TILTS):
-            lying[tips] = torch.stack((lying[tips, 0], about, tilt), -1)
-            if turn == _TILTS - 1:
-                break
-            inner, deep, normal, at = _deepest(sdf, rests, points, planar[tips], lying[tips])
-            outward = rotated(edges.normal[lying[tips[inner], 0].long(), about[inner].long()], planar[tips[inner], 2])
-            tilt[inner] += deep / (at[:, 2] * (normal * outward).sum(-1)).clamp_min(0.01)
-        over = tilt >= firm[tips] * edges.tip_rad[lying[tips, 0].long(), about.long()]
-        down = tips[over]
-        if len(down):
-            rest, edge = lying[down, 0].long(), lying[down, 1].long()
-            change = edges.change[rest, edge]
-            moved = planar[down, :2] + rotated(change[:, :2], planar[down, 2])
-            planar = planar.index_copy(0, down, torch.cat((moved, planar[down, 2:] + change[:, 2:]), -1))
-            lying[down] = torch.stack(
-                (edges.next[rest, edge].to(lying), torch.full_like(over[over].to(lying), -1.0), 0.0 * change[:, 0]), -1
-            )
-            fell[down] = True
-    slides = found[~leans]
-    if len(slides):
-        lying[slides] = flat[slides]
+    scene = _Scene(sdf, rests, points)
+    # what leans on the tool goes with it; what that leaves is as it rests
+    leaning = (lying[:, 1] >= 0).nonzero()[:, 0]
+    if len(leaning):
+        lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning])
+    free = (lying[:, 1] < 0).nonzero()[:, 0]
+    row, depth, inward, place = _deepest(scene, planar[free], lying[free])
+    found = free[row]
+    if len(found):
+        ahead[found] = inward
+        about, off, rate = _edge_ahead(rests, planar[found], lying[found], inward)
+        friction = body.friction[found]
+        leans = (rate > _ACROSS) & (place[:, 2] > off * (1.0 / friction + friction))
+        tips = found[leans]
+        tilt = depth[leans] / (place[leans, 2] * rate[leans]).clamp_min(_LEAST_M)
+        lying[tips] = torch.stack((lying[tips, 0], about[leans].to(lying), tilt), -1)
+        lying[tips], _ = _leant(scene, planar[tips], lying[tips])
+        slides, now = found[~leans], planar[found[~leans]]
         slid[slides] = True
-        kept = ~leans
-        now = planar[slides]
-        start, own = now, body.at(slides)
-        some, touch = torch.arange(len(slides)), (depth[kept], inward[kept], place[kept])
+        start, own, some = now, body.at(slides), torch.arange(len(slides))
+        touch = depth[~leans], inward[~leans], place[~leans]
         for turn in range(_PASSES):
             if turn:
-                some, *touch = _deepest(sdf, rests, points, now, lying[slides])
-                if not len(some):
-                    break
+                some, *touch = _deepest(scene, now, lying[slides])
             many = len(some)
+            if not many:
+                break
             met_at = Touch(touch[2][:, :2], touch[1], touch[0].clamp_max(_MOST_M))
-            out = pushed_out(
-                now[some], start[some], before[:3].expand(many, 3), after[:3].expand(many, 3), met_at, own.at(some)
-            )
+            tools = before[:3].expand(many, 3), after[:3].expand(many, 3)
+            out = pushed_out(now[some], start[some], *tools, met_at, own.at(some))
             now = now.index_copy(0, some, out)
         planar = planar.index_copy(0, slides, now)
+    edges, rest, edge = rests.edges, lying[:, 0].long(), lying[:, 1].long()
+    over = (edge >= 0) & (lying[:, 2] >= firm * edges.tip_rad[rest, edge.clamp_min(0)])
+    down = over.nonzero()[:, 0]
+    if len(down):
+        rest, edge = rest[down], edge[down]
+        change = edges.change[rest, edge]
+        moved = planar[down, :2] + rotated(change[:, :2], planar[down, 2])
+        planar = planar.index_copy(0, down, torch.cat((moved, planar[down, 2:] + change[:, 2:]), -1))
+        none = torch.zeros_like(change[:, 0])
+        lying[down] = torch.stack((edges.next[rest, edge].to(lying), none - 1.0, none), -1)
+        fell[down] = True
     return Push(Leaning(planar, lying), slid, fell, ahead)
 
 
+class _Scene(NamedTuple):
+    """Object's signed distances and resting poses, and points of the tool in the world."""
+
+    sdf: SDF
+    rests: RestingPoses
+    points: Float[Tensor, "n 3"]
+
+
+def _edge_ahead(
+    rests: RestingPoses, planar: Float[Tensor, "E 3"], lying: Float[Tensor, "E 3"], inward: Float[Tensor, "E 2"]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Edge ahead of a push from below the centre of mass, its distance along the push, and the cosine to its normal."""
+    edges, rest = rests.edges, lying[:, 0].long()
+    way = rotated(inward, -planar[:, 2])
+    off = ((edges.point[rest] - rests.centre[rest][:, None]) * edges.normal[rest]).sum(-1)
+    rate = (edges.normal[rest] * way[:, None]).sum(-1)
+    real = edges.tip_rad[rest].isfinite() & (rate > 1e-3)
+    ratio = torch.where(real, off / rate.clamp_min(1e-3), torch.full_like(rate, torch.inf))
+    off, about = ratio.min(-1)
+    return about, off, torch.where(off.isfinite(), rate.gather(-1, about[:, None])[:, 0], torch.zeros_like(off))
+
+
+def _leant(
+    scene: _Scene, planar: Float[Tensor, "E 3"], lying: Float[Tensor, "E 3"]
+) -> tuple[Float[Tensor, "E 3"], Float[Tensor, "E 2"]]:
+    """Tilts of objects that lean on the tool where it is now, and the direction over their edges; rests where it left.
+
+    From the tilt before: at rest the tool may be so deep in it that the way out is on the other side.
+    """
+    edges, lying = scene.rests.edges, lying.clone()
+    outward = rotated(edges.normal[lying[:, 0].long(), lying[:, 1].long()], planar[:, 2])
+    touched = torch.zeros(len(planar), dtype=torch.bool)
+    for _ in range(_TILTS):
+        row, depth, inward, place = _deepest(scene, planar, lying)
+        touched[row] = True
+        along = (inward * outward[row]).sum(-1)
+        more = torch.where(along > _ACROSS, depth / (place[:, 2] * along).clamp_min(_LEAST_M), 0.0 * depth)
+        lying[row, 2] += more
+    left = (~touched).nonzero()[:, 0]
+    if len(left):
+        low, high = torch.zeros_like(lying[left, 2]), lying[left, 2]
+        for turn in range(_HALVES):
+            middle = low if turn == 0 else 0.5 * (low + high)
+            tried = torch.cat((lying[left, :2], middle[:, None]), -1)
+            held = torch.zeros(len(left), dtype=torch.bool)
+            held[_deepest(scene, planar[left], tried)[0]] = True
+            low, high = torch.where(held, middle, low), torch.where(held, high, middle)
+        gone = high <= 0.0
+        edge = torch.where(gone, -torch.ones_like(high), lying[left, 1])
+        lying[left] = torch.stack((lying[left, 0], edge, high), -1)
+    return lying, outward
+
+
 def _deepest(
-    sdf: SDF,
-    rests: RestingPoses,
-    points: Float[Tensor, "n 3"],
-    planar: Float[Tensor, "E 3"],
-    lying: Float[Tensor, "E 3"],
+    scene: _Scene, planar: Float[Tensor, "E 3"], lying: Float[Tensor, "E 3"]
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Objects that the tool is in sideways: which, how deep, the level normal into them, and the point of the tool."""
+    sdf, rests, points = scene
     poses = rests.world_T_object(planar, lying)
     back = se3.inverse(poses)
     with torch.no_grad():
