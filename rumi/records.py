@@ -60,7 +60,7 @@ class StepRecord:
     @property
     def stamp(self) -> float:
         """Seconds since the start of the run."""
-        return self.reading.stamp
+        return float(self.reading.stamp)
 
     @property
     def poses(self) -> tuple[Float[Tensor, "P 4 4"], Float[Tensor, "P"]]:

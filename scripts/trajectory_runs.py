@@ -4,10 +4,10 @@ python -m scripts.trajectory_runs --seeds 1000-1019                    # runs wh
 python -m scripts.trajectory_runs --motions trajectory --seeds 1000-1009 --set filter.trajectories.across=0.45
 
 A trajectory run goes on until every rule that is compared would have stopped it. Cover is of updates after the first
-contact: the truth lies within a region of p where particles of less than p are at denser places, density being that of
-the distance to the twelfth neighbour, with 1 mm as 1.5 degrees (`level`).
+contact (`rumi.metrics.calibration`).
 """
 
+import hashlib
 import statistics
 import time
 from collections.abc import Sequence
@@ -17,24 +17,22 @@ from typing import Any, Literal
 
 import torch
 import tyro
-from jaxtyping import Float
-from torch import Tensor
 
-from rumi.belief.particles import PoseBelief
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.cli import script
 from rumi.information.stopping import STOP_RULES
 from rumi.loop import run
+from rumi.metrics.calibration import calibration_error, chance_error, checked
 from rumi.metrics.pose_error import pose_error
 from rumi.records import StepRecord
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
 from scripts.store import Store
-from sdf.symmetry import Symmetries
 
 RESULTS = Path(__file__).parent / "results" / "trajectories.jsonl"
+DEFAULTS = hashlib.sha256(repr(PoseTrajectorySettings()).encode()).hexdigest()[:8]
 Motion = Literal["trajectory", "corrected", "estimated", "pushed", "measured"]
-_NEIGHBOURS, _MM, _DEG = 12, 1e3, 180.0 / torch.pi / 1.5
 
 
 @dataclass(frozen=True)
@@ -58,30 +56,6 @@ class Options:
     steps: int = 25
     results: Path = RESULTS
     only_print: bool = False
-
-
-def level(belief: PoseBelief, truth: Float[Tensor, "4 4"], symmetries: Symmetries | None = None) -> float:
-    """Share of the belief at places denser than the truth's: below p where the truth is in the region of p.
-
-    Args:
-        belief: of one scene.
-        truth: the true pose.
-        symmetries: turns after which the object looks the same.
-    """
-    poses, weights = belief.world_T_object.double(), belief.log_weights.double().softmax(-1)
-    all_, turns = torch.cat((poses, truth.double()[None])), torch.eye(3, dtype=torch.float64)[None]
-    if symmetries is not None:
-        turns = symmetries.rotations.double()
-    off = torch.cdist(all_[:, :3, 3], poses[:, :3, 3], compute_mode="donot_use_mm_for_euclid_dist")
-    turned = poses[None, :, :3, :3] @ turns[:, None]
-    cosine = 0.5 * (torch.einsum("iab,sjab->sij", all_[:, :3, :3], turned).amax(0) - 1.0)
-    apart = torch.hypot(_MM * off, _DEG * cosine.clamp(-1.0, 1.0).arccos())
-    apart[: len(poses)].fill_diagonal_(torch.inf)  # nothing is its own neighbour
-    order = apart.argsort(-1)
-    mass = weights[order].cumsum(-1)
-    place = (mass >= _NEIGHBOURS / len(poses)).to(torch.uint8).argmax(-1, keepdim=True)
-    radius = apart.gather(-1, order).gather(-1, place)[:, 0]
-    return float(weights[radius[:-1] < radius[-1]].sum())
 
 
 def settings_of(options: Options, motion: str, seed: int) -> Settings:
@@ -118,21 +92,18 @@ def measured(options: Options, motion: str, seed: int) -> dict[str, Any]:
             belief, truth = step.belief, step.truth
             assert truth is not None
             metres, radians = pose_error(belief.mode(), truth, agent.model.symmetries)
+            near = {"within_m": agent.position_tolerance_m, "within_rad": agent.rotation_tolerance_rad}
+            held = checked(belief, truth, agent.model.symmetries, **near)
             steps.append(
                 {
                     "contacts": step.contacts,
                     "touched": bool(step.reading.in_contact.any()),
                     "mm": round(float(metres) * 1e3, 2),
                     "deg": round(float(radians) * 180.0 / torch.pi, 2),
-                    "p": round(
-                        belief.probability_right(
-                            agent.model.symmetries,
-                            within_m=agent.position_tolerance_m,
-                            within_rad=agent.rotation_tolerance_rad,
-                        ),
-                        4,
-                    ),
-                    "level": round(level(belief, truth, agent.model.symmetries), 4),
+                    "p": round(held.p_right, 4),
+                    "level": round(held.both, 4),
+                    "place": round(held.place, 4),
+                    "turn": round(held.turn, 4),
                     "expected": round(step.expected_nll, 2),
                     "nll": round(float(step.nll or 0.0), 2),
                     "cpu_s": round(updates[-1], 4) if step.step else 0.0,
@@ -158,11 +129,15 @@ RULES = {
 
 def right(step: dict[str, Any], task: str) -> bool:
     """As a run of the task is judged."""
+    return _near(step, task) and bool(step["nll"] <= find_task(task).nll_threshold)
+
+
+def _near(step: dict[str, Any], task: str) -> bool:
+    """Whether the best pose is within the task's tolerance."""
     spec = find_task(task)
-    near = (
+    return bool(
         step["mm"] <= 1e3 * spec.position_tolerance_m and step["deg"] <= 180.0 / torch.pi * spec.rotation_tolerance_rad
     )
-    return bool(near and step["nll"] <= spec.nll_threshold)
 
 
 def tables(lines: Sequence[dict[str, Any]]) -> str:
@@ -172,7 +147,7 @@ def tables(lines: Sequence[dict[str, Any]]) -> str:
         "|-" * 8 + "|",
     ]
     covers = [
-        "| motion | updates | 50 % | 90 % | 95 % | 99 % | error of P(right) | seconds, median; 90 % |",
+        "| motion | updates | 50 % | 90 % | 95 % | 99 % | error of P(right) (by chance) | seconds, median; 90 % |",
         "|-" * 8 + "|",
     ]
     for label in dict.fromkeys(_label(line) for line in lines):
@@ -198,24 +173,13 @@ def tables(lines: Sequence[dict[str, Any]]) -> str:
         after = [s for line in own for s in line["steps"] if s["contacts"] > 0]
         held = [sum(s["level"] <= p for s in after) / max(1, len(after)) for p in (0.5, 0.9, 0.95, 0.99)]
         cpu = sorted(s["cpu_s"] for s in after if s["touched"])
+        p, near = [s["p"] for s in after], [_near(s, own[0]["part"]) for s in after]
         shares = " | ".join(f"{h:.2f}" for h in held)
         covers.append(
-            f"| {label} | {len(after)} | {shares} | {calibration(after, own[0]['part']):.3f} "
+            f"| {label} | {len(after)} | {shares} | {calibration_error(p, near):.3f} ({chance_error(p):.3f}) "
             f"| {statistics.median(cpu):.2f}; {cpu[int(0.9 * (len(cpu) - 1))]:.2f} |"
         )
     return "\n".join((*out, "", *covers))
-
-
-def calibration(steps: Sequence[dict[str, Any]], task: str = "mug", bins: int = 10) -> float:
-    """Expected calibration error of P(right)."""
-    spec, total = find_task(task), 0.0
-    within_mm, within_deg = 1e3 * spec.position_tolerance_m, 180.0 / torch.pi * spec.rotation_tolerance_rad
-    for k in range(bins):
-        own = [s for s in steps if k <= min(s["p"] * bins, bins - 1e-9) < k + 1]
-        if own:
-            good = sum(s["mm"] <= within_mm and s["deg"] <= within_deg for s in own)
-            total += abs(sum(s["p"] for s in own) - good)
-    return total / max(1, len(steps))
 
 
 def _label(line: dict[str, Any]) -> str:
@@ -231,10 +195,13 @@ def main() -> None:
         for motion in options.motions:
             own = options.set if motion == "trajectory" else ()
             settings = {"part": options.task, "motion": motion, "set": list(own), "seed": seed, "steps": options.steps}
+            if motion == "trajectory":
+                settings["defaults"] = DEFAULTS
             if not options.only_print:
                 store.measure(settings, lambda motion=motion, seed=seed: measured(options, motion, seed))
     seeds = range(int(first), int(last or first) + 1)
-    print(tables([line for line in store.of(options.task) if line["seed"] in seeds]))
+    lines = [line for line in store.of(options.task) if line["seed"] in seeds]
+    print(tables([line for line in lines if line["motion"] != "trajectory" or line.get("defaults") == DEFAULTS]))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from rumi.belief.motion import MOTIONS, Motion, Predictor, object_motion
+from rumi.belief.motion import Motion, Predictor, object_motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.prior import PosePrior
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -20,6 +20,7 @@ from rumi.resampling import resample_systematic
 from rumi.seeding import Generators, normal
 from rumi.weights import boltzmann
 from sdf import numbers, se3, skipped_work
+from sdf.bounds import Checked, NotNegative, Positive, ShareAbove0, TrainedNotNegative, TrainedPositive
 from sdf.check import check_near
 from sdf.precision import full_precision
 from sensors.discrepancy import Discrepancy
@@ -29,7 +30,7 @@ from sensors.reading import Reading
 
 
 @dataclass(frozen=True)
-class FilterSettings:
+class FilterSettings(Checked):
     """Settings of the pose filter.
 
     Attributes:
@@ -63,45 +64,33 @@ class FilterSettings:
         trajectories: of the motion "trajectory", which of the settings above takes the lattice alone.
     """
 
-    peakiness: float | Tensor = 2.0
-    free_scale: float = 80.0
-    tolerance_m: float = 0.001
-    free_spacing_m: float = 0.005
-    surface_spacing_m: float = 0.002
+    peakiness: TrainedPositive = 2.0
+    free_scale: NotNegative = 80.0
+    tolerance_m: NotNegative = 0.001
+    free_spacing_m: Positive = 0.005
+    surface_spacing_m: Positive = 0.002
     motion: Motion = "measured"
     unmeasured: Motion = "corrected"
-    translation_noise_m: float | Tensor = 0.001
-    rotation_noise_rad: float | Tensor = 0.0175
+    translation_noise_m: TrainedNotNegative = 0.001
+    rotation_noise_rad: TrainedNotNegative = 0.0175
     trigger: float = 5.0
-    trigger_percentile: float = 0.95
+    trigger_percentile: ShareAbove0 = 0.95
     weighing: Literal["scratch", "incremental"] = "scratch"
     weigh_before_resampling: bool = True
     descent: DescentSettings = field(default_factory=DescentSettings)
     lies_flat: bool = True
     level_within_rad: float = 0.1
-    still_m: float = 1e-4
-    still_rad: float = 1e-3
+    still_m: NotNegative = 1e-4
+    still_rad: NotNegative = 1e-3
     evidence: tuple[str, ...] = ()
     trajectories: PoseTrajectorySettings = field(default_factory=PoseTrajectorySettings)
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
         numbers.refuse_trained(self, "peakiness", "translation_noise_m", "rotation_noise_rad")
-        for name in ("motion", "unmeasured"):
-            if getattr(self, name) not in MOTIONS:
-                raise ValueError(f"Expected {name} to be one of {', '.join(MOTIONS)}, got {getattr(self, name)!r}")
+        super().__post_init__()
         if self.unmeasured == "measured":
             raise ValueError("Expected unmeasured to be a motion that needs no slip sensor, got 'measured'")
-        if self.weighing not in ("scratch", "incremental"):
-            raise ValueError(f"Expected weighing scratch or incremental, got {self.weighing!r}")
-        for name in ("peakiness", "free_spacing_m", "surface_spacing_m"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        for name in ("free_scale", "tolerance_m", "translation_noise_m", "rotation_noise_rad", "still_m", "still_rad"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
-        if not 0 < self.trigger_percentile <= 1:
-            raise ValueError(f"Expected trigger_percentile in (0, 1], got {self.trigger_percentile}")
 
 
 class FilterInfo(NamedTuple):

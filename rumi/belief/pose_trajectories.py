@@ -3,14 +3,16 @@
 import functools
 import math
 from dataclasses import dataclass, replace
-from enum import IntEnum
-from typing import NamedTuple, Protocol, Self, runtime_checkable
+from typing import Self
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
+from rumi.belief.pushed_model import Pushed
+from rumi.belief.trajectory_history import NODES, History, Kind, arrays_of
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path, unwrapped
 from rumi.dynamics.outline import GridOutline, support_of
@@ -19,18 +21,8 @@ from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
 
-PHYSICS, NOISE, OWN = 5, 8, 5
+PHYSICS, NOISE, OWN = 5, 9, 5
 """Standard normals of a particle, of a segment, and those of a segment that its action does not share."""
-
-
-class Kind(IntEnum):
-    """Meaning of a point."""
-
-    SEEN = 0
-    FREE = 1
-    FELT = 2
-    PAD_FELT = 3
-    PAD_CLEAR = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +37,8 @@ class PushedObject:
         spread_m: mean distance of what rests on the floor from there.
         tool: (n, 2), points of the tool's border, tool frame.
         pads: (m, 3), points of its pads, tool frame.
+        height_m: of the tool above the floor.
+        wide: how much wider than the settings have it the noise of its motion is.
         replay: name of the versions that replay its trajectories.
     """
 
@@ -55,6 +49,8 @@ class PushedObject:
     spread_m: float
     tool: Float[Tensor, "n 2"]
     pads: Float[Tensor, "m 3"]
+    height_m: float
+    wide: float = 1.0
     replay: str = "replay_trajectories"
 
     @classmethod
@@ -74,12 +70,18 @@ class PushedObject:
         support, like = support_of(sdf), torch.zeros((), dtype=torch.float64)
         outline = GridOutline.of_slice(sdf, height_m - resting_m).to(like)
         tool, pads = shape.outline(spacing_m).to(like), shape.pad_shell(pad_spacing_m).to(like)
-        return cls(sdf, resting_m, outline, support.centre.to(like), support.spread, tool, pads)
+        return cls(sdf, resting_m, outline, support.centre.to(like), support.spread, tool, pads, height_m)
 
-    @property
+    @functools.cached_property
     def reach_m(self) -> float:
         """Distance from the tool's origin beyond which nothing is touched."""
         return float(self.tool.norm(dim=-1).max()) + self.outline.radius
+
+    @property
+    def extent_m(self) -> tuple[float, float, float]:
+        """How far its surface is from its place sideways, and how low and how high, at most."""
+        low, high = self.sdf.bounds.double()
+        return float(torch.stack((low[:2], high[:2])).abs().amax(0).norm()), float(low[2]), float(high[2])
 
     @property
     def reported(self) -> Float[Tensor, "m 3"]:
@@ -124,184 +126,22 @@ class PushedObject:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
         return _stepped(self, own, pose, before, after, body, noise)
 
+    @functools.cached_property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Tool, groups of its points that are neighbours, outline and numbers, as the compiled version takes them.
 
-@runtime_checkable
-class Pushed(Protocol):
-    """Object and tool, as trajectories need them: `PushedObject` in the plane, `ToppledObject` in space.
-
-    A pose is of D numbers, a tool's of T: (x, y, yaw) in the plane.
-
-    Attributes:
-        sdf: of the object.
-        resting_m: height of the object's origin from which the heights of points count.
-        spread_m: mean distance of what rests on the floor from below the centre of mass; 1 where poses tell it.
-        pads: (m, 3), points of its pads, tool frame.
-        replay: name of the versions that replay its trajectories.
-    """
-
-    sdf: SDF
-    resting_m: float
-    spread_m: float
-    pads: Float[Tensor, "m 3"]
-    replay: str
-
-    @property
-    def reported(self) -> Float[Tensor, "m 3"]:
-        """Where what the pads' points felt is reported, tool frame."""
-        ...  # abstract: every member has one
-
-    def world_T_object(self, poses: Float[Tensor, "*b D"]) -> Float[Tensor, "*b 4 4"]:
-        """Poses in space, heights counted as those of points."""
-        ...
-
-    def local(self, pose: Float[Tensor, "N D"], points: Float[Tensor, "M 3"]) -> Float[Tensor, "N M 3"]:
-        """Points in the frame of each pose."""
-        ...
-
-    def unsettled(self, poses: Float[Tensor, "N D"]) -> Bool[Tensor, "N"]:
-        """Whether each moves as soon as the tool does, touched or not."""
-        ...
-
-    def path(self, tool_pose: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K T"]:
-        """What counts of the tool's poses, without jumps."""
-        ...
-
-    def tracks(
-        self, own: PoseTrajectorySettings, some: Float[Tensor, "n D"], path: Float[Tensor, "K 2 T"]
-    ) -> Float[Tensor, "n K D"]:
-        """Where poses go by the median of the prior."""
-        ...
-
-    def step(
-        self,
-        own: PoseTrajectorySettings,
-        pose: Float[Tensor, "N D"],
-        before: Float[Tensor, "T"],
-        after: Float[Tensor, "T"],
-        body: Sliding,
-        noise: Float[Tensor, "N 3"],
-    ) -> Float[Tensor, "N D"]:
-        """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
-        ...
-
-
-class Segment(NamedTuple):
-    """Part of an action with what was sensed in it; world frame, float64, never re-attached.
-
-    Attributes:
-        tool: (K, 2, T), (x, y, yaw) of the tool before and after each instant; in space its height, too.
-        pushes: whether the tool may push the object; else it stands still.
-        points: (M, 3), heights counted from the object's origin.
-        instant: (M), in ascending order.
-        kind: (M), of `Kind`.
-        weight: (M), independent readings that a point is worth.
-    """
-
-    tool: Float[Tensor, "K 2 T"]
-    pushes: bool
-    points: Float[Tensor, "M 3"]
-    instant: Int[Tensor, "M"]
-    kind: Int[Tensor, "M"]
-    weight: Float[Tensor, "M"]
-
-
-@dataclass(frozen=True, eq=False)
-class History:
-    """Segments one after the other: S of them, T instants, M points.
-
-    Attributes:
-        tool: (T, 2, 3), in space (T, 2, 4).
-        pushes: (T).
-        ends: (S), instant behind each segment's last.
-        action: (S), the first segment of each one's action.
-        points: (M, 3).
-        kind: (M).
-        weight: (M).
-        point_ends: (T), point behind each instant's last.
-    """
-
-    tool: Float[Tensor, "T 2 C"]
-    pushes: Bool[Tensor, "T"]
-    ends: Int[Tensor, "S"]
-    action: Int[Tensor, "S"]
-    points: Float[Tensor, "M 3"]
-    kind: Int[Tensor, "M"]
-    weight: Float[Tensor, "M"]
-    point_ends: Int[Tensor, "T"]
-
-    @classmethod
-    def empty(cls, numbers: int = 3) -> Self:
-        """Nothing yet; of a tool's pose by 3 numbers, in space by 4."""
-        none, flat = torch.zeros(0, dtype=torch.long), torch.zeros(0, dtype=torch.float64)
-        return cls(flat.view(0, 2, numbers), none.bool(), none, none, flat.view(0, 3), none, flat, none)
-
-    def __len__(self) -> int:
-        """Number of segments."""
-        return len(self.ends)
-
-    def appended(self, segment: Segment, *, opens: bool = True) -> Self:
-        """With one more segment.
-
-        Args:
-            segment: what came.
-            opens: whether it is the first of its action.
+        A group is the centre of its points (x, y), how far they are from it, and the first of them and the one behind.
         """
-        count, instants = len(self), len(segment.tool)
-        action = count if opens or not count else int(self.action[-1])
-        counts = torch.bincount(segment.instant, minlength=instants)
-        return replace(
-            self,
-            tool=torch.cat((self.tool, segment.tool)),
-            pushes=torch.cat((self.pushes, torch.full((instants,), segment.pushes))),
-            ends=torch.cat((self.ends, torch.tensor([len(self.tool) + instants]))),
-            action=torch.cat((self.action, torch.tensor([action]))),
-            points=torch.cat((self.points, segment.points)),
-            kind=torch.cat((self.kind, segment.kind)),
-            weight=torch.cat((self.weight, segment.weight)),
-            point_ends=torch.cat((self.point_ends, len(self.points) + counts.cumsum(0))),
-        )
-
-    def tempered(self, power: float) -> Self:
-        """The last segment's readings raised to a power."""
-        if power == 1.0 or not len(self):
-            return self
-        weight = self.weight.clone()
-        weight[self._points_before(len(self) - 1) :] *= power
-        return replace(self, weight=weight)
-
-    def last(self) -> Self:
-        """The last segment alone, as an action of its own."""
-        alone = self.since(len(self) - 1)
-        return replace(alone, action=torch.zeros_like(alone.action))
-
-    def since(self, segment: int) -> Self:
-        """The same from a segment on, which must be the first of its action."""
-        first, point = (int(self.ends[segment - 1]) if segment else 0), self._points_before(segment)
-        return replace(
-            self,
-            tool=self.tool[first:],
-            pushes=self.pushes[first:],
-            ends=self.ends[segment:] - first,
-            action=self.action[segment:] - segment,
-            points=self.points[point:],
-            kind=self.kind[point:],
-            weight=self.weight[point:],
-            point_ends=self.point_ends[first:] - point,
-        )
-
-    def moving(self) -> Int[Tensor, "s"]:
-        """The segments in which the object may have been pushed."""
-        return self.pushes[self.ends - 1].nonzero()[:, 0]
-
-    def since_push(self) -> Int[Tensor, "m"]:
-        """The points that were sensed after the last push."""
-        moving = self.moving()
-        return torch.arange(self._points_before(int(moving[-1]) + 1) if len(moving) else 0, len(self.points))
-
-    def _points_before(self, segment: int) -> int:
-        """Number of points of the segments before one."""
-        first = int(self.ends[segment - 1]) if segment else 0
-        return int(self.point_ends[first - 1]) if first else 0
+        groups = []
+        for first in range(0, len(self.tool), _GROUP):
+            some = self.tool[first : first + _GROUP]
+            centre = 0.5 * (some.amin(0) + some.amax(0))
+            far = float((some - centre).norm(dim=-1).max())
+            groups.append((*centre.tolist(), far, first, first + len(some)))
+        outline = self.outline
+        place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)
+        numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m))
+        return arrays_of((self.tool, self.tool.new_tensor(groups), outline.values, numbers))
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,8 +150,8 @@ class Trajectories:
 
     Attributes:
         physics: (N, 5) standard normals: log-friction, log-lever, centre of friction (x, y), pressure ahead.
-        noise: (N, S, 8) standard normals of each segment: log-friction, log-lever, motion along, across and turn;
-            and the last three once more for the whole action, of which its first segment's count.
+        noise: (N, S, 9) standard normals of each segment: log-friction, log-lever, motion along, across and turn;
+            and for the whole action, of which its first segment's count, the last three once more, and their size.
         poses: (N, S + 1, 3), (x, y, yaw) before the first segment and after each; in space (N, S + 1, 6), with the
             resting pose, the edge that it leans about, and the tilt (`rumi.dynamics.toppling.Leaning`).
         log_likelihood: (N, S), of each segment's readings.
@@ -320,7 +160,7 @@ class Trajectories:
     """
 
     physics: Float[Tensor, "N 5"]
-    noise: Float[Tensor, "N S 8"]
+    noise: Float[Tensor, "N S 9"]
     poses: Float[Tensor, "N S1 D"]
     log_likelihood: Float[Tensor, "N S"]
     history: History
@@ -345,13 +185,16 @@ class Trajectories:
 
     def where(self, accept: Bool[Tensor, "N"], other: Self) -> Self:
         """Another's particles where accepted, else one's own."""
-        return self.put(rows := accept.nonzero()[:, 0], other.at(rows))
+        wide = accept[:, None]
+        masks = wide, wide[..., None], wide[..., None], wide
+        pairs = ((getattr(other, name), getattr(self, name)) for name in _PARTS)
+        return self._with([torch.where(mask, *pair) for mask, pair in zip(masks, pairs, strict=True)])
 
     def _with(self, parts: list[Tensor]) -> Self:
         physics, noise, poses, log_likelihood = parts
         return replace(self, physics=physics, noise=noise, poses=poses, log_likelihood=log_likelihood)
 
-    def lengthened(self, noise: Float[Tensor, "N 1 8"], history: History) -> Self:
+    def lengthened(self, noise: Float[Tensor, "N 1 9"], history: History) -> Self:
         """With one more segment, which is not replayed yet."""
         return replace(
             self,
@@ -382,11 +225,26 @@ class Trajectories:
         return -0.5 * (self.physics.square().sum(-1) + self.noise.square().sum((-2, -1)))
 
     def replayed(
-        self, model: Pushed, settings: PoseTrajectorySettings, history: History, first: Int[Tensor, "N"]
+        self,
+        model: Pushed,
+        settings: PoseTrajectorySettings,
+        history: History,
+        first: Int[Tensor, "N"],
+        least: Float[Tensor, "N"] | None = None,
     ) -> Self:
-        """Poses and likelihood under a history of as many segments, from a segment of each particle's own on."""
+        """Poses and likelihood under a history of as many segments, from a segment of each particle's own on.
+
+        Args:
+            model: object and tool.
+            settings: of motion prior and sensors.
+            history: what is replayed.
+            first: segment of each particle from which on.
+            least: log-likelihood from there on below which a particle may be given up: a segment's is then -inf, and
+                what comes after it is left as it was.
+        """
         version = backend.dispatch(model.replay, self.poses, *model.sdf.tensors())
-        poses, log_likelihood = version(model, settings, history, self, first)
+        least = torch.full_like(first, -torch.inf, dtype=torch.float64) if least is None else least
+        poses, log_likelihood = version(model, settings, history, self, first, least)
         return replace(self, poses=poses, log_likelihood=log_likelihood)
 
 
@@ -420,15 +278,21 @@ def log_likelihood_of(
     return torch.where(kind >= Kind.PAD_FELT, bit, near)
 
 
-# the compiled version looks likelihoods up over distances: metres between nodes, and nodes to either side of 0
-_STEP_M, _STEPS = 3e-5, 1000
+# the compiled version looks likelihoods up over distances: metres between nodes
+_STEP_M = 3e-5
+_GROUP = 8  # points of the tool's border that it leaves out together
 
 
 @backend.register("replay_trajectories")
 def replay_plain(
-    model: Pushed, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+    model: Pushed,
+    own: PoseTrajectorySettings,
+    history: History,
+    given: Trajectories,
+    first: Int[Tensor, "N"],
+    least: Float[Tensor, "N"],
 ) -> tuple[Tensor, Tensor]:
-    """The definition: poses and likelihoods from a segment of each particle's own on."""
+    """The definition: poses and likelihoods from a segment of each particle's own on; none is given up."""
     poses, logs = given.poses.clone(), given.log_likelihood.clone()
     for segment in range(len(history)):
         rows = (first <= segment).nonzero()[:, 0]
@@ -439,8 +303,8 @@ def replay_plain(
         friction = own.friction[0] * (own.friction[1] * physics[:, 0] + own.friction_change * noise[:, 0]).exp()
         lever = own.lever_ratio[1] * physics[:, 1] + own.lever_change * noise[:, 1]
         lever = model.spread_m * own.lever_ratio[0] * lever.exp()
-        mixed = math.sqrt(1.0 - own.shared) * noise[:, 2:OWN] + math.sqrt(own.shared) * together
-        mixed = mixed * (0.5 * own.tails * mixed.square()).exp()
+        mixed = math.sqrt(1.0 - own.shared) * noise[:, 2:OWN] + math.sqrt(own.shared) * together[:, :3]
+        mixed = model.wide * mixed * (0.5 * own.tails * together[:, 3:].square()).exp()
         pose, total = poses[rows, segment], torch.zeros_like(friction)
         for instant in range(int(history.ends[segment - 1]) if segment else 0, int(history.ends[segment])):
             if bool(history.pushes[instant]):
@@ -473,7 +337,7 @@ def _stepped(
     start, many = pose[near], len(near)
     way = after[:2] - before[:2]
     direction = way / way.norm().clamp_min(1e-12)
-    ahead = own.ahead_m[0] + own.ahead_m[1] * body.centre[near, 2]
+    ahead = model.height_m * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
     centre = model.centre + own.centre_m * body.centre[near, :2]
     centre = centre + ahead[:, None] * rotated(direction.expand(many, 2), -start[:, 2])
     sliding = Sliding(centre, body.lever[near], body.friction[near])
@@ -491,32 +355,33 @@ def _stepped(
 
 @backend.register("replay_trajectories", "numba", compiled.supports)
 def _replay_numba(
-    model: Pushed, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+    history: History,
+    given: Trajectories,
+    first: Int[Tensor, "N"],
+    least: Float[Tensor, "N"],
 ) -> tuple[Tensor, Tensor]:
     from sdf.grid_sdf import GridSDF
 
     if not isinstance(model.sdf, GridSDF):
-        return replay_plain(model, own, history, given, first)
+        return replay_plain(model, own, history, given, first, least)
     from rumi.belief.pose_trajectories_numba import replay as kernel
     from sdf.grid_numba import grid_arguments
 
-    poses, logs = given.poses.clone(), given.log_likelihood.clone()
-    outline = model.outline
-    place = (*outline.origin.tolist(), outline.spacing, model.reach_m, outline.radius, model.spread_m)
-    numbers = torch.tensor((*place, *model.centre.tolist()), dtype=torch.float64)
-    tensors = (first, poses, logs, given.physics, given.noise, history.tool, history.pushes, history.ends)
-    points = (history.action, history.points, history.kind, history.weight, history.point_ends)
-    shape = (model.tool, outline.values, numbers, *tables(own))
-    arrays = (part.detach().contiguous().numpy() for part in (*tensors, *points, *shape))
-    kernel(*arrays, grid_arguments(model.sdf, torch.float32))
-    return poses, logs
+    poses, found = given.poses.clone(), given.log_likelihood.clone()
+    scales, logs = tables(own)
+    particles = arrays_of((first, least, poses, found, given.physics, given.noise))
+    grid = grid_arguments(model.sdf, torch.float32)
+    kernel(particles, *history.arrays, model.arrays, scales.numpy(), logs.numpy(), grid)
+    return poses, found
 
 
 @functools.cache
 def tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
-    """Numbers of the motion prior as the kernel takes them, and log-likelihoods of every kind over distances."""
-    prior = (*own.friction, *own.lever_ratio, *own.ahead_m, own.centre_m, own.friction_change, own.lever_change)
+    """Numbers of the motion prior as the kernel takes them, and all kinds' log-likelihoods over distances, float32."""
+    prior = (*own.friction, *own.lever_ratio, *own.ahead, own.centre_m, own.friction_change, own.lever_change)
     noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)
-    distance = _STEP_M * (torch.arange(2 * _STEPS + 1, dtype=torch.float64) - _STEPS)
+    distance = _STEP_M * (torch.arange(NODES, dtype=torch.float64) - NODES // 2)
     priced = torch.stack([log_likelihood_of(distance, torch.tensor(int(kind)), own) for kind in Kind])
-    return torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64), priced
+    return torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64), priced.float()

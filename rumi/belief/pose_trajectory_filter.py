@@ -16,18 +16,11 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings, PoseFilter
-from rumi.belief.pose_trajectories import (
-    NOISE,
-    OWN,
-    PHYSICS,
-    History,
-    PoseTrajectoryBelief,
-    Pushed,
-    Segment,
-    Trajectories,
-)
+from rumi.belief.pose_trajectories import NOISE, OWN, PHYSICS, PoseTrajectoryBelief, Trajectories
 from rumi.belief.prior import PosePrior
+from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
+from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_moves import Moves, start_density
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.registration.descent import Search
@@ -53,7 +46,7 @@ _LONG = 6  # pushed segments up to which moves from the start are tried after ea
 
 
 class PoseTrajectoryFilter(PoseFilter):
-    """Follows upright objects pushed by a level tool, without a sensor of their motion; holds settings alone.
+    """Follows objects that a tool pushes, without a sensor of their motion; holds settings alone.
 
     Args:
         settings: of which `trajectories` count here, and the lattice of the points kept for planners.
@@ -134,7 +127,9 @@ class PoseTrajectoryFilter(PoseFilter):
                 if unmet and not spans:
                     now = self._met(now, segment, random)
                 else:
-                    now = self._absorb(now, log_weights, segment, random, opens=not spans, closes=instants is parts[-1])
+                    now = self.absorbed(
+                        now, log_weights, segment, random, opens=not spans, closes=instants is parts[-1]
+                    )
                 log_weights, resampled = normalise(torch.zeros_like(log_weights)), True
                 spans.append(len(instants))
         rides = self._ridden(now, spans, len(reading.in_contact))
@@ -165,10 +160,12 @@ class PoseTrajectoryFilter(PoseFilter):
         if float(self.model.unsettled(now.pose).double() @ log_weights.exp()) > _UNSETTLED:
             return True
         looked = systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))
+        if float(torch.cdist(path[:, 1, :2], now.pose[looked, :2]).min()) >= self.model.reach_m:
+            return False
         moved = (self._tracks(now, log_weights, path)[:, -1] - now.pose[looked])[:, :2].norm(dim=-1) > _MOVED_M
         return float(moved.double().mean()) >= _MOVED
 
-    def _tracks(self, now: Trajectories, log_weights: Tensor, path: Tensor) -> Float[Tensor, "n k 3"]:
+    def _tracks(self, now: Trajectories, log_weights: Tensor, path: Tensor) -> Float[Tensor, "n k D"]:
         """Where some of the particles go by the median of the prior."""
         some = now.pose[systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))]
         return self.model.tracks(self.own, some, path)
@@ -179,7 +176,7 @@ class PoseTrajectoryFilter(PoseFilter):
         own, count, still = self.own, len(now), now.history
         drawn = self._fresh(from_prior(self.prior, _UNMET, random), still, now.starts, random)
         drawn = drawn.replayed(self.model, own, still, torch.zeros(_UNMET, dtype=torch.long))
-        _check(drawn.log_likelihood)
+        _check(drawn.log_likelihood.sum(-1))
         drawn = drawn.at(resample_systematic(drawn.log_likelihood.sum(-1), _MET, generator=random))
         history = still.appended(segment)
         noise = normal((_MET, 1, NOISE), generator=random, dtype=torch.float64)
@@ -203,7 +200,7 @@ class PoseTrajectoryFilter(PoseFilter):
         about = _TOUCHED_ABOUT if len(history.moving()) else (0.3 * self.prior.spread_m, 0.3 * self.prior.spread_m, 0.5)
         return Moves(self.model, self.own, random, self.prior, about)
 
-    def _absorb(
+    def absorbed(
         self,
         now: Trajectories,
         log_weights: Tensor,

@@ -4,7 +4,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import History, Kind, Pushed, Segment
+from rumi.belief.pushed_model import Pushed
+from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from sdf import se3
 from sdf.posed import posed_distance
@@ -36,6 +37,7 @@ def standing(
     seen = observation.points[observation.of_class(Semantics.SURFACE)].double()
     free = observation.points[observation.of_class(Semantics.FREE)].double()
     seen, free = _from_origin(seen, model), _from_origin(free, model)
+    free = free[_about(free, poses, model)]
     if taken is not None:
         since = taken.since_push()
         old = taken.points[since[taken.kind[since] == Kind.FREE]]
@@ -147,6 +149,15 @@ def _distance(
     like = model.sdf.bounds
     with torch.no_grad():
         return posed_distance(model.sdf, model.world_T_object(poses).to(like), points.to(like)).double()
+
+
+def _about(points: Float[Tensor, "M 3"], poses: Float[Tensor, "N D"], model: Pushed) -> Bool[Tensor, "M"]:
+    """Which points may be near a pose's surface: those in a box about all poses, whatever their yaw."""
+    far, low, high = model.extent_m
+    place = points[:, :2]
+    beside = far + _NEAR_M
+    near = ((place >= poses[:, :2].amin(0) - beside) & (place <= poses[:, :2].amax(0) + beside)).all(-1)
+    return near & (points[:, 2] >= low - _NEAR_M) & (points[:, 2] <= high + _NEAR_M)
 
 
 def _cells(points: Float[Tensor, "M 3"], own: PoseTrajectorySettings) -> Int[Tensor, "M"]:

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from typing import Self
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import History, Trajectories, replay_plain, tables
+from rumi.belief.pose_trajectories import Trajectories, replay_plain, tables
+from rumi.belief.trajectory_history import History, arrays_of
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import unwrapped
 from rumi.dynamics.resting import RestingPoses
@@ -39,6 +39,7 @@ class ToppledObject:
         group_starts: (G + 1), where groups of the tool's points that lie near each other begin.
         groups: (G, 4), (x, y, z) and radius of a sphere about each.
         reach_m: distance between tool and object, sideways, beyond which nothing is touched.
+        wide: how much wider than the settings have it the noise of its motion is.
     """
 
     sdf: SDF
@@ -50,6 +51,7 @@ class ToppledObject:
     pads: Float[Tensor, "m 3"]
     reported: Float[Tensor, "m 3"]
     reach_m: float
+    wide: float
     resting_m: float = 0.0
     spread_m: float = 1.0
     replay: str = "replay_in_space"
@@ -65,6 +67,7 @@ class ToppledObject:
         spacing_m: float,
         pad_spacing_m: float,
         felt_ahead_m: float = 0.0,
+        wide: float = 1.0,
     ) -> Self:
         """For an object and a gripper.
 
@@ -76,13 +79,20 @@ class ToppledObject:
             spacing_m: between the points of the tool's surface.
             pad_spacing_m: between the points of the pads.
             felt_ahead_m: distance in front of the pads at which felt points are reported.
+            wide: how much wider than the settings have it the noise of its motion is.
         """
         pads, tool = shape.pad_shell(pad_spacing_m).double(), shape.surface(spacing_m).double()
         reported = pads + felt_ahead_m * shape.pad_normals(pads)
         radius = float(sdf.bounds.double().abs().amax(0).norm())
         reach = radius + float(tool[:, :2].norm(dim=-1).max())
         rests = RestingPoses.of(sdf, ways, symmetries)
-        return cls(sdf, rests, len(ways), *_grouped(tool), pads, reported, reach)
+        return cls(sdf, rests, len(ways), *_grouped(tool), pads, reported, reach, wide)
+
+    @property
+    def extent_m(self) -> tuple[float, float, float]:
+        """How far its surface is from its place sideways, and how low and how high, at most."""
+        far = float(self.sdf.bounds.double().abs().amax(0).norm())
+        return far, 0.0, far + float(self.rests.height_m.max())
 
     def world_T_object(self, poses: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 4 4"]:
         """Poses in space above the floor."""
@@ -131,12 +141,12 @@ class ToppledObject:
         way = after[:2] - before[:2]
         direction = (way / way.norm().clamp_min(1e-12)).expand(len(near), 2)
         rest = start[:, 3].long()
-        ahead = own.ahead_m[0] + own.ahead_m[1] * body.centre[near, 2]
+        ahead = after[3] * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
         centre = self.rests.centre[rest] + own.centre_m * body.centre[near, :2]
         centre = centre + ahead[:, None] * rotated(direction, -start[:, 2])
         sliding = Sliding(centre, body.lever[near] * self.rests.spread_m[rest], body.friction[near])
         state = Leaning(start[:, :3], start[:, 3:])
-        firm = (own.firm_change * noise[near, 2]).exp()
+        firm = (own.firm_change / self.wide * noise[near, 2]).exp()
         done = push_in_space(self.sdf, self.rests, self.tool, state, before, after, sliding, firm)
         moved = done.state.planar
         step = moved - start[:, :3]
@@ -158,48 +168,33 @@ backend.register("replay_in_space")(replay_plain)
 
 @backend.register("replay_in_space", "numba", compiled.supports)
 def _replay_numba(
-    model: ToppledObject, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+    model: ToppledObject,
+    own: PoseTrajectorySettings,
+    history: History,
+    given: Trajectories,
+    first: Int[Tensor, "N"],
+    least: Float[Tensor, "N"],
 ) -> tuple[Tensor, Tensor]:
     from sdf.grid_sdf import GridSDF
 
     if not isinstance(model.sdf, GridSDF):
-        return replay_plain(model, own, history, given, first)
+        return replay_plain(model, own, history, given, first, least)
     from rumi.belief.toppled_object_numba import replay as kernel
     from sdf.grid_numba import grid_arguments
-
-    def arrays(*parts: Tensor) -> tuple[np.ndarray, ...]:
-        return tuple(part.detach().contiguous().numpy() for part in parts)
 
     poses, logs = given.poses.clone(), given.log_likelihood.clone()
     rests, edges = model.rests, model.rests.edges
     prior, priced = tables(own)
-    scales = torch.cat((prior, prior.new_tensor((own.fall_m, own.firm_change))))
+    scales = torch.cat((prior, prior.new_tensor((own.fall_m, own.firm_change / model.wide))))
+    done = history.tool, history.pushes, history.ends, history.action, history.point_ends
+    turned = rests.turn, rests.height_m, rests.centre, rests.spread_m
     kernel(
-        *arrays(first, poses, logs),
-        arrays(given.physics, given.noise),
-        arrays(
-            history.tool,
-            history.pushes,
-            history.ends,
-            history.action,
-            history.points,
-            history.kind,
-            history.weight,
-            history.point_ends,
-        ),
-        arrays(model.tool, model.group_starts, model.groups),
-        arrays(
-            rests.turn,
-            rests.height_m,
-            rests.centre,
-            rests.spread_m,
-            edges.point,
-            edges.normal,
-            edges.tip_rad,
-            edges.next,
-            edges.change,
-        ),
-        *arrays(scales.new_tensor((model.reach_m,)), scales, priced, model.sdf.bounds.double()),
+        arrays_of((first, least, poses, logs, given.physics, given.noise)),
+        arrays_of(done),
+        arrays_of((history.points, history.kind, history.weight)),
+        arrays_of((model.tool, model.group_starts, model.groups)),
+        arrays_of((*turned, edges.point, edges.normal, edges.tip_rad, edges.next, edges.change)),
+        *arrays_of((scales.new_tensor((model.reach_m, model.wide)), scales, priced, model.sdf.bounds.double())),
         grid_arguments(model.sdf, torch.float32),
     )
     return poses, logs

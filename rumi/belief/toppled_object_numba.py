@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 
-from rumi.belief.pose_trajectories_numba import _point, _tailed
 from rumi.dynamics.sliding_numba import settled
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import lattice_of, value, value_and_gradient
@@ -12,6 +11,16 @@ from sdf.part_numba import indices
 
 _LEVEL, _ACROSS, _MOST_M, _LEAST_M = 0.5, 0.3, 0.012, 0.01
 _TILTS, _HALVES = 2, 5
+_SLACK = 1e-6  # nats by which sums in another order may differ
+
+
+@bare
+def _point(v, kind, logs, step):
+    """Log-likelihood of a point at a signed distance from the surface, by a table; beyond it as at its ends."""
+    last = logs.shape[1] - 1
+    place = min(max(v / step + 0.5 * last, 0.0), last - 1e-6)
+    low = int(place)
+    return logs[kind, low] + (place - low) * (logs[kind, low + 1] - logs[kind, low])
 
 
 @bare
@@ -188,8 +197,9 @@ def _stepped(state, before, after, tool, starts, centres, rests, numbers, scales
             length = max(math.sqrt(way[0] * way[0] + way[1] * way[1]), 1e-12)
             c, s = math.cos(yaw), math.sin(yaw)
             centre, spread = rests[2], rests[3]
-            centre_x = centre[rest, 0] + body[0] + body[2] * (c * way[0] + s * way[1]) / length
-            centre_y = centre[rest, 1] + body[1] + body[2] * (c * way[1] - s * way[0]) / length
+            ahead = after[3] * body[2]
+            centre_x = centre[rest, 0] + body[0] + ahead * (c * way[0] + s * way[1]) / length
+            centre_y = centre[rest, 1] + body[1] + ahead * (c * way[1] - s * way[0]) / length
             sliding = (centre_x, centre_y, body[3] * spread[rest], body[4], 0.0, 0.0, 0.0, 0.0, 0.0)
             unit_x, unit_y = in_x, in_y
             for turn in range(2):
@@ -235,11 +245,13 @@ def _stepped(state, before, after, tool, starts, centres, rests, numbers, scales
 
 
 @bare
-def _one(n, first, poses, logs, particle, history, shape, rests, numbers, scales, priced, box, flat, lattice):
-    physics, noises = particle
-    path, pushes, ends, action, points, kind, weight, point_ends = history
+def _one(n, particles, done, sensed, shape, rests, numbers, scales, priced, box, flat, lattice):
+    """One particle, from its own segment on; what cannot reach its least log-likelihood any more is given up."""
+    first, least, poses, logs, physics, noises = particles
+    path, pushes, ends, action, point_ends = done
+    points, kind, weight = sensed
     tool, starts, centres = shape
-    begin = first[n]
+    begin, total = first[n], 0.0
     state = (
         poses[n, begin, 0],
         poses[n, begin, 1],
@@ -256,10 +268,11 @@ def _one(n, first, poses, logs, particle, history, shape, rests, numbers, scales
         friction = scales[0] * math.exp(scales[1] * physics[n, 0] + scales[7] * noises[n, segment, 0])
         lever = scales[2] * math.exp(scales[3] * physics[n, 1] + scales[8] * noises[n, segment, 1])
         body = (centre_x, centre_y, ahead, lever, friction)
+        size = numbers[1] * math.exp(0.5 * scales[13] * noises[n, shared, 8] * noises[n, shared, 8])
         noise = (
-            _tailed(own * noises[n, segment, 2] + together * noises[n, shared, 5], scales[13]),
-            _tailed(own * noises[n, segment, 3] + together * noises[n, shared, 6], scales[13]),
-            _tailed(own * noises[n, segment, 4] + together * noises[n, shared, 7], scales[13]),
+            size * (own * noises[n, segment, 2] + together * noises[n, shared, 5]),
+            size * (own * noises[n, segment, 3] + together * noises[n, shared, 6]),
+            size * (own * noises[n, segment, 4] + together * noises[n, shared, 7]),
         )
         for instant in range(ends[segment - 1] if segment > 0 else 0, ends[segment]):
             if pushes[instant]:
@@ -269,38 +282,27 @@ def _one(n, first, poses, logs, particle, history, shape, rests, numbers, scales
                     state, before, after, tool, starts, centres, rests, numbers, scales, body, noise, box, flat, lattice
                 )
             low, high = point_ends[instant - 1] if instant > 0 else 0, point_ends[instant]
-            if low == high:
-                continue
-            frame = _placed(state[0], state[1], state[2], state[3], state[4], state[5], rests)
-            for m in range(low, high):
-                x, y, z = _local(points[m, 0], points[m, 1], points[m, 2], frame)
-                found = value(np.float32(x), np.float32(y), np.float32(z), flat, lattice)
-                log += weight[m] * _point(float(found), kind[m], priced, scales[15])
+            if low < high:
+                frame = _placed(state[0], state[1], state[2], state[3], state[4], state[5], rests)
+                for m in range(low, high):
+                    x, y, z = _local(points[m, 0], points[m, 1], points[m, 2], frame)
+                    found = value(np.float32(x), np.float32(y), np.float32(z), flat, lattice)
+                    log += weight[m] * _point(float(found), kind[m], priced, scales[15])
+            # no reading's log-likelihood is above 0: what is too little now stays so
+            if total + log < least[n] - _SLACK:
+                logs[n, segment] = -math.inf
+                return
         poses[n, segment + 1, 0], poses[n, segment + 1, 1], poses[n, segment + 1, 2] = state[0], state[1], state[2]
         poses[n, segment + 1, 3], poses[n, segment + 1, 4] = state[3], state[4]
         poses[n, segment + 1, 5] = state[5]
         logs[n, segment] = log
+        total += log
 
 
-def _replay_in_space(first, poses, logs, particle, history, shape, rests, numbers, scales, priced, box, grid, part):
+def _replay_in_space(particles, done, sensed, shape, rests, numbers, scales, priced, box, grid, part):
     lattice = lattice_of(grid[1], grid[2])
-    for n in indices(part, len(poses)):
-        _one(
-            np.int64(n),
-            first,
-            poses,
-            logs,
-            particle,
-            history,
-            shape,
-            rests,
-            numbers,
-            scales,
-            priced,
-            box,
-            grid[0],
-            lattice,
-        )
+    for n in indices(part, len(particles[0])):
+        _one(np.int64(n), particles, done, sensed, shape, rests, numbers, scales, priced, box, grid[0], lattice)
 
 
 replay = Kernel(_replay_in_space)

@@ -123,6 +123,12 @@ def quartic_twist(rx, ry, nx, ny, wx, wy, lever, friction, quartic, cos, sin):
 
 
 @bare
+def _turned(angle):
+    """Cosine and sine; most are of 0."""
+    return (1.0, 0.0) if angle == 0.0 else (math.cos(angle), math.sin(angle))
+
+
+@bare
 def settled(x, y, yaw, first, tool, way, ax, ay, gx, gy, depth, thickness, body):
     """Pose of an object after one contact; see `push`.
 
@@ -139,9 +145,9 @@ def settled(x, y, yaw, first, tool, way, ax, ay, gx, gy, depth, thickness, body)
     ax, ay = ax + thickness * nx, ay + thickness * ny
     # the touched point, from the tool's frame and from the object's
     ox, oy = tool[0] + ax - x, tool[1] + ay - y
-    c, s = math.cos(way[2]), -math.sin(way[2])
+    c, s = _turned(-way[2])
     slip_x, slip_y = c * ax - s * ay - ax - way[0], s * ax + c * ay - ay - way[1]
-    c, s = math.cos(first[2] - yaw), math.sin(first[2] - yaw)
+    c, s = _turned(first[2] - yaw)
     slip_x = first[0] - x + c * ox - s * oy - ox - slip_x
     slip_y = first[1] - y + s * ox + c * oy - oy - slip_y
     along = slip_x * nx + slip_y * ny

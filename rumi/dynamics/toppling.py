@@ -97,7 +97,8 @@ def push_in_space(
         touch = depth[~leans], inward[~leans], place[~leans]
         for turn in range(_PASSES):
             if turn:
-                some, *touch = _deepest(scene, now, lying[slides])
+                some, depth, inward, place = _deepest(scene, now, lying[slides])
+                touch = depth, inward, place
             many = len(some)
             if not many:
                 break

@@ -5,9 +5,10 @@ import math
 import pytest
 import torch
 
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, History, Kind, PushedObject, Segment, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
 from rumi.belief.prior import lying
 from rumi.belief.toppled_object import ToppledObject
+from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.resting import RestingPoses, tilted
 from rumi.dynamics.sliding import Sliding
@@ -161,7 +162,7 @@ def test_the_plane_is_the_case_without_a_tilt(box, toppled):
         toppled.sdf, GripperShape(), height_m=0.08, resting_m=HALF[2], spacing_m=0.003, pad_spacing_m=0.006
     )
     x = torch.linspace(-0.10, -0.03, 15, **DOUBLE)
-    own = PoseTrajectorySettings(ahead_m=(0.0, 0.0), firm_change=0.0)
+    own = PoseTrajectorySettings(ahead=(0.0, 0.0), firm_change=0.0)
     path = torch.stack((x[:-1], x[1:]), -1)[..., None] * torch.tensor([1.0, 0.0, 0.0], **DOUBLE)
     path = path + torch.tensor([0.0, 0.04, 0.0], **DOUBLE)
     # across its long side, 158 mm deep: it slides at this height, and turns

@@ -15,9 +15,10 @@ from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
 from rumi.belief.motion import PushedMotion
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
-from rumi.belief.pose_trajectories import Pushed, PushedObject
+from rumi.belief.pose_trajectories import PushedObject
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
+from rumi.belief.pushed_model import Pushed
 from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.belief.toppled_object import ToppledObject
 from rumi.dynamics.push_posterior import push_posterior
@@ -228,6 +229,7 @@ def trajectory_filter(
         spacing_m=_SURFACE_SPACING,
         pad_spacing_m=spacing,
         felt_ahead_m=spec.felt_ahead_m,
+        wide=settings.trajectories.unfitted,
     )
     return PoseTrajectoryFilter(settings, discrepancy, pushed, prior, cast(Search, spec.search))
 
