@@ -15,27 +15,42 @@ class Pushed(Protocol):
     """Object and tool, as trajectories need them: `PushedObject` in the plane, `ToppledObject` in space.
 
     A pose is of D numbers, a tool's of T: (x, y, yaw) in the plane.
-
-    Attributes:
-        sdf: of the object.
-        resting_m: height of the object's origin from which the heights of points count.
-        spread_m: mean distance of what rests on the floor from below the centre of mass; 1 where poses tell it.
-        wide: how much wider than the settings have it the noise of its motion is.
-        pads: (m, 3), points of its pads, tool frame.
-        replay: name of the versions that replay its trajectories.
     """
 
-    sdf: SDF
-    resting_m: float
-    spread_m: float
-    wide: float
-    pads: Float[Tensor, "m 3"]
-    replay: str
+    @property
+    def sdf(self) -> SDF:
+        """Signed distances of the object."""
+        ...  # abstract: every member has one
+
+    @property
+    def resting_m(self) -> float:
+        """Height of the object's origin from which the heights of points count."""
+        ...
+
+    @property
+    def spread_m(self) -> float:
+        """Mean distance of what rests on the floor from below the centre of mass; 1 where poses tell it."""
+        ...
+
+    @property
+    def wide(self) -> float:
+        """How much wider than the settings have it the noise of its motion is."""
+        ...
+
+    @property
+    def pads(self) -> Float[Tensor, "m 3"]:
+        """Points of the tool's pads, tool frame."""
+        ...
+
+    @property
+    def replay(self) -> str:
+        """Name of the versions that replay its trajectories."""
+        ...
 
     @property
     def extent_m(self) -> tuple[float, float, float]:
         """How far its surface is from its place sideways, and how low and how high, at most."""
-        ...  # abstract: every member has one
+        ...
 
     @property
     def reach_m(self) -> float:
@@ -45,7 +60,7 @@ class Pushed(Protocol):
     @property
     def reported(self) -> Float[Tensor, "m 3"]:
         """Where what the pads' points felt is reported, tool frame."""
-        ...  # abstract: every member has one
+        ...
 
     def world_T_object(self, poses: Float[Tensor, "*b D"]) -> Float[Tensor, "*b 4 4"]:
         """Poses in space, heights counted as those of points."""

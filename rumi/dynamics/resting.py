@@ -254,9 +254,9 @@ def _spread(turn: Float[Tensor, "3 3"], surface: Float[Tensor, "m 3"], centre: F
 def _padded(edges: list[list[tuple[Tensor, Tensor, float, int, Tensor]]]) -> Edges:
     """Edges of all resting poses as tensors."""
     most = max(1, *(len(found) for found in edges)) if edges else 1
-    count, double = len(edges), {"dtype": torch.float64}
-    point, normal, change = (torch.zeros(count, most, size, **double) for size in (2, 2, 3))
-    tip, following = torch.full((count, most), math.inf, **double), torch.zeros(count, most, dtype=torch.long)
+    count, kind = len(edges), torch.float64
+    point, normal, change = (torch.zeros(count, most, size, dtype=kind) for size in (2, 2, 3))
+    tip, following = torch.full((count, most), math.inf, dtype=kind), torch.zeros(count, most, dtype=torch.long)
     for rest, found in enumerate(edges):
         for index, (at, outward, angle, which, moved) in enumerate(found):
             point[rest, index], normal[rest, index], change[rest, index] = at, outward, moved.double()

@@ -45,7 +45,7 @@ from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
 
-_PLANAR = ("pushed", "corrected", "trajectory")  # motions by a model of upright objects and a level tool
+_PLANAR = ("pushed", "corrected", "trajectory")  # motions of upright objects and a level tool; the last of others too
 _SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
 _OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
 
