@@ -54,7 +54,7 @@ from sdf.mesh.mesh import TriangleMesh
 
 DIGESTS = Path(__file__).resolve().parent.parent / "tests" / "golden" / "digests.json"
 _DIGITS = 16  # of a SHA-256
-_WORDS = ("pose", "why_not", "wrong_by")  # of a result, also where there are none
+_WORDS = ("pose", "why_not", "wrong_by", "lost")  # of a result, also where there are none
 
 Record = dict[str, Any]
 """`steps`, a pair of digests each, of the action and of the belief after it; `result`, numbers by name."""

@@ -24,7 +24,6 @@ from scripts.bench.real_pushes import (
     SETS,
     SHAPES,
     Scores,
-    drawn,
     fit,
     fixed,
     predicted,
@@ -84,11 +83,11 @@ def measure(model: str, set: str) -> dict[str, Any]:
         order = torch.randperm(len(rows), generator=generator)
         learnt, rest = order[:count], order[count:]
         posterior = prior.update(own.observed(learnt), own.body, generator)
-        shown = predicted(drawn(posterior, SHOWN) if count else posterior, own, rest)
+        shown = predicted(posterior.thinned(SHOWN) if count else posterior, own, rest)
         end = own.end[rest]
         found.append(scores(shown.mean(), end, own.path[rest]))
         densities.append(float(shown.log_density(end).mean()))
-        some = predicted(drawn(posterior, SHOWN), own, rest[::8])
+        some = predicted(posterior.thinned(SHOWN), own, rest[::8])
         levels.append(some.level(end[::8], generator, draws=200))
         numbers.append(posterior.quantiles((0.5,))[0, :2].exp())
     held = {f"held_{share:g}": float((torch.cat(levels) <= share).double().mean()) for share in SHARES}
@@ -109,7 +108,7 @@ def _with_wrenches(name: str, *, known: bool) -> dict[str, Any]:
         if known:
             weighed = weighed + 0.3 * wrench_log_likelihood(prior.parameters, rows, pairs, own.body)
         posterior = replace(prior, log_weights=weighed.log_softmax(-1))
-        found.append(scores(predicted(drawn(posterior, SHOWN), own, rest).mean(), own.end[rest], own.path[rest]))
+        found.append(scores(predicted(posterior.thinned(SHOWN), own, rest).mean(), own.end[rest], own.path[rest]))
     return _summary(found)
 
 

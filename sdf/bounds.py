@@ -1,13 +1,14 @@
 """Settings checked by the types of their fields: bounds of annotated-types, choices, tuples of these, None."""
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cache
+from numbers import Integral
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from annotated_types import Ge, GroupedMetadata, Gt, Interval, Le, Lt
+from annotated_types import Ge, Gt, Interval, Le, Lt
 from torch import Tensor
 
 from sdf.check import is_eager
@@ -68,7 +69,7 @@ class Checked:
         refusal: the error of a class and of those that inherit from it; ValueError by default.
     """
 
-    _refusal: ClassVar[type[ValueError]] = ValueError
+    _refusal = ValueError
 
     def __init_subclass__(cls, refusal: type[ValueError] | None = None) -> None:
         super().__init_subclass__()
@@ -93,7 +94,7 @@ class Checked:
 def _bounded(kind: Any) -> dict[str, Any]:  # noqa: ANN401  (a class)
     """Types of the fields that have more to say than a class."""
     hints = get_type_hints(kind, include_extras=True)
-    return {name: hint for name, hint in hints.items() if get_origin(hint) not in (None, ClassVar)}
+    return {name: hint for name, hint in hints.items() if get_origin(hint) is not None}
 
 
 def _expected(hint: Any, value: Any) -> str:  # noqa: ANN401  (any type, any value)
@@ -102,6 +103,8 @@ def _expected(hint: Any, value: Any) -> str:  # noqa: ANN401  (any type, any val
     if origin is Literal:
         return "" if value in parts else f"to be one of {', '.join(map(str, parts))}"
     if origin is Annotated:
+        if parts[0] is int and not isinstance(value, Integral):
+            return "to be a whole number"
         return _expected(parts[0], value) or _out_of_bounds(parts[1:], value)
     if origin in (Union, UnionType):
         if value is None and NoneType in parts:
@@ -141,9 +144,10 @@ def _out_of_bounds(marks: tuple[Any, ...], value: Any) -> str:  # noqa: ANN401
     return "" if inside else _interval(low, high)
 
 
-def _single(marks: tuple[Any, ...]) -> Iterator[Any]:
-    for mark in marks:
-        yield from mark if isinstance(mark, GroupedMetadata) else (mark,)
+@cache
+def _single(marks: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Marks, with an interval as its two bounds."""
+    return tuple(one for mark in marks for one in (mark if isinstance(mark, Interval) else (mark,)))
 
 
 def _interval(low: Gt | Ge | None, high: Lt | Le | None) -> str:

@@ -1,10 +1,10 @@
-"""Containers of tensors for learning code: dataclasses as pytrees, with stack, pad, index, detach and collate.
+"""Containers of tensors for learning code: dataclasses as pytrees, with stack, join, pad, index, detach, collate.
 
 A registered dataclass goes through `torch.func.vmap`, `torch.utils._pytree` and a `DataLoader` as a tuple of tensors
 does: its tensors, and what of its fields is named as data, are leaves; modules and settings go along as they are.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -97,7 +97,21 @@ def stack(items: Sequence[T]) -> T:
     """
     if not items:
         raise ValueError("Expected at least one item to stack, got none")
-    return _stacked(list(items), "item")
+    return _together(list(items), "item", torch.stack)
+
+
+def join(batches: Sequence[T]) -> T:
+    """Batches one after the other along their first axis, padded (`pad`).
+
+    Args:
+        batches: of one kind; numbers that are no tensors are those of all.
+
+    Raises:
+        ValueError: they are none, or do not go together.
+    """
+    if not batches:
+        raise ValueError("Expected at least one batch to join, got none")
+    return _together(pad(batches), "batch", torch.cat, True)
 
 
 def pad(items: Sequence[T]) -> list[T]:
@@ -173,7 +187,8 @@ def _like(first: Any, parts: dict[str, Any]) -> Any:  # noqa: ANN401  (what it i
     return _made(type(first), parts)
 
 
-def _stacked(items: list[Any], name: str, shared: bool = False) -> Any:  # noqa: ANN401  (what the items are)
+def _together(items: list[Any], name: str, how: Callable[[list[Tensor]], Tensor], shared: bool = False) -> Any:  # noqa: ANN401
+    """The items as one, their tensors put together; numbers that are `shared` have to be the same."""
     first = items[0]
     if isinstance(first, torch.nn.Module):
         if any(item is not first for item in items):
@@ -185,13 +200,13 @@ def _stacked(items: list[Any], name: str, shared: bool = False) -> Any:  # noqa:
             raise ValueError(f"Expected {name} to be {first!r} in all, got others too: a batch shares its settings")
         return first
     if issubclass(kind, Tensor):
-        shapes = sorted({tuple(item.shape) for item in items})
+        shapes = sorted({tuple(item.shape) if how is torch.stack else tuple(item.shape[1:]) for item in items})
         if len(shapes) > 1:
             raise ValueError(
                 f"Expected all of {name} to have one shape, got {', '.join(map(str, shapes))}: use collate, which pads "
                 "what may be padded"
             )
-        return torch.stack(items)
+        return how(items)
     if issubclass(kind, bool | int | float):
         return torch.tensor(items)
     if is_dataclass(first) and kind not in _KINDS:
@@ -199,8 +214,11 @@ def _stacked(items: list[Any], name: str, shared: bool = False) -> Any:  # noqa:
     parts = _parts(items, name)
     if parts is None:
         raise ValueError(f"Expected {name} to be a tensor or a container of such, got {kind.__name__}")
-    data = _KINDS[kind].data if is_dataclass(first) else parts
-    return _like(first, {part: _stacked(own, f"{name}.{part}", part not in data) for part, own in parts.items()})
+    data: Container[str] = _KINDS[kind].data if is_dataclass(first) else parts
+    one = how is torch.cat
+    return _like(
+        first, {part: _together(own, f"{name}.{part}", how, one or part not in data) for part, own in parts.items()}
+    )
 
 
 def _padded(items: list[Any], name: str) -> list[Any]:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import torch
 from annotated_types import Interval
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sdf import numbers, se3, so3
@@ -148,20 +148,24 @@ class ContactSignalEvidence:
 
     Attributes:
         sdf: of the object.
-        surface: (S, n, 3), points on the gripper's surface at each signal, metres.
+        surface: (*b, S, n, 3), points on the gripper's surface at each signal, metres.
         model: of a signal at a distance.
+        signals: (*b, S), whether each was one of contact; None where all were.
     """
 
     sdf: SDF
-    surface: Float[Tensor, "S n 3"]
+    surface: Float[Tensor, "*b S n 3"]
     model: ContactModel
+    signals: Bool[Tensor, "*b S"] | None = None
 
     def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"], /) -> Float[Tensor, "*b N"]:
         """Of each pose, nats."""
-        if len(self.surface) == 0:
+        if self.surface.shape[-3] == 0:
             return world_T_object.new_zeros(world_T_object.shape[:-2])
         distance = robot_distance(self.sdf, world_T_object, self.surface)
         contact = torch.ones_like(distance, dtype=torch.bool)
+        if self.signals is not None:
+            contact = self.signals[..., None, :].expand(distance.shape)
         return self.model.log_likelihood(distance, contact).sum(-1)
 
 

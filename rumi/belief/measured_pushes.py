@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.along_path import unwrapped
-from rumi.dynamics.push_posterior import ObservedPush
+from rumi.dynamics.pushed_body import ObservedPush
 from sdf import se3
 from sensors.reading import Reading
 

@@ -9,9 +9,10 @@ a rate that is learnt within the run, tells nothing. Faults, each with a predict
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, NamedTuple, get_args
+from typing import Annotated, Literal, NamedTuple, get_args
 
 import torch
+from annotated_types import Gt, Interval, Lt
 from jaxtyping import Float
 from torch import Tensor
 
@@ -21,6 +22,7 @@ from rumi.dynamics.push_posterior import PushedBody, PushPosterior, sliding_of
 from rumi.dynamics.sliding import Sliding
 from rumi.resampling import resample_systematic
 from rumi.weights import effective_sample_size
+from sdf.bounds import Checked, Count, Positive
 from sdf.check import check_shape
 from sdf.so3 import wrap
 
@@ -37,8 +39,12 @@ _FORGET = 0.99  # of a way of sliding at a resampling: it drifts about the prior
 _LOG_TAU = math.log(2.0 * math.pi)
 
 
+_DEGREE = math.radians(1.0)
+_Rate = Annotated[float, Interval(gt=0.0, lt=0.5)]
+
+
 @dataclass(frozen=True)
-class PushedPoseSettings:
+class PushedPoseSettings(Checked):
     """Settings of the filter.
 
     Attributes:
@@ -58,33 +64,19 @@ class PushedPoseSettings:
         mean_run: faultless readings between false alarms, at least, on average.
     """
 
-    particles: int = 200
-    reading_m: float = 1e-3
-    reading_rad: float = math.radians(1.0)
-    still: float = 5e-5
-    share: float = 0.06
-    share_way_m: float = 0.05
-    tool_m: float = 1.5e-3
-    repeats: float = 0.05
-    outlier: float = 0.01
-    outlier_readings: float = 200.0
-    outlier_m: float = 0.1
-    outlier_rad: float = 1.0
-    mean_run: float = 20_000.0
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        if not isinstance(self.particles, int) or self.particles < 1:
-            raise ValueError(f"Expected particles as a whole number above 0, got {self.particles}")
-        names = ("reading_m", "reading_rad", "still", "share", "share_way_m", "tool_m")
-        for name in (*names, "outlier_readings", "outlier_m", "outlier_rad"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        for name in ("outlier", "repeats"):
-            if not 0 < getattr(self, name) < 0.5:
-                raise ValueError(f"Expected {name} as a rate between 0 and 0.5, got {getattr(self, name)}")
-        if not 1 < self.mean_run < math.inf:
-            raise ValueError(f"Expected mean_run above 1, got {self.mean_run}")
+    particles: Count = 200
+    reading_m: Positive = 1e-3
+    reading_rad: Positive = _DEGREE
+    still: Positive = 5e-5
+    share: Positive = 0.06
+    share_way_m: Positive = 0.05
+    tool_m: Positive = 1.5e-3
+    repeats: _Rate = 0.05
+    outlier: _Rate = 0.01
+    outlier_readings: Positive = 200.0
+    outlier_m: Positive = 0.1
+    outlier_rad: Positive = 1.0
+    mean_run: Annotated[float, Gt(1.0), Lt(math.inf)] = 20_000.0
 
 
 class PushedPoseBelief(NamedTuple):

@@ -21,7 +21,7 @@ class LeaderboardOptions:
     """Carry out a policy's runs on a task and rank it: right, sure and wrong, actions, CPU time of a decision.
 
     A policy is a Python file with a function act(observation) that gives the control, each number in [-1, 1]; VIEW in
-    it names what it sees: "particles" (default), "image" or "reading".
+    it names what it sees: "particles" (default), "image" or "reading"; start(seed) is called before each run.
 
     Attributes:
         policy: file of the policy, or `rumi` for the own planner.

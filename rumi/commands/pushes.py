@@ -40,7 +40,8 @@ def pushes(arguments: Sequence[str]) -> int:
     """`rumi pushes`: 0 if something was learnt, 2 for bad input."""
     options = tyro.cli(PushesOptions, prog="rumi pushes", args=arguments)
     from rumi.belief.measured_pushes import measured_pushes
-    from rumi.dynamics.push_posterior import PushedBody, PushPosterior
+    from rumi.dynamics.push_posterior import PushPosterior
+    from rumi.dynamics.pushed_body import PushedBody
     from rumi.runs.folder import load_run
     from rumi.seeding import split
     from rumi.tasks.registry import entry_of

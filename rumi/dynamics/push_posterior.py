@@ -1,8 +1,10 @@
-"""Posterior over an object's push parameters, and the predictive density of a push under it.
+"""Posterior over an object's push parameters, learnt from pushes whose outcome was measured.
 
 Particles over how an object slides are weighed by pushes whose outcome was measured, with the likelihood of a
-quasi-static prediction and a heavy-tailed residual; resample-move (Gilks & Berzuini 2001) keeps them apart. All numbers
-are fitted to the 14 sets of 5400 real pushes (7 shapes on two surfaces) of Yu, Bauza, Fazeli, Rodriguez (IROS 2016).
+quasi-static prediction and a heavy-tailed residual; resample-move (Gilks & Berzuini 2001) keeps them apart. Where tool
+and object are off where they are tracked is learnt by itself, from where they touched (`Registration`), and a particle
+has a draw of it: its error makes some pushes, those that turn the object either way, less certain. All numbers are
+fitted to the 14 sets of 5400 real pushes (7 shapes on two surfaces) of Yu, Bauza, Fazeli, Rodriguez (IROS 2016).
 """
 
 import json
@@ -10,173 +12,28 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from rumi.dynamics.along_path import Pusher, push_along_path
-from rumi.dynamics.outline import GridOutline, Support, support_of
-from rumi.dynamics.sliding import Outline, Sliding, rotated
+from rumi.dynamics.outline import Support
+from rumi.dynamics.push_density import PushPrediction, PushResidual
+from rumi.dynamics.push_parameters import PARAMETERS, sliding_of
+from rumi.dynamics.push_registration import SHIFTS, Registration, as_tracked, put_right
+from rumi.dynamics.pushed_body import ObservedPush, PushedBody
+from rumi.dynamics.sliding import Sliding, rotated
 from rumi.errors import UsageError
 from rumi.resampling import resample_systematic, systematic
-from rumi.robot.tool_shape import ToolShape
-from sdf.base import SDF
 from sdf.check import check_shape
-from sdf.so3 import wrap
-
-PARAMETERS = (
-    "log friction",
-    "log lever ratio",
-    "quartic",
-    "quartic by elongation",
-    "anisotropy xx",
-    "anisotropy xy",
-    "centre x",
-    "centre y",
-)
-"""Of a particle: friction at the tool; lever as a multiple of even pressure's; quartic limit surface, its mean and what
-the support's elongation adds; log anisotropy; centre of friction off the centre of mass, in mean radii of the base."""
 
 _MEAN = (math.log(0.25), 0.15, 1.1, 4.0, 0.0, 0.0, 0.0, 0.0)
 # fits of the sets scatter by (.14, .36, 1.2, 2.3, .04, .03, .05, .05); friction is .14 to .27 there and .2 to .6 in the
 # simulator, levers of .5 to 1.6 there and up to 2.45 of what rests on a rim or on four corners, so that both are wider
 _DEVIATION = (0.5, 0.45, 1.2, 2.3, 0.04, 0.04, 0.06, 0.06)
-_QUARTIC = (-1.5, 4.0)  # eigenvalues of a limit surface that is convex
 _MOVES = 2  # Metropolis sweeps at a resampling
 _KEPT = 200  # pushes that are replayed: the latest
-
-
-class PushedBody(NamedTuple):
-    """An upright object and the level tool that pushes it.
-
-    Attributes:
-        outline: of the object at the tool's height.
-        support: how it rests on the floor.
-        pusher: the tool.
-    """
-
-    outline: Outline
-    support: Support
-    pusher: Pusher
-
-    @classmethod
-    def of(cls, sdf: SDF, height_m: float, shape: ToolShape, *, spacing_m: float = 0.005) -> "PushedBody":
-        """Of an object and a gripper, at a height in the object's frame; points of its border so far apart."""
-        outline, support = GridOutline.of_slice(sdf, height_m), support_of(sdf)
-        return cls(outline, support, Pusher(shape.outline(spacing_m).to(support.centre)))
-
-
-class ObservedPush(NamedTuple):
-    """A push whose outcome was measured.
-
-    Attributes:
-        start: (3,), pose (x, y, yaw) before, metres and radians.
-        path: (K1, 3), (x, y, yaw) of the tool.
-        end: (3,), pose after.
-    """
-
-    start: Float[Tensor, "3"]
-    path: Float[Tensor, "K1 3"]
-    end: Float[Tensor, "3"]
-
-
-@dataclass(frozen=True)
-class PushResidual:
-    """Student-t residual of a predicted push: along the tool's way, across it, and of the turn times the base's radius.
-
-    The scale of each grows with the way that the object is predicted to go (its centre's, and the turn's at the base's
-    mean radius). Its numbers are the sets' best.
-
-    Attributes:
-        floor_m: scales of a push that moves nothing.
-        share: of the predicted way.
-        tails: degrees of freedom.
-        power: of the likelihood where parameters are learnt: pushes of an object err together, so that ten tell less
-            than ten independent ones.
-    """
-
-    floor_m: tuple[float, float, float] = (3.8e-4, 6.3e-4, 4.6e-4)
-    share: tuple[float, float, float] = (0.056, 0.041, 0.0575)
-    tails: float = 2.0
-    power: float = 0.3
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        for name in ("floor_m", "share"):
-            value = getattr(self, name)
-            if len(value) != 3 or not all(0 < part < math.inf for part in value):
-                raise ValueError(f"Expected {name} as three numbers above 0, got {value}")
-        if not 0 < self.tails < math.inf or not 0 < self.power <= 1:
-            raise ValueError(f"Expected tails above 0 and power in (0, 1], got {self.tails} and {self.power}")
-
-    def scale(self, way_m: Float[Tensor, "*b"]) -> Float[Tensor, "*b 3"]:
-        """Of the residual, metres, by the predicted way."""
-        return torch.hypot(way_m.new_tensor(self.floor_m), way_m[..., None] * way_m.new_tensor(self.share))
-
-    def log_density(self, residual_m: Float[Tensor, "*#b 3"], scale: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b"]:
-        """Of a residual, 1/m^3."""
-        nu, square = self.tails, (residual_m / scale).square().sum(-1)
-        constant = math.lgamma(0.5 * (nu + 3.0)) - math.lgamma(0.5 * nu) - 1.5 * math.log(nu * math.pi)
-        return constant - scale.log().sum(-1) - 0.5 * (nu + 3.0) * torch.log1p(square / nu)
-
-
-class PushPrediction(NamedTuple):
-    """Predictive density of E pushes: a mixture over N particles.
-
-    Attributes:
-        ends: (E, N, 3), poses that the particles predict.
-        log_weights: (N), normalised.
-        scale: (E, N, 3), of the residual, metres.
-        heading: (E), direction of the tool's way, radians.
-        support: of the object.
-        residual: of the predictions.
-    """
-
-    ends: Float[Tensor, "E N 3"]
-    log_weights: Float[Tensor, "N"]
-    scale: Float[Tensor, "E N 3"]
-    heading: Float[Tensor, "E"]
-    support: Support
-    residual: PushResidual
-
-    def mean(self) -> Float[Tensor, "E 3"]:
-        """Mean of the predicted ends: the point prediction with the least error."""
-        first = self.ends[:, :1]
-        off = torch.cat((self.ends[..., :2] - first[..., :2], wrap(self.ends[..., 2:] - first[..., 2:])), -1)
-        return first[:, 0] + (self.log_weights.exp()[:, None] * off).sum(1)
-
-    def log_density(self, ends: Float[Tensor, "E *s 3"]) -> Float[Tensor, "E *s"]:
-        """Log density of poses after the pushes, nats per (m, m, rad)."""
-        flat = ends.reshape(len(ends), -1, 3)
-        return torch.logsumexp(self.log_weights + self._particle_log_density(flat), -1).view(ends.shape[:-1])
-
-    def sample(self, count: int, generator: torch.Generator) -> Float[Tensor, "E count 3"]:
-        """Draws of the poses after the pushes."""
-        chosen = torch.multinomial(self.log_weights.exp(), count, replacement=True, generator=generator)
-        ends, scale = self.ends[:, chosen], self.scale[:, chosen]
-        normal = torch.randn(scale.shape, generator=generator, dtype=scale.dtype)
-        shape = (*scale.shape[:2], 1)
-        chi = torch._standard_gamma(scale.new_full(shape, 0.5 * self.residual.tails), generator=generator)
-        off = scale * normal * (0.5 * self.residual.tails / chi.clamp_min(1e-30)).sqrt()
-        yaw = ends[..., 2] + off[..., 2] / self.support.spread
-        centre = self.support.centre.to(ends)
-        place = ends[..., :2] + rotated(centre, ends[..., 2]) + rotated(off[..., :2], self.heading[:, None])
-        return torch.cat((place - rotated(centre, yaw), yaw[..., None]), -1)
-
-    def level(self, ends: Float[Tensor, "E 3"], generator: torch.Generator, *, draws: int = 400) -> Float[Tensor, "E"]:
-        """Mass of the smallest region that holds a pose: a region of 90 % holds those of a level up to 0.9."""
-        drawn = self.log_density(self.sample(draws, generator))
-        return (drawn > self.log_density(ends)[:, None]).to(ends).mean(-1)
-
-    def _particle_log_density(self, ends: Float[Tensor, "E S 3"]) -> Float[Tensor, "E S N"]:
-        centre, own = self.support.centre.to(self.ends), self.ends[:, None]
-        off = ends[..., :2] + rotated(centre, ends[..., 2])
-        off = off[:, :, None] - own[..., :2] - rotated(centre, own[..., 2])
-        turn = self.support.spread * wrap(ends[:, :, None, 2] - own[..., 2])
-        residual = torch.cat((rotated(off, -self.heading[:, None, None]), turn[..., None]), -1)
-        return self.residual.log_density(residual, self.scale[:, None]) + math.log(self.support.spread)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,6 +47,8 @@ class PushPosterior:
         residual: of predictions.
         mean: of the normal prior, (8,).
         deviation: of it.
+        registration: belief about the shifts of tool and object.
+        white: (N, 5), standard normal numbers that say which shifts of that belief a particle has; None for the mean.
     """
 
     parameters: Float[Tensor, "N 8"]
@@ -198,6 +57,8 @@ class PushPosterior:
     residual: PushResidual = field(default_factory=PushResidual)
     mean: tuple[float, ...] = _MEAN
     deviation: tuple[float, ...] = _DEVIATION
+    registration: Registration = field(default_factory=Registration)
+    white: Float[Tensor, "N 5"] | None = None
 
     @classmethod
     def prior(
@@ -207,17 +68,21 @@ class PushPosterior:
         mean: Sequence[float] = _MEAN,
         deviation: Sequence[float] = _DEVIATION,
         residual: PushResidual | None = None,
+        registration: Registration | None = None,
     ) -> "PushPosterior":
         """Even particles of the prior, quasi-random: the same each time."""
         if len(mean) != len(PARAMETERS) or len(deviation) != len(PARAMETERS) or not min(deviation) > 0:
             raise ValueError(f"Expected a mean and a deviation above 0 for each of {len(PARAMETERS)} parameters")
-        uniform = torch.quasirandom.SobolEngine(len(PARAMETERS), scramble=True, seed=1).draw(count, dtype=torch.float64)
+        sequence = torch.quasirandom.SobolEngine(len(PARAMETERS) + len(SHIFTS), scramble=True, seed=1)
+        uniform = sequence.draw(count, dtype=torch.float64)
         # every n-th point of the sequence lies in a part of the space
         uniform = uniform[torch.randperm(count, generator=torch.Generator().manual_seed(1))]
         normal = math.sqrt(2.0) * torch.erfinv((2.0 * uniform - 1.0).clamp(-1.0 + 1e-9, 1.0 - 1e-9))
+        normal, white = normal.split((len(PARAMETERS), len(SHIFTS)), -1)
         parameters = torch.tensor(mean, dtype=torch.float64) + torch.tensor(deviation, dtype=torch.float64) * normal
         flat = parameters.new_zeros(count).log_softmax(-1)
-        return cls(parameters, flat, (), residual or PushResidual(), tuple(mean), tuple(deviation))
+        own = registration or Registration()
+        return cls(parameters, flat, (), residual or PushResidual(), tuple(mean), tuple(deviation), own, white)
 
     @property
     def effective(self) -> float:
@@ -235,6 +100,13 @@ class PushPosterior:
         """Particles that stand for equal shares of the posterior (systematic, nothing random)."""
         return self.parameters[systematic(self.log_weights, 0.5, count)]
 
+    def thinned(self, count: int) -> "PushPosterior":
+        """Even particles that stand for it."""
+        chosen = systematic(self.log_weights, 0.5, count)
+        flat = self.log_weights.new_zeros(count).log_softmax(-1)
+        white = None if self.white is None else self.white[chosen]
+        return replace(self, parameters=self.parameters[chosen], log_weights=flat, white=white)
+
     def middle(self, support: Support) -> Sliding:
         """How an object slides by the mean of the particles."""
         mean = sliding_of((self.log_weights.exp() @ self.parameters)[None], support)
@@ -245,18 +117,30 @@ class PushPosterior:
     ) -> PushPrediction:
         """Predictive density of pushes along paths; see `push_along_path`."""
         check_shape("start", start, "(E, 3)", last=(3,))
-        ends, scale, heading = self._ends(self.parameters, start, path, body, substeps)
+        ends, scale, heading = self._ends(self._all, start, path, body, substeps)
         return PushPrediction(ends, self.log_weights, scale, heading, body.support, self.residual)
 
     def log_likelihood(self, pushes: Sequence[ObservedPush], body: PushedBody) -> Float[Tensor, "N"]:
         """Of some pushes by each particle, to the residual's power."""
-        return self._log_likelihood(self.parameters, pushes, body)
+        return self._log_likelihood(self._all, pushes, body)
+
+    @property
+    def _all(self) -> Float[Tensor, "N 13"]:
+        """Push parameters and the standard normal numbers of the shifts."""
+        white = self.parameters.new_zeros(len(self.parameters), len(SHIFTS)) if self.white is None else self.white
+        return torch.cat((self.parameters, white.to(self.parameters)), -1)
 
     def update(self, pushes: Sequence[ObservedPush], body: PushedBody, generator: torch.Generator) -> "PushPosterior":
         """The posterior after more pushes of the same object, one after the other."""
-        found = self
+        kept = (*self.pushes, *pushes)[-_KEPT:]
+        found = replace(self, registration=self.registration.learnt(kept, body)) if kept else self
+        if self.pushes:
+            # what was seen is weighed anew by the shifts that are known now
+            before = self._log_likelihood(self._all, self.pushes, body)
+            gained = found._log_likelihood(found._all, found.pushes, body) - before
+            found = replace(found, log_weights=(found.log_weights + gained).log_softmax(-1))
         for push in pushes:
-            weighed = found.log_weights + found._log_likelihood(found.parameters, (push,), body)
+            weighed = found.log_weights + found._log_likelihood(found._all, (push,), body)
             found = replace(found, log_weights=weighed.log_softmax(-1), pushes=(*found.pushes, push)[-_KEPT:])
             if found.effective < 0.5 * len(found.log_weights):
                 found = found._moved(body, generator)
@@ -264,12 +148,13 @@ class PushPosterior:
 
     def _moved(self, body: PushedBody, generator: torch.Generator) -> "PushPosterior":
         """Resampled, and moved by Metropolis's rule along the posterior of all pushes."""
-        weights = self.log_weights.exp()
-        off = self.parameters - weights @ self.parameters
+        whole, weights = self._all, self.log_weights.exp()
+        off = whole - weights @ whole
         covariance = off.T @ (weights[:, None] * off)
-        slack = 1e-4 * torch.tensor(self.deviation, dtype=off.dtype).square().diag()
-        root = torch.linalg.cholesky(covariance + slack) * (2.38 / math.sqrt(len(PARAMETERS)))
-        now = self.parameters[resample_systematic(self.log_weights, generator=generator)]
+        ones = [1.0] * len(SHIFTS)
+        slack = 1e-4 * torch.tensor([*self.deviation, *ones], dtype=off.dtype).square().diag()
+        root = torch.linalg.cholesky(covariance + slack) * (2.38 / math.sqrt(off.shape[1]))
+        now = whole[resample_systematic(self.log_weights, generator=generator)]
         target = self._log_target(now, body)
         for _ in range(_MOVES):
             normal = torch.randn(now.shape, generator=generator, dtype=now.dtype)
@@ -278,58 +163,63 @@ class PushPosterior:
             uniform = torch.rand(len(now), generator=generator, dtype=now.dtype)
             accept = uniform.log() < gained - target
             now, target = torch.where(accept[:, None], there, now), torch.where(accept, gained, target)
-        return replace(self, parameters=now, log_weights=torch.zeros_like(target).log_softmax(-1))
+        parameters, white = now.split((len(PARAMETERS), len(SHIFTS)), -1)
+        flat = torch.zeros_like(target).log_softmax(-1)
+        return replace(self, parameters=parameters.contiguous(), log_weights=flat, white=white.contiguous())
 
-    def _log_target(self, parameters: Float[Tensor, "N 8"], body: PushedBody) -> Float[Tensor, "N"]:
+    def _log_target(self, particles: Float[Tensor, "N 13"], body: PushedBody) -> Float[Tensor, "N"]:
+        parameters, white = particles.split((len(PARAMETERS), len(SHIFTS)), -1)
         off = (parameters - parameters.new_tensor(self.mean)) / parameters.new_tensor(self.deviation)
-        return self._log_likelihood(parameters, self.pushes, body) - 0.5 * off.square().sum(-1)
+        prior = -0.5 * (off.square().sum(-1) + white.square().sum(-1))
+        return self._log_likelihood(particles, self.pushes, body) + prior
 
     def _log_likelihood(
-        self, parameters: Float[Tensor, "N 8"], pushes: Sequence[ObservedPush], body: PushedBody
+        self, particles: Float[Tensor, "N 13"], pushes: Sequence[ObservedPush], body: PushedBody
     ) -> Float[Tensor, "N"]:
         """Of pushes, to the residual's power."""
-        whole = parameters.new_zeros(len(parameters))
+        whole = particles.new_zeros(len(particles))
         for count in sorted({len(push.path) for push in pushes}):
             same = [push for push in pushes if len(push.path) == count]
-            start, path, end = (torch.stack(part).to(parameters) for part in zip(*same, strict=True))
-            ends, scale, heading = self._ends(parameters, start, path, body, 1)
+            start, path, end = (torch.stack(part).to(particles) for part in zip(*same, strict=True))
+            ends, scale, heading = self._ends(particles, start, path, body, 1)
             shown = PushPrediction(ends, self.log_weights, scale, heading, body.support, self.residual)
-            whole = whole + self.residual.power * shown._particle_log_density(end[:, None])[:, 0].sum(0)
+            whole = whole + self.residual.power * shown.particle_log_density(end[:, None])[:, 0].sum(0)
         return whole
 
     def _ends(
         self,
-        parameters: Float[Tensor, "N 8"],
+        particles: Float[Tensor, "N 13"],
         start: Float[Tensor, "E 3"],
         path: Float[Tensor, "#E K1 3"],
         body: PushedBody,
         substeps: int,
     ) -> tuple[Float[Tensor, "E N 3"], Float[Tensor, "E N 3"], Float[Tensor, "E"]]:
         """Predicted ends, scales of their residuals, and headings of the tool's ways."""
-        pushes, particles = len(start), len(parameters)
+        pushes, count = len(start), len(particles)
         path = path.to(start).expand(pushes, *path.shape[1:])
-        sliding = sliding_of(parameters.to(start), body.support).map(
-            lambda part: part.repeat(pushes, *[1] * (part.ndim - 1))
-        )
+        parameters, white = particles.to(start).split((len(PARAMETERS), len(SHIFTS)), -1)
+        sliding = sliding_of(parameters, body.support).map(lambda part: part.repeat(pushes, *[1] * (part.ndim - 1)))
+        shifts = self.registration.shifts(white)
+        tool = torch.cat((shifts[:, :2], torch.zeros_like(shifts[:, :1])), -1)
         outcome = push_along_path(
-            start.repeat_interleave(particles, 0),
-            path.repeat_interleave(particles, 0),
+            put_right(start[:, None].expand(-1, count, -1), shifts).reshape(-1, 3),
+            (path[:, None] - tool[:, None]).reshape(-1, *path.shape[1:]),
             Pusher(body.pusher.points.to(start), body.pusher.thickness),
             body.outline.to(start) if hasattr(body.outline, "to") else body.outline,
             sliding,
             substeps=substeps,
         )
         ends = (
-            outcome.track[:, -1].view(pushes, particles, 3)
+            as_tracked(outcome.track[:, -1].view(pushes, count, 3), shifts)
             if path.shape[1] > 1
-            else start[:, None].repeat(1, particles, 1)
+            else start[:, None].repeat(1, count, 1)
         )
         centre = body.support.centre.to(start)
         before = start[:, None, :2] + rotated(centre, start[:, None, 2])
         gone = (ends[..., :2] + rotated(centre, ends[..., 2]) - before).norm(dim=-1)
         way = gone + body.support.spread * (ends[..., 2] - start[:, None, 2]).abs()
-        tool = path[:, -1, :2] - path[:, 0, :2]
-        return ends, self.residual.scale(way), torch.atan2(tool[:, 1], tool[:, 0])
+        along = path[:, -1, :2] - path[:, 0, :2]
+        return ends, self.residual.scale(way), torch.atan2(along[:, 1], along[:, 0])
 
     def save(self, path: Path) -> None:
         """Write to a JSON file, whole or not at all."""
@@ -341,6 +231,8 @@ class PushPosterior:
             "residual": vars(self.residual),
             "parameters": self.parameters.tolist(),
             "log_weights": self.log_weights.tolist(),
+            "registration": vars(self.registration),
+            "white": self._all[:, len(PARAMETERS) :].tolist(),
             "pushes": [{name: part.tolist() for name, part in push._asdict().items()} for push in self.pushes],
         }
         aside = path.with_name(path.name + ".part")
@@ -367,8 +259,11 @@ class PushPosterior:
             residual = PushResidual(
                 tuple(numbers["floor_m"]), tuple(numbers["share"]), numbers["tails"], numbers["power"]
             )
-            double = {name: torch.tensor(data[name], dtype=torch.float64) for name in ("parameters", "log_weights")}
+            double = {
+                name: torch.tensor(data[name], dtype=torch.float64) for name in ("parameters", "log_weights", "white")
+            }
             check_shape("parameters", double["parameters"], "(N, 8)", last=(len(PARAMETERS),))
+            check_shape("white", double["white"], "(N, 5)", last=(len(SHIFTS),))
             if not all(bool(part.isfinite().all()) for part in double.values()):
                 raise ValueError("numbers that are not finite")
             pushes = tuple(
@@ -376,14 +271,18 @@ class PushPosterior:
                 for push in data["pushes"]
             )
             prior = (tuple(data["mean"]), tuple(data["deviation"]))
-            return cls(double["parameters"], double["log_weights"], pushes, residual, *prior)
+            rest = data["registration"]
+            root = None if rest["root"] is None else tuple(map(tuple, rest["root"]))
+            registration = Registration(tuple(rest["deviation"]), tuple(rest["mean"]), root)
+            own = (pushes, residual, *prior, registration, double["white"])
+            return cls(double["parameters"], double["log_weights"], *own)
         except (KeyError, TypeError, ValueError) as error:
             raise UsageError(
                 f"Expected push parameters as `rumi pushes --out` writes them in {path}, got {error}"
             ) from None
 
 
-_FORMAT = "rumi push parameters 1"
+_FORMAT = "rumi push parameters 2"
 
 
 FIXED, PRIOR = "fixed", "prior"
@@ -394,17 +293,3 @@ def push_posterior(name: str) -> PushPosterior | None:
     if name == FIXED:
         return None
     return PushPosterior.prior() if name == PRIOR else PushPosterior.load(Path(name))
-
-
-def sliding_of(parameters: Float[Tensor, "N 8"], support: Support) -> Sliding:
-    """How an object slides that rests as it does, by each particle."""
-    friction, lever, mean, slope, *rest = parameters.unbind(-1)
-    elongation = support.elongation.to(parameters)
-    size = elongation.norm().clamp_min(1e-12)
-    spread = slope * size
-    high = (mean + spread.abs()).clamp(*_QUARTIC)
-    low = (mean - spread.abs()).clamp(*_QUARTIC)
-    deviator = (0.5 * (high - low) * spread.sign())[:, None] * (elongation / size)
-    quartic = torch.cat((torch.stack(rest[:2], -1), 0.5 * (high + low)[:, None], deviator), -1)
-    centre = support.centre.to(parameters) + support.spread * torch.stack(rest[2:], -1)
-    return Sliding(centre, support.spread * lever.exp(), friction.exp(), quartic)

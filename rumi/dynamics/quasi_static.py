@@ -22,7 +22,8 @@ from rumi.dynamics.base import (
     rigid_motions,
 )
 from rumi.dynamics.outline import GridOutline, Support, support_of
-from rumi.dynamics.push_posterior import PushPosterior, push_posterior, sliding_of
+from rumi.dynamics.push_parameters import sliding_of
+from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.sliding import Sliding, push
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace

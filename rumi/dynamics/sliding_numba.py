@@ -11,18 +11,19 @@ _ROOTS = 8
 
 @bare
 def value(x, y, values, low_x, low_y, spacing):
-    """Signed distance at a point of the object's frame."""
+    """Signed distance at a point of the object's frame; beyond the table, a positive lower bound of it."""
     rows, columns = values.shape
     u, v = (x - low_x) / spacing, (y - low_y) / spacing
     a, b = min(max(u, 0.0), rows - 1.0), min(max(v, 0.0), columns - 1.0)
-    beyond = 0.0
-    if a != u or b != v:
-        beyond = math.sqrt((u - a) * (u - a) + (v - b) * (v - b)) * spacing
+    far_x, far_y = spacing * (u - a), spacing * (v - b)
     i, j = min(int(a), rows - 2), min(int(b), columns - 2)
     a, b = a - i, b - j
     low = values[i, j] + b * (values[i, j + 1] - values[i, j])
     high = values[i + 1, j] + b * (values[i + 1, j + 1] - values[i + 1, j])
-    return low + a * (high - low) + beyond
+    there = low + a * (high - low)
+    if far_x != 0.0 or far_y != 0.0:
+        return math.sqrt(there * there + far_x * far_x + far_y * far_y)
+    return there
 
 
 @bare

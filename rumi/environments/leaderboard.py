@@ -27,7 +27,10 @@ OWN = "rumi"
 
 @runtime_checkable
 class Policy(Protocol):
-    """What a policy's file defines: a function `act`; `VIEW` names what it sees, "particles" by default."""
+    """What a policy's file defines: a function `act`; `VIEW` names what it sees, "particles" by default.
+
+    Where it defines `start(seed)` too, that is called before each run.
+    """
 
     def act(self, observation: Observed) -> Any:  # noqa: ANN401  (an array, a list or a tensor)
         """The control, each number in [-1, 1]."""
@@ -187,7 +190,8 @@ def score(
         player = Chosen(agent, policy, VIEWS[view](agent, instants))
     results = []
     for seed in seeds:
-        torch.manual_seed(seed)  # of what a policy draws
+        if path is not None and hasattr(player.policy, "start"):
+            player.policy.start(seed)
         result = run(task, player, seed=seed, steps=agent.steps)
         results.append(result)
         on_run(seed, result)

@@ -1,13 +1,12 @@
 """Gymnasium environment of a rummaging task."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
-import gymnasium
 import numpy as np
 import torch
-from gymnasium import spaces
 from torch import Tensor
 
 from rumi.api import build
@@ -20,7 +19,15 @@ from rumi.tasks.rummage.agent import Rummager, RummageState
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import Settings, preset
 from sdf import se3, so3
+from sdf.extras import optional
 from sdf.symmetry import Symmetries
+
+if TYPE_CHECKING:
+    import gymnasium
+    from gymnasium import spaces
+else:
+    gymnasium = optional("gymnasium", "An environment")
+    spaces = gymnasium.spaces
 
 
 class PoseLoss:
@@ -97,7 +104,7 @@ class RummageEnv(gymnasium.Env[Observed, Any]):
         kind = VIEWS[view]
         parts = build(self.settings, cache_dir=cache_folder() if cache_dir is None else cache_dir)
         self.task, agent = parts
-        self.agent: Rummager = agent
+        self.agent: Rummager = replace(agent, remarks=False)  # which nobody reads here
         self.view: View = kind(agent, self.settings.simulator.mini_steps)
         self.predicts = not self.view.believes if predicts is None else predicts
         self.observation_space = cast(Any, self.view.space)
@@ -120,7 +127,7 @@ class RummageEnv(gymnasium.Env[Observed, Any]):
         self.steps, self.state = 0, None
         with torch.no_grad():
             if self.view.believes:
-                self.state = self.agent.begin(result, seed=own, clock=Clock())
+                self.state = self.agent.begin(result.reading, seed=own, clock=Clock())
             observed = self.view(result, self.state)
         info = self._info(result)
         if self.predicts:
@@ -135,7 +142,7 @@ class RummageEnv(gymnasium.Env[Observed, Any]):
         reward, sure, before = 0.0, False, self.state
         with torch.no_grad():
             if before is not None:
-                self.state = state = self.agent.update(before, control, result)
+                self.state = state = self.agent.update(before, control, result.reading)
                 reward = before.record.expected_nll - state.record.expected_nll
                 sure = self.agent.stop(state) == "sure"
             observed = self.view(result, self.state)
@@ -157,7 +164,7 @@ class RummageEnv(gymnasium.Env[Observed, Any]):
         told: dict[str, Any] = {"truth": truth.cpu().float().numpy()}
         if self.state is not None:
             record = self.state.record
-            told |= {"nll": record.nll, "expected_nll": record.expected_nll, "contacts": record.contacts}
+            told |= {"expected_nll": record.expected_nll, "contacts": record.contacts}
         return told
 
     def _target(self, result: StepResult) -> np.ndarray:

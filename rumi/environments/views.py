@@ -1,10 +1,9 @@
 """Observations of an environment: the belief as images or as particles, or the raw reading."""
 
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from gymnasium import spaces
 from torch import Tensor
 
 from rumi.belief.particles import subsample
@@ -13,7 +12,13 @@ from rumi.records import StepRecord
 from rumi.registry import Table
 from rumi.task import StepResult
 from rumi.tasks.rummage.agent import Rummager, RummageState
+from sdf.extras import optional
 from sensors.semantics import Semantics
+
+if TYPE_CHECKING:
+    from gymnasium import spaces
+else:
+    spaces = optional("gymnasium", "An environment").spaces
 
 Observed = dict[str, np.ndarray]
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from rumi.registration.descent import Terms
 from rumi.registration.touch_surface import TouchSurface
 from sdf import backend, compiled, so3
-from sdf.bounds import Checked, Count, Positive, Share, ShareAbove0, ShareBelow1
+from sdf.bounds import Checked, Count, CountOr0, Positive, Share, ShareAbove0, ShareBelow1
 from sdf.mesh.touched import touched_face
 from sdf.mesh.triangles import closest_point
 
@@ -52,6 +52,11 @@ class LocalizeSettings(Checked):
         mode_m, mode_rad: poses nearer to each other than both, up to the object's symmetries, are one mode.
         plausible: least likelihood of a mode that is kept, relative to the best.
         kept: modes that are kept at most, the heaviest.
+        robust: steps of the first descent that follow, on a loss in which touches farther off than `robust_m` count
+            ever less.
+        robust_m: see there.
+        nearby: poses drawn about each mode, in search of better ones, at most.
+        draws: poses drawn about all modes to weigh them, at most; 0 to weigh each by its curvature alone.
     """
 
     starts: Count = 800
@@ -70,6 +75,10 @@ class LocalizeSettings(Checked):
     mode_rad: Positive = 0.2
     plausible: ShareAbove0 = 1e-6
     kept: Count = 30
+    robust: CountOr0 = 4
+    robust_m: Positive = 0.004
+    nearby: CountOr0 = 30
+    draws: CountOr0 = 4000
 
     def outlier_odds(self, noise_m: float | Tensor, diagonal_m: float, *, normals: bool) -> float | Tensor:
         """Odds of an outlier, even over signed distances of a diagonal and all normals, against a touch on the surface.

@@ -9,7 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.push_posterior import ObservedPush, PushedBody, PushPosterior
+from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.dynamics.sliding import rotated
 from rumi.viz import style
 

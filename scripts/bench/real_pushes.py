@@ -7,6 +7,7 @@ kept in github.com/robinzhoucmu/Pushing; `closed_loop.npz` is of github.com/mcub
 import json
 import math
 import os
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +19,11 @@ from torch import Tensor
 
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import GridOutline, Support
-from rumi.dynamics.push_posterior import ObservedPush, PushedBody, PushPosterior, PushPrediction, sliding_of
+from rumi.dynamics.push_density import PushPrediction, PushResidual
+from rumi.dynamics.push_parameters import sliding_of
+from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.push_registration import Registration
+from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.dynamics.sliding import rotated
 from rumi.errors import UsageError
 from sdf.so3 import wrap
@@ -141,12 +146,6 @@ def fixed(friction: float, lever_ratio: float) -> PushPosterior:
     return PushPosterior(numbers, one.log_weights)
 
 
-def drawn(posterior: PushPosterior, count: int) -> PushPosterior:
-    """Even particles that stand for it."""
-    parameters = posterior.draws(count)
-    return PushPosterior(parameters, parameters.new_zeros(count).log_softmax(-1), residual=posterior.residual)
-
-
 def predicted(posterior: PushPosterior, own: PushSet, rows: Tensor) -> PushPrediction:
     """Of some pushes of a set."""
     return posterior.predict(own.start[rows], own.path[rows], own.body)
@@ -157,17 +156,17 @@ def fit(own: PushSet, *, evaluations: int = 350) -> tuple[float, ...]:
     from scipy.optimize import minimize
 
     wide = PushPosterior.prior(256)
-    wide = PushPosterior(
-        wide.parameters, wide.log_weights, mean=wide.mean, deviation=tuple(2 * d for d in wide.deviation)
-    )
     pushes = own.observed(torch.arange(len(own.start)))
+    registered = Registration().learnt(pushes, own.body)
+    wide = replace(wide, deviation=tuple(2 * d for d in wide.deviation), registration=registered, white=None)
     few = pushes[:: max(1, len(pushes) // 40)]
     like = wide.log_likelihood(few, own.body)
     start, deviation = wide.parameters[like.argmax()].numpy(), np.array(wide.deviation)
-    full = PushPosterior(wide.parameters, wide.log_weights, tuple(pushes), mean=wide.mean, deviation=wide.deviation)
+    full = replace(wide, pushes=tuple(pushes))
 
     def cost(parameters: np.ndarray) -> float:
-        return -float(full._log_target(torch.tensor(parameters)[None], own.body))
+        particle = torch.tensor(np.concatenate((parameters, np.zeros(5))))[None]
+        return -float(full._log_target(particle, own.body))
 
     simplex = np.vstack([start] + [start + 0.2 * row for row in np.diag(deviation)])
     found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": evaluations, "initial_simplex": simplex})
@@ -175,7 +174,7 @@ def fit(own: PushSet, *, evaluations: int = 350) -> tuple[float, ...]:
 
 
 def prior_without(shape: str, fits: dict[str, tuple[float, ...]], count: int = 256) -> PushPosterior:
-    """Prior by the fits of all other shapes: their mean and scatter; what has a sign that a mirror changes is about 0.
+    """Prior and residual by the fits of all other shapes; what has a sign that a mirror changes is about 0.
 
     How elongation shapes the limit surface is weighed by how elongated the shapes are.
     """
@@ -189,7 +188,50 @@ def prior_without(shape: str, fits: dict[str, tuple[float, ...]], count: int = 2
     deviation = (weights * (rows - mean).square()).sum(0).sqrt()
     # at least, since six shapes tell little of a scatter
     least = torch.tensor([0.12, 0.3, 0.8, 1.8, 0.03, 0.03, 0.05, 0.05], dtype=torch.float64)
-    return PushPosterior.prior(count, mean=mean.tolist(), deviation=torch.maximum(deviation, least).tolist())
+    residual = residual_of(tuple((name, fits[name]) for name in others))
+    return PushPosterior.prior(
+        count, mean=mean.tolist(), deviation=torch.maximum(deviation, least).tolist(), residual=residual
+    )
+
+
+@cache
+def residual_of(fits: tuple[tuple[str, tuple[float, ...]], ...]) -> PushResidual:
+    """The residual of greatest likelihood, of sets predicted by their own fits."""
+    pairs = [_residuals(name, parameters) for name, parameters in fits]
+    off, way = torch.cat([pair[0] for pair in pairs]), torch.cat([pair[1] for pair in pairs])
+    usual = PushResidual()
+    logs = torch.tensor([*usual.floor_m, *usual.share, usual.tails], dtype=torch.float64).log().requires_grad_()
+    search = torch.optim.LBFGS([logs], max_iter=100, line_search_fn="strong_wolfe")
+
+    def cost() -> float:
+        search.zero_grad()
+        scale = torch.hypot(logs[:3].exp().expand(len(way), 3), way[:, None] * logs[3:6].exp())
+        tails, square = logs[6].exp(), (off / scale).square().sum(-1)
+        constant = torch.lgamma(0.5 * (tails + 3.0)) - torch.lgamma(0.5 * tails) - 1.5 * tails.log()
+        density = constant - scale.log().sum(-1) - 0.5 * (tails + 3.0) * torch.log1p(square / tails)
+        loss = -density.mean()
+        loss.backward()
+        return float(loss.detach())
+
+    search.step(cost)
+    numbers = logs.detach().exp().tolist()
+    return PushResidual(tuple(numbers[:3]), tuple(numbers[3:6]), numbers[6])
+
+
+@cache
+def _residuals(name: str, parameters: tuple[float, ...]) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n"]]:
+    """Of a set by its fit: along the tip's way, across it, turn times the base's radius; and the predicted ways."""
+    own = push_set(name)
+    rows = torch.arange(len(own.start))
+    one = PushPosterior(
+        torch.tensor([parameters], dtype=torch.float64),
+        torch.zeros(1, dtype=torch.float64),
+        registration=Registration().learnt(own.observed(rows), own.body),
+    )
+    shown = predicted(one, own, rows)
+    residual = shown.residual_of(own.end[:, None])[:, 0, 0]
+    floor, share = one.residual.floor_m[0], one.residual.share[0]
+    return residual, (shown.scale[:, 0, 0].square() - floor**2).clamp_min(0.0).sqrt() / share
 
 
 @cache

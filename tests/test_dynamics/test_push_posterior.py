@@ -8,12 +8,17 @@ import torch
 
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import RectangleOutline, Support
-from rumi.dynamics.push_posterior import ObservedPush, PushedBody, PushPosterior, PushResidual, sliding_of
+from rumi.dynamics.push_density import PushResidual
+from rumi.dynamics.push_parameters import sliding_of
+from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.push_registration import Registration
+from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.dynamics.sliding import contact_twist, quartic_twist, rotated, turned_quartic
 from rumi.errors import UsageError
 from sdf import backend
 
 HALF = (0.06, 0.03)
+SURE = Registration((1e-9,) * 5)
 
 
 def body(dtype=torch.float64, off=(0.0, 0.0)):
@@ -121,7 +126,7 @@ def test_the_density_integrates_to_one_and_regions_hold_their_share():
 
 def test_a_turned_scene_has_the_same_density():
     start, path = pushes(3)
-    own, prior = body(off=(0.01, 0.0)), PushPosterior.prior(8)
+    own, prior = body(off=(0.01, 0.0)), PushPosterior.prior(8, registration=SURE)
     end = prior.predict(start, path, own).ends[:, 2]
     turn = torch.tensor(2.1, dtype=torch.float64)
 
@@ -136,9 +141,9 @@ def test_a_turned_scene_has_the_same_density():
 def test_the_posterior_is_that_of_a_grid():
     own, residual = body(), replace(PushResidual(), power=1.0)
     mean, deviation = [-1.5, 0.2, 1.0, 3.0, 0, 0, 0, 0], [0.5, 0.4, *[1e-6] * 6]
-    prior = PushPosterior.prior(512, mean=mean, deviation=deviation, residual=residual)
+    prior = PushPosterior.prior(512, mean=mean, deviation=deviation, residual=residual, registration=SURE)
     start, path = pushes(6)
-    truth = PushPosterior.prior(1, mean=[-1.1, 0.45, *mean[2:]], deviation=[1e-9] * 8)
+    truth = PushPosterior.prior(1, mean=[-1.1, 0.45, *mean[2:]], deviation=[1e-9] * 8, registration=SURE)
     end = truth.predict(start, path, own).ends[:, 0]
     found = prior.update(observed(start, path, end), own, generator())
     assert not torch.equal(found.parameters, prior.parameters)  # it was resampled
@@ -146,8 +151,8 @@ def test_the_posterior_is_that_of_a_grid():
         *(m + d * torch.linspace(-3, 3, 61).double() for m, d in zip(mean[:2], deviation[:2], strict=True))
     )
     grid = torch.cat((grid, torch.tensor(mean[2:]).expand(len(grid), 6)), -1)
-    exact = replace(prior, parameters=grid, log_weights=torch.zeros(len(grid)).double())
-    weights = replace(exact, pushes=found.pushes)._log_target(grid, own).softmax(-1)
+    exact = replace(found, parameters=grid, log_weights=torch.zeros(len(grid)).double(), white=None)
+    weights = exact._log_target(torch.cat((grid, grid.new_zeros(len(grid), 5)), -1), own).softmax(-1)
     centre = weights @ grid[:, :2]
     spread = (weights @ (grid[:, :2] - centre).square()).sqrt()
     assert (spread < torch.tensor([0.25, 0.2])).all()
@@ -169,11 +174,12 @@ def test_it_is_saved_and_read_again(tmp_path):
     assert all(
         torch.equal(a, b) for x, y in zip(again.pushes, found.pushes, strict=True) for a, b in zip(x, y, strict=True)
     )
+    assert again.registration == found.registration and torch.equal(again.white, found.white)
     assert again.residual == found.residual and (again.mean, again.deviation) == (found.mean, found.deviation)
     assert [file.name for file in tmp_path.iterdir()] == ["mug.json"]
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"format": "rumi push parameters 1", "names": []}'])
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"format": "rumi push parameters 2", "names": []}'])
 def test_another_file_is_refused(tmp_path, text):
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(UsageError, match="push parameters"):

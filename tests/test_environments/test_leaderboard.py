@@ -12,8 +12,13 @@ from rumi.errors import UsageError
 
 AHEAD = """
 VIEW = "particles"
+seeds = []
+
+def start(seed):
+    seeds.append(seed)
 
 def act(observation):
+    assert seeds == [3]
     place = observation["weights"] @ observation["poses"][:, :2, 3]
     way = place - observation["configuration"][:2]
     return [*(way / (way @ way) ** 0.5), 0.0]

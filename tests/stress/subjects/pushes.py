@@ -7,7 +7,10 @@ from torch import Tensor
 
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import RectangleOutline, Support
-from rumi.dynamics.push_posterior import PARAMETERS, PushedBody, PushPosterior, PushResidual
+from rumi.dynamics.push_density import PushResidual
+from rumi.dynamics.push_parameters import PARAMETERS
+from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.pushed_body import PushedBody
 from tests.stress import exact, measures
 from tests.stress.draws import choice, log_uniform, mixed, normal, uniform
 from tests.stress.sweep import Inputs, Sweep, register
