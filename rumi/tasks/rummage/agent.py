@@ -241,7 +241,8 @@ def first_belief(rummager: Rummager, reading: Reading, *, generator: torch.Gener
     none = Observation.empty(dtype=points.dtype, device=points.device)
     memory, _ = merge(none, reading.observation, rummager.filter.lattice)
     if rummager.filter.prior is not None:
-        return prior_belief(rummager.filter, memory, rummager.initialise.particles, generator=generator), memory
+        belief = prior_belief(rummager.filter, memory, rummager.initialise.particles, generator=generator)
+        return rummager.filter.begin(belief, memory, generator=generator), memory
     surface = memory.points[memory.of_class(Semantics.SURFACE)]
     if len(surface) == 0:
         raise ValueError("Expected a first view with surface points of the object, got none: check the object's mask")
