@@ -122,8 +122,11 @@ def test_names_of_nested_settings():
         ({"plan_budget_s": -0.1}, "Expected plan_budget_s to be 0 or more, got -0.1"),
         ({"plan_budget_s": "soon"}, "Expected plan_budget_s to be float | None, got 'soon'"),
         ({"planner": {"rollouts": 0}}, "planner: Expected rollouts to be 1 or more, got 0"),
-        ({"initialise": {"particles": 0}}, "initialise: Expected at least one particle, got 0"),
-        ({"filter": {"rotation_noise_rad": -1.0}}, "filter: Expected rotation_noise_rad to be 0 or more, got -1.0"),
+        ({"initialise": {"particles": 0}}, "initialise: Expected particles to be 1 or more, got 0"),
+        (
+            {"filter": {"rotation_noise_rad": -1.0}},
+            "filter: Expected rotation_noise_rad to be 0 or more and finite, got -1.0",
+        ),
         ({"filter": {"descent": {"margin_m": math.nan}}}, "Expected filter.descent.margin_m to be a number, got nan"),
     ],
 )
