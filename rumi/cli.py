@@ -37,6 +37,8 @@ COMMANDS = {
     "plot": Command("RUN [options]", "draw the figures of a run again", "rumi.commands.plot:plot"),
     "result": Command("RUN [--json]", "the answer of a run: pose, covariance, why not", "rumi.commands.result:result"),
     "pushes": Command("RUN [options]", "learn how an object slides", "rumi.commands.pushes:pushes"),
+    "calibrate": Command("TASK [options]", "whether beliefs cover the truth", "rumi.commands.calibrate:calibrate"),
+    "leaderboard": Command("POLICY.py [options]", "rank a policy on a task", "rumi.commands.leaderboard:leaderboard"),
     "bench": Command("[options]", "time each part on this machine", "rumi.bench.command:bench"),
     "mesh": Command("FILE [options]", "check a triangle mesh", "rumi.commands.mesh:mesh"),
     "localize": Command("MESH CONTACTS [options]", "poses by touched points", "rumi.commands.localize:localize"),

@@ -37,6 +37,7 @@ class StepRecord:
         nll: negative log-likelihood of the true surface (RUMI, Eq 36), None where the truth is unknown.
         timings_s: seconds by stage of this step.
         remarks: what is odd about it and was not so before.
+        lost: evidence against "no fault so far", nats (`rumi.belief.misfit`).
     """
 
     step: int
@@ -56,11 +57,12 @@ class StepRecord:
     nll: float | None
     timings_s: dict[str, float] = field(default_factory=dict)
     remarks: tuple[Remark, ...] = ()
+    lost: float = 0.0
 
     @property
     def stamp(self) -> float:
         """Seconds since the start of the run."""
-        return self.reading.stamp
+        return float(self.reading.stamp)
 
     @property
     def poses(self) -> tuple[Float[Tensor, "P 4 4"], Float[Tensor, "P"]]:
@@ -92,6 +94,7 @@ class RunResult:
         relies_on: what the run took for granted.
         warnings: what was not measured, and may have made the belief sure and wrong.
         remarks: what was odd, in the order of the steps.
+        lost: whether no pose that was believed fitted, and the object was not searched for again.
     """
 
     right: bool | None
@@ -116,6 +119,7 @@ class RunResult:
     relies_on: str = ""
     warnings: tuple[str, ...] = ()
     remarks: tuple[Remark, ...] = ()
+    lost: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, ready for JSON."""

@@ -6,9 +6,11 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from sdf.containers import container
 from sensors.reading import Reading
 
 
+@container()
 @dataclass(frozen=True)
 class StepResult:
     """What came of one action.

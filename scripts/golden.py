@@ -48,14 +48,13 @@ from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import Settings, preset, to_dict
 from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.scene import TouchTask
-from rumi.tasks.touch_box.selection import Method
 from rumi.tasks.touch_box.settings import TouchSettings
 from sdf import processor as kernels
 from sdf.mesh.mesh import TriangleMesh
 
 DIGESTS = Path(__file__).resolve().parent.parent / "tests" / "golden" / "digests.json"
 _DIGITS = 16  # of a SHA-256
-_WORDS = ("pose", "why_not", "wrong_by")  # of a result, also where there are none
+_WORDS = ("pose", "why_not", "wrong_by", "lost")  # of a result, also where there are none
 
 Record = dict[str, Any]
 """`steps`, a pair of digests each, of the action and of the belief after it; `result`, numbers by name."""
@@ -126,7 +125,7 @@ def of_replay(trace: Trace, settings: Settings, steps: int) -> Record:
     return of_result(done.result) | {"same": same}
 
 
-def of_touching(trace: Trace, robot: Robot, method: Method, actions: int) -> Record:
+def of_touching(trace: Trace, robot: Robot, method: str, actions: int) -> Record:
     """A box that is found by touch alone."""
     settings = replace(TouchSettings(method=method), actions=actions)
     with build_touch_box(TouchTask(), settings, robot, cache_dir=trace.folder) as parts:

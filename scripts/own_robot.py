@@ -7,6 +7,7 @@
 The page scripts/docs/own-robot.md goes through it. It needs no simulator.
 """
 
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -38,7 +39,7 @@ class Robot:
         self.tracked = agent.filter.settings.motion == "measured"
         self.pads, self.body = self.tool.shape.pad_shell(0.003).float(), self.tool.shape.solid(0.004).float()
         self.readings = TouchReadings(self.body, WITHIN)
-        self.at, self.seconds = torch.tensor(START), 0.0
+        self.at = torch.tensor(START)
 
     def reset(self, seed: int) -> rumi.Reading:
         """Look, from where the tool is out of the way."""
@@ -67,9 +68,8 @@ class Robot:
             pads = se3.apply(pose, self.pads)
             felt.append(pads[self.model.exact.distance(se3.apply(se3.inverse(self.truth), pads)) < 0.001])
             motion.append(self.truth @ se3.inverse(before))
-        self.seconds += 1.0
         measured = torch.stack(motion) if self.tracked else None
-        return self.readings.reading(self.tool.pose(path), felt, measured, stamp=self.seconds)
+        return self.readings.reading(self.tool.pose(path), felt, measured)
 
     def finish(self, action: object) -> None:
         """Nothing is done at the end."""
@@ -112,10 +112,5 @@ def main(
     return result, steps, robot
 
 
-def command() -> None:
-    """Run with the made-up robot."""
-    tyro.cli(main, description=__doc__)
-
-
 if __name__ == "__main__":
-    script(command)
+    script(partial(tyro.cli, main, description=__doc__))

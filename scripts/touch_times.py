@@ -7,7 +7,6 @@ python -m scripts.touch_times --mujoco         # particles in MuJoCo as well
 import sys
 import time
 from dataclasses import dataclass
-from typing import get_args
 
 import torch
 import tyro
@@ -19,7 +18,7 @@ from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.build import make_path_push
 from rumi.tasks.touch_box.planar_robot import PlanarRobot
 from rumi.tasks.touch_box.scene import TouchTask
-from rumi.tasks.touch_box.selection import Method
+from rumi.tasks.touch_box.selection import METHODS
 from rumi.tasks.touch_box.settings import TouchSettings
 from scripts.reproduce.cells import table
 
@@ -36,7 +35,7 @@ class Options:
 
     rounds: int = 5
     mujoco: bool = False
-    methods: tuple[Method, ...] = get_args(Method)
+    methods: tuple[str, ...] = tuple(METHODS)
 
 
 def seconds(settings: TouchSettings, rounds: int) -> tuple[float, float]:

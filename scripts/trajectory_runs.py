@@ -4,10 +4,10 @@ python -m scripts.trajectory_runs --seeds 1000-1019                    # runs wh
 python -m scripts.trajectory_runs --motions trajectory --seeds 1000-1009 --set filter.trajectories.across=0.45
 
 A trajectory run goes on until every rule that is compared would have stopped it. Cover is of updates after the first
-contact: the truth lies within a region of p where particles of less than p are at denser places, density being that of
-the distance to the twelfth neighbour, with 1 mm as 1.5 degrees (`level`).
+contact (`rumi.metrics.calibration`).
 """
 
+import hashlib
 import statistics
 import time
 from collections.abc import Sequence
@@ -17,25 +17,22 @@ from typing import Any, Literal
 
 import torch
 import tyro
-from jaxtyping import Float
-from torch import Tensor
 
-from rumi.belief.particles import PoseBelief
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.cli import script
 from rumi.information.stopping import STOP_RULES
 from rumi.loop import run
+from rumi.metrics.calibration import calibration_error, chance_error, checked
 from rumi.metrics.pose_error import pose_error
 from rumi.records import StepRecord
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
 from scripts.store import Store
-from sdf import se3
-from sdf.so3 import wrap
 
 RESULTS = Path(__file__).parent / "results" / "trajectories.jsonl"
+DEFAULTS = hashlib.sha256(repr(PoseTrajectorySettings()).encode()).hexdigest()[:8]
 Motion = Literal["trajectory", "corrected", "pushed", "measured"]
-_NEIGHBOURS, _MM, _DEG = 12, 1e3, 180.0 / torch.pi / 1.5
 _WRONG_M, _WRONG_RAD = 0.005, 0.17453
 
 
@@ -60,20 +57,6 @@ class Options:
     steps: int = 25
     results: Path = RESULTS
     only_print: bool = False
-
-
-def level(belief: PoseBelief, truth: Float[Tensor, "4 4"]) -> float:
-    """Share of the belief at places denser than the truth's: below p where the truth is in the region of p."""
-    poses, weights = se3.to_planar(belief.world_T_object).double(), belief.log_weights.double().softmax(-1)
-    true = se3.to_planar(truth).double()
-    apart = torch.cat((poses, true[None]))[:, None] - poses
-    apart = torch.cat((_MM * apart[..., :2], _DEG * wrap(apart[..., 2:])), -1).norm(dim=-1)
-    apart[: len(poses)].fill_diagonal_(torch.inf)  # nothing is its own neighbour
-    order = apart.argsort(-1)
-    mass = weights[order].cumsum(-1)
-    place = (mass >= _NEIGHBOURS / len(poses)).to(torch.uint8).argmax(-1, keepdim=True)
-    radius = apart.gather(-1, order).gather(-1, place)[:, 0]
-    return float(weights[radius[:-1] < radius[-1]].sum())
 
 
 def settings_of(options: Options, motion: str, seed: int) -> Settings:
@@ -110,16 +93,17 @@ def measured(options: Options, motion: str, seed: int) -> dict[str, Any]:
             belief, truth = step.belief, step.truth
             assert truth is not None
             metres, radians = pose_error(belief.mode(), truth, agent.model.symmetries)
+            held = checked(belief, truth, agent.model.symmetries, within_m=_WRONG_M, within_rad=_WRONG_RAD)
             steps.append(
                 {
                     "contacts": step.contacts,
                     "touched": bool(step.reading.in_contact.any()),
                     "mm": round(float(metres) * 1e3, 2),
                     "deg": round(float(radians) * 180.0 / torch.pi, 2),
-                    "p": round(
-                        belief.probability_right(agent.model.symmetries, within_m=_WRONG_M, within_rad=_WRONG_RAD), 4
-                    ),
-                    "level": round(level(belief, truth), 4),
+                    "p": round(held.p_right, 4),
+                    "level": round(held.both, 4),
+                    "place": round(held.place, 4),
+                    "turn": round(held.turn, 4),
                     "expected": round(step.expected_nll, 2),
                     "nll": round(float(step.nll or 0.0), 2),
                     "cpu_s": round(updates[-1], 4) if step.step else 0.0,
@@ -159,7 +143,7 @@ def tables(lines: Sequence[dict[str, Any]]) -> str:
         "|-" * 8 + "|",
     ]
     covers = [
-        "| motion | updates | 50 % | 90 % | 95 % | 99 % | error of P(right) | seconds, median; 90 % |",
+        "| motion | updates | 50 % | 90 % | 95 % | 99 % | error of P(right) (by chance) | seconds, median; 90 % |",
         "|-" * 8 + "|",
     ]
     for label in dict.fromkeys(_label(line) for line in lines):
@@ -185,23 +169,13 @@ def tables(lines: Sequence[dict[str, Any]]) -> str:
         after = [s for line in own for s in line["steps"] if s["contacts"] > 0]
         held = [sum(s["level"] <= p for s in after) / max(1, len(after)) for p in (0.5, 0.9, 0.95, 0.99)]
         cpu = sorted(s["cpu_s"] for s in after if s["touched"])
+        p, near = [s["p"] for s in after], [s["mm"] <= 5.0 and s["deg"] <= 10.0 for s in after]
         shares = " | ".join(f"{h:.2f}" for h in held)
         covers.append(
-            f"| {label} | {len(after)} | {shares} | {calibration(after):.3f} "
+            f"| {label} | {len(after)} | {shares} | {calibration_error(p, near):.3f} ({chance_error(p):.3f}) "
             f"| {statistics.median(cpu):.2f}; {cpu[int(0.9 * (len(cpu) - 1))]:.2f} |"
         )
     return "\n".join((*out, "", *covers))
-
-
-def calibration(steps: Sequence[dict[str, Any]], bins: int = 10) -> float:
-    """Expected calibration error of P(right)."""
-    total = 0.0
-    for k in range(bins):
-        own = [s for s in steps if k <= min(s["p"] * bins, bins - 1e-9) < k + 1]
-        if own:
-            good = sum(s["mm"] <= 5.0 and s["deg"] <= 10.0 for s in own)
-            total += abs(sum(s["p"] for s in own) - good)
-    return total / max(1, len(steps))
 
 
 def _label(line: dict[str, Any]) -> str:
@@ -217,10 +191,13 @@ def main() -> None:
         for motion in options.motions:
             own = options.set if motion == "trajectory" else ()
             settings = {"part": options.task, "motion": motion, "set": list(own), "seed": seed, "steps": options.steps}
+            if motion == "trajectory":
+                settings["defaults"] = DEFAULTS
             if not options.only_print:
                 store.measure(settings, lambda motion=motion, seed=seed: measured(options, motion, seed))
     seeds = range(int(first), int(last or first) + 1)
-    print(tables([line for line in store.of(options.task) if line["seed"] in seeds]))
+    lines = [line for line in store.of(options.task) if line["seed"] in seeds]
+    print(tables([line for line in lines if line["motion"] != "trajectory" or line.get("defaults") == DEFAULTS]))
 
 
 if __name__ == "__main__":

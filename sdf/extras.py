@@ -13,6 +13,7 @@ EXTRAS = {
     "vision": "cv2",
     "logs": "h5py rosbags lz4 backports",
     "baselines": "gpytorch",
+    "gym": "gymnasium",
     "peers": "pytorch_volumetric chsel pytorch_mppi",
     "stress": "mpmath hypothesis",
 }

@@ -268,6 +268,18 @@ def value_and_gradient(x, y, z, flat, lattice):
 
 
 @block
+def between(place, top, table, row):
+    """A flat table's value between two nodes of a row that begins at `row`; before node 0 and beyond `top` as there."""
+    kind = type(place)
+    place = place if place > kind(0.0) else kind(0.0)
+    place = place if place < top else top
+    low = _whole(place)
+    index = _next(low, row)
+    value_low = at(table, index)
+    return value_low + (place - kind(low)) * (at(table, _next(index, numba.int32(1))) - value_low)
+
+
+@block
 def layer_value(x, y, layer, lattice, level):
     """What `value` gives at the layer's height."""
     u, over_x = _along(x, lattice[1], lattice[4], lattice[5], lattice)

@@ -9,27 +9,29 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.check import check_finite, is_eager
+from sdf.containers import Ragged, container
 from sensors.force.force_torque import WrenchContact
-from sensors.reading import Reading
+from sensors.reading import RAGGED, Reading
 
 
+@container()
 @dataclass(frozen=True)
 class WrenchTouch:
     """Touches that a wrench told, world frame.
 
     Attributes:
-        points: (M, 3), metres.
-        normals: (M, 3), of the object, outward, unit.
-        point_sd: (M), metres, of the point along the tool's surface, by the sensor's noise.
-        normal_sd: (M), radians.
-        instant: (M), of the reading.
+        points: (*b, M, 3), metres.
+        normals: (*b, M, 3), of the object, outward, unit.
+        point_sd: (*b, M), metres, of the point along the tool's surface, by the sensor's noise.
+        normal_sd: (*b, M), radians.
+        instant: (*b, M), of the reading.
     """
 
-    points: Float[Tensor, "M 3"]
-    normals: Float[Tensor, "M 3"]
-    point_sd: Float[Tensor, "M"]
-    normal_sd: Float[Tensor, "M"]
-    instant: Int[Tensor, "M"]
+    points: Float[Tensor, "*b M 3"]
+    normals: Float[Tensor, "*b M 3"]
+    point_sd: Float[Tensor, "*b M"]
+    normal_sd: Float[Tensor, "*b M"]
+    instant: Int[Tensor, "*b M"]
 
     @classmethod
     def none(cls) -> "WrenchTouch":
@@ -71,17 +73,18 @@ def surest(variance: Float[Tensor, "M"], most: int) -> Int[Tensor, "m"]:
     return torch.stack([part[variance[part].argmin()] for part in parts])
 
 
+@container(RAGGED | {"signals": Ragged(-1)}, data=("stamp",))
 @dataclass(frozen=True)
 class ContactReading(Reading):
     """A reading with what is not told by points.
 
     Attributes:
         wrench: touches by the wrist's sensor.
-        signals: (K), whether the joints felt a contact at each instant; None where nobody asked them.
+        signals: (*b, K), whether the joints felt a contact at each instant; None where nobody asked them.
     """
 
     wrench: WrenchTouch = field(default_factory=WrenchTouch.none)
-    signals: Bool[Tensor, "K"] | None = None
+    signals: Bool[Tensor, "*b K"] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what no sensor can mean."""

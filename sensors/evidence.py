@@ -12,6 +12,7 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.check import is_eager
+from sdf.containers import container
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading, transfer
@@ -55,6 +56,7 @@ class EvidenceModel(Protocol[E]):
         ...
 
 
+@container()
 @dataclass(frozen=True)
 class EvidenceSet:
     """Sum of the evidence of several kinds: an `Evidence`.
@@ -117,6 +119,7 @@ def in_attached_frame(observation: Observation, world_T_attached: Float[Tensor, 
     return replace(observation, points=carried.where(~observation.attached[..., None], observation.points))
 
 
+@container()
 @dataclass(frozen=True)
 class SemanticPoints:
     """Semantic points under RUMI's Boltzmann posterior, log L = -lambda C^(X, T) (Eq 10): an `Evidence`.

@@ -9,9 +9,11 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.check import check_finite, check_shape, is_eager
+from sdf.containers import Ragged, container
 from sdf.voxel_grid import lattice_keys
 
 
+@container({"points": Ragged(-2), "semantics": Ragged(-1), "attached": Ragged(-1), "valid": Ragged(-1)})
 @dataclass(frozen=True)
 class Observation:
     """Points with semantics, for any batch of scenes, padded to one length.

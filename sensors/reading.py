@@ -1,5 +1,6 @@
 """Reading of a robot's sensors during one action."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Self
@@ -9,9 +10,21 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sdf.check import check_finite, is_eager
+from sdf.containers import Ragged, container
 from sensors.observation import Observation
 
+# of a reading padded in its instants the last one counts on
+RAGGED = {
+    "instant": Ragged(-1),
+    "tool_pose": Ragged(-3, None),
+    "in_contact": Ragged(-1),
+    "object_motion": Ragged(-3, None),
+    "measurements": Ragged(0, math.nan, behind=("tool_pose", 3)),  # what follows the instants is the sensor's
+}
+"""Axes of a reading along which readings differ, by field."""
 
+
+@container(RAGGED, data=("stamp",))
 @dataclass(frozen=True)
 class Reading:
     """Everything sensed during one action, at K instants (K >= 1); metres, radians, seconds.
@@ -28,8 +41,8 @@ class Reading:
             action up to each instant (`pose_k = object_motion_k @ pose_start`).
         configuration: (*b, Q), the tool's configuration at the last instant (planar: x, y, yaw).
         clipped: (*b), metres of the commanded translation that the arm's reach refused.
-        stamp: seconds since the start of the run.
-        measurements: (K, ...) numbers of further sensors at each instant, by the sensor's name; NaN where it gave none.
+        stamp: seconds since the start of the run; of a batch a tensor (*b).
+        measurements: (*b, K, ...) numbers of further sensors at each instant, by sensor; NaN where it gave none.
 
     Raises:
         ValueError: a value that is not finite, or a point of an instant that there is none of.
@@ -42,8 +55,8 @@ class Reading:
     object_motion: Float[Tensor, "*b K 4 4"] | None
     configuration: Float[Tensor, "*b Q"]
     clipped: Float[Tensor, "*b"]
-    stamp: float = 0.0
-    measurements: Mapping[str, Float[Tensor, "K ..."]] = field(default_factory=dict)
+    stamp: float | Float[Tensor, "*b"] = 0.0
+    measurements: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse what no sensor can mean: a belief that has taken in a NaN is lost."""
@@ -54,8 +67,9 @@ class Reading:
             if value is not None:
                 check_finite(name, value)
         for name, values in self.measurements.items():
-            if len(values) != instants:
-                raise ValueError(f"Expected {instants} measurements of {name!r}, one an instant, got {len(values)}")
+            own = values.shape[self.tool_pose.ndim - 3]
+            if own != instants:
+                raise ValueError(f"Expected {instants} measurements of {name!r}, one an instant, got {own}")
         wrong = observation.valid & ((self.instant < 0) | (self.instant >= instants))
         if is_eager() and bool(wrong.any()):
             raise ValueError(

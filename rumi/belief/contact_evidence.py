@@ -5,13 +5,17 @@ Both are kept in the frame that rides with the object, as the points of the memo
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import torch
-from jaxtyping import Float
+from annotated_types import Interval
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sdf import numbers, se3, so3
 from sdf.base import SDF
+from sdf.bounds import Checked, Count, Share, TrainedPositive, TrainedShareBelow1
+from sdf.containers import container
 from sdf.posed import posed_query
 from sensors.contact_reading import ContactReading
 from sensors.reading import Reading
@@ -21,7 +25,7 @@ _EXTENT_M = 0.1  # within which an outlier may be anywhere
 
 
 @dataclass(frozen=True)
-class SignalSettings:
+class SignalSettings(Checked):
     """Sensor model of the joints' contact signals.
 
     Attributes:
@@ -32,28 +36,23 @@ class SignalSettings:
         spacing_m: of the points on the gripper's surface.
     """
 
-    true_positive: float = 0.9
-    false_positive: float = 0.02
-    decay: float = 150.0
-    most: int = 2
-    spacing_m: float = 0.008
+    true_positive: Share = 0.9
+    false_positive: Share = 0.02
+    decay: Annotated[float, Interval(gt=0.0, lt=1e6)] = 150.0
+    most: Count = 2
+    spacing_m: Annotated[float, Interval(ge=0.001, le=1.0)] = 0.008
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
         numbers.refuse_trained(self)
-        if not 0 <= self.false_positive < self.true_positive <= 1:
+        super().__post_init__()
+        if not self.false_positive < self.true_positive:
             raise ValueError(
-                "Expected true_positive above false_positive, both of 0 to 1, "
-                f"got {self.true_positive} and {self.false_positive}"
+                f"Expected true_positive above false_positive, got {self.true_positive} and {self.false_positive}"
             )
-        if not 0 < self.decay < 1e6:
-            raise ValueError(f"Expected decay above 0 (to 1e6 1/m), got {self.decay}")
-        if self.most < 1:
-            raise ValueError(f"Expected most of 1 or more, got {self.most}")
-        if not 0.001 <= self.spacing_m <= 1:
-            raise ValueError(f"Expected spacing_m of 0.001 to 1, got {self.spacing_m}")
 
 
+@container()
 @dataclass(frozen=True)
 class ContactPointEvidence:
     """Likelihood of contact points with normals, against a signed distance function: an `Evidence`.
@@ -101,7 +100,7 @@ class ContactPointEvidence:
 
 
 @dataclass(frozen=True)
-class ContactPointModel:
+class ContactPointModel(Checked):
     """Measurement model of contact points with normals: an `EvidenceModel`.
 
     Attributes:
@@ -114,22 +113,14 @@ class ContactPointModel:
     """
 
     sdf: SDF
-    point_m: float | Tensor = 0.003
-    normal_rad: float | Tensor = 0.3
-    outlier: float | Tensor = 0.1
+    point_m: TrainedPositive = 0.003
+    normal_rad: TrainedPositive = 0.3
+    outlier: TrainedShareBelow1 = 0.1
 
     @classmethod
     def of(cls, sdf: SDF, surface: Float[Tensor, "n 3"]) -> "ContactPointModel":
         """For an object; the tool's surface tells nothing more."""
         return cls(sdf)
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be."""
-        for name in ("point_m", "normal_rad"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if not 0 <= self.outlier < 1:
-            raise ValueError(f"Expected an outlier share in [0, 1), got {self.outlier}")
 
     def update(
         self, evidence: ContactPointEvidence | None, reading: Reading, world_T_attached: Float[Tensor, "K 4 4"], /
@@ -150,26 +141,31 @@ class ContactPointModel:
         )
 
 
+@container()
 @dataclass(frozen=True)
 class ContactSignalEvidence:
     """Likelihood of contact signals, each of some point of the gripper's surface, nobody knows which: an `Evidence`.
 
     Attributes:
         sdf: of the object.
-        surface: (S, n, 3), points on the gripper's surface at each signal, metres.
+        surface: (*b, S, n, 3), points on the gripper's surface at each signal, metres.
         model: of a signal at a distance.
+        signals: (*b, S), whether each was one of contact; None where all were.
     """
 
     sdf: SDF
-    surface: Float[Tensor, "S n 3"]
+    surface: Float[Tensor, "*b S n 3"]
     model: ContactModel
+    signals: Bool[Tensor, "*b S"] | None = None
 
     def log_likelihood(self, world_T_object: Float[Tensor, "*b N 4 4"], /) -> Float[Tensor, "*b N"]:
         """Of each pose, nats."""
-        if len(self.surface) == 0:
+        if self.surface.shape[-3] == 0:
             return world_T_object.new_zeros(world_T_object.shape[:-2])
         distance = robot_distance(self.sdf, world_T_object, self.surface)
         contact = torch.ones_like(distance, dtype=torch.bool)
+        if self.signals is not None:
+            contact = self.signals[..., None, :].expand(distance.shape)
         return self.model.log_likelihood(distance, contact).sum(-1)
 
 

@@ -13,12 +13,13 @@ from rumi.registration.register import RegisterSettings, register
 from rumi.seeding import uniform
 from rumi.weights import boltzmann
 from sdf import se3
+from sdf.bounds import Checked, Count, ShareAbove0
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 
 
 @dataclass(frozen=True)
-class InitialiseSettings:
+class InitialiseSettings(Checked):
     """Settings of the initial belief.
 
     Attributes:
@@ -32,23 +33,14 @@ class InitialiseSettings:
         plausible: least weight, relative to the best pose's, of a pose that is kept.
     """
 
-    particles: int = 100
-    starts: int = 2000
+    particles: Count = 100
+    starts: Count = 2000
     coarse: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=8))
     coarse_points: int = 250
-    polished: int = 300
+    polished: Count = 300
     fine: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=10))
     bin_rad: float = 0.0873
-    plausible: float = 0.01
-
-    def __post_init__(self) -> None:
-        """Refuse empty beliefs and searches."""
-        if self.particles < 1:
-            raise ValueError(f"Expected at least one particle, got {self.particles}: set particles to 1 or more")
-        if self.starts < 1 or self.polished < 1:
-            raise ValueError(f"Expected 1 or more starts and polished poses, got {self.starts} and {self.polished}")
-        if not 0 < self.plausible <= 1:
-            raise ValueError(f"Expected plausible in (0, 1], got {self.plausible}")
+    plausible: ShareAbove0 = 0.01
 
 
 def view_starts(

@@ -14,6 +14,7 @@ from rumi.resampling import systematic
 from rumi.weights import effective_sample_size, normalise, resampled_weights
 from sdf import se3
 from sdf.check import is_eager
+from sdf.containers import Ragged, container
 from sdf.precision import full_precision
 from sdf.symmetry import Symmetries
 from sensors.evidence import EvidenceSet
@@ -23,6 +24,10 @@ CHUNK_BYTES = 64 * 2**20
 _TEMPORARIES = 80  # numbers of a pair that live at once: a product of rotations, and what its angle needs
 
 
+# a particle that pads a belief weighs nothing
+@container(
+    {"attached_T_object": Ragged(-3, None), "log_weights": Ragged(-1, -math.inf), "discrepancy": Ragged(-1, None)}
+)
 @dataclass(frozen=True)
 class PoseBelief:
     """Weighted pose particles of each scene, kept in a frame that rides with the object.

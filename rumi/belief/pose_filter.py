@@ -10,9 +10,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from rumi.belief.motion import MOTIONS, Motion, Predictor, object_motion
+from rumi.belief.motion import Motion, Predictor, object_motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.prior import PosePrior
+from rumi.belief.scene_rows import bare, differ, generators_of, put, put_rows, where_rows
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.errors import DegenerateBeliefError
 from rumi.registration.descent import SEARCHES, DescentSettings, Search, descend, retract
@@ -20,16 +21,18 @@ from rumi.resampling import resample_systematic
 from rumi.seeding import Generators, normal
 from rumi.weights import boltzmann
 from sdf import numbers, se3, skipped_work
+from sdf.bounds import Checked, NotNegative, Positive, ShareAbove0, TrainedNotNegative, TrainedPositive
 from sdf.check import check_near
+from sdf.containers import index
 from sdf.precision import full_precision
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import Evidence, EvidenceModel, SemanticPoints, gather, in_attached_frame
-from sensors.observation import Observation, attach, merge
+from sensors.observation import Observation, attach, compact, merge
 from sensors.reading import Reading
 
 
 @dataclass(frozen=True)
-class FilterSettings:
+class FilterSettings(Checked):
     """Settings of the pose filter.
 
     Attributes:
@@ -63,45 +66,33 @@ class FilterSettings:
         trajectories: of the motion "trajectory", which of the settings above takes the lattice alone.
     """
 
-    peakiness: float | Tensor = 2.0
-    free_scale: float = 80.0
-    tolerance_m: float = 0.001
-    free_spacing_m: float = 0.005
-    surface_spacing_m: float = 0.002
+    peakiness: TrainedPositive = 2.0
+    free_scale: NotNegative = 80.0
+    tolerance_m: NotNegative = 0.001
+    free_spacing_m: Positive = 0.005
+    surface_spacing_m: Positive = 0.002
     motion: Motion = "measured"
     unmeasured: Motion = "corrected"
-    translation_noise_m: float | Tensor = 0.001
-    rotation_noise_rad: float | Tensor = 0.0175
+    translation_noise_m: TrainedNotNegative = 0.001
+    rotation_noise_rad: TrainedNotNegative = 0.0175
     trigger: float = 5.0
-    trigger_percentile: float = 0.95
+    trigger_percentile: ShareAbove0 = 0.95
     weighing: Literal["scratch", "incremental"] = "scratch"
     weigh_before_resampling: bool = True
     descent: DescentSettings = field(default_factory=DescentSettings)
     lies_flat: bool = True
     level_within_rad: float = 0.1
-    still_m: float = 1e-4
-    still_rad: float = 1e-3
+    still_m: NotNegative = 1e-4
+    still_rad: NotNegative = 1e-3
     evidence: tuple[str, ...] = ()
     trajectories: PoseTrajectorySettings = field(default_factory=PoseTrajectorySettings)
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
         numbers.refuse_trained(self, "peakiness", "translation_noise_m", "rotation_noise_rad")
-        for name in ("motion", "unmeasured"):
-            if getattr(self, name) not in MOTIONS:
-                raise ValueError(f"Expected {name} to be one of {', '.join(MOTIONS)}, got {getattr(self, name)!r}")
+        super().__post_init__()
         if self.unmeasured == "measured":
             raise ValueError("Expected unmeasured to be a motion that needs no slip sensor, got 'measured'")
-        if self.weighing not in ("scratch", "incremental"):
-            raise ValueError(f"Expected weighing scratch or incremental, got {self.weighing!r}")
-        for name in ("peakiness", "free_spacing_m", "surface_spacing_m"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        for name in ("free_scale", "tolerance_m", "translation_noise_m", "rotation_noise_rad", "still_m", "still_rad"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
-        if not 0 < self.trigger_percentile <= 1:
-            raise ValueError(f"Expected trigger_percentile in (0, 1], got {self.trigger_percentile}")
 
 
 class FilterInfo(NamedTuple):
@@ -238,6 +229,10 @@ class PoseFilter(nn.Module):
         shift, turn = self.settings.translation_noise_m, self.settings.rotation_noise_rad
         if (shift == 0 and turn == 0) or not bool(rows.any()):
             return poses
+        if differ(rows, generator):  # the others draw nothing, as each does alone
+            few = replace(index(bare(belief), rows), evidence=belief.evidence)
+            here = torch.ones(len(few.log_weights), dtype=torch.bool, device=rows.device)
+            return put(poses, rows, self.perturb(few, generator=generators_of(generator, rows), rows=here))
         shift, turn = numbers.like(shift, poses), numbers.like(turn, poses)
         sigma = [shift, shift, turn] if self.search == "SE(2)" else [shift] * 3 + [turn] * 3
         shape = (*poses.shape[:-2], len(sigma))
@@ -275,17 +270,25 @@ class PoseFilter(nn.Module):
         Where no particle moved in the attached frame and no point is fixed in the world, the discrepancy of the
         old points carries over exactly (Eq 11 and move invariance); further evidence may change without any.
         """
-        same = belief.attached_T_object is before.attached_T_object or bool(
-            (belief.attached_T_object == before.attached_T_object).all()
-        )
-        fixed = len(memory) > 0 and bool((memory.valid & ~memory.attached).any())
+        anew = (memory.valid & ~memory.attached).any(-1)
+        if belief.attached_T_object is not before.attached_T_object:
+            anew = anew | (belief.attached_T_object != before.attached_T_object).any(-1).any(-1).any(-1)
+        if belief.evidence is not None:
+            anew = torch.ones_like(anew)
         with skipped_work.work("old_points") as work:
-            if same and not fixed and belief.evidence is None:
+            if not bool(anew.any()):
                 total = belief.discrepancy + self.discrepancy(belief.attached_T_object, added)
                 work.count(len(added), len(memory))
-            else:
+            elif bool(anew.all()):
                 total = self.total(belief, memory)
                 work.count(len(memory), len(memory))
+            else:  # by row: what one scene needs costs the others nothing
+                few, rest = index(belief, anew), index(belief, ~anew)
+                old = rest.discrepancy + self.discrepancy(rest.attached_T_object, compact(index(added, ~anew)))
+                total = put(belief.discrepancy, ~anew, old)
+                total = put(total, anew, self.total(few, compact(index(memory, anew))))
+                share = float(anew.float().mean())
+                work.count(share * len(memory) + (1.0 - share) * len(added), len(memory))
         return self._weighted(replace(belief, discrepancy=total), total - before.discrepancy)
 
     def total(self, belief: PoseBelief, memory: Observation) -> Float[Tensor, "*b N"]:
@@ -333,9 +336,21 @@ class PoseFilter(nn.Module):
         rows = level > settings.trigger
         if not bool(rows.any()):
             return belief, rows
-        index = resample_systematic(weights.log_weights, generator=generator)
-        fresh = belief.resampled(index, weights.log_weights)
-        fresh = replace(fresh, attached_T_object=self.perturb(fresh, generator=generator, rows=rows))
+        if belief.evidence is None and differ(rows, generator):
+            few, drawn_by = index(belief, rows), index(bare(weights), rows)
+            fresh = self._renewed(few, drawn_by, compact(index(memory, rows)), generator=generators_of(generator, rows))
+            return put_rows(belief, rows, fresh), rows
+        return where_rows(rows, self._renewed(belief, weights, memory, generator=generator), belief), rows
+
+    def _renewed(
+        self, belief: PoseBelief, weights: PoseBelief, memory: Observation, *, generator: Generators
+    ) -> PoseBelief:
+        """All scenes resampled by `weights`, perturbed, optimised and weighed."""
+        settings = self.settings
+        drawn = resample_systematic(weights.log_weights, generator=generator)
+        fresh = belief.resampled(drawn, weights.log_weights)
+        every = torch.ones(fresh.log_weights.shape[:-1], dtype=torch.bool, device=fresh.log_weights.device)
+        fresh = replace(fresh, attached_T_object=self.perturb(fresh, generator=generator, rows=every))
         here = in_attached_frame(memory, belief.world_T_attached)
         poses = self.descend(fresh, here, settings.descent)
         total = self.cost(poses, here, belief.evidence)
@@ -345,14 +360,4 @@ class PoseFilter(nn.Module):
             if fresh.log_weights.requires_grad:  # the slope of the weights before, whose value is 1
                 log = log + (fresh.log_weights - fresh.log_weights.detach())
             fresh = fresh.reweighted(log)
-        return _where(rows, fresh, belief), rows
-
-
-def _where(rows: Bool[Tensor, "*b"], a: PoseBelief, b: PoseBelief) -> PoseBelief:
-    """Scenes `rows` of a, the others of b."""
-    return replace(
-        b,
-        attached_T_object=torch.where(rows[..., None, None, None], a.attached_T_object, b.attached_T_object),
-        log_weights=torch.where(rows[..., None], a.log_weights, b.log_weights),
-        discrepancy=torch.where(rows[..., None], a.discrepancy, b.discrepancy),
-    )
+        return fresh

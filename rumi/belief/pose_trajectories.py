@@ -3,14 +3,15 @@
 import functools
 import math
 from dataclasses import dataclass, replace
-from enum import IntEnum
-from typing import NamedTuple, Self
+from typing import Self
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
+from rumi.belief.trajectory_history import NODES, History, Kind, arrays_of
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.sliding import Sliding, push, rotated
@@ -18,18 +19,8 @@ from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled
 from sdf.base import SDF
 
-PHYSICS, NOISE, OWN = 5, 8, 5
+PHYSICS, NOISE, OWN = 5, 9, 5
 """Standard normals of a particle, of a segment, and those of a segment that its action does not share."""
-
-
-class Kind(IntEnum):
-    """Meaning of a point."""
-
-    SEEN = 0
-    FREE = 1
-    FELT = 2
-    PAD_FELT = 3
-    PAD_CLEAR = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +35,7 @@ class PushedObject:
         spread_m: mean distance of what rests on the floor from there.
         tool: (n, 2), points of the tool's border, tool frame.
         pads: (m, 3), points of its pads, tool frame.
+        height_m: of the tool above the floor.
     """
 
     sdf: SDF
@@ -53,6 +45,7 @@ class PushedObject:
     spread_m: float
     tool: Float[Tensor, "n 2"]
     pads: Float[Tensor, "m 3"]
+    height_m: float
 
     @classmethod
     def of(
@@ -71,131 +64,29 @@ class PushedObject:
         support, like = support_of(sdf), torch.zeros((), dtype=torch.float64)
         outline = GridOutline.of_slice(sdf, height_m - resting_m).to(like)
         tool, pads = shape.outline(spacing_m).to(like), shape.pad_shell(pad_spacing_m).to(like)
-        return cls(sdf, resting_m, outline, support.centre.to(like), support.spread, tool, pads)
+        return cls(sdf, resting_m, outline, support.centre.to(like), support.spread, tool, pads, height_m)
 
-    @property
+    @functools.cached_property
     def reach_m(self) -> float:
         """Distance from the tool's origin beyond which nothing is touched."""
         return float(self.tool.norm(dim=-1).max()) + self.outline.radius
 
+    @functools.cached_property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Tool, groups of its points that are neighbours, outline and numbers, as the compiled version takes them.
 
-class Segment(NamedTuple):
-    """Part of an action with what was sensed in it; world frame, float64, never re-attached.
-
-    Attributes:
-        tool: (K, 2, 3), (x, y, yaw) of the tool before and after each instant.
-        pushes: whether the tool may push the object; else it stands still.
-        points: (M, 3), heights counted from the object's origin.
-        instant: (M), in ascending order.
-        kind: (M), of `Kind`.
-        weight: (M), independent readings that a point is worth.
-    """
-
-    tool: Float[Tensor, "K 2 3"]
-    pushes: bool
-    points: Float[Tensor, "M 3"]
-    instant: Int[Tensor, "M"]
-    kind: Int[Tensor, "M"]
-    weight: Float[Tensor, "M"]
-
-
-@dataclass(frozen=True, eq=False)
-class History:
-    """Segments one after the other: S of them, T instants, M points.
-
-    Attributes:
-        tool: (T, 2, 3).
-        pushes: (T).
-        ends: (S), instant behind each segment's last.
-        action: (S), the first segment of each one's action.
-        points: (M, 3).
-        kind: (M).
-        weight: (M).
-        point_ends: (T), point behind each instant's last.
-    """
-
-    tool: Float[Tensor, "T 2 3"]
-    pushes: Bool[Tensor, "T"]
-    ends: Int[Tensor, "S"]
-    action: Int[Tensor, "S"]
-    points: Float[Tensor, "M 3"]
-    kind: Int[Tensor, "M"]
-    weight: Float[Tensor, "M"]
-    point_ends: Int[Tensor, "T"]
-
-    @classmethod
-    def empty(cls) -> Self:
-        """Nothing yet."""
-        none, flat = torch.zeros(0, dtype=torch.long), torch.zeros(0, dtype=torch.float64)
-        return cls(flat.view(0, 2, 3), none.bool(), none, none, flat.view(0, 3), none, flat, none)
-
-    def __len__(self) -> int:
-        """Number of segments."""
-        return len(self.ends)
-
-    def appended(self, segment: Segment, *, opens: bool = True) -> Self:
-        """With one more segment.
-
-        Args:
-            segment: what came.
-            opens: whether it is the first of its action.
+        A group is the centre of its points (x, y), how far they are from it, and the first of them and the one behind.
         """
-        count, instants = len(self), len(segment.tool)
-        action = count if opens or not count else int(self.action[-1])
-        counts = torch.bincount(segment.instant, minlength=instants)
-        return replace(
-            self,
-            tool=torch.cat((self.tool, segment.tool)),
-            pushes=torch.cat((self.pushes, torch.full((instants,), segment.pushes))),
-            ends=torch.cat((self.ends, torch.tensor([len(self.tool) + instants]))),
-            action=torch.cat((self.action, torch.tensor([action]))),
-            points=torch.cat((self.points, segment.points)),
-            kind=torch.cat((self.kind, segment.kind)),
-            weight=torch.cat((self.weight, segment.weight)),
-            point_ends=torch.cat((self.point_ends, len(self.points) + counts.cumsum(0))),
-        )
-
-    def tempered(self, power: float) -> Self:
-        """The last segment's readings raised to a power."""
-        if power == 1.0 or not len(self):
-            return self
-        weight = self.weight.clone()
-        weight[self._points_before(len(self) - 1) :] *= power
-        return replace(self, weight=weight)
-
-    def last(self) -> Self:
-        """The last segment alone, as an action of its own."""
-        alone = self.since(len(self) - 1)
-        return replace(alone, action=torch.zeros_like(alone.action))
-
-    def since(self, segment: int) -> Self:
-        """The same from a segment on, which must be the first of its action."""
-        first, point = (int(self.ends[segment - 1]) if segment else 0), self._points_before(segment)
-        return replace(
-            self,
-            tool=self.tool[first:],
-            pushes=self.pushes[first:],
-            ends=self.ends[segment:] - first,
-            action=self.action[segment:] - segment,
-            points=self.points[point:],
-            kind=self.kind[point:],
-            weight=self.weight[point:],
-            point_ends=self.point_ends[first:] - point,
-        )
-
-    def moving(self) -> Int[Tensor, "s"]:
-        """The segments in which the object may have been pushed."""
-        return self.pushes[self.ends - 1].nonzero()[:, 0]
-
-    def since_push(self) -> Int[Tensor, "m"]:
-        """The points that were sensed after the last push."""
-        moving = self.moving()
-        return torch.arange(self._points_before(int(moving[-1]) + 1) if len(moving) else 0, len(self.points))
-
-    def _points_before(self, segment: int) -> int:
-        """Number of points of the segments before one."""
-        first = int(self.ends[segment - 1]) if segment else 0
-        return int(self.point_ends[first - 1]) if first else 0
+        groups = []
+        for first in range(0, len(self.tool), _GROUP):
+            some = self.tool[first : first + _GROUP]
+            centre = 0.5 * (some.amin(0) + some.amax(0))
+            far = float((some - centre).norm(dim=-1).max())
+            groups.append((*centre.tolist(), far, first, first + len(some)))
+        outline = self.outline
+        place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)
+        numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m))
+        return arrays_of((self.tool, self.tool.new_tensor(groups), outline.values, numbers))
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,8 +95,8 @@ class Trajectories:
 
     Attributes:
         physics: (N, 5) standard normals: log-friction, log-lever, centre of friction (x, y), pressure ahead.
-        noise: (N, S, 8) standard normals of each segment: log-friction, log-lever, motion along, across and turn;
-            and the last three once more for the whole action, of which its first segment's count.
+        noise: (N, S, 9) standard normals of each segment: log-friction, log-lever, motion along, across and turn;
+            and for the whole action, of which its first segment's count, the last three once more, and their size.
         poses: (N, S + 1, 3), (x, y, yaw) before the first segment and after each.
         log_likelihood: (N, S), of each segment's readings.
         history: what was done and sensed.
@@ -213,7 +104,7 @@ class Trajectories:
     """
 
     physics: Float[Tensor, "N 5"]
-    noise: Float[Tensor, "N S 8"]
+    noise: Float[Tensor, "N S 9"]
     poses: Float[Tensor, "N S1 3"]
     log_likelihood: Float[Tensor, "N S"]
     history: History
@@ -238,7 +129,10 @@ class Trajectories:
 
     def where(self, accept: Bool[Tensor, "N"], other: Self) -> Self:
         """Another's particles where accepted, else one's own."""
-        return self.put(rows := accept.nonzero()[:, 0], other.at(rows))
+        wide = accept[:, None]
+        masks = wide, wide[..., None], wide[..., None], wide
+        pairs = ((getattr(other, name), getattr(self, name)) for name in _PARTS)
+        return self._with([torch.where(mask, *pair) for mask, pair in zip(masks, pairs, strict=True)])
 
     def _with(self, parts: list[Tensor]) -> Self:
         physics, noise, poses, log_likelihood = parts
@@ -265,11 +159,26 @@ class Trajectories:
         return -0.5 * (self.physics.square().sum(-1) + self.noise.square().sum((-2, -1)))
 
     def replayed(
-        self, model: PushedObject, settings: PoseTrajectorySettings, history: History, first: Int[Tensor, "N"]
+        self,
+        model: PushedObject,
+        settings: PoseTrajectorySettings,
+        history: History,
+        first: Int[Tensor, "N"],
+        least: Float[Tensor, "N"] | None = None,
     ) -> Self:
-        """Poses and likelihood under a history of as many segments, from a segment of each particle's own on."""
+        """Poses and likelihood under a history of as many segments, from a segment of each particle's own on.
+
+        Args:
+            model: object and tool.
+            settings: of motion prior and sensors.
+            history: what is replayed.
+            first: segment of each particle from which on.
+            least: log-likelihood from there on below which a particle may be given up: a segment's is then -inf, and
+                what comes after it is left as it was.
+        """
         version = backend.dispatch("replay_trajectories", self.poses, *model.sdf.tensors())
-        poses, log_likelihood = version(model, settings, history, self, first)
+        least = torch.full_like(first, -torch.inf, dtype=torch.float64) if least is None else least
+        poses, log_likelihood = version(model, settings, history, self, first, least)
         return replace(self, poses=poses, log_likelihood=log_likelihood)
 
 
@@ -303,13 +212,19 @@ def log_likelihood_of(
     return torch.where(kind >= Kind.PAD_FELT, bit, near)
 
 
-# the compiled version looks likelihoods up over distances: metres between nodes, and nodes to either side of 0
-_STEP_M, _STEPS = 3e-5, 1000
+# the compiled version looks likelihoods up over distances: metres between nodes
+_STEP_M = 3e-5
+_GROUP = 8  # points of the tool's border that it leaves out together
 
 
 @backend.register("replay_trajectories")
 def _replay(
-    model: PushedObject, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+    history: History,
+    given: Trajectories,
+    first: Int[Tensor, "N"],
+    least: Float[Tensor, "N"],
 ) -> tuple[Tensor, Tensor]:
     poses, logs = given.poses.clone(), given.log_likelihood.clone()
     for segment in range(len(history)):
@@ -321,8 +236,8 @@ def _replay(
         friction = own.friction[0] * (own.friction[1] * physics[:, 0] + own.friction_change * noise[:, 0]).exp()
         lever = own.lever_ratio[1] * physics[:, 1] + own.lever_change * noise[:, 1]
         lever = model.spread_m * own.lever_ratio[0] * lever.exp()
-        mixed = math.sqrt(1.0 - own.shared) * noise[:, 2:OWN] + math.sqrt(own.shared) * together
-        mixed = mixed * (0.5 * own.tails * mixed.square()).exp()
+        mixed = math.sqrt(1.0 - own.shared) * noise[:, 2:OWN] + math.sqrt(own.shared) * together[:, :3]
+        mixed = mixed * (0.5 * own.tails * together[:, 3:].square()).exp()
         pose, total = poses[rows, segment], torch.zeros_like(friction)
         for instant in range(int(history.ends[segment - 1]) if segment else 0, int(history.ends[segment])):
             if bool(history.pushes[instant]):
@@ -355,7 +270,7 @@ def _stepped(
     start, many = pose[near], len(near)
     way = after[:2] - before[:2]
     direction = way / way.norm().clamp_min(1e-12)
-    ahead = own.ahead_m[0] + own.ahead_m[1] * body.centre[near, 2]
+    ahead = model.height_m * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
     centre = model.centre + own.centre_m * body.centre[near, :2]
     centre = centre + ahead[:, None] * rotated(direction.expand(many, 2), -start[:, 2])
     sliding = Sliding(centre, body.lever[near], body.friction[near])
@@ -373,32 +288,33 @@ def _stepped(
 
 @backend.register("replay_trajectories", "numba", compiled.supports)
 def _replay_numba(
-    model: PushedObject, own: PoseTrajectorySettings, history: History, given: Trajectories, first: Int[Tensor, "N"]
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+    history: History,
+    given: Trajectories,
+    first: Int[Tensor, "N"],
+    least: Float[Tensor, "N"],
 ) -> tuple[Tensor, Tensor]:
     from sdf.grid_sdf import GridSDF
 
     if not isinstance(model.sdf, GridSDF):
-        return _replay(model, own, history, given, first)
+        return _replay(model, own, history, given, first, least)
     from rumi.belief.pose_trajectories_numba import replay as kernel
     from sdf.grid_numba import grid_arguments
 
-    poses, logs = given.poses.clone(), given.log_likelihood.clone()
-    outline = model.outline
-    place = (*outline.origin.tolist(), outline.spacing, model.reach_m, outline.radius, model.spread_m)
-    numbers = torch.tensor((*place, *model.centre.tolist()), dtype=torch.float64)
-    tensors = (first, poses, logs, given.physics, given.noise, history.tool, history.pushes, history.ends)
-    points = (history.action, history.points, history.kind, history.weight, history.point_ends)
-    shape = (model.tool, outline.values, numbers, *_tables(own))
-    arrays = (part.detach().contiguous().numpy() for part in (*tensors, *points, *shape))
-    kernel(*arrays, grid_arguments(model.sdf, torch.float32))
-    return poses, logs
+    poses, found = given.poses.clone(), given.log_likelihood.clone()
+    scales, logs = _tables(own)
+    particles = arrays_of((first, least, poses, found, given.physics, given.noise))
+    grid = grid_arguments(model.sdf, torch.float32)
+    kernel(particles, *history.arrays, model.arrays, scales.numpy(), logs.numpy(), grid)
+    return poses, found
 
 
 @functools.cache
 def _tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
-    """Numbers of the motion prior as the kernel takes them, and log-likelihoods of every kind over distances."""
-    prior = (*own.friction, *own.lever_ratio, *own.ahead_m, own.centre_m, own.friction_change, own.lever_change)
+    """Numbers of the motion prior as the kernel takes them, and all kinds' log-likelihoods over distances, float32."""
+    prior = (*own.friction, *own.lever_ratio, *own.ahead, own.centre_m, own.friction_change, own.lever_change)
     noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)
-    distance = _STEP_M * (torch.arange(2 * _STEPS + 1, dtype=torch.float64) - _STEPS)
+    distance = _STEP_M * (torch.arange(NODES, dtype=torch.float64) - NODES // 2)
     priced = torch.stack([log_likelihood_of(distance, torch.tensor(int(kind)), own) for kind in Kind])
-    return torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64), priced
+    return torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64), priced.float()

@@ -6,50 +6,72 @@ import numpy as np
 
 from rumi.dynamics.sliding_numba import settled, slope, value
 from sdf.compiled import Kernel, bare
-from sdf.grid_numba import lattice_of
+from sdf.grid_numba import at, between, fast, lattice_of
 from sdf.grid_numba import value as distance_at
 from sdf.part_numba import indices
 
+_SLACK = 1e-6  # nats by which sums in another order may differ
+
 
 @bare
-def _deepest(x, y, yaw, tool_x, tool_y, tool_yaw, tool, table, numbers):
-    """Least distance of the tool's border from the object, the point there, and its place in the object's frame."""
+def _deepest(x, y, yaw, at_tool, tool, groups, table, numbers):
+    """Least distance of the tool's border from the object, the point there, and its place in the object's frame.
+
+    A group of points is left out where its disc is too far for one of them to be in the object, or deeper than found.
+    """
+    tool_x, tool_y, tool_cos, tool_sin = at_tool
     cos, sin = math.cos(yaw), math.sin(yaw)
     off_x, off_y = tool_x - x, tool_y - y
     off_x, off_y = cos * off_x + sin * off_y, cos * off_y - sin * off_x
-    cos, sin = math.cos(tool_yaw - yaw), math.sin(tool_yaw - yaw)
-    square = numbers[4] * numbers[4]
+    cos, sin = tool_cos * cos + tool_sin * sin, tool_sin * cos - tool_cos * sin
+    square, slack = numbers[4] * numbers[4], 2.0 * numbers[2]
     least, best, at_x, at_y = math.inf, 0, 0.0, 0.0
-    for k in range(len(tool)):
-        place_x = off_x + cos * tool[k, 0] - sin * tool[k, 1]
-        place_y = off_y + sin * tool[k, 0] + cos * tool[k, 1]
-        if place_x * place_x + place_y * place_y > square:  # not within the object, whatever its yaw
+    for group in range(len(groups)):
+        place_x = off_x + cos * groups[group, 0] - sin * groups[group, 1]
+        place_y = off_y + sin * groups[group, 0] + cos * groups[group, 1]
+        far = groups[group, 2]
+        if place_x * place_x + place_y * place_y > (numbers[4] + far) * (numbers[4] + far):
             continue
         found = value(place_x, place_y, table, numbers[0], numbers[1], numbers[2])
-        if found < least:
-            least, best, at_x, at_y = found, k, place_x, place_y
+        if found - far - slack > min(least, 0.0):
+            continue
+        for k in range(int(groups[group, 3]), int(groups[group, 4])):
+            place_x = off_x + cos * tool[k, 0] - sin * tool[k, 1]
+            place_y = off_y + sin * tool[k, 0] + cos * tool[k, 1]
+            if place_x * place_x + place_y * place_y > square:  # not within the object, whatever its yaw
+                continue
+            found = value(place_x, place_y, table, numbers[0], numbers[1], numbers[2])
+            if found < least:
+                least, best, at_x, at_y = found, k, place_x, place_y
     return least, best, at_x, at_y
 
 
-@bare
-def _tailed(z, tails):
-    return z * math.exp(0.5 * tails * z * z)
+@fast
+def _readings(first, last, pose, points, weight, row, logs, inverse, flat, lattice):
+    """Log-likelihood of the points from one to before another, of their distances from the surface by a table."""
+    x, y, cos, sin = pose
+    count, nodes = len(weight), logs.shape[1]
+    priced = logs.reshape(-1)
+    half, top = np.float32(0.5 * (nodes - 1)), np.float32(nodes - 1.01)
+    total = np.float32(0.0)
+    for m in range(first, last):
+        dx, dy = at(points, m) - x, at(points, count + m) - y
+        found = distance_at(cos * dx + sin * dy, cos * dy - sin * dx, at(points, 2 * count + m), flat, lattice)
+        total += at(weight, m) * between(found * inverse + half, top, priced, at(row, m))
+    return total
 
 
 @bare
-def _point(v, kind, logs, step):
-    """Log-likelihood of a point at a signed distance from the surface, by a table; beyond it as at its ends."""
-    last = logs.shape[1] - 1
-    place = min(max(v / step + 0.5 * last, 0.0), last - 1e-6)
-    low = int(place)
-    return logs[kind, low] + (place - low) * (logs[kind, low + 1] - logs[kind, low])
-
-
-@bare
-def _stepped(x, y, yaw, before, after, tool, table, numbers, scales, body, noise):
+def _stepped(x, y, yaw, before, after, shape, scales, body, noise):
     """Pose after an instant's push and the noise of it."""
+    tool, groups, table, numbers = shape
     from_x, from_y, tool_x, tool_y, tool_yaw = before[0], before[1], after[0], after[1], after[2]
     if (tool_x - x) ** 2 + (tool_y - y) ** 2 >= numbers[3] * numbers[3]:
+        return x, y, yaw
+    tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
+    placed = (tool_x, tool_y, tool_cos, tool_sin)
+    apart, k, at_x, at_y = _deepest(x, y, yaw, placed, tool, groups, table, numbers)
+    if not apart < 0.0:
         return x, y, yaw
     first = (x, y, yaw)
     way_x, way_y = tool_x - from_x, tool_y - from_y
@@ -59,13 +81,11 @@ def _stepped(x, y, yaw, before, after, tool, table, numbers, scales, body, noise
     cos, sin = math.cos(yaw), math.sin(yaw)
     centre_x = body[0] + body[2] * (cos * unit_x + sin * unit_y)
     centre_y = body[1] + body[2] * (cos * unit_y - sin * unit_x)
-    tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
-    touched = False
-    for _ in range(2):
-        apart, k, at_x, at_y = _deepest(x, y, yaw, tool_x, tool_y, tool_yaw, tool, table, numbers)
-        if not apart < 0.0:
-            break
-        touched = True
+    for again in range(2):
+        if again:
+            apart, k, at_x, at_y = _deepest(x, y, yaw, placed, tool, groups, table, numbers)
+            if not apart < 0.0:
+                break
         gx, gy = slope(at_x, at_y, table, numbers[0], numbers[1], numbers[2])
         x, y, yaw = settled(
             x,
@@ -82,8 +102,6 @@ def _stepped(x, y, yaw, before, after, tool, table, numbers, scales, body, noise
             0.0,
             (centre_x, centre_y, body[3], body[4], 0.0, 0.0, 0.0, 0.0, 0.0),
         )
-    if not touched:
-        return x, y, yaw
     dx, dy, turn = x - first[0], y - first[1], yaw - first[2]
     length = math.sqrt(dx * dx + dy * dy)
     size = length + scales[12] * abs(turn)
@@ -98,112 +116,52 @@ def _stepped(x, y, yaw, before, after, tool, table, numbers, scales, body, noise
 
 
 @bare
-def _one(
-    n,
-    first,
-    poses,
-    logs,
-    physics,
-    noises,
-    path,
-    pushes,
-    ends,
-    action,
-    points,
-    kind,
-    weight,
-    point_ends,
-    tool,
-    table,
-    numbers,
-    scales,
-    priced,
-    flat,
-    lattice,
-):
-    begin = first[n]
+def _one(n, particles, done, sensed, shape, scales, logs, flat, lattice):
+    """One particle, from its own segment on; what cannot reach its least log-likelihood any more is given up."""
+    first, least, poses, found, physics, noises = particles
+    path, pushes, ends, action, point_ends = done
+    points, weight, row = sensed
+    numbers = shape[3]
+    begin, total = first[n], 0.0
     x, y, yaw = poses[n, begin, 0], poses[n, begin, 1], poses[n, begin, 2]
-    ahead = scales[4] + scales[5] * physics[n, 4]
+    ahead = numbers[8] * (scales[4] + scales[5] * physics[n, 4])
     centre_x, centre_y = numbers[6] + scales[6] * physics[n, 2], numbers[7] + scales[6] * physics[n, 3]
     own, together = math.sqrt(1.0 - scales[14]), math.sqrt(scales[14])
+    inverse = np.float32(1.0 / scales[15])
     for segment in range(begin, len(ends)):
         shared, log = action[segment], 0.0
         friction = scales[0] * math.exp(scales[1] * physics[n, 0] + scales[7] * noises[n, segment, 0])
         lever = scales[3] * physics[n, 1] + scales[8] * noises[n, segment, 1]
         lever = numbers[5] * scales[2] * math.exp(lever)
         body = (centre_x, centre_y, ahead, lever, friction)
+        size = math.exp(0.5 * scales[13] * noises[n, shared, 8] * noises[n, shared, 8])
         noise = (
-            _tailed(own * noises[n, segment, 2] + together * noises[n, shared, 5], scales[13]),
-            _tailed(own * noises[n, segment, 3] + together * noises[n, shared, 6], scales[13]),
-            _tailed(own * noises[n, segment, 4] + together * noises[n, shared, 7], scales[13]),
+            size * (own * noises[n, segment, 2] + together * noises[n, shared, 5]),
+            size * (own * noises[n, segment, 3] + together * noises[n, shared, 6]),
+            size * (own * noises[n, segment, 4] + together * noises[n, shared, 7]),
         )
         for instant in range(ends[segment - 1] if segment > 0 else 0, ends[segment]):
             if pushes[instant]:
                 before = (path[instant, 0, 0], path[instant, 0, 1], path[instant, 0, 2])
                 after = (path[instant, 1, 0], path[instant, 1, 1], path[instant, 1, 2])
-                x, y, yaw = _stepped(x, y, yaw, before, after, tool, table, numbers, scales, body, noise)
-            cos, sin = math.cos(yaw), math.sin(yaw)
-            for m in range(point_ends[instant - 1] if instant > 0 else 0, point_ends[instant]):
-                dx, dy = points[m, 0] - x, points[m, 1] - y
-                found = distance_at(
-                    np.float32(cos * dx + sin * dy),
-                    np.float32(cos * dy - sin * dx),
-                    np.float32(points[m, 2]),
-                    flat,
-                    lattice,
-                )
-                log += weight[m] * _point(float(found), kind[m], priced, scales[15])
+                x, y, yaw = _stepped(x, y, yaw, before, after, shape, scales, body, noise)
+            point, last = point_ends[instant - 1] if instant > 0 else 0, point_ends[instant]
+            if point < last:
+                pose = np.float32(x), np.float32(y), np.float32(math.cos(yaw)), np.float32(math.sin(yaw))
+                log += _readings(point, last, pose, points, weight, row, logs, inverse, flat, lattice)
+            # no reading's log-likelihood is above 0: what is too little now stays so
+            if total + log < least[n] - _SLACK:
+                found[n, segment] = -math.inf
+                return
         poses[n, segment + 1, 0], poses[n, segment + 1, 1], poses[n, segment + 1, 2] = x, y, yaw
-        logs[n, segment] = log
+        found[n, segment] = log
+        total += log
 
 
-def _replay(
-    first,
-    poses,
-    logs,
-    physics,
-    noises,
-    path,
-    pushes,
-    ends,
-    action,
-    points,
-    kind,
-    weight,
-    point_ends,
-    tool,
-    table,
-    numbers,
-    scales,
-    priced,
-    grid,
-    part,
-):
+def _replay(particles, done, sensed, shape, scales, logs, grid, part):
     lattice = lattice_of(grid[1], grid[2])
-    for n in indices(part, len(poses)):
-        _one(
-            np.int64(n),
-            first,
-            poses,
-            logs,
-            physics,
-            noises,
-            path,
-            pushes,
-            ends,
-            action,
-            points,
-            kind,
-            weight,
-            point_ends,
-            tool,
-            table,
-            numbers,
-            scales,
-            priced,
-            grid[0],
-            lattice,
-        )
+    for n in indices(part, len(particles[0])):
+        _one(np.int64(n), particles, done, sensed, shape, scales, logs, grid[0], lattice)
 
 
 replay = Kernel(_replay)

@@ -16,17 +16,9 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings, PoseFilter
-from rumi.belief.pose_trajectories import (
-    NOISE,
-    OWN,
-    PHYSICS,
-    History,
-    PoseTrajectoryBelief,
-    PushedObject,
-    Segment,
-    Trajectories,
-)
+from rumi.belief.pose_trajectories import NOISE, OWN, PHYSICS, PoseTrajectoryBelief, PushedObject, Trajectories
 from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
+from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_moves import Moves, start_density
 from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.sliding import Sliding
@@ -105,7 +97,7 @@ class PoseTrajectoryFilter(PoseFilter):
             for instants in parts:
                 tracks = self._tracks(now, log_weights, path[instants])
                 segment = pushed(reading, instants, path, felt, tracks, self.model, own)
-                now = self._absorb(now, log_weights, segment, random, opens=not spans, closes=instants is parts[-1])
+                now = self.absorbed(now, log_weights, segment, random, opens=not spans, closes=instants is parts[-1])
                 log_weights, resampled = normalise(torch.zeros_like(log_weights)), True
                 spans.append(len(instants))
         rides = self._ridden(now, spans, len(reading.in_contact))
@@ -134,6 +126,8 @@ class PoseTrajectoryFilter(PoseFilter):
         if bool(reading.in_contact.any()):
             return True
         looked = systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))
+        if float(torch.cdist(path[:, 1, :2], now.pose[looked, :2]).min()) >= self.model.reach_m:
+            return False
         moved = (self._tracks(now, log_weights, path)[:, -1] - now.pose[looked])[:, :2].norm(dim=-1) > _MOVED_M
         return float(moved.double().mean()) >= _MOVED
 
@@ -146,7 +140,7 @@ class PoseTrajectoryFilter(PoseFilter):
         whole = torch.cat((path[:1, 0], path[:, 1]))[None]
         return push_along_path(some, whole, Pusher(model.tool), model.outline, sliding, substeps=1).track
 
-    def _absorb(
+    def absorbed(
         self,
         now: Trajectories,
         log_weights: Tensor,

@@ -16,10 +16,12 @@ from rumi.belief.particles import PoseBelief
 from sdf import se3
 from sdf.base import SDF
 from sdf.object_model import ObjectModel
+from sdf.symmetry import Symmetries
 from sensors.observation import Observation
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 
+_ON_M, _TOUCHES_M = 0.006, 0.001  # a felt point this near a pad is the pad's; a pad this near the object feels it
 _BEST = 5  # particles of least discrepancy that are asked: one that explains a reading is enough
 
 
@@ -28,7 +30,8 @@ class Remark:
     """Something odd that a reading told.
 
     Attributes:
-        name: in one or two words, one of "resists", "toppled", "lifted", "dropped", "not there", "elsewhere".
+        name: in one or two words, one of "resists", "toppled", "rolled", "lifted", "dropped", "not there", "elsewhere",
+            "other height".
         step: number of the action after which it was noticed first.
         sentence: for people.
     """
@@ -86,9 +89,24 @@ def held_up(
     return short, float((se3.apply(se3.inverse(reading.object_motion[-1]), place[None])[0] - place).norm())
 
 
-def least_tilt(world_T_object: Float[Tensor, "N 4 4"]) -> float:
-    """Angle off upright of the particle that is nearest to it, radians."""
-    return math.acos(max(-1.0, min(1.0, float(world_T_object[:, 2, 2].max()))))
+def least_tilt(world_T_object: Float[Tensor, "N 4 4"], symmetries: Symmetries | None = None) -> float:
+    """Angle off upright of the particle that is nearest to it, radians, as that of its poses that look the same.
+
+    Args:
+        world_T_object: of the particles.
+        symmetries: turns after which the object looks the same; a ball is upright always.
+    """
+    up = world_T_object[:, 2, :3]  # in the object's frame
+    own = (symmetries or Symmetries.none()).to(up)
+    if own.ball:
+        return 0.0
+    alike = own.rotations[:, :, 2]
+    cosine = up @ alike.mT
+    if own.axis is not None:  # an axis that looks like z may go anywhere on a cone
+        along = (up @ own.axis)[:, None] * (alike @ own.axis)
+        across = (1.0 - (up @ own.axis).square()).clamp_min(0.0).sqrt()[:, None]
+        cosine = along + across * (1.0 - (alike @ own.axis).square()).clamp_min(0.0).sqrt()
+    return math.acos(max(-1.0, min(1.0, float(cosine.max()))))
 
 
 def nearest_to_floor(world_T_object: Float[Tensor, "N 4 4"], surface_points: Float[Tensor, "S 3"]) -> float:
@@ -96,6 +114,43 @@ def nearest_to_floor(world_T_object: Float[Tensor, "N 4 4"], surface_points: Flo
     heights = world_T_object[:, 2, :3] @ surface_points.mT + world_T_object[:, 2, 3:]
     lowest = heights.amin(-1)
     return float(lowest[lowest.abs().argmin()])
+
+
+def felt_heights(
+    reading: Reading, world_T_object: Float[Tensor, "N 4 4"], pads: Float[Tensor, "P 3"], sdf: SDF
+) -> tuple[float, float, float, float] | None:
+    """Heights at which the pads feel the object, and at which the particle that explains them best has them feel it.
+
+    An object that lies where it is believed to stand is felt low on the pads alone, one that was lifted high on them.
+
+    Args:
+        reading: of an action.
+        world_T_object: of the particles, at its last instant.
+        pads: points of the pads' surface, tool frame.
+        sdf: of the object.
+
+    Returns:
+        lowest and highest point felt at the last instant, and lowest and highest point of the pads that touches the
+        object there by a particle; metres; None where nothing was felt, or no particle has the pads touch it.
+    """
+    last = (reading.instant == len(reading.in_contact) - 1) & reading.observation.of_class(Semantics.SURFACE)
+    places = se3.apply(reading.tool_pose[-1].to(pads), pads)
+    felt = reading.observation.points[last].to(pads)
+    felt = felt[torch.cdist(felt, places).amin(-1) < _ON_M] if len(felt) else felt  # a camera sees others
+    if not bool(reading.in_contact[-1]) or not len(felt):
+        return None
+    with torch.no_grad():
+        touches = sdf.distance(se3.apply(se3.inverse(world_T_object), places)) < _TOUCHES_M
+    some = touches.any(-1)
+    if not bool(some.any()):
+        return None
+    heights, touches = places[:, 2], touches[some]
+    low = torch.where(touches, heights, math.inf).amin(-1)
+    high = torch.where(touches, heights, -math.inf).amax(-1)
+    bottom, top = float(felt[:, 2].min()), float(felt[:, 2].max())
+    off = torch.maximum((bottom - low).abs(), (top - high).abs())
+    best = int(off.argmin())
+    return bottom, top, float(low[best]), float(high[best])
 
 
 def unexplained(belief: PoseBelief, added: Observation, sdf: SDF) -> tuple[float, float]:
@@ -138,6 +193,7 @@ def remarks(
     *,
     moved: tuple[Float[Tensor, "Q"], Float[Tensor, "Q"]] | None,
     upright: bool,
+    pads: Float[Tensor, "P 3"] | None = None,
     said: Container[str] = (),
     limits: Limits | None = None,
 ) -> tuple[Remark, ...]:
@@ -152,6 +208,7 @@ def remarks(
         moved: configurations from which the tool went, and to which it would have gone with nothing in its way; None
             where nobody knows.
         upright: whether the object is expected to stand as it did at first.
+        pads: points of the pads' surface, tool frame; None where heights at which they feel are not looked at.
         said: names of the remarks of the run so far.
         limits: how much is odd.
     """
@@ -162,9 +219,13 @@ def remarks(
         by = "" if went is None else f", which moved by {went:.0f} mm"
         found.append(("resists", f"the tool stopped {short:.0f} mm before its goal, pressed against the object{by}"))
     poses = belief.world_T_object
-    tilt, height = least_tilt(poses), 1e3 * nearest_to_floor(poses, model.surface_points)
+    turned, tilt = least_tilt(poses), least_tilt(poses, model.symmetries)
+    height = 1e3 * nearest_to_floor(poses, model.surface_points)
     if upright and tilt > limits.tilt_rad:
         found.append(("toppled", f"by its motion the object is {math.degrees(tilt):.0f} degrees off upright"))
+    elif upright and turned > limits.tilt_rad:
+        said_so = f"by its motion the object turned {math.degrees(turned):.0f} degrees about a level axis"
+        found.append(("rolled", f"{said_so}, and looks as it did"))
     if abs(height) > 1e3 * limits.height_m:
         name, where = ("lifted", "above") if height > 0 else ("dropped", "below")
         found.append((name, f"by its motion the object's lowest point is {abs(height):.0f} mm {where} the table"))
@@ -174,4 +235,10 @@ def remarks(
         found.append(("not there", f"{inside}, and felt nothing"))
     if off > 1e3 * limits.apart_m:
         found.append(("elsewhere", f"a surface was met {off:.0f} mm from the nearest one that is believed"))
+    felt = None if pads is None else felt_heights(reading, poses, pads, model.sdf)
+    if felt is not None:
+        bottom, top, low, high = (1e3 * metres for metres in felt)
+        if max(abs(bottom - low), abs(top - high)) > 1e3 * limits.apart_m:
+            heights = f"{bottom:.0f} to {top:.0f} mm above the table, where every pose believed differs (the nearest is"
+            found.append(("other height", f"the object was felt {heights} felt at {low:.0f} to {high:.0f} mm)"))
     return tuple(Remark(name, step, sentence) for name, sentence in found if name not in said)

@@ -4,7 +4,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import History, Kind, PushedObject, Segment
+from rumi.belief.pose_trajectories import PushedObject
+from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import unwrapped
 from sdf import se3
@@ -37,6 +38,7 @@ def standing(
     seen = observation.points[observation.of_class(Semantics.SURFACE)].double()
     free = observation.points[observation.of_class(Semantics.FREE)].double()
     seen, free = _from_origin(seen, model), _from_origin(free, model)
+    free = free[_about(free, poses, model)]
     if taken is not None:
         since = taken.since_push()
         old = taken.points[since[taken.kind[since] == Kind.FREE]]
@@ -148,6 +150,15 @@ def _distance(
     like = model.sdf.bounds
     with torch.no_grad():
         return posed_distance(model.sdf, se3.from_planar(poses).to(like), points.to(like)).double()
+
+
+def _about(points: Float[Tensor, "M 3"], poses: Float[Tensor, "N 3"], model: PushedObject) -> Bool[Tensor, "M"]:
+    """Which points may be near a pose's surface: those in a box about all poses, whatever their yaw."""
+    low, high = model.sdf.bounds.double()
+    far = float(torch.stack((low[:2], high[:2])).abs().amax(0).norm()) + _NEAR_M
+    place = points[:, :2]
+    near = ((place >= poses[:, :2].amin(0) - far) & (place <= poses[:, :2].amax(0) + far)).all(-1)
+    return near & (points[:, 2] >= low[2] - _NEAR_M) & (points[:, 2] <= high[2] + _NEAR_M)
 
 
 def _cells(points: Float[Tensor, "M 3"], own: PoseTrajectorySettings) -> Int[Tensor, "M"]:

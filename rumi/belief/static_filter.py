@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -21,6 +21,7 @@ from rumi.resampling import resample_systematic
 from rumi.seeding import normal, uniform
 from rumi.weights import effective_sample_size, resampled_weights
 from sdf import skipped_work
+from sdf.bounds import ASCENDING, Checked, CountOr0, Positive, Share
 from sdf.numbers import refuse_trained
 from sensors.evidence import Evidence
 
@@ -31,7 +32,7 @@ _HALVINGS = 40
 
 
 @dataclass(frozen=True)
-class ResampleMoveSettings:
+class ResampleMoveSettings(Checked):
     """Settings of the resample-move filter.
 
     Attributes:
@@ -44,22 +45,16 @@ class ResampleMoveSettings:
             prior goes on to count, once: each weight changes by how much likelier the new state is by it.
     """
 
-    trigger: float = 0.5
-    moves: int = 8
-    jitter_m: tuple[float, float] = (3e-4, 0.05)
-    crossed: float = 0.6
+    trigger: Share = 0.5
+    moves: CountOr0 = 8
+    jitter_m: Annotated[tuple[Positive, Positive], ASCENDING] = (3e-4, 0.05)
+    crossed: Share = 0.6
     noise: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
+        """Refuse what has no meaning, and what would drop a gradient."""
         refuse_trained(self)
-        for name in ("trigger", "crossed"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"Expected {name} in [0, 1], got {getattr(self, name)}")
-        if self.moves < 0:
-            raise ValueError(f"Expected 0 moves or more, got {self.moves}")
-        if not 0 < self.jitter_m[0] <= self.jitter_m[1]:
-            raise ValueError(f"Expected jitter_m as (least, greatest) above 0, got {self.jitter_m}")
+        super().__post_init__()
 
 
 @dataclass(frozen=True, eq=False)

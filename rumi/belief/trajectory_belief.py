@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.weights import effective_sample_size, resampled_weights
+from sdf.containers import container
 
 
 class TouchAction(NamedTuple):
@@ -26,6 +27,7 @@ class TouchAction(NamedTuple):
     blocked: bool | None = None
 
 
+@container()
 @dataclass(frozen=True, eq=False)
 class TrajectoryBelief:
     """Weighted particles of R runs; each run has N.

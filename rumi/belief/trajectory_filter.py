@@ -6,12 +6,12 @@ they follow the exact posterior under the model, with no weights invented. The t
 newcomers near the robot; it stands beside.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from typing import Annotated, Literal, NamedTuple
 
 import torch
+from annotated_types import Interval
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -21,6 +21,7 @@ from rumi.dynamics.along_path import PathPush, Pusher, distance_to, push_along_p
 from rumi.dynamics.sliding import Outline, Sliding
 from rumi.resampling import resample_systematic
 from rumi.seeding import normal, uniform
+from sdf.bounds import ASCENDING, Checked, Count, CountOr0, NotNegative, Positive, Share
 from sdf.numbers import refuse_trained
 from sensors.touch.contact_model import ContactModel
 
@@ -28,7 +29,7 @@ Resampling = Literal["replay", "importance", "newcomers", "none"]
 
 
 @dataclass(frozen=True)
-class TrajectorySettings:
+class TrajectorySettings(Checked):
     """Settings of the trajectory filter.
 
     Attributes:
@@ -56,51 +57,29 @@ class TrajectorySettings:
     """
 
     resampling: Resampling = "replay"
-    trigger: float = 0.5
-    sweeps: int = 2
-    from_prior: float = 0.1
-    jitter_m: tuple[float, float] = (1e-3, 0.05)
-    jitter_rad_per_m: float = 8.0
-    friction: tuple[float, float] = (0.1, 0.6)
-    lever_m: tuple[float, float] = (0.03, 0.06)
-    noise: float = 0.0
-    noise_tails: float = 0.0
-    noise_m_per_rad: float = 0.04
-    noise_rad_per_m: float = 10.0
-    newcomers: float = 0.2
-    newcomer_mass: float = 0.1
-    temper: float = 1.0
-    overlap_m: float = 0.002
-    overlap_error: float = 0.02
-    substeps: int = 2
-    passes: int = 2
+    trigger: Share = 0.5
+    sweeps: CountOr0 = 2
+    from_prior: Share = 0.1
+    jitter_m: Annotated[tuple[Positive, Positive], ASCENDING] = (1e-3, 0.05)
+    jitter_rad_per_m: NotNegative = 8.0
+    friction: Annotated[tuple[NotNegative, NotNegative], ASCENDING] = (0.1, 0.6)
+    lever_m: Annotated[tuple[Positive, Positive], ASCENDING] = (0.03, 0.06)
+    noise: NotNegative = 0.0
+    noise_tails: NotNegative = 0.0
+    noise_m_per_rad: NotNegative = 0.04
+    noise_rad_per_m: NotNegative = 10.0
+    newcomers: Share = 0.2
+    newcomer_mass: Share = 0.1
+    temper: Positive = 1.0
+    overlap_m: Positive = 0.002
+    overlap_error: Annotated[float, Interval(gt=0.0, lt=0.5)] = 0.02
+    substeps: Count = 2
+    passes: Count = 2
 
     def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
+        """Refuse what has no meaning, and what would drop a gradient."""
         refuse_trained(self)
-        if self.resampling not in get_args(Resampling):
-            raise ValueError(
-                f"Expected resampling to be one of {', '.join(get_args(Resampling))}, got {self.resampling!r}"
-            )
-        for name in ("trigger", "from_prior", "newcomers", "newcomer_mass"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"Expected {name} in [0, 1], got {getattr(self, name)}")
-        for name in ("friction", "lever_m", "jitter_m"):
-            low, high = getattr(self, name)
-            if not 0 <= low <= high < math.inf or (name != "friction" and low <= 0):
-                raise ValueError(f"Expected {name} as (low, high) above 0, got {(low, high)}")
-        for name in ("noise", "noise_tails", "noise_m_per_rad", "noise_rad_per_m", "jitter_rad_per_m"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
-        for name, least in (("sweeps", 0), ("substeps", 1), ("passes", 1)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or value < least:
-                raise ValueError(f"Expected {name} to be a whole number from {least} on, got {value}")
-        for name in ("temper", "overlap_m"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if not 0 < self.overlap_error < 0.5:
-            raise ValueError(f"Expected overlap_error between 0 and 0.5, got {self.overlap_error}")
+        super().__post_init__()
 
 
 class StepInfo(NamedTuple):

@@ -13,7 +13,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import OWN, History, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import OWN, PushedObject, Trajectories
+from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from sdf.so3 import wrap
 
@@ -69,20 +70,21 @@ class Moves:
         for rows, others in ((order[: count // 2], order[count // 2 :]), (order[count // 2 :], order[: count // 2])):
             some, many = given.at(rows), len(rows)
             draw = torch.rand(many, len(others), generator=self.generator).topk(2, -1).indices
-            one, other = given.at(others[draw[:, 0]]), given.at(others[draw[:, 1]])
+            one, other = others[draw[:, 0]], others[draw[:, 1]]
             size = 0.7 * self._uniform(many) ** 2
             size = torch.where(self._uniform(many) < 0.1, 1.0, size)
             first = torch.zeros(many, dtype=torch.long) if whole else self._segment(history, many)
             late = torch.arange(len(history)) >= first[:, None]
-            step = size[:, None, None] * late[..., None] * (one.noise - other.noise)
+            step = size[:, None, None] * late[..., None] * (given.noise[one] - given.noise[other])
             proposed = replace(some, noise=some.noise + step)
             if whole:
-                apart = one.poses[:, 0] - other.poses[:, 0]
+                starts = given.poses[:, 0]
+                apart = starts[one] - starts[other]
                 apart = torch.cat((apart[:, :2], wrap(apart[:, 2:])), -1)
                 jitter = 0.1 * self._normal(apart.shape) * apart.new_tensor(_KERNEL)
                 poses = some.poses.clone()
                 poses[:, 0] += size[:, None] * apart + jitter
-                physics = some.physics + size[:, None] * (one.physics - other.physics)
+                physics = some.physics + size[:, None] * (given.physics[one] - given.physics[other])
                 proposed = replace(proposed, poses=poses, physics=physics)
             change = proposed.log_prior() - some.log_prior()
             moved = self.accepted(some, proposed, history, first, change)
@@ -121,9 +123,11 @@ class Moves:
             first: segment of each particle before which nothing is proposed.
             log_odds: of prior times proposal back over those there.
         """
-        proposed = proposed.replayed(self.model, self.settings, history, first)
-        odds = proposed.log_likelihood.sum(-1) - given.log_likelihood.sum(-1) + log_odds
-        accept: Bool[Tensor, "N"] = self._uniform(len(given)).log() < odds
+        late = torch.arange(len(history)) >= first[:, None]
+        now = torch.where(late, given.log_likelihood, 0.0).sum(-1)
+        least = self._uniform(len(given)).log() + now - log_odds
+        proposed = proposed.replayed(self.model, self.settings, history, first, least)
+        accept: Bool[Tensor, "N"] = torch.where(late, proposed.log_likelihood, 0.0).sum(-1) > least
         return given.where(accept, proposed)
 
     def _segment(self, history: History, count: int) -> Int[Tensor, "count"]:

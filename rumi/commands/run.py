@@ -107,11 +107,17 @@ def run(arguments: Sequence[str]) -> int:
     return DONE if entry.success(result) else NOT_CONVERGED
 
 
-def parse(arguments: Sequence[str]) -> tuple[str, TaskEntry[Any], RunOptions[Any]]:
+def parse(
+    arguments: Sequence[str],
+    command: str = "run",
+    kind: Any = RunOptions,  # noqa: ANN401  (a generic dataclass)
+) -> tuple[str, TaskEntry[Any], Any]:
     """The task of a command line, by its name, and the options; the settings start from the preset asked for.
 
     Args:
-        arguments: of `rumi run`, the task's name first.
+        arguments: of the command, the task's name first.
+        command: its name.
+        kind: of the options, of which the first two are `settings` and `preset`.
 
     Raises:
         UsageError: there is no such task or preset, or a setting that cannot be.
@@ -119,7 +125,7 @@ def parse(arguments: Sequence[str]) -> tuple[str, TaskEntry[Any], RunOptions[Any
     """
     name = arguments[0]
     if name.startswith("-"):
-        raise UsageError(f"Expected the task first, as in `rumi run mug-0 {' '.join(arguments[:2])}`, got {name}")
+        raise UsageError(f"Expected the task first, as in `rumi {command} mug-0 {' '.join(arguments[:2])}`, got {name}")
     if name in FORMER_NAMES:
         say(f"the task {name} is now {FORMER_NAMES[name]}")
         name = FORMER_NAMES[name]
@@ -129,12 +135,12 @@ def parse(arguments: Sequence[str]) -> tuple[str, TaskEntry[Any], RunOptions[Any
     asked, _ = tyro.cli(
         _Preset, args=flags, default=_Preset(entry.presets[0]), add_help=False, return_unknown_args=True
     )
-    options: RunOptions[Any] = tyro.cli(
-        RunOptions[entry.settings],  # type: ignore[name-defined]
-        prog=f"rumi run {name}",
+    options = tyro.cli(
+        kind[entry.settings],
+        prog=f"rumi {command} {name}",
         description=f"{entry.description}. The presets are {', '.join(entry.presets)}.",
         args=flags,
-        default=RunOptions(entry.preset(asked.preset), asked.preset),
+        default=kind(entry.preset(asked.preset), asked.preset),
         registry=FLAGS,
     )
     return name, entry, options

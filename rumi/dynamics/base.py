@@ -205,12 +205,20 @@ class PushModel:
 def rigid_motions(
     start: Float[Tensor, "E 3"], track: Float[Tensor, "E T 3"], pivot: Float[Tensor, "2"]
 ) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
-    """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones."""
-    turn = track[..., 2] - start[:, None, 2]
+    """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones.
+
+    Skipped, with the same result: objects that never move.
+    """
+    shift, turn = track.new_zeros(track.shape), track.new_zeros(track.shape[:-1])
+    moved = (track != start[:, None]).any(-1)
+    rows = moved.any(-1).nonzero()[:, 0]
+    start, track = start[rows], track[rows]
+    turned = track[..., 2] - start[:, None, 2]
     arm = (pivot - start[:, :2])[:, None].expand(-1, track.shape[1], 2)
-    shift = track[..., :2] - start[:, None, :2] + rotated(arm, turn) - arm
-    still = (track == start[:, None]).all(-1, keepdim=True)
-    return torch.cat((torch.where(still, 0.0, shift), torch.zeros_like(shift[..., :1])), -1), turn
+    way = track[..., :2] - start[:, None, :2] + rotated(arm, turned) - arm
+    shift[rows, :, :2] = torch.where(moved[rows, :, None], way, 0.0)
+    turn[rows] = turned
+    return shift, turn
 
 
 def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:

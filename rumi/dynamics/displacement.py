@@ -4,9 +4,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
 import torch
+from annotated_types import Interval
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -19,6 +20,7 @@ from rumi.fields.workspace import Workspace
 from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, skipped_work
+from sdf.bounds import Checked, Count, CountOr0
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
 
@@ -29,7 +31,7 @@ TIE = 1e-5
 
 
 @dataclass(frozen=True)
-class DisplacementSettings:
+class DisplacementSettings(Checked):
     """Settings of the displacement model.
 
     Attributes:
@@ -44,21 +46,10 @@ class DisplacementSettings:
             rollouts are the same.
     """
 
-    mini_steps: int = 4
-    push_angle: float = math.radians(45.0)
+    mini_steps: Count = 4
+    push_angle: Annotated[float, Interval(gt=0.0, le=math.pi)] = math.radians(45.0)
     hazard: Hazard = "per_rollout"
-    discs: int = 8
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        if self.mini_steps < 1:
-            raise ValueError(f"Expected mini_steps to be 1 or more, got {self.mini_steps}")
-        if not 0 < self.push_angle <= math.pi:
-            raise ValueError(f"Expected push_angle in (0, pi] radians, got {self.push_angle}")
-        if self.hazard not in get_args(Hazard):
-            raise ValueError(f"Expected hazard to be one of {', '.join(get_args(Hazard))}, got {self.hazard!r}")
-        if self.discs < 0:
-            raise ValueError(f"Expected discs to be 0 or more, got {self.discs}")
+    discs: CountOr0 = 8
 
 
 @dataclass

@@ -95,7 +95,9 @@ class GridOutline:
         low, high = v00 + b * (v01 - v00), v10 + b * (v11 - v10)
         along = torch.stack((high - low, (1.0 - a) * (v01 - v00) + a * (v11 - v10)), -1) / self.spacing
         beyond = (place - inside).norm(dim=-1) * self.spacing
-        return OutlineQuery(low + a * (high - low) + beyond, along)
+        there = low + a * (high - low)
+        # the way to the table and the one on from there are at a right angle at least
+        return OutlineQuery(torch.where(beyond > 0, torch.hypot(there, beyond), there), along)
 
     def to(self, like: Tensor) -> "GridOutline":
         """A copy on the device and of the dtype of a tensor."""

@@ -31,12 +31,13 @@ from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3, skipped_work
 from sdf.base import SDF
+from sdf.bounds import Checked, Count, NotNegative, Positive
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
 
 
 @dataclass(frozen=True)
-class QuasiStaticSettings:
+class QuasiStaticSettings(Checked):
     """Settings of the quasi-static push model.
 
     Attributes:
@@ -48,22 +49,11 @@ class QuasiStaticSettings:
         spacing_m: between the points of the tool's border.
     """
 
-    mini_steps: int = 16
-    friction: float = 0.5
-    lever_ratio: float = 1.5
-    passes: int = 3
-    spacing_m: float = 0.005
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        for name in ("mini_steps", "passes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"Expected {name} to be 1 or more, got {getattr(self, name)}")
-        for name in ("lever_ratio", "spacing_m"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if not self.friction >= 0:
-            raise ValueError(f"Expected friction to be 0 or more, got {self.friction}")
+    mini_steps: Count = 16
+    friction: NotNegative = 0.5
+    lever_ratio: Positive = 1.5
+    passes: Count = 3
+    spacing_m: Positive = 0.005
 
 
 class QuasiStaticRollouts:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from rumi.dynamics.base import PushRollouts, duplicates
-from rumi.dynamics.sliding_numba import settled, slope, value
+from rumi.dynamics.sliding_numba import settled, slope
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
@@ -16,24 +16,30 @@ _GROUP = 12  # points of the tool's border that one bound settles together
 
 
 @bare
-def _deepest(x, y, cos, sin, px, py, order, starts, centres, radii, values, flat, low_x, low_y, spacing, inside):
+def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x, low_y, spacing, inside):
     """The tool's point that is deepest in the object, its depth, and how far all are from the object at least.
 
     The tool is at (x, y, cos, sin) in the object's frame.
     """
+    starts, centres_x, centres_y, radii = groups
     depth, best, first, gap = 0.0, -1, len(px), 1e9
-    # tables are off by rounding and their bilinear values may be steeper than distances are
-    slack = spacing
     kind, across = flat.dtype.type, np.int32(values.shape[1])
-    one, none = np.int32(1), kind(0.0)
+    one, none, half, step = np.int32(1), kind(0.0), kind(0.5), kind(spacing)
     last_x, last_y = kind(values.shape[0] - 1.0), kind(values.shape[1] - 1.0)
     end_x, end_y = np.int32(values.shape[0] - 2), np.int32(values.shape[1] - 2)
     place_x, place_y = kind((x - low_x) / spacing), kind((y - low_y) / spacing)
     turn_x, turn_y = kind(cos / spacing), kind(sin / spacing)
     for group in range(len(radii)):
-        cx = x + cos * centres[group, 0] - sin * centres[group, 1]
-        cy = y + sin * centres[group, 0] + cos * centres[group, 1]
-        clear = value(cx, cy, values, low_x, low_y, spacing) - radii[group] - slack
+        u = place_x + turn_x * at(centres_x, group) - turn_y * at(centres_y, group)
+        v = place_y + turn_y * at(centres_x, group) + turn_x * at(centres_y, group)
+        a, b = u if u > none else none, v if v > none else none
+        a, b = a if a < last_x else last_x, b if b < last_y else last_y
+        far_x, far_y = step * (u - a), step * (v - b)
+        beyond = far_x * far_x + far_y * far_y
+        there = at(flat, np.int32(a + half) * across + np.int32(b + half))
+        put(clears, group, (math.sqrt(there * there + beyond) if beyond > none else there) - at(radii, group))
+    for group in range(len(radii)):
+        clear = clears[group]
         gap = min(gap, clear)
         if -clear < depth:
             continue
@@ -62,13 +68,13 @@ def _deepest(x, y, cos, sin, px, py, order, starts, centres, radii, values, flat
 @bare
 def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out):
     """All rollouts of control sequence k."""
-    px, py, order, starts, centres, radii = body
+    px, py, order, groups = body
     values, flat, low = outline
     low_x, low_y = low[0], low[1]
     spacing, reach, width = numbers[0], numbers[1], numbers[2]
     mini, passes = counts[0], counts[1]
     track, contact, checks = out
-    inside = scratch[k]
+    inside, clears = scratch[0][k], scratch[1][k]
     actions = path.shape[1] - 1
     table, base, bounds, limits = arm
     free_x, free_y, free_yaw = float(path[k, 0, 0]), float(path[k, 0, 1]), float(path[k, 0, 2])
@@ -143,9 +149,8 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
                         px,
                         py,
                         order,
-                        starts,
-                        centres,
-                        radii,
+                        groups,
+                        clears,
                         values,
                         flat,
                         low_x,
@@ -220,7 +225,8 @@ class CompiledRollouts:
         sets = [points[owner == index] for index in range(count)]
         centres = torch.stack([0.5 * (own.amin(0) + own.amax(0)) for own in sets])
         radii = torch.stack([(own - centre).norm(dim=-1).max() for own, centre in zip(sets, centres, strict=True)])
-        self._body = _arrays(*points[order].unbind(-1), order, starts, centres.double(), radii.double())
+        groups = _arrays(starts, *centres.unbind(-1), radii + _slack(outline))
+        self._body = (*_arrays(*points[order].unbind(-1), order), groups)
         self._outline = _arrays(outline.values, outline.values.flatten(), outline.origin.double())
         width = float(points.norm(dim=-1).max())
         self._numbers = np.array((outline.spacing, model.reach, width))
@@ -242,7 +248,7 @@ class CompiledRollouts:
             self._outline,
             self._numbers,
             self._counts,
-            np.empty((samples, len(self._body[0])), self._body[0].dtype),
+            tuple(np.empty((samples, len(own)), own.dtype) for own in (self._body[0], self._body[3][3])),
             tuple(part.numpy() for part in (track, contact, checks)),
         )
         shifts, turns = self._model.motions(
@@ -267,6 +273,16 @@ def _groups(points):
     while len(centres) < count:
         centres = torch.cat((centres, points[torch.cdist(points, centres).amin(-1).argmax()][None]))
     return torch.unique(torch.cdist(points, centres).argmin(-1), return_inverse=True)[1]
+
+
+def _slack(outline):
+    """Metres by which a distance at the node next to a place may exceed that at the place, and 1-Lipschitz ones there.
+
+    Tables are off by rounding, and their bilinear values are steeper than distances here and there.
+    """
+    values = outline.values
+    along, across = (float(values.diff(dim=axis).abs().max()) for axis in (0, 1))
+    return outline.spacing + math.sqrt(0.5) * math.hypot(along, across)
 
 
 def _bodies(sliding):

@@ -14,6 +14,7 @@ from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.registry import Table
 from rumi.robot.tool import Tool
+from sdf.bounds import Checked, CountOr0, NotNegative, Positive
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
 
@@ -25,7 +26,7 @@ AUTO = "auto"
 
 
 @dataclass(frozen=True)
-class EngineSettings:
+class EngineSettings(Checked):
     """Settings of the push model that is a physics engine.
 
     Attributes:
@@ -37,24 +38,16 @@ class EngineSettings:
         threads: that step at once; 0 for as many as torch has. The rollouts are the same to the bit.
     """
 
-    time_step_s: float = 0.005
-    action_s: float = 1.0
-    hold_s: float = 0.1
-    friction: float = 0.5
-    mass_kg: float = 0.35
-    threads: int = 0
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        for name in ("time_step_s", "action_s", "friction", "mass_kg"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if self.hold_s < 0 or self.threads < 0:
-            raise ValueError(f"Expected hold_s and threads to be 0 or more, got {self.hold_s} and {self.threads}")
+    time_step_s: Positive = 0.005
+    action_s: Positive = 1.0
+    hold_s: NotNegative = 0.1
+    friction: Positive = 0.5
+    mass_kg: Positive = 0.35
+    threads: CountOr0 = 0
 
 
 @dataclass(frozen=True)
-class PushSettings:
+class PushSettings(Checked):
     """Choice of a push model, and the settings of each.
 
     Attributes:
@@ -79,6 +72,7 @@ class PushSettings:
 
     def __post_init__(self) -> None:
         """Refuse a model that there is not."""
+        super().__post_init__()
         if self.push_model != AUTO and self.push_model not in PUSH_MODELS:
             names = ", ".join((AUTO, *PUSH_MODELS))
             raise UsageError(f"Expected push_model to be one of {names}, got {self.push_model!r}")

@@ -11,18 +11,19 @@ _ROOTS = 8
 
 @bare
 def value(x, y, values, low_x, low_y, spacing):
-    """Signed distance at a point of the object's frame."""
+    """Signed distance at a point of the object's frame; beyond the table, a positive lower bound of it."""
     rows, columns = values.shape
     u, v = (x - low_x) / spacing, (y - low_y) / spacing
     a, b = min(max(u, 0.0), rows - 1.0), min(max(v, 0.0), columns - 1.0)
-    beyond = 0.0
-    if a != u or b != v:
-        beyond = math.sqrt((u - a) * (u - a) + (v - b) * (v - b)) * spacing
+    far_x, far_y = spacing * (u - a), spacing * (v - b)
     i, j = min(int(a), rows - 2), min(int(b), columns - 2)
     a, b = a - i, b - j
     low = values[i, j] + b * (values[i, j + 1] - values[i, j])
     high = values[i + 1, j] + b * (values[i + 1, j + 1] - values[i + 1, j])
-    return low + a * (high - low) + beyond
+    there = low + a * (high - low)
+    if far_x != 0.0 or far_y != 0.0:
+        return math.sqrt(there * there + far_x * far_x + far_y * far_y)
+    return there
 
 
 @bare
@@ -123,6 +124,12 @@ def quartic_twist(rx, ry, nx, ny, wx, wy, lever, friction, quartic, cos, sin):
 
 
 @bare
+def _turned(angle):
+    """Cosine and sine; most are of 0."""
+    return (1.0, 0.0) if angle == 0.0 else (math.cos(angle), math.sin(angle))
+
+
+@bare
 def settled(x, y, yaw, first, tool, way, ax, ay, gx, gy, depth, thickness, body):
     """Pose of an object after one contact; see `push`.
 
@@ -139,9 +146,9 @@ def settled(x, y, yaw, first, tool, way, ax, ay, gx, gy, depth, thickness, body)
     ax, ay = ax + thickness * nx, ay + thickness * ny
     # the touched point, from the tool's frame and from the object's
     ox, oy = tool[0] + ax - x, tool[1] + ay - y
-    c, s = math.cos(way[2]), -math.sin(way[2])
+    c, s = _turned(-way[2])
     slip_x, slip_y = c * ax - s * ay - ax - way[0], s * ax + c * ay - ay - way[1]
-    c, s = math.cos(first[2] - yaw), math.sin(first[2] - yaw)
+    c, s = _turned(first[2] - yaw)
     slip_x = first[0] - x + c * ox - s * oy - ox - slip_x
     slip_y = first[1] - y + s * ox + c * oy - oy - slip_y
     along = slip_x * nx + slip_y * ny

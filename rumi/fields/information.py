@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -12,6 +12,7 @@ from torch import Tensor
 from rumi.weights import check_weights
 from sdf import backend, compiled, skipped_work
 from sdf.base import SDF
+from sdf.bounds import Checked, NotNegative, Positive, ShareBelow1
 from sdf.check import check_finite, check_shape, is_eager
 from sdf.grid_sdf import takes
 from sdf.numbers import Numbers, Range
@@ -42,7 +43,7 @@ class WorkspaceFields(NamedTuple):
 
 
 @dataclass(frozen=True)
-class InformationSettings:
+class InformationSettings(Checked):
     """Settings of the information field.
 
     Attributes:
@@ -59,24 +60,12 @@ class InformationSettings:
     """
 
     mode: InformationMode = "sensor_mi"
-    peakiness: float = 2.0
-    free_scale: float = 10.0
-    tolerance: float = 0.0
-    sharpness: float = 100.0
-    surface_tolerance: float = 0.003
-    tail: float = 1e-6
-
-    def __post_init__(self) -> None:
-        """Refuse what the formulas do not cover."""
-        if self.mode not in get_args(InformationMode):
-            raise ValueError(f"Expected mode to be one of {', '.join(get_args(InformationMode))}, got {self.mode!r}")
-        for name in ("peakiness", "free_scale", "tolerance", "surface_tolerance"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
-        if not self.sharpness > 0:
-            raise ValueError(f"Expected sharpness to be more than 0, got {self.sharpness}")
-        if not 0 <= self.tail < 1:
-            raise ValueError(f"Expected tail to be a probability in [0, 1), got {self.tail}")
+    peakiness: NotNegative = 2.0
+    free_scale: NotNegative = 10.0
+    tolerance: NotNegative = 0.0
+    sharpness: Positive = 100.0
+    surface_tolerance: NotNegative = 0.003
+    tail: ShareBelow1 = 1e-6
 
 
 @full_precision

@@ -6,14 +6,16 @@ volume of a support that all states share, which motion changes.
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, get_args, runtime_checkable
+from typing import Annotated, Literal, NamedTuple, Protocol, get_args, runtime_checkable
 
 import torch
+from annotated_types import Ge
 from jaxtyping import Float
 from torch import Tensor
 
 from rumi.information.neighbours import StateMetric, UniqueStates, neighbours, unique_states
 from rumi.weights import check_weights
+from sdf.bounds import Checked, Positive
 from sdf.check import check_shape
 from sdf.numbers import refuse_trained
 
@@ -56,7 +58,7 @@ class Support(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SharedSupport:
+class SharedSupport(Checked):
     """The shared support of a set: mean box about the nearest, scaled to the share of one state (App A, corrected).
 
     On a lattice of m points a side, `neighbours` = m^D nearest (itself among them) span m - 1 spacings, so that the
@@ -73,19 +75,16 @@ class SharedSupport:
     """
 
     metric: StateMetric
-    neighbours: int = 5
+    neighbours: Annotated[int, Ge(2)] = 5
     include_self: bool = True
-    floor: float | tuple[float, ...] = 1e-9
+    floor: Positive | tuple[Positive, ...] = 1e-9
     mean: Literal["arithmetic", "geometric"] = "arithmetic"
 
     def __post_init__(self) -> None:
         """Refuse what has no volume."""
         refuse_trained(self)
-        if self.neighbours < 2:
-            raise ValueError(f"Expected neighbours to be 2 or more, got {self.neighbours}")
+        super().__post_init__()
         floors = self.floor if isinstance(self.floor, tuple) else (self.floor,)
-        if not min(floors) > 0:
-            raise ValueError(f"Expected floor above 0, got {self.floor}")
         if len(floors) not in (1, self.metric.dims):
             raise ValueError(f"Expected one floor or one for each of {self.metric.dims} dimensions, got {len(floors)}")
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from rumi.weights import check_weights
 from sdf import backend, compiled
+from sdf.bounds import Checked, Positive
 from sdf.check import check_finite, is_eager
 from sdf.numbers import refuse_trained
 from sdf.so3 import wrap
@@ -21,7 +22,7 @@ _BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
-class StateMetric:
+class StateMetric(Checked):
     """Metric of states, the same at all times, so that entropies can be compared.
 
     Metres and radians have no common unit: a neighbour by raw numbers is a neighbour in yaw alone.
@@ -32,16 +33,15 @@ class StateMetric:
         angles: whether each dimension is an angle, whose differences are wrapped to half a turn.
     """
 
-    scales: tuple[float, ...]
+    scales: tuple[Positive, ...]
     angles: tuple[bool, ...]
 
     def __post_init__(self) -> None:
         """Refuse what is no metric."""
         refuse_trained(self)
+        super().__post_init__()
         if len(self.scales) != len(self.angles) or not self.scales:
             raise ValueError(f"Expected as many scales as angles, got {len(self.scales)} and {len(self.angles)}")
-        if not min(self.scales) > 0:
-            raise ValueError(f"Expected scales above 0, got {self.scales}")
 
     @classmethod
     def euclidean(cls, dims: int) -> Self:

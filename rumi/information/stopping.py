@@ -7,9 +7,10 @@ import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import torch
+from annotated_types import Interval
 from jaxtyping import Float
 from torch import Tensor
 
@@ -17,6 +18,7 @@ from rumi.errors import UsageError
 from rumi.information.entropy import Entropy
 from rumi.registry import Table
 from rumi.weights import check_weights
+from sdf.bounds import Checked, Count, CountOr0, OneOf, Positive, ShareAbove0
 from sdf.check import check_shape
 from sdf.so3 import wrap
 
@@ -51,7 +53,7 @@ def covariance(
 
 
 @dataclass(frozen=True)
-class CovarianceRule:
+class CovarianceRule(Checked):
     """Sure where no direction of the states spreads beyond an ellipsoid: a threshold on eigenvalues, free of units.
 
     Attributes:
@@ -59,13 +61,12 @@ class CovarianceRule:
         periods: see `covariance`.
     """
 
-    most: tuple[float, ...]
+    most: tuple[Positive, ...]
     periods: tuple[float | None, ...] | None = None
 
     def __post_init__(self) -> None:
         """Refuse spreads that are none."""
-        if not all(value > 0 for value in self.most):
-            raise ValueError(f"Expected standard deviations above 0, got {self.most}")
+        super().__post_init__()
         if self.periods is not None and len(self.periods) != len(self.most):
             raise ValueError(f"Expected one period for each of {len(self.most)} dimensions, got {len(self.periods)}")
 
@@ -111,7 +112,7 @@ class TargetEstimate(NamedTuple):
 
 
 @dataclass(frozen=True)
-class MassRule:
+class MassRule(Checked):
     """Sure where target points of the object are known within a tolerance with high probability.
 
     Attributes:
@@ -123,23 +124,12 @@ class MassRule:
         refinements: steps from the best of them to the mean of the targets near it, as long as that is likelier.
     """
 
-    tolerance_m: float
-    probability: float = 0.95
+    tolerance_m: Positive
+    probability: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.95
     which: Literal["all", "any"] = "all"
     alike: bool = True
-    tries: int = 200
-    refinements: int = 5
-
-    def __post_init__(self) -> None:
-        """Refuse what no belief or every belief meets."""
-        if not self.tolerance_m > 0:
-            raise ValueError(f"Expected tolerance_m above 0, got {self.tolerance_m}")
-        if not 0 < self.probability < 1:
-            raise ValueError(f"Expected a probability between 0 and 1, got {self.probability}")
-        if self.which not in ("all", "any"):
-            raise ValueError(f"Expected which to be all or any, got {self.which!r}")
-        if self.tries < 1 or self.refinements < 0:
-            raise ValueError(f"Expected tries above 0 and refinements 0 or more, got {self.tries}, {self.refinements}")
+    tries: Count = 200
+    refinements: CountOr0 = 5
 
     def aim(self, targets: Float[Tensor, "N K D"], log_weights: Float[Tensor, "N"]) -> TargetEstimate:
         """The best guess.
@@ -216,8 +206,15 @@ class StopEvidence(NamedTuple):
     p_right: float = math.nan
 
 
+StopRule = Callable[["StopSettings", StopEvidence], bool]
+"""Whether the belief is sure enough to stop."""
+
+STOP_RULES: Table[StopRule] = Table("stop rule", "rumi.stop_rules")
+"""All rules by name."""
+
+
 @dataclass(frozen=True)
-class StopSettings:
+class StopSettings(Checked, refusal=UsageError):
     """The stopping rule; it never sees the truth.
 
     Attributes:
@@ -234,27 +231,13 @@ class StopSettings:
         probability: that the best pose is within the task's tolerance, as the belief has it.
     """
 
-    rule: str = "self"
+    rule: Annotated[str, OneOf(STOP_RULES)] = "self"
     expected_nll: float = 5.0
     fit: float = 5.0
     fit_a_contact: float = 0.5
     contacts: int = 1
     apc_ratio: float = 0.03
-    probability: float = 0.95
-
-    def __post_init__(self) -> None:
-        """Refuse unknown rules, and what is no probability."""
-        if not 0 < self.probability <= 1:
-            raise UsageError(f"Expected probability in (0, 1], got {self.probability}")
-        if self.rule not in STOP_RULES:
-            raise UsageError(f"There is no stop rule {self.rule!r}; there are {', '.join(STOP_RULES)}")
-
-
-StopRule = Callable[[StopSettings, StopEvidence], bool]
-"""Whether the belief is sure enough to stop."""
-
-STOP_RULES: Table[StopRule] = Table("stop rule", "rumi.stop_rules")
-"""All rules by name."""
+    probability: ShareAbove0 = 0.95
 
 
 class Shortfall(NamedTuple):

@@ -7,6 +7,8 @@ from typing import Self
 
 import numpy as np
 
+from sdf.bounds import Checked, NotNegative, Positive
+
 Times = Sequence[float] | np.ndarray
 
 _FEW = 2.0
@@ -14,7 +16,7 @@ _FEW = 2.0
 
 
 @dataclass(frozen=True)
-class DurationModel:
+class DurationModel(Checked):
     """Seconds that work takes: a straight line on average, and a bound that is kept with a given probability.
 
     Attributes:
@@ -25,18 +27,11 @@ class DurationModel:
         count: measurements that it rests on; 0 where it is known.
     """
 
-    fixed_s: float
-    per_work_s: float = 0.0
-    margin: float = 1.0
+    fixed_s: NotNegative
+    per_work_s: NotNegative = 0.0
+    margin: Positive = 1.0
     level: float = 1.0
     count: int = 0
-
-    def __post_init__(self) -> None:
-        """Refuse negative times."""
-        for name, least in (("fixed_s", 0.0), ("per_work_s", 0.0), ("margin", 1e-9)):
-            value = getattr(self, name)
-            if not (value >= least and math.isfinite(value)):
-                raise ValueError(f"Expected {name} to be 0 or more and finite, got {value}")
 
     @classmethod
     def known(cls, seconds: float) -> Self:

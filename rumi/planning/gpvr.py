@@ -29,6 +29,7 @@ from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import Plan, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
 from rumi.robot.tool import Tool
+from sdf.bounds import Checked, CountOr0, NotNegative, Positive, Share
 from sdf.voxel_grid import VoxelGrid
 from sensors.observation import in_world
 from sensors.semantics import Semantics
@@ -42,7 +43,7 @@ _FIT_SHARE, _VARIANCE_SHARE, _FIT_STEPS = 0.3, 0.15, 5
 
 
 @dataclass(frozen=True)
-class GPVRSettings:
+class GPVRSettings(Checked):
     """Settings of GPVR beside those of planner and push model, which it shares with RUMI.
 
     Attributes:
@@ -59,26 +60,14 @@ class GPVRSettings:
         discount: beta of Eq 37.
     """
 
-    refit_steps: int = 50
-    learning_rate: float = 0.1
-    tolerance: float = 0.02
-    least_lengthscale: float = 0.0
-    free_probability: float = 0.99
-    free_spacing: float = 7.0
-    max_points: int = 500
-    discount: float = 0.99
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        for name in ("refit_steps", "max_points", "tolerance", "least_lengthscale"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
-        for name in ("learning_rate", "free_spacing"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} to be more than 0, got {getattr(self, name)}")
-        for name in ("free_probability", "discount"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"Expected {name} in [0, 1], got {getattr(self, name)}")
+    refit_steps: CountOr0 = 50
+    learning_rate: Positive = 0.1
+    tolerance: NotNegative = 0.02
+    least_lengthscale: NotNegative = 0.0
+    free_probability: Share = 0.99
+    free_spacing: Positive = 7.0
+    max_points: CountOr0 = 500
+    discount: Share = 0.99
 
 
 class VarianceCost:

@@ -12,20 +12,33 @@ from sdf.check import check_shape, eager_only
 from sdf.voxel_grid import VoxelGrid
 
 
-def cross_correlation(
-    reachability: Float[Tensor, "X Y Z"], information: Float[Tensor, "*n X Y Z"]
-) -> Float[Tensor, "*n X2 Y2 Z2"]:
-    """`sum_x r(x) I(x - k)` for every whole shift k, -(n - 1) .. n - 1 along an axis of n nodes; zero outside."""
-    shape = reachability.shape
-    axes = [axis - 3 for axis, n in enumerate(shape) if n > 1]
-    if not axes:
-        return reachability * information
-    padded = [_quick_length(2 * shape[axis] - 1) for axis in axes]
-    spectrum = torch.fft.rfftn(reachability, padded, axes) * torch.fft.rfftn(information, padded, axes).conj()
-    table = torch.fft.irfftn(spectrum, padded, axes)
-    for axis in axes:
-        table = table.roll(shape[axis] - 1, axis).narrow(axis, 0, 2 * shape[axis] - 1)
-    return table
+class CrossCorrelation:
+    """`sum_x r(x) I(x - k)` for every whole shift k, -(n - 1) .. n - 1 along an axis of n nodes; zero outside.
+
+    The Fourier transform of r is made once.
+
+    Args:
+        reachability: (X, Y, Z), r.
+    """
+
+    def __init__(self, reachability: Float[Tensor, "X Y Z"]) -> None:
+        shape = reachability.shape
+        self._axes = [axis - 3 for axis, n in enumerate(shape) if n > 1]
+        self._padded = [_quick_length(2 * shape[axis] - 1) for axis in self._axes]
+        self._reachability = reachability
+        self._spectrum = torch.fft.rfftn(reachability, self._padded, self._axes) if self._axes else None
+
+    def __call__(self, information: Float[Tensor, "*n X Y Z"]) -> Float[Tensor, "*n X2 Y2 Z2"]:
+        """The table of an I."""
+        if self._spectrum is None:
+            return self._reachability * information
+        spectrum = self._spectrum * torch.fft.rfftn(information, self._padded, self._axes).conj()
+        table = torch.fft.irfftn(spectrum, self._padded, self._axes)
+        for axis in self._axes:
+            n = self._reachability.shape[axis]
+            # the shifts below 0 stand at the far end
+            table = torch.cat((table.narrow(axis, table.shape[axis] - n + 1, n - 1), table.narrow(axis, 0, n)), axis)
+        return table
 
 
 def _quick_length(least: int) -> int:
@@ -66,7 +79,9 @@ class ReachabilityCost:
         # a whole number of steps to the turn
         self._steps = max(1, round(2.0 * math.pi / turn_step))
         self.turn_step = 2.0 * math.pi / self._steps
-        self._information, self._reachability = information, reachability
+        self._information, self._correlation = information, CrossCorrelation(reachability.values)
+        where = information.values.nonzero(as_tuple=True)
+        self._held = where, information.values[where]
         self._total = information.values.sum()
         self._origin = self._total.new_tensor([-(n - 1.0) * information.spacing for n in information.shape])
         self._share = FieldSampler(VoxelGrid(self._table(information.values), self._origin, information.spacing))
@@ -96,7 +111,7 @@ class ReachabilityCost:
         return -share.mean(-1)
 
     def _table(self, information: Tensor) -> Tensor:
-        share = cross_correlation(self._reachability.values, information)
+        share = self._correlation(information)
         return torch.where(self._total > 0, share / self._total, torch.zeros_like(share)).clamp(0.0, 1.0)
 
     def _turned_shares(
@@ -132,28 +147,27 @@ class ReachabilityCost:
         """Table of the shifts by no height, within a frame of zeros."""
         return functional.pad(self._table(information)[..., information.shape[2] - 1], (1, 1, 1, 1))
 
-    def _turn(self, turn: float, pivot: Tensor) -> Tensor:
+    def _turn(self, turn: float, pivot: Tensor) -> Float[Tensor, "X Y Z"]:
         """The information turned about the pivot: each node's value goes to the four nodes about its new place."""
-        return torch.stack([self._turned_layer(layer, turn, pivot) for layer in self._information.values.unbind(2)], -1)
-
-    def _turned_layer(self, values: Tensor, turn: float, pivot: Tensor) -> Tensor:
-        origin = self._information.origin
-        x, y = values.nonzero().unbind(-1)
-        held, spacing = values[x, y], self._information.spacing
-        from_pivot = torch.stack((x, y), -1).to(values) * spacing + origin[:2] - pivot
+        information = self._information
+        (x, y, z), held = self._held
+        origin, spacing, (columns, rows, layers) = information.origin[:2], information.spacing, information.shape
+        from_pivot = torch.stack((x, y), -1).to(held) * spacing + origin - pivot
         cos, sin = math.cos(turn), math.sin(turn)
         way = from_pivot @ from_pivot.new_tensor([[cos, sin], [-sin, cos]])
-        node = (way + pivot - origin[:2]) / spacing
+        node = (way + pivot - origin) / spacing
         corner = node.floor()
-        share = node - corner
-        result = torch.zeros_like(values)
-        for dx in (0, 1):
-            for dy in (0, 1):
-                i, j = corner[:, 0].long() + dx, corner[:, 1].long() + dy
-                part = held * (share[:, 0] if dx else 1 - share[:, 0]) * (share[:, 1] if dy else 1 - share[:, 1])
-                inside = (i >= 0) & (j >= 0) & (i < values.shape[0]) & (j < values.shape[1])
-                result.index_put_((i[inside], j[inside]), part[inside], accumulate=True)
-        return result
+        a, b = (node - corner).unbind(-1)
+        near, far = held * (1 - a), held * a
+        part = torch.stack((near * (1 - b), near * b, far * (1 - b), far * b))
+        # what leaves the lattice gathers in a frame about it
+        i, j = corner.long().unbind(-1)
+        i, i1 = (rows + 2) * (i + 1).clamp(0, columns + 1), (rows + 2) * (i + 2).clamp(0, columns + 1)
+        j, j1 = (j + 1).clamp(0, rows + 1), (j + 2).clamp(0, rows + 1)
+        place = torch.stack((i + j, i + j1, i1 + j, i1 + j1)) * layers + z
+        framed = held.new_zeros((columns + 2) * (rows + 2) * layers)
+        framed.index_add_(0, place.flatten(), part.flatten())
+        return framed.view(columns + 2, rows + 2, layers)[1:-1, 1:-1]
 
 
 def _bilinear(

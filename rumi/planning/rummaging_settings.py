@@ -1,6 +1,5 @@
 """Settings of RUMI's policy."""
 
-import math
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -9,6 +8,7 @@ from rumi.dynamics.base import PushDefaults
 from rumi.dynamics.displacement import DisplacementSettings
 from rumi.dynamics.registry import PUSH_MODELS, PushSettings
 from rumi.fields.information import InformationSettings
+from sdf.bounds import Count, NotNegative, ShareAbove0
 
 
 def _scale_free() -> MPPISettings:
@@ -39,27 +39,18 @@ class RummagingSettings(PushSettings):
 
     information: InformationSettings = field(default_factory=InformationSettings)
     mppi: MPPISettings = field(default_factory=_scale_free)
-    information_scale: float = 1.0
-    reachability_scale: float | None = None
-    information_discount: float = 0.9
+    information_scale: NotNegative = 1.0
+    reachability_scale: NotNegative | None = None
+    information_discount: ShareAbove0 = 0.9
     normalise_information: bool = True
     displaced_information: bool = True
-    rollouts: int | None = None
+    rollouts: Count | None = None
 
     def __post_init__(self) -> None:
         """Refuse what gives nothing to plan for."""
         super().__post_init__()
-        if self.rollouts is not None and self.rollouts < 1:
-            raise ValueError(f"Expected rollouts to be 1 or more, got {self.rollouts}")
-        reach = self.reachability_scale
-        scales = (self.information_scale, math.inf if reach is None else reach)
-        if not 0 < self.information_discount <= 1:
-            raise ValueError(f"Expected information_discount in (0, 1], got {self.information_discount}")
-        if min(scales) < 0 or max(scales) == 0:
-            raise ValueError(
-                "Expected information_scale and reachability_scale to be 0 or more and not both 0, "
-                f"got {scales[0]} and {scales[1]}"
-            )
+        if self.information_scale == 0 and self.reachability_scale == 0:
+            raise ValueError("Expected information_scale and reachability_scale not both 0")
 
     def suited(self, push_model: str) -> PushDefaults:
         """What is set, or else suits a push model other than "auto"."""

@@ -1,6 +1,5 @@
 """Slide policy: the heuristic baseline that follows the object's surface (RUMI, V-H)."""
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +10,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.fields.normal import expected_normal
 from rumi.planning.policy import Plan, PlanRequest, Scene
 from sdf import se3
+from sdf.bounds import Checked, NotNegative, ShareAbove0
 from sdf.so3 import wrap
 from sensors.semantics import Semantics
 
@@ -22,7 +22,7 @@ _PATCH = 0.005
 
 
 @dataclass(frozen=True)
-class SlideSettings:
+class SlideSettings(Checked):
     """Settings of the heuristic; the paper gives none.
 
     Attributes:
@@ -32,16 +32,9 @@ class SlideSettings:
             contact stays on the pads; False keeps its yaw.
     """
 
-    stride: float = 1.0
-    press: float = 0.0
+    stride: ShareAbove0 = 1.0
+    press: NotNegative = 0.0
     face: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        if not 0 < self.stride <= 1:
-            raise ValueError(f"Expected stride in (0, 1], got {self.stride}")
-        if not 0 <= self.press < math.inf:
-            raise ValueError(f"Expected press to be 0 or more and finite, got {self.press}")
 
 
 class SlidePolicy:

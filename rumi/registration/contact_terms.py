@@ -2,15 +2,17 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
+from annotated_types import Interval
 from jaxtyping import Float
 from torch import Tensor
 
 from rumi.registration.descent import Terms
 from rumi.registration.touch_surface import TouchSurface
 from sdf import backend, compiled, so3
+from sdf.bounds import Checked, Count, CountOr0, Positive, Share, ShareAbove0, ShareBelow1
 from sdf.mesh.touched import touched_face
 from sdf.mesh.triangles import closest_point
 
@@ -25,8 +27,11 @@ NOISE_M = (1e-9, 1e3)
 """Least and greatest noise of touches, metres: beyond these likelihoods are lost in rounding."""
 
 
+_SIX_DEGREES = math.radians(6.0)
+
+
 @dataclass(frozen=True)
-class LocalizeSettings:
+class LocalizeSettings(Checked):
     """Settings of registration from contacts.
 
     Attributes:
@@ -47,42 +52,33 @@ class LocalizeSettings:
         mode_m, mode_rad: poses nearer to each other than both, up to the object's symmetries, are one mode.
         plausible: least likelihood of a mode that is kept, relative to the best.
         kept: modes that are kept at most, the heaviest.
+        robust: steps of the first descent that follow, on a loss in which touches farther off than `robust_m` count
+            ever less.
+        robust_m: see there.
+        nearby: poses drawn about each mode, in search of better ones, at most.
+        draws: poses drawn about all modes to weigh them, at most; 0 to weigh each by its curvature alone.
     """
 
-    starts: int = 800
+    starts: Count = 800
     spread: float = 0.25
-    from_prior: float = 1.0 / 3.0
-    coarse_points: int = 100
+    from_prior: Share = 1.0 / 3.0
+    coarse_points: Count = 100
     coarse: int = 12
-    polished: int = 80
-    fine_points: int = 1000
+    polished: Count = 80
+    fine_points: Count = 1000
     fine: int = 20
-    noise_m: float | None = None
-    least_noise_m: float = 0.001
-    normal_noise_rad: float = math.radians(6.0)
-    outlier: float = 0.05
-    mode_m: float = 0.01
-    mode_rad: float = 0.2
-    plausible: float = 1e-6
-    kept: int = 30
-
-    def __post_init__(self) -> None:
-        """Refuse empty searches."""
-        for name in ("starts", "coarse_points", "polished", "fine_points", "kept"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"Expected {name} to be 1 or more, got {getattr(self, name)}")
-        for name in ("least_noise_m", "normal_noise_rad", "mode_m", "mode_rad"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if not 0 <= self.outlier < 1:
-            raise ValueError(f"Expected outlier, a share of the touches, of 0 or more and below 1, got {self.outlier}")
-        least, most = NOISE_M
-        if not self.least_noise_m <= most:
-            raise ValueError(f"Expected least_noise_m of {most:g} m at most, got {self.least_noise_m}")
-        if self.noise_m is not None and not least <= self.noise_m <= most:
-            raise ValueError(f"Expected noise_m of {least:g} to {most:g} m, got {self.noise_m}")
-        if not (0 <= self.from_prior <= 1 and 0 < self.plausible <= 1):
-            raise ValueError(f"Expected from_prior in [0, 1] and plausible in (0, 1], got {self}")
+    noise_m: Annotated[float, Interval(ge=NOISE_M[0], le=NOISE_M[1])] | None = None
+    least_noise_m: Annotated[float, Interval(gt=0.0, le=NOISE_M[1])] = 0.001
+    normal_noise_rad: Positive = _SIX_DEGREES
+    outlier: ShareBelow1 = 0.05
+    mode_m: Positive = 0.01
+    mode_rad: Positive = 0.2
+    plausible: ShareAbove0 = 1e-6
+    kept: Count = 30
+    robust: CountOr0 = 4
+    robust_m: Positive = 0.004
+    nearby: CountOr0 = 30
+    draws: CountOr0 = 4000
 
     def outlier_odds(self, noise_m: float | Tensor, diagonal_m: float, *, normals: bool) -> float | Tensor:
         """Odds of an outlier, even over signed distances of a diagonal and all normals, against a touch on the surface.

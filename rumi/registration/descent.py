@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sdf import backend, compiled, se3, so3
+from sdf.bounds import Checked, CountOr0, ShareBelow1
 from sdf.numbers import refuse_trained
 from sdf.posed import posed_distance, posed_query
 from sdf.precision import full_precision
@@ -21,7 +22,7 @@ SEARCHES: tuple[str, ...] = ("SE(2)", "SE(3)")
 
 
 @dataclass(frozen=True)
-class DescentSettings:
+class DescentSettings(Checked):
     """Settings of the descent of poses.
 
     Attributes:
@@ -36,23 +37,18 @@ class DescentSettings:
     """
 
     method: Literal["gauss-newton", "adam"] = "gauss-newton"
-    iterations: int = 6
+    iterations: CountOr0 = 6
     learning_rate: float = 0.01
     step_limit_m: float = 0.03
     step_limit_rad: float = 0.3
     margin_m: float = 0.008
     lever_m: float = 0.001
-    enough: float = 1e-6
+    enough: ShareBelow1 = 1e-6
 
     def __post_init__(self) -> None:
-        """Refuse what is not a method or a count."""
+        """Refuse what has no meaning, and what would drop a gradient."""
         refuse_trained(self)
-        if self.method not in ("gauss-newton", "adam"):
-            raise ValueError(f"Expected descent method gauss-newton or adam, got {self.method!r}")
-        if self.iterations < 0:
-            raise ValueError(f"Expected 0 or more descent iterations, got {self.iterations}")
-        if not 0 <= self.enough < 1:
-            raise ValueError(f"Expected enough in [0, 1), got {self.enough}")
+        super().__post_init__()
 
 
 class Terms(NamedTuple):

@@ -10,10 +10,12 @@ from torch import Tensor
 
 from rumi import seeding
 from rumi.registration.archive import super_fibonacci
-from rumi.registration.contact_modes import (
-    Localization,
+from rumi.registration.contact_modes import Localization
+from rumi.registration.contact_posterior import (
     distinct,
     gather_modes,
+    laplace_covariance,
+    log_likelihood,
     mixture,
     noise_scale,
     plausible_modes,
@@ -22,6 +24,7 @@ from rumi.registration.contact_modes import (
 from rumi.registration.contact_terms import LocalizeSettings as LocalizeSettings
 from rumi.registration.contact_terms import TouchFit, touch_terms
 from rumi.registration.descent import DescentSettings, Terms, gauss_newton
+from rumi.registration.mode_draws import nearby
 from rumi.registration.touch_surface import TouchSurface
 from sdf import se3
 from sdf.check import check_near
@@ -35,6 +38,10 @@ _APART, _TOGETHER, _ACROSS = 2.0, 1e-3, 1e-3
 _MOST_NEAR = 2.0 / 3.0  # share of the points that has to be near the others, for those far off to be left out
 _UNIT = 0.02
 _SCALES = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254}
+# looks about the plausible modes; how far, as part of what makes one mode; how many draws of each go on; and pairs of
+# poses and touches in a look at most
+_LOOKS, _ABOUT, _BEST, _PAIRS = 2, 0.3, 10, 20_000
+_SMOOTH_M = 3e-5  # of the kink in the distance
 _TURNS = 997  # that the starts' orientations may be turned by, all of them alike
 
 
@@ -67,8 +74,9 @@ def localize(
     (`LocalizeSettings.outlier`), and those too far from the others to be on the object are left out (`left_out`).
 
     Starts turned evenly all over, the middle of the object's box about the points' mean, descend on squared distances
-    to the surface; the best of them, and the best of what is unlike those, on distances, which a few touches that are
-    far off disturb less. Poses alike up to the object's symmetries then make a mode.
+    to the surface, then on a loss in which touches that are far off count less; the best of them, and the best of what
+    is unlike those, on distances; and so do the likeliest of draws about the plausible ones. Poses alike up to the
+    object's symmetries then make a mode, which weighs as much as the posterior about it (`mode_draws.masses`).
 
     Args:
         shape: a file, a mesh in metres, or a `TouchSurface` made of it, which saves what depends on the mesh alone.
@@ -104,18 +112,22 @@ def localize(
     reach = 0.0 if facing is None else noise / settings.normal_noise_rad
     poses = starting_poses(surface, points, box, settings, generator=generator)
     square = TouchFit("square", False, reach, noise)
-    poses = _descended(surface, poses, points[sample], _of(facing, sample), square, settings.coarse)
-    rough = touch_terms(surface, poses, points[sample], _of(facing, sample), square).objective
+    poses = descended(surface, poses, points[sample], _of(facing, sample), square, settings.coarse)
+    first = square
+    if settings.outlier and settings.robust:
+        # a touch that is far off pulls squares out of the right basin
+        about = max(settings.robust_m, settings.noise_m or 0.0)
+        first = mixture(surface, about, settings, normals=facing is not None)
+        first = replace(first, exact=False, smooth_m=about)
+        poses = descended(surface, poses, points[sample], _of(facing, sample), first, settings.robust)
+    rough = touch_terms(surface, poses, points[sample], _of(facing, sample), first).objective
     absolute = TouchFit("absolute", True, reach, noise)
     poses = poses[_to_polish(surface, poses, rough, settings)]
-    poses = _descended(surface, poses, points[rest], _of(facing, rest), absolute, settings.fine)
+    poses = descended(surface, poses, points[rest], _of(facing, rest), absolute, settings.fine)
     scale = noise_scale(surface, poses, points[rest], _of(facing, rest), settings)
     if settings.outlier:
         fit = mixture(surface, scale, settings, normals=facing is not None)
-        _, unlike = plausible_modes(surface, poses, points[rest], _of(facing, rest), fit, settings)
-        fit = replace(fit, smooth_m=absolute.smooth_m)
-        settled = _descended(surface, poses[unlike], points[rest], _of(facing, rest), fit, settings.fine)
-        poses = torch.cat((poses, settled))
+        poses = _settled(surface, poses, points[rest], _of(facing, rest), fit, settings, generator)
     if clip and box is not None:
         origin = surface.uncentred(poses)[:, :3, 3]
         inside = ((origin - box.center).abs() <= box.radius).all(-1)
@@ -125,7 +137,7 @@ def localize(
                 "out clip (the prior then only seeds starts), or widen the prior"
             )
         poses = poses[inside]
-    found = gather_modes(surface, poses, points, facing, settings, scale)
+    found = gather_modes(surface, poses, points, facing, settings, scale, generator=generator)
     if bool(near.all()):
         return found
     off, _ = touches_off(surface, surface.centred(found.world_T_object), every, None, 0.0)
@@ -184,9 +196,16 @@ def starting_poses(
     return poses
 
 
-def _descended(
-    surface: TouchSurface, poses: Tensor, points: Tensor, normals: Tensor | None, fit: TouchFit, iterations: int
-) -> Tensor:
+def descended(
+    surface: TouchSurface,
+    poses: Float[Tensor, "N 4 4"],
+    points: Float[Tensor, "K 3"],
+    normals: Float[Tensor, "K 3"] | None,
+    fit: TouchFit,
+    iterations: int,
+) -> Float[Tensor, "N 4 4"]:
+    """Poses of the middle after damped Gauss-Newton steps on a loss of touches."""
+
     def terms(at: Tensor) -> Terms:
         return touch_terms(surface, at, points, normals, fit)
 
@@ -195,6 +214,39 @@ def _descended(
     weight = len(points) * (1.0 if fit.loss == "square" else 1.0 / surface.diagonal)
     floor = torch.tensor([1e-6] * 3 + [(1e-3 * surface.diagonal) ** 2] * 3, dtype=poses.dtype) * weight
     return gauss_newton(terms, poses, "SE(3)", limits, floor[None])
+
+
+def _settled(
+    surface: TouchSurface,
+    poses: Tensor,
+    points: Tensor,
+    normals: Tensor | None,
+    fit: TouchFit,
+    settings: LocalizeSettings,
+    generator: torch.Generator,
+) -> Tensor:
+    """The poses and the minima of the mixture's loss that they and draws about the plausible ones lead to."""
+    smooth = replace(fit, smooth_m=_SMOOTH_M)
+    _, unlike = plausible_modes(surface, poses, points, normals, fit, settings)
+    poses = torch.cat((poses, descended(surface, poses[unlike], points, normals, smooth, settings.fine)))
+    for _ in range(_LOOKS):
+        _, unlike = plausible_modes(surface, poses, points, normals, fit, settings)
+        modes = poses[unlike[: settings.kept]]
+        draws = min(settings.nearby, _PAIRS // max(1, len(modes) * len(points)))
+        if draws < 1:
+            break
+        covariance, _ = laplace_covariance(surface, modes, points, normals, fit)
+        wide = [(_ABOUT * settings.mode_m) ** 2] * 3 + [(_ABOUT * settings.mode_rad) ** 2] * 3
+        near = nearby(
+            modes,
+            covariance + torch.diag(modes.new_tensor(wide)),
+            lambda at: log_likelihood(surface, at, points, normals, fit),
+            draws=draws,
+            kept=_BEST,
+            generator=generator,
+        )
+        poses = torch.cat((poses, descended(surface, near, points, normals, smooth, settings.fine // 2)))
+    return poses
 
 
 def _to_polish(surface: TouchSurface, poses: Tensor, rough: Tensor, settings: LocalizeSettings) -> Tensor:

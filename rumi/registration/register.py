@@ -3,9 +3,10 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
+from annotated_types import Gt
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -13,6 +14,7 @@ from rumi.registration.archive import fill, orientation_bins, super_fibonacci
 from rumi.registration.descent import DescentSettings, Search, descend
 from rumi.seeding import uniform
 from sdf import se3
+from sdf.bounds import Checked, Count, ShareAbove0
 from sdf.check import check_near
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
@@ -20,7 +22,7 @@ from sensors.semantics import Semantics
 
 
 @dataclass(frozen=True)
-class RegisterSettings:
+class RegisterSettings(Checked):
     """Settings of global registration.
 
     Attributes:
@@ -40,27 +42,17 @@ class RegisterSettings:
             those that the search may reach.
     """
 
-    kept: int = 100
-    starts: int = 32000
+    kept: Count = 100
+    starts: Count = 32000
     coarse: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=12, margin_m=0.05))
     coarse_points: int = 100
     coarse_free: int = 100
-    polished: int = 8000
+    polished: Count = 8000
     fine: DescentSettings = field(default_factory=lambda: DescentSettings(iterations=20, margin_m=0.05))
-    bin_rad: float = 0.35
-    bin_m: float = 0.02
-    plausible: float = 0.007
+    bin_rad: Annotated[float, Gt(0.0)] = 0.35
+    bin_m: Annotated[float, Gt(0.0)] = 0.02
+    plausible: ShareAbove0 = 0.007
     bins: Search | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse empty searches."""
-        for name in ("kept", "starts", "polished"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"Expected {name} to be 1 or more, got {getattr(self, name)}")
-        if not (self.bin_rad > 0 and self.bin_m > 0):
-            raise ValueError(f"Expected bin_rad and bin_m above 0, got {self.bin_rad} and {self.bin_m}")
-        if not 0 < self.plausible <= 1:
-            raise ValueError(f"Expected plausible in (0, 1], got {self.plausible}")
 
 
 class Registered(NamedTuple):

@@ -20,6 +20,7 @@ from rumi.robot.reach import Reach
 from rumi.robot.reach_table import ReachSettings, ReachTable
 from rumi.seeding import generator
 from sdf import se3
+from sdf.bounds import Checked, Count, Positive
 from sdf.cache import content_key, keep_arrays, load_arrays
 from sdf.so3 import wrap
 
@@ -30,7 +31,7 @@ _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class ArmReachSettings:
+class ArmReachSettings(Checked, refusal=UsageError):
     """Settings of an arm's reach.
 
     Attributes:
@@ -43,19 +44,13 @@ class ArmReachSettings:
         starts: random starts of the inverse kinematics at every third node; the others start from neighbours.
     """
 
-    spacing_m: float = 0.025
-    yaw_steps: int = 24
+    spacing_m: Positive = 0.025
+    yaw_steps: Count = 24
     round: bool = False
     floor: bool = True
-    rotation_scale_m: float = 0.1
-    tolerance_m: float = 0.005
-    starts: int = 12
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        for name in ("spacing_m", "yaw_steps", "rotation_scale_m", "tolerance_m", "starts"):
-            if not getattr(self, name) > 0:
-                raise UsageError(f"Expected {name} above 0, got {getattr(self, name)}")
+    rotation_scale_m: Positive = 0.1
+    tolerance_m: Positive = 0.005
+    starts: Count = 12
 
 
 class ArmReach(Reach):

@@ -1,17 +1,17 @@
 """Durations of motions that start and end at rest under limits on speed and acceleration."""
 
-import math
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from sdf.bounds import Checked, Positive
 from sdf.check import check_shape
 
 
 @dataclass(frozen=True)
-class SpeedLimits:
+class SpeedLimits(Checked):
     """Limits of a straight motion from rest to rest.
 
     Attributes:
@@ -19,15 +19,8 @@ class SpeedLimits:
         acceleration_m_s2: a_max, of speeding up and of slowing down.
     """
 
-    speed_m_s: float = 0.05
-    acceleration_m_s2: float = 0.1
-
-    def __post_init__(self) -> None:
-        """Refuse what never arrives."""
-        for name in ("speed_m_s", "acceleration_m_s2"):
-            value = getattr(self, name)
-            if not (value > 0 and math.isfinite(value)):
-                raise ValueError(f"Expected {name} to be above 0 and finite, got {value}")
+    speed_m_s: Positive = 0.05
+    acceleration_m_s2: Positive = 0.1
 
 
 def travel_time(distance: Float[Tensor, "*b"], limits: SpeedLimits) -> Float[Tensor, "*b"]:

@@ -6,7 +6,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings
 from sdf import se3
 from sdf.base import SDF
+from sdf.bounds import Checked, Count, NotNegative, OneOf, Positive
 from sdf.primitives import Box, Placed
 
 SCHEMA = 1
@@ -107,7 +108,7 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class SceneMap:
+class SceneMap(Checked):
     """Prior knowledge of the object's place; metres in the belief's frame: the world with its floor and origin at 0.
 
     Attributes:
@@ -122,7 +123,7 @@ class SceneMap:
     """
 
     within: tuple[Vector, Vector]
-    builtin: str | None = None
+    builtin: Annotated[str, OneOf(OBJECTS)] | None = None
     search: Literal["SE(2)", "SE(3)"] = "SE(2)"
     looks_again: bool = False
     tool_seen: bool = False
@@ -131,10 +132,9 @@ class SceneMap:
     clear_m: float = 0.01
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not all(low < high for low, high in zip(*self.within, strict=True)):
             raise ValueError(f"expected within to be a lower and an upper corner, got {self.within}")
-        if self.builtin is not None and self.builtin not in OBJECTS:
-            raise ValueError(f"expected builtin to be one of {', '.join(OBJECTS)}, got {self.builtin!r}")
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ class ViewMap:
 
 
 @dataclass(frozen=True)
-class Actions:
+class Actions(Checked):
     """Division of a recording into readings.
 
     Attributes:
@@ -207,13 +207,9 @@ class Actions:
         instants: of a reading, evenly spread, the last one at its end.
     """
 
-    view_s: float = 0.5
-    every_s: float = 1.0
-    instants: int = 10
-
-    def __post_init__(self) -> None:
-        if not (self.every_s > 0 and self.view_s >= 0 and self.instants >= 1):
-            raise ValueError("expected every_s above 0, view_s of 0 or more and at least 1 instant")
+    view_s: NotNegative = 0.5
+    every_s: Positive = 1.0
+    instants: Count = 10
 
 
 @dataclass(frozen=True)

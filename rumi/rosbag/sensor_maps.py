@@ -10,6 +10,7 @@ from torch import Tensor
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.errors import UsageError
 from sdf import se3, so3
+from sdf.bounds import Checked, Count, NotNegative, Positive, ShareBelow1
 from sensors.force.tool_surface import ConvexTool, SphereTool, ToolSurface
 from sensors.touch.bubble import BubbleSettings
 
@@ -25,7 +26,7 @@ def placed(position_m: Vector, rpy_deg: Vector) -> Float[Tensor, "4 4"]:
 
 
 @dataclass(frozen=True)
-class WrenchMap:
+class WrenchMap(Checked):
     """The force-torque sensor's tool, a ball or a convex mesh, its load, and when a wrench is a touch.
 
     Attributes:
@@ -66,21 +67,15 @@ class WrenchMap:
     least_force_n: float = 1.0
     friction: float = 0.6
     likelihood: bool = False
-    most: int = 3
-    point_m: float = 0.003
-    normal_rad: float = 0.3
-    outlier: float = 0.1
+    most: Count = 3
+    point_m: Positive = 0.003
+    normal_rad: Positive = 0.3
+    outlier: ShareBelow1 = 0.1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if (self.radius_m is None) == (self.mesh is None):
             raise ValueError("expected either radius_m, of a ball, or mesh, a file of another tool's shape")
-        if self.most < 1:
-            raise ValueError(f"expected most of 1 or more, got {self.most}")
-        for name in ("point_m", "normal_rad"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"expected {name} above 0, got {getattr(self, name)}")
-        if not 0 <= self.outlier < 1:
-            raise ValueError(f"expected outlier of 0 or more and below 1, got {self.outlier}")
 
     def tool(self) -> ToolSurface:
         """In the sensor's frame.
@@ -148,7 +143,7 @@ class RobotMap:
 
 
 @dataclass(frozen=True)
-class TorqueMap:
+class TorqueMap(Checked):
     """Joint torques, and when they tell of a touch: see `sensors.force.momentum_observer`.
 
     Attributes:
@@ -162,11 +157,11 @@ class TorqueMap:
         true_positive, false_positive, decay, most, spacing_m: see `rumi.belief.contact_evidence.SignalSettings`.
     """
 
-    threshold_nm: float
+    threshold_nm: Positive
     joints: tuple[str, ...] = ()
-    counted: int = 5
-    gain: float = 25.0
-    rest_s: float = 0.5
+    counted: Count = 5
+    gain: Positive = 25.0
+    rest_s: NotNegative = 0.5
     likelihood: bool = False
     true_positive: float = 0.9
     false_positive: float = 0.02
@@ -175,13 +170,8 @@ class TorqueMap:
     spacing_m: float = 0.008
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self.signals()
-        for name in ("threshold_nm", "gain"):
-            value = getattr(self, name)
-            if not (value > 0 and math.isfinite(value)):
-                raise ValueError(f"expected {name} above 0, got {value}")
-        if self.counted < 1 or self.rest_s < 0:
-            raise ValueError("expected at least 1 joint to count and rest_s of 0 or more")
 
     def signals(self) -> SignalSettings:
         """What they count for."""

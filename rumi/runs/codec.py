@@ -25,7 +25,7 @@ from sensors.observation import Observation
 from sensors.reading import Reading
 
 # numbers of a step that are kept as JSON; a missing or non-finite one is null there
-_NUMBERS = ("step", "expected_nll", "fit", "apc", "ess", "contacts", "resampled", "converged", "nll")
+_NUMBERS = ("step", "expected_nll", "fit", "apc", "ess", "contacts", "resampled", "converged", "nll", "lost")
 _LIGHT = (bool, int, float, str, list, tuple, type(None))
 _POINTS = ("points", "semantics", "attached", "valid")
 _WRENCH = ("points", "normals", "point_sd", "normal_sd", "instant")
@@ -104,6 +104,7 @@ def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, flo
         for name in ("expected_nll", "fit", "apc", "ess"):
             about[name] = math.nan if about[name] is None else about[name]
         remarks = tuple(Remark(**remark) for remark in about.pop("remarks", ()))
+        about["lost"] = about.get("lost") or 0.0  # which older runs lack
         record = StepRecord(
             remarks=remarks,
             control=_get(members, f"{at}/control"),

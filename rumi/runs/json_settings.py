@@ -7,8 +7,9 @@ import difflib
 import math
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
+from functools import cache
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from rumi.errors import UsageError
 
 _T = TypeVar("_T")
+_hints: Callable[[Any], dict[str, Any]] = cache(typing.get_type_hints)
 
 FORMER_KEYS: dict[str, dict[str, str]] = {
     "Settings": {"budget_s": "plan_budget_s"},
@@ -39,7 +41,7 @@ def dataclass_of(kind: type[_T], values: Any, at: str = "") -> _T:  # noqa: ANN4
     """
     if not isinstance(values, Mapping):
         raise UsageError(f"Expected {at or 'settings'} to be an object with named values, got {values!r}")
-    hints, former = typing.get_type_hints(kind), FORMER_KEYS.get(kind.__name__, {})
+    hints, former = _hints(kind), FORMER_KEYS.get(kind.__name__, {})
     values = {former.get(name, name): value for name, value in values.items()}
     wrong = sorted(set(values) - {f.name for f in fields(kind)})  # type: ignore[arg-type]
     if wrong:
@@ -70,7 +72,7 @@ def changed(settings: _T, changes: Mapping[str, Any]) -> _T:
 
 def _changed(settings: _T, name: str, value: Any, at: str) -> _T:  # noqa: ANN401  (of the setting's type)
     first, _, rest = name.partition(".")
-    hints = typing.get_type_hints(type(settings))
+    hints = _hints(type(settings))
     for field, called, group in _groups(type(settings)):
         current = getattr(settings, field)
         if first not in (called, field) or (rest and not group):

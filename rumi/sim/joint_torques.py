@@ -23,6 +23,7 @@ from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, _arm, _hand
 from rumi.sim.force_sensing_world import WrenchTrace
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.world import _import_mujoco
+from sdf.bounds import Checked, NotNegative
 from sensors.force.momentum_observer import MomentumObserver, TorqueThreshold, residuals
 
 _KNOT_S = 0.05  # from one solution of the inverse kinematics to the next
@@ -33,7 +34,7 @@ FOLLOWS_M = 0.001
 
 
 @dataclass(frozen=True)
-class JointSettings:
+class JointSettings(Checked, refusal=UsageError):
     """Sensors, model and reading.
 
     Attributes:
@@ -46,19 +47,13 @@ class JointSettings:
         joints: how many count in the norm.
     """
 
-    torque_noise_nm: float = 0.15
-    torque_bias_nm: float = 0.1
-    velocity_noise: float = 0.002
-    mass_error: float = 0.03
+    torque_noise_nm: NotNegative = 0.15
+    torque_bias_nm: NotNegative = 0.1
+    velocity_noise: NotNegative = 0.002
+    mass_error: NotNegative = 0.03
     gain: float = 25.0
     threshold_nm: float = 0.6
     joints: int = 5
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be."""
-        for name in ("torque_noise_nm", "torque_bias_nm", "velocity_noise", "mass_error"):
-            if not getattr(self, name) >= 0:
-                raise UsageError(f"Expected {name} of 0 or more, got {getattr(self, name)}")
 
     def without_errors(self) -> Self:
         """Exact sensors and an exact model."""

@@ -2,15 +2,16 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 from rumi.errors import UsageError
+from sdf.bounds import Checked, Positive, ShareBelow1
 
 SensorKind = Literal["points", "camera", "bubbles", "both"]
 
 
 @dataclass(frozen=True)
-class SensorSettings:
+class SensorSettings(Checked, refusal=UsageError):
     """Sensors of a task; what they report goes through the same converters as a real robot's.
 
     Attributes:
@@ -38,25 +39,14 @@ class SensorSettings:
     bubble_noise_m: float = 0.0
     motion_noise_m: float = 0.0
     motion_noise_rad: float = 0.0
-    lost: float = 0.0
+    lost: ShareBelow1 = 0.0
     late_s: float = 0.0
     calibration_m: float = 0.0
     calibration_rad: float = 0.0
     turned_about: Literal["workspace", "sensor"] = "workspace"
-    membrane_m: float = 0.008
-    frame_rate_hz: float = 15.0
+    membrane_m: Positive = 0.008
+    frame_rate_hz: Positive = 15.0
     further: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse what no sensor has."""
-        if self.kind not in get_args(SensorKind):
-            raise UsageError(f"Expected sensors of kind {', '.join(get_args(SensorKind))}, got {self.kind!r}")
-        if not 0 <= self.lost < 1:
-            raise UsageError(f"Expected lost to be a part of the images in [0, 1), got {self.lost}")
-        if self.turned_about not in ("workspace", "sensor"):
-            raise UsageError(f"Expected turned_about to be workspace or sensor, got {self.turned_about!r}")
-        if not (self.membrane_m > 0 and self.frame_rate_hz > 0):
-            raise UsageError("Expected membrane_m and frame_rate_hz above 0")
 
     @property
     def looks(self) -> bool:

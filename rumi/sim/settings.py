@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 from rumi.errors import UsageError
 from rumi.sim.sensor_settings import SensorSettings
+from sdf.bounds import Checked, Count, Positive
 
 
 @dataclass(frozen=True)
-class SimSettings:
+class SimSettings(Checked, refusal=UsageError):
     """Settings of the simulator; the defaults are quick and close to `accurate()`.
 
     Attributes:
@@ -32,16 +34,16 @@ class SimSettings:
         sensors: through which the task reports; those of kind "points" know where the pads are near the true surface.
     """
 
-    time_step_s: float = 0.004
-    mini_steps: int = 20
-    action_s: float = 1.0
+    time_step_s: Positive = 0.004
+    mini_steps: Count = 20
+    action_s: Positive = 1.0
     hold_s: float = 0.1
     action_scale_m: float = 0.08
     action_scale_rad: float = 0.5
-    contact_m: float = 0.003
-    pad_spacing_m: float = 0.0025
-    body_spacing_m: float = 0.005
-    free_spacing_m: float = 0.005
+    contact_m: Positive = 0.003
+    pad_spacing_m: Positive = 0.0025
+    body_spacing_m: Positive = 0.005
+    free_spacing_m: Positive = 0.005
     free_margin_m: float = 0.010
     free_fraction: float | None = None
     free_region_m: float = 0.10
@@ -49,10 +51,8 @@ class SimSettings:
     sensors: SensorSettings = field(default_factory=SensorSettings)
 
     def __post_init__(self) -> None:
-        for name in ("time_step_s", "action_s", "contact_m", "pad_spacing_m", "body_spacing_m", "free_spacing_m"):
-            if not getattr(self, name) > 0:
-                raise UsageError(f"Expected {name} to be positive, got {getattr(self, name)}")
-        if self.mini_steps < 1 or self.action_s / self.mini_steps < self.time_step_s:
+        super().__post_init__()
+        if self.action_s / self.mini_steps < self.time_step_s:
             raise UsageError(
                 f"Expected each of mini_steps ({self.mini_steps}) to last at least one time_step_s "
                 f"({self.time_step_s} s) of action_s ({self.action_s} s): use fewer mini steps or a smaller time step"
@@ -60,7 +60,7 @@ class SimSettings:
 
 
 @dataclass(frozen=True)
-class PhysicsSettings:
+class PhysicsSettings(Checked, refusal=UsageError):
     """Masses, friction and the gripper's drive.
 
     Attributes:
@@ -80,8 +80,8 @@ class PhysicsSettings:
         concavity: how far a piece may be from convex, relative to half of the mesh's longest side.
     """
 
-    mass_kg: float = 0.35
-    friction: float = 0.5
+    mass_kg: Positive = 0.35
+    friction: Positive = 0.5
     gripper_mass_kg: float = 10.0
     gripper_inertia: float = 0.1
     bandwidth_hz: float = 20.0
@@ -91,12 +91,5 @@ class PhysicsSettings:
     lead_m: float = math.inf
     wall_boxes: int = 24
     handle_capsules: int = 12
-    collision: str = "auto"
+    collision: Literal["auto", "pieces", "hull"] = "auto"
     concavity: float = 0.05
-
-    def __post_init__(self) -> None:
-        """Refuse what no object has."""
-        for name in ("mass_kg", "friction"):
-            value = getattr(self, name)
-            if not (value > 0 and math.isfinite(value)):
-                raise UsageError(f"Expected {name} to be a number above 0, got {value}")

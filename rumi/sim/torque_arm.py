@@ -16,6 +16,7 @@ from rumi.sim.arm_motion import ArmKinematics, JointPath
 from rumi.sim.arm_scene import ARM_JOINTS, FINGERS, ArmPhysics, arm_xml, scene_xml
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.world import _import_mujoco
+from sdf.bounds import Checked, NotNegative, Positive
 from sensors.force.momentum_observer import DynamicsTerms, MomentumObserver, TorqueThreshold, external_torque
 
 _BATCH = 10  # samples that the observer takes in at once, after which the force limit is looked at
@@ -26,7 +27,7 @@ _FINGER = 2e4, 200.0  # stiffness and damping of a finger, N/m and N s/m
 
 
 @dataclass(frozen=True)
-class TorqueSettings:
+class TorqueSettings(Checked, refusal=UsageError):
     """Control, what its model and sensors have wrong, and the reading.
 
     Attributes:
@@ -47,28 +48,19 @@ class TorqueSettings:
         force_limit_n: estimated force on the hand at which an action ends.
     """
 
-    bandwidth: float = 40.0
-    grasp_bandwidth: float = 15.0
-    torque_noise_nm: float = 0.15
-    torque_bias_nm: float = 0.1
-    velocity_noise: float = 0.002
-    mass_error: float = 0.03
-    friction_nm: float = 0.5
+    bandwidth: Positive = 40.0
+    grasp_bandwidth: Positive = 15.0
+    torque_noise_nm: NotNegative = 0.15
+    torque_bias_nm: NotNegative = 0.1
+    velocity_noise: NotNegative = 0.002
+    mass_error: NotNegative = 0.03
+    friction_nm: NotNegative = 0.5
     friction_known: float = 0.8
     motor_side: bool = False
-    gain: float = 25.0
-    threshold_nm: float = 0.3
+    gain: Positive = 25.0
+    threshold_nm: Positive = 0.3
     joints: int = 5
-    force_limit_n: float = 25.0
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be."""
-        for name in ("bandwidth", "grasp_bandwidth", "gain", "threshold_nm", "force_limit_n"):
-            if not getattr(self, name) > 0:
-                raise UsageError(f"Expected {name} above 0, got {getattr(self, name)}")
-        for name in ("torque_noise_nm", "torque_bias_nm", "velocity_noise", "mass_error", "friction_nm"):
-            if not getattr(self, name) >= 0:
-                raise UsageError(f"Expected {name} of 0 or more, got {getattr(self, name)}")
+    force_limit_n: Positive = 25.0
 
 
 class TorqueSample(NamedTuple):

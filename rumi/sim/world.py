@@ -59,6 +59,7 @@ class World:
         self.model: Any = scene_model(self._mujoco, self.body, gripper, height_m, time_step_s, self.physics)
         self.data: Any = self._mujoco.MjData(self.model)
         self._object = int(self.model.joint("object").qposadr[0])
+        self._object_speed = int(self.model.joint("object").dofadr[0])
         self._gripper = [int(self.model.joint(name).qposadr[0]) for name in self._axes(height_m)]
         self._object_body = int(self.model.body("object").id)
         self._rest: np.ndarray | None = None
@@ -177,6 +178,13 @@ class World:
         last = found[:, -1].copy()
         poses = self._object_poses(last[:, 1 : 1 + self.model.nq])
         return last, se3.to_planar(poses)
+
+    def place(self, world_T_object: Float[Tensor, "4 4"]) -> None:
+        """Put the object somewhere else, at rest."""
+        posed, start, speed = self._posed(self.configuration(), world_T_object), self._object, self._object_speed
+        self.data.qpos[start : start + 7] = posed.qpos[start : start + 7]
+        self.data.qvel[speed : speed + 6] = 0.0
+        self._mujoco.mj_forward(self.model, self.data)
 
     def configuration(self) -> Float[Tensor, "Q"]:
         """Measured x, y, in space z, and yaw of the gripper."""

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -54,24 +54,17 @@ class Job:
         Raises:
             UsageError: there is no such task, method, preset or setting.
         """
-        values = to_dict(replace(preset(self.preset), task=self.task, method=self.method, seed=self.seed))
-        return from_dict(overridden(values, self.overrides))
+        return replace(_settings(self.task, self.method, self.preset, self.overrides), seed=self.seed)
 
-    @cached_property
+    @property
     def settings_hash(self) -> str:
         """Of all settings but the seed and the task, of a mesh by what is in it; empty for the toy."""
         if self.kind != "run":
             return ""
-        values = {k: v for k, v in to_dict(self.settings).items() if k not in ("seed", "task")}
-        # results on record are kept under the names that settings had then, and without those that came later
-        for former, now in FORMER_KEYS["Settings"].items():
-            values[former] = values.pop(now)
-        for added in (values["filter"], "evidence"), (values["simulator"]["sensors"], "further"):
-            if not added[0][added[1]]:
-                del added[0][added[1]]
-        mesh = self.settings.object.mesh
+        values, mesh = _counted(self.task, self.method, self.preset, self.overrides), self.settings.object.mesh
         if mesh is not None:
-            values["object"]["mesh"] = hashlib.sha256(Path(mesh).read_bytes()).hexdigest()
+            content = hashlib.sha256(Path(mesh).read_bytes()).hexdigest()
+            values = {**values, "object": {**values["object"], "mesh": content}}
         return _digest(values)[:12]
 
     @cached_property
@@ -95,6 +88,27 @@ class Job:
     def carry_out(self, cache_dir: Path) -> dict[str, Any]:
         """Do it: `figures`, `timings` and `curves`, ready for JSON."""
         return KINDS[self.kind](self, cache_dir)
+
+
+@cache
+def _settings(task: str, method: str, preset_name: str, overrides: tuple[str, ...]) -> Settings:
+    """The settings of runs, of whatever seed."""
+    values = to_dict(replace(preset(preset_name), task=task, method=method))
+    return from_dict(overridden(values, overrides))
+
+
+@cache
+def _counted(task: str, method: str, preset_name: str, overrides: tuple[str, ...]) -> dict[str, Any]:
+    """What the hash of settings is of, but what is in a mesh."""
+    settings = _settings(task, method, preset_name, overrides)
+    values = {k: v for k, v in to_dict(settings).items() if k not in ("seed", "task")}
+    # results on record are kept under the names that settings had then, and without those that came later
+    for former, now in FORMER_KEYS["Settings"].items():
+        values[former] = values.pop(now)
+    for added in (values["filter"], "evidence"), (values["simulator"]["sensors"], "further"):
+        if not added[0][added[1]]:
+            del added[0][added[1]]
+    return values
 
 
 def _run(job: Job, cache_dir: Path) -> dict[str, Any]:

@@ -63,7 +63,7 @@ class TouchReproduceOptions:
     """
 
     experiments: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="WHAT ...")]
-    methods: tuple[str, ...] = METHODS
+    methods: tuple[str, ...] = tuple(METHODS)
     push_models: tuple[str, ...] = ("quasi-static",)
     robot: Robot = "gripper"
     seeds: str = "0-99"
@@ -120,7 +120,7 @@ def _columns(options: TouchReproduceOptions) -> dict[str, TouchSettings]:
     for push in options.push_models:
         for method in options.methods:
             name = method if len(options.push_models) == 1 else f"{method}, {push}"
-            found[name] = replace(options.settings, method=method, push_model=push)  # type: ignore[arg-type]
+            found[name] = replace(options.settings, method=method, push_model=push)
     return found
 
 

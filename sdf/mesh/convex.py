@@ -4,11 +4,13 @@ import importlib.util
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
+from annotated_types import Ge, Interval
 
+from sdf.bounds import Checked
 from sdf.cache import content_key, keep_arrays, load_arrays
 from sdf.mesh.mesh import MeshError, TriangleMesh
 from sdf.mesh.repair import enclosed_volume
@@ -23,7 +25,7 @@ _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class ConvexSettings:
+class ConvexSettings(Checked):
     """Settings of the convex decomposition.
 
     Attributes:
@@ -34,20 +36,10 @@ class ConvexSettings:
         nodes: directions that the search looks at.
     """
 
-    method: str = "auto"
-    concavity: float = 0.05
-    iterations: int = 60
-    nodes: int = 12
-
-    def __post_init__(self) -> None:
-        """Refuse unknown methods and what coacd would refuse."""
-        if self.method not in ("auto", "pieces", "hull"):
-            raise ValueError(f"Expected method auto, pieces or hull, got {self.method!r}")
-        if not 0.01 <= self.concavity <= 1.0 or self.iterations < 60 or self.nodes < 10:
-            raise ValueError(
-                f"Expected concavity in [0.01, 1], 60 or more iterations and 10 or more nodes, got {self.concavity}, "
-                f"{self.iterations} and {self.nodes}"
-            )
+    method: Literal["auto", "pieces", "hull"] = "auto"
+    concavity: Annotated[float, Interval(ge=0.01, le=1.0)] = 0.05
+    iterations: Annotated[int, Ge(60)] = 60
+    nodes: Annotated[int, Ge(10)] = 12
 
 
 def convex_pieces(

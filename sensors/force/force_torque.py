@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from sdf import backend, compiled
+from sdf.bounds import Checked, Count, NotNegative, Positive
 from sdf.check import check_finite, check_shape
 from sensors.force.tool_surface import ToolSurface
 
@@ -35,7 +36,7 @@ class WrenchStatus(IntEnum):
 
 
 @dataclass(frozen=True)
-class WrenchNoise:
+class WrenchNoise(Checked):
     """White noise of a sensor's readings.
 
     Attributes:
@@ -44,18 +45,9 @@ class WrenchNoise:
         tared_over: readings that the bias is a mean of; its error is added. None where the bias is exact.
     """
 
-    force_n: float = 0.1
-    moment_nm: float = 0.005
-    tared_over: int | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse noise that is none."""
-        for name in ("force_n", "moment_nm"):
-            value = getattr(self, name)
-            if not (value >= 0 and math.isfinite(value)):
-                raise ValueError(f"Expected {name} to be 0 or more, got {value}")
-        if self.tared_over is not None and self.tared_over < 1:
-            raise ValueError(f"Expected tared_over to be 1 or more, got {self.tared_over}")
+    force_n: NotNegative = 0.1
+    moment_nm: NotNegative = 0.005
+    tared_over: Count | None = None
 
     def covariance(self) -> Float[Tensor, "6 6"]:
         """Of one reading whose bias was taken off, float64."""
@@ -65,7 +57,7 @@ class WrenchNoise:
 
 
 @dataclass(frozen=True)
-class WrenchSettings:
+class WrenchSettings(Checked):
     """Settings of contact detection by a wrench.
 
     Attributes:
@@ -75,19 +67,10 @@ class WrenchSettings:
         sigmas: standard deviations of the noise by which a wrench may be beyond what one touch can do.
     """
 
-    least_force_n: float = 1.0
-    friction: float = 0.6
-    twist_m: float = 0.0
-    sigmas: float = 3.0
-
-    def __post_init__(self) -> None:
-        """Refuse what makes no sense."""
-        for name in ("least_force_n", "sigmas"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-        for name in ("friction", "twist_m"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"Expected {name} of 0 or more, got {getattr(self, name)}")
+    least_force_n: Positive = 1.0
+    friction: NotNegative = 0.6
+    twist_m: NotNegative = 0.0
+    sigmas: Positive = 3.0
 
 
 class WrenchContact(NamedTuple):

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from sdf.bounds import Checked, Count, Positive
 from sdf.check import check_finite, check_shape
 
 
@@ -52,7 +53,7 @@ class ObserverState(NamedTuple):
 
 
 @dataclass(frozen=True)
-class MomentumObserver:
+class MomentumObserver(Checked):
     """The observer, in discrete time; it holds no state.
 
     Between two samples the momentum p = M v changes by the torques and by C^T v; with M and the bias in the middle of
@@ -64,12 +65,7 @@ class MomentumObserver:
         gain: K, 1/s. A step of the external torque shows by 63 % after 1 / K.
     """
 
-    gain: float = 25.0
-
-    def __post_init__(self) -> None:
-        """Refuse a filter that is none."""
-        if not (self.gain > 0 and math.isfinite(self.gain)):
-            raise ValueError(f"Expected a gain above 0, got {self.gain}")
+    gain: Positive = 25.0
 
     def start(self, terms: DynamicsTerms, velocity: Float[Tensor, "*b J"]) -> ObserverState:
         """Before anything was felt: a residual of 0."""
@@ -193,7 +189,7 @@ def residuals(
 
 
 @dataclass(frozen=True)
-class TorqueThreshold:
+class TorqueThreshold(Checked):
     """Threshold of a contact signal, on the norm of the first joints' residual from its value at rest.
 
     The last joints' torques say little (their levers are short) and are as noisy.
@@ -204,16 +200,9 @@ class TorqueThreshold:
         rest: residual at rest without contact (the torque sensors' bias), N m; joints that are not given count as 0.
     """
 
-    threshold_nm: float
-    joints: int = 5
+    threshold_nm: Positive
+    joints: Count = 5
     rest: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse what is no threshold."""
-        if not self.threshold_nm > 0:
-            raise ValueError(f"Expected threshold_nm above 0, got {self.threshold_nm}")
-        if self.joints < 1:
-            raise ValueError(f"Expected at least 1 joint, got {self.joints}")
 
     @classmethod
     def above(

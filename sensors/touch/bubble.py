@@ -2,14 +2,16 @@
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 import torch
+from annotated_types import Ge
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sdf import se3
+from sdf.bounds import Checked, Count, Law, NotNegative, ShareAbove0
 from sdf.check import check_finite, check_shape
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
@@ -18,7 +20,7 @@ from sensors.vision.images import Unit, depth_metres, known, opencv
 
 
 @dataclass(frozen=True)
-class BubbleSettings:
+class BubbleSettings(Checked):
     """Settings of the contact patch of a bubble's image (RUMI, V.C).
 
     Attributes:
@@ -33,24 +35,19 @@ class BubbleSettings:
     """
 
     contact_m: float = 0.004
-    top: float = 0.1
-    mean_px: int = 5
-    still_m: float = 0.001
+    top: ShareAbove0 = 0.1
+    mean_px: Annotated[int, Ge(1), Law("to be odd", lambda count: count % 2 == 1)] = 5
+    still_m: NotNegative = 0.001
     free_inset_m: float = 0.001
-    free_stride_px: int = 4
-    patch_stride_px: int = 1
+    free_stride_px: Count = 4
+    patch_stride_px: Count = 1
     unit: Unit | float = "auto"
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
-        if self.mean_px < 1 or self.mean_px % 2 == 0:
-            raise ValueError(f"Expected mean_px to be odd, got {self.mean_px}")
-        if not 0 < self.top <= 1:
-            raise ValueError(f"Expected top in (0, 1], got {self.top}")
-        if not 0 <= self.still_m < self.contact_m:
-            raise ValueError(f"Expected 0 <= still_m < contact_m, got {self.still_m} and {self.contact_m}")
-        if self.free_stride_px < 1 or self.patch_stride_px < 1:
-            raise ValueError("Expected strides of 1 pixel or more")
+        super().__post_init__()
+        if not self.still_m < self.contact_m:
+            raise ValueError(f"Expected still_m below contact_m, got {self.still_m} and {self.contact_m}")
 
 
 @dataclass(frozen=True)

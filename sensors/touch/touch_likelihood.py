@@ -2,22 +2,28 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from annotated_types import Interval
 from jaxtyping import Float
 from torch import Tensor
 
 from sdf import numbers
-from sdf.check import check_finite, check_shape, is_eager
+from sdf.bounds import Checked, TrainedShareBelow1
+from sdf.check import check_finite, check_shape
 from sdf.mesh.touched import touched_face
 from sdf.mesh.triangles import Triangles
 from sdf.precision import full_precision
 
 _SIX_DEGREES = math.radians(6.0)
 
+# squares of less, and logs of more, are no numbers
+_Scale = Annotated[float | Tensor, Interval(gt=1e-12, lt=1e12)]
+
 
 @dataclass(frozen=True)
-class TouchNoise:
+class TouchNoise(Checked):
     """Noise of a touch: its point and its normal; numbers, or tensors of one number each, to which gradients go.
 
     Attributes:
@@ -27,21 +33,10 @@ class TouchNoise:
         extent_m: an outlier's distance is uniform up to this, and its chord over all chords.
     """
 
-    point_m: float | Tensor = 0.005
-    normal_rad: float | Tensor = _SIX_DEGREES
-    outlier: float | Tensor = 0.0
-    extent_m: float | Tensor = 0.5
-
-    def __post_init__(self) -> None:
-        """Refuse noise that is none."""
-        if not is_eager():
-            return
-        for name in ("point_m", "normal_rad", "extent_m"):
-            # squares of less, and logs of more, are no numbers
-            if not 1e-12 < getattr(self, name) < 1e12:
-                raise ValueError(f"Expected {name} above 0 (1e-12 to 1e12), got {getattr(self, name)}")
-        if not 0 <= self.outlier < 1:
-            raise ValueError(f"Expected an outlier share in [0, 1), got {self.outlier}")
+    point_m: _Scale = 0.005
+    normal_rad: _Scale = _SIX_DEGREES
+    outlier: TrainedShareBelow1 = 0.0
+    extent_m: _Scale = 0.5
 
     def log_likelihood(
         self, squared_distance: Float[Tensor, "*b"], squared_chord: Float[Tensor, "*b"] | None

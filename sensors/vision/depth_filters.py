@@ -2,17 +2,20 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
+from annotated_types import Interval
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from sdf.bounds import Checked, CountOr0, Positive
 from sensors.vision.images import known, opencv
 
 
 @dataclass(frozen=True)
-class EdgeSettings:
+class EdgeSettings(Checked):
     """Settings of the edge filter of a depth image.
 
     Attributes:
@@ -23,19 +26,10 @@ class EdgeSettings:
         rim_px: pixels about unknown ones that go with them.
     """
 
-    jump_m: float = 0.015
-    grazing_rad: float = math.radians(75.0)
-    margin_px: int = 1
-    rim_px: int = 1
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        if not self.jump_m > 0 or not 0 < self.grazing_rad < 0.5 * math.pi:
-            raise ValueError(
-                f"Expected jump_m above 0 and grazing_rad between 0 and pi/2, got {self.jump_m} and {self.grazing_rad}"
-            )
-        if self.margin_px < 0 or self.rim_px < 0:
-            raise ValueError(f"Expected margin_px and rim_px of 0 or more, got {self.margin_px} and {self.rim_px}")
+    jump_m: Positive = 0.015
+    grazing_rad: Annotated[float, Interval(gt=0.0, lt=0.5 * math.pi)] = math.radians(75.0)
+    margin_px: CountOr0 = 1
+    rim_px: CountOr0 = 1
 
 
 def reliable(

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.cache import DAMAGED
-from sdf.extras import optional
 from sensors.vision.images import depth_metres
 from sensors.vision.pcd import read_pcd
+from sensors.vision.ply import read_vertices
 
 SUFFIXES = (".ply", ".pcd", ".npz")
 
@@ -39,7 +39,7 @@ def read_cloud(path: str | Path, *, scale: float = 1.0) -> Cloud:
     """Read a point cloud.
 
     Args:
-        path: .ply (ASCII or binary; needs trimesh), .pcd (ASCII, binary or compressed), or .npz with an array `points`
+        path: .ply (ASCII or binary, vertices first), .pcd (ASCII, binary or compressed), or .npz with an array `points`
             (M, 3) or (H, W, 3) and perhaps `colors`, `normals` and `world_T_camera`, or with `depth` (H, W) and
             `intrinsics` (3, 3) and perhaps `color` (H, W, 3) in place of points. Colours are whole numbers from 0 to
             255, or floating ones from 0 to 1.
@@ -48,7 +48,6 @@ def read_cloud(path: str | Path, *, scale: float = 1.0) -> Cloud:
     Raises:
         ValueError: another kind of file, or one that cannot be read; with what was expected.
         FileNotFoundError: there is no such file.
-        ModuleNotFoundError: what reads this kind of file is not installed.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -77,20 +76,12 @@ def read_cloud(path: str | Path, *, scale: float = 1.0) -> Cloud:
 
 
 def _ply(data: bytes) -> Cloud:
-    trimesh = optional("trimesh", "A PLY file")
-    if not data.startswith(b"ply"):
-        raise ValueError("expected a PLY header")
-    loaded: Any = trimesh.load(io.BytesIO(data), file_type="ply", process=False)
-    if not hasattr(loaded, "vertices"):  # an empty scene
-        raise ValueError("expected vertices, got none")
-    table = loaded.metadata.get("_ply_raw", {}).get("vertex", {}).get("data")
-    names = () if table is None else table.dtype.names if isinstance(table, np.ndarray) else table
-    raw = {name: table[name] for name in names}
-    points = torch.tensor(np.asarray(loaded.vertices), dtype=torch.float32)
-    if len(points) == 0:
-        raise ValueError("expected vertices, got none")
-    colors = _beside(raw, ("red", "green", "blue"))
-    return Cloud(points, None if colors is None else _bytes(colors), _columns(raw, ("nx", "ny", "nz")), None)
+    columns = read_vertices(data)
+    points = _columns(columns, ("x", "y", "z"))
+    if points is None or not len(points):
+        raise ValueError(f"expected vertices with x, y and z, got {len(points or ())} with {', '.join(columns)}")
+    colors = _beside(columns, ("red", "green", "blue"))
+    return Cloud(points, None if colors is None else _bytes(colors), _columns(columns, ("nx", "ny", "nz")), None)
 
 
 def _pcd(data: bytes) -> Cloud:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from sdf import se3
+from sdf.bounds import Checked, Count
 from sdf.check import check_finite, check_near, check_shape
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
@@ -24,7 +25,7 @@ Segmentation = Literal["mask", "color", "plane"]
 
 
 @dataclass(frozen=True)
-class ViewSettings:
+class ViewSettings(Checked):
     """Settings of the conversion of a camera's frame to points.
 
     Attributes:
@@ -68,16 +69,7 @@ class ViewSettings:
     free_spacing_m: float = 0.005
     free_margin_m: float = 0.010
     free_fraction: float | None = None
-    free_rim_px: int = 2
-
-    def __post_init__(self) -> None:
-        """Refuse an unknown way to find the object, and free space up to the very edge of what is nearer."""
-        if self.free_rim_px < 1:
-            raise ValueError(f"Expected free_rim_px of 1 or more, got {self.free_rim_px}")
-        if self.segmentation not in get_args(Segmentation):
-            raise ValueError(
-                f"Expected segmentation to be one of {', '.join(get_args(Segmentation))}, got {self.segmentation!r}"
-            )
+    free_rim_px: Count = 2
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.registration.descent import DescentSettings
 from sdf import se3
+from sdf.containers import collate, index, stack
 from sdf.posed import posed_distance
 from sdf.primitives import Box, Sphere
 from sensors.discrepancy import Discrepancy
@@ -259,6 +260,37 @@ def test_a_row_of_a_batch_equals_the_scene_alone():
         torch.testing.assert_close(together.attached_T_object[row], alone.attached_T_object, atol=1e-9, rtol=0)
         torch.testing.assert_close(together.log_weights[row], alone.log_weights, atol=1e-7, rtol=0)
         torch.testing.assert_close(memory.points[row][memory.valid[row]], kept.points)
+
+
+def test_many_steps_of_a_batch_are_those_of_each_scene():
+    # one scene moves, one is resampled, one does neither: none of them draws for another
+    truths = [planar(0.4, 0.0, 0.2), planar(0.5, -0.1, -1.0), planar(0.3, 0.2, 2.0)]
+    starts = [belief(10, s, t) for s, t in enumerate(truths)]
+    starts[0] = PoseBelief.uniform(truths[0].expand(10, 4, 4))
+    starts[2] = PoseBelief.uniform(truths[2].expand(10, 4, 4))
+    filter_, still = make(trigger=3.0, translation_noise_m=0.003), torch.eye(4, dtype=F64)[None]
+    pushed = planar(0.01, 0.0, 0.1) @ se3.inverse(planar(0.0, 0.0, 0.0))
+    pushes = [[pushed[None], still, still], [still] * 3, [still] * 3]
+    alone, together, memory = [], stack(starts), Observation.empty((3,), dtype=F64)
+    readings = [
+        [reading(surface(truths[row], 200, 10 * step + row), pushes[row][step]) for step in range(3)]
+        for row in range(3)
+    ]
+    for row in range(3):
+        own, seen, random = starts[row], EMPTY, torch.Generator().manual_seed(row)
+        for one in readings[row]:
+            own, seen, _ = filter_(own, seen, one, generator=random)
+        alone.append((own, seen))
+    rows = [torch.Generator().manual_seed(row) for row in range(3)]
+    for step in range(3):
+        batch = collate([readings[row][step] for row in range(3)])
+        together, memory, info = filter_(together, memory, batch, generator=rows)
+        assert info.moved.tolist() == [step == 0, False, False]
+    for row, (own, seen) in enumerate(alone):
+        found = index(together, row)
+        torch.testing.assert_close(found.attached_T_object, own.attached_T_object, atol=1e-10, rtol=0)
+        torch.testing.assert_close(found.log_weights, own.log_weights, atol=1e-8, rtol=0)
+        assert torch.equal(memory.points[row][memory.valid[row]], seen.points)
 
 
 @pytest.mark.parametrize(("percentile", "expected"), [(0.9, False), (1.0, True)])

@@ -9,18 +9,10 @@ import torch
 
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import (
-    NOISE,
-    PHYSICS,
-    History,
-    Kind,
-    PushedObject,
-    Segment,
-    Trajectories,
-    log_likelihood_of,
-)
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories, log_likelihood_of
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.segments import cut, felt_pads, standing
+from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path
@@ -29,7 +21,7 @@ from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf import backend, se3
 from sdf.grid_sdf import GridSDF
-from sdf.primitives import Box
+from sdf.primitives import Box, Placed, Union
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
@@ -103,9 +95,46 @@ def test_the_compiled_replay_is_the_plain_one(model):
     torch.testing.assert_close(again.poses, found["numba"][0].poses, atol=0, rtol=0)  # the same from any segment on
 
 
+def test_what_cannot_reach_its_least_likelihood_is_given_up_and_nothing_else(model):
+    history = long_history()
+    given, first = drawn(history, 60), torch.arange(60) % len(history)
+    whole = given.replayed(model, OWN, history, first)
+    late = torch.arange(len(history)) >= first[:, None]
+    total = torch.where(late, whole.log_likelihood, 0.0).sum(-1)
+    least = total + 30.0 * (torch.rand(60, generator=generator(4), **DOUBLE) - 0.5)
+    found = given.replayed(model, OWN, history, first, least)
+    kept = torch.isfinite(found.log_likelihood).all(-1)
+    assert torch.equal(kept, total >= least) and 10 < int(kept.sum()) < 50
+    torch.testing.assert_close(found.poses[kept], whole.poses[kept], atol=0, rtol=0)
+    torch.testing.assert_close(found.log_likelihood[kept], whole.log_likelihood[kept], atol=0, rtol=0)
+
+
+def test_no_point_of_the_tool_that_may_be_deepest_is_left_out(model):
+    """Tools all about an L of two blocks push it as the plain version, which looks at all points."""
+    aside = se3.from_planar(torch.tensor([-0.02, 0.03, 0.0]))
+    corner = Union([Placed(Box([0.02, 0.05, 0.03]), aside), Box([0.05, 0.02, 0.03])])
+    sdf = GridSDF.from_sdf(corner, 0.003)
+    own = PushedObject.of(sdf, SHAPE, height_m=HEIGHT, resting_m=0.03, spacing_m=0.004, pad_spacing_m=0.006)
+    random, poses = generator(7), {}
+    angle = 2 * math.pi * torch.rand(40, 1, generator=random, **DOUBLE)
+    there = torch.cat((0.13 * angle.cos(), 0.13 * angle.sin(), angle + math.pi), -1)
+    there = there + 0.03 * torch.randn(40, 3, generator=random, **DOUBLE)
+    path = torch.stack((there, there - 0.02 * torch.cat((angle.cos(), angle.sin(), 0 * angle), -1)), 1)
+    history = History.empty()
+    for each in path:
+        history = history.appended(segment(each[None], points=0))
+    given = drawn(history, 20, spread=(0.01, 0.01, 1.0))
+    for version in ("torch", "numba"):
+        with backend.force(version):
+            poses[version] = given.replayed(own, OWN, history, torch.zeros(20, dtype=torch.long)).poses
+    moved = (poses["torch"].diff(dim=1).abs().amax(-1) > 0).double().mean()
+    assert 0.05 < float(moved) < 0.95
+    torch.testing.assert_close(poses["numba"], poses["torch"], atol=1e-6, rtol=0)
+
+
 def test_two_particles_by_hand(model):
     """Without noise and shifts the motion is the push model's; the likelihood sums points at their instants."""
-    own = replace(OWN, friction_change=0.0, ahead_m=(0.0, 0.0), centre_m=0.0, along=0.0, across=0.0, turn_rad_per_m=0.0)
+    own = replace(OWN, friction_change=0.0, ahead=(0.0, 0.0), centre_m=0.0, along=0.0, across=0.0, turn_rad_per_m=0.0)
     point = torch.tensor([[-0.045, 0.0, 0.0]], **DOUBLE).repeat(2, 1)
     both = Segment(
         approach(),
@@ -120,7 +149,11 @@ def test_two_particles_by_hand(model):
     given = replace(given, physics=torch.zeros(2, PHYSICS, **DOUBLE), noise=0 * given.noise)
     given.poses[1, :, 0] = 0.5  # far away: nothing moves it
     found = given.replayed(model, own, history, torch.zeros(2, dtype=torch.long))
-    body = Sliding(model.centre, torch.tensor(1.3 * model.spread_m, **DOUBLE), torch.tensor(0.5, **DOUBLE))
+    body = Sliding(
+        model.centre,
+        torch.tensor(own.lever_ratio[0] * model.spread_m, **DOUBLE),
+        torch.tensor(own.friction[0], **DOUBLE),
+    )
     path = torch.cat((both.tool[:1, 0], both.tool[:, 1]))[None]
     track = push_along_path(given.poses[:1, 0], path, Pusher(model.tool), model.outline, body, substeps=1).track[0]
     torch.testing.assert_close(found.pose[0], track[-1], atol=1e-9, rtol=0)

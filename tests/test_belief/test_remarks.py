@@ -10,6 +10,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.remarks import Limits, held_up, remarks
 from sdf import se3
 from sdf.object_model import box_model
+from sdf.symmetry import Symmetries
 from sensors.observation import Observation
 from sensors.semantics import Semantics
 from tests.fixtures.readings import make_reading
@@ -129,3 +130,49 @@ def test_where_no_particle_is_known_to_be_best_any_may_explain(which):
     assert found(told=wide, added=added) == []
     ranked = replace(wide, discrepancy=(torch.arange(8) == which).float())  # it is known to be the worst
     assert found(told=ranked, added=added) == ["elsewhere"]
+
+
+def test_what_looks_the_same_does_not_topple():
+    """A ball rolls; so does a can that lies; one that stands topples."""
+    half_over = belief(turned(1, 90.0, ON_EDGE))
+    ball, can = (replace(BOX, symmetries=Symmetries.parse(words)) for words in ("ball", "z,x2"))
+    lying = replace(BOX, symmetries=Symmetries.parse("y,x2"))
+    said = [
+        [
+            one.name
+            for one in remarks(
+                7, make_reading(configuration=GOAL), half_over, Observation.empty(), model, moved=None, upright=True
+            )
+        ]
+        for model in (ball, can, lying)
+    ]
+    assert said == [["rolled"], ["toppled"], ["rolled"]]
+
+
+PADS = torch.cartesian_prod(torch.tensor([0.0]), torch.linspace(-0.02, 0.02, 6), torch.linspace(-0.02, 0.02, 11))
+
+
+def pressing(low, high):
+    """Pads that press against the box's near side (x = 0.37), and feel from one height to another alone."""
+    tool = se3.from_planar(torch.tensor([0.371, 0.0, 0.0]), 0.045).expand(3, 4, 4)
+    places = se3.apply(tool[-1], PADS)
+    felt = places[(places[:, 2] >= low) & (places[:, 2] <= high)]
+    reading = make_reading(tool=tool, contact=True, configuration=GOAL)
+    return replace(reading, observation=Observation.of(felt, Semantics.SURFACE), instant=torch.full((len(felt),), 2))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "names"),
+    [(0.0, 0.1, []), (0.0, 0.036, ["other height"]), (0.053, 0.1, ["other height"]), (0.0, 0.055, [])],
+)
+def test_heights_at_which_it_is_felt_tell_of_a_fall(low, high, names):
+    """Nothing measured its motion: what stands is felt all over the pads, what lies low on them alone."""
+    assert found(reading=pressing(low, high), moved=None, pads=PADS) == names
+    assert found(reading=pressing(low, high), moved=None) == []
+
+
+def test_a_pose_that_explains_the_heights_is_enough():
+    told, down = belief(), lifted(-HIGH * 2 + 0.036)
+    poses = torch.cat((told.attached_T_object, (down @ told.attached_T_object[0])[None]))
+    told = PoseBelief(told.world_T_attached, poses, torch.zeros(4).log_softmax(-1), torch.zeros(4))
+    assert found(reading=pressing(0.0, 0.036), told=told, moved=None, pads=PADS) == []

@@ -23,6 +23,7 @@ def random(seed=0):
     return torch.Generator().manual_seed(seed)
 
 
+@pytest.mark.slow
 def test_chains_weigh_two_modes_that_lie_apart():
     def log_density(poses):
         planar = se3.to_planar(poses)

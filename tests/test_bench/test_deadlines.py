@@ -86,6 +86,7 @@ def test_a_study_in_small(small, tmp_path):
     assert all(path.stat().st_size > 5000 for path in paths)
 
 
+@pytest.mark.slow
 def test_planners_on_the_situations_of_a_run(small):
     planners = ("slide", "rumi")
     assert all(deadlines.measure_real(small, clock="cpu", pieces=1, planners=planners))

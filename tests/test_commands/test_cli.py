@@ -11,6 +11,7 @@ import pytest
 from rumi import __version__, exit_codes
 from rumi.cache import cache_folder
 from rumi.cli import COMMANDS, main
+from rumi.commands.calibrate import report
 from rumi.commands.run import keep_learnt, parse, planned_with
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.registry import push_model
@@ -21,8 +22,9 @@ from rumi.runs.progress import Progress
 from rumi.sim.sensor_settings import degraded
 from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.entry import describe
-from rumi.tasks.rummage.scenes import DRAWN, SCENES
+from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
 from tests.fixtures.made_up_run import make_up
 
@@ -170,7 +172,7 @@ def test_figures_are_drawn_and_drawn_again(capsys):
         (["run", "mug-0", "--method", "poke"], "There is no method 'poke'; there are"),
         (["run", "mug-0", "--seed", "x"], "--seed"),
         (["run", "mug-0", "--seed", "-1"], "Expected seed to be 0 or more, got -1"),
-        (["run", "mug-0", "--initialise.particles", "0"], "Expected at least one particle, got 0"),
+        (["run", "mug-0", "--initialise.particles", "0"], "Expected particles to be 1 or more, got 0"),
         (["run", "mug-0", "--planner.mppi.samples", "0"], "samples"),
         (["run", "mug-0", "--out", "file/run"], "Cannot write to the folder file"),
         (["run", "touch-box", "--out", "file"], "Cannot write to the folder file"),
@@ -401,3 +403,36 @@ def test_a_run_goes_on_from_the_pushes_of_the_last(tmp_path, capsys):
     assert "Expected push parameters" in capsys.readouterr().err
     assert run_small("--planner.push-parameters", str(out)) == exit_codes.BAD_INPUT
     assert not list(Path("runs").glob("*"))
+
+
+@pytest.mark.sim
+def test_beliefs_are_held_against_the_truth(capsys):
+    asked = ["calibrate", "mug", "--seed", "1000", "--steps", "1", "--simulator.no-measures-motion", *SMALL]
+    asked += ["--filter.motion", "trajectory", "--filter.trajectories.particles", "10", "--out", "c.jsonl"]
+    assert main([*asked, "--episodes", "1"]) == exit_codes.DONE
+    said = capsys.readouterr()
+    assert "mug: 1 episodes" in said.out and "1 of 1: seed 1000, steps" in said.err
+    first = Path("c.jsonl").read_text()
+    # what is there is not run again
+    assert main([*asked, "--episodes", "2", "--figure", "c.png"]) == exit_codes.DONE
+    said = capsys.readouterr()
+    assert "mug: 2 episodes" in said.out and "seed 1000" not in said.err and "2 of 2: seed 1001, steps" in said.err
+    assert Path("c.jsonl").read_text().startswith(first) and Path("c.png").stat().st_size > 1000
+    assert main([*asked, "--episodes", "0"]) == exit_codes.BAD_INPUT
+    assert "--episodes of 1 or more" in capsys.readouterr().err
+    assert main(["calibrate", "touch-box"]) == exit_codes.BAD_INPUT
+    assert "Expected a task that rummages" in capsys.readouterr().err
+
+
+def test_a_report_of_calibration_by_hand():
+    step = {"contacts": 1, "p_right": 0.96, "right": True, "place": 0.4, "turn": 0.92, "both": 0.3, "ranks": {"x": 0.5}}
+    lines = [
+        {"stopped_by": "sure", "steps": [{**step, "contacts": 0}, step]},
+        {"stopped_by": "sure", "steps": [step, {**step, "right": False, "place": 0.995}]},
+    ]
+    told = report("mug", lines).splitlines()
+    assert told[0] == "mug: 2 episodes, 1 right at the end, 1 stopped sure and wrong"
+    assert told[1].split()[:2] == ["beliefs", "3"]
+    assert "50% 67%, 90% 67%, 95% 67%, 99% 67%" in told[2] and "50% 0%, 90% 0%, 95% 100%" in told[3]
+    assert "of 3 with 0.95 or more 2 right" in told[5] and "error 0.293" in told[5]
+    assert "none touched" in report("mug", [{"stopped_by": "steps", "steps": [{**step, "contacts": 0}]}])

@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
+from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.outline import GridOutline, RectangleOutline, support_of
 from rumi.dynamics.sliding import Outline, Sliding, contact_twist, moved_by, push, rotated
+from sdf import backend
 from sdf.primitives import Box, Cylinder, Mug
 
 FINGER = torch.zeros(1, 2, dtype=torch.float64)
@@ -206,6 +208,21 @@ def test_an_outline_is_solid_where_the_slice_is(generator: torch.Generator) -> N
     assert outline.radius == pytest.approx(math.hypot(0.03, 0.05), abs=3e-3)
     far = outline(torch.tensor([[1.0, 0.0]], dtype=torch.float64)).distance
     assert 0.9 < float(far) <= 0.97 + 1e-9
+
+
+@pytest.mark.parametrize("version", ["torch", "numba"])
+def test_beyond_its_table_no_distance_is_overstated(version: str, generator: torch.Generator) -> None:
+    outline = GridOutline.of_slice(Box((0.03, 0.05, 0.04)).double(), 0.0)
+    places = 0.6 * (torch.rand(500, 2, generator=generator, dtype=torch.float64) - 0.5)
+    exact = RectangleOutline((0.03, 0.05))(places).distance
+    places, exact = places[exact > 0.01], exact[exact > 0.01]
+    stays = torch.cat((places, torch.zeros_like(places[:, :1])), -1)[:, None].expand(-1, 2, -1)
+    with backend.force(version):
+        found = push_along_path(torch.zeros(len(places), 3).double(), stays, Pusher(FINGER), outline, sliding())
+    distance = found.distance[:, 0]
+    torch.testing.assert_close(outline(places).distance, distance)
+    assert float((distance - exact).max()) < 5e-4
+    assert float((distance / exact).min()) > 0.5
 
 
 def test_no_outline_where_there_is_no_object() -> None:

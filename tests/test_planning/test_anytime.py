@@ -90,7 +90,7 @@ def test_too_little_time_is_doubled() -> None:
     assert made.late_s <= 0
 
 
-@pytest.mark.parametrize("kept", [1, 10, 10_000])
+@pytest.mark.parametrize("kept", [1, 10, 1_000])
 def test_of_more_than_can_wait_the_quickest_are_kept(kept: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The only one that doubled time is enough for comes last, in the middle, or first."""
     monkeypatch.setattr(anytime, "_KEPT", kept)

@@ -11,7 +11,7 @@ from rumi.dynamics.base import Paths, PushRollouts
 from rumi.fields.workspace import Workspace
 from rumi.planning.costs import InformationCost, information_cost
 from rumi.planning.objective import TrajectoryCost, gathered_by_action
-from rumi.planning.reach_cost import ReachabilityCost, cross_correlation
+from rumi.planning.reach_cost import CrossCorrelation, ReachabilityCost
 from sdf import backend, se3
 from sdf.voxel_grid import VoxelGrid
 
@@ -184,7 +184,7 @@ def test_reachability_cost_is_the_direct_sum(shape: tuple[int, int, int], genera
 
 def test_cross_correlation_is_its_definition(generator: torch.Generator) -> None:
     r, information = torch.rand(2, 3, 4, 1, generator=generator, **DOUBLE)
-    table = cross_correlation(r, information)
+    table = CrossCorrelation(r)(information)
     assert table.shape == (5, 7, 1)
     for i in range(-2, 3):
         for j in range(-3, 4):

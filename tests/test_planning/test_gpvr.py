@@ -195,6 +195,10 @@ def test_refuses_what_has_no_meaning(scene: Scene) -> None:
         act(replace(scene, observed=None))
 
 
+# what a process does in its time hangs on the clock alone: the compiled version, which plans twenty times as fast
+in_time = pytest.mark.parametrize("version", ["numba"], indirect=True)
+
+
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimulatedClock:
     """Told of a process's work: 2 us a covariance for the variance and 1 us for a step, and 4 ms for a first step."""
@@ -219,6 +223,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimulatedClock:
 
 
 @pytest.mark.parametrize("budget_s", [0.012, 0.02, 0.05, 0.1, 0.2])
+@in_time
 def test_the_process_is_fitted_in_time(scene: Scene, clock: SimulatedClock, budget_s: float) -> None:
     """All of it is 126 points, 32 ms for their variance and 16 ms a step."""
     policy = GPVRPolicy(PLANNER, GPVRSettings(max_points=200), now=clock)
@@ -233,6 +238,7 @@ def test_the_process_is_fitted_in_time(scene: Scene, clock: SimulatedClock, budg
     assert max(made) < 126 or budget_s == 0.2
 
 
+@in_time
 def test_without_time_for_a_fit_the_start_is_what_it_was(scene: Scene, clock: SimulatedClock) -> None:
     policy, random = GPVRPolicy(PLANNER, GPVRSettings(max_points=200), now=clock), torch.Generator().manual_seed(0)
     hurried = policy.act(PlanRequest(believed(), scene, budget_s=0.012, generator=random))
@@ -243,6 +249,7 @@ def test_without_time_for_a_fit_the_start_is_what_it_was(scene: Scene, clock: Si
     assert ample.info["gp_hyperparameters"] != list(gpvr.Hyperparameters())
 
 
+@in_time
 def test_a_stall_of_a_fit_is_forgotten(scene: Scene, clock: SimulatedClock) -> None:
     """A step that once took long leaves no time for any; without any nothing would tell that they are quick again."""
     policy, random = GPVRPolicy(PLANNER, GPVRSettings(max_points=200), now=clock), torch.Generator().manual_seed(0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from rumi.registration.contact_modes import distinct, gather_modes
+from rumi.registration.contact_posterior import distinct, gather_modes
 from rumi.registration.contact_terms import TouchFit, touch_terms
 from rumi.registration.from_contacts import LocalizeSettings, PositionPrior, localize
 from rumi.registration.touch_surface import TouchSurface
@@ -118,7 +118,7 @@ def test_what_it_looks_like_is_put_together(box, cylinder):
     # without symmetries the same poses are modes of their own
     plain = localize(replace(box, symmetries=Symmetries.none().to(F64)), touches(box, 60)[1], settings=FEW)
     assert len(plain) == 4
-    assert torch.allclose(plain.weights, torch.full((4,), 0.25, dtype=F64), atol=1e-3)
+    assert torch.allclose(plain.weights, torch.full((4,), 0.25, dtype=F64), atol=0.08)
 
 
 def test_rival_modes_are_all_kept(wedge):
@@ -256,7 +256,11 @@ def test_a_distance_is_not_that_of_the_smoothed_loss(version, box):
     """Points on the box: what is left is what rounding leaves of them."""
     truth, points, _ = touches(box, 30)
     pose = box.centred(truth)[None]
-    assert 0.0 <= float(gather_modes(box, pose, points, None, LocalizeSettings()).distance_m[0]) < 2e-15
+    assert (
+        0.0
+        <= float(gather_modes(box, pose, points, None, LocalizeSettings(), generator=seeded(0)).distance_m[0])
+        < 2e-15
+    )
     on = box.triangles.corners[:, 0]
     middle = torch.eye(4, dtype=F64)[None]
     terms = touch_terms(box, middle, on, None, TouchFit("absolute", True, smooth_m=0.0))

@@ -141,10 +141,10 @@ def test_a_normal_tells_poses_apart_that_points_leave_open(poked):
 @pytest.mark.parametrize(
     ("told", "message"),
     [
-        ("most = 0", "expected most of 1 or more, got 0"),
-        ("outlier = 1.0", "expected outlier of 0 or more and below 1, got 1"),
-        ("point_m = 0.0", "expected point_m above 0, got 0"),
-        ("normal_rad = -1.0", "expected normal_rad above 0, got -1"),
+        ("most = 0", "Expected most to be 1 or more, got 0"),
+        ("outlier = 1.0", r"Expected outlier in \[0, 1\), got 1"),
+        ("point_m = 0.0", "Expected point_m above 0 and finite, got 0"),
+        ("normal_rad = -1.0", "Expected normal_rad above 0 and finite, got -1"),
         ('likelihood = "yes"', "likelihood"),
     ],
 )

@@ -374,8 +374,11 @@ def test_a_frame_that_is_not_there_is_refused_when_it_is_imported(bags, tmp_path
         (("schema = 1", ""), "Expected schema = 1 at the top of the mapping, found none: add that line"),
         (("schema = 1", "schema = 1\nfixed = 3"), r"Expected fixed to be tables, each headed \[\[fixed\]\], got 3"),
         (("schema = 1", "schema = 1\nsettings = 3"), r"Expected settings to be a table, \[settings\], got 3"),
-        (("[frames]", "[actions]\nview_s = inf\n[frames]"), "Expected actions.view_s to be finite, got inf"),
-        (("[frames]", "[actions]\nevery_s = inf\n[frames]"), "Expected actions.every_s to be finite, got inf"),
+        (
+            ("[frames]", "[actions]\nview_s = inf\n[frames]"),
+            "actions: Expected view_s to be 0 or more and finite, got inf",
+        ),
+        (("[frames]", "[actions]\nevery_s = inf\n[frames]"), "actions: Expected every_s above 0 and finite, got inf"),
         (("[1, 1, 1]]", "[1, inf, 1]]"), "Expected scene.within to be finite"),
         (('tool = "hand"', 'tool = "hand"\norigin_m = [nan, 0.0]'), "Expected frames.origin_m to be finite"),
         (("[frames]", '[fixed]\nparent = "a"\nchild = "b"\n[frames]'), "Expected fixed to be tables"),

@@ -159,14 +159,14 @@ def test_a_touch_that_nobody_knows_the_place_of_leaves_no_free_space(torques):
         ('"joint_1", ', '"shoulder", ', "Expected the joint 'shoulder' in joint_states, which has gripper, joint_7"),
         ("arm.xml", "none.xml", "Cannot read robot.file .*none.xml"),
         ("[torques]\nthreshold_nm = 1.0", "[settings]", r"Expected tables \[torques\] and \[robot\]"),
-        ("threshold_nm = 1.0", "threshold_nm = -1.0", "expected threshold_nm above 0"),
+        ("threshold_nm = 1.0", "threshold_nm = -1.0", "Expected threshold_nm above 0"),
         (
             "threshold_nm = 1.0",
             "threshold_nm = 1.0\ntrue_positive = 0.01",
             "Expected true_positive above",
         ),
-        ("threshold_nm = 1.0", "threshold_nm = 1.0\ndecay = 0.0", "Expected decay above 0"),
-        ("threshold_nm = 1.0", "threshold_nm = 1.0\nspacing_m = 0.0", "Expected spacing_m of 0.001 to 1"),
+        ("threshold_nm = 1.0", "threshold_nm = 1.0\ndecay = 0.0", r"Expected decay in \(0, 1e\+06\)"),
+        ("threshold_nm = 1.0", "threshold_nm = 1.0\nspacing_m = 0.0", r"Expected spacing_m in \[0.001, 1\]"),
     ],
 )
 def test_what_torques_lack_is_named(pushed_arm, bags, tmp_path, old, new, message):

@@ -8,9 +8,11 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_code_of_the_page() -> None:
-    code = (ROOT / "scripts" / "docs" / "learning.md").read_text().split("```python\n")[1].split("```")[0]
+    blocks = (ROOT / "scripts" / "docs" / "learning.md").read_text().split("```python\n")[1:]
+    code = "\n".join(block.split("```")[0] for block in blocks)
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     shown = done.stdout.splitlines()
     assert done.returncode == 0, done.stderr
     assert shown[0].startswith("True ['raw_free_scale', 'raw_tolerance'")
-    assert shown[1:] == ["torch.Size([4, 16, 3])", "torch.Size([]) tensor(2.0790)"]
+    assert shown[1:3] == ["torch.Size([4, 16, 3])", "torch.Size([]) tensor(2.0790)"]
+    assert shown[3:5] == ["torch.Size([2, 64]) tensor(0.)", "torch.Size([2, 4, 4])"]

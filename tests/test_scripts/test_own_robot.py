@@ -1,5 +1,6 @@
 """The example of an own robot, from its stub to its replayed run, and the check of a camera's calibration."""
 
+import ast
 import importlib.util
 import sys
 from pathlib import Path
@@ -46,6 +47,22 @@ STREAMS = [
     StreamSpec("tf/base/gripper", "pose", "base", {"parent": "base", "child": "gripper"}),
     StreamSpec("tf/base/camera", "pose", "base", {"parent": "base", "child": "camera", "static": True}),
 ]
+
+
+def code_lines(source):
+    """Lines of code: without blank ones, comments, docstrings and imports."""
+    tree = ast.parse(source)
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    skipped = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    skipped += [node.body[0] for node in ast.walk(tree) if isinstance(node, documented) and ast.get_docstring(node)]
+    away = {line for node in skipped for line in range(node.lineno, node.end_lineno + 1)}
+    lines = enumerate(source.splitlines(), 1)
+    return [at for at, line in lines if line.strip() and not line.strip().startswith("#") and at not in away]
+
+
+def test_the_example_is_short():
+    """A robot, its camera, its mug and the run of it: sixty lines that a newcomer reads before writing others."""
+    assert len(code_lines(SCRIPT.read_text(encoding="utf-8"))) <= 60
 
 
 @pytest.fixture(scope="module")

@@ -172,7 +172,6 @@ def test_pcd_of_doubles_and_bytes():
 
 
 def test_ply_ascii_and_binary(tmp_path):
-    pytest.importorskip("trimesh")
     names = [*(f"property float {n}" for n in "xyz"), *(f"property uchar {n}" for n in ("red", "green", "blue"))]
     for form in ("ascii", "binary_little_endian", "binary_big_endian"):
         start = "\n".join(["ply", f"format {form} 1.0", "element vertex 4", *names, "end_header", ""]).encode()
@@ -189,7 +188,7 @@ def test_ply_ascii_and_binary(tmp_path):
         assert cloud.viewpoint is None and cloud.normals is None
     with pytest.raises(ValueError, match="PLY header"):
         read_cloud(write(tmp_path, "no.ply", b"solid"))
-    with pytest.raises(ValueError, match="expected vertices, got none"):
+    with pytest.raises(ValueError, match="expected vertices as its first element"):
         read_cloud(write(tmp_path, "none.ply", b"ply\nformat ascii 1.0\nelement verte8 1\nend_header\n0 0 0\n"))
 
 
@@ -217,7 +216,6 @@ def test_floating_colours_are_parts_of_one_or_whole_numbers(tmp_path, scale):
 
 
 def test_ply_with_floating_colours(tmp_path):
-    pytest.importorskip("trimesh")
     names = [f"property {kind} {n}" for kind, ns in (("float", "xyz"), ("{}", ("red", "green", "blue"))) for n in ns]
     text = "\n".join(
         ["ply", "format ascii 1.0", "element vertex 2", *names, "end_header", "0 0 1 1 0 1", "0 1 1 0 0 {}", ""]
@@ -246,7 +244,6 @@ def test_damage_is_told_as_such(tmp_path, name):
     elif name.endswith("pcd"):
         path.write_bytes(header("binary_compressed") + struct.pack("<II", len(lzf(columns())), 64) + lzf(columns()))
     else:
-        pytest.importorskip("trimesh")
         names = "".join(f"property float {n}\n" for n in "xyz")
         start = f"ply\nformat binary_little_endian 1.0\nelement vertex 4\n{names}end_header\n"
         path.write_bytes(start.encode() + POINTS.tobytes())

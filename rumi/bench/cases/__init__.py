@@ -6,6 +6,7 @@ from rumi.bench.cases import (  # noqa: I001  (the order of the table)
     discrepancy,
     rollouts,
     trajectory,
+    trajectory_update,
     reach,
     sampling,
     planning,
@@ -22,4 +23,5 @@ __all__ = [
     "rollouts",
     "sampling",
     "trajectory",
+    "trajectory_update",
 ]

@@ -107,7 +107,8 @@ def _made_up(
 ) -> Case:
     settings, tool = replace(preset("default").planner, push_model=push_model), bench_tool(setup)
     if setup.tiny:
-        settings = replace(settings, mppi=replace(settings.mppi, samples=10, warmup_iterations=1), rollouts=2)
+        few = replace(settings.mppi, samples=10, warmup_iterations=1, horizon=5, knots=3)
+        settings = replace(settings, mppi=few, rollouts=2)
     belief = PoseBelief.uniform(scene.world_T_object).reweighted(scene.log_weights)
     start = torch.tensor([0.28, 0.02, 0.1], device=setup.device)
     policy = RummagingPolicy(reachability(tool, scene.workspace), settings)

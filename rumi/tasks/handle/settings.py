@@ -10,6 +10,7 @@ from rumi.belief.contact_evidence import SignalSettings
 from rumi.errors import UsageError
 from rumi.sim.joint_torques import JointSettings
 from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec, large_handled_mug
+from sdf.bounds import Checked, Count, NotNegative, Positive
 
 SensorName = Literal["camera", "bubbles", "wrench", "torques"]
 SENSORS: tuple[SensorName, ...] = get_args(SensorName)
@@ -68,7 +69,7 @@ class WristSettings:
 
 
 @dataclass(frozen=True)
-class HandleSettings:
+class HandleSettings(Checked, refusal=UsageError):
     """Settings of `rumi run fused`.
 
     Attributes:
@@ -94,34 +95,26 @@ class HandleSettings:
     """
 
     sensors: Annotated[tuple[SensorName, ...], _AS_WORDS] = SENSORS
-    run_budget_s: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 60.0
-    thinking_s: float | None = 1.0
+    run_budget_s: Annotated[Positive, tyro.conf.arg(metavar="SECONDS")] = 60.0
+    thinking_s: NotNegative | None = 1.0
     preset: Annotated[str, tyro.conf.Suppress] = "fast"
     renewals: int = 3
     fit_a_contact: float = 3.0
     contacts: int = 2
-    steps: int = 20
+    steps: Count = 20
     wrist: WristSettings = field(default_factory=WristSettings)
     signals: SignalSettings = field(default_factory=SignalSettings)
     joints: JointSettings = field(default_factory=JointSettings)
     free_region_m: float = 0.05
-    spread_m: float = 0.03
+    spread_m: Positive = 0.03
     handle_rad: float = math.radians(20.0)
     noise_free: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be."""
-        if not self.sensors or any(name not in SENSORS for name in self.sensors):
-            raise UsageError(f"Expected one or more sensors of {', '.join(SENSORS)}, got {', '.join(self.sensors)}")
-        for name in ("run_budget_s", "spread_m"):
-            if not getattr(self, name) > 0:
-                raise UsageError(f"Expected {name} above 0, got {getattr(self, name)}")
-        if not math.isfinite(self.run_budget_s):
-            raise UsageError(f"Expected run_budget_s to be finite, got {self.run_budget_s}")
-        if self.thinking_s is not None and not (self.thinking_s >= 0 and math.isfinite(self.thinking_s)):
-            raise UsageError(f"Expected thinking_s to be 0 or more and finite, got {self.thinking_s}")
-        if self.steps < 1:
-            raise UsageError(f"Expected steps of 1 or more, got {self.steps}")
+        """Refuse a hand without sensors."""
+        super().__post_init__()
+        if not self.sensors:
+            raise UsageError(f"Expected one or more sensors of {', '.join(SENSORS)}, got none")
 
 
 def task_of(settings: HandleSettings) -> TaskSpec:

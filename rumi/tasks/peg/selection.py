@@ -24,7 +24,7 @@ from rumi.robot.motion_time import path_time
 from rumi.tasks.peg.cell import Felt
 from rumi.tasks.peg.moves import Motion, motions, outcomes
 from rumi.tasks.peg.search import free_ways
-from rumi.tasks.peg.settings import PegSettings
+from rumi.tasks.peg.settings import PEG_STOPS, PegSettings
 from sdf.sweep import turned
 from sensors.touch.rectangle_touch import RectangleTouches
 from sensors.touch.touch_likelihood import box_face_log_likelihoods
@@ -281,20 +281,32 @@ def probability_of(points: Float[Tensor, "2 2"], belief: StaticBelief, settings:
 
 def sure(belief: StaticBelief, every: RectangleTouches, aim: TargetEstimate, settings: PegSettings) -> bool:
     """Whether the rule to stop holds."""
-    if len(every.points_w) < settings.contacts:
-        return False
-    if settings.stop == "contacts":
-        return sides_touched(belief.best, every) >= settings.sides
-    if settings.stop == "covariance":
-        spread = (settings.spread_m, settings.spread_m, math.radians(settings.spread_deg))
-        return CovarianceRule(spread, (None, None, math.pi)).holds(belief.states, belief.log_weights)
-    if settings.stop == "entropy":
-        # the block looks the same half a turn on: of twice its yaw, of which there is twice as much
-        states = belief.states * belief.states.new_tensor([1.0, 1.0, 2.0])
-        metric = StateMetric.planar(0.25 * settings.length_m)
-        rule = EntropyRule(NeighbourEntropy(metric), settings.most_nats + math.log(2.0))
-        return rule.holds(states, belief.log_weights)
+    return len(every.points_w) >= settings.contacts and PEG_STOPS[settings.stop](belief, every, aim, settings)
+
+
+def by_mass(belief: StaticBelief, every: RectangleTouches, aim: TargetEstimate, settings: PegSettings) -> bool:
+    """Whether both holes are within the tolerance of where they are thought to be, with the probability."""
     return aim.probability >= settings.probability
+
+
+def by_contacts(belief: StaticBelief, every: RectangleTouches, aim: TargetEstimate, settings: PegSettings) -> bool:
+    """Whether enough different sides were touched."""
+    return sides_touched(belief.best, every) >= settings.sides
+
+
+def by_covariance(belief: StaticBelief, every: RectangleTouches, aim: TargetEstimate, settings: PegSettings) -> bool:
+    """Whether the pose spreads little."""
+    spread = (settings.spread_m, settings.spread_m, math.radians(settings.spread_deg))
+    return CovarianceRule(spread, (None, None, math.pi)).holds(belief.states, belief.log_weights)
+
+
+def by_entropy(belief: StaticBelief, every: RectangleTouches, aim: TargetEstimate, settings: PegSettings) -> bool:
+    """Whether the pose's differential entropy is low."""
+    # the block looks the same half a turn on: of twice its yaw, of which there is twice as much
+    states = belief.states * belief.states.new_tensor([1.0, 1.0, 2.0])
+    metric = StateMetric.planar(0.25 * settings.length_m)
+    rule = EntropyRule(NeighbourEntropy(metric), settings.most_nats + math.log(2.0))
+    return rule.holds(states, belief.log_weights)
 
 
 def aim_of(belief: StaticBelief, settings: PegSettings) -> TargetEstimate:

@@ -1,34 +1,34 @@
 """Settings of the peg task."""
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any
 
 import tyro
+from annotated_types import Ge, Interval
 
 from rumi.errors import UsageError
+from rumi.registry import Table
 from rumi.robot.motion_time import SpeedLimits
 from rumi.tasks.peg.cell import Block
+from sdf.bounds import Checked, Count, CountOr0, Finite, NotNegative, OneOf, Positive, Share
 from sensors.touch.touch_likelihood import TouchNoise
 
-Stop = Literal["mass", "contacts", "covariance", "entropy"]
+PEG_STOPS: Table[Callable[..., bool]] = Table("stop", "rumi.peg_stops")
+"""Rules to stop, by name: whether one holds of a `StaticBelief`, all evidence, a `TargetEstimate` and the settings."""
 
-_ABOVE_0 = (
-    *("action_budget_s", "tolerance_m", "most_actions", "point_m", "normal_deg", "readings", "configurations"),
-    "speed_m_s",
-    *("acceleration_m_s2", "low_m", "lane_m", "radius_m", "length_m", "width_m", "height_m", "spread_m", "spread_deg"),
-)
-_NOT_NEGATIVE = (
-    *("evaluation_s", "update_s", "contacts", "sides", "doublings", "retreat_m", "standoff_m", "beyond_m", "hole_m"),
-)
-_FEWEST = {"particles": 100, "search_particles": 300}
-"""Fewer lose a side of the block sooner or later, and are sure of another."""
+PEG_STOPS.add("mass", "rumi.tasks.peg.selection:by_mass")
+PEG_STOPS.add("contacts", "rumi.tasks.peg.selection:by_contacts")
+PEG_STOPS.add("covariance", "rumi.tasks.peg.selection:by_covariance")
+PEG_STOPS.add("entropy", "rumi.tasks.peg.selection:by_entropy")
+
 _APART_M, _APART_DEG = 1e-3, 2.0
 """About how far the poses that the second stage begins with are apart."""
 
 
 @dataclass(frozen=True)
-class PegSettings:
+class PegSettings(Checked, refusal=UsageError):
     """What the task and the robot are like, and how much it thinks.
 
     Attributes:
@@ -45,8 +45,8 @@ class PegSettings:
         sides: different ones of them, for the paper's stop.
         most_actions: after which the run ends as it is.
         point_m, normal_deg: noise of the sensor, and as the belief has it.
-        particles: of the second stage.
-        search_particles: of the first.
+        particles: of the second stage. Too few lose a side of the block sooner or later, and are sure of another.
+        search_particles: of the first, likewise.
         readings: drawn for each candidate's gain.
         sampled: whether they have noise.
         configurations: poses that candidates are made of, the likeliest first; twelve candidates each.
@@ -66,41 +66,41 @@ class PegSettings:
         most_nats: differential entropy of (x, y, yaw), in metres and radians, that "entropy" stops at.
     """
 
-    action_budget_s: Annotated[float, tyro.conf.arg(metavar="SECONDS")] = 10.0
-    evaluation_s: float | None = 1.0
-    update_s: float = 0.05
-    stop: Stop = "mass"
-    probability: float = 0.95
-    tolerance_m: float = 0.005
-    contacts: int = 4
-    sides: int = 2
-    most_actions: int = 80
-    point_m: float = 0.005
-    normal_deg: float = 6.0
-    particles: int = 500
-    search_particles: int = 2000
-    readings: int = 50
+    action_budget_s: Annotated[Positive, tyro.conf.arg(metavar="SECONDS")] = 10.0
+    evaluation_s: NotNegative | None = 1.0
+    update_s: NotNegative = 0.05
+    stop: Annotated[str, OneOf(PEG_STOPS)] = "mass"
+    probability: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.95
+    tolerance_m: Positive = 0.005
+    contacts: CountOr0 = 4
+    sides: CountOr0 = 2
+    most_actions: Count = 80
+    point_m: Positive = 0.005
+    normal_deg: Positive = 6.0
+    particles: Annotated[int, Ge(100)] = 500
+    search_particles: Annotated[int, Ge(300)] = 2000
+    readings: Count = 50
     sampled: bool = True
-    configurations: int = 5
-    doublings: int = 6
-    speed_m_s: float = 0.05
-    acceleration_m_s2: float = 0.1
-    standoff_m: float = 0.04
-    beyond_m: float = 0.04
-    retreat_m: float = 0.01
-    lift_m: float = 0.1
-    low_m: float = 0.03
-    clear: float = 0.99
-    lane_m: float = 0.125
-    table_m: tuple[float, float] = (0.8, 0.5)
-    radius_m: float = 0.0125
-    length_m: float = 0.2
-    width_m: float = 0.1
-    height_m: float = 0.06
-    hole_m: float = 0.06
-    spread_m: float = 0.002
-    spread_deg: float = 1.5
-    most_nats: float = -12.0
+    configurations: Count = 5
+    doublings: CountOr0 = 6
+    speed_m_s: Positive = 0.05
+    acceleration_m_s2: Positive = 0.1
+    standoff_m: NotNegative = 0.04
+    beyond_m: NotNegative = 0.04
+    retreat_m: NotNegative = 0.01
+    lift_m: Finite = 0.1
+    low_m: Positive = 0.03
+    clear: Share = 0.99
+    lane_m: Positive = 0.125
+    table_m: tuple[Positive, Positive] = (0.8, 0.5)
+    radius_m: Positive = 0.0125
+    length_m: Positive = 0.2
+    width_m: Positive = 0.1
+    height_m: Positive = 0.06
+    hole_m: NotNegative = 0.06
+    spread_m: Positive = 0.002
+    spread_deg: Positive = 1.5
+    most_nats: Finite = -12.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be.
@@ -108,7 +108,8 @@ class PegSettings:
         Raises:
             UsageError: which setting, what was expected and what came.
         """
-        _check(self)
+        super().__post_init__()
+        _check_geometry(self)
 
     @property
     def block(self) -> Block:
@@ -135,39 +136,7 @@ class PegSettings:
         return asdict(self)
 
 
-def _check(settings: PegSettings) -> None:
-    """Refuse what cannot be.
-
-    Raises:
-        UsageError: which setting, what was expected and what came.
-    """
-    for name, value in vars(settings).items():
-        if isinstance(value, float) and not math.isfinite(value):
-            raise UsageError(f"Expected {name} to be a finite number, got {value!r}")
-    if settings.stop not in get_args(Stop):
-        raise UsageError(f"Expected stop to be one of {', '.join(get_args(Stop))}, got {settings.stop!r}")
-    for name in _ABOVE_0:
-        if not getattr(settings, name) > 0:
-            raise UsageError(f"Expected {name} above 0, got {getattr(settings, name)}")
-    for name in _NOT_NEGATIVE:
-        if (getattr(settings, name) or 0) < 0:
-            raise UsageError(f"Expected {name} to be 0 or more, got {getattr(settings, name)}")
-    for name, fewest in _FEWEST.items():
-        if getattr(settings, name) < fewest:
-            raise UsageError(
-                f"Expected {name} of {fewest} or more, or the belief may be sure of what is wrong, got "
-                f"{getattr(settings, name)}"
-            )
-    if not 0 < settings.probability < 1:
-        raise UsageError(f"Expected probability between 0 and 1, got {settings.probability}")
-    if not 0 <= settings.clear <= 1:
-        raise UsageError(f"Expected clear, a probability, in [0, 1], got {settings.clear}")
-    if not min(settings.table_m) > 0:
-        raise UsageError(f"Expected table_m above 0 m, got {list(settings.table_m)}")
-    _geometry(settings)
-
-
-def _geometry(settings: PegSettings) -> None:
+def _check_geometry(settings: PegSettings) -> None:
     """Refuse a block that lanes miss, a ball that meets no side or not only sides, holes beside the block."""
     widest = min(settings.length_m, settings.width_m) + 2.0 * settings.radius_m
     if settings.lane_m > widest:

@@ -1,5 +1,6 @@
 """Rummaging's agent: believe, plan a path of much information that stays in reach, follow it, until sure."""
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from rumi.agent import StopReason
 from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
+from rumi.belief.misfit import MisfitSettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw, verify
@@ -26,11 +28,13 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.rummage.answer import relies_on, warnings, why_not
+from rumi.tasks.rummage.lost import Watch, searched_again, sensed_now, watch
 from sdf.object_model import ObjectModel
-from sensors.observation import Observation, attach, merge
+from sensors.observation import Observation, merge
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 
+_PADS_M = 0.004  # between the points of the pads by which remarks tell where they feel
 _PARTS = 8  # of an action, in which its free path is worked out again
 
 
@@ -47,6 +51,7 @@ class RummageState:
         plan: that is being followed.
         executed: controls of it that were carried out.
         surprised: whether the reading calls for a new plan.
+        watch: for faults.
     """
 
     record: StepRecord
@@ -57,6 +62,7 @@ class RummageState:
     plan: Plan | None = None
     executed: int = 0
     surprised: bool = False
+    watch: Watch = field(default_factory=Watch)
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,7 @@ class Rummager:
         initialise: how the first belief is found.
         renewal: when and how particles are drawn anew; only where the filter has a prior.
         stop_rule: when the belief is sure.
+        misfit: when a reading fits no pose that is believed.
         height_m: z of the origin of an upright object.
         replan_every: actions carried out of one plan; a contact always asks for a new one.
         budget_s: seconds that one plan may take, or None.
@@ -81,6 +88,7 @@ class Rummager:
         upright: whether the object is expected to stand as it did at first.
         looks_again: whether a camera sees the object after every action too.
         sensors: what the robot senses by, for people.
+        remarks: whether steps are remarked on.
         about: what a run's folder tells of the settings.
     """
 
@@ -92,6 +100,7 @@ class Rummager:
     initialise: InitialiseSettings = field(default_factory=InitialiseSettings)
     renewal: ReinitialiseSettings = field(default_factory=ReinitialiseSettings)
     stop_rule: StopSettings = field(default_factory=StopSettings)
+    misfit: MisfitSettings = field(default_factory=MisfitSettings)
     height_m: float = 0.0
     replan_every: int = 1
     budget_s: float | None = None
@@ -103,20 +112,21 @@ class Rummager:
     upright: bool = True
     looks_again: bool = False
     sensors: str = "a first view, felt points"
+    remarks: bool = True
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def begin(self, result: StepResult | Reading, *, seed: int, clock: Clock) -> RummageState:
         """Believe what the first view shows (Alg 1, lines 1-3)."""
         result = StepResult.of(result)
-        random = {name: split(seed, name) for name in ("initialise", "filter", "plan", "renewal", "warm_up")}
+        random = {name: split(seed, name) for name in ("initialise", "filter", "plan", "renewal", "warm_up", "lost")}
         with clock("belief"):
             belief, memory = first_belief(self, result.reading, generator=random["initialise"])
         record = evaluate_step(self, clock, (), result, belief, memory)
         return RummageState(record, (record,), memory, random, clock)
 
     def stop(self, state: RummageState) -> StopReason | None:
-        """Stop where the belief is sure, or after as many actions as there may be."""
-        if state.record.converged:
+        """Stop where the belief is sure and no fault is likely, or after as many actions as there may be."""
+        if state.record.converged and not state.watch.doubts(self.misfit):
             return "sure"
         return "steps" if self.steps is not None and state.record.step >= self.steps else None
 
@@ -157,14 +167,25 @@ class Rummager:
             with clock("belief"):
                 belief = verify(self.filter, belief, memory, self.renewal, generator=random["renewal"])
             record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
-        record = replace(record, remarks=self._odd(state, control, record))
+        now, alarm = state.watch, None
+        if self.remarks:
+            record = replace(record, remarks=self._odd(state, control, record))
+            now, nats, alarm = watch(state.watch, last.belief, record, self.filter, self.model, self.misfit)
+            record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
+        if alarm is not None and not now.lost:
+            with clock("belief"):
+                belief, memory = searched_again(record, self.filter, self.misfit, generator=random["lost"])
+            again = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
+            timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}
+            record = replace(again, lost=record.lost, remarks=record.remarks, timings_s=record.timings_s | timings)
         return replace(
             state,
             record=record,
             history=(*state.history, record),
             memory=memory,
             executed=state.executed + 1,
-            surprised=bool(info.moved) or touched,
+            surprised=bool(info.moved) or touched or alarm is not None,
+            watch=now,
         )
 
     def _odd(self, state: RummageState, control: Float[Tensor, "A"], record: StepRecord) -> tuple[Remark, ...]:
@@ -172,29 +193,29 @@ class Rummager:
         start, moved = state.record.reading.configuration, None
         if bool(control.any()):  # a recording may not tell where the tool was to go
             moved = start, self.tool.free_path(start, control[None].clamp(-1.0, 1.0), _PARTS)[-1]
-        added = record.added
-        if self.filter.settings.motion == "trajectory":
-            # particles that moved each in its own way share no frame but the present one: what was sensed just now
-            sensed, instant = record.reading.observation, record.reading.instant
-            now = sensed[instant == record.reading.tool_pose.shape[-3] - 1]
-            added = attach(now, torch.zeros_like(now.semantics), record.belief.world_T_attached[None])
         return remarks(
             record.step,
             record.reading,
             record.belief,
-            added,
+            sensed_now(record, self.filter.settings.motion),
             self.model,
             moved=moved,
             upright=self.upright,
+            pads=self._pads,
             said={remark.name for step in state.history for remark in step.remarks},
         )
+
+    @functools.cached_property
+    def _pads(self) -> Float[Tensor, "P 3"]:
+        """Points of the pads, tool frame."""
+        return self.tool.shape.pad_shell(_PADS_M)
 
     def last(self, state: RummageState) -> None:
         """Nothing is done at the end."""
 
     def result(self, state: RummageState, stopped_by: StopReason, outcome: object) -> RunResult:
         """How the run ended."""
-        return summarise(self, state.history, stopped_by)
+        return replace(summarise(self, state.history, stopped_by), lost=state.watch.lost)
 
     @property
     def relies_on(self) -> str:

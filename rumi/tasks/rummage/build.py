@@ -1,7 +1,7 @@
 """From settings to the parts of a run."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import cast
@@ -28,6 +28,7 @@ from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
 from rumi.runs.scene_geometry import SceneGeometry, make_geometry
+from rumi.sim.faults import Fault, Stale, parse_fault
 from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
@@ -65,7 +66,8 @@ def build(
     spec, model = with_object(spec, settings.object, cache_dir=cache_dir, progress=progress)
     spec = at_tool_height(spec, model.sdf, model.exact, settings.tool_height_m)
     tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
-    task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model)
+    faults = faults_of(spec, settings)
+    task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model, faults=faults)
     if device.type != "cpu" or dtype != torch.float32:
         task = TaskOnDevice(task, device, dtype)
     return Parts(task, replace(build_rummager(spec, settings, model, tool), steps=spec.steps))
@@ -78,6 +80,7 @@ def make_task(
     cache_dir: Path | None = None,
     tool: Tool | None = None,
     model: ObjectModel | None = None,
+    faults: Sequence[Fault] = (),
 ) -> SimTask:
     """Simulate a task; needs MuJoCo.
 
@@ -87,14 +90,15 @@ def make_task(
         cache_dir: folder that keeps the arm's reach and convex pieces of meshes; None works them out each time.
         tool: made before by `make_tool`; None makes one.
         model: made before by the task's `object_factory`; None makes one.
+        faults: what goes wrong.
     """
     spec = find_task(spec) if isinstance(spec, str) else spec
     settings = settings or SimSettings()
     tool = tool if tool is not None else make_tool(spec, settings, cache_dir=cache_dir)
     model = model if model is not None else spec.object_factory()
     if settings.sensors.kind != "points":
-        return SensedTask(spec, settings, tool, model, cache_dir=cache_dir)
-    return SimTask(spec, settings, tool, model, cache_dir=cache_dir)
+        return SensedTask(spec, settings, tool, model, cache_dir=cache_dir, faults=faults)
+    return SimTask(spec, settings, tool, model, cache_dir=cache_dir, faults=faults)
 
 
 def build_rummager(
@@ -143,6 +147,7 @@ def build_rummager(
         initialise=settings.initialise,
         renewal=settings.renewal,
         stop_rule=stop,
+        misfit=settings.misfit,
         height_m=standing,
         replan_every=settings.replan_every,
         budget_s=settings.plan_budget_s,
@@ -153,6 +158,21 @@ def build_rummager(
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
     )
+
+
+def faults_of(spec: TaskSpec, settings: Settings) -> tuple[Fault, ...]:
+    """What goes wrong in a run.
+
+    Raises:
+        UsageError: something that cannot be, or not in this task.
+    """
+    steps = spec.steps if settings.steps is None else settings.steps
+    found = tuple(parse_fault(text, steps=steps, seed=settings.seed) for text in settings.fault)
+    if any(isinstance(fault, Stale) for fault in found) and not _looks_again(spec, settings):
+        raise UsageError(
+            f"Expected a camera that looks again for --fault stale: {spec.name} looks once (or not at all)"
+        )
+    return found
 
 
 def _looks_again(spec: TaskSpec, settings: Settings) -> bool:

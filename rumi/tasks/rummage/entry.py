@@ -19,9 +19,10 @@ from rumi.sim.sensor_settings import SensorSettings
 from rumi.task import Task
 from rumi.tasks.registry import Role, check_seed
 from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.objects import record
 from rumi.tasks.rummage.raw_streams import RawStreams
-from rumi.tasks.rummage.scenes import DRAWN, SCENES, TaskSpec
+from rumi.tasks.rummage.scenes import SCENES, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
 from sensors.reading import Reading
 
@@ -64,6 +65,10 @@ class RummageTask:
                 "got points"
             )
         _ = settings.torch_device
+        if settings.fault:
+            from rumi.tasks.rummage.build import faults_of
+
+            faults_of(self.spec, settings)
         if settings.object.mesh is None:
             return ()
         return (f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)",)
@@ -91,8 +96,8 @@ class RummageTask:
         return describe(step)
 
     def success(self, result: RunResult) -> bool:
-        """Whether the belief became sure."""
-        return result.stopped_by == "sure"
+        """Whether the belief became sure, and the run was not lost."""
+        return result.stopped_by == "sure" and not result.lost
 
     def summary(self, settings: Settings, result: RunResult) -> Sequence[str]:
         """A few lines on how a run ended."""
@@ -111,7 +116,7 @@ class RummageTask:
     def role(self, name: str) -> Role:
         """What a setting is to a replay."""
         first = name.partition(".")[0]
-        if first in ("task", "simulator", "tool_height_m"):
+        if first in ("task", "simulator", "tool_height_m", "fault"):
             return "sensed"
         idle = ("method", "preset", "replan_every", "plan_budget_s", "planner", "slide", "gpvr")
         return "idle" if first in idle else "counted"
@@ -140,6 +145,7 @@ class RummageTask:
         return build_rummager(spec, replace(settings, method="rumi"), model, tool)
 
 
+_SUSPICIOUS = 2.0  # nats of evidence of a fault from which on the progress line has them
 ENTRIES = {name: RummageTask(spec) for name, spec in (SCENES | DRAWN).items()}
 """The scenes by name."""
 
@@ -192,6 +198,8 @@ def describe(step: StepRecord) -> str:
         "contact": step.control is not None and bool(step.reading.in_contact.any()),
         "sure": step.converged,
     }
+    if step.lost > _SUSPICIOUS:
+        marks[f"lost {step.lost:.1f}"] = True
     marks |= {f"{remark.name}!": True for remark in step.remarks}
     said = "".join(f"  {word}" for word, holds in marks.items() if holds)
     return f"{known}expects {step.expected_nll:.1f}  apc {apc}  ess {step.ess:.0f}{said}"
@@ -201,6 +209,8 @@ def ending(result: RunResult) -> list[str]:
     """The lines on what a run came to know."""
     ended = {"steps": "not sure", "budget": "out of time"}.get(result.stopped_by, result.stopped_by)
     judged = {True: ", and right", False: f", and wrong ({result.wrong_by})", None: ""}[result.right]
+    if result.lost:
+        ended = f"lost; {ended}"
     lines = [f"{ended} after {result.steps} actions, {result.contacts} of them in contact{judged}"]
     lines += answer_lines(result.pose, result.why_not, result.warnings)
     lines += [f"odd      {remark.name} at action {remark.step}: {remark.sentence}" for remark in result.remarks]

@@ -16,6 +16,7 @@ from torch import Tensor
 from rumi.errors import UsageError
 from rumi.registry import Table
 from rumi.runs.plain import plain
+from sdf.bounds import Checked, Finite, Positive
 
 if TYPE_CHECKING:
     from rumi.tasks.rummage.scenes import TaskSpec
@@ -35,7 +36,7 @@ _ROOM = 0.5  # of the workspace's shorter side: what is wider can hardly be gone
 
 
 @dataclass(frozen=True)
-class ObjectSettings:
+class ObjectSettings(Checked, refusal=UsageError):
     """What is to be found, where that is not the task's own object.
 
     Attributes:
@@ -52,27 +53,22 @@ class ObjectSettings:
     """
 
     mesh: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
-    scale: float = 1.0
-    mass_kg: Annotated[float | None, tyro.conf.arg(name="mass", metavar="KG")] = None
-    friction: float | None = None
-    upright: Literal["auto"] | tuple[float, float, float] = "auto"
+    scale: Positive = 1.0
+    mass_kg: Annotated[Positive | None, tyro.conf.arg(name="mass", metavar="KG")] = None
+    friction: Positive | None = None
+    upright: Literal["auto"] | tuple[Finite, Finite, Finite] = "auto"
     symmetry: str = "auto"
-    spacing_m: Annotated[float | None, tyro.conf.arg(name="spacing", metavar="M")] = None
+    spacing_m: Annotated[Positive | None, tyro.conf.arg(name="spacing", metavar="M")] = None
     collision: Literal["auto", "pieces", "hull"] = "auto"
 
     def __post_init__(self) -> None:
         """Refuse what no object has, and what is said of a mesh that is not given."""
-        for name in ("scale", "mass_kg", "friction", "spacing_m"):
-            value = getattr(self, name)
-            if value is not None and not (value > 0 and math.isfinite(value)):
-                raise UsageError(f"Expected {name} to be a number above 0, got {value}")
+        super().__post_init__()
         if self.mesh is None:
             plain_object = ObjectSettings.__dataclass_fields__
             for name in ("scale", "upright", "symmetry", "spacing_m", "collision"):
                 if getattr(self, name) != plain_object[name].default:
                     raise UsageError(f"Expected a mesh with {name.removesuffix('_m')}: give --mesh FILE")
-        if self.upright != "auto" and not all(map(math.isfinite, self.upright)):
-            raise UsageError(f"Expected upright to be auto or three numbers of degrees, got {self.upright}")
 
 
 def with_object(
@@ -179,7 +175,7 @@ def record(model: "ObjectModel") -> dict[str, Any]:
     }
 
 
-def _standing(exact: "MeshSDF", upright: Literal["auto"] | tuple[float, float, float]) -> tuple[Tensor, str]:
+def _standing(exact: "MeshSDF", upright: Literal["auto"] | tuple[Finite, Finite, Finite]) -> tuple[Tensor, str]:
     """object_T_mesh (4, 4), float64, and how it came about."""
     from sdf import se3
     from sdf.mesh.rest import OWN_UP_RAD, center_of_mass, resting_poses

@@ -310,30 +310,6 @@ SCENES: dict[str, TaskSpec] = {
 """All scenes of the rummaging task by name."""
 
 
-DRAWN: dict[str, TaskSpec] = {
-    "mug": TaskSpec(
-        "mug",
-        "a mug whose place, handle, mass and friction the seed draws",
-        large_handled_mug,
-        SCENES["mug-0"].start,
-        draw=DrawSpec((0.97, 1.05), math.radians(20.0), math.radians(100.0), (0.2, 0.6)),
-    ),
-    "drill": replace(
-        SCENES["drill-0"],
-        name="drill",
-        description="a drill that no camera sees, whose place, yaw, mass and friction the seed draws",
-        draw=DrawSpec((0.96, 1.04), math.radians(4.0), math.pi, (0.6, 1.2)),
-    ),
-    "box": replace(
-        SCENES["box-0"],
-        name="box",
-        description="a box that no camera sees, whose face, place, yaw, mass and friction the seed draws",
-        draw=DrawSpec((0.88, 0.98), math.radians(4.0), math.pi, (0.3, 0.6)),
-    ),
-}
-"""Scenes that the seed draws, by name; experiments on `SCENES` leave them out."""
-
-
 def find_task(name: str) -> TaskSpec:
     """The scene of a rummaging task, also one that another package brings.
 

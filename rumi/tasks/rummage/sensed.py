@@ -1,6 +1,7 @@
 """A simulated task whose robot sees and feels through images, as a real one does."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from rumi.errors import UsageError
 from rumi.robot.gripper import gripper_links
 from rumi.robot.tool import Tool
 from rumi.sim.bubble_camera import BubbleCamera
+from rumi.sim.faults import Fault
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.world import Track
@@ -53,6 +55,7 @@ class SensedTask(SimTask):
         model: the object.
         physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes.
+        faults: what goes wrong.
 
     Raises:
         UsageError: the task has no camera.
@@ -67,10 +70,11 @@ class SensedTask(SimTask):
         physics: PhysicsSettings | None = None,
         *,
         cache_dir: Path | None = None,
+        faults: Sequence[Fault] = (),
     ) -> None:
         if spec.camera is None:
             raise UsageError(f"{spec.name} has no camera: only tasks with one report through other sensors than points")
-        super().__init__(spec, settings, tool, model, physics, cache_dir=cache_dir)
+        super().__init__(spec, settings, tool, model, physics, cache_dir=cache_dir, faults=faults)
         self.sensors = sensors = settings.sensors
         links = gripper_links(self.shape)
         self._links = RobotBody(links)
@@ -98,6 +102,10 @@ class SensedTask(SimTask):
         # drawn from a stream of its own, so that the calibration is the same whatever the noise
         after = int(torch.randint(2**62, (), generator=self._generator))
         return super().reset(after)
+
+    @property
+    def _looks_again(self) -> bool:
+        return self.sensors.looks or super()._looks_again
 
     def _miscalibration(self, generator: torch.Generator) -> Float[Tensor, "4 4"]:
         """taken_T_true of a sensor's frame."""
@@ -181,7 +189,7 @@ class SensedTask(SimTask):
         return float(torch.rand((), generator=self._generator)) < self.sensors.lost
 
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> Reading:
-        """What was felt and swept on the way, and seen at its end."""
+        """What was felt and swept on the way."""
         motion = track.world_T_object @ se3.inverse(before)
         shift = math.hypot(self.sensors.motion_noise_m, self.spec.motion_noise_m)
         turn = math.hypot(self.sensors.motion_noise_rad, self.spec.motion_noise_rad)
@@ -195,10 +203,6 @@ class SensedTask(SimTask):
         swept, _ = self._swept(tool_pose, self._inner, measured, in_contact)
         parts.append(Observation.of(swept.points, Semantics.FREE))
         instants.append(swept.instant)
-        if self.sensors.looks:
-            seen = self._view()
-            parts.append(seen)
-            instants.append(torch.full((len(seen),), len(tool_pose) - 1, dtype=torch.long))
         return Reading(
             concatenate(parts),
             torch.cat(instants),

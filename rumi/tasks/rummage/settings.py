@@ -8,6 +8,7 @@ import torch
 import tyro
 
 from rumi.belief.initialise import InitialiseSettings
+from rumi.belief.misfit import MisfitSettings
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.errors import UsageError
@@ -50,8 +51,11 @@ class Settings:
         slide: how the method slide moves.
         gpvr: the process of the methods gpvr and gpvr-greedy, which plan by `planner`.
         stop: when the belief is sure enough.
+        misfit: when a reading fits no pose that is believed, and what is done then.
         simulator: how the simulator steps and what its sensors report.
         object: the object to find, where that is not the task's own.
+        fault: what goes wrong in simulation, KIND[:SIZE][@STEP], once for each: the kinds are rows of
+            `rumi.sim.faults.FAULTS`, SIZE in their units, STEP the action from which on it holds.
     """
 
     task: Annotated[str, tyro.conf.Suppress] = "mug-0"
@@ -71,8 +75,10 @@ class Settings:
     slide: SlideSettings = field(default_factory=SlideSettings)
     gpvr: GPVRSettings = field(default_factory=GPVRSettings)
     stop: StopSettings = field(default_factory=StopSettings)
+    misfit: MisfitSettings = field(default_factory=MisfitSettings)
     simulator: SimSettings = field(default_factory=SimSettings)
     object: Annotated[ObjectSettings, tyro.conf.arg(name="")] = field(default_factory=ObjectSettings)
+    fault: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KIND[:SIZE][@STEP]")] = ()
 
     def __post_init__(self) -> None:
         for name, valid in (("method", tuple(POLICIES)), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
@@ -182,6 +188,7 @@ def _paper() -> Settings:
         planner=RummagingSettings.paper(),
         gpvr=GPVRSettings(tolerance=0.0),
         stop=StopSettings(rule="never", apc_ratio=0.03),
+        misfit=MisfitSettings(alpha=0.0),
         simulator=SimSettings(free_fraction=0.95, free_spacing_m=0.010),
     )
 

@@ -1,6 +1,7 @@
 """A task carried out in MuJoCo: what the robot does and what it senses."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.bodies import body_of
+from rumi.sim.faults import Fault, Hand
 from rumi.sim.sensors import measure
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
@@ -46,6 +48,7 @@ class SimTask:
         model: the object.
         physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes; None keeps nothing.
+        faults: what goes wrong.
 
     Raises:
         UsageError: the simulator cannot build the object, or it does not stand by itself.
@@ -60,8 +63,11 @@ class SimTask:
         physics: PhysicsSettings | None = None,
         *,
         cache_dir: Path | None = None,
+        faults: Sequence[Fault] = (),
     ) -> None:
-        self.spec, self.settings, self.tool, self.model = spec, settings, tool, model
+        for fault in faults:
+            model = fault.shaped(model)
+        self.spec, self.settings, self.tool, self.model, self.faults = spec, settings, tool, model, tuple(faults)
         physics = physics or spec.physics
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
         height = None if spec.spatial else spec.height_m
@@ -78,6 +84,7 @@ class SimTask:
         self._region = torch.zeros(2, 3)
         self._attached = se3.identity()
         self._steps: int | None = None
+        self._views: list[Observation] = []
 
     def reset(self, seed: int) -> StepResult:
         """Put everything at its start and return the first view: one instant, seen by the camera if there is one.
@@ -88,14 +95,17 @@ class SimTask:
         self._generator.manual_seed(seed)
         self._further_noise = split(seed, "further sensors")
         self._scene = self.spec.drawn(seed)
-        if self.spec.draw is not None:
-            own = self._scene.physics
-            physics = replace(self.world.physics, mass_kg=own.mass_kg, friction=own.friction)
+        if self.spec.draw is not None or self.faults:
+            physics = self.world.physics
+            if self.spec.draw is not None:
+                own = self._scene.physics
+                physics = replace(physics, mass_kg=own.mass_kg, friction=own.friction)
             height = None if self.spec.spatial else self.spec.height_m
             self.world = World(self.world.body, self.shape, height, self.settings.time_step_s, physics)
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
-        observation = self._view()
+        self._views = []
+        observation = self._looked_at()
         configuration = self.world.configuration().float()
         still = se3.identity((1,)) if self._measures else None
         reading = Reading(
@@ -129,15 +139,21 @@ class SimTask:
         start = self.world.configuration().float()
         path = self.tool.free_path(start, control[None], self.settings.mini_steps)
         refused = (start + control * self.tool.scale - path[-1])[:-1].norm()
-        before = self.world.world_T_object()
-        track = self.world.move(path, self.settings.action_s, self.settings.hold_s)
         assert self._steps is not None
         self._steps += 1
+        for fault in self.faults:
+            if fault.step == self._steps:
+                fault.strike(self.world, self.model.exact, self._hand())
+        before = self.world.world_T_object()
+        track = self.world.move(path, self.settings.action_s, self.settings.hold_s)
         reading = self._sense(before, track, refused)
+        for fault in self.faults:
+            if fault.step <= self._steps:
+                reading = fault.felt(reading, self._hand(), self._steps)
         if further := self.settings.sensors.further:
             measured = measure(further, self.world, track, reading.tool_pose, self._further_noise)
             reading = replace(reading, measurements=measured)
-        if self.spec.looks_again and self.spec.camera is not None:
+        if self._looks_again:
             reading = self._seen_again(reading)
         return StepResult(reading, track.world_T_object[-1].float())
 
@@ -147,10 +163,27 @@ class SimTask:
 
     def _seen_again(self, reading: Reading) -> Reading:
         """The reading with what the camera sees at its last instant; nothing where the tool hides the object."""
-        seen = self._view()
+        seen = self._looked_at()
         last = torch.full((len(seen),), len(reading.tool_pose) - 1, dtype=torch.long)
         observation = concatenate([reading.observation, seen])
         return replace(reading, observation=observation, instant=torch.cat((reading.instant, last)))
+
+    @property
+    def _looks_again(self) -> bool:
+        return self.spec.looks_again and self.spec.camera is not None
+
+    def _looked_at(self) -> Observation:
+        """What the camera reports now."""
+        view = self._view()
+        for fault in self.faults:
+            if fault.step <= (self._steps or 0):
+                view = fault.seen(view, self._views)
+        self._views.append(view)
+        return view
+
+    def _hand(self) -> Hand:
+        pose = self.tool.pose(self.world.configuration().float()[None])[0]
+        return Hand(self._felt_at, self._body, pose)
 
     def _view(self) -> Observation:
         """What the camera sees now: surface points of the object and free points about it."""

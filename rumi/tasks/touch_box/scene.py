@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
@@ -12,6 +13,7 @@ from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import RectangleOutline
 from rumi.errors import UsageError
 from rumi.seeding import split
+from sdf.bounds import ASCENDING, Checked, Count, Finite, Law, NotNegative, Positive, Share, ShareBelow1
 
 _CLEARANCE_M = 0.01  # of the open fingers about a box, both sides together
 
@@ -33,8 +35,11 @@ class BoxTruth:
     mass_kg: float
 
 
+_Places = Annotated[tuple[tuple[Finite, Finite, Finite], ...], Law("with one place (x, y, yaw) or more", bool)]
+
+
 @dataclass(frozen=True)
-class TouchTask:
+class TouchTask(Checked, refusal=UsageError):
     """The scene and what is known of it; metres and radians, floor at z = 0.
 
     Attributes:
@@ -54,42 +59,30 @@ class TouchTask:
         speed: of a poke, m/s.
     """
 
-    half: tuple[float, float] = (0.03, 0.08)
-    height_m: float = 0.10
-    modes: tuple[tuple[float, float, float], ...] = ((0.45, 0.2, 0.0), (0.45, -0.2, 0.0))
-    spread: tuple[float, float, float] = (0.06, 0.06, 0.5)
-    friction: tuple[float, float] = (0.2, 0.6)
-    floor_friction: tuple[float, float] = (0.2, 0.6)
-    mass_kg: tuple[float, float] = (0.3, 0.8)
-    rates: tuple[float, float] = (0.5, 0.1)
-    correlation: float = 0.0
-    finger_m: float = 0.01
-    opening_m: float = 0.08
-    spacing_m: float = 0.005
-    readings: int = 40
-    speed: float = 0.08
+    half: tuple[Positive, Positive] = (0.03, 0.08)
+    height_m: Positive = 0.10
+    modes: _Places = (
+        (0.45, 0.2, 0.0),
+        (0.45, -0.2, 0.0),
+    )
+    spread: tuple[Positive, Positive, Positive] = (0.06, 0.06, 0.5)
+    friction: Annotated[tuple[NotNegative, NotNegative], ASCENDING] = (0.2, 0.6)
+    floor_friction: Annotated[tuple[NotNegative, NotNegative], ASCENDING] = (0.2, 0.6)
+    mass_kg: Annotated[tuple[Positive, Positive], ASCENDING] = (0.3, 0.8)
+    rates: tuple[Share, Share] = (0.5, 0.1)
+    correlation: ShareBelow1 = 0.0
+    finger_m: Positive = 0.01
+    opening_m: Positive = 0.08
+    spacing_m: Positive = 0.005
+    readings: Count = 40
+    speed: Positive = 0.08
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
+        super().__post_init__()
         high, low = self.rates
-        if not 0.0 <= low < high <= 1.0:
-            raise UsageError(f"Expected rates as true > false positive rate within [0, 1], got {self.rates}")
-        if not 0.0 <= self.correlation < 1.0:
-            raise UsageError(f"Expected correlation in [0, 1), got {self.correlation}")
-        if self.readings < 1:
-            raise UsageError(f"Expected readings to be 1 or more, got {self.readings}")
-        for name in ("height_m", "finger_m", "opening_m", "spacing_m", "speed"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise UsageError(f"Expected {name} above 0, got {getattr(self, name)}")
-        for name in ("half", "spread"):
-            if not all(0.0 < value < math.inf for value in getattr(self, name)):
-                raise UsageError(f"Expected {name} with numbers above 0, got {getattr(self, name)}")
-        if not self.modes or not all(len(mode) == 3 and all(map(math.isfinite, mode)) for mode in self.modes):
-            raise UsageError(f"Expected modes with one place (x, y, yaw) or more, got {self.modes}")
-        for name in ("friction", "floor_friction", "mass_kg"):
-            low, high = getattr(self, name)
-            if not 0.0 <= low <= high < math.inf or (name == "mass_kg" and low == 0.0):
-                raise UsageError(f"Expected {name} as (low, high), low <= high, above 0, got {(low, high)}")
+        if not low < high:
+            raise UsageError(f"Expected rates as true > false positive rate, got {self.rates}")
         widest = self.opening_m - _CLEARANCE_M
         if 2.0 * self.half[0] > widest + 1e-9:
             raise UsageError(

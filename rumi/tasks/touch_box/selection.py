@@ -1,6 +1,8 @@
 """Which poke: what candidates are worth by several measures, all of the same rollouts."""
 
-from typing import Literal, NamedTuple, get_args
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -8,9 +10,7 @@ from torch import Tensor
 
 from rumi.information.binary_gain import expected_gain
 from rumi.information.entropy import SharedSupport, weights_entropy
-
-Method = Literal["sequence", "entropy", "weights-only", "ml-observation", "max-contact", "uninformed"]
-METHODS: tuple[str, ...] = get_args(Method)
+from rumi.registry import Table
 
 
 class Rollouts(NamedTuple):
@@ -32,6 +32,33 @@ class Rollouts(NamedTuple):
     likeliest: int | None = None
 
 
+class Weighing(NamedTuple):
+    """What candidates are weighed by.
+
+    Attributes:
+        rollouts: of the candidates.
+        support: density term.
+        hold: steps of contact.
+        samples: reading sequences that are drawn for each candidate.
+        every: steps from one density term to the next.
+        generator: all randomness.
+    """
+
+    rollouts: Rollouts
+    support: SharedSupport
+    hold: int
+    samples: int
+    every: int
+    generator: torch.Generator
+
+
+Worth = tuple[Float[Tensor, "C"], Int[Tensor, "C"] | None]
+"""Of each candidate: its value, and the step after which it is best cut off; None for its end."""
+
+METHODS: Table[Callable[[Weighing], Worth]] = Table("method", "rumi.poke_methods")
+"""Measures of what candidates are worth, by name."""
+
+
 class Choice(NamedTuple):
     """What was chosen.
 
@@ -47,7 +74,7 @@ class Choice(NamedTuple):
 
 
 def choose(
-    method: Method,
+    method: str,
     rollouts: Rollouts,
     support: SharedSupport,
     *,
@@ -60,10 +87,7 @@ def choose(
     """Weigh candidates by a method and take the best.
 
     Args:
-        method: "sequence" is the information of all readings until the belief expects contact to have lasted `hold`
-            steps; "entropy" the paper's Eq 9, one reading at the best step; "weights-only" that without the density
-            term; "ml-observation" lets the likeliest particle alone say what is read; "max-contact" counts particles
-            that are touched; "uninformed" draws.
+        method: of `METHODS`.
         rollouts: of the candidates.
         support: density term.
         hold: steps of contact.
@@ -71,23 +95,13 @@ def choose(
         every: steps from one density term to the next.
         funnel: nats of worth for each nat by which the motion alone shrinks the belief's volume.
         generator: all randomness.
+
+    Raises:
+        UsageError: there is no such method.
     """
     count, steps = rollouts.probability.shape[:2]
-    whole = torch.full((count,), steps)
-    if method == "sequence":
-        value = sequence_information(rollouts, hold=hold, samples=samples, generator=generator)
-    elif method in ("entropy", "weights-only"):
-        used = support if method == "entropy" else None
-        gain = expected_gain(rollouts.states, rollouts.log_weights, rollouts.probability, used, every=every)
-        value, whole = gain.value, gain.best_step
-    elif method == "ml-observation":
-        value, whole = likeliest_gain(rollouts, support, every=every)
-    elif method == "max-contact":
-        value = (rollouts.touching.any(1) * rollouts.log_weights.softmax(-1)).sum(-1)
-    elif method == "uninformed":
-        value = torch.rand(count, generator=generator, dtype=rollouts.probability.dtype)
-    else:
-        raise ValueError(f"Expected a method out of {', '.join(METHODS)}, got {method!r}")
+    value, best = METHODS[method](Weighing(rollouts, support, hold, samples, every, generator))
+    whole = torch.full((count,), steps) if best is None else best
     if funnel != 0.0:
         value = value + funnel * shrinking(rollouts, support, whole)
     # where nothing gains, the first candidate is carried out to its end, which is an uninformed poke, since candidates
@@ -154,3 +168,36 @@ def expects_contact(touching: Bool[Tensor, "T N"], log_weights: Float[Tensor, "N
         hold: steps.
     """
     return ((touching.long().cumsum(0) >= hold) * log_weights.softmax(-1)).sum(-1)
+
+
+def _sequence(given: Weighing) -> Worth:
+    """Information of all readings until the belief expects contact to have lasted `hold` steps."""
+    rollouts, hold, samples = given.rollouts, given.hold, given.samples
+    return sequence_information(rollouts, hold=hold, samples=samples, generator=given.generator), None
+
+
+def _entropy(given: Weighing, *, density: bool = True) -> Worth:
+    """The paper's Eq 9, one reading at the best step, with the density term or without."""
+    rollouts, support = given.rollouts, given.support if density else None
+    gain = expected_gain(rollouts.states, rollouts.log_weights, rollouts.probability, support, every=given.every)
+    return gain.value, gain.best_step
+
+
+def _max_contact(given: Weighing) -> Worth:
+    """Weight of the particles that are touched."""
+    touched = given.rollouts.touching.any(1)
+    return (touched * given.rollouts.log_weights.softmax(-1)).sum(-1), None
+
+
+def _uninformed(given: Weighing) -> Worth:
+    """Drawn."""
+    chance = given.rollouts.probability
+    return torch.rand(len(chance), generator=given.generator, dtype=chance.dtype), None
+
+
+METHODS.add("sequence", _sequence)
+METHODS.add("entropy", _entropy)
+METHODS.add("weights-only", partial(_entropy, density=False))
+METHODS.add("ml-observation", lambda given: likeliest_gain(given.rollouts, given.support, every=given.every))
+METHODS.add("max-contact", _max_contact)
+METHODS.add("uninformed", _uninformed)

@@ -1,16 +1,19 @@
 """Settings of finding a box by touch alone."""
 
-import math
 from dataclasses import dataclass, field
+from typing import Annotated
+
+from annotated_types import Ge
 
 from rumi.belief.trajectory_filter import TrajectorySettings
 from rumi.dynamics.registry import PUSH_MODELS
 from rumi.errors import UsageError
-from rumi.tasks.touch_box.selection import METHODS, Method
+from rumi.tasks.touch_box.selection import METHODS
+from sdf.bounds import Checked, Count, CountOr0, Finite, NotNegative, OneOf, Positive, ShareAbove0
 
 
 @dataclass(frozen=True)
-class PokeSettings:
+class PokeSettings(Checked, refusal=UsageError):
     """Candidates and their choice.
 
     Attributes:
@@ -25,30 +28,15 @@ class PokeSettings:
         funnel: nats of worth for each nat by which motion alone shrinks the belief.
     """
 
-    candidates: int = 20
-    particles: int = 100
-    bend: float = 0.1
-    hold_m: float = 0.015
-    sure: float = 0.8
-    samples: int = 32
-    every: int = 4
-    neighbours: int = 5
-    funnel: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        for name in ("candidates", "particles", "samples", "every"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"Expected {name} to be 1 or more, got {getattr(self, name)}")
-        if self.neighbours < 2:
-            raise UsageError(f"Expected neighbours to be 2 or more, got {self.neighbours}")
-        for name in ("bend", "hold_m"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise UsageError(f"Expected {name} to be 0 or more, got {getattr(self, name)}")
-        if not math.isfinite(self.funnel):
-            raise UsageError(f"Expected funnel to be a finite number of nats, got {self.funnel}")
-        if not 0.0 < self.sure <= 1.0:
-            raise UsageError(f"Expected sure in (0, 1], got {self.sure}")
+    candidates: Count = 20
+    particles: Count = 100
+    bend: NotNegative = 0.1
+    hold_m: NotNegative = 0.015
+    sure: ShareAbove0 = 0.8
+    samples: Count = 32
+    every: Count = 4
+    neighbours: Annotated[int, Ge(2)] = 5
+    funnel: Finite = 0.0
 
 
 def _filter() -> TrajectorySettings:
@@ -64,11 +52,15 @@ def _filter() -> TrajectorySettings:
 
 
 @dataclass(frozen=True)
-class TouchSettings:
+class TouchSettings(Checked, refusal=UsageError):
     """All that decides a run but the task.
 
     Attributes:
-        method: by which pokes are chosen.
+        method: by which pokes are chosen: "sequence" is the information of all readings until the belief expects
+            contact to have lasted; "entropy" the paper's Eq 9, one reading at the best step; "weights-only" that
+            without the density term; "ml-observation" lets the likeliest particle alone say what is read;
+            "max-contact" counts particles that are touched; "uninformed" draws; or a name that an installed package
+            adds.
         push_model: by which particles are moved.
         count: particles.
         threshold: believed chance of lifting at which the box is grasped.
@@ -83,26 +75,13 @@ class TouchSettings:
         poke: candidates and their choice.
     """
 
-    method: Method = "sequence"
-    push_model: str = "quasi-static"
-    count: int = 800
-    threshold: float = 0.92
-    actions: int = 15
-    decay: float | None = 1000.0
+    method: Annotated[str, OneOf(METHODS)] = "sequence"
+    push_model: Annotated[str, OneOf(PUSH_MODELS)] = "quasi-static"
+    count: Count = 800
+    threshold: ShareAbove0 = 0.92
+    actions: CountOr0 = 15
+    decay: Positive | None = 1000.0
     weigh_correlated: bool = True
     stop_early: bool = True
     filter: TrajectorySettings = field(default_factory=_filter)
     poke: PokeSettings = field(default_factory=PokeSettings)
-
-    def __post_init__(self) -> None:
-        """Refuse what has no meaning."""
-        if self.method not in METHODS:
-            raise UsageError(f"Expected a method out of {', '.join(METHODS)}, got {self.method!r}")
-        if self.push_model not in PUSH_MODELS:
-            raise UsageError(f"Expected a push model out of {', '.join(PUSH_MODELS)}, got {self.push_model!r}")
-        if self.count < 1 or self.actions < 0:
-            raise UsageError(f"Expected count >= 1 and actions >= 0, got {self.count} and {self.actions}")
-        if not 0.0 < self.threshold <= 1.0:
-            raise UsageError(f"Expected threshold in (0, 1], got {self.threshold}")
-        if self.decay is not None and not 0.0 < self.decay < math.inf:
-            raise UsageError(f"Expected decay above 0, or None for a step, got {self.decay}")

@@ -4,7 +4,18 @@ from importlib import import_module
 
 import torch
 
-SUBJECTS = ("se3", "beliefs", "distances", "fields", "planning", "entropy", "likelihoods", "touching", "pushes")
+SUBJECTS = (
+    "se3",
+    "beliefs",
+    "distances",
+    "fields",
+    "planning",
+    "entropy",
+    "likelihoods",
+    "touching",
+    "pushes",
+    "trajectories",
+)
 
 
 def load() -> None:

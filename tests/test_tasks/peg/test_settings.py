@@ -12,7 +12,7 @@ from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.peg.settings import PegSettings
 
 QUICK = ["--particles", "100", "--search-particles", "300", "--point-m", "0.001", "--normal-deg", "2"]
-QUICK += ["--most-actions", "3"]
+QUICK += ["--most-actions", "1"]
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ QUICK += ["--most-actions", "3"]
         ("--table-m 0.8", "--table-m"),
         ("--particles 10.5", "--particles"),
         ("--sampled maybe", "maybe"),
-        ("--action-budget-s nan", "action_budget_s to be a finite number"),
+        ("--action-budget-s nan", "action_budget_s above 0 and finite"),
         ("--action-budget-s None", "--action-budget-s"),
         ("--point-m many", "--point-m"),
         ("--stop luck", "'luck'"),

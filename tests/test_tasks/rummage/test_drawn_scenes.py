@@ -6,8 +6,9 @@ import pytest
 import torch
 
 from rumi.tasks.rummage.build import make_task
+from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.objects import ObjectSettings, with_object
-from rumi.tasks.rummage.scenes import DRAWN, SCENES, find_task
+from rumi.tasks.rummage.scenes import SCENES, find_task, make_tool
 
 
 @pytest.mark.parametrize("name", DRAWN)
@@ -41,7 +42,7 @@ def test_what_is_asked_for_is_not_drawn():
 @pytest.mark.sim
 @pytest.mark.parametrize("name", DRAWN)
 def test_the_simulator_puts_the_object_where_its_seed_has_it(name):
-    task = make_task(name)
+    task = make_task(name, tool=make_tool(find_task(name), free_flying=True))
     for seed in (3, 4, 3):
         scene, result = find_task(name).drawn(seed), task.reset(seed)
         torch.testing.assert_close(result.truth[:2, 3], torch.tensor(scene.start[:2]), atol=1e-3, rtol=0)

@@ -71,7 +71,7 @@ def test_an_interrupt_leaves_the_pokes_that_were_done(monkeypatch, capsys):
         (["run", "touch-box", "--method", "guess"], "guess"),
         (["run", "touch-box", "--task.rates", "0.1", "0.5"], "true > false positive rate"),
         (["run", "touch-box", "--poke.candidates", "0"], "Expected candidates to be 1 or more, got 0"),
-        (["run", "touch-box", "--task.speed", "0"], "Expected speed above 0, got 0.0"),
+        (["run", "touch-box", "--task.speed", "0"], "Expected speed above 0 and finite, got 0.0"),
         (["run", "touch-box", "--threshold", "nan"], "Expected threshold in (0, 1], got nan"),
         (["run", "touch-box", "--filter.overlap-error", "0.7"], "Expected overlap_error"),
         (["run", "touch-box", "--robot", "arm", "--task.rates", "0.9", "0.05"], "The arm feels by its own torques"),

@@ -1,0 +1,109 @@
+"""Segments drawn from the very model that trajectories are weighed by: for benchmarks and simulation-based calibration.
+
+Every reading counts as one: points seen about the surface, and points of pads that feel it or not.
+"""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
+from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.sliding import rotated
+from rumi.seeding import normal
+
+_BEYOND = 4.0  # deviations of the sensor that points about the surface are drawn within
+
+
+def drawn_view(
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+    pose: Float[Tensor, "3"],
+    count: int,
+    random: torch.Generator,
+) -> Segment:
+    """Points that a camera with the model's noise sees of an object at rest, by rejection.
+
+    Args:
+        model: the object.
+        own: of the camera.
+        pose: of the object.
+        count: of points.
+        random: of the draws.
+    """
+    low, high = model.sdf.bounds.double()
+    reach = _BEYOND * own.seen_sd_m
+    found = low.new_zeros(0, 3)
+    while len(found) < count:
+        uniform = torch.rand(50 * count, 4, generator=random, dtype=torch.float64)
+        points = low - reach + (high - low + 2.0 * reach) * uniform[:, :3]
+        distance = model.sdf.distance(points.to(model.sdf.bounds)).double()
+        found = torch.cat((found, points[uniform[:, 3] < (-0.5 * (distance / own.seen_sd_m).square()).exp()]))
+    found = found[:count]
+    place = torch.cat((pose[:2] + rotated(found[:, :2], pose[2]), found[:, 2:]), -1)
+    still = torch.zeros(1, 2, 3, dtype=torch.float64)
+    kind = torch.full((count,), int(Kind.SEEN))
+    return Segment(still, False, place, torch.zeros_like(kind), kind, torch.ones(count, dtype=torch.float64))
+
+
+def drawn_truth(pose: Float[Tensor, "3"], random: torch.Generator) -> Trajectories:
+    """One particle with physics of the prior, to which nothing has been done yet."""
+    physics = normal((1, PHYSICS), generator=random, dtype=torch.float64)
+    none = pose.new_zeros(1, 0)
+    return Trajectories(
+        physics, none[..., None].expand(1, 0, NOISE), pose[None, None], none, History.empty(), pose[None]
+    )
+
+
+def drawn_push(
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+    truth: Trajectories,
+    path: Float[Tensor, "K 2 3"],
+    pads: Float[Tensor, "m 3"],
+    random: torch.Generator,
+) -> tuple[Segment, Trajectories]:
+    """A push of a segment that is an action of its own, with motion and readings of the model; and the truth then.
+
+    Args:
+        model: object and tool.
+        own: motion prior and sensors.
+        truth: one particle.
+        path: of the tool.
+        pads: points that feel or not, tool frame; heights from the object's origin.
+        random: of the draws.
+    """
+    instants, count = len(path), len(pads)
+    after = path[:, 1]
+    place = after[:, None, :2] + rotated(pads[:, :2], after[:, None, 2])
+    points = torch.cat((place, pads[:, 2:].expand(instants, -1, 1)), -1).reshape(-1, 3)
+    when = torch.arange(instants).repeat_interleave(count)
+    clear = torch.full_like(when, int(Kind.PAD_CLEAR))
+    segment = Segment(path, True, points, when, clear, torch.ones(len(when), dtype=torch.float64))
+    noise = normal((1, 1, NOISE), generator=random, dtype=torch.float64)
+    track = [truth.pose]
+    # instant by instant, so that the pose at each is there to draw readings from; they share the segment's noise
+    for step in path:
+        alone = History.empty().appended(Segment(step[None], True, points[:0], when[:0], when[:0], points[:0, 0]))
+        moved = replace(
+            truth, noise=noise, poses=track[-1][:, None].repeat(1, 2, 1), log_likelihood=points.new_zeros(1, 1)
+        )
+        track.append(moved.replayed(model, own, alone, torch.zeros(1, dtype=torch.long)).pose)
+    poses = torch.cat(track[1:]).repeat_interleave(count, 0)
+    local = rotated(points[:, :2] - poses[:, :2], -poses[:, 2])
+    distance = model.sdf.distance(torch.cat((local, points[:, 2:]), -1).to(model.sdf.bounds)).double()
+    feels = own.outliers + (1.0 - 2.0 * own.outliers) * torch.sigmoid((own.pad_m - distance) / own.pad_slope_m)
+    felt = torch.rand(len(feels), generator=random, dtype=torch.float64) < feels
+    segment = segment._replace(kind=torch.where(felt, int(Kind.PAD_FELT), clear))
+    history = truth.history.appended(segment)
+    truth = replace(
+        truth,
+        noise=torch.cat((truth.noise, noise), 1),
+        poses=torch.cat((truth.poses, track[-1][:, None]), 1),
+        log_likelihood=points.new_zeros(1, len(history)),
+        history=history,
+    )
+    return segment, truth

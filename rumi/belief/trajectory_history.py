@@ -1,0 +1,155 @@
+"""History of a pushed object: what was done and sensed, segment by segment, in the world's frame."""
+
+import functools
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import NamedTuple, Self
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+NODES = 2001
+"""Distances from the surface that the compiled version's log-likelihoods of a kind are a table over; odd, 0 amid."""
+
+
+class Kind(IntEnum):
+    """Meaning of a point."""
+
+    SEEN = 0
+    FREE = 1
+    FELT = 2
+    PAD_FELT = 3
+    PAD_CLEAR = 4
+
+
+class Segment(NamedTuple):
+    """Part of an action with what was sensed in it; world frame, float64, never re-attached.
+
+    Attributes:
+        tool: (K, 2, 3), (x, y, yaw) of the tool before and after each instant.
+        pushes: whether the tool may push the object; else it stands still.
+        points: (M, 3), heights counted from the object's origin.
+        instant: (M), in ascending order.
+        kind: (M), of `Kind`.
+        weight: (M), independent readings that a point is worth.
+    """
+
+    tool: Float[Tensor, "K 2 3"]
+    pushes: bool
+    points: Float[Tensor, "M 3"]
+    instant: Int[Tensor, "M"]
+    kind: Int[Tensor, "M"]
+    weight: Float[Tensor, "M"]
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Segments one after the other: S of them, T instants, M points.
+
+    Attributes:
+        tool: (T, 2, 3).
+        pushes: (T).
+        ends: (S), instant behind each segment's last.
+        action: (S), the first segment of each one's action.
+        points: (M, 3).
+        kind: (M).
+        weight: (M).
+        point_ends: (T), point behind each instant's last.
+    """
+
+    tool: Float[Tensor, "T 2 3"]
+    pushes: Bool[Tensor, "T"]
+    ends: Int[Tensor, "S"]
+    action: Int[Tensor, "S"]
+    points: Float[Tensor, "M 3"]
+    kind: Int[Tensor, "M"]
+    weight: Float[Tensor, "M"]
+    point_ends: Int[Tensor, "T"]
+
+    @classmethod
+    def empty(cls) -> Self:
+        """Nothing yet."""
+        none, flat = torch.zeros(0, dtype=torch.long), torch.zeros(0, dtype=torch.float64)
+        return cls(flat.view(0, 2, 3), none.bool(), none, none, flat.view(0, 3), none, flat, none)
+
+    def __len__(self) -> int:
+        """Number of segments."""
+        return len(self.ends)
+
+    @functools.cached_property
+    def arrays(self) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+        """What was done and what was sensed, as the compiled version takes them: points by coordinate, float32."""
+        done = self.tool, self.pushes, self.ends, self.action, self.point_ends
+        sensed = self.points.T.float().flatten(), self.weight.float(), (NODES * self.kind).int()
+        return arrays_of(done), arrays_of(sensed)
+
+    def appended(self, segment: Segment, *, opens: bool = True) -> Self:
+        """With one more segment.
+
+        Args:
+            segment: what came.
+            opens: whether it is the first of its action.
+        """
+        count, instants = len(self), len(segment.tool)
+        action = count if opens or not count else int(self.action[-1])
+        counts = torch.bincount(segment.instant, minlength=instants)
+        return replace(
+            self,
+            tool=torch.cat((self.tool, segment.tool)),
+            pushes=torch.cat((self.pushes, torch.full((instants,), segment.pushes))),
+            ends=torch.cat((self.ends, torch.tensor([len(self.tool) + instants]))),
+            action=torch.cat((self.action, torch.tensor([action]))),
+            points=torch.cat((self.points, segment.points)),
+            kind=torch.cat((self.kind, segment.kind)),
+            weight=torch.cat((self.weight, segment.weight)),
+            point_ends=torch.cat((self.point_ends, len(self.points) + counts.cumsum(0))),
+        )
+
+    def tempered(self, power: float) -> Self:
+        """The last segment's readings raised to a power."""
+        if power == 1.0 or not len(self):
+            return self
+        weight = self.weight.clone()
+        weight[self._points_before(len(self) - 1) :] *= power
+        return replace(self, weight=weight)
+
+    def last(self) -> Self:
+        """The last segment alone, as an action of its own."""
+        alone = self.since(len(self) - 1)
+        return replace(alone, action=torch.zeros_like(alone.action))
+
+    def since(self, segment: int) -> Self:
+        """The same from a segment on, which must be the first of its action."""
+        first, point = (int(self.ends[segment - 1]) if segment else 0), self._points_before(segment)
+        return replace(
+            self,
+            tool=self.tool[first:],
+            pushes=self.pushes[first:],
+            ends=self.ends[segment:] - first,
+            action=self.action[segment:] - segment,
+            points=self.points[point:],
+            kind=self.kind[point:],
+            weight=self.weight[point:],
+            point_ends=self.point_ends[first:] - point,
+        )
+
+    def moving(self) -> Int[Tensor, "s"]:
+        """The segments in which the object may have been pushed."""
+        return self.pushes[self.ends - 1].nonzero()[:, 0]
+
+    def since_push(self) -> Int[Tensor, "m"]:
+        """The points that were sensed after the last push."""
+        moving = self.moving()
+        return torch.arange(self._points_before(int(moving[-1]) + 1) if len(moving) else 0, len(self.points))
+
+    def _points_before(self, segment: int) -> int:
+        """Number of points of the segments before one."""
+        first = int(self.ends[segment - 1]) if segment else 0
+        return int(self.point_ends[first - 1]) if first else 0
+
+
+def arrays_of(tensors: tuple[Tensor, ...]) -> tuple[np.ndarray, ...]:
+    """Tensors as the contiguous arrays that compiled versions take."""
+    return tuple(part.detach().contiguous().numpy() for part in tensors)

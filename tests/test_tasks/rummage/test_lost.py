@@ -1,0 +1,114 @@
+"""A run that is lost: the test of its readings, and the search that begins anew from one of them."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief.misfit import MisfitSettings
+from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import FilterSettings, PoseFilter
+from rumi.tasks.rummage.entry import ENTRIES, describe, ending
+from rumi.tasks.rummage.lost import Watch, searched_again, watch
+from sdf import se3
+from sdf.object_model import box_model
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation, concatenate
+from sensors.semantics import Semantics
+from tests.fixtures.made_up_run import make_up
+
+OWN = MisfitSettings()
+MADE_UP = make_up(2, particles=2)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return box_model(spacing=0.004, points=100)
+
+
+@pytest.fixture(scope="module")
+def pose_filter(model):
+    return PoseFilter(FilterSettings(), [Discrepancy(model.sdf, model.radius)], "SE(2)")
+
+
+def face(model, x):
+    """Points of a side of a box that stands at x."""
+    low = model.exact.bounds[0]
+    y = 0.5 * float(low[1]) * torch.tensor([-1.0, 0.0, 1.0])
+    return torch.stack((torch.full_like(y, x + float(low[0])), y, torch.zeros(3)), -1)
+
+
+def step(model, number, felt_at, free_at=None, spread=1e-3):
+    """A step whose belief has the box at the origin."""
+    normal = torch.randn(40, 3, generator=torch.Generator().manual_seed(1))
+    belief = PoseBelief.uniform(se3.from_planar(spread * normal))
+    parts = [] if felt_at is None else [Observation.of(face(model, felt_at), Semantics.SURFACE)]
+    if free_at is not None:
+        parts.append(Observation.of(torch.tensor([[free_at, 0.0, 0.0]]), Semantics.FREE))
+    return replace(MADE_UP.steps[1], step=number, belief=belief, added=concatenate(parts))
+
+
+def followed(model, pose_filter, steps, own=OWN):
+    now, found = Watch(), []
+    for record in steps:
+        now, nats, remark = watch(now, record.belief, record, pose_filter, model, own)
+        found.append((now, nats, remark))
+    return found
+
+
+def test_what_fits_says_nothing_however_often(model, pose_filter):
+    steps = [step(model, number, 0.0) for number in range(1, 31)]
+    assert all(remark is None and nats < 0.1 for _, nats, remark in followed(model, pose_filter, steps))
+
+
+def test_a_surface_off_twice_is_a_knock_and_is_dated(model, pose_filter):
+    steps = [step(model, number, 0.0 if number < 6 else -0.03) for number in range(1, 9)]
+    found = followed(model, pose_filter, steps)
+    remark = next(remark for _, _, remark in found if remark is not None)
+    assert remark.name == "lost: knocked"
+    assert remark.step in (6, 7)
+    assert "since about action 6" in remark.sentence
+    now = found[remark.step - 1][0]
+    assert now.evidence is None and now.begun == remark.step and not now.lost
+
+
+def test_an_absent_object_leaves_the_run_lost(model, pose_filter):
+    steps = [step(model, number, None, free_at=0.0) for number in range(1, 6)]
+    found = followed(model, pose_filter, steps)
+    assert [remark.name for _, _, remark in found if remark is not None] == ["lost: absent"]
+    assert found[-1][0].lost
+
+
+def test_without_recovery_an_alarm_leaves_the_run_lost_and_0_never_asks(model, pose_filter):
+    steps = [step(model, number, -0.03) for number in range(1, 6)]
+    assert followed(model, pose_filter, steps, replace(OWN, recover=False))[-1][0].lost
+    assert all(
+        nats == 0.0 and remark is None for _, nats, remark in followed(model, pose_filter, steps, MisfitSettings(0.0))
+    )
+
+
+def test_a_fault_that_is_likely_is_no_time_to_be_sure(model, pose_filter):
+    own = replace(OWN, alpha=1e-6)  # no alarm yet
+    steps = [step(model, 1, 0.0), step(model, 2, -0.03), *(step(model, number, 0.0) for number in range(3, 12))]
+    doubts = [now.doubts(own) for now, _, _ in followed(model, pose_filter, steps, own)]
+    assert doubts[:2] == [False, True] and not doubts[-1]
+    assert not Watch().doubts(own)
+
+
+def test_a_search_finds_the_object_by_the_reading_alone(model, pose_filter):
+    record = step(model, 3, -0.03)
+    belief, memory = searched_again(record, pose_filter, OWN, generator=torch.Generator().manual_seed(0))
+    assert belief.log_weights.shape == record.belief.log_weights.shape
+    assert len(memory.points[memory.valid]) == 3
+    felt = face(model, -0.03)
+    off = model.sdf.distance(se3.apply(se3.inverse(belief.world_T_object), felt)).abs().median(-1).values
+    assert float(off.median()) < 5e-3
+
+
+def test_a_lost_run_says_so_and_does_not_succeed():
+    record = replace(MADE_UP.steps[1], lost=7.5)
+    result = replace(MADE_UP.result, stopped_by="sure", lost=False)
+    entry = ENTRIES["mug-0"]
+    assert entry.success(result) and not entry.success(replace(result, lost=True))
+    assert ending(replace(result, lost=True))[0].startswith("lost; ")
+    assert "lost 7.5" in describe(record) and "lost" not in describe(replace(record, lost=0.2))
