@@ -385,6 +385,9 @@ def test_pushes_of_a_run_are_learnt_from(tmp_path, capsys):
     assert len(push_model("quasi-static", "rollouts", settings).posterior.pushes) == 5
     out.write_text("{}")
     assert main(["pushes", str(tmp_path / "run"), "--pushes", str(out)]) == exit_codes.BAD_INPUT
+    assert "Expected push parameters" in capsys.readouterr().err
+    assert run_small("--planner.push-parameters", str(out)) == exit_codes.BAD_INPUT
+    assert not list(Path("runs").glob("*"))
 
 
 def test_a_run_goes_on_from_the_pushes_of_the_last(tmp_path, capsys):
@@ -400,9 +403,6 @@ def test_a_run_goes_on_from_the_pushes_of_the_last(tmp_path, capsys):
     assert planned_with(settings, file, "mug-0").planner.push_parameters == str(file)
     assert main(["run", "touch-box", "--pushes", str(file), "--out", str(tmp_path / "other")]) == exit_codes.BAD_INPUT
     assert not (tmp_path / "other").exists()
-    assert "Expected push parameters" in capsys.readouterr().err
-    assert run_small("--planner.push-parameters", str(out)) == exit_codes.BAD_INPUT
-    assert not list(Path("runs").glob("*"))
 
 
 @pytest.mark.sim
