@@ -11,12 +11,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
+from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import NODES, History, Kind, arrays_of
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.along_path import Pusher, push_along_path, unwrapped
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.sliding import Sliding, push, rotated
 from rumi.robot.tool_shape import ToolShape
-from sdf import backend, compiled
+from sdf import backend, compiled, se3
 from sdf.base import SDF
 
 PHYSICS, NOISE, OWN = 5, 9, 5
@@ -36,6 +38,8 @@ class PushedObject:
         tool: (n, 2), points of the tool's border, tool frame.
         pads: (m, 3), points of its pads, tool frame.
         height_m: of the tool above the floor.
+        wide: how much wider than the settings have it the noise of its motion is.
+        replay: name of the versions that replay its trajectories.
     """
 
     sdf: SDF
@@ -46,6 +50,8 @@ class PushedObject:
     tool: Float[Tensor, "n 2"]
     pads: Float[Tensor, "m 3"]
     height_m: float
+    wide: float = 1.0
+    replay: str = "replay_trajectories"
 
     @classmethod
     def of(
@@ -70,6 +76,55 @@ class PushedObject:
     def reach_m(self) -> float:
         """Distance from the tool's origin beyond which nothing is touched."""
         return float(self.tool.norm(dim=-1).max()) + self.outline.radius
+
+    @property
+    def extent_m(self) -> tuple[float, float, float]:
+        """How far its surface is from its place sideways, and how low and how high, at most."""
+        low, high = self.sdf.bounds.double()
+        return float(torch.stack((low[:2], high[:2])).abs().amax(0).norm()), float(low[2]), float(high[2])
+
+    @property
+    def reported(self) -> Float[Tensor, "m 3"]:
+        """Where what the pads' points felt is reported, tool frame: at them."""
+        return self.pads
+
+    def world_T_object(self, poses: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 4 4"]:
+        """Poses in space, heights counted from the object's origin."""
+        return se3.from_planar(poses)
+
+    def local(self, pose: Float[Tensor, "N 3"], points: Float[Tensor, "M 3"]) -> Float[Tensor, "N M 3"]:
+        """Points in the frame of each pose."""
+        local = rotated(points[:, :2] - pose[:, None, :2], -pose[:, None, 2])
+        return torch.cat((local, points[:, 2:].expand(len(pose), -1, 1)), -1)
+
+    def unsettled(self, poses: Float[Tensor, "N 3"]) -> Bool[Tensor, "N"]:
+        """Never: it stands upright."""
+        return torch.zeros(len(poses), dtype=torch.bool)
+
+    def path(self, tool_pose: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K 3"]:
+        """What counts of the tool's poses: (x, y, yaw)."""
+        return unwrapped(se3.to_planar(tool_pose.double()))
+
+    def tracks(
+        self, own: PoseTrajectorySettings, some: Float[Tensor, "n 3"], path: Float[Tensor, "K 2 3"]
+    ) -> Float[Tensor, "n K 3"]:
+        """Where poses go by the median of the prior."""
+        like = some.new_tensor(self.spread_m * own.lever_ratio[0])
+        sliding = Sliding(self.centre, like, some.new_tensor(own.friction[0]))
+        whole = torch.cat((path[:1, 0], path[:, 1]))[None]
+        return push_along_path(some, whole, Pusher(self.tool), self.outline, sliding, substeps=1).track
+
+    def step(
+        self,
+        own: PoseTrajectorySettings,
+        pose: Float[Tensor, "N 3"],
+        before: Float[Tensor, "3"],
+        after: Float[Tensor, "3"],
+        body: Sliding,
+        noise: Float[Tensor, "N 3"],
+    ) -> Float[Tensor, "N 3"]:
+        """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
+        return _stepped(self, own, pose, before, after, body, noise)
 
     @functools.cached_property
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -97,25 +152,26 @@ class Trajectories:
         physics: (N, 5) standard normals: log-friction, log-lever, centre of friction (x, y), pressure ahead.
         noise: (N, S, 9) standard normals of each segment: log-friction, log-lever, motion along, across and turn;
             and for the whole action, of which its first segment's count, the last three once more, and their size.
-        poses: (N, S + 1, 3), (x, y, yaw) before the first segment and after each.
+        poses: (N, S + 1, 3), (x, y, yaw) before the first segment and after each; in space (N, S + 1, 6), with the
+            resting pose, the edge that it leans about, and the tilt (`rumi.dynamics.toppling.Leaning`).
         log_likelihood: (N, S), of each segment's readings.
         history: what was done and sensed.
-        starts: (Q, 3), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
+        starts: (Q, 3 or 6), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
     """
 
     physics: Float[Tensor, "N 5"]
     noise: Float[Tensor, "N S 9"]
-    poses: Float[Tensor, "N S1 3"]
+    poses: Float[Tensor, "N S1 D"]
     log_likelihood: Float[Tensor, "N S"]
     history: History
-    starts: Float[Tensor, "Q 3"]
+    starts: Float[Tensor, "Q D"]
 
     def __len__(self) -> int:
         """Number of particles."""
         return len(self.physics)
 
     @property
-    def pose(self) -> Float[Tensor, "N 3"]:
+    def pose(self) -> Float[Tensor, "N D"]:
         """Where each particle is now."""
         return self.poses[:, -1]
 
@@ -137,6 +193,16 @@ class Trajectories:
     def _with(self, parts: list[Tensor]) -> Self:
         physics, noise, poses, log_likelihood = parts
         return replace(self, physics=physics, noise=noise, poses=poses, log_likelihood=log_likelihood)
+
+    def lengthened(self, noise: Float[Tensor, "N 1 9"], history: History) -> Self:
+        """With one more segment, which is not replayed yet."""
+        return replace(
+            self,
+            noise=torch.cat((self.noise, noise), 1),
+            poses=torch.cat((self.poses, self.poses[:, -1:]), 1),
+            log_likelihood=torch.cat((self.log_likelihood, self.log_likelihood.new_zeros(len(self), 1)), 1),
+            history=history,
+        )
 
     def remembered(self, most: int) -> Self:
         """The same without the older half of a history of more segments, cut where an action begins."""
@@ -160,7 +226,7 @@ class Trajectories:
 
     def replayed(
         self,
-        model: PushedObject,
+        model: Pushed,
         settings: PoseTrajectorySettings,
         history: History,
         first: Int[Tensor, "N"],
@@ -176,7 +242,7 @@ class Trajectories:
             least: log-likelihood from there on below which a particle may be given up: a segment's is then -inf, and
                 what comes after it is left as it was.
         """
-        version = backend.dispatch("replay_trajectories", self.poses, *model.sdf.tensors())
+        version = backend.dispatch(model.replay, self.poses, *model.sdf.tensors())
         least = torch.full_like(first, -torch.inf, dtype=torch.float64) if least is None else least
         poses, log_likelihood = version(model, settings, history, self, first, least)
         return replace(self, poses=poses, log_likelihood=log_likelihood)
@@ -218,14 +284,15 @@ _GROUP = 8  # points of the tool's border that it leaves out together
 
 
 @backend.register("replay_trajectories")
-def _replay(
-    model: PushedObject,
+def replay_plain(
+    model: Pushed,
     own: PoseTrajectorySettings,
     history: History,
     given: Trajectories,
     first: Int[Tensor, "N"],
     least: Float[Tensor, "N"],
 ) -> tuple[Tensor, Tensor]:
+    """The definition: poses and likelihoods from a segment of each particle's own on; none is given up."""
     poses, logs = given.poses.clone(), given.log_likelihood.clone()
     for segment in range(len(history)):
         rows = (first <= segment).nonzero()[:, 0]
@@ -237,18 +304,18 @@ def _replay(
         lever = own.lever_ratio[1] * physics[:, 1] + own.lever_change * noise[:, 1]
         lever = model.spread_m * own.lever_ratio[0] * lever.exp()
         mixed = math.sqrt(1.0 - own.shared) * noise[:, 2:OWN] + math.sqrt(own.shared) * together[:, :3]
-        mixed = mixed * (0.5 * own.tails * together[:, 3:].square()).exp()
+        mixed = model.wide * mixed * (0.5 * own.tails * together[:, 3:].square()).exp()
         pose, total = poses[rows, segment], torch.zeros_like(friction)
         for instant in range(int(history.ends[segment - 1]) if segment else 0, int(history.ends[segment])):
             if bool(history.pushes[instant]):
                 before, after = history.tool[instant]
-                pose = _stepped(model, own, pose, before, after, Sliding(physics[:, 2:], lever, friction), mixed)
+                pose = model.step(own, pose, before, after, Sliding(physics[:, 2:], lever, friction), mixed)
             begin = int(history.point_ends[instant - 1]) if instant else 0
             some = slice(begin, int(history.point_ends[instant]))
             there = history.points[some]
-            local = rotated(there[:, :2] - pose[:, None, :2], -pose[:, None, 2])
-            places = torch.cat((local, there[:, 2:].expand(len(pose), -1, 1)), -1)
-            distance = model.sdf.distance(places.to(model.sdf.bounds)).to(pose)
+            if not len(there):
+                continue
+            distance = model.sdf.distance(model.local(pose, there).to(model.sdf.bounds)).to(pose)
             total = total + log_likelihood_of(distance, history.kind[some], own) @ history.weight[some]
         poses[rows, segment + 1], logs[rows, segment] = pose, total
     return poses, logs
@@ -298,12 +365,12 @@ def _replay_numba(
     from sdf.grid_sdf import GridSDF
 
     if not isinstance(model.sdf, GridSDF):
-        return _replay(model, own, history, given, first, least)
+        return replay_plain(model, own, history, given, first, least)
     from rumi.belief.pose_trajectories_numba import replay as kernel
     from sdf.grid_numba import grid_arguments
 
     poses, found = given.poses.clone(), given.log_likelihood.clone()
-    scales, logs = _tables(own)
+    scales, logs = tables(own)
     particles = arrays_of((first, least, poses, found, given.physics, given.noise))
     grid = grid_arguments(model.sdf, torch.float32)
     kernel(particles, *history.arrays, model.arrays, scales.numpy(), logs.numpy(), grid)
@@ -311,7 +378,7 @@ def _replay_numba(
 
 
 @functools.cache
-def _tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
+def tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
     """Numbers of the motion prior as the kernel takes them, and all kinds' log-likelihoods over distances, float32."""
     prior = (*own.friction, *own.lever_ratio, *own.ahead, own.centre_m, own.friction_change, own.lever_change)
     noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)

@@ -16,13 +16,14 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings, PoseFilter
-from rumi.belief.pose_trajectories import NOISE, OWN, PHYSICS, PoseTrajectoryBelief, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import NOISE, OWN, PHYSICS, PoseTrajectoryBelief, Trajectories
+from rumi.belief.prior import PosePrior
+from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_moves import Moves, start_density
-from rumi.dynamics.along_path import Pusher, push_along_path
-from rumi.dynamics.sliding import Sliding
 from rumi.errors import DegenerateBeliefError, UsageError
+from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import Generators, normal
 from rumi.weights import effective_sample_size, normalise
@@ -35,20 +36,35 @@ from sensors.reading import Reading
 _SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of draws about fitted poses: metres, radians
 _DRAWS, _STARTS, _LOOKED_AT, _FIRST_SWEEPS = 6000, 300, 24, 4
 _MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of the belief
+_UNMET, _MET = (
+    40000,
+    10000,
+)  # draws of the prior at the first touch, and those of them that its motion is worked out for
+_TOUCHED_ABOUT = (0.004, 0.004, 0.1)  # of starts after it
+_UNSETTLED = 0.03  # share of the belief that leans on the tool, and so moves with it, felt or not
 _LONG = 6  # pushed segments up to which moves from the start are tried after each, not after each action
 
 
 class PoseTrajectoryFilter(PoseFilter):
-    """Follows upright objects pushed by a level tool, without a sensor of their motion; holds settings alone.
+    """Follows objects that a tool pushes, without a sensor of their motion; holds settings alone.
 
     Args:
         settings: of which `trajectories` count here, and the lattice of the points kept for planners.
         discrepancy: C^, by which the first view's poses are found.
         model: object and tool.
+        prior: of the start pose, where no view shows the object; its ways are the model's first resting poses.
+        search: freedom of the pose, "SE(2)" or "SE(3)".
     """
 
-    def __init__(self, settings: FilterSettings, discrepancy: Discrepancy, model: PushedObject) -> None:
-        super().__init__(settings, [discrepancy], "SE(2)")
+    def __init__(
+        self,
+        settings: FilterSettings,
+        discrepancy: Discrepancy,
+        model: Pushed,
+        prior: PosePrior | None = None,
+        search: Search = "SE(2)",
+    ) -> None:
+        super().__init__(settings, [discrepancy], search, prior)
         self.model, self.own = model, settings.trajectories
 
     def with_evidence(self, *models: EvidenceModel) -> Self:
@@ -56,8 +72,16 @@ class PoseTrajectoryFilter(PoseFilter):
         raise UsageError("Expected a motion other than 'trajectory' where further evidence counts: it takes in none")
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
-        """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves."""
+        """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves.
+
+        Without a view: draws of the prior.
+        """
         random, own = _one(generator), self.own
+        if self.prior is not None:
+            start, starts = (from_prior(self.prior, count, random) for count in (own.unseen_particles, _STARTS))
+            drawn = self._fresh(start, History.empty(4), starts, random)
+            even = normalise(torch.zeros(len(start), dtype=torch.float64))
+            return self._belief(drawn, even, belief.world_T_attached, belief.log_weights)
         fitted = se3.to_planar(belief.world_T_object.double())
         draws = max(_DRAWS // len(fitted), 1)
         spread = fitted.new_tensor([(m, m, rad) for m, rad in _SPREADS])
@@ -89,15 +113,23 @@ class PoseTrajectoryFilter(PoseFilter):
         random, own = _one(generator), self.own
         now, log_weights, resampled = belief.trajectories, belief.log_weights.double(), False
         spans: list[int] = []
-        path = path_of(reading)
-        touched = self._pushes(now, log_weights, reading, path)
+        path = path_of(reading, self.model)
+        unmet = self.prior is not None and not len(now.history.moving())
+        touched = bool(reading.in_contact.any()) if unmet else self._pushes(now, log_weights, reading, path)
         if touched:
             felt = felt_pads(reading, self.model, own)
             parts = cut(reading, own)
+            if unmet and not bool(reading.in_contact[parts[0]].any()):
+                parts = [torch.cat(parts[:2]), *parts[2:]]
             for instants in parts:
                 tracks = self._tracks(now, log_weights, path[instants])
                 segment = pushed(reading, instants, path, felt, tracks, self.model, own)
-                now = self.absorbed(now, log_weights, segment, random, opens=not spans, closes=instants is parts[-1])
+                if unmet and not spans:
+                    now = self._met(now, segment, random)
+                else:
+                    now = self.absorbed(
+                        now, log_weights, segment, random, opens=not spans, closes=instants is parts[-1]
+                    )
                 log_weights, resampled = normalise(torch.zeros_like(log_weights)), True
                 spans.append(len(instants))
         rides = self._ridden(now, spans, len(reading.in_contact))
@@ -125,20 +157,48 @@ class PoseTrajectoryFilter(PoseFilter):
         """Whether the tool may have moved the object: where the pads felt it, or else met it beside the pads."""
         if bool(reading.in_contact.any()):
             return True
+        if float(self.model.unsettled(now.pose).double() @ log_weights.exp()) > _UNSETTLED:
+            return True
         looked = systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))
         if float(torch.cdist(path[:, 1, :2], now.pose[looked, :2]).min()) >= self.model.reach_m:
             return False
         moved = (self._tracks(now, log_weights, path)[:, -1] - now.pose[looked])[:, :2].norm(dim=-1) > _MOVED_M
         return float(moved.double().mean()) >= _MOVED
 
-    def _tracks(self, now: Trajectories, log_weights: Tensor, path: Tensor) -> Float[Tensor, "n k 3"]:
+    def _tracks(self, now: Trajectories, log_weights: Tensor, path: Tensor) -> Float[Tensor, "n k D"]:
         """Where some of the particles go by the median of the prior."""
-        model, own = self.model, self.own
         some = now.pose[systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))]
-        like = some.new_tensor(model.spread_m * own.lever_ratio[0])
-        sliding = Sliding(model.centre, like, some.new_tensor(own.friction[0]))
-        whole = torch.cat((path[:1, 0], path[:, 1]))[None]
-        return push_along_path(some, whole, Pusher(model.tool), model.outline, sliding, substeps=1).track
+        return self.model.tracks(self.own, some, path)
+
+    def _met(self, now: Trajectories, segment: Segment, random: torch.Generator) -> Trajectories:
+        """Particles after the first touch, drawn from the prior anew: those from before it stand too far apart."""
+        assert self.prior is not None
+        own, count, still = self.own, len(now), now.history
+        drawn = self._fresh(from_prior(self.prior, _UNMET, random), still, now.starts, random)
+        drawn = drawn.replayed(self.model, own, still, torch.zeros(_UNMET, dtype=torch.long))
+        _check(drawn.log_likelihood.sum(-1))
+        drawn = drawn.at(resample_systematic(drawn.log_likelihood.sum(-1), _MET, generator=random))
+        history = still.appended(segment)
+        noise = normal((_MET, 1, NOISE), generator=random, dtype=torch.float64)
+        drawn = drawn.lengthened(noise, history).replayed(
+            self.model, own, history, torch.full((_MET,), len(history) - 1)
+        )
+        gained = drawn.log_likelihood[:, -1]
+        _check(gained)
+        power = _power(torch.zeros_like(gained), gained, 0.0, float(count))
+        starts = drawn.poses[resample_systematic(power * gained, _STARTS, generator=random), 0]
+        now = replace(drawn.at(resample_systematic(power * gained, count, generator=random)), starts=starts)
+        scaled = now.log_likelihood.clone()
+        scaled[:, -1] *= power
+        now = self._tempered(replace(now, log_likelihood=scaled), power, random, whole=True)
+        return replace(now, starts=now.poses[:, 0])
+
+    def _moves(self, history: History, random: torch.Generator) -> Moves:
+        """Moves under a history; start poses that only a prior tells are drawn anew farther about others."""
+        if self.prior is None:
+            return Moves(self.model, self.own, random)
+        about = _TOUCHED_ABOUT if len(history.moving()) else (0.3 * self.prior.spread_m, 0.3 * self.prior.spread_m, 0.5)
+        return Moves(self.model, self.own, random, self.prior, about)
 
     def absorbed(
         self,
@@ -189,13 +249,7 @@ class PoseTrajectoryFilter(PoseFilter):
         """Particles weighed by what was sensed while the object stood still; resampled only where that degenerates."""
         count, history = len(now), now.history.appended(segment)
         noise = normal((count, 1, NOISE), generator=random, dtype=torch.float64)
-        now = replace(
-            now,
-            noise=torch.cat((now.noise, noise), 1),
-            poses=torch.cat((now.poses, now.poses[:, -1:]), 1),
-            log_likelihood=torch.cat((now.log_likelihood, now.log_likelihood.new_zeros(count, 1)), 1),
-            history=history,
-        )
+        now = now.lengthened(noise, history)
         last = torch.full((count,), len(history) - 1)
         now = now.replayed(self.model, self.own, history, last)
         gained = now.log_likelihood[:, -1]
@@ -212,10 +266,11 @@ class PoseTrajectoryFilter(PoseFilter):
 
     def _tempered(self, now: Trajectories, power: float, random: torch.Generator, *, whole: bool) -> Trajectories:
         """Particles moved and resampled until the last segment's readings count in full, at last from the start."""
-        moves, history = Moves(self.model, self.own, random), now.history
+        history = now.history
+        moves, first = self._moves(history, random), self.prior is not None and len(history.moving()) <= 1
         whole |= len(history.moving()) <= _LONG
         while True:
-            now = moves.sweep(now, history.tempered(power), whole=whole and power == 1.0)
+            now = moves.sweep(now, history.tempered(power), whole=whole and (first or power == 1.0))
             if power == 1.0:
                 return now
             gained = now.log_likelihood[:, -1] / power
@@ -231,24 +286,37 @@ class PoseTrajectoryFilter(PoseFilter):
         if not spans:
             return se3.identity((count,), dtype=torch.float64)
         pose = now.pose
-        middle = int((pose - pose.median(0).values).mul(pose.new_tensor((1.0, 1.0, 0.05))).square().sum(-1).argmin())
+        weights = pose.new_tensor((1.0, 1.0, 0.05, 1.0, 0.0, 1.0)[: pose.shape[-1]])  # ways of resting are far apart
+        middle = int((pose - pose.median(0).values).mul(weights).square().sum(-1).argmin())
         track = now.poses[middle, -len(spans) - 1 :]
         steps = []
         for at, length in enumerate(spans):
             share = (torch.arange(length, dtype=torch.float64) + 1.0)[:, None] / length
-            steps.append(track[at] + share * (track[at + 1] - track[at]))
-        moved = se3.from_planar(torch.cat(steps))
-        return moved @ se3.inverse(se3.from_planar(track[0]))
+            planar = track[at, :3] + share * (track[at + 1] - track[at])[:3]
+            lying = torch.where(share < 1.0, track[at, 3:], track[at + 1, 3:])
+            steps.append(torch.cat((planar, lying), -1))
+        moved = self.model.world_T_object(torch.cat(steps))
+        return moved @ se3.inverse(self.model.world_T_object(track[0]))
 
     def _belief(
         self, now: Trajectories, log_weights: Tensor, world_T_attached: Tensor, like: Tensor
     ) -> PoseTrajectoryBelief:
         """The belief of trajectories, in the dtype of another."""
         frame = world_T_attached.to(like)
-        poses = se3.from_planar(now.pose.to(like), self.model.resting_m)
+        poses = self.model.world_T_object(now.pose.to(like))
+        poses[..., 2, 3] += self.model.resting_m
         attached = se3.inverse(frame) @ poses
         flat = torch.zeros_like(log_weights).to(like)
         return PoseTrajectoryBelief(frame, attached, normalise(log_weights.to(like)), flat, None, now)
+
+
+def from_prior(prior: PosePrior, count: int, random: torch.Generator) -> Float[Tensor, "count 6"]:
+    """Draws of poses (x, y, yaw, way of resting, no edge, no tilt)."""
+    share = torch.rand(count, 2, generator=random, dtype=torch.float64)
+    place = prior.mean.double() + prior.spread_m * normal((count, 2), generator=random, dtype=torch.float64)
+    way = (share[:, 1] * len(prior.ways)).floor().clamp_max(len(prior.ways) - 1.0)
+    yaw = math.pi * (2.0 * share[:, 0] - 1.0)
+    return torch.cat((place, torch.stack((yaw, way, 0.0 * way - 1.0, 0.0 * way), -1)), -1)
 
 
 def _one(generator: Generators) -> torch.Generator:

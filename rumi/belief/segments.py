@@ -4,10 +4,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import PushedObject
+from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
-from rumi.dynamics.along_path import unwrapped
 from sdf import se3
 from sdf.posed import posed_distance
 from sensors.observation import Observation, observation_keys
@@ -21,8 +20,8 @@ _STRIDE = 4  # of the pads' points one is looked at, and counts for as many
 
 def standing(
     observation: Observation,
-    poses: Float[Tensor, "N 3"],
-    model: PushedObject,
+    poses: Float[Tensor, "N D"],
+    model: Pushed,
     own: PoseTrajectorySettings,
     taken: History | None = None,
 ) -> Segment | None:
@@ -55,7 +54,7 @@ def standing(
         kept, counts = _thinned(len(points), most)
         parts.append((points[kept], torch.full((len(kept),), int(kind)), torch.full((len(kept),), each * counts)))
     points, kinds, weights = (torch.cat(part) for part in zip(*parts, strict=True))
-    still = torch.zeros(1, 2, 3, dtype=torch.float64)
+    still = torch.zeros(1, 2, model.path(se3.identity((1,))).shape[-1], dtype=torch.float64)
     return Segment(still, False, points, torch.zeros(len(points), dtype=torch.long), kinds, weights.double())
 
 
@@ -71,13 +70,13 @@ def cut(reading: Reading, own: PoseTrajectorySettings) -> list[Int[Tensor, "k"]]
     return [part for part in parts if len(part)]
 
 
-def path_of(reading: Reading) -> Float[Tensor, "K 2 3"]:
+def path_of(reading: Reading, model: Pushed) -> Float[Tensor, "K 2 T"]:
     """Where the tool was before and after each instant; the way to the first one is not reported."""
-    tool = unwrapped(se3.to_planar(reading.tool_pose.double()))
+    tool = model.path(reading.tool_pose)
     return torch.stack((torch.cat((tool[:1], tool[:-1])), tool), 1)
 
 
-def felt_pads(reading: Reading, model: PushedObject, own: PoseTrajectorySettings) -> Bool[Tensor, "K m"]:
+def felt_pads(reading: Reading, model: Pushed, own: PoseTrajectorySettings) -> Bool[Tensor, "K m"]:
     """Which of the pads' points felt something at each instant, from the felt points that were reported."""
     found = torch.zeros(len(reading.in_contact), len(model.pads), dtype=torch.bool)
     surface = reading.observation.of_class(Semantics.SURFACE)
@@ -85,26 +84,26 @@ def felt_pads(reading: Reading, model: PushedObject, own: PoseTrajectorySettings
         there = reading.observation.points[surface & (reading.instant == instant)].double()
         if len(there):
             back = se3.apply(se3.inverse(reading.tool_pose[instant].double()), there)
-            found[instant] = torch.cdist(model.pads, back).amin(-1) < _OWN * own.pad_spacing_m
+            found[instant] = torch.cdist(model.reported, back).amin(-1) < _OWN * own.pad_spacing_m
     return found
 
 
-def seen_besides(reading: Reading, model: PushedObject, own: PoseTrajectorySettings) -> Observation:
+def seen_besides(reading: Reading, model: Pushed, own: PoseTrajectorySettings) -> Observation:
     """Surface points of an action's last instant that the pads are not at: what a camera saw then."""
     there = reading.observation
     last = there.of_class(Semantics.SURFACE) & (reading.instant == len(reading.in_contact) - 1)
     back = se3.apply(se3.inverse(reading.tool_pose[-1].double()), there.points[last].double())
-    apart = torch.cdist(back, model.pads).amin(-1) >= _OWN * own.pad_spacing_m
+    apart = torch.cdist(back, model.reported).amin(-1) >= _OWN * own.pad_spacing_m
     return there[last.nonzero()[:, 0][apart]]
 
 
 def pushed(
     reading: Reading,
     instants: Int[Tensor, "k"],
-    path: Float[Tensor, "K 2 3"],
+    path: Float[Tensor, "K 2 T"],
     felt: Bool[Tensor, "K m"],
-    tracks: Float[Tensor, "N k 3"],
-    model: PushedObject,
+    tracks: Float[Tensor, "N k D"],
+    model: Pushed,
     own: PoseTrajectorySettings,
 ) -> Segment:
     """One segment of an action with contact.
@@ -139,26 +138,26 @@ def pushed(
     return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order])
 
 
-def _from_origin(points: Float[Tensor, "*b 3"], model: PushedObject) -> Float[Tensor, "*b 3"]:
+def _from_origin(points: Float[Tensor, "*b 3"], model: Pushed) -> Float[Tensor, "*b 3"]:
     """The same with heights counted from the object's origin."""
     return points - points.new_tensor((0.0, 0.0, model.resting_m))
 
 
 def _distance(
-    model: PushedObject, poses: Float[Tensor, "*b N 3"], points: Float[Tensor, "*b M 3"]
+    model: Pushed, poses: Float[Tensor, "*b N D"], points: Float[Tensor, "*b M 3"]
 ) -> Float[Tensor, "*b N M"]:
     like = model.sdf.bounds
     with torch.no_grad():
-        return posed_distance(model.sdf, se3.from_planar(poses).to(like), points.to(like)).double()
+        return posed_distance(model.sdf, model.world_T_object(poses).to(like), points.to(like)).double()
 
 
-def _about(points: Float[Tensor, "M 3"], poses: Float[Tensor, "N 3"], model: PushedObject) -> Bool[Tensor, "M"]:
+def _about(points: Float[Tensor, "M 3"], poses: Float[Tensor, "N D"], model: Pushed) -> Bool[Tensor, "M"]:
     """Which points may be near a pose's surface: those in a box about all poses, whatever their yaw."""
-    low, high = model.sdf.bounds.double()
-    far = float(torch.stack((low[:2], high[:2])).abs().amax(0).norm()) + _NEAR_M
+    far, low, high = model.extent_m
     place = points[:, :2]
-    near = ((place >= poses[:, :2].amin(0) - far) & (place <= poses[:, :2].amax(0) + far)).all(-1)
-    return near & (points[:, 2] >= low[2] - _NEAR_M) & (points[:, 2] <= high[2] + _NEAR_M)
+    beside = far + _NEAR_M
+    near = ((place >= poses[:, :2].amin(0) - beside) & (place <= poses[:, :2].amax(0) + beside)).all(-1)
+    return near & (points[:, 2] >= low - _NEAR_M) & (points[:, 2] <= high + _NEAR_M)
 
 
 def _cells(points: Float[Tensor, "M 3"], own: PoseTrajectorySettings) -> Int[Tensor, "M"]:

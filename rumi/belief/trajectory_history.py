@@ -28,7 +28,7 @@ class Segment(NamedTuple):
     """Part of an action with what was sensed in it; world frame, float64, never re-attached.
 
     Attributes:
-        tool: (K, 2, 3), (x, y, yaw) of the tool before and after each instant.
+        tool: (K, 2, T), (x, y, yaw) of the tool before and after each instant; in space its height, too.
         pushes: whether the tool may push the object; else it stands still.
         points: (M, 3), heights counted from the object's origin.
         instant: (M), in ascending order.
@@ -36,7 +36,7 @@ class Segment(NamedTuple):
         weight: (M), independent readings that a point is worth.
     """
 
-    tool: Float[Tensor, "K 2 3"]
+    tool: Float[Tensor, "K 2 T"]
     pushes: bool
     points: Float[Tensor, "M 3"]
     instant: Int[Tensor, "M"]
@@ -49,7 +49,7 @@ class History:
     """Segments one after the other: S of them, T instants, M points.
 
     Attributes:
-        tool: (T, 2, 3).
+        tool: (T, 2, 3), in space (T, 2, 4).
         pushes: (T).
         ends: (S), instant behind each segment's last.
         action: (S), the first segment of each one's action.
@@ -59,7 +59,7 @@ class History:
         point_ends: (T), point behind each instant's last.
     """
 
-    tool: Float[Tensor, "T 2 3"]
+    tool: Float[Tensor, "T 2 C"]
     pushes: Bool[Tensor, "T"]
     ends: Int[Tensor, "S"]
     action: Int[Tensor, "S"]
@@ -69,10 +69,10 @@ class History:
     point_ends: Int[Tensor, "T"]
 
     @classmethod
-    def empty(cls) -> Self:
-        """Nothing yet."""
+    def empty(cls, numbers: int = 3) -> Self:
+        """Nothing yet; of a tool's pose by 3 numbers, in space by 4."""
         none, flat = torch.zeros(0, dtype=torch.long), torch.zeros(0, dtype=torch.float64)
-        return cls(flat.view(0, 2, 3), none.bool(), none, none, flat.view(0, 3), none, flat, none)
+        return cls(flat.view(0, 2, numbers), none.bool(), none, none, flat.view(0, 3), none, flat, none)
 
     def __len__(self) -> int:
         """Number of segments."""

@@ -13,13 +13,16 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import OWN, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import OWN, Trajectories
+from rumi.belief.prior import PosePrior
+from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from sdf.so3 import wrap
 
 _KERNEL = (0.0015, 0.0015, math.radians(2.0))  # deviations about the starts that the view leaves open
 _AFRESH = 0.15
+_FAR = 1e4  # minus the log-density of what is never drawn: finite, since differences of it are taken
 
 
 @dataclass(frozen=True)
@@ -30,11 +33,15 @@ class Moves:
         model: object and tool.
         settings: of motion prior and sensors.
         generator: of the random draws.
+        prior: of the start poses; even where a view shows the object.
+        about: deviations of start poses drawn anew about those that are left open.
     """
 
-    model: PushedObject
+    model: Pushed
     settings: PoseTrajectorySettings
     generator: torch.Generator
+    prior: PosePrior | None = None
+    about: tuple[float, float, float] = _KERNEL
 
     def sweep(self, given: Trajectories, history: History, *, whole: bool) -> Trajectories:
         """Moves of all particles; `whole` ones from the start, too."""
@@ -79,14 +86,14 @@ class Moves:
             proposed = replace(some, noise=some.noise + step)
             if whole:
                 starts = given.poses[:, 0]
-                apart = starts[one] - starts[other]
+                apart = (starts[one] - starts[other])[:, :3]
                 apart = torch.cat((apart[:, :2], wrap(apart[:, 2:])), -1)
                 jitter = 0.1 * self._normal(apart.shape) * apart.new_tensor(_KERNEL)
                 poses = some.poses.clone()
-                poses[:, 0] += size[:, None] * apart + jitter
+                poses[:, 0, :3] += size[:, None] * apart + jitter
                 physics = some.physics + size[:, None] * (given.physics[one] - given.physics[other])
                 proposed = replace(proposed, poses=poses, physics=physics)
-            change = proposed.log_prior() - some.log_prior()
+            change = proposed.log_prior() - some.log_prior() + self._start_prior(proposed) - self._start_prior(some)
             moved = self.accepted(some, proposed, history, first, change)
             given = given.put(rows, moved)
         return given
@@ -98,13 +105,23 @@ class Moves:
             return given
         some, many = given.at(rows), len(rows)
         chosen = (self._uniform(many) * len(given.starts)).long().clamp_max(len(given.starts) - 1)
-        scale = given.starts.new_tensor(_KERNEL)
-        start = given.starts[chosen] + self._normal((many, 3)) * scale
+        scale = given.starts.new_tensor(self.about)
+        start = given.starts[chosen].clone()
+        start[:, :3] += self._normal((many, 3)) * scale
         poses = some.poses.clone()
         poses[:, 0] = start
         odds = start_density(some.poses[:, 0], given.starts, scale) - start_density(start, given.starts, scale)
+        proposed = replace(some, poses=poses)
+        odds = odds + self._start_prior(proposed) - self._start_prior(some)
         first = torch.zeros(many, dtype=torch.long)
-        return given.put(rows, self.accepted(some, replace(some, poses=poses), history, first, odds))
+        return given.put(rows, self.accepted(some, proposed, history, first, odds))
+
+    def _start_prior(self, given: Trajectories) -> Float[Tensor, "N"] | float:
+        """Log-density of the start poses, up to a constant."""
+        if self.prior is None:
+            return 0.0
+        off = (given.poses[:, 0, :2] - self.prior.mean.to(given.poses)) / self.prior.spread_m
+        return -0.5 * off.square().sum(-1)
 
     def accepted(
         self,
@@ -144,9 +161,11 @@ class Moves:
 
 
 def start_density(
-    starts: Float[Tensor, "N 3"], about: Float[Tensor, "Q 3"], scale: Float[Tensor, "3"]
+    starts: Float[Tensor, "N D"], about: Float[Tensor, "Q D"], scale: Float[Tensor, "3"]
 ) -> Float[Tensor, "N"]:
-    """Log-density, up to a constant, of poses drawn about others with normal deviations `scale`."""
+    """Log-density, up to a constant, of poses drawn about others with normal deviations `scale`; each rests as it."""
     apart = starts[:, None] - about
-    apart = torch.cat((apart[..., :2], wrap(apart[..., 2:])), -1) / scale
-    return (-0.5 * apart.square().sum(-1)).logsumexp(-1) - scale.log().sum()
+    others = apart[..., 3:].abs().sum(-1) > 0  # other resting poses
+    apart = torch.cat((apart[..., :2], wrap(apart[..., 2:3])), -1) / scale
+    each = (-0.5 * apart.square().sum(-1)).masked_fill(others, -_FAR)
+    return each.logsumexp(-1) - scale.log().sum()

@@ -13,7 +13,8 @@ class PoseTrajectorySettings:
     numbers of the motion and of the pads are fitted to 76 pushes of drawn, simulated mugs (push_models.md).
 
     Attributes:
-        particles: N.
+        particles: N, where a view shows the object.
+        unseen_particles: N, where only a prior tells of it at first: touches leave many ways open.
         branches: motions drawn for each particle when a segment comes in.
         instants: of contact that make a segment.
         lag: pushed segments, from the last on, whose noise is still moved by itself.
@@ -30,6 +31,9 @@ class PoseTrajectorySettings:
         along, across: deviations of a step along itself and across it, as shares of its length.
         turn_rad_per_m: deviation of its turn.
         m_per_rad: length that a radian of a step counts as.
+        fall_m: length that a fall counts as.
+        firm_change: log-deviation of the tilt at which an object falls over.
+        unfitted: how much wider the noise of motion is in space, where it is not fitted.
         tails: h of the size of an action's noise, exp(h z^2 / 2) of a standard normal z: once in a while all of it is
             large.
         shared: part of its variance that a whole action has in common.
@@ -47,6 +51,7 @@ class PoseTrajectorySettings:
     """
 
     particles: int = 150
+    unseen_particles: int = 450
     branches: int = 6
     instants: int = 5
     lag: int = 10
@@ -62,6 +67,9 @@ class PoseTrajectorySettings:
     across: float = 0.045
     turn_rad_per_m: float = 1.0
     m_per_rad: float = 0.02
+    fall_m: float = 0.06
+    firm_change: float = 0.2
+    unfitted: float = 3.0
     tails: float = 0.5
     shared: float = 0.5
     seen_sd_m: float = 0.0015
@@ -87,7 +95,7 @@ class PoseTrajectorySettings:
             for number in value if isinstance(value, tuple) else (value,):
                 if not 0 <= number < math.inf:
                     raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")
-        whole = ("particles", "branches", "instants", "lag", "memory", "rounds")
+        whole = ("particles", "unseen_particles", "branches", "instants", "lag", "memory", "rounds")
         positive = ("seen_sd_m", "free_sd_m", "felt_sd_m", "pad_slope_m", "pad_spacing_m", "free_cell_m")
         for name in (*whole, *positive):
             if not getattr(self, name) > 0:

@@ -253,19 +253,54 @@ def push(
         gradient = outline(local[hit, index]).gradient
         inward = -rotated(gradient / gradient.norm(dim=-1, keepdim=True).clamp_min(1e-9), here[:, 2])
         point = placed[rows, index] + thickness * inward
-        # how far the tool's and the object's touched points have gone in this motion
-        old = before[rows]
-        carried = old[:, :2] + rotated(point - after[rows, :2], old[:, 2] - after[rows, 2])
-        first = start[rows]
-        own_old = first[:, :2] + rotated(point - here[:, :2], first[:, 2] - here[:, 2])
-        slip = own_old - carried
-        slip = slip - (slip * inward).sum(-1, keepdim=True) * inward
-        arm = point - here[:, :2] - rotated(own.centre, here[:, 2])
-        wanted = depth[:, None] * inward + slip
-        if own.quartic is None:
-            twist = contact_twist(arm, inward, wanted, own.lever, own.friction)
-        else:
-            quartic = turned_quartic(own.quartic, here[:, 2])
-            twist = quartic_twist(arm, inward, wanted, own.lever, own.friction, quartic)
-        pose = pose.index_copy(0, rows, moved_by(here, twist, own.centre))
+        moved = pushed_out(here, start[rows], before[rows], after[rows], Touch(point, inward, depth), own)
+        pose = pose.index_copy(0, rows, moved)
     return pose, touched
+
+
+class Touch(NamedTuple):
+    """Deepest point of a tool in an object.
+
+    Attributes:
+        point: (*b, 2), in the world, metres.
+        inward: (*b, 2), unit normal into the object.
+        depth: (*b), metres.
+    """
+
+    point: Float[Tensor, "*b 2"]
+    inward: Float[Tensor, "*b 2"]
+    depth: Float[Tensor, "*b"]
+
+
+def pushed_out(
+    here: Float[Tensor, "E 3"],
+    first: Float[Tensor, "E 3"],
+    before: Float[Tensor, "E 3"],
+    after: Float[Tensor, "E 3"],
+    touch: Touch,
+    own: Sliding,
+) -> Float[Tensor, "E 3"]:
+    """Poses after the deepest point of a tool is settled.
+
+    Args:
+        here: poses now.
+        first: the same before the tool's motion.
+        before: (x, y, yaw) of the tool then.
+        after: the same now.
+        touch: the point.
+        own: sliding of each object.
+    """
+    point, inward, depth = touch
+    # how far the tool's and the object's touched points have gone in this motion
+    carried = before[:, :2] + rotated(point - after[:, :2], before[:, 2] - after[:, 2])
+    own_old = first[:, :2] + rotated(point - here[:, :2], first[:, 2] - here[:, 2])
+    slip = own_old - carried
+    slip = slip - (slip * inward).sum(-1, keepdim=True) * inward
+    arm = point - here[:, :2] - rotated(own.centre, here[:, 2])
+    wanted = depth[:, None] * inward + slip
+    if own.quartic is None:
+        twist = contact_twist(arm, inward, wanted, own.lever, own.friction)
+    else:
+        quartic = turned_quartic(own.quartic, here[:, 2])
+        twist = quartic_twist(arm, inward, wanted, own.lever, own.friction, quartic)
+    return moved_by(here, twist, own.centre)

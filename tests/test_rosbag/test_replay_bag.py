@@ -1,5 +1,7 @@
 """A bag of a simulated run, imported and replayed: its readings are the run's, and the belief finds the object."""
 
+from functools import cache
+
 import pytest
 import torch
 
@@ -38,10 +40,15 @@ def places(taken):
     return torch.cat([one.reading.tool_pose[:, :3, 3] for one in taken])
 
 
-def signed(points, pose):
+@cache
+def mug():
     from rumi.tasks.rummage.scenes import large_handled_mug
 
-    return large_handled_mug().exact.distance(se3.apply(se3.inverse(pose), points).double())
+    return large_handled_mug().exact
+
+
+def signed(points, pose):
+    return mug().distance(se3.apply(se3.inverse(pose), points).double())
 
 
 def test_the_first_view_shows_the_object_alone(made, recorded):

@@ -125,7 +125,7 @@ class Rummager:
         return RummageState(record, (record,), memory, random, clock)
 
     def stop(self, state: RummageState) -> StopReason | None:
-        """Stop where the belief is sure and no fault is likely, or after as many actions as there may be."""
+        """Stop where the belief is sure and nothing speaks for a fault, or after as many actions as there may be."""
         if state.record.converged and not state.watch.doubts(self.misfit):
             return "sure"
         return "steps" if self.steps is not None and state.record.step >= self.steps else None
@@ -241,7 +241,8 @@ def first_belief(rummager: Rummager, reading: Reading, *, generator: torch.Gener
     none = Observation.empty(dtype=points.dtype, device=points.device)
     memory, _ = merge(none, reading.observation, rummager.filter.lattice)
     if rummager.filter.prior is not None:
-        return prior_belief(rummager.filter, memory, rummager.initialise.particles, generator=generator), memory
+        belief = prior_belief(rummager.filter, memory, rummager.initialise.particles, generator=generator)
+        return rummager.filter.begin(belief, memory, generator=generator), memory
     surface = memory.points[memory.of_class(Semantics.SURFACE)]
     if len(surface) == 0:
         raise ValueError("Expected a first view with surface points of the object, got none: check the object's mask")

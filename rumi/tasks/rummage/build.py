@@ -18,6 +18,9 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.pose_trajectories import PushedObject
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
+from rumi.belief.pushed_model import Pushed
+from rumi.belief.reinitialise import ReinitialiseSettings
+from rumi.belief.toppled_object import ToppledObject
 from rumi.dynamics.push_posterior import push_posterior
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
@@ -26,6 +29,7 @@ from rumi.fields.workspace import Workspace
 from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
+from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from rumi.runs.scene_geometry import SceneGeometry, make_geometry
 from rumi.sim.faults import Fault, Stale, parse_fault
@@ -42,7 +46,8 @@ from sdf.object_model import ObjectModel
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
 
-_PLANAR = ("pushed", "corrected", "trajectory")  # motions by a model of upright objects and a level tool
+_PLANAR = ("pushed", "corrected", "trajectory")  # motions of upright objects and a level tool; the last of others too
+_SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
 _OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
 
 
@@ -126,9 +131,11 @@ def build_rummager(
     if settings.simulator.sensors.kind == "camera":  # which feels nothing
         stop = replace(stop, contacts=0)
     standing = 0.0 - float(model.exact.bounds[0, 2])
+    renewal = settings.renewal
     if following.motion == "trajectory":
         _check_trajectory(settings)
-        pose_filter: PoseFilter = trajectory_filter(following, discrepancy, tool, spec.height_m, standing)
+        pose_filter: PoseFilter = trajectory_filter(spec, following, discrepancy, tool, model, standing)
+        renewal = ReinitialiseSettings.never()  # its particles come from the prior, and are moved under all evidence
     else:
         pushed = None
         if predicts_motion(following):
@@ -145,7 +152,7 @@ def build_rummager(
         workspace,
         tool,
         initialise=settings.initialise,
-        renewal=settings.renewal,
+        renewal=renewal,
         stop_rule=stop,
         misfit=settings.misfit,
         height_m=standing,
@@ -203,26 +210,48 @@ def predicts_motion(following: FilterSettings) -> bool:
 
 
 def trajectory_filter(
-    settings: FilterSettings, discrepancy: Discrepancy, tool: Tool, height_m: float, resting_m: float
+    spec: TaskSpec,
+    settings: FilterSettings,
+    discrepancy: Discrepancy,
+    tool: Tool,
+    model: ObjectModel,
+    resting_m: float,
 ) -> PoseTrajectoryFilter:
     """The filter whose particles each have their own motion.
 
     Args:
+        spec: of the task.
         settings: of the filter.
         discrepancy: of the object.
         tool: the gripper.
-        height_m: of the level tool.
-        resting_m: of the object's origin above the floor.
+        model: the object.
+        resting_m: of an upright object's origin above the floor.
     """
-    pushed = PushedObject.of(
+    spacing = settings.trajectories.pad_spacing_m
+    if _planar(spec):
+        pushed: Pushed = PushedObject.of(
+            discrepancy.sdf,
+            tool.shape,
+            height_m=spec.height_m,
+            resting_m=resting_m,
+            spacing_m=QuasiStaticSettings().spacing_m,
+            pad_spacing_m=spacing,
+        )
+        return PoseTrajectoryFilter(settings, discrepancy, pushed)
+    prior = prior_of(spec, model)
+    if prior is None:
+        raise UsageError(f"Expected a prior for --filter.motion trajectory in space, got none for {spec.name}")
+    pushed = ToppledObject.of(
         discrepancy.sdf,
-        tool.shape,
-        height_m=height_m,
-        resting_m=resting_m,
-        spacing_m=QuasiStaticSettings().spacing_m,
-        pad_spacing_m=settings.trajectories.pad_spacing_m,
+        gripper_of(tool.shape),
+        prior.ways,
+        model.symmetries,
+        spacing_m=_SURFACE_SPACING,
+        pad_spacing_m=spacing,
+        felt_ahead_m=spec.felt_ahead_m,
+        wide=settings.trajectories.unfitted,
     )
-    return PoseTrajectoryFilter(settings, discrepancy, pushed)
+    return PoseTrajectoryFilter(settings, discrepancy, pushed, prior, cast(Search, spec.search))
 
 
 def pushed_motion(
@@ -263,7 +292,7 @@ def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     if name != AUTO and PUSH_MODELS[name].objects not in suited:
         fits = " or ".join(other for other in PUSH_MODELS if PUSH_MODELS[other].objects in suited)
         raise UsageError(_other_task(spec, f"planner.push-model {name}", fits))
-    if settings.filter.motion in _PLANAR:
+    if settings.filter.motion in _PLANAR and not (settings.filter.motion == "trajectory" and spec.prior is not None):
         raise UsageError(
             _other_task(spec, f"filter.motion {settings.filter.motion}", "measured, sticking or estimated")
         )

@@ -18,6 +18,7 @@ from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, attach, merge
 
+_DOUBT = 1.0  # nats
 _DRAWS = 8  # poses to search among, for each particle
 
 
@@ -36,8 +37,8 @@ class Watch:
     lost: bool = False
 
     def doubts(self, own: MisfitSettings) -> bool:
-        """Whether a fault is likelier than none: no time to be sure."""
-        return self.evidence is not None and float(own.test.explanations(self.evidence)[0]) < 0.5
+        """Whether the readings speak for a fault, though not enough for an alarm: no time to be sure."""
+        return self.evidence is not None and float(own.test.log_evidence(self.evidence)) > _DOUBT
 
 
 def sensed_now(record: StepRecord, motion: str) -> Observation:

@@ -25,16 +25,15 @@ def settings(**changes):
     )
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"task": "drill-0"}, "drill-0 is another task"),
-        ({"task": "box"}, "box is another task"),
-    ],
-)
-def test_other_tasks_are_refused(changes, said):
-    with pytest.raises(UsageError, match=said):
-        build(replace(settings(), **changes))
+@pytest.mark.sim
+@pytest.mark.parametrize("task", ["drill-0", "drawn-shelf-box"])
+def test_objects_in_space_are_followed_from_their_prior(task):
+    own = settings()
+    own = replace(own, task=task, simulator=replace(own.simulator, measures_motion=False))
+    few = replace(own.filter.trajectories, unseen_particles=20)
+    with build(replace(own, filter=replace(own.filter, trajectories=few))) as (sim, agent):
+        result = rumi.run(sim, agent, seed=0)
+    assert result.stopped_by == "steps" and result.final_nll is not None
 
 
 def test_other_sensors_and_evidence_are_refused():

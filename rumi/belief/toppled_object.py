@@ -1,0 +1,215 @@
+"""Object that slides and topples, and a level tool that moves in space, as trajectories need them."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from rumi.belief.pose_trajectories import Trajectories, replay_plain, tables
+from rumi.belief.trajectory_history import History, arrays_of
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.along_path import unwrapped
+from rumi.dynamics.resting import RestingPoses
+from rumi.dynamics.sliding import Sliding, rotated
+from rumi.dynamics.toppling import Leaning, push_in_space
+from rumi.robot.gripper import GripperShape
+from sdf import backend, compiled, se3
+from sdf.base import SDF
+from sdf.symmetry import Symmetries
+
+_GROUP_M = 0.024
+
+
+@dataclass(frozen=True, eq=False)
+class ToppledObject:
+    """Object that rests on the floor in one of some ways, and a tool in space; float64.
+
+    A pose is (x, y, yaw, resting pose, edge it leans about, tilt), a tool's (x, y, yaw, z). Upright objects and a tool
+    at one height are the plane, which `PushedObject` knows by an outline.
+
+    Attributes:
+        sdf: of the object.
+        rests: its resting poses; the first are those that it may start in.
+        ways: number of these.
+        tool: (n, 3), points of the tool's surface, tool frame.
+        pads: (m, 3), points of its pads.
+        reported: (m, 3), where what they feel is reported.
+        group_starts: (G + 1), where groups of the tool's points that lie near each other begin.
+        groups: (G, 4), (x, y, z) and radius of a sphere about each.
+        reach_m: distance between tool and object, sideways, beyond which nothing is touched.
+        wide: how much wider than the settings have it the noise of its motion is.
+    """
+
+    sdf: SDF
+    rests: RestingPoses
+    ways: int
+    tool: Float[Tensor, "n 3"]
+    group_starts: Int[Tensor, "G1"]
+    groups: Float[Tensor, "G 4"]
+    pads: Float[Tensor, "m 3"]
+    reported: Float[Tensor, "m 3"]
+    reach_m: float
+    wide: float
+    resting_m: float = 0.0
+    spread_m: float = 1.0
+    replay: str = "replay_in_space"
+
+    @classmethod
+    def of(
+        cls,
+        sdf: SDF,
+        shape: GripperShape,
+        ways: Float[Tensor, "R 4 4"],
+        symmetries: Symmetries,
+        *,
+        spacing_m: float,
+        pad_spacing_m: float,
+        felt_ahead_m: float = 0.0,
+        wide: float = 1.0,
+    ) -> Self:
+        """For an object and a gripper.
+
+        Args:
+            sdf: of the object.
+            shape: of the gripper.
+            ways: poses above the world's origin in which the object may start.
+            symmetries: rotations after which it looks the same.
+            spacing_m: between the points of the tool's surface.
+            pad_spacing_m: between the points of the pads.
+            felt_ahead_m: distance in front of the pads at which felt points are reported.
+            wide: how much wider than the settings have it the noise of its motion is.
+        """
+        pads, tool = shape.pad_shell(pad_spacing_m).double(), shape.surface(spacing_m).double()
+        reported = pads + felt_ahead_m * shape.pad_normals(pads)
+        radius = float(sdf.bounds.double().abs().amax(0).norm())
+        reach = radius + float(tool[:, :2].norm(dim=-1).max())
+        rests = RestingPoses.of(sdf, ways, symmetries)
+        return cls(sdf, rests, len(ways), *_grouped(tool), pads, reported, reach, wide)
+
+    @property
+    def extent_m(self) -> tuple[float, float, float]:
+        """How far its surface is from its place sideways, and how low and how high, at most."""
+        far = float(self.sdf.bounds.double().abs().amax(0).norm())
+        return far, 0.0, far + float(self.rests.height_m.max())
+
+    def world_T_object(self, poses: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 4 4"]:
+        """Poses in space above the floor."""
+        return self.rests.world_T_object(poses[..., :3].double(), poses[..., 3:].double()).to(poses)
+
+    def local(self, pose: Float[Tensor, "N 6"], points: Float[Tensor, "M 3"]) -> Float[Tensor, "N M 3"]:
+        """Points in the frame of each pose."""
+        return se3.apply(se3.inverse(self.world_T_object(pose)), points.expand(len(pose), -1, 3))
+
+    def unsettled(self, poses: Float[Tensor, "N 6"]) -> Bool[Tensor, "N"]:
+        """Whether each leans on the tool."""
+        return poses[:, 4] >= 0
+
+    def path(self, tool_pose: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K 4"]:
+        """(x, y, yaw, z) of the tool."""
+        there = tool_pose.double()
+        return torch.cat((unwrapped(se3.to_planar(there)), there[:, 2, 3:]), -1)
+
+    def tracks(
+        self, own: PoseTrajectorySettings, some: Float[Tensor, "n 6"], path: Float[Tensor, "K 2 4"]
+    ) -> Float[Tensor, "n K 6"]:
+        """Where poses go by the median of the prior."""
+        flat, out = some.new_zeros(len(some), 3), []
+        body = Sliding(
+            flat, torch.full_like(flat[:, 0], own.lever_ratio[0]), torch.full_like(flat[:, 0], own.friction[0])
+        )
+        for before, after in path:
+            some = self.step(own, some, before, after, body, flat)
+            out.append(some)
+        return torch.stack(out, 1)
+
+    def step(
+        self,
+        own: PoseTrajectorySettings,
+        pose: Float[Tensor, "N 6"],
+        before: Float[Tensor, "4"],
+        after: Float[Tensor, "4"],
+        body: Sliding,
+        noise: Float[Tensor, "N 3"],
+    ) -> Float[Tensor, "N 6"]:
+        """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
+        near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
+        if not len(near):
+            return pose
+        start = pose[near]
+        way = after[:2] - before[:2]
+        direction = (way / way.norm().clamp_min(1e-12)).expand(len(near), 2)
+        rest = start[:, 3].long()
+        ahead = after[3] * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
+        centre = self.rests.centre[rest] + own.centre_m * body.centre[near, :2]
+        centre = centre + ahead[:, None] * rotated(direction, -start[:, 2])
+        sliding = Sliding(centre, body.lever[near] * self.rests.spread_m[rest], body.friction[near])
+        state = Leaning(start[:, :3], start[:, 3:])
+        firm = (own.firm_change / self.wide * noise[near, 2]).exp()
+        done = push_in_space(self.sdf, self.rests, self.tool, state, before, after, sliding, firm)
+        moved = done.state.planar
+        step = moved - start[:, :3]
+        length = step[:, :2].norm(dim=-1)
+        size = length + own.m_per_rad * step[:, 2].abs()
+        # a fall leaves it somewhere about where it would lie
+        size = torch.where(done.fell, size.new_tensor(own.fall_m), size) * (done.slid | done.fell)
+        along = torch.where((length[:, None] > 1e-9) & ~done.fell[:, None], step[:, :2], done.ahead)
+        along = along / along.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+        across = torch.stack((-along[:, 1], along[:, 0]), -1)
+        own_noise = noise[near] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
+        shift = own_noise[:, :1] * along + own_noise[:, 1:2] * across
+        moved = moved + torch.cat((shift, own_noise[:, 2:]), -1)
+        return pose.index_copy(0, near, torch.cat((moved, done.state.lying), -1))
+
+
+backend.register("replay_in_space")(replay_plain)
+
+
+@backend.register("replay_in_space", "numba", compiled.supports)
+def _replay_numba(
+    model: ToppledObject,
+    own: PoseTrajectorySettings,
+    history: History,
+    given: Trajectories,
+    first: Int[Tensor, "N"],
+    least: Float[Tensor, "N"],
+) -> tuple[Tensor, Tensor]:
+    from sdf.grid_sdf import GridSDF
+
+    if not isinstance(model.sdf, GridSDF):
+        return replay_plain(model, own, history, given, first, least)
+    from rumi.belief.toppled_object_numba import replay as kernel
+    from sdf.grid_numba import grid_arguments
+
+    poses, logs = given.poses.clone(), given.log_likelihood.clone()
+    rests, edges = model.rests, model.rests.edges
+    prior, priced = tables(own)
+    scales = torch.cat((prior, prior.new_tensor((own.fall_m, own.firm_change / model.wide))))
+    done = history.tool, history.pushes, history.ends, history.action, history.point_ends
+    turned = rests.turn, rests.height_m, rests.centre, rests.spread_m
+    kernel(
+        arrays_of((first, least, poses, logs, given.physics, given.noise)),
+        arrays_of(done),
+        arrays_of((history.points, history.kind, history.weight)),
+        arrays_of((model.tool, model.group_starts, model.groups)),
+        arrays_of((*turned, edges.point, edges.normal, edges.tip_rad, edges.next, edges.change)),
+        *arrays_of((scales.new_tensor((model.reach_m, model.wide)), scales, priced, model.sdf.bounds.double())),
+        grid_arguments(model.sdf, torch.float32),
+    )
+    return poses, logs
+
+
+def _grouped(points: Float[Tensor, "n 3"]) -> tuple[Tensor, Tensor, Tensor]:
+    """Points in groups that lie near each other: in their order, where each begins, and its (x, y, z, radius)."""
+    cell = (points / _GROUP_M).floor().long()
+    key = (cell[:, 0] * 1000 + cell[:, 1]) * 1000 + cell[:, 2]
+    order = key.argsort(stable=True)
+    _, counts = key[order].unique_consecutive(return_counts=True)
+    ordered = points[order]
+    starts = torch.cat((counts.new_zeros(1), counts.cumsum(0)))
+    spheres = []
+    for begin, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+        middle = 0.5 * (ordered[begin:end].amin(0) + ordered[begin:end].amax(0))
+        spheres.append(torch.cat((middle, (ordered[begin:end] - middle).norm(dim=-1).max()[None])))
+    return ordered, starts, torch.stack(spheres)

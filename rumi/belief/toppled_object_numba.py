@@ -1,0 +1,308 @@
+"""The compiled CPU version of trajectories in space; `toppled_object.py` and `toppling.py` have the definition."""
+
+import math
+
+import numpy as np
+
+from rumi.dynamics.sliding_numba import settled
+from sdf.compiled import Kernel, bare
+from sdf.grid_numba import lattice_of, value, value_and_gradient
+from sdf.part_numba import indices
+
+_LEVEL, _ACROSS, _MOST_M, _LEAST_M = 0.5, 0.3, 0.012, 0.01
+_TILTS, _HALVES = 2, 5
+_SLACK = 1e-6  # nats by which sums in another order may differ
+
+
+@bare
+def _point(v, kind, logs, step):
+    """Log-likelihood of a point at a signed distance from the surface, by a table; beyond it as at its ends."""
+    last = logs.shape[1] - 1
+    place = min(max(v / step + 0.5 * last, 0.0), last - 1e-6)
+    low = int(place)
+    return logs[kind, low] + (place - low) * (logs[kind, low + 1] - logs[kind, low])
+
+
+@bare
+def _placed(x, y, yaw, rest, edge, tilt, rests):
+    """Rotation, row by row, and place of an object."""
+    turn, height, point, normal = rests[0], rests[1], rests[4], rests[5]
+    a00, a01, a02 = turn[rest, 0, 0], turn[rest, 0, 1], turn[rest, 0, 2]
+    a10, a11, a12 = turn[rest, 1, 0], turn[rest, 1, 1], turn[rest, 1, 2]
+    a20, a21, a22 = turn[rest, 2, 0], turn[rest, 2, 1], turn[rest, 2, 2]
+    tx, ty, tz = 0.0, 0.0, height[rest]
+    if edge >= 0:
+        mx, my, px, py = normal[rest, edge, 0], normal[rest, edge, 1], point[rest, edge, 0], point[rest, edge, 1]
+        c, s = math.cos(tilt), math.sin(tilt)
+        r00, r01, r11 = c + (1.0 - c) * my * my, -(1.0 - c) * mx * my, c + (1.0 - c) * mx * mx
+        r02, r12 = s * mx, s * my
+        b00, b01, b02 = (
+            r00 * a00 + r01 * a10 + r02 * a20,
+            r00 * a01 + r01 * a11 + r02 * a21,
+            r00 * a02 + r01 * a12 + r02 * a22,
+        )
+        b10, b11, b12 = (
+            r01 * a00 + r11 * a10 + r12 * a20,
+            r01 * a01 + r11 * a11 + r12 * a21,
+            r01 * a02 + r11 * a12 + r12 * a22,
+        )
+        a20, a21, a22 = (
+            c * a20 - r02 * a00 - r12 * a10,
+            c * a21 - r02 * a01 - r12 * a11,
+            c * a22 - r02 * a02 - r12 * a12,
+        )
+        a00, a01, a02, a10, a11, a12 = b00, b01, b02, b10, b11, b12
+        dx, dy, dz = -px, -py, tz
+        tx, ty, tz = (
+            px + r00 * dx + r01 * dy + r02 * dz,
+            py + r01 * dx + r11 * dy + r12 * dz,
+            c * dz - r02 * dx - r12 * dy,
+        )
+    c, s = math.cos(yaw), math.sin(yaw)
+    return (
+        c * a00 - s * a10,
+        c * a01 - s * a11,
+        c * a02 - s * a12,
+        s * a00 + c * a10,
+        s * a01 + c * a11,
+        s * a02 + c * a12,
+        a20,
+        a21,
+        a22,
+        x + c * tx - s * ty,
+        y + s * tx + c * ty,
+        tz,
+    )
+
+
+@bare
+def _local(px, py, pz, frame):
+    dx, dy, dz = px - frame[9], py - frame[10], pz - frame[11]
+    return (
+        frame[0] * dx + frame[3] * dy + frame[6] * dz,
+        frame[1] * dx + frame[4] * dy + frame[7] * dz,
+        frame[2] * dx + frame[5] * dy + frame[8] * dz,
+    )
+
+
+@bare
+def _deepest(frame, after, tool, starts, centres, box, flat, lattice):
+    """Depth of the tool in an object sideways, the level normal into it, and the point of the tool in the world."""
+    cos, sin = math.cos(after[2]), math.sin(after[2])
+    most, in_x, in_y, at_x, at_y, at_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for group in range(len(centres)):
+        px, py, radius = centres[group, 0], centres[group, 1], centres[group, 3]
+        x, y, z = _local(
+            after[0] + cos * px - sin * py, after[1] + sin * px + cos * py, after[3] + centres[group, 2], frame
+        )
+        if x < box[0, 0] - radius or y < box[0, 1] - radius or z < box[0, 2] - radius:
+            continue
+        if x > box[1, 0] + radius or y > box[1, 1] + radius or z > box[1, 2] + radius:
+            continue
+        if value(np.float32(x), np.float32(y), np.float32(z), flat, lattice) > radius - most:
+            continue
+        for k in range(starts[group], starts[group + 1]):
+            px, py = tool[k, 0], tool[k, 1]
+            wx, wy, wz = after[0] + cos * px - sin * py, after[1] + sin * px + cos * py, after[3] + tool[k, 2]
+            x, y, z = _local(wx, wy, wz, frame)
+            if not -value(np.float32(x), np.float32(y), np.float32(z), flat, lattice) > most:
+                continue
+            found, gx, gy, gz = value_and_gradient(np.float32(x), np.float32(y), np.float32(z), flat, lattice)
+            size = max(math.sqrt(gx * gx + gy * gy + gz * gz), 1e-9)
+            out_x = (frame[0] * gx + frame[1] * gy + frame[2] * gz) / size
+            out_y = (frame[3] * gx + frame[4] * gy + frame[5] * gz) / size
+            sideways = math.sqrt(out_x * out_x + out_y * out_y)
+            if sideways > _LEVEL:
+                most, in_x, in_y, at_x, at_y, at_z = -float(found), -out_x / sideways, -out_y / sideways, wx, wy, wz
+    return most, in_x, in_y, at_x, at_y, at_z
+
+
+@bare
+def _ahead(yaw, rest, in_x, in_y, rests):
+    """Edge ahead of a push from below the centre of mass, how far it is off, and the cosine to its normal."""
+    centre, point, normal, tip = rests[2], rests[4], rests[5], rests[6]
+    c, s = math.cos(yaw), math.sin(yaw)
+    way_x, way_y = c * in_x + s * in_y, c * in_y - s * in_x
+    chosen, least, cosine = -1, math.inf, 0.0
+    for edge in range(tip.shape[1]):
+        rate = normal[rest, edge, 0] * way_x + normal[rest, edge, 1] * way_y
+        if not (tip[rest, edge] < math.inf and rate > 1e-3):
+            continue
+        off = (point[rest, edge, 0] - centre[rest, 0]) * normal[rest, edge, 0]
+        off += (point[rest, edge, 1] - centre[rest, 1]) * normal[rest, edge, 1]
+        if off / rate < least:
+            chosen, least, cosine = edge, off / rate, rate
+    return chosen, least, cosine
+
+
+@bare
+def _leant(x, y, yaw, rest, edge, tilt, after, tool, starts, centres, rests, box, flat, lattice):
+    """Edge and tilt of an object that leans on the tool where it is now."""
+    normal = rests[5]
+    c, s = math.cos(yaw), math.sin(yaw)
+    out_x = c * normal[rest, edge, 0] - s * normal[rest, edge, 1]
+    out_y = s * normal[rest, edge, 0] + c * normal[rest, edge, 1]
+    touched = False
+    for _ in range(_TILTS):
+        frame = _placed(x, y, yaw, rest, edge, tilt, rests)
+        depth, in_x, in_y, _, _, high = _deepest(frame, after, tool, starts, centres, box, flat, lattice)
+        if not depth > 0.0:
+            break
+        touched = True
+        along = in_x * out_x + in_y * out_y
+        if along > _ACROSS:
+            tilt += depth / max(high * along, _LEAST_M)
+    if touched:
+        return edge, tilt
+    low, high = 0.0, tilt
+    for turn in range(_HALVES):
+        middle = low if turn == 0 else 0.5 * (low + high)
+        frame = _placed(x, y, yaw, rest, edge, middle, rests)
+        if _deepest(frame, after, tool, starts, centres, box, flat, lattice)[0] > 0.0:
+            low = middle
+        else:
+            high = middle
+    if high <= 0.0:
+        return -1, 0.0
+    return edge, high
+
+
+@bare
+def _stepped(state, before, after, tool, starts, centres, rests, numbers, scales, body, noise, box, flat, lattice):
+    x, y, yaw, rest, edge, tilt = state
+    if (after[0] - x) ** 2 + (after[1] - y) ** 2 >= numbers[0] * numbers[0]:
+        return state
+    normal, tip = rests[5], rests[6]
+    unit_x, unit_y, size = 0.0, 0.0, 0.0
+    if edge >= 0:
+        c, s = math.cos(yaw), math.sin(yaw)
+        unit_x = c * normal[rest, edge, 0] - s * normal[rest, edge, 1]
+        unit_y = s * normal[rest, edge, 0] + c * normal[rest, edge, 1]
+        edge, tilt = _leant(x, y, yaw, rest, edge, tilt, after, tool, starts, centres, rests, box, flat, lattice)
+    if edge < 0:
+        frame = _placed(x, y, yaw, rest, -1, 0.0, rests)
+        depth, in_x, in_y, at_x, at_y, at_z = _deepest(frame, after, tool, starts, centres, box, flat, lattice)
+        if not depth > 0.0:
+            return x, y, yaw, rest, -1, 0.0
+        about, off, rate = _ahead(yaw, rest, in_x, in_y, rests)
+        if about >= 0 and rate > _ACROSS and at_z > off * (1.0 / body[4] + body[4]):
+            unit_x, unit_y = in_x, in_y
+            tilt = depth / max(at_z * rate, _LEAST_M)
+            edge, tilt = _leant(x, y, yaw, rest, about, tilt, after, tool, starts, centres, rests, box, flat, lattice)
+            if edge < 0:
+                return x, y, yaw, rest, -1, 0.0
+        else:
+            first = (x, y, yaw)
+            way = (after[0] - before[0], after[1] - before[1], after[2] - before[2])
+            length = max(math.sqrt(way[0] * way[0] + way[1] * way[1]), 1e-12)
+            c, s = math.cos(yaw), math.sin(yaw)
+            centre, spread = rests[2], rests[3]
+            ahead = after[3] * body[2]
+            centre_x = centre[rest, 0] + body[0] + ahead * (c * way[0] + s * way[1]) / length
+            centre_y = centre[rest, 1] + body[1] + ahead * (c * way[1] - s * way[0]) / length
+            sliding = (centre_x, centre_y, body[3] * spread[rest], body[4], 0.0, 0.0, 0.0, 0.0, 0.0)
+            unit_x, unit_y = in_x, in_y
+            for turn in range(2):
+                if turn > 0:
+                    frame = _placed(x, y, yaw, rest, -1, 0.0, rests)
+                    depth, in_x, in_y, at_x, at_y, _ = _deepest(frame, after, tool, starts, centres, box, flat, lattice)
+                    if not depth > 0.0:
+                        break
+                c, s = math.cos(yaw), math.sin(yaw)
+                x, y, yaw = settled(
+                    x,
+                    y,
+                    yaw,
+                    first,
+                    (after[0], after[1]),
+                    way,
+                    at_x - after[0],
+                    at_y - after[1],
+                    -(c * in_x + s * in_y),
+                    -(c * in_y - s * in_x),
+                    min(depth, _MOST_M),
+                    0.0,
+                    sliding,
+                )
+            dx, dy, turned = x - first[0], y - first[1], yaw - first[2]
+            length = math.sqrt(dx * dx + dy * dy)
+            size = length + scales[12] * abs(turned)
+            if length > 1e-9:
+                unit_x, unit_y = dx / length, dy / length
+    if edge >= 0:
+        if tilt < tip[rest, edge] * math.exp(scales[17] * noise[2]):
+            return x, y, yaw, rest, edge, tilt
+        following, change = rests[7], rests[8]
+        c, s = math.cos(yaw), math.sin(yaw)
+        x += c * change[rest, edge, 0] - s * change[rest, edge, 1]
+        y += s * change[rest, edge, 0] + c * change[rest, edge, 1]
+        yaw += change[rest, edge, 2]
+        rest = following[rest, edge]
+        size = scales[16]
+    along, across = noise[0] * size * scales[9], noise[1] * size * scales[10]
+    x, y = x + along * unit_x - across * unit_y, y + along * unit_y + across * unit_x
+    return x, y, yaw + noise[2] * size * scales[11], rest, -1, 0.0
+
+
+@bare
+def _one(n, particles, done, sensed, shape, rests, numbers, scales, priced, box, flat, lattice):
+    """One particle, from its own segment on; what cannot reach its least log-likelihood any more is given up."""
+    first, least, poses, logs, physics, noises = particles
+    path, pushes, ends, action, point_ends = done
+    points, kind, weight = sensed
+    tool, starts, centres = shape
+    begin, total = first[n], 0.0
+    state = (
+        poses[n, begin, 0],
+        poses[n, begin, 1],
+        poses[n, begin, 2],
+        np.int64(poses[n, begin, 3]),
+        np.int64(poses[n, begin, 4]),
+        poses[n, begin, 5],
+    )
+    ahead = scales[4] + scales[5] * physics[n, 4]
+    centre_x, centre_y = scales[6] * physics[n, 2], scales[6] * physics[n, 3]
+    own, together = math.sqrt(1.0 - scales[14]), math.sqrt(scales[14])
+    for segment in range(begin, len(ends)):
+        shared, log = action[segment], 0.0
+        friction = scales[0] * math.exp(scales[1] * physics[n, 0] + scales[7] * noises[n, segment, 0])
+        lever = scales[2] * math.exp(scales[3] * physics[n, 1] + scales[8] * noises[n, segment, 1])
+        body = (centre_x, centre_y, ahead, lever, friction)
+        size = numbers[1] * math.exp(0.5 * scales[13] * noises[n, shared, 8] * noises[n, shared, 8])
+        noise = (
+            size * (own * noises[n, segment, 2] + together * noises[n, shared, 5]),
+            size * (own * noises[n, segment, 3] + together * noises[n, shared, 6]),
+            size * (own * noises[n, segment, 4] + together * noises[n, shared, 7]),
+        )
+        for instant in range(ends[segment - 1] if segment > 0 else 0, ends[segment]):
+            if pushes[instant]:
+                before = (path[instant, 0, 0], path[instant, 0, 1], path[instant, 0, 2], path[instant, 0, 3])
+                after = (path[instant, 1, 0], path[instant, 1, 1], path[instant, 1, 2], path[instant, 1, 3])
+                state = _stepped(
+                    state, before, after, tool, starts, centres, rests, numbers, scales, body, noise, box, flat, lattice
+                )
+            low, high = point_ends[instant - 1] if instant > 0 else 0, point_ends[instant]
+            if low < high:
+                frame = _placed(state[0], state[1], state[2], state[3], state[4], state[5], rests)
+                for m in range(low, high):
+                    x, y, z = _local(points[m, 0], points[m, 1], points[m, 2], frame)
+                    found = value(np.float32(x), np.float32(y), np.float32(z), flat, lattice)
+                    log += weight[m] * _point(float(found), kind[m], priced, scales[15])
+            # no reading's log-likelihood is above 0: what is too little now stays so
+            if total + log < least[n] - _SLACK:
+                logs[n, segment] = -math.inf
+                return
+        poses[n, segment + 1, 0], poses[n, segment + 1, 1], poses[n, segment + 1, 2] = state[0], state[1], state[2]
+        poses[n, segment + 1, 3], poses[n, segment + 1, 4] = state[3], state[4]
+        poses[n, segment + 1, 5] = state[5]
+        logs[n, segment] = log
+        total += log
+
+
+def _replay_in_space(particles, done, sensed, shape, rests, numbers, scales, priced, box, grid, part):
+    lattice = lattice_of(grid[1], grid[2])
+    for n in indices(part, len(particles[0])):
+        _one(np.int64(n), particles, done, sensed, shape, rests, numbers, scales, priced, box, grid[0], lattice)
+
+
+replay = Kernel(_replay_in_space)

@@ -1,0 +1,131 @@
+"""Trajectories from a prior, of a box that slides and topples: touches find it, histories replay, nothing is NaN."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import FilterSettings
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.prior import PosePrior
+from rumi.belief.segments import felt_pads
+from rumi.belief.toppled_object import ToppledObject
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.robot.gripper import GripperShape
+from rumi.seeding import generator
+from sdf import se3
+from sdf.object_model import ObjectModel, box_model
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation, concatenate
+from sensors.reading import Reading
+from sensors.semantics import Semantics
+
+SHAPE, SPACING, AHEAD = GripperShape(), 0.006, 0.0015
+OWN = PoseTrajectorySettings(unseen_particles=80, branches=3, rounds=1, pad_spacing_m=SPACING)
+
+
+@pytest.fixture(scope="module")
+def box() -> ObjectModel:
+    return box_model(spacing=0.003)
+
+
+@pytest.fixture(scope="module")
+def prior(box) -> PosePrior:
+    return PosePrior.of((0.0, 0.0), 0.02, box.exact.bounds, ("x", "z"))
+
+
+def follow(box, prior, **changes) -> PoseTrajectoryFilter:
+    model = ToppledObject.of(
+        box.sdf,
+        SHAPE,
+        prior.ways,
+        box.symmetries,
+        spacing_m=0.012,
+        pad_spacing_m=SPACING,
+        felt_ahead_m=AHEAD,
+        wide=OWN.unfitted,
+    )
+    settings = replace(FilterSettings(motion="trajectory"), trajectories=replace(OWN, **changes))
+    discrepancy = Discrepancy(box.sdf, box.radius, free_scale=80.0, tolerance=0.001)
+    return PoseTrajectoryFilter(settings, discrepancy, model, prior, "SE(3)")
+
+
+def felt_by(box, world_T_object: torch.Tensor, path: torch.Tensor) -> Reading:
+    """What pads along (x, y, yaw, z) feel of a box that stays where it is."""
+    tool = se3.from_planar(path[:, :3])
+    tool[:, 2, 3] = path[:, 3]
+    pads = SHAPE.pad_shell(SPACING)
+    ahead = (pads + AHEAD * SHAPE.pad_normals(pads)).to(tool)
+    there = se3.apply(tool, pads.to(tool))
+    felt = box.exact.distance(se3.apply(se3.inverse(world_T_object).to(tool), there)).abs() <= 0.003
+    instant, index = felt.nonzero(as_tuple=True)
+    points = se3.apply(tool, ahead)[instant, index]
+    free = there[~felt.any(-1)][:, ::4].reshape(-1, 3)
+    when = torch.arange(len(tool))[~felt.any(-1)].repeat_interleave(len(pads[::4]))
+    observation = concatenate([Observation.of(points, Semantics.SURFACE), Observation.of(free, Semantics.FREE)])
+    return Reading(observation, torch.cat((instant, when)), tool, felt.any(-1), None, path[-1], torch.zeros(()))
+
+
+def towards(last_x: float, height: float = 0.05, count: int = 8) -> torch.Tensor:
+    x = torch.linspace(last_x - 0.03, last_x, count)
+    return torch.stack((x, 0 * x, 0 * x, 0 * x + height), -1)
+
+
+def begin(followed, prior, seed=0):
+    started = PoseBelief.uniform(prior.spread_poses(20, generator=generator(seed)))
+    return followed.begin(started, Observation.empty(), generator=generator(seed)), Observation.empty()
+
+
+def test_a_touch_finds_a_box_of_which_only_a_prior_was_known(box, prior):
+    followed = follow(box, prior)
+    truth = se3.from_planar(torch.tensor([0.01, 0.005, 0.0])) @ prior.ways[1]
+    belief, memory = begin(followed, prior)
+    wide = belief.world_T_object[:, 0, 3].std()
+    belief, memory, info = followed(belief, memory, felt_by(box, truth, towards(-0.10)), generator=generator(1))
+    assert not bool(info.moved)
+    # the pads' tips are 35 mm ahead, the box's face is at -20 mm
+    reading = felt_by(box, truth, towards(-0.055))
+    assert bool(reading.in_contact.any())
+    assert int(felt_pads(reading, followed.model, followed.own).sum()) == int(
+        reading.observation.of_class(Semantics.SURFACE).sum()
+    )
+    runs = [followed(belief, memory, reading, generator=generator(2)) for _ in range(2)]
+    assert torch.equal(runs[0][0].world_T_object, runs[1][0].world_T_object)  # the same seed, the same bits
+    belief, memory, info = runs[0]
+    assert bool(info.moved) and bool(info.resampled)
+    assert float(belief.world_T_object[:, 0, 3].std()) < float(wide)
+    # all of it touches where it was felt
+    there = reading.observation.points[reading.observation.of_class(Semantics.SURFACE)].mean(0, keepdim=True)
+    local = se3.apply(se3.inverse(belief.world_T_object), there)
+    assert float(box.exact.distance(local[:, 0]).abs().median()) < 0.006
+    now = belief.trajectories
+    whole = now.replayed(followed.model, followed.own, now.history, torch.zeros(len(now), dtype=torch.long))
+    torch.testing.assert_close(whole.poses, now.poses, atol=1e-12, rtol=0)
+    torch.testing.assert_close(whole.log_likelihood, now.log_likelihood, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("particles", [1, 30])
+def test_odd_beliefs_and_readings_give_no_nan(box, prior, particles):
+    followed = follow(box, prior, unseen_particles=particles, memory=6)
+    truth = se3.from_planar(torch.tensor([0.01, 0.005, 0.0])) @ prior.ways[0]
+    belief, memory = begin(followed, prior)
+    only = torch.full((particles,), -torch.inf).index_fill(0, torch.tensor(0), 0.0)
+    belief = replace(belief, log_weights=only)
+    apart = felt_by(box, truth, towards(-0.3))
+    nothing = replace(apart, observation=Observation.empty(), instant=torch.zeros(0, dtype=torch.long))
+    touch = felt_by(box, truth, towards(-0.10, 0.03))
+    assert bool(touch.in_contact.any())
+    for reading in (nothing, apart, touch, nothing, felt_by(box, truth, towards(-0.10, 0.03, 1)), touch):
+        belief, memory, _ = followed(belief, memory, reading, generator=generator(3))
+        assert bool(torch.isfinite(belief.world_T_object).all())
+        assert float(belief.log_weights.exp().sum()) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_what_leans_on_the_tool_moves_with_it_felt_or_not(box, prior):
+    model = follow(box, prior).model
+    poses = torch.tensor([[0.0, 0.0, 0.0, 1.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0, 0.0, 0.2]], dtype=torch.float64)
+    assert model.unsettled(poses).tolist() == [False, True]
+    # the tool is gone: it stands as before
+    away = torch.tensor([[[-0.18, 0.0, 0.0, 0.1], [-0.2, 0.0, 0.0, 0.1]]], dtype=torch.float64)
+    assert model.tracks(OWN, poses, away)[1, -1].tolist() == [0.0, 0.0, 0.0, 1.0, -1.0, 0.0]
