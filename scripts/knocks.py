@@ -24,7 +24,8 @@ import tyro
 from rumi.belief.pushed_pose import PushedPoseBelief, PushedPoseFilter, PushedPoseSettings
 from rumi.cli import script
 from rumi.dynamics.along_path import push_along_path
-from rumi.dynamics.push_posterior import PushPosterior, sliding_of
+from rumi.dynamics.push_parameters import sliding_of
+from rumi.dynamics.push_posterior import PushPosterior
 from rumi.seeding import split
 from scripts.bench import real_knocks
 from scripts.bench.real_knocks import Knock

@@ -18,7 +18,9 @@ from torch import Tensor
 
 from rumi.belief.change_test import ChangeEvidence, ChangeTest
 from rumi.dynamics.along_path import push_along_path
-from rumi.dynamics.push_posterior import PushedBody, PushPosterior, sliding_of
+from rumi.dynamics.push_parameters import sliding_of
+from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.pushed_body import PushedBody
 from rumi.dynamics.sliding import Sliding
 from rumi.resampling import resample_systematic
 from rumi.weights import effective_sample_size

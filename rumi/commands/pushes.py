@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import torch
 import tyro
@@ -12,6 +12,12 @@ import tyro
 from rumi.cache import cache_folder
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
+
+if TYPE_CHECKING:
+    from rumi.dynamics.push_posterior import PushPosterior
+    from rumi.dynamics.pushed_body import ObservedPush, PushedBody
+    from rumi.runs.folder import Run
+    from rumi.tasks.rummage.agent import Rummager
 
 
 @dataclass(frozen=True)
@@ -36,23 +42,19 @@ class PushesOptions:
     seed: int = 0
 
 
-def pushes(arguments: Sequence[str]) -> int:
-    """`rumi pushes`: 0 if something was learnt, 2 for bad input."""
-    options = tyro.cli(PushesOptions, prog="rumi pushes", args=arguments)
+def learnt(run: "Run", before: "PushPosterior", *, seed: int) -> "tuple[list[ObservedPush], PushedBody, PushPosterior]":
+    """Pushes of a run, its object and tool, and the posterior over push parameters after them.
+
+    Raises:
+        UsageError: the run is none of a level tool, its motions are no one's but the push model's, or nothing touched.
+    """
     from rumi.belief.measured_pushes import measured_pushes
-    from rumi.dynamics.push_posterior import PushPosterior
     from rumi.dynamics.pushed_body import PushedBody
-    from rumi.runs.folder import load_run
     from rumi.seeding import split
     from rumi.tasks.registry import entry_of
-    from rumi.tasks.rummage.agent import Rummager
 
-    run = load_run(options.run)
-    before = PushPosterior.prior() if options.pushes is None else PushPosterior.load(options.pushes)
     entry = entry_of(run)
-    agent = entry.agent(entry.from_dict(run.settings), cache_dir=cache_folder())
-    if not isinstance(agent, Rummager) or agent.tool.spatial:
-        raise UsageError(f"Expected a rummaging run with a level tool, got {run.task}: no other tells of its pushes so")
+    agent = level_rummager(entry.agent(entry.from_dict(run.settings), cache_dir=cache_folder()), run.task)
     told = all(step.reading.object_motion is not None for step in run.steps[1:])
     if not told and agent.filter.settings.motion not in ("estimated", "corrected"):
         raise UsageError("Expected motions that were measured or seen again, got the push model's own")
@@ -60,7 +62,31 @@ def pushes(arguments: Sequence[str]) -> int:
     if not found:
         raise UsageError(f"Expected a run that touched the object, got none in {len(run.steps) - 1} actions")
     body = PushedBody.of(agent.model.sdf, agent.tool.height_m - agent.height_m, agent.tool.shape)
-    after = before.update(found, body, split(options.seed, "pushes"))
+    return found, body, before.update(found, body, split(seed, "pushes"))
+
+
+def level_rummager(agent: object, task: str) -> "Rummager":
+    """The agent of a task whose pushes tell of push parameters.
+
+    Raises:
+        UsageError: it is another.
+    """
+    from rumi.tasks.rummage.agent import Rummager
+
+    if not isinstance(agent, Rummager) or agent.tool.spatial:
+        raise UsageError(f"Expected a rummaging run with a level tool, got {task}: no other tells of its pushes so")
+    return agent
+
+
+def pushes(arguments: Sequence[str]) -> int:
+    """`rumi pushes`: 0 if something was learnt, 2 for bad input."""
+    options = tyro.cli(PushesOptions, prog="rumi pushes", args=arguments)
+    from rumi.dynamics.push_limits import held_twice
+    from rumi.dynamics.push_posterior import PushPosterior
+    from rumi.runs.folder import load_run
+
+    before = PushPosterior.prior() if options.pushes is None else PushPosterior.load(options.pushes)
+    found, body, after = learnt(load_run(options.run), before, seed=options.seed)
     write = sys.stdout.write
     write(f"{len(found)} pushes; median [5 %, 95 %]\n")
     for name, own in (("before", before), ("after", after)):
@@ -75,6 +101,9 @@ def pushes(arguments: Sequence[str]) -> int:
             f"{1e3 * off[:, :2].norm(dim=-1).mean():.1f} mm and {off[:, 2].abs().mean().rad2deg():.1f} degrees off "
             f"(the object went {1e3 * (ends - starts)[:, :2].norm(dim=-1).mean():.0f} mm), log density {density:.2f}\n"
         )
+    twice = held_twice(ends, torch.stack([push.path[-1] for push in found]), body)
+    if bool(twice.any()):
+        write(f"{int(twice.sum())} end with the tool at two sides of the object, which is outside of the model\n")
     if options.out is not None:
         after.save(options.out)
         write(f"{options.out}\n")

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar
 
@@ -14,6 +14,7 @@ from rumi.commands.explain import Decisions, explain
 from rumi.commands.flags import FLAGS
 from rumi.commands.former_flags import renamed
 from rumi.commands.glossary import FIGURE, GLOSSARY
+from rumi.commands.pushes import learnt, level_rummager
 from rumi.commands.tasks import listing
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
@@ -44,6 +45,8 @@ class RunOptions(Generic[S]):
         figures: draw figures at the end.
         explain: say at the end what was skipped, since the scene did not need it, and what that saved.
         glossary: say at the end what the numbers mean, as on a terminal.
+        pushes: file of how the object slides: planned with if it is there, and at the end written anew with what this
+            run's pushes told, so that the next run with the object starts where this one ended.
         record: write what cameras and bubbles gave too, as raw streams: log.h5 in the run's folder.
     """
 
@@ -53,6 +56,7 @@ class RunOptions(Generic[S]):
     figures: bool = True
     explain: bool = False
     glossary: bool = False
+    pushes: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     record: bool = False
 
 
@@ -62,7 +66,8 @@ def run(arguments: Sequence[str]) -> int:
         (sys.stdout if arguments else sys.stderr).write(_HELP + listing())
         return DONE if arguments else BAD_INPUT
     name, entry, options = parse(arguments)
-    settings, notes = options.settings, entry.check(options.settings)
+    settings = options.settings if options.pushes is None else planned_with(options.settings, options.pushes, name)
+    notes = entry.check(settings)
     if options.figures:
         optional("matplotlib", "A figure (--no-figures draws none)")
     label = entry.label(settings)
@@ -76,6 +81,8 @@ def run(arguments: Sequence[str]) -> int:
         entry.recorder(folder, settings, parts, log=options.record) as recorder,
         skipped_work.account() as account,
     ):
+        if options.pushes is not None:
+            level_rummager(parts.agent, name)
         announce(parts.agent)
         steps = entry.steps(settings)
         with Progress(name, steps, entry.describe) as progress:
@@ -83,6 +90,8 @@ def run(arguments: Sequence[str]) -> int:
             result = loop.run(*parts, seed=settings.seed, steps=steps, on_step=on_step)
         recorder.finish(result)
     interrupted = result.stopped_by == "interrupted"
+    if options.pushes is not None:
+        keep_learnt(folder, options.pushes, settings.seed)
     if options.figures and not interrupted:
         say("drawing figures")
         entry.draw(load_run(folder), folder / "figures")
@@ -135,6 +144,30 @@ def parse(
         registry=FLAGS,
     )
     return name, entry, options
+
+
+def planned_with(settings: S, file: Path, task: str) -> S:
+    """Settings whose planner draws push parameters of a file, if it is there."""
+    planner = getattr(settings, "planner", None)
+    if planner is None or not hasattr(planner, "push_parameters"):
+        raise UsageError(f"Expected a task that rummages with --pushes, got {task}")
+    if not file.exists():
+        return settings
+    return replace(settings, planner=replace(planner, push_parameters=str(file)))  # type: ignore[type-var]
+
+
+def keep_learnt(folder: Path, file: Path, seed: int) -> None:
+    """Write what a run's pushes told of the object, or say why they told nothing."""
+    from rumi.dynamics.push_posterior import PushPosterior
+
+    before = PushPosterior.load(file) if file.exists() else PushPosterior.prior()
+    try:
+        found, _, after = learnt(load_run(folder), before, seed=seed)
+    except UsageError as error:
+        say(f"no push parameters were learnt: {error}")
+        return
+    after.save(file)
+    say(f"{len(found)} pushes learnt from; {file}")
 
 
 @dataclass(frozen=True)

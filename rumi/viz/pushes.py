@@ -47,6 +47,7 @@ def push_figure(
         for row, push in zip(axes, far, strict=True):
             for ax, belief in zip(row, beliefs, strict=False):
                 draw_push(ax, belief, push, body)
+            scale_bar(row[0], 0.05)
             row[-1].set_axis_off()
         own = axes[0, -1]
         own.set_axis_on()
@@ -77,6 +78,14 @@ def draw_push(ax: "Axes", belief: PushPosterior, push: ObservedPush, body: Pushe
     ax.set_aspect("equal")
     ax.set_xticks([])
     ax.set_yticks([])
+
+
+def scale_bar(ax: "Axes", length_m: float) -> None:
+    """A bar of a length in a picture's lower left corner."""
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    x, y = left + 0.06 * (right - left), low + 0.06 * (high - low)
+    ax.plot((x, x + length_m), (y, y), color=style.TRUTH, lw=2.0)
+    ax.text(x + 0.5 * length_m, y + 0.02 * (high - low), f"{1e3 * length_m:.0f} mm", ha="center", va="bottom")
 
 
 def _outline(ax: "Axes", body: PushedBody, pose: Float[Tensor, "3"], **line: object) -> None:

@@ -9,7 +9,7 @@ from rumi.cli import script
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.seeding import split
 from rumi.viz import style
-from rumi.viz.pushes import draw_push
+from rumi.viz.pushes import draw_push, scale_bar
 from scripts.bench.real_pushes import push_set
 from scripts.experiment import DOCS
 
@@ -33,6 +33,7 @@ def draw() -> None:
                 belief = PushPosterior.prior().update(own.observed(order[:count]), own.body, split(1, name))
                 draw_push(ax, belief, push, own.body)
             row[0].set_ylabel(name)
+            scale_bar(row[0], 0.05)
         figure.savefig(DOCS / "push_clouds.png", dpi=90)
 
 

@@ -187,7 +187,7 @@ def prior_without(shape: str, fits: dict[str, tuple[float, ...]], count: int = 2
     mean[4:] = 0.0
     deviation = (weights * (rows - mean).square()).sum(0).sqrt()
     # at least, since six shapes tell little of a scatter
-    least = torch.tensor([0.12, 0.3, 0.8, 1.8, 0.03, 0.03, 0.05, 0.05], dtype=torch.float64)
+    least = torch.tensor([0.18, 0.42, 1.0, 1.8, 0.03, 0.03, 0.04, 0.04], dtype=torch.float64)
     residual = residual_of(tuple((name, fits[name]) for name in others))
     return PushPosterior.prior(
         count, mean=mean.tolist(), deviation=torch.maximum(deviation, least).tolist(), residual=residual

@@ -12,7 +12,7 @@ from torch import Tensor
 from rumi.belief.pushed_pose import PushedPoseBelief, PushedPoseFilter, PushedPoseSettings
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import RectangleOutline, Support
-from rumi.dynamics.push_posterior import PushedBody
+from rumi.dynamics.pushed_body import PushedBody
 from sdf import backend
 
 DOUBLE = {"dtype": torch.float64}

@@ -12,7 +12,7 @@ from rumi import __version__, exit_codes
 from rumi.cache import cache_folder
 from rumi.cli import COMMANDS, main
 from rumi.commands.calibrate import report
-from rumi.commands.run import parse
+from rumi.commands.run import keep_learnt, parse, planned_with
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.registry import push_model
 from rumi.errors import DegenerateBeliefError, UsageError
@@ -388,6 +388,21 @@ def test_pushes_of_a_run_are_learnt_from(tmp_path, capsys):
     assert "Expected push parameters" in capsys.readouterr().err
     assert run_small("--planner.push-parameters", str(out)) == exit_codes.BAD_INPUT
     assert not list(Path("runs").glob("*"))
+
+
+def test_a_run_goes_on_from_the_pushes_of_the_last(tmp_path, capsys):
+    made, file = make_up(9, particles=10), tmp_path / "mug.json"
+    settings = preset(task="mug-0")
+    with RunRecorder(tmp_path / "run", plain(settings), made.geometry) as record:
+        for step in made.steps:
+            record(step)
+    assert planned_with(settings, file, "mug-0") == settings  # there is no file yet
+    for count in (5, 10):
+        keep_learnt(tmp_path / "run", file, 0)
+        assert len(PushPosterior.load(file).pushes) == count and "5 pushes learnt from" in capsys.readouterr().err
+    assert planned_with(settings, file, "mug-0").planner.push_parameters == str(file)
+    assert main(["run", "touch-box", "--pushes", str(file), "--out", str(tmp_path / "other")]) == exit_codes.BAD_INPUT
+    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.sim

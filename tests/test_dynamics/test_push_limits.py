@@ -1,0 +1,42 @@
+"""Pushes outside of the model: what a tool that holds a rectangle at one place and at two is told to be."""
+
+import pytest
+import torch
+
+from rumi.dynamics.along_path import Pusher
+from rumi.dynamics.outline import RectangleOutline, Support
+from rumi.dynamics.push_limits import held_twice
+from rumi.dynamics.pushed_body import PushedBody
+from rumi.dynamics.sliding import rotated
+
+
+def wall(begin, end, count=41):
+    share = torch.linspace(0.0, 1.0, count, dtype=torch.float64)[:, None]
+    return (1.0 - share) * torch.tensor(begin).double() + share * torch.tensor(end).double()
+
+
+PALM = wall((0.0, -0.05), (0.0, 0.05))
+"""Flat tools that touch, at (-0.06, 0), the short side of a rectangle of 120 by 60 mm from its left."""
+HAND = torch.cat((PALM, wall((0.0, -0.031), (0.05, -0.031)), wall((0.0, 0.031), (0.05, 0.031))))
+CORNER = torch.cat((PALM, wall((0.0, -0.031), (0.05, -0.031))))
+
+
+@pytest.mark.parametrize(
+    ("points", "away", "held"),
+    [
+        (PALM, 0.0, False),
+        (HAND, 0.0, True),
+        (CORNER, 0.0, True),
+        (HAND, 0.02, True),
+        (HAND, 0.2, False),
+        (torch.zeros(1, 2).double(), 0.0, False),
+    ],
+)
+def test_a_tool_at_two_sides_holds_twice(points, away, held):
+    base = torch.cartesian_prod(torch.linspace(-0.06, 0.06, 9), torch.linspace(-0.03, 0.03, 9)).double()
+    body = PushedBody(RectangleOutline((0.06, 0.03)), Support.of_base(base, base.mean(0)), Pusher(points))
+    turn = torch.tensor([0.0, 0.7, -2.0], dtype=torch.float64)
+    poses = torch.stack((0.1 * turn, 0.2 - turn, turn), -1)
+    at = rotated(torch.tensor([-0.061 - away, 0.0]).double().expand(3, 2), turn)
+    tools = torch.cat((poses[:, :2] + at, turn[:, None]), -1)
+    assert held_twice(poses, tools, body).tolist() == [held] * 3
