@@ -35,7 +35,7 @@ def trajectory_update(setup: Setup) -> Case:
     settings = replace(settings, trajectories=own)
     followed = PoseTrajectoryFilter(settings, Discrepancy(sdf, 0.08, free_scale=80.0, tolerance=0.001), model)
     random = split(0, "bench/trajectories")
-    now, new = _belief(followed, setup.size(6, 1), setup.size(50, 6), random)
+    now, new = _belief(followed, model, setup.size(6, 1), setup.size(50, 6), random)
     flat = torch.zeros(count, dtype=torch.float64).log_softmax(-1)
 
     def run() -> Tensor:
@@ -53,10 +53,10 @@ def trajectory_update(setup: Setup) -> Case:
 
 
 def _belief(
-    followed: PoseTrajectoryFilter, actions: int, pads: int, random: torch.Generator
+    followed: PoseTrajectoryFilter, model: PushedObject, actions: int, pads: int, random: torch.Generator
 ) -> tuple[Trajectories, list[Segment]]:
     """Particles after a view and some actions, and the segments of one more."""
-    model, own = followed.model, followed.own
+    own = followed.own
     pose = torch.zeros(3, dtype=torch.float64)
     truth = drawn_truth(pose, random)
     places = model.pads[torch.linspace(0, len(model.pads) - 1, pads).long()]

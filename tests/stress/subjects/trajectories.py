@@ -36,7 +36,7 @@ def _followed(particles: int, memory: int, dtype: torch.dtype) -> PoseTrajectory
 
 def _started(followed: PoseTrajectoryFilter, spread: float, random: torch.Generator) -> Trajectories:
     count, own = followed.own.particles, followed.own
-    view = drawn_view(followed.model, own, torch.zeros(3, dtype=F64), 20, random)
+    view = drawn_view(_object(followed), own, torch.zeros(3, dtype=F64), 20, random)
     start = spread * torch.randn(count, 3, generator=random, dtype=F64) * torch.tensor([1.0, 1.0, 20.0], dtype=F64)
     given = Trajectories(
         torch.randn(count, PHYSICS, generator=random, dtype=F64),
@@ -47,6 +47,11 @@ def _started(followed: PoseTrajectoryFilter, spread: float, random: torch.Genera
         start[:300],
     )
     return given.replayed(followed.model, own, given.history, torch.zeros(count, dtype=torch.long))
+
+
+def _object(followed: PoseTrajectoryFilter) -> PushedObject:
+    assert isinstance(followed.model, PushedObject)
+    return followed.model
 
 
 def _path(angle: float, reach: float, step: float) -> Tensor:
@@ -80,7 +85,7 @@ def _updated(inputs: Inputs) -> Tensor:
         weights = torch.full_like(weights, -math.inf).index_fill(0, torch.tensor(0), 0.0)
     for k in range(3):
         path = _path(float(inputs["angle"]) + 2.0 * k, -0.11, inputs["step"])
-        segment, truth = drawn_push(followed.model, followed.own, truth, path, PADS, random)
+        segment, truth = drawn_push(_object(followed), followed.own, truth, path, PADS, random)
         now = followed.absorbed(now, weights.log_softmax(-1), segment, random, opens=True, closes=True)
         weights = torch.zeros_like(weights)
     none = torch.zeros(len(now), dtype=torch.long)
@@ -116,7 +121,7 @@ def _long(inputs: Inputs) -> Tensor:
     for k in range(inputs["actions"]):
         # to the object's own place, from one side and the other, so that it stays about the origin
         path = _path(math.pi * (k % 2), -0.085, 0.002)
-        segment, truth = drawn_push(followed.model, followed.own, truth, path, PADS, random)
+        segment, truth = drawn_push(_object(followed), followed.own, truth, path, PADS, random)
         truth = truth.remembered(4)
         now = followed.absorbed(now, flat, segment, random, opens=True, closes=True).remembered(followed.own.memory)
     return torch.tensor([len(now.history) / (followed.own.memory + 2.0)]) + 0.0 * now.poses.sum().float()
