@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from rumi.cache import cache_folder
+from rumi.cli import script
 from rumi.environments import register
 from rumi.robot.tool import Tool
 from rumi.sim.world import World
@@ -79,7 +80,5 @@ def main(name: str, options: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    main(
-        sys.argv[1] if len(sys.argv) > 1 else "rumi/Mug-v0",
-        json.loads(sys.argv[2]) if len(sys.argv) > 2 else {},
-    )
+    name, options = sys.argv[1:2] or ["rumi/Mug-v0"], sys.argv[2:3] or ["{}"]
+    script(lambda: main(name[0], json.loads(options[0])))

@@ -18,6 +18,7 @@ import torch
 import tyro
 from torch import Tensor
 
+from rumi.cli import script
 from scripts.train_through_filter import log_evidence, record, train
 from sensors.touch.contact_model import ContactModel
 
@@ -187,4 +188,4 @@ def main(options: Options) -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    script(lambda: main(tyro.cli(Options)))

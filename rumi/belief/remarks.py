@@ -134,8 +134,8 @@ def felt_heights(
         object there by a particle; metres; None where nothing was felt, or no particle has the pads touch it.
     """
     last = (reading.instant == len(reading.in_contact) - 1) & reading.observation.of_class(Semantics.SURFACE)
-    places = se3.apply(reading.tool_pose[-1].to(pads), pads)
-    felt = reading.observation.points[last].to(pads)
+    places = se3.apply(reading.tool_pose[-1].to(pads), pads).to(world_T_object)
+    felt = reading.observation.points[last].to(places)
     felt = felt[torch.cdist(felt, places).amin(-1) < _ON_M] if len(felt) else felt  # a camera sees others
     if not bool(reading.in_contact[-1]) or not len(felt):
         return None

@@ -128,7 +128,7 @@ def test_refuses_what_has_no_meaning() -> None:
     for wrong in ({"tolerance_m": 0.0}, {"probability": 1.0}, {"tries": 0}, {"refinements": -1}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             MassRule(**{"tolerance_m": 0.01} | wrong)
-    with pytest.raises(ValueError, match="standard deviations"):
+    with pytest.raises(ValueError, match="most above 0"):
         CovarianceRule((0.1, 0.0))
     with pytest.raises(ValueError, match="one period"):
         CovarianceRule((0.1, 0.1), (None,))

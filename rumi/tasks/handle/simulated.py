@@ -104,6 +104,11 @@ class HandleTask(SensedTask):
         self._from = self.world.configuration()
         return super().step(control)
 
+    @property
+    def _looks_again(self) -> bool:
+        """It looks once."""
+        return False
+
     def finish(self, grasp: Grasp) -> bool:
         """Grasp the mug where it is taken to stand, in a simulation of its own; whether it was lifted."""
         return self.gripper.grasp(grasp.pose, self.world.world_T_object())
