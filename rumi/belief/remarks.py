@@ -13,6 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
+from rumi.dynamics.outline import Base
+from rumi.dynamics.push_limits import tips
 from sdf import se3
 from sdf.base import SDF
 from sdf.object_model import ObjectModel
@@ -31,7 +33,7 @@ class Remark:
 
     Attributes:
         name: in one or two words, one of "resists", "toppled", "rolled", "lifted", "dropped", "not there", "elsewhere",
-            "other height".
+            "other height", "tips".
         step: number of the action after which it was noticed first.
         sentence: for people.
     """
@@ -53,6 +55,7 @@ class Limits:
         height_m: of an object's lowest point above or below the table.
         apart_m: between a surface that was felt or seen and the nearest that is believed, and how deep in what is
             believed the tool may have been.
+        pushed_m: that a tool goes in contact, at least, to have pushed.
     """
 
     short_m: float = 0.015
@@ -61,6 +64,7 @@ class Limits:
     tilt_rad: float = math.radians(45.0)
     height_m: float = 0.010
     apart_m: float = 0.012
+    pushed_m: float = 0.002
 
 
 def held_up(
@@ -153,6 +157,36 @@ def felt_heights(
     return bottom, top, float(low[best]), float(high[best])
 
 
+def tipping(
+    reading: Reading, belief: PoseBelief, surface_points: Float[Tensor, "S 3"], base: Base, limits: Limits
+) -> float | None:
+    """Height above what the object stands on at which it was pushed, metres, where it rather tips than slides there.
+
+    Args:
+        reading: of the action.
+        belief: of upright poses.
+        surface_points: of the object.
+        base: of the object.
+        limits: how much is a push.
+
+    Returns:
+        None where it was not pushed, or slides by most of the belief.
+    """
+    met = reading.in_contact.nonzero()[:, 0]
+    if not len(met):
+        return None
+    places = reading.tool_pose[:, :3, 3]
+    way = (places[met[-1]] - places[max(int(met[0]) - 1, 0)])[:2]
+    if float(way.norm()) < limits.pushed_m:
+        return None
+    poses = belief.world_T_object
+    rests_at = (poses[:, 2, :3] @ surface_points.mT + poses[:, 2, 3:]).amin(-1).median()
+    height = float(places[met[0], 2] - rests_at)
+    yaw = se3.to_planar(poses)[:, 2]
+    share = belief.log_weights.softmax(-1)[tips(yaw, way, height, base)].sum()
+    return height if float(share) > 0.5 else None
+
+
 def unexplained(belief: PoseBelief, added: Observation, sdf: SDF) -> tuple[float, float]:
     """Distances that the best particles leave between what is believed and what a reading added, metres.
 
@@ -194,6 +228,7 @@ def remarks(
     moved: tuple[Float[Tensor, "Q"], Float[Tensor, "Q"]] | None,
     upright: bool,
     pads: Float[Tensor, "P 3"] | None = None,
+    base: Base | None = None,
     said: Container[str] = (),
     limits: Limits | None = None,
 ) -> tuple[Remark, ...]:
@@ -209,6 +244,7 @@ def remarks(
             where nobody knows.
         upright: whether the object is expected to stand as it did at first.
         pads: points of the pads' surface, tool frame; None where heights at which they feel are not looked at.
+        base: of the object, where it should stand upright; None where pushes that tip it are not looked for.
         said: names of the remarks of the run so far.
         limits: how much is odd.
     """
@@ -229,6 +265,14 @@ def remarks(
     if abs(height) > 1e3 * limits.height_m:
         name, where = ("lifted", "above") if height > 0 else ("dropped", "below")
         found.append((name, f"by its motion the object's lowest point is {abs(height):.0f} mm {where} the table"))
+    # a motion that is measured tells by itself whether it fell
+    looked_for = base is not None and reading.object_motion is None and tilt <= limits.tilt_rad
+    pushed_at = (
+        tipping(reading, belief, model.surface_points, base, limits) if base is not None and looked_for else None
+    )
+    if pushed_at is not None:
+        where = f"pushed {1e3 * pushed_at:.0f} mm above what it stands on, the object tips or rolls before it slides"
+        found.append(("tips", f"{where} (friction with the floor .5): nothing measures how it lies now"))
     off, deep = (1e3 * metres for metres in unexplained(belief, added, model.sdf))
     if deep > 1e3 * limits.apart_m:
         inside = f"the tool went {deep:.0f} mm deep into where the object is believed to be"

@@ -149,8 +149,20 @@ class Support(NamedTuple):
         return cls(centre, float(off.norm(dim=-1).mean()), torch.stack((yy - xx, -2.0 * xy)) / (xx + yy))
 
 
-def support_of(sdf: SDF, *, spacing: float = 0.002, above_m: float = 0.001) -> Support:
-    """Centre of mass and base of an upright object of even density, from its signed distances on a lattice.
+class Base(NamedTuple):
+    """Base of an upright object.
+
+    Attributes:
+        points: (B, 2), evenly over what rests on the floor, object frame, metres.
+        centre: (2,), below the centre of mass.
+    """
+
+    points: Float[Tensor, "B 2"]
+    centre: Float[Tensor, "2"]
+
+
+def base_of(sdf: SDF, *, spacing: float = 0.002, above_m: float = 0.001) -> Base:
+    """Base of an upright object of even density, from its signed distances on a lattice.
 
     Args:
         sdf: of the object.
@@ -170,9 +182,13 @@ def support_of(sdf: SDF, *, spacing: float = 0.002, above_m: float = 0.001) -> S
         inside = points[sdf.distance(points) <= 0]
     if len(inside) == 0:
         raise ValueError("Expected an object with an inside, got none: are its walls too thin for the table?")
-    base = inside[inside[:, 2] <= inside[:, 2].min() + above_m]
-    centre = inside[:, :2].mean(0)
-    return Support.of_base(base[:, :2], centre)
+    rests = inside[:, 2] <= inside[:, 2].min() + above_m
+    return Base(inside[rests, :2], inside[:, :2].mean(0))
+
+
+def support_of(sdf: SDF, *, spacing: float = 0.002, above_m: float = 0.001) -> Support:
+    """Centre of mass and extent of the base of an upright object; arguments and errors as of `base_of`."""
+    return Support.of_base(*base_of(sdf, spacing=spacing, above_m=above_m))
 
 
 def _outside(values: Float[Tensor, "X Y"]) -> Bool[Tensor, "X Y"]:

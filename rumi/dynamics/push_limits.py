@@ -1,4 +1,7 @@
-"""Where a push is outside of the quasi-static model of one contact: the tool holds the object at two places at once."""
+"""Where a push is outside of the quasi-static model of one contact that slides an upright object.
+
+The tool holds the object at two places at once, or pushes it so high that it tips.
+"""
 
 import math
 
@@ -6,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.dynamics.outline import Base
 from rumi.dynamics.pushed_body import PushedBody
 from rumi.dynamics.sliding import rotated
 
@@ -42,3 +46,28 @@ def held_twice(
     apart = torch.cdist(local, local) > apart_m
     turned = normal @ normal.mT < math.cos(turned_rad)
     return (apart & turned & touching[:, :, None] & touching[:, None, :]).flatten(1).any(-1)
+
+
+def tips(
+    yaw: Float[Tensor, "E"],
+    direction: Float[Tensor, "2"],
+    height_m: float,
+    base: Base,
+    *,
+    friction: float = 0.5,
+) -> Bool[Tensor, "E"]:
+    """Whether an upright object that is pushed at a height tips about the edge of its base ahead before it slides.
+
+    It slides where the friction with the floor gives way first: where its base reaches farther ahead of its centre of
+    mass than friction times the height. What the tool's own friction carries of its weight is left out.
+
+    Args:
+        yaw: of the objects, radians.
+        direction: of the push, level; of any length but 0.
+        height_m: of the push above what the object stands on.
+        base: of the object.
+        friction: coefficient between object and floor.
+    """
+    ahead = rotated((direction / direction.norm()).to(yaw).expand(len(yaw), 2), -yaw)
+    reach = (ahead @ (base.points - base.centre).to(yaw).mT).amax(-1)
+    return reach < friction * height_m

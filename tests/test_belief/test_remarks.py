@@ -8,6 +8,7 @@ import torch
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.remarks import Limits, held_up, remarks
+from rumi.dynamics.outline import base_of
 from sdf import se3
 from sdf.object_model import box_model
 from sdf.symmetry import Symmetries
@@ -176,3 +177,26 @@ def test_a_pose_that_explains_the_heights_is_enough():
     poses = torch.cat((told.attached_T_object, (down @ told.attached_T_object[0])[None]))
     told = PoseBelief(told.world_T_attached, poses, torch.zeros(4).log_softmax(-1), torch.zeros(4))
     assert found(reading=pressing(0.0, 0.036), told=told, moved=None, pads=PADS) == []
+
+
+BASE = base_of(BOX.sdf)
+
+
+@pytest.mark.parametrize(
+    ("height", "way", "given", "names"),
+    [
+        (0.09, (0.02, 0.0), {}, ["tips"]),  # 30 mm to the edge ahead: it slides below 60 mm
+        (0.05, (0.02, 0.0), {}, []),
+        (0.09, (0.0, 0.02), {}, []),  # 79 mm to the edge
+        (0.09, (0.001, 0.0), {}, []),  # no push
+        (0.09, (0.02, 0.0), {"contact": False}, []),
+        (0.09, (0.02, 0.0), {"motion": se3.identity()[None].expand(5, 4, 4)}, []),
+    ],
+)
+def test_what_is_pushed_too_high_may_fall(height, way, given, names):
+    share = torch.linspace(0.0, 1.0, 5)[:, None]
+    path = torch.cat((torch.tensor([0.37, 0.0]) + share * torch.tensor(way), torch.zeros(5, 1)), -1)
+    tool = se3.from_planar(path, height)
+    reading = make_reading(tool=tool, **({"contact": True} | given), configuration=GOAL)
+    assert found(reading=reading, moved=None, base=BASE) == names
+    assert found(reading=reading, moved=None) == []

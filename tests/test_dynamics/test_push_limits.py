@@ -1,13 +1,16 @@
-"""Pushes outside of the model: what a tool that holds a rectangle at one place and at two is told to be."""
+"""Pushes outside of the model: a tool that holds a rectangle at two places, and one that tips what it pushes."""
+
+import math
 
 import pytest
 import torch
 
 from rumi.dynamics.along_path import Pusher
-from rumi.dynamics.outline import RectangleOutline, Support
-from rumi.dynamics.push_limits import held_twice
+from rumi.dynamics.outline import Base, RectangleOutline, Support, base_of
+from rumi.dynamics.push_limits import held_twice, tips
 from rumi.dynamics.pushed_body import PushedBody
 from rumi.dynamics.sliding import rotated
+from sdf.primitives import Box
 
 
 def wall(begin, end, count=41):
@@ -40,3 +43,20 @@ def test_a_tool_at_two_sides_holds_twice(points, away, held):
     at = rotated(torch.tensor([-0.061 - away, 0.0]).double().expand(3, 2), turn)
     tools = torch.cat((poses[:, :2] + at, turn[:, None]), -1)
     assert held_twice(poses, tools, body).tolist() == [held] * 3
+
+
+def test_a_box_tips_over_its_near_side_alone() -> None:
+    # 20 mm to the edge along x, 60 along y: at a friction of .5 it slides below 40 and 120 mm
+    base = base_of(Box((0.02, 0.06, 0.1)).double())
+    yaw = torch.tensor([0.0, 0.5 * math.pi, math.pi], dtype=torch.float64)
+    ahead = torch.tensor([3.0, 0.0], dtype=torch.float64)
+    assert tips(yaw, ahead, 0.045, base).tolist() == [True, False, True]
+    assert not tips(yaw, ahead, 0.036, base).any()
+    assert tips(yaw, ahead, 0.130, base).all()
+    assert not tips(yaw, ahead, 0.045, base, friction=0.3).any()
+
+
+def test_what_stands_aside_of_its_centre_tips_one_way() -> None:
+    base = Base(torch.tensor([[-0.01, 0.0], [0.03, 0.0]]), torch.tensor([0.0, 0.0]))
+    for way, expected in ((1.0, False), (-1.0, True)):
+        assert bool(tips(torch.zeros(1), torch.tensor([way, 0.0]), 0.04, base)) is expected

@@ -18,6 +18,7 @@ from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw, verify
 from rumi.belief.remarks import Remark, remarks
 from rumi.clock import Clock
+from rumi.dynamics.outline import Base, base_of
 from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopEvidence, StopSettings, converged
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
@@ -202,6 +203,7 @@ class Rummager:
             moved=moved,
             upright=self.upright,
             pads=self._pads,
+            base=self._base if self.upright else None,
             said={remark.name for step in state.history for remark in step.remarks},
         )
 
@@ -209,6 +211,11 @@ class Rummager:
     def _pads(self) -> Float[Tensor, "P 3"]:
         """Points of the pads, tool frame."""
         return self.tool.shape.pad_shell(_PADS_M)
+
+    @functools.cached_property
+    def _base(self) -> Base:
+        """What the object stands on."""
+        return base_of(self.model.sdf)
 
     def last(self, state: RummageState) -> None:
         """Nothing is done at the end."""
