@@ -186,7 +186,8 @@ def settings_of(name: str, motion: str, seed: int, folder: Path) -> Settings:
     item.make().export(folder / item.file)
     own = ObjectSettings(mesh=str(folder / item.file), **item.about)
     default = preset(task="mug-0", seed=seed, object=own)
-    return replace(default, filter=replace(default.filter, motion=motion))
+    told = replace(default.simulator, measures_motion=motion == "measured")
+    return replace(default, filter=replace(default.filter, motion=motion), simulator=told)
 
 
 def measure(object: str, motion: str, seed: int) -> dict[str, Any]:

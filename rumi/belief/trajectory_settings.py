@@ -1,7 +1,8 @@
 """Settings of trajectories of a pushed object: priors of its motion, noise of the sensors, effort of the filter."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import Self
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class PoseTrajectorySettings:
         m_per_rad: length that a radian of a step counts as.
         fall_m: length that a fall counts as.
         firm_change: log-deviation of the tilt at which an object falls over.
-        unfitted: how much wider the noise of motion is in space, where it is not fitted.
+        unfitted: how much wider the noise of motion is of objects that it is not fitted to: all but mugs that stand.
         tails: h of the size of an action's noise, exp(h z^2 / 2) of a standard normal z: once in a while all of it is
             large.
         shared: part of its variance that a whole action has in common.
@@ -87,6 +88,18 @@ class PoseTrajectorySettings:
     pad_spacing_m: float = 0.0025
     outliers: float = 0.02
     most: tuple[int, int, int, int] = (500, 250, 60, 120)
+
+    def widened(self) -> Self:
+        """The same for upright objects to which the noise of motion is not fitted."""
+        factor, (mean, deviation) = self.unfitted, self.ahead
+        return replace(
+            self,
+            along=factor * self.along,
+            across=factor * self.across,
+            turn_rad_per_m=factor * self.turn_rad_per_m,
+            centre_m=factor * self.centre_m,
+            ahead=(mean, factor * deviation),
+        )
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""

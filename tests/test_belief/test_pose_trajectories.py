@@ -336,3 +336,14 @@ def test_free_cells_count_once(block, model):
 def test_settings_without_meaning_are_refused(change):
     with pytest.raises(ValueError, match="Expected"):
         replace(PoseTrajectorySettings(), **change)
+
+
+def test_noise_is_wider_where_it_is_not_fitted() -> None:
+    own = PoseTrajectorySettings(across=0.02, ahead=(0.2, 0.05), unfitted=4.0)
+    wide = own.widened()
+    assert (wide.across, wide.ahead) == (pytest.approx(0.08), (0.2, pytest.approx(0.2)))
+    assert (wide.along, wide.turn_rad_per_m) == (
+        pytest.approx(4.0 * own.along),
+        pytest.approx(4.0 * own.turn_rad_per_m),
+    )
+    assert (wide.friction, wide.seen_sd_m, wide.particles) == (own.friction, own.seen_sd_m, own.particles)

@@ -43,6 +43,7 @@ from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.rummage.simulated import SimTask
 from rumi.tasks.rummage.tool_height import at_tool_height
 from sdf.object_model import ObjectModel
+from sdf.primitives import Mug
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
 
@@ -229,6 +230,8 @@ def trajectory_filter(
     """
     spacing = settings.trajectories.pad_spacing_m
     if _planar(spec):
+        if not isinstance(model.exact, Mug):
+            settings = replace(settings, trajectories=settings.trajectories.widened())
         pushed: Pushed = PushedObject.of(
             discrepancy.sdf,
             tool.shape,

@@ -11,7 +11,7 @@ from rumi.runs.folder import RunRecorder
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.objects import ObjectSettings
 from rumi.tasks.rummage.scenes import PriorSpec
-from sdf.object_model import box_model
+from sdf.object_model import box_model, mug_model
 from sdf.primitives import Sphere
 
 
@@ -49,6 +49,12 @@ def test_what_is_said_is_what_it_has(model):
 )
 def test_without_a_word_nothing_is_taken_for_measured(workspace, given, motion, model):
     assert rumi.rummager(model, workspace, **given).filter.settings.motion == motion
+
+
+def test_trajectories_are_surer_of_the_mugs_that_they_are_fitted_to(model):
+    fitted = rumi.rummager(mug_model(0.004), lattice()).filter.own
+    assert fitted == rumi.preset("default").filter.trajectories
+    assert rumi.rummager(model, lattice()).filter.own == fitted.widened() != fitted
 
 
 @pytest.mark.parametrize(
