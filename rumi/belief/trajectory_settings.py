@@ -2,7 +2,22 @@
 
 import math
 from dataclasses import dataclass, fields, replace
-from typing import Self
+from typing import Any, Self
+
+# wide enough for what is no mug: a bracket, a bottle, a ball, whose pushes nothing is fitted to
+_OTHERS: dict[str, Any] = {
+    "friction": (0.5, 0.35),
+    "lever_ratio": (1.3, 0.15),
+    "ahead": (0.09, 0.11),
+    "centre_m": 0.004,
+    "friction_change": 0.2,
+    "lever_change": 0.1,
+    "along": 0.15,
+    "across": 0.35,
+    "turn_rad_per_m": 3.0,
+    "tails": 0.15,
+    "pad_slope_m": 0.0007,
+}
 
 
 @dataclass(frozen=True)
@@ -34,7 +49,7 @@ class PoseTrajectorySettings:
         m_per_rad: length that a radian of a step counts as.
         fall_m: length that a fall counts as.
         firm_change: log-deviation of the tilt at which an object falls over.
-        unfitted: how much wider the noise of motion is of objects that it is not fitted to: all but mugs that stand.
+        unfitted: how much wider the noise of motion is in space, where it is not fitted.
         tails: h of the size of an action's noise, exp(h z^2 / 2) of a standard normal z: once in a while all of it is
             large.
         shared: part of its variance that a whole action has in common.
@@ -89,16 +104,11 @@ class PoseTrajectorySettings:
     outliers: float = 0.02
     most: tuple[int, int, int, int] = (500, 250, 60, 120)
 
-    def widened(self) -> Self:
-        """The same for upright objects to which the noise of motion is not fitted."""
-        factor, (mean, deviation) = self.unfitted, self.ahead
+    def for_others(self) -> Self:
+        """The same for upright objects other than mugs: numbers that are left at their defaults are wide ones."""
+        fitted = type(self)()
         return replace(
-            self,
-            along=factor * self.along,
-            across=factor * self.across,
-            turn_rad_per_m=factor * self.turn_rad_per_m,
-            centre_m=factor * self.centre_m,
-            ahead=(mean, factor * deviation),
+            self, **{name: own for name, own in _OTHERS.items() if getattr(self, name) == getattr(fitted, name)}
         )
 
     def __post_init__(self) -> None:

@@ -338,12 +338,10 @@ def test_settings_without_meaning_are_refused(change):
         replace(PoseTrajectorySettings(), **change)
 
 
-def test_noise_is_wider_where_it_is_not_fitted() -> None:
-    own = PoseTrajectorySettings(across=0.02, ahead=(0.2, 0.05), unfitted=4.0)
-    wide = own.widened()
-    assert (wide.across, wide.ahead) == (pytest.approx(0.08), (0.2, pytest.approx(0.2)))
-    assert (wide.along, wide.turn_rad_per_m) == (
-        pytest.approx(4.0 * own.along),
-        pytest.approx(4.0 * own.turn_rad_per_m),
+def test_numbers_for_others_leave_what_is_set() -> None:
+    own = PoseTrajectorySettings(across=0.02, particles=30)
+    wide, fitted = own.for_others(), PoseTrajectorySettings()
+    assert (wide.across, wide.particles, wide.seen_sd_m) == (0.02, 30, own.seen_sd_m)
+    assert (
+        wide.along > fitted.along and wide.pad_slope_m > fitted.pad_slope_m and wide.lever_ratio != fitted.lever_ratio
     )
-    assert (wide.friction, wide.seen_sd_m, wide.particles) == (own.friction, own.seen_sd_m, own.particles)

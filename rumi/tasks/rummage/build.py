@@ -231,7 +231,7 @@ def trajectory_filter(
     spacing = settings.trajectories.pad_spacing_m
     if _planar(spec):
         if not isinstance(model.exact, Mug):
-            settings = replace(settings, trajectories=settings.trajectories.widened())
+            settings = replace(settings, trajectories=settings.trajectories.for_others())
         pushed: Pushed = PushedObject.of(
             discrepancy.sdf,
             tool.shape,

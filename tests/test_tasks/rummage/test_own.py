@@ -54,7 +54,7 @@ def test_without_a_word_nothing_is_taken_for_measured(workspace, given, motion, 
 def test_trajectories_are_surer_of_the_mugs_that_they_are_fitted_to(model):
     fitted = rumi.rummager(mug_model(0.004), lattice()).filter.own
     assert fitted == rumi.preset("default").filter.trajectories
-    assert rumi.rummager(model, lattice()).filter.own == fitted.widened() != fitted
+    assert rumi.rummager(model, lattice()).filter.own == fitted.for_others() != fitted
 
 
 @pytest.mark.parametrize(
