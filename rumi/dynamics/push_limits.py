@@ -13,6 +13,8 @@ from rumi.dynamics.outline import Base
 from rumi.dynamics.pushed_body import PushedBody
 from rumi.dynamics.sliding import rotated
 
+_SIDES = 72  # directions in which a base's convex hull is looked at
+
 
 def held_twice(
     poses: Float[Tensor, "E 3"],
@@ -56,10 +58,11 @@ def tips(
     *,
     friction: float = 0.5,
 ) -> Bool[Tensor, "E"]:
-    """Whether an upright object that is pushed at a height tips about the edge of its base ahead before it slides.
+    """Whether an upright object that is pushed at a height tips about an edge of its base before it slides.
 
-    It slides where the friction with the floor gives way first: where its base reaches farther ahead of its centre of
-    mass than friction times the height. What the tool's own friction carries of its weight is left out.
+    A push that is about to slide it moves the centre of pressure ahead of the centre of mass by friction times the
+    height; out of the base's convex hull there is nothing to press on. What the tool's own friction carries of its
+    weight is left out.
 
     Args:
         yaw: of the objects, radians.
@@ -69,5 +72,7 @@ def tips(
         friction: coefficient between object and floor.
     """
     ahead = rotated((direction / direction.norm()).to(yaw).expand(len(yaw), 2), -yaw)
-    reach = (ahead @ (base.points - base.centre).to(yaw).mT).amax(-1)
-    return reach < friction * height_m
+    angle = torch.arange(_SIDES, dtype=yaw.dtype, device=yaw.device) * (2.0 * math.pi / _SIDES)
+    sides = torch.stack((angle.cos(), angle.sin()), -1)
+    reach = (sides @ (base.points - base.centre).to(yaw).mT).amax(-1)
+    return (friction * height_m * ahead @ sides.mT > reach).any(-1)

@@ -60,3 +60,11 @@ def test_what_stands_aside_of_its_centre_tips_one_way() -> None:
     base = Base(torch.tensor([[-0.01, 0.0], [0.03, 0.0]]), torch.tensor([0.0, 0.0]))
     for way, expected in ((1.0, False), (-1.0, True)):
         assert bool(tips(torch.zeros(1), torch.tensor([way, 0.0]), 0.04, base)) is expected
+
+
+def test_a_narrow_base_tips_aslant_too() -> None:
+    """Pushed along at 30 degrees off its thin side it leans over its long edge, though it reaches far that way."""
+    base = base_of(Box((0.005, 0.05, 0.1)).double())
+    aslant = torch.tensor([math.cos(0.5), math.sin(0.5)], dtype=torch.float64)
+    assert bool(tips(torch.zeros(1, dtype=torch.float64), aslant, 0.045, base))
+    assert not bool(tips(torch.full((1,), 0.5 - 0.5 * math.pi, dtype=torch.float64), aslant, 0.045, base))
