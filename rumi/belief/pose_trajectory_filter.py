@@ -36,10 +36,8 @@ from sensors.reading import Reading
 _SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of draws about fitted poses: metres, radians
 _DRAWS, _STARTS, _LOOKED_AT, _FIRST_SWEEPS = 6000, 300, 24, 4
 _MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of the belief
-_UNMET, _MET = (
-    40000,
-    10000,
-)  # draws of the prior at the first touch, and those of them that its motion is worked out for
+# draws of the prior at the first touch, and those of them that its motion is worked out for
+_UNMET, _MET = 40000, 10000
 _TOUCHED_ABOUT = (0.004, 0.004, 0.1)  # of starts after it
 _UNSETTLED = 0.03  # share of the belief that leans on the tool, and so moves with it, felt or not
 _LONG = 6  # pushed segments up to which moves from the start are tried after each, not after each action
