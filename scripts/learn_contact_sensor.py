@@ -1,7 +1,7 @@
 """Parameters of a contact sensor learnt through the filter, with standard errors and a profile.
 
     python -m scripts.learn_contact_sensor                      # 200 episodes, seeds 0 to 4: lines and a figure
-    python -m scripts.learn_contact_sensor --episodes 50 --seeds 1000 2 --out /tmp/learnt
+    python -m scripts.learn_contact_sensor --episodes 50 --seeds 1000 2 --out learnt
 
 Episodes are touches of a mug by a probe, signals of a known sensor; its poses are unknown to the learner
 (`scripts/train_through_filter.py`). Errors are of the curvature of the log evidence at the optimum, by differences of

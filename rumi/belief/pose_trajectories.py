@@ -124,7 +124,26 @@ class PushedObject:
         noise: Float[Tensor, "N 3"],
     ) -> Float[Tensor, "N 3"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
-        return _stepped(self, own, pose, before, after, body, noise)
+        near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
+        if not len(near):
+            return pose
+        start, many = pose[near], len(near)
+        way = after[:2] - before[:2]
+        direction = way / way.norm().clamp_min(1e-12)
+        ahead = self.height_m * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
+        centre = self.centre + own.centre_m * body.centre[near, :2]
+        centre = centre + ahead[:, None] * rotated(direction.expand(many, 2), -start[:, 2])
+        sliding = Sliding(centre, body.lever[near], body.friction[near])
+        both = before.expand(many, 3), after.expand(many, 3)
+        moved, _ = push(start, *both, self.tool, self.outline, sliding, passes=2)
+        step = moved - start
+        length = step[:, :2].norm(dim=-1)
+        size = length + own.m_per_rad * step[:, 2].abs()
+        along = torch.where(length[:, None] > 1e-9, step[:, :2] / length[:, None].clamp_min(1e-9), direction)
+        across = torch.stack((-along[:, 1], along[:, 0]), -1)
+        own_noise = noise[near] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
+        shift = own_noise[:, :1] * along + own_noise[:, 1:2] * across
+        return pose.index_copy(0, near, moved + torch.cat((shift, own_noise[:, 2:]), -1))
 
     @functools.cached_property
     def arrays(self) -> tuple[np.ndarray, ...]:
@@ -319,38 +338,6 @@ def replay_plain(
             total = total + log_likelihood_of(distance, history.kind[some], own) @ history.weight[some]
         poses[rows, segment + 1], logs[rows, segment] = pose, total
     return poses, logs
-
-
-def _stepped(
-    model: PushedObject,
-    own: PoseTrajectorySettings,
-    pose: Float[Tensor, "N 3"],
-    before: Float[Tensor, "3"],
-    after: Float[Tensor, "3"],
-    body: Sliding,
-    noise: Float[Tensor, "N 3"],
-) -> Float[Tensor, "N 3"]:
-    """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
-    near = ((after[:2] - pose[:, :2]).norm(dim=-1) < model.reach_m).nonzero()[:, 0]
-    if not len(near):
-        return pose
-    start, many = pose[near], len(near)
-    way = after[:2] - before[:2]
-    direction = way / way.norm().clamp_min(1e-12)
-    ahead = model.height_m * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
-    centre = model.centre + own.centre_m * body.centre[near, :2]
-    centre = centre + ahead[:, None] * rotated(direction.expand(many, 2), -start[:, 2])
-    sliding = Sliding(centre, body.lever[near], body.friction[near])
-    both = before.expand(many, 3), after.expand(many, 3)
-    moved, _ = push(start, *both, model.tool, model.outline, sliding, passes=2)
-    step = moved - start
-    length = step[:, :2].norm(dim=-1)
-    size = length + own.m_per_rad * step[:, 2].abs()
-    along = torch.where(length[:, None] > 1e-9, step[:, :2] / length[:, None].clamp_min(1e-9), direction)
-    across = torch.stack((-along[:, 1], along[:, 0]), -1)
-    own_noise = noise[near] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
-    shift = own_noise[:, :1] * along + own_noise[:, 1:2] * across
-    return pose.index_copy(0, near, moved + torch.cat((shift, own_noise[:, 2:]), -1))
 
 
 @backend.register("replay_trajectories", "numba", compiled.supports)

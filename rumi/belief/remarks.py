@@ -266,10 +266,8 @@ def remarks(
         name, where = ("lifted", "above") if height > 0 else ("dropped", "below")
         found.append((name, f"by its motion the object's lowest point is {abs(height):.0f} mm {where} the table"))
     # a motion that is measured tells by itself whether it fell
-    looked_for = base is not None and reading.object_motion is None and tilt <= limits.tilt_rad
-    pushed_at = (
-        tipping(reading, belief, model.surface_points, base, limits) if base is not None and looked_for else None
-    )
+    unmeasured = reading.object_motion is None and tilt <= limits.tilt_rad
+    pushed_at = None if base is None or not unmeasured else tipping(reading, belief, model.surface_points, base, limits)
     if pushed_at is not None:
         where = f"pushed {1e3 * pushed_at:.0f} mm above what it stands on, the object tips or rolls before it slides"
         found.append(("tips", f"{where} (friction with the floor .5): nothing measures how it lies now"))
