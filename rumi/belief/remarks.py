@@ -5,7 +5,6 @@ What the cause is, and what to do, is not decided here.
 """
 
 import math
-from collections.abc import Container
 from dataclasses import dataclass
 
 import torch
@@ -229,10 +228,9 @@ def remarks(
     upright: bool,
     pads: Float[Tensor, "P 3"] | None = None,
     base: Base | None = None,
-    said: Container[str] = (),
     limits: Limits | None = None,
 ) -> tuple[Remark, ...]:
-    """What is odd after an action, each kind once a run.
+    """What is odd after an action.
 
     Args:
         step: number of the action.
@@ -245,7 +243,6 @@ def remarks(
         upright: whether the object is expected to stand as it did at first.
         pads: points of the pads' surface, tool frame; None where heights at which they feel are not looked at.
         base: of the object, where it should stand upright; None where pushes that tip it are not looked for.
-        said: names of the remarks of the run so far.
         limits: how much is odd.
     """
     limits, found = limits or Limits(), []
@@ -283,4 +280,4 @@ def remarks(
         if max(abs(bottom - low), abs(top - high)) > 1e3 * limits.apart_m:
             heights = f"{bottom:.0f} to {top:.0f} mm above the table, where every pose believed differs (the nearest is"
             found.append(("other height", f"the object was felt {heights} felt at {low:.0f} to {high:.0f} mm)"))
-    return tuple(Remark(name, step, sentence) for name, sentence in found if name not in said)
+    return tuple(Remark(name, step, sentence) for name, sentence in found)
