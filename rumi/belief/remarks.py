@@ -14,6 +14,7 @@ from torch import Tensor
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.outline import Base
 from rumi.dynamics.push_limits import tips
+from rumi.dynamics.sliding import rotated
 from sdf import se3
 from sdf.base import SDF
 from sdf.object_model import ObjectModel
@@ -182,7 +183,10 @@ def tipping(
     rests_at = (poses[:, 2, :3] @ surface_points.mT + poses[:, 2, 3:]).amin(-1).median()
     height = float(places[met[0], 2] - rests_at)
     yaw = se3.to_planar(poses)[:, 2]
-    share = belief.log_weights.softmax(-1)[tips(yaw, way, height, base)].sum()
+    here = reading.observation.of_class(Semantics.SURFACE) & (reading.instant == met[-1])
+    felt = reading.observation.points[here][:, :2].to(poses)
+    touched = rotated(felt.mean(0) - poses[:, :2, 3], -yaw) if len(felt) else None
+    share = belief.log_weights.softmax(-1)[tips(yaw, way, height, base, touched)].sum()
     return height if float(share) > 0.5 else None
 
 
@@ -267,7 +271,7 @@ def remarks(
     pushed_at = None if base is None or not unmeasured else tipping(reading, belief, model.surface_points, base, limits)
     if pushed_at is not None:
         where = f"pushed {1e3 * pushed_at:.0f} mm above what it stands on, the object tips or rolls before it slides"
-        found.append(("tips", f"{where} (friction with the floor .5): nothing measures how it lies now"))
+        found.append(("tips", f"{where} (friction .5): nothing measures how it lies now"))
     off, deep = (1e3 * metres for metres in unexplained(belief, added, model.sdf))
     if deep > 1e3 * limits.apart_m:
         inside = f"the tool went {deep:.0f} mm deep into where the object is believed to be"
