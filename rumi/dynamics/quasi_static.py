@@ -37,7 +37,8 @@ from sdf.bounds import Checked, Count, NotNegative, Positive
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
 
-
+GROUP = 8
+"""Points of the tool's border that one bound settles together."""
 _COARSE = 4  # mini steps that are one where samples are only told apart
 
 
@@ -96,7 +97,8 @@ class QuasiStaticRollouts:
         self.poses = se3.to_planar(world_T_object)
         self.weights = log_weights.softmax(-1)
         self.pivot = self.weights @ self.poses[:, :2]
-        self.points = tool.shape.outline(self.settings.spacing_m).to(self.poses)
+        points, self.groups = tool.border(self.settings.spacing_m, GROUP)
+        self.points = points.to(self.poses)
         self.outline = outline.to(self.poses)
         self.sliding = Sliding(
             support.centre.to(self.poses),

@@ -4,19 +4,17 @@ import math
 
 import numpy as np
 import torch
-import torch.nn.functional as nnf
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
 from rumi.dynamics.base import PushRollouts, duplicates
+from rumi.dynamics.quasi_static import GROUP
 from rumi.dynamics.sliding_numba import settled, slope
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
 from sdf.part_numba import indices
-
-_GROUP = 8  # points of the tool's border that one bound settles together, and that are looked up at once
 
 
 @intrinsic
@@ -61,8 +59,8 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
         if -clear < depth:
             gap = min(gap, clear)
             continue
-        begin, most = group * _GROUP, _rank(kind(-1e9))
-        for n in range(_GROUP):
+        begin, most = group * GROUP, _rank(kind(-1e9))
+        for n in range(GROUP):
             k = begin + n
             # beyond the table is outside of the object, as its border is
             u = place_x + turn_x * at(px, k) - turn_y * at(py, k)
@@ -82,10 +80,10 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
             rank = _rank(within)
             most = rank if rank > most else most
         if most < _rank(kind(depth)):
-            for n in range(_GROUP):
+            for n in range(GROUP):
                 gap = min(gap, max(clear, -inside[n] / steepness))
             continue
-        for n in range(_GROUP):
+        for n in range(GROUP):
             k = begin + n
             if inside[n] > depth or (inside[n] == depth and inside[n] > 0.0 and order[k] < first):
                 depth, best, first = inside[n], k, order[k]
@@ -247,15 +245,15 @@ class CompiledRollouts:
     def __init__(self, model):
         self._model = model
         points, outline = model.points, model.outline
-        order = _groups(points)
+        order = model.groups
         sets = points[order]
         centres = 0.5 * (sets.amin(1) + sets.amax(1))
         radii = (sets - centres[:, None]).norm(dim=-1).amax(-1)
-        groups = _arrays(*centres.unbind(-1), radii + _slack(outline))
+        groups = _arrays(*centres.unbind(-1), radii + outline.slack)
         self._body = (*_arrays(*sets.flatten(0, 1).unbind(-1), order.flatten()), groups)
         self._outline = _arrays(outline.values, outline.values.flatten(), outline.origin.double())
         width = float(points.norm(dim=-1).max())
-        self._numbers = np.array((outline.spacing, _steepness(outline), model.reach, width))
+        self._numbers = np.array((outline.spacing, outline.steepness, model.reach, width))
         self._counts = np.array((model.settings.mini_steps, model.settings.passes))
 
     def __call__(self, configuration, controls, poses, sliding):
@@ -274,7 +272,7 @@ class CompiledRollouts:
             self._outline,
             self._numbers,
             self._counts,
-            tuple(np.empty((samples, size), self._body[0].dtype) for size in (_GROUP, len(self._body[3][2]))),
+            tuple(np.empty((samples, size), self._body[0].dtype) for size in (GROUP, len(self._body[3][2]))),
             tuple(part.numpy() for part in (track, contact, checks)),
         )
         shifts, turns = self._model.motions(
@@ -290,38 +288,6 @@ class CompiledRollouts:
             turns.view(track.shape[:3]),
             self._model.pivot,
         )
-
-
-def _groups(points):
-    """Numbers of the points in groups of near ones (G, `_GROUP`); points are there more than once to fill a group."""
-    parts = [torch.arange(len(points))]
-    while len(parts[0]) > _GROUP:
-        halves = []
-        for part in parts:
-            own = points[part]
-            across = part[own[:, (own.amax(0) - own.amin(0)).argmax()].argsort(stable=True)]
-            halves += [across[: (len(part) + 1) // 2], across[len(part) // 2 :]]
-        parts = halves
-    return torch.stack([part[torch.arange(_GROUP) % len(part)] for part in parts])
-
-
-def _slack(outline):
-    """Metres by which a distance at the node next to a place may exceed that at the place, and 1-Lipschitz ones there.
-
-    Tables are off by rounding, and their bilinear values are steeper than distances here and there.
-    """
-    values = outline.values
-    along, across = (float(values.diff(dim=axis).abs().max()) for axis in (0, 1))
-    return outline.spacing + math.sqrt(0.5) * math.hypot(along, across)
-
-
-def _steepness(outline):
-    """Greatest slope of the table's bilinear values where the object is not: over a cell it is greatest in a corner."""
-    values = outline.values
-    along, across = (values.diff(dim=axis) / outline.spacing for axis in (0, 1))
-    slopes = [torch.hypot(a, b) for a in (along[:, :-1], along[:, 1:]) for b in (across[:-1], across[1:])]
-    free = nnf.max_pool2d((values >= 0).to(values)[None, None], 2, stride=1)[0, 0] > 0
-    return max(1.0, float(torch.where(free, torch.stack(slopes).amax(0), 0.0).max())) * (1.0 + 1e-4)
 
 
 def _bodies(sliding):
