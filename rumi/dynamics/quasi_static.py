@@ -1,6 +1,7 @@
 """Quasi-static pushing of single particles: each rollout pushes one pose that the belief holds likely."""
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -247,6 +248,12 @@ class QuasiStaticPush(PushModel):
     def make(cls, settings: Any) -> Self:  # noqa: ANN401
         """The model that settings describe."""
         return cls(settings.quasi_static, push_posterior(settings.push_parameters))
+
+    def knowing(self, pushes: PushPosterior) -> Self:
+        """The same model with another posterior; what it keeps of shapes is shared."""
+        other = copy(self)
+        other.posterior = pushes
+        return other
 
     def fits(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> bool:
         """Whether the tool is level and all particles stand upright at one height."""

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from rumi.dynamics.base import PushModel, RolloutModel, Use
 from rumi.dynamics.displacement import DisplacementPush, DisplacementSettings
-from rumi.dynamics.push_posterior import FIXED
+from rumi.dynamics.push_posterior import FIXED, PushPosterior
 from rumi.dynamics.quasi_static import QuasiStaticPush, QuasiStaticSettings
 from rumi.errors import UsageError
 from rumi.fields.information import WorkspaceFields
@@ -141,9 +141,15 @@ class PushModels:
         tool: Tool,
         workspace: Workspace,
         fields: WorkspaceFields,
+        *,
+        pushes: PushPosterior | None = None,
     ) -> RolloutModel:
-        """Rollouts under one belief, by the member that suits it; see `PushModel.rollouts`."""
+        """Rollouts under one belief, by the member that suits it; see `PushModel.rollouts`.
+
+        What was learnt of how the object slides, `pushes`, takes the place of what a member was made with.
+        """
         member = self._member(self.chosen(world_T_object, tool))
+        member = member if pushes is None else member.knowing(pushes)
         return member.rollouts(model, world_T_object, log_weights, tool, workspace, fields)
 
     def _member(self, name: str) -> PushModel:

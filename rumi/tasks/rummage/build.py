@@ -165,6 +165,7 @@ def build_rummager(
         upright=spec.search == "SE(2)",
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
+        pushes=push_posterior(settings.planner.push_parameters) if _slides(spec, settings.planner) else None,
     )
 
 
@@ -274,6 +275,11 @@ def pushed_motion(
     """
     name = "quasi-static" if planner.push_model == AUTO else planner.push_model
     return PushedMotion(push_model(name, "motion", planner).motion(model, tool.shape, height_m, resting_m))
+
+
+def _slides(spec: TaskSpec, planner: PushSettings) -> bool:
+    """Whether plans are made by the quasi-static model."""
+    return _planar(spec) and planner.push_model in (AUTO, "quasi-static")
 
 
 def _planar(spec: TaskSpec) -> bool:
