@@ -291,8 +291,18 @@ _FORMAT = "rumi push parameters 2"
 FIXED, PRIOR = "fixed", "prior"
 
 
-def push_posterior(name: str) -> PushPosterior | None:
-    """The posterior that a setting names: None for "fixed", the prior for "prior", else that of a file."""
+def push_posterior(name: str, friction: float) -> PushPosterior | None:
+    """The posterior that a setting names.
+
+    Args:
+        name: "fixed", "prior", or a file.
+        friction: median of the prior's coefficient between tool and object: other tools are not of the sets' steel.
+
+    Returns:
+        None for "fixed".
+    """
     if name == FIXED:
         return None
-    return PushPosterior.prior() if name == PRIOR else PushPosterior.load(Path(name))
+    if name == PRIOR:
+        return PushPosterior.prior(mean=(math.log(max(friction, 1e-3)), *_MEAN[1:]))
+    return PushPosterior.load(Path(name))

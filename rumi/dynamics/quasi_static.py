@@ -247,7 +247,7 @@ class QuasiStaticPush(PushModel):
     @classmethod
     def make(cls, settings: Any) -> Self:  # noqa: ANN401
         """The model that settings describe."""
-        return cls(settings.quasi_static, push_posterior(settings.push_parameters))
+        return cls(settings.quasi_static, push_posterior(settings.push_parameters, settings.quasi_static.friction))
 
     def knowing(self, pushes: PushPosterior) -> Self:
         """The same model with another posterior; what it keeps of shapes is shared."""

@@ -57,7 +57,8 @@ class PushSettings(Checked):
             the quasi-static model where it can be, with upright particles and a level tool, and the displacement model
             elsewhere.
         push_parameters: how the object slides, for the quasi-static model: "fixed", as its settings say; "prior", where
-            each rollout has its own draw of what real objects do; or a file of what was learnt of the object, as
+            each rollout has its own draw of how real objects slide, with a tool of about the settings' friction, and
+            motions that are measured teach it; or a file of what was learnt of the object, as
             `rumi pushes --out` writes.
         push: settings of the displacement model.
         quasi_static: settings of the quasi-static model.
