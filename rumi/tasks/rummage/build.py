@@ -21,7 +21,7 @@ from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.belief.toppled_object import ToppledObject
-from rumi.dynamics.push_posterior import push_posterior
+from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
@@ -165,6 +165,7 @@ def build_rummager(
         upright=spec.search == "SE(2)",
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
+        pushes=_pushes(settings.planner) if _slides(spec, settings.planner) else None,
     )
 
 
@@ -276,6 +277,16 @@ def pushed_motion(
     return PushedMotion(push_model(name, "motion", planner).motion(model, tool.shape, height_m, resting_m))
 
 
+def _pushes(planner: PushSettings) -> PushPosterior | None:
+    """What is believed of how an object slides before a run; None where that is fixed."""
+    return push_posterior(planner.push_parameters, planner.quasi_static.friction)
+
+
+def _slides(spec: TaskSpec, planner: PushSettings) -> bool:
+    """Whether plans are made by the quasi-static model."""
+    return _planar(spec) and planner.push_model in (AUTO, "quasi-static")
+
+
 def _planar(spec: TaskSpec) -> bool:
     """Whether the object stays upright and the tool level."""
     return spec.search == "SE(2)" and not spec.spatial
@@ -283,7 +294,7 @@ def _planar(spec: TaskSpec) -> bool:
 
 def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
-    push_posterior(settings.planner.push_parameters)  # a file that is none is told before anything is done
+    _pushes(settings.planner)  # a file that is none is told before anything is done
     if settings.filter.motion == "trajectory":
         _check_trajectory(settings)
         if _planar(spec) and spec.prior is not None:
