@@ -209,7 +209,7 @@ def test_metropolis_moves_keep_a_posterior_that_a_grid_gives(model):
 def test_moves_keep_the_posterior_of_motion_and_physics_that_draws_of_the_prior_give(model):
     """Of readings drawn from the model: weighted draws of its prior, and after many moves, have the same moments."""
     own = replace(OWN, pad_slope_m=0.001, friction=(0.4, 0.6), friction_change=0.3, lever_ratio=(1.25, 0.3))
-    own = replace(own, along=0.03, across=0.03, turn_rad_per_m=0.5, seen_sd_m=0.001)
+    own = replace(own, along=0.03, across=0.03, turn_rad_per_m=0.5, seen_sd_m=0.001, centre_change_m=0.002)
     random, pose, count = generator(13), torch.zeros(3, **DOUBLE), 40000
     view = drawn_view(model, own, pose, 12, random)
     truth = drawn_truth(pose, random)
