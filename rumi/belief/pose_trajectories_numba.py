@@ -134,8 +134,9 @@ def _one(n, particles, done, sensed, shape, scales, logs, flat, lattice):
         lever = scales[3] * physics[n, 1] + scales[8] * noises[n, segment, 1]
         lever = numbers[5] * scales[2] * math.exp(lever)
         size = math.exp(0.5 * scales[13] * noises[n, shared, 8] * noises[n, shared, 8])
-        shift = scales[16] * (size - 1.0)
-        body = (centre_x + shift * noises[n, shared, 9], centre_y + shift * noises[n, shared, 10], ahead, lever, friction)
+        far = scales[16] * (size - 1.0)
+        shift_x, shift_y = far * noises[n, shared, 9], far * noises[n, shared, 10]
+        body = (centre_x + shift_x, centre_y + shift_y, ahead, lever, friction)
         noise = (
             size * (own * noises[n, segment, 2] + together * noises[n, shared, 5]),
             size * (own * noises[n, segment, 3] + together * noises[n, shared, 6]),
