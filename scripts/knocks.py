@@ -107,13 +107,13 @@ def simulated(seed: int, *, knocked: bool) -> Readings:
             spans.append(Knock(STEP_S * (k - 1), STEP_S * (k + 2)))
         path = torch.stack((before, tip)) + place
         moved = push_along_path(pose, path[None], body.pusher, body.outline, sliding, substeps=1).track[:, -1]
-        pose = moved + PushedPoseFilter(body)._motion_deviation(moved - pose) * normal(1, 3)
+        pose = moved + PushedPoseFilter(body).motion.variance(moved - pose).sqrt() * normal(1, 3)
         if spans and STEP_S * k <= spans[-1].end:
             pose = pose + left
         read = pose[0] + torch.tensor(NOISE, dtype=torch.float64) * normal(3)
         chance = even(0.0, 1.0)
         if chance < 0.005:
-            read = pose[0] + torch.tensor((own.outlier_m, own.outlier_m, own.outlier_rad)) * normal(3)
+            read = pose[0] + torch.tensor((own.outlier_m[0], own.outlier_m[0], own.outlier_rad[0])) * normal(3)
         elif chance < 0.025 and reads:
             read = reads[-1]
         for found, value in ((tips, tip), (truths, pose[0]), (reads, read)):

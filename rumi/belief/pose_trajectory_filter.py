@@ -20,6 +20,7 @@ from rumi.belief.pose_trajectories import NOISE, OWN, PHYSICS, PoseTrajectoryBel
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
+from rumi.belief.trajectory_chance import log_chance
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_moves import Moves, start_density
 from rumi.errors import DegenerateBeliefError, UsageError
@@ -147,6 +148,12 @@ class PoseTrajectoryFilter(PoseFilter):
             now = now.remembered(own.memory)
             belief = self._belief(now, log_weights, frames[-1], belief.log_weights)
         return belief, memory, FilterInfo(torch.tensor(touched), torch.tensor(resampled), added)
+
+    def log_chance(self, belief: PoseBelief) -> float:
+        """Log of a bound on the p-value of all readings at the best particle."""
+        if not isinstance(belief, PoseTrajectoryBelief) or belief.trajectories is None:
+            return 0.0
+        return log_chance(belief.trajectories, belief.log_weights, self.own)
 
     def _fresh(self, start: Tensor, history: History, starts: Tensor, random: torch.Generator) -> Trajectories:
         """Start poses with physics and noise of the prior, not replayed yet."""

@@ -5,7 +5,6 @@ What the cause is, and what to do, is not decided here.
 """
 
 import math
-from collections.abc import Container
 from dataclasses import dataclass
 
 import torch
@@ -15,6 +14,7 @@ from torch import Tensor
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.outline import Base
 from rumi.dynamics.push_limits import tips
+from rumi.dynamics.sliding import rotated
 from sdf import se3
 from sdf.base import SDF
 from sdf.object_model import ObjectModel
@@ -183,7 +183,10 @@ def tipping(
     rests_at = (poses[:, 2, :3] @ surface_points.mT + poses[:, 2, 3:]).amin(-1).median()
     height = float(places[met[0], 2] - rests_at)
     yaw = se3.to_planar(poses)[:, 2]
-    share = belief.log_weights.softmax(-1)[tips(yaw, way, height, base)].sum()
+    here = reading.observation.of_class(Semantics.SURFACE) & (reading.instant == met[-1])
+    felt = reading.observation.points[here][:, :2].to(poses)
+    touched = rotated(felt.mean(0) - poses[:, :2, 3], -yaw) if len(felt) else None
+    share = belief.log_weights.softmax(-1)[tips(yaw, way, height, base, touched)].sum()
     return height if float(share) > 0.5 else None
 
 
@@ -229,10 +232,9 @@ def remarks(
     upright: bool,
     pads: Float[Tensor, "P 3"] | None = None,
     base: Base | None = None,
-    said: Container[str] = (),
     limits: Limits | None = None,
 ) -> tuple[Remark, ...]:
-    """What is odd after an action, each kind once a run.
+    """What is odd after an action.
 
     Args:
         step: number of the action.
@@ -245,7 +247,6 @@ def remarks(
         upright: whether the object is expected to stand as it did at first.
         pads: points of the pads' surface, tool frame; None where heights at which they feel are not looked at.
         base: of the object, where it should stand upright; None where pushes that tip it are not looked for.
-        said: names of the remarks of the run so far.
         limits: how much is odd.
     """
     limits, found = limits or Limits(), []
@@ -270,7 +271,7 @@ def remarks(
     pushed_at = None if base is None or not unmeasured else tipping(reading, belief, model.surface_points, base, limits)
     if pushed_at is not None:
         where = f"pushed {1e3 * pushed_at:.0f} mm above what it stands on, the object tips or rolls before it slides"
-        found.append(("tips", f"{where} (friction with the floor .5): nothing measures how it lies now"))
+        found.append(("tips", f"{where} (friction .5): nothing measures how it lies now"))
     off, deep = (1e3 * metres for metres in unexplained(belief, added, model.sdf))
     if deep > 1e3 * limits.apart_m:
         inside = f"the tool went {deep:.0f} mm deep into where the object is believed to be"
@@ -283,4 +284,4 @@ def remarks(
         if max(abs(bottom - low), abs(top - high)) > 1e3 * limits.apart_m:
             heights = f"{bottom:.0f} to {top:.0f} mm above the table, where every pose believed differs (the nearest is"
             found.append(("other height", f"the object was felt {heights} felt at {low:.0f} to {high:.0f} mm)"))
-    return tuple(Remark(name, step, sentence) for name, sentence in found if name not in said)
+    return tuple(Remark(name, step, sentence) for name, sentence in found)

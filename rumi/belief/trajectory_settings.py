@@ -16,7 +16,6 @@ _OTHERS: dict[str, Any] = {
     "along": 0.15,
     "across": 0.35,
     "turn_rad_per_m": 3.0,
-    "tails": 0.15,
     "pad_slope_m": 0.0007,
 }
 

@@ -385,6 +385,15 @@ def test_settings_without_meaning_are_refused(change):
         replace(PoseTrajectorySettings(), **change)
 
 
+def test_noise_of_other_objects_has_room_for_what_tips_and_rolls() -> None:
+    # a motion that is off by many deviations costs little of the prior: its size is drawn, too
+    size = torch.linspace(0.0, 8.0, 801, **DOUBLE)
+    for own in (PoseTrajectorySettings(), PoseTrajectorySettings().for_others()):
+        for deviations, nats in ((3.0, 3.0), (6.0, 4.5), (10.0, 6.0)):
+            z = deviations * (-0.5 * own.tails * size.square()).exp()
+            assert float((0.5 * (z.square() + size.square())).min()) < nats
+
+
 def test_numbers_for_others_leave_what_is_set() -> None:
     own = PoseTrajectorySettings(across=0.02, particles=30)
     wide, fitted = own.for_others(), PoseTrajectorySettings()

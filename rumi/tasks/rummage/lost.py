@@ -1,5 +1,6 @@
 """Whether a run is lost: a test of every reading against the belief, and the search that begins anew after an alarm."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -30,15 +31,44 @@ class Watch:
         evidence: since the belief was last begun; None before the first reading.
         begun: number of the action after which that was.
         lost: whether an alarm was raised that no search came after.
+        unseated: name of the remark by which an object that no belief has but upright may lie otherwise; None where
+            none says so.
     """
 
     evidence: ChangeEvidence | None = None
     begun: int = 0
     lost: bool = False
+    unseated: str | None = None
 
-    def doubts(self, own: MisfitSettings) -> bool:
-        """Whether the readings speak for a fault, though not enough for an alarm: no time to be sure."""
-        return self.evidence is not None and float(own.test.log_evidence(self.evidence)) > _DOUBT
+    def doubt(self, own: MisfitSettings) -> str | None:
+        """What speaks for a fault, though not enough for an alarm: no time to be sure."""
+        if self.unseated is not None:
+            return (
+                f"the object may lie otherwise than any pose believed ({self.unseated!r} was remarked), and nothing "
+                "measures how: look again, measure its motion, or push it lower (--tool-height)"
+            )
+        if self.evidence is not None and float(own.test.log_evidence(self.evidence)) > _DOUBT:
+            return "the last readings fit a fault better than the belief"
+        return None
+
+
+def unseated(before: str | None, odd: Sequence[Remark], touched: bool) -> str | None:
+    """Name of the remark by which an object that should stand, whose motion nothing measures, may lie otherwise.
+
+    A push that tips it: touches that fit tell little of how it lies then, so that this lasts. Or heights at which no
+    pose that is believed has it felt, until it is touched again and they are not odd.
+
+    Args:
+        before: what was said before the action.
+        odd: all remarks of the action, also those that were said before.
+        touched: whether the action touched it.
+    """
+    names = {remark.name for remark in odd}
+    if before == "tips" or "tips" in names:
+        return "tips"
+    if "other height" in names:
+        return "other height"
+    return None if touched else before
 
 
 def sensed_now(record: StepRecord, motion: str) -> Observation:
