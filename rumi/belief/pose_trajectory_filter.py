@@ -31,7 +31,7 @@ from rumi.weights import effective_sample_size, normalise
 from sdf import se3
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
-from sensors.observation import Observation, attach, merge
+from sensors.observation import Observation, attach, in_world, merge
 from sensors.reading import Reading
 
 _SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of draws about fitted poses: metres, radians
@@ -41,6 +41,7 @@ _MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of
 _UNMET, _MET = 40000, 10000
 _TOUCHED_ABOUT = (0.004, 0.004, 0.1)  # of starts after it
 _UNSETTLED = 0.03  # share of the belief that leans on the tool, and so moves with it, felt or not
+_ALIVE = 0.4  # share of different poses before an action that needs no moves in the middle of it
 _LONG = 6  # pushed segments up to which moves from the start are tried after each, not after each action
 
 
@@ -138,7 +139,11 @@ class PoseTrajectoryFilter(PoseFilter):
             now, log_weights, again = self._weighed(now, log_weights, still, random)
             resampled |= again
         frames = rides.to(belief.world_T_attached) @ belief.world_T_attached
-        memory, added = merge(memory, attach(reading.observation, reading.instant, frames), self.lattice)
+        if spans:
+            new = attach(reading.observation, reading.instant, frames)
+        else:  # one frame for all instants
+            new = in_world(reading.observation, se3.inverse(frames[0]))
+        memory, added = merge(memory, new, self.lattice)
         if touched or still is not None:
             now = now.remembered(own.memory)
             belief = self._belief(now, log_weights, frames[-1], belief.log_weights)
@@ -246,6 +251,10 @@ class PoseTrajectoryFilter(PoseFilter):
             log_likelihood=torch.cat((now.log_likelihood[from_], power * gained[kept, None]), 1),
             history=history,
         )
+        # the action's motions are branched anew; those before it are what dies out
+        alive = len(torch.unique(now.poses[:, int(history.action[-1]), 0]))
+        if power == 1.0 and not closes and alive >= _ALIVE * count:
+            return now
         return self._tempered(now, power, random, whole=closes)
 
     def _weighed(
