@@ -7,11 +7,11 @@ import torch
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.segments import felt_pads
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf import se3
@@ -35,7 +35,7 @@ def prior(box) -> PosePrior:
     return PosePrior.of((0.0, 0.0), 0.02, box.exact.bounds, ("x", "z"))
 
 
-def follow(box, prior, **changes) -> PoseTrajectoryFilter:
+def follow(box, prior, **changes) -> UnseenTrajectoryFilter:
     model = ToppledObject.of(
         box.sdf,
         SHAPE,
@@ -48,7 +48,7 @@ def follow(box, prior, **changes) -> PoseTrajectoryFilter:
     )
     settings = replace(FilterSettings(motion="trajectory"), trajectories=replace(OWN, **changes))
     discrepancy = Discrepancy(box.sdf, box.radius, free_scale=80.0, tolerance=0.001)
-    return PoseTrajectoryFilter(settings, discrepancy, model, prior, "SE(3)")
+    return UnseenTrajectoryFilter(settings, discrepancy, model, prior, "SE(3)")
 
 
 def felt_by(box, world_T_object: torch.Tensor, path: torch.Tensor) -> Reading:
