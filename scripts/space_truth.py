@@ -242,7 +242,7 @@ def _words(line: Figures) -> str:
     out = [f"# {line['command']} {line['seed']} {' '.join(line['set'])}"]
     for k, s in enumerate(line["steps"]):
         out.append(
-            f"{k:3d} touched {s['contacts']:2d} {'now' if s['touched'] else '   '}, off {s['mm']:6.1f} mm {s['deg']:6.1f}"
+            f"{k:3d} touched {s['contacts']:2d}{' now' if s['touched'] else ''}, off {s['mm']:6.1f} mm {s['deg']:6.1f}"
             f" deg, P(right) {s['p']:.2f} level {s['level']:.2f} lies {s['lies']:.2f} near {s['near']:.2f}; moved "
             f"{s['moved']:5.1f} mm {s['turned']:5.1f} deg, tilt {s['tilt']:5.1f}; nats at the truth {s['truth']:7.1f}, "
             f"best {s['best']:7.1f}, mean {s['mean']:7.1f}; {s['cpu_s']:.2f} s"
