@@ -194,7 +194,7 @@ class Rummager:
             record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
         if alarm is not None and not now.lost:
             with clock("belief"):
-                belief, memory = searched_again(record, self.filter, self.misfit, generator=random["lost"])
+                belief, memory = searched_again(record, memory, self.filter, self.misfit, generator=random["lost"])
             again = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
             timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}
             record = replace(again, lost=record.lost, remarks=record.remarks, timings_s=record.timings_s | timings)
