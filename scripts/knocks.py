@@ -112,7 +112,7 @@ def simulated(seed: int, *, knocked: bool) -> Readings:
         read = pose[0] + torch.tensor(NOISE, dtype=torch.float64) * normal(3)
         chance = even(0.0, 1.0)
         if chance < 0.005:
-            read = pose[0] + torch.tensor((own.outlier_m, own.outlier_m, own.outlier_rad)) * normal(3)
+            read = pose[0] + torch.tensor((own.outlier_m[0], own.outlier_m[0], own.outlier_rad[0])) * normal(3)
         elif chance < 0.025 and reads:
             read = reads[-1]
         for found, value in ((tips, tip), (truths, pose[0]), (reads, read)):

@@ -5,7 +5,6 @@ What the cause is, and what to do, is not decided here.
 """
 
 import math
-from collections.abc import Container
 from dataclasses import dataclass
 
 import torch
@@ -16,6 +15,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.dynamics.outline import Base
 from rumi.dynamics.push_limits import held_twice, tips
 from rumi.dynamics.pushed_body import PushedBody
+from rumi.dynamics.sliding import rotated
 from rumi.resampling import systematic
 from sdf import se3
 from sdf.base import SDF
@@ -186,7 +186,10 @@ def tipping(
     rests_at = (poses[:, 2, :3] @ surface_points.mT + poses[:, 2, 3:]).amin(-1).median()
     height = float(places[met[0], 2] - rests_at)
     yaw = se3.to_planar(poses)[:, 2]
-    share = belief.log_weights.softmax(-1)[tips(yaw, way, height, base)].sum()
+    here = reading.observation.of_class(Semantics.SURFACE) & (reading.instant == met[-1])
+    felt = reading.observation.points[here][:, :2].to(poses)
+    touched = rotated(felt.mean(0) - poses[:, :2, 3], -yaw) if len(felt) else None
+    share = belief.log_weights.softmax(-1)[tips(yaw, way, height, base, touched)].sum()
     return height if float(share) > 0.5 else None
 
 
@@ -257,10 +260,9 @@ def remarks(
     pads: Float[Tensor, "P 3"] | None = None,
     base: Base | None = None,
     body: PushedBody | None = None,
-    said: Container[str] = (),
     limits: Limits | None = None,
 ) -> tuple[Remark, ...]:
-    """What is odd after an action, each kind once a run.
+    """What is odd after an action.
 
     Args:
         step: number of the action.
@@ -275,7 +277,6 @@ def remarks(
         base: of the object, where it should stand upright; None where pushes that tip it are not looked for.
         body: object and level tool, where the object should stand upright; None where it is not looked for contacts at
             two sides.
-        said: names of the remarks of the run so far.
         limits: how much is odd.
     """
     limits, found = limits or Limits(), []
@@ -300,7 +301,7 @@ def remarks(
     pushed_at = None if base is None or not unmeasured else tipping(reading, belief, model.surface_points, base, limits)
     if pushed_at is not None:
         where = f"pushed {1e3 * pushed_at:.0f} mm above what it stands on, the object tips or rolls before it slides"
-        found.append(("tips", f"{where} (friction with the floor .5): nothing measures how it lies now"))
+        found.append(("tips", f"{where} (friction .5): nothing measures how it lies now"))
     if body is not None and tilt <= limits.tilt_rad and gripped(reading, belief, body, limits):
         found.append(
             ("two contacts", "the tool touches the object at two sides: how it moves then, no push model knows")
@@ -317,4 +318,4 @@ def remarks(
         if max(abs(bottom - low), abs(top - high)) > 1e3 * limits.apart_m:
             heights = f"{bottom:.0f} to {top:.0f} mm above the table, where every pose believed differs (the nearest is"
             found.append(("other height", f"the object was felt {heights} felt at {low:.0f} to {high:.0f} mm)"))
-    return tuple(Remark(name, step, sentence) for name, sentence in found if name not in said)
+    return tuple(Remark(name, step, sentence) for name, sentence in found)

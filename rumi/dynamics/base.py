@@ -109,6 +109,10 @@ class RolloutModel(Protocol):
         """The one rollout (K = M = 1) that is shown as the plan: what happens more likely than not."""
         ...
 
+    def coarse(self) -> Self:
+        """A model of the same that is quicker, to tell which samples are worth rolling out; itself if there is none."""
+        ...
+
 
 class PushDefaults(NamedTuple):
     """Settings of the planner that were found best for a push model.

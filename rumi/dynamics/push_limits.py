@@ -56,24 +56,33 @@ def tips(
     direction: Float[Tensor, "2"],
     height_m: float,
     base: Base,
+    touched: Float[Tensor, "E 2"] | None = None,
     *,
     friction: float = 0.5,
+    tool_friction: float = 0.5,
 ) -> Bool[Tensor, "E"]:
     """Whether an upright object that is pushed at a height tips about an edge of its base before it slides.
 
     A push that is about to slide it moves the centre of pressure ahead of the centre of mass by friction times the
-    height; out of the base's convex hull there is nothing to press on. What the tool's own friction carries of its
-    weight is left out.
+    height; out of the base's convex hull there is nothing to press on. Where it begins to lean, the side that the tool
+    touches goes up, and the tool's own friction holds it down, by as much as it presses.
 
     Args:
         yaw: of the objects, radians.
         direction: of the push, level; of any length but 0.
         height_m: of the push above what the object stands on.
         base: of the object.
+        touched: places that the tool touches, object frame; None leaves the tool's own friction out.
         friction: coefficient between object and floor.
+        tool_friction: the same between object and tool; less than 1 over the other.
     """
     ahead = rotated((direction / direction.norm()).to(yaw).expand(len(yaw), 2), -yaw)
     angle = torch.arange(_SIDES, dtype=yaw.dtype, device=yaw.device) * (2.0 * math.pi / _SIDES)
     sides = torch.stack((angle.cos(), angle.sin()), -1)
     reach = (sides @ (base.points - base.centre).to(yaw).mT).amax(-1)
-    return (friction * height_m * ahead @ sides.mT > reach).any(-1)
+    if touched is None:
+        return (friction * height_m * ahead @ sides.mT > reach).any(-1)
+    # shares of the weight: what presses where it slides while held down all it can be, and the moment about an edge
+    pressed = friction / (1.0 - friction * tool_friction)
+    back = (reach - (touched - base.centre.to(yaw)) @ sides.mT).clamp_min(0.0)
+    return (pressed * height_m * ahead @ sides.mT > reach + tool_friction * pressed * back).any(-1)

@@ -1,7 +1,8 @@
 """Quasi-static pushing of single particles: each rollout pushes one pose that the belief holds likely."""
 
+import copy
+import math
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -35,6 +36,10 @@ from sdf.base import SDF
 from sdf.bounds import Checked, Count, NotNegative, Positive
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
+
+GROUP = 8
+"""Points of the tool's border that one bound settles together."""
+_COARSE = 4  # mini steps that are one where samples are only told apart
 
 
 @dataclass(frozen=True)
@@ -92,7 +97,8 @@ class QuasiStaticRollouts:
         self.poses = se3.to_planar(world_T_object)
         self.weights = log_weights.softmax(-1)
         self.pivot = self.weights @ self.poses[:, :2]
-        self.points = tool.shape.outline(self.settings.spacing_m).to(self.poses)
+        points, self.groups = tool.border(self.settings.spacing_m, GROUP)
+        self.points = points.to(self.poses)
         self.outline = outline.to(self.poses)
         self.sliding = Sliding(
             support.centre.to(self.poses),
@@ -104,6 +110,13 @@ class QuasiStaticRollouts:
             self.sliding = posterior.middle(support).to(self.poses)
         # a tool farther than this from an object does not touch it
         self.reach = float(self.points.norm(dim=-1).max()) + self.outline.radius
+
+    def coarse(self) -> Self:
+        """The same with a quarter of the mini steps."""
+        coarse = copy.copy(self)
+        coarse.__dict__.pop("compiled", None)
+        coarse.settings = replace(self.settings, mini_steps=math.ceil(self.settings.mini_steps / _COARSE))
+        return coarse
 
     @cached_property
     def compiled(self) -> Callable[[Tensor, Tensor, Tensor, Sliding], PushRollouts]:
@@ -251,7 +264,7 @@ class QuasiStaticPush(PushModel):
 
     def knowing(self, pushes: PushPosterior) -> Self:
         """The same model with another posterior; what it keeps of shapes is shared."""
-        other = copy(self)
+        other = copy.copy(self)
         other.posterior = pushes
         return other
 

@@ -79,9 +79,8 @@ ON_EDGE = [0.43, 0.0, 0.0]  # of its base, ahead
         ("elsewhere", {"added": points(Semantics.SURFACE, (0.30, 0.0, 0.05), (0.30, 0.01, 0.05))}),
     ],
 )
-def test_each_where_it_is_due_and_once(name, given):
+def test_each_where_it_is_due(name, given):
     assert found(**given) == [name]
-    assert found(**given, said={name}) == []
 
 
 @pytest.mark.parametrize(

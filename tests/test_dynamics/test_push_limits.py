@@ -72,3 +72,14 @@ def test_a_narrow_base_tips_aslant_too() -> None:
     aslant = torch.tensor([math.cos(0.5), math.sin(0.5)], dtype=torch.float64)
     assert bool(tips(torch.zeros(1, dtype=torch.float64), aslant, 0.045, base))
     assert not bool(tips(torch.full((1,), 0.5 - 0.5 * math.pi, dtype=torch.float64), aslant, 0.045, base))
+
+
+def test_the_tools_friction_holds_down_the_side_that_it_touches() -> None:
+    # 30 mm to either edge: held down 60 mm behind the one that it leans over, 2/3 (h - 30) mm have to be above 30 mm
+    base = base_of(Box((0.03, 0.06, 0.1)).double())
+    yaw, ahead = torch.zeros(2, dtype=torch.float64), torch.tensor([1.0, 0.0], dtype=torch.float64)
+    touched = torch.tensor([[-0.03, 0.0], [0.025, 0.0]], dtype=torch.float64)  # behind, and from within near the edge
+    assert tips(yaw, ahead, 0.065, base, touched).tolist() == [False, True]
+    assert tips(yaw, ahead, 0.085, base, touched).all() and not tips(yaw, ahead, 0.040, base, touched).any()
+    without = tips(yaw, ahead, 0.065, base, touched, tool_friction=0.0)
+    assert torch.equal(without, tips(yaw, ahead, 0.065, base)) and without.all()

@@ -32,7 +32,7 @@ from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.rummage.answer import relies_on, warnings, why_not
 from rumi.tasks.rummage.learnt_pushes import learnt_pushes
-from rumi.tasks.rummage.lost import Watch, searched_again, sensed_now, watch
+from rumi.tasks.rummage.lost import Watch, searched_again, sensed_now, unseated, watch
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, merge
 from sensors.reading import Reading
@@ -135,9 +135,14 @@ class Rummager:
         return RummageState(record, (record,), memory, random, clock, pushes=self.pushes)
 
     def stop(self, state: RummageState) -> StopReason | None:
-        """Stop where the belief is sure and nothing speaks for a fault, or after as many actions as there may be."""
-        if state.record.converged and not state.watch.doubts(self.misfit):
+        """Stop where the belief is sure and nothing speaks for a fault, or after as many actions as there may be.
+
+        Where the object may have tipped, and nothing but touches tell, there is nothing to do about it.
+        """
+        if state.record.converged and state.watch.doubt(self.misfit) is None:
             return "sure"
+        if state.record.converged and state.watch.unseated == "tips":
+            return "nothing to do"
         return "steps" if self.steps is not None and state.record.step >= self.steps else None
 
     def act(self, state: RummageState) -> tuple[RummageState, Float[Tensor, "A"]]:
@@ -179,12 +184,17 @@ class Rummager:
             record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
         now, alarm = state.watch, None
         if self.remarks:
-            record = replace(record, remarks=self._odd(state, control, record))
+            odd = self._odd(state, control, record)
+            said = {remark.name for step in state.history for remark in step.remarks}
+            record = replace(record, remarks=tuple(remark for remark in odd if remark.name not in said))
             now, nats, alarm = watch(state.watch, last.belief, record, self.filter, self.model, self.misfit)
+            unmeasured = not self.looks_again and result.reading.object_motion is None
+            if self.upright and unmeasured and self.misfit.alpha > 0:
+                now = replace(now, unseated=unseated(state.watch.unseated, odd, touched))
             record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
         if alarm is not None and not now.lost:
             with clock("belief"):
-                belief, memory = searched_again(record, self.filter, self.misfit, generator=random["lost"])
+                belief, memory = searched_again(record, memory, self.filter, self.misfit, generator=random["lost"])
             again = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
             timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}
             record = replace(again, lost=record.lost, remarks=record.remarks, timings_s=record.timings_s | timings)
@@ -219,7 +229,6 @@ class Rummager:
             pads=self._pads,
             base=self._base if self.upright else None,
             body=self._body if self.upright and not self.tool.spatial else None,
-            said={remark.name for step in state.history for remark in step.remarks},
         )
 
     @functools.cached_property
@@ -242,7 +251,8 @@ class Rummager:
 
     def result(self, state: RummageState, stopped_by: StopReason, outcome: object) -> RunResult:
         """How the run ended."""
-        return replace(summarise(self, state.history, stopped_by), lost=state.watch.lost)
+        doubt = state.watch.doubt(self.misfit)
+        return replace(summarise(self, state.history, stopped_by, doubt), lost=state.watch.lost)
 
     @property
     def relies_on(self) -> str:
@@ -320,6 +330,8 @@ def evaluate_step(
     p_right = belief.probability_right(
         model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
     )
+    chance = math.exp(rummager.filter.log_chance(belief))
+    evidence = StopEvidence(expected, fit, apc, model.diagonal, contacts, p_right, chance)
     return StepRecord(
         step=len(history),
         control=control,
@@ -333,7 +345,7 @@ def evaluate_step(
         ess=float(belief.ess()),
         contacts=contacts,
         resampled=resampled,
-        converged=converged(rummager.stop_rule, StopEvidence(expected, fit, apc, model.diagonal, contacts, p_right)),
+        converged=converged(rummager.stop_rule, evidence),
         truth=result.truth,
         nll=nll,
         timings_s=clock.take(),
@@ -354,8 +366,10 @@ def _agreement(rummager: Rummager, last: StepRecord | None, belief: PoseBelief) 
     return float(agreement.expected_nll), float(agreement.apc)
 
 
-def summarise(rummager: Rummager, history: Sequence[StepRecord], stopped_by: StopReason) -> RunResult:
-    """How the run ended, from its records."""
+def summarise(
+    rummager: Rummager, history: Sequence[StepRecord], stopped_by: StopReason, doubt: str | None = None
+) -> RunResult:
+    """How the run ended, from its records, and what speaks against being sure."""
     records, last = history, history[-1]
     nll = [r.nll for r in records if r.nll is not None]
     errors: tuple[float, float] | None = None
@@ -390,7 +404,7 @@ def summarise(rummager: Rummager, history: Sequence[StepRecord], stopped_by: Sto
         timings_s=timings,
         belief=last.belief,
         pose=pose,
-        why_not=why_not(rummager, last, pose, stopped_by),
+        why_not=why_not(rummager, last, pose, stopped_by, doubt),
         wrong_by=wrong_by,
         relies_on=relies_on(rummager),
         warnings=warnings(rummager, history),

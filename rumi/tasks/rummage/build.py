@@ -18,9 +18,9 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.pose_trajectories import PushedObject
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.pushed_model import Pushed
 from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.belief.toppled_object import ToppledObject
+from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
@@ -233,7 +233,7 @@ def trajectory_filter(
     if _planar(spec):
         if not isinstance(model.exact, Mug):
             settings = replace(settings, trajectories=settings.trajectories.for_others())
-        pushed: Pushed = PushedObject.of(
+        pushed = PushedObject.of(
             discrepancy.sdf,
             tool.shape,
             height_m=spec.height_m,
@@ -245,7 +245,7 @@ def trajectory_filter(
     prior = prior_of(spec, model)
     if prior is None:
         raise UsageError(f"Expected a prior for --filter.motion trajectory in space, got none for {spec.name}")
-    pushed = ToppledObject.of(
+    toppled = ToppledObject.of(
         discrepancy.sdf,
         gripper_of(tool.shape),
         prior.ways,
@@ -255,7 +255,7 @@ def trajectory_filter(
         felt_ahead_m=spec.felt_ahead_m,
         wide=settings.trajectories.unfitted,
     )
-    return PoseTrajectoryFilter(settings, discrepancy, pushed, prior, cast(Search, spec.search))
+    return UnseenTrajectoryFilter(settings, discrepancy, toppled, prior, cast(Search, spec.search))
 
 
 def pushed_motion(
