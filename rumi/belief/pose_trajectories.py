@@ -177,6 +177,7 @@ class Trajectories:
         log_likelihood: (N, S), of each segment's readings.
         history: what was done and sensed.
         starts: (Q, 3 or 6), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
+        anywhere: whether start poses are even, whatever was known of them at first: they are where a jump led.
     """
 
     physics: Float[Tensor, "N 5"]
@@ -185,6 +186,7 @@ class Trajectories:
     log_likelihood: Float[Tensor, "N S"]
     history: History
     starts: Float[Tensor, "Q D"]
+    anywhere: bool = False
 
     def __len__(self) -> int:
         """Number of particles."""

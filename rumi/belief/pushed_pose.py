@@ -38,6 +38,9 @@ _KNOCKS = ((0.008, 0.15), (0.03, 0.5))  # standard deviations of knocks, metres 
 _PARTS = ("knocked",) * len(_KNOCKS) + ("late",) * len(_LAGS) + ("stuck", "none of these")
 _SHARES = (0.35,) * len(_KNOCKS) + (0.05,) * len(_LAGS) + (0.1, 0.05)
 _REMEMBERED = 50  # readings that can be undone
+# of how objects slide: wider than the library's prior, since what slides differs along a run too
+_SLIDES = (math.log(0.25), 0.15, 1.1, 4.0, 0.0, 0.0, 0.0, 0.0)
+_WIDE = (0.5, 0.45, 1.2, 2.3, 0.04, 0.04, 0.06, 0.06)
 _FORGET = 0.99  # of a way of sliding at a resampling: it drifts about the prior, so that it is never used up
 
 _DEGREE = math.radians(1.0)
@@ -134,7 +137,7 @@ class PushedPoseFilter:
 
     body: PushedBody
     settings: PushedPoseSettings = field(default_factory=PushedPoseSettings)
-    prior: PushPosterior = field(default_factory=lambda: PushPosterior.prior(1))
+    prior: PushPosterior = field(default_factory=lambda: PushPosterior.prior(1, mean=_SLIDES, deviation=_WIDE))
 
     @cached_property
     def test(self) -> ChangeTest:

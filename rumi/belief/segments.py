@@ -139,6 +139,16 @@ def pushed(
     return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order])
 
 
+def until_felt(segment: Segment) -> Segment | None:
+    """What a segment's pads sensed up to the first instant in which they felt something, as of an object at rest."""
+    felt = segment.instant[segment.kind == Kind.PAD_FELT]
+    if not len(felt):
+        return None
+    some = segment.instant <= felt.min()
+    points, kind, weight = segment.points[some], segment.kind[some], segment.weight[some]
+    return Segment(segment.tool[:1], False, points, torch.zeros_like(kind), kind, weight)
+
+
 def _from_origin(points: Float[Tensor, "*b 3"], model: Pushed) -> Float[Tensor, "*b 3"]:
     """The same with heights counted from the object's origin."""
     return points - points.new_tensor((0.0, 0.0, model.resting_m))

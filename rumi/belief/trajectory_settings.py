@@ -69,7 +69,7 @@ class PoseTrajectorySettings:
     """
 
     particles: int = 150
-    unseen_particles: int = 450
+    unseen_particles: int = 900
     branches: int = 6
     instants: int = 5
     lag: int = 10
@@ -88,7 +88,7 @@ class PoseTrajectorySettings:
     m_per_rad: float = 0.02
     fall_m: float = 0.06
     firm_change: float = 0.2
-    unfitted: float = 3.0
+    unfitted: float = 5.0
     tails: float = 0.5
     shared: float = 0.5
     seen_sd_m: float = 0.0015
