@@ -80,8 +80,8 @@ def plan_box_space(setup: Setup) -> Case:
 
 def _task(setup: Setup, task: str, push_model: str) -> Case:
     if setup.tiny:
-        scene = mug_scene(setup) if task == "mug-0" else box_scene(setup)
-        return _made_up(setup, scene, "made up", push_model)
+        made_up = mug_scene(setup) if task == "mug-0" else box_scene(setup)
+        return _made_up(setup, made_up, "made up", push_model)
     settings = preset("default", task=task, seed=_SEED, device=setup.device.type)
     settings = replace(settings, planner=replace(settings.planner, push_model=push_model))
     parts = build(settings, cache_dir=setup.cache_dir)
