@@ -229,7 +229,7 @@ def _push_rollouts(
         _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out)
 
 
-_push_rollouts_kernel = Kernel(_push_rollouts)
+push_rollouts = Kernel(_push_rollouts)
 
 
 class CompiledRollouts:
@@ -263,7 +263,7 @@ class CompiledRollouts:
         track = path.new_empty(samples, rollouts, horizon + 1, 3)
         contact = torch.zeros(samples, rollouts, horizon, dtype=torch.bool)
         checks = torch.zeros(samples, dtype=torch.long)
-        _push_rollouts_kernel(
+        push_rollouts(
             *_arrays(controls, self._model.tool.scale),
             self._model.tool.arm_arrays(),
             *_arrays(path, poses.to(path)),
