@@ -22,7 +22,10 @@ KNOCKS = ((0.004, 0.06), (0.015, 0.25), (0.04, 0.8))
 """Deviations of a jump, one of which it has: metres along each level axis, radians of the turn."""
 
 _FALLS, _GOES = 0.5, 0.7  # shares that fall over an edge, and that go with the tool
-_NATS, _NATS_AN_INSTANT = 6.0, 1.2  # by which an action's readings are unlikely at the true poses, at most
+_NATS, _NATS_AN_INSTANT = (
+    8.0,
+    1.6,
+)  # by which readings of an action with contact are unlikely at the true poses, at most
 _STEPS, _FARTHEST_M, _LEVEL = 2, 0.08, 0.5  # of the way of a surface to a felt point
 
 
@@ -65,9 +68,9 @@ def jumped(
     return at_rest(planar, rest)
 
 
-def jittered(poses: Float[Tensor, "N 6"], size: float = 1.0, *, generator: torch.Generator) -> Float[Tensor, "N 6"]:
-    """Poses moved about by the least of `KNOCKS`, times a size."""
-    scale = size * poses.new_tensor((KNOCKS[0][0], KNOCKS[0][0], KNOCKS[0][1]))
+def jittered(poses: Float[Tensor, "N 6"], *, generator: torch.Generator) -> Float[Tensor, "N 6"]:
+    """Poses moved about by the least of `KNOCKS`."""
+    scale = poses.new_tensor((KNOCKS[0][0], KNOCKS[0][0], KNOCKS[0][1]))
     moved = poses[:, :3] + scale * normal((len(poses), 3), generator=generator, dtype=torch.float64)
     return torch.cat((moved, poses[:, 3:]), -1)
 

@@ -31,7 +31,6 @@ from sensors.reading import Reading
 
 # draws at a first touch, those of them whose motion is worked out, and starts that are kept for proposals and for jumps
 _UNMET, _MET, _STARTS, _JUMPED = 24000, 4000, 300, 3000
-_SIZES, _KEPT = (1.5, 0.7, 0.35), 0.05  # of moves while the first touch comes in, and the share that each step leaves
 _LOOKED_AT = 24  # of these, to choose the points that tell
 _TOUCHED_ABOUT = (0.004, 0.004, 0.1)  # deviations of starts after a touch: metres, metres, radians
 
@@ -109,8 +108,7 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
     def _met(self, now: Trajectories, segment: Segment, random: torch.Generator) -> Trajectories:
         """Particles after the first touch, drawn anew: those from before it stand too far apart.
 
-        Most draws are brought to what was felt first, which together with all that was sensed up to then comes in by
-        and by, while they are moved a little (annealing); those that fit are replayed.
+        Most draws are brought to what was felt first; those that fit what was sensed up to then are replayed.
         """
         if now.anywhere:
             chosen = torch.randint(len(now.starts), (_UNMET,), generator=random)
@@ -125,31 +123,20 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
                 some = torch.arange(_UNMET) % 4 > 0
                 chosen = torch.randint(len(felt), (int(some.sum()),), generator=random)
                 start[some] = brought_to(self.model, start[some], felt[chosen], self.own.felt_m)
-        power, log_likelihood = 0.0, self._standing(start, still, random)
-        for size in _SIZES:
-            log_weights = log_likelihood.sum(-1)
-            more = power_of(torch.zeros_like(log_weights), log_weights, power, _KEPT * _UNMET)
-            kept = resample_systematic((more - power) * log_weights, _UNMET, generator=random)
-            start, power = jittered(start[kept], size, generator=random), more
-            log_likelihood = self._standing(start, still, random)
-        log_weights = log_likelihood.sum(-1)
-        more = power_of(torch.zeros_like(log_weights), log_weights, power, 0.1 * _MET)
-        kept = resample_systematic((more - power) * log_weights, _MET, generator=random)
+        drawn = replace(self._fresh(start, still, now.starts, random), anywhere=now.anywhere)
+        drawn = drawn.replayed(self.model, self.own, still, torch.zeros(_UNMET, dtype=torch.long))
+        log_weights = drawn.log_likelihood.sum(-1)
+        check_finite(log_weights)
+        power = power_of(torch.zeros_like(log_weights), log_weights, 0.0, 0.1 * _MET)
+        kept = resample_systematic(power * log_weights, _MET, generator=random)
         known = now.history
         drawn = replace(
             self._fresh(start[kept], known, now.starts, random),
             anywhere=now.anywhere,
-            log_likelihood=log_likelihood[kept, : len(known)],
+            log_likelihood=drawn.log_likelihood[kept, : len(known)],
         )
-        base = drawn.log_likelihood.sum(-1) - more * log_weights[kept]
+        base = drawn.log_likelihood.sum(-1) - power * log_weights[kept]
         return self._fitted(drawn, len(now), segment, random, base)
-
-    def _standing(self, start: Float[Tensor, "N 6"], still: History, random: torch.Generator) -> Float[Tensor, "N S"]:
-        """Log-likelihood of each segment of a history in which nothing is pushed."""
-        drawn = self._fresh(start, still, start[:0], random)
-        found = drawn.replayed(self.model, self.own, still, torch.zeros(len(start), dtype=torch.long)).log_likelihood
-        check_finite(found.sum(-1))
-        return found
 
     def _jumped(
         self,
