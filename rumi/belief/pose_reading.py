@@ -25,8 +25,8 @@ class PoseReading(NamedTuple):
     Attributes:
         value: (3), x, y, yaw, metres and radians.
         noise: (3), its variance.
-        others: (A, 3), variances that are added were it an outlier (the first), or the object knocked by a little or
-            far.
+        others: (A, 3), variances that are added were it an outlier, far or near (the first two, each as likely), or the
+            object knocked by a little or far.
         back: (L, 3), poses that it may repeat; the last one is the reading before.
         old: (L, 3), variances about them.
         rates: of outliers, and of readings that repeat the last one.
@@ -127,7 +127,8 @@ def _update(
     added = torch.cat((torch.zeros_like(reading.others[:1]), reading.others))
     predicted = _log_normal(off.square(), variance + reading.noise + added[:, None])
     old = _log_normal(pose_difference(reading.value, reading.back).square(), reading.old)
-    told, untold = math.log1p(-outlier - repeats) + predicted[0], math.log(outlier) + predicted[1]
+    told = math.log1p(-outlier - repeats) + predicted[0]
+    untold = math.log(0.5 * outlier) + torch.logaddexp(predicted[1], predicted[2])
     both = torch.logaddexp(told, torch.logaddexp(untold, math.log(repeats) + old[-1]))
     weighed = log_weights + both
     # each particle's pose, given what of the reading it takes in
@@ -165,7 +166,7 @@ def _update_numba(
     pose, after = torch.empty_like(pushed), torch.empty_like(log_weights)
     others, old = reading.others.new_empty(len(reading.others)), reading.old.new_empty(len(reading.old))
     mean, sums = pushed.new_empty(3), np.empty(4)
-    logs = (math.log1p(-outlier - repeats), math.log(outlier), math.log(repeats))
+    logs = (math.log1p(-outlier - repeats), math.log(0.5 * outlier), math.log(repeats))
     tensors = (before, pushed, log_weights, normal, chance, *reading[:5], pose, after, mean, others, old)
     kernel(*(part.detach().contiguous().numpy() for part in tensors), np.array((*motion, *logs)), sums)
     return ReadingUpdate(pose, after, mean, float(sums[0]), others, old, float(sums[1]), float(sums[2]), float(sums[3]))

@@ -79,8 +79,8 @@ def _update_by_reading(
                     turn + noise[2] + others[a, 2],
                 )
                 by_other[a] = _log_add(by_other[a], log_weights[n] + other)
-                if a == 0:
-                    untold = log_outlier + other
+                if a < 2:
+                    untold = _log_add(untold, log_outlier + other)
             both = _log_add(told, _log_add(untold, repeated))
             after[n] = log_weights[n] + both
             total = _log_add(total, after[n])

@@ -38,6 +38,9 @@ _KNOCKS = ((0.008, 0.15), (0.03, 0.5))  # standard deviations of knocks, metres 
 _PARTS = ("knocked",) * len(_KNOCKS) + ("late",) * len(_LAGS) + ("stuck", "none of these")
 _SHARES = (0.35,) * len(_KNOCKS) + (0.05,) * len(_LAGS) + (0.1, 0.05)
 _REMEMBERED = 50  # readings that can be undone
+# of how objects slide: wider than the library's prior, since what slides differs along a run too
+_SLIDES = (math.log(0.25), 0.15, 1.1, 4.0, 0.0, 0.0, 0.0, 0.0)
+_WIDE = (0.5, 0.45, 1.2, 2.3, 0.04, 0.04, 0.06, 0.06)
 _FORGET = 0.99  # of a way of sliding at a resampling: it drifts about the prior, so that it is never used up
 
 _DEGREE = math.radians(1.0)
@@ -60,7 +63,7 @@ class PushedPoseSettings(Checked):
         repeats: rate of readings that repeat the last one to the digit, a frame that was lost.
         outlier: rate of readings that tell nothing, before the run.
         outlier_readings: how many readings that rate counts as.
-        outlier_m: standard deviation of those about the object, metres.
+        outlier_m: standard deviation of those about the object, metres, of far ones and of near ones: half each.
         outlier_rad: of their yaw.
         mean_run: faultless readings between false alarms, at least, on average.
     """
@@ -75,8 +78,8 @@ class PushedPoseSettings(Checked):
     repeats: _Rate = 0.05
     outlier: _Rate = 0.01
     outlier_readings: Positive = 200.0
-    outlier_m: Positive = 0.1
-    outlier_rad: Positive = 1.0
+    outlier_m: tuple[Positive, Positive] = (0.1, 0.008)
+    outlier_rad: tuple[Positive, Positive] = (1.0, 0.15)
     mean_run: Annotated[float, Gt(1.0), Lt(math.inf)] = 20_000.0
 
 
@@ -134,7 +137,7 @@ class PushedPoseFilter:
 
     body: PushedBody
     settings: PushedPoseSettings = field(default_factory=PushedPoseSettings)
-    prior: PushPosterior = field(default_factory=lambda: PushPosterior.prior(1))
+    prior: PushPosterior = field(default_factory=lambda: PushPosterior.prior(1, mean=_SLIDES, deviation=_WIDE))
 
     @cached_property
     def test(self) -> ChangeTest:
@@ -148,10 +151,10 @@ class PushedPoseFilter:
         return torch.tensor((own.reading_m, own.reading_m, own.reading_rad), dtype=torch.float64).square()
 
     @cached_property
-    def _others(self) -> Float[Tensor, "3 3"]:
-        """Variance that is added to what is predicted: an outlier's, those of knocks."""
+    def _others(self) -> Float[Tensor, "4 3"]:
+        """Variance that is added to what is predicted: those of outliers, those of knocks."""
         own = self.settings
-        deviations = ((own.outlier_m, own.outlier_rad), *_KNOCKS)
+        deviations = (*zip(own.outlier_m, own.outlier_rad, strict=True), *_KNOCKS)
         return torch.tensor([(m, m, rad) for m, rad in deviations], dtype=torch.float64).square()
 
     @cached_property
@@ -244,7 +247,7 @@ class PushedPoseFilter:
         back = torch.cat((belief.trail[list(_LAGS)], belief.reading[None]))
         read = PoseReading(reading, self._noise, self._others, back, self._old, (rate, own.repeats))
         found = update_by_reading(belief.pose, pushed, belief.log_weights, self.motion, read, generator=generator)
-        alternatives = torch.cat((found.others[1:], found.old, found.others[:1]))  # in the order of their names
+        alternatives = torch.cat((found.others[2:], found.old, found.others[:1]))  # in the order of their names
         test = self.test
         evidence = test.update(belief.evidence, alternatives - found.log_density)
         alarm = bool(test.alarm(evidence))

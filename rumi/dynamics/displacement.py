@@ -153,6 +153,10 @@ class DisplacementRollouts:
         uniforms = self.draw(controls.shape[0], rollouts, controls.shape[1], generator=generator)
         return self.rollout_drawn(configuration, controls, uniforms)
 
+    def coarse(self) -> Self:
+        """Itself: there is no quicker one."""
+        return self
+
     def nominal_rollout(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) in which contact happens where it is more likely than not."""
         return self.rollout_drawn(configuration, controls[None], controls.new_full((1, 1, len(controls), 1), 0.5))

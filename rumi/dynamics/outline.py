@@ -1,6 +1,8 @@
 """Outlines of an object at the height of the tool, and its support on the floor."""
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -99,8 +101,29 @@ class GridOutline:
         # the way to the table and the one on from there are at a right angle at least
         return OutlineQuery(torch.where(beyond > 0, torch.hypot(there, beyond), there), along)
 
+    @cached_property
+    def slack(self) -> float:
+        """Metres by which the value at the node next to a place may exceed the distance there, and 1-Lipschitz ones.
+
+        Tables are off by rounding, and their bilinear values are steeper than distances here and there.
+        """
+        along, across = (float(self.values.diff(dim=axis).abs().max()) for axis in (0, 1))
+        return self.spacing + math.sqrt(0.5) * math.hypot(along, across)
+
+    @cached_property
+    def steepness(self) -> float:
+        """Lipschitz constant of the bilinear values where the object is not: a cell is steepest in a corner."""
+        values = self.values
+        along, across = (values.diff(dim=axis) / self.spacing for axis in (0, 1))
+        slopes = [torch.hypot(a, b) for a in (along[:, :-1], along[:, 1:]) for b in (across[:-1], across[1:])]
+        free = nnf.max_pool2d((values >= 0).to(values)[None, None], 2, stride=1)[0, 0] > 0
+        steepest = torch.where(free, torch.stack(slopes).amax(0), 0.0).max()
+        return max(1.0, float(steepest)) * (1.0 + 1e-4)  # against rounding
+
     def to(self, like: Tensor) -> "GridOutline":
-        """A copy on the device and of the dtype of a tensor."""
+        """Itself, or a copy, on the device and of the dtype of a tensor."""
+        if self.values.dtype == like.dtype and self.values.device == like.device:
+            return self
         return GridOutline(self.values.to(like), self.origin.to(like), self.spacing, self.radius)
 
 

@@ -13,7 +13,8 @@ from rumi.dynamics.outline import Base
 from rumi.dynamics.pushed_body import PushedBody
 from rumi.dynamics.sliding import rotated
 
-_SIDES = 72  # directions in which a base's convex hull is looked at
+_SIDES = 72  # directions in which a base's convex hull is looked at, and in which an object is moved
+_DEEPER = 0.25  # of such a way, by which the tool is deeper in it then: it stands in the way
 
 
 def held_twice(
@@ -22,32 +23,32 @@ def held_twice(
     body: PushedBody,
     *,
     near_m: float = 0.002,
-    apart_m: float = 0.01,
     turned_rad: float = math.radians(45.0),
 ) -> Bool[Tensor, "E"]:
-    """Whether the tool's border touches an object at two places whose normals differ, as a wedge or a grasp does.
+    """Whether the tool keeps an object from two sides, whose normals differ, as a wedge or a grasp does.
 
     The model settles contacts one after the other: there forces between the two, which it knows nothing of, decide.
-    A side along a flat side touches at many places with one normal, and a corner at one: neither counts.
+    One contact stands in the way of less than half of all level motions, be it a flat side's, a corner's, or of a side
+    that goes on beyond the object; two of them in the way of more.
 
     Args:
         poses: (x, y, yaw) of objects, metres and radians.
         tools: the same of the tool.
         body: object and tool.
         near_m: within which what is next to the object touches it.
-        apart_m: between the two places, at least.
-        turned_rad: between their normals, at least.
+        turned_rad: between the normals, at least.
     """
     points = body.pusher.points.to(poses)
     placed = tools[:, None, :2] + rotated(points, tools[:, None, 2])
     local = rotated(placed - poses[:, None, :2], -poses[:, None, 2])
     outline = body.outline.to(poses) if hasattr(body.outline, "to") else body.outline
-    found = outline(local)
-    touching = (found.distance - body.pusher.thickness) < near_m
-    normal = found.gradient / found.gradient.norm(dim=-1, keepdim=True).clamp_min(1e-9)
-    apart = torch.cdist(local, local) > apart_m
-    turned = normal @ normal.mT < math.cos(turned_rad)
-    return (apart & turned & touching[:, :, None] & touching[:, None, :]).flatten(1).any(-1)
+    way = 3.0 * near_m
+    angle = torch.arange(_SIDES, dtype=poses.dtype, device=poses.device) * (2.0 * math.pi / _SIDES)
+    moved = local[:, None] - way * torch.stack((angle.cos(), angle.sin()), -1)[:, None]
+    now = (outline(local).distance.amin(-1) - body.pusher.thickness).clamp_max(0.0)
+    then = outline(moved).distance.amin(-1) - body.pusher.thickness
+    blocked = (then < now[:, None] - _DEEPER * way).sum(-1) * (2.0 * math.pi / _SIDES)
+    return blocked > 2.0 * math.acos(_DEEPER) + turned_rad - 1e-6
 
 
 def tips(

@@ -1,5 +1,7 @@
 """Quasi-static pushing of single particles: each rollout pushes one pose that the belief holds likely."""
 
+import copy
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -34,6 +36,10 @@ from sdf.base import SDF
 from sdf.bounds import Checked, Count, NotNegative, Positive
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
+
+GROUP = 8
+"""Points of the tool's border that one bound settles together."""
+_COARSE = 4  # mini steps that are one where samples are only told apart
 
 
 @dataclass(frozen=True)
@@ -91,7 +97,8 @@ class QuasiStaticRollouts:
         self.poses = se3.to_planar(world_T_object)
         self.weights = log_weights.softmax(-1)
         self.pivot = self.weights @ self.poses[:, :2]
-        self.points = tool.shape.outline(self.settings.spacing_m).to(self.poses)
+        points, self.groups = tool.border(self.settings.spacing_m, GROUP)
+        self.points = points.to(self.poses)
         self.outline = outline.to(self.poses)
         self.sliding = Sliding(
             support.centre.to(self.poses),
@@ -103,6 +110,13 @@ class QuasiStaticRollouts:
             self.sliding = posterior.middle(support).to(self.poses)
         # a tool farther than this from an object does not touch it
         self.reach = float(self.points.norm(dim=-1).max()) + self.outline.radius
+
+    def coarse(self) -> Self:
+        """The same with a quarter of the mini steps."""
+        coarse = copy.copy(self)
+        coarse.__dict__.pop("compiled", None)
+        coarse.settings = replace(self.settings, mini_steps=math.ceil(self.settings.mini_steps / _COARSE))
+        return coarse
 
     @cached_property
     def compiled(self) -> Callable[[Tensor, Tensor, Tensor, Sliding], PushRollouts]:
@@ -246,7 +260,13 @@ class QuasiStaticPush(PushModel):
     @classmethod
     def make(cls, settings: Any) -> Self:  # noqa: ANN401
         """The model that settings describe."""
-        return cls(settings.quasi_static, push_posterior(settings.push_parameters))
+        return cls(settings.quasi_static, push_posterior(settings.push_parameters, settings.quasi_static.friction))
+
+    def knowing(self, pushes: PushPosterior) -> Self:
+        """The same model with another posterior; what it keeps of shapes is shared."""
+        other = copy.copy(self)
+        other.posterior = pushes
+        return other
 
     def fits(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> bool:
         """Whether the tool is level and all particles stand upright at one height."""

@@ -4,24 +4,40 @@ import math
 
 import numpy as np
 import torch
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
 
 from rumi.dynamics.base import PushRollouts, duplicates
+from rumi.dynamics.quasi_static import GROUP
 from rumi.dynamics.sliding_numba import settled, slope
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
 from sdf.part_numba import indices
 
-_GROUP = 12  # points of the tool's border that one bound settles together
+
+@intrinsic
+def _rank(typingctx, x):
+    """A whole number that is the greater the greater a number is: loops that look for the greatest become vectors."""
+    whole = {types.float32: types.int32, types.float64: types.int64}[x]
+
+    def generate(context, builder, signature, arguments):
+        kind = ir.IntType(whole.bitwidth)
+        bits = builder.bitcast(arguments[0], kind)
+        below = builder.ashr(bits, ir.Constant(kind, whole.bitwidth - 1))
+        return builder.xor(bits, builder.lshr(below, ir.Constant(kind, 1)))
+
+    return whole(x), generate
 
 
 @bare
-def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x, low_y, spacing, inside):
-    """The tool's point that is deepest in the object, its depth, and how far all are from the object at least.
+def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x, low_y, spacing, steepness, inside):
+    """The tool's point that is deepest in the object, its depth, and how far the tool may go at least until it touches.
 
-    The tool is at (x, y, cos, sin) in the object's frame.
+    The tool is at (x, y, cos, sin) in the object's frame. Depths of points change by `steepness` a metre, at most.
     """
-    starts, centres_x, centres_y, radii = groups
+    centres_x, centres_y, radii = groups
     depth, best, first, gap = 0.0, -1, len(px), 1e9
     kind, across = flat.dtype.type, np.int32(values.shape[1])
     one, none, half, step = np.int32(1), kind(0.0), kind(0.5), kind(spacing)
@@ -40,11 +56,12 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
         put(clears, group, (math.sqrt(there * there + beyond) if beyond > none else there) - at(radii, group))
     for group in range(len(radii)):
         clear = clears[group]
-        gap = min(gap, clear)
         if -clear < depth:
+            gap = min(gap, clear)
             continue
-        begin, end = starts[group], starts[group + 1]
-        for k in range(begin, end):
+        begin, most = group * GROUP, _rank(kind(-1e9))
+        for n in range(GROUP):
+            k = begin + n
             # beyond the table is outside of the object, as its border is
             u = place_x + turn_x * at(px, k) - turn_y * at(py, k)
             v = place_y + turn_y * at(px, k) + turn_x * at(py, k)
@@ -58,10 +75,19 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
             low, high = at(flat, near), at(flat, far)
             low += b * (at(flat, near + one) - low)
             high += b * (at(flat, far + one) - high)
-            put(inside, k, -(low + a * (high - low)))
-        for k in range(begin, end):
-            if inside[k] > depth or (inside[k] == depth and inside[k] > 0.0 and order[k] < first):
-                depth, best, first = inside[k], k, order[k]
+            within = -(low + a * (high - low))
+            put(inside, n, within)
+            rank = _rank(within)
+            most = rank if rank > most else most
+        if most < _rank(kind(depth)):
+            for n in range(GROUP):
+                gap = min(gap, max(clear, -inside[n] / steepness))
+            continue
+        for n in range(GROUP):
+            k = begin + n
+            if inside[n] > depth or (inside[n] == depth and inside[n] > 0.0 and order[k] < first):
+                depth, best, first = inside[n], k, order[k]
+        gap = min(gap, 0.0)
     return depth, best, gap
 
 
@@ -71,7 +97,7 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
     px, py, order, groups = body
     values, flat, low = outline
     low_x, low_y = low[0], low[1]
-    spacing, reach, width = numbers[0], numbers[1], numbers[2]
+    spacing, steepness, reach, width = numbers[0], numbers[1], numbers[2], numbers[3]
     mini, passes = counts[0], counts[1]
     track, contact, checks = out
     inside, clears = scratch[0][k], scratch[1][k]
@@ -156,6 +182,7 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
                         low_x,
                         low_y,
                         spacing,
+                        steepness,
                         inside,
                     )
                     if point < 0:
@@ -218,18 +245,15 @@ class CompiledRollouts:
     def __init__(self, model):
         self._model = model
         points, outline = model.points, model.outline
-        owner = _groups(points)
-        order = owner.argsort(stable=True)
-        count = int(owner.max()) + 1
-        starts = torch.searchsorted(owner[order], torch.arange(count + 1))
-        sets = [points[owner == index] for index in range(count)]
-        centres = torch.stack([0.5 * (own.amin(0) + own.amax(0)) for own in sets])
-        radii = torch.stack([(own - centre).norm(dim=-1).max() for own, centre in zip(sets, centres, strict=True)])
-        groups = _arrays(starts, *centres.unbind(-1), radii + _slack(outline))
-        self._body = (*_arrays(*points[order].unbind(-1), order), groups)
+        order = model.groups
+        sets = points[order]
+        centres = 0.5 * (sets.amin(1) + sets.amax(1))
+        radii = (sets - centres[:, None]).norm(dim=-1).amax(-1)
+        groups = _arrays(*centres.unbind(-1), radii + outline.slack)
+        self._body = (*_arrays(*sets.flatten(0, 1).unbind(-1), order.flatten()), groups)
         self._outline = _arrays(outline.values, outline.values.flatten(), outline.origin.double())
         width = float(points.norm(dim=-1).max())
-        self._numbers = np.array((outline.spacing, model.reach, width))
+        self._numbers = np.array((outline.spacing, outline.steepness, model.reach, width))
         self._counts = np.array((model.settings.mini_steps, model.settings.passes))
 
     def __call__(self, configuration, controls, poses, sliding):
@@ -248,7 +272,7 @@ class CompiledRollouts:
             self._outline,
             self._numbers,
             self._counts,
-            tuple(np.empty((samples, len(own)), own.dtype) for own in (self._body[0], self._body[3][3])),
+            tuple(np.empty((samples, size), self._body[0].dtype) for size in (GROUP, len(self._body[3][2]))),
             tuple(part.numpy() for part in (track, contact, checks)),
         )
         shifts, turns = self._model.motions(
@@ -264,25 +288,6 @@ class CompiledRollouts:
             turns.view(track.shape[:3]),
             self._model.pivot,
         )
-
-
-def _groups(points):
-    """Number of the group of each point: near ones together."""
-    count = max(1, len(points) // _GROUP)
-    centres = points[:1]
-    while len(centres) < count:
-        centres = torch.cat((centres, points[torch.cdist(points, centres).amin(-1).argmax()][None]))
-    return torch.unique(torch.cdist(points, centres).argmin(-1), return_inverse=True)[1]
-
-
-def _slack(outline):
-    """Metres by which a distance at the node next to a place may exceed that at the place, and 1-Lipschitz ones there.
-
-    Tables are off by rounding, and their bilinear values are steeper than distances here and there.
-    """
-    values = outline.values
-    along, across = (float(values.diff(dim=axis).abs().max()) for axis in (0, 1))
-    return outline.spacing + math.sqrt(0.5) * math.hypot(along, across)
 
 
 def _bodies(sliding):

@@ -37,6 +37,7 @@ class PlanBudget:
         self.pace = dict(pace or {})
         self.samples = 0
         self._evaluated_at: float | None = None
+        self._reserved = 0
         self._ends = math.inf if budget_s is None else now() + budget_s
 
     @property
@@ -45,8 +46,13 @@ class PlanBudget:
         return self.budget_s is None
 
     def left(self) -> float:
-        """Seconds until the plan has to be there, less what the last update and its end are expected to take."""
-        return self._ends - self.now() - self.expected("finish") - self.expected("update")
+        """Seconds until the plan has to be there, less what is kept for later and what its end is expected to take."""
+        later = self.expected("kept", self._reserved) + self.expected("finish") + self.expected("update")
+        return self._ends - self.now() - later
+
+    def reserve(self, kept: int) -> None:
+        """Keep time for samples that are to be worked out in full after the others, until that begins."""
+        self._reserved = kept
 
     def expected(self, kind: str, work: float = 1.0) -> float:
         """Seconds that work will take, with a margin; 0 for a kind of which nothing is known."""
@@ -88,37 +94,43 @@ class PlanBudget:
         return max(0, min(most, int(share * self.left() / each)))
 
     def in_parts(
-        self, controls: Float[Tensor, "K H A"], costs_of: Callable[[Float[Tensor, "k H A"]], Float[Tensor, "k"]]
+        self,
+        controls: Float[Tensor, "K H A"],
+        costs_of: Callable[[Float[Tensor, "k H A"]], Float[Tensor, "k"]],
+        kind: str = "sample",
     ) -> Float[Tensor, "K"]:
         """Costs of as many samples as there is time for, first ones first, and infinity for the rest.
 
-        The first few samples are worked out even where there is no time: without any there is nothing to follow.
+        The first few samples are worked out even where there is no time: without any there is nothing to follow. That
+        is not so of those that are "kept" of them, whose coarse costs are known.
         """
+        if kind == "kept":
+            self._reserved = 0
         costs = controls.new_full((len(controls),), torch.inf)
         begun = self.now()
-        if self._evaluated_at is not None:
+        if self._evaluated_at is not None and kind == "sample":
             self.took("update", 1.0, begun - self._evaluated_at)
         done = 0
         while done < len(controls):
-            count = self._next(len(controls) - done, first=done == 0)
+            count = self._next(len(controls) - done, kind, first=done == 0)
             if count == 0:
                 break
             begun = self.now()
             costs[done : done + count] = costs_of(controls[done : done + count])
             self._evaluated_at = self.now()
-            self.took("sample", count, self._evaluated_at - begun)
+            self.took(kind, count, self._evaluated_at - begun)
             done += count
-            self.samples += count
+            self.samples += count if kind == "sample" else 0
         return costs
 
-    def _next(self, rest: int, *, first: bool) -> int:
+    def _next(self, rest: int, kind: str, *, first: bool) -> int:
         """How many samples to work out next; 0 where there is no time for any after the first ones."""
         few = min(_LEAST_SAMPLES, rest)
-        if not self.knows("sample"):
-            return min(_FIRST_SAMPLES, rest)
-        fits = self.affordable("sample", _SLOWER * rest, 1.0)
+        if not self.knows(kind):
+            return min(_FIRST_SAMPLES if kind == "sample" else 1, rest)
+        fits = self.affordable(kind, _SLOWER * rest, 1.0)
         if fits < few:
-            return few if first else 0
+            return few if first and kind == "sample" else 0
         if first and fits < _SLOWER * rest:
             # an iteration's samples may take several times as long as those of the one before: more of them push
             return min(_FIRST_SAMPLES, fits, rest)

@@ -2,12 +2,14 @@
 
 import math
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
 from rumi.dynamics.tool_lookup import FieldSampler
+from sdf import backend, compiled
 from sdf.check import check_shape, eager_only
 from sdf.voxel_grid import VoxelGrid
 
@@ -26,7 +28,10 @@ class CrossCorrelation:
         self._axes = [axis - 3 for axis, n in enumerate(shape) if n > 1]
         self._padded = [_quick_length(2 * shape[axis] - 1) for axis in self._axes]
         self._reachability = reachability
-        self._spectrum = torch.fft.rfftn(reachability, self._padded, self._axes) if self._axes else None
+        # set off by the greatest shift below 0, so that the table begins with it
+        offset = [side for n in reversed(shape) for side in (n - 1, 0)]
+        later = functional.pad(reachability, offset)
+        self._spectrum = torch.fft.rfftn(later, self._padded, self._axes) if self._axes else None
 
     def __call__(self, information: Float[Tensor, "*n X Y Z"]) -> Float[Tensor, "*n X2 Y2 Z2"]:
         """The table of an I."""
@@ -35,9 +40,7 @@ class CrossCorrelation:
         spectrum = self._spectrum * torch.fft.rfftn(information, self._padded, self._axes).conj()
         table = torch.fft.irfftn(spectrum, self._padded, self._axes)
         for axis in self._axes:
-            n = self._reachability.shape[axis]
-            # the shifts below 0 stand at the far end
-            table = torch.cat((table.narrow(axis, table.shape[axis] - n + 1, n - 1), table.narrow(axis, 0, n)), axis)
+            table = table.narrow(axis, 0, 2 * self._reachability.shape[axis] - 1)
         return table
 
 
@@ -80,8 +83,8 @@ class ReachabilityCost:
         self._steps = max(1, round(2.0 * math.pi / turn_step))
         self.turn_step = 2.0 * math.pi / self._steps
         self._information, self._correlation = information, CrossCorrelation(reachability.values)
-        where = information.values.nonzero(as_tuple=True)
-        self._held = where, information.values[where]
+        where = information.values.nonzero()
+        self._held = where.to(information.values), information.values[tuple(where.unbind(-1))]
         self._total = information.values.sum()
         self._origin = self._total.new_tensor([-(n - 1.0) * information.spacing for n in information.shape])
         self._share = FieldSampler(VoxelGrid(self._table(information.values), self._origin, information.spacing))
@@ -127,10 +130,15 @@ class ReachabilityCost:
         first, part = int(below.min()), place - below
         # whole turns leave the information where it was
         needed = [index % self._steps for index in range(first, int(below.max()) + 2)]
-        for index in needed:
-            if index not in self._turned:
+        missing = [index for index in dict.fromkeys(needed) if index not in self._turned]
+        if missing:
+            nodes, held = self._held
+            turn = backend.dispatch("turned_information", held, pivot)
+            about = pivot.to(held)
+            found = turn(nodes, held, self._information, about, [index * self.turn_step for index in missing])
+            for index, information in zip(missing, found, strict=True):
                 # one by one: a transform of several may round otherwise
-                self._turned[index] = self._flat_table(self._turn(index * self.turn_step, pivot))
+                self._turned[index] = self._flat_table(information)
         stack = torch.stack([self._turned[index] for index in needed])
         last = stack.new_tensor([n - 1.0 for n in stack.shape[1:]])
         # in the frame of zeros about each table, on which all that lies outside lands
@@ -147,12 +155,28 @@ class ReachabilityCost:
         """Table of the shifts by no height, within a frame of zeros."""
         return functional.pad(self._table(information)[..., information.shape[2] - 1], (1, 1, 1, 1))
 
-    def _turn(self, turn: float, pivot: Tensor) -> Float[Tensor, "X Y Z"]:
-        """The information turned about the pivot: each node's value goes to the four nodes about its new place."""
-        information = self._information
-        (x, y, z), held = self._held
-        origin, spacing, (columns, rows, layers) = information.origin[:2], information.spacing, information.shape
-        from_pivot = torch.stack((x, y), -1).to(held) * spacing + origin - pivot
+
+@backend.register("turned_information")
+def _turned(
+    nodes: Float[Tensor, "N 3"],
+    held: Float[Tensor, "N"],
+    lattice: VoxelGrid,
+    pivot: Float[Tensor, "2"],
+    turns: list[float],
+) -> list[Float[Tensor, "X Y Z"]]:
+    """Information turned about the pivot: each node's value goes to the four nodes about its new place.
+
+    Args:
+        nodes: of the lattice that have information.
+        held: what they have.
+        lattice: of the nodes.
+        pivot: (2,), metres.
+        turns: radians.
+    """
+    origin, spacing, (columns, rows, layers) = lattice.origin[:2], lattice.spacing, lattice.shape
+    from_pivot, z = nodes[:, :2] * spacing + origin - pivot, nodes[:, 2].long()
+    found = []
+    for turn in turns:
         cos, sin = math.cos(turn), math.sin(turn)
         way = from_pivot @ from_pivot.new_tensor([[cos, sin], [-sin, cos]])
         node = (way + pivot - origin) / spacing
@@ -167,7 +191,21 @@ class ReachabilityCost:
         place = torch.stack((i + j, i + j1, i1 + j, i1 + j1)) * layers + z
         framed = held.new_zeros((columns + 2) * (rows + 2) * layers)
         framed.index_add_(0, place.flatten(), part.flatten())
-        return framed.view(columns + 2, rows + 2, layers)[1:-1, 1:-1]
+        found.append(framed.view(columns + 2, rows + 2, layers)[1:-1, 1:-1])
+    return found
+
+
+@backend.register("turned_information", "numba", compiled.supports)
+def _turned_numba(
+    nodes: Tensor, held: Tensor, lattice: VoxelGrid, pivot: Tensor, turns: list[float]
+) -> list[Float[Tensor, "X Y Z"]]:
+    from rumi.planning.reach_cost_numba import turned
+
+    columns, rows, layers = lattice.shape
+    found = held.new_empty(len(turns), columns + 2, rows + 2, layers)
+    arrays = (x.contiguous().numpy() for x in (nodes, held, lattice.origin.to(held), pivot))
+    turned(*arrays, held.numpy().dtype.type(lattice.spacing), np.array(turns), found.numpy())
+    return list(found[:, 1:-1, 1:-1].unbind(0))
 
 
 def _bilinear(

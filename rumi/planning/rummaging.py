@@ -1,6 +1,8 @@
 """RUMI's policy: plans that gather information and keep the object within reach."""
 
+import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -28,6 +30,8 @@ __all__ = ["RummagingPolicy", "RummagingSettings"]
 
 # control sequences that are rolled out at once: the memory for more is not needed
 _SAMPLES = 4096
+# samples that are rolled out in full, at least
+_LEAST_KEPT = 16
 # particles of the rough view of the scene that a plan with a deadline begins with, where it knows no pace yet
 _FEW = 8
 # of the time that is left, what fields and push model may take
@@ -87,15 +91,29 @@ class RummagingPolicy:
             if not budget.open and not budget.knows("finish"):
                 budget.timed("finish", 1.0, lambda: self._predicted(view, configuration, start, watch))
 
-            def costs_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
-                if budget.open:
-                    return torch.cat([cost_of(part) for part in controls.split(_SAMPLES)])
-                return budget.in_parts(controls, cost_of)
+            coarse, few = view.model.coarse(), min(self.settings.screen_rollouts, count)
 
-            def cost_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
-                rollouts = view.model.rollout(configuration, controls, rollouts=count, generator=generator)
+            def costs_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
+                kept = max(_LEAST_KEPT, math.ceil(self.settings.screen_kept * len(controls)))
+                if kept >= len(controls):
+                    return in_parts(controls, lambda part: cost_of(view.model, part, count))
+                budget.reserve(kept)
+                costs = in_parts(controls, lambda part: cost_of(coarse, part, few))
+                best = costs.topk(min(kept, int(costs.isfinite().sum())), largest=False, sorted=True).indices
+                fine = in_parts(controls[best], lambda part: cost_of(view.model, part, count), "kept")
+                return costs.index_copy(0, best, torch.where(fine.isfinite(), fine, costs[best]))
+
+            def in_parts(
+                controls: Float[Tensor, "K H A"], do: Callable[[Tensor], Tensor], kind: str = "sample"
+            ) -> Float[Tensor, "K"]:
+                if budget.open:
+                    return torch.cat([do(part) for part in controls.split(_SAMPLES)])
+                return budget.in_parts(controls, do, kind)
+
+            def cost_of(model: RolloutModel, controls: Float[Tensor, "K H A"], rollouts: int) -> Float[Tensor, "K"]:
+                rolled = model.rollout(configuration, controls, rollouts=rollouts, generator=generator)
                 watch.lap("dynamics")
-                costs = view.objective.cost(rollouts)
+                costs = view.objective.cost(rolled)
                 watch.lap("costs")
                 return costs
 
@@ -178,7 +196,8 @@ class RummagingPolicy:
         begun = budget.now()
         fields = information_field(sdf, poses, log_weights, workspace.points, self.settings.information)
         watch.lap("fields")
-        model = self.push_models.rollouts(scene.model, poses, log_weights, scene.tool, workspace, fields)
+        known = (scene.model, poses, log_weights, scene.tool, workspace, fields)
+        model = self.push_models.rollouts(*known, pushes=scene.pushes)
         watch.lap("push_model")
         budget.took("view", len(log_weights) + _VIEW_FIXED, budget.now() - begun)
         return fields, model

@@ -35,6 +35,9 @@ class RummagingSettings(PushSettings):
             that counts it where it is now (Eq 28).
         rollouts: how often each control sequence is rolled out; its cost is the mean. None for as many as suit the
             push model, its `defaults`.
+        screen_rollouts: by how many coarse rollouts all control sequences are told apart first.
+        screen_kept: share of them, those of the least cost, that is rolled out in full after that, 16 at least; the
+            others keep their coarse cost, which is too high to weigh. 1 rolls out all in full, and nothing before.
     """
 
     information: InformationSettings = field(default_factory=InformationSettings)
@@ -45,6 +48,8 @@ class RummagingSettings(PushSettings):
     normalise_information: bool = True
     displaced_information: bool = True
     rollouts: Count | None = None
+    screen_rollouts: Count = 2
+    screen_kept: ShareAbove0 = 0.125
 
     def __post_init__(self) -> None:
         """Refuse what gives nothing to plan for."""
@@ -69,6 +74,7 @@ class RummagingSettings(PushSettings):
             mppi=MPPISettings(temperature=0.01, cost_scale="raw"),
             reachability_scale=200.0,
             rollouts=5,
+            screen_kept=1.0,
             information_discount=1.0,
             normalise_information=False,
         )

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from rumi.robot.gripper import GripperShape
@@ -60,6 +60,7 @@ class Tool(nn.Module):
         for name, points in _points(self.shape, body_spacing_m, info_spacing_m, spatial=self.spatial).items():
             self.register_buffer(name, points.to(bounds))
         self._discs: dict[int, tuple[Tensor, float]] = {}
+        self._borders: dict[tuple[float, int], tuple[Tensor, Tensor]] = {}
         self.bounds: Tensor
         self.scale: Tensor
         self.body: Tensor
@@ -78,6 +79,22 @@ class Tool(nn.Module):
     def info_points(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b m 3"]:
         """World points of the part that senses touch, the pads (RUMI's h_I)."""
         return self._place(self.info, q)
+
+    def border(self, spacing: float, size: int) -> tuple[Float[Tensor, "n 2"], Int[Tensor, "G size"]]:
+        """Points on the border of the section, metres, and their numbers in groups of near ones.
+
+        Points are there more than once to fill a group.
+
+        Args:
+            spacing: between points, metres.
+            size: of a group.
+        """
+        # the shape never changes, and every plan asks for the same points
+        if (spacing, size) not in self._borders:
+            points = self.shape.outline(spacing)
+            self._borders[spacing, size] = points, _near_groups(points, size)
+        points, groups = self._borders[spacing, size]
+        return points.to(self.bounds), groups.to(self.bounds.device)
 
     def covering_discs(self, count: int) -> tuple[Float[Tensor, "k D"], float]:
         """Discs, in space balls, of one radius that together cover all body points.
@@ -269,6 +286,20 @@ class Tool(nn.Module):
         y = q[..., 1, None] + sine * points[:, 0] + cosine * points[:, 1]
         z = q[..., 2, None] + points[:, 2] if self.spatial else torch.full_like(x, self.height_m)
         return torch.stack((x, y, z), -1)
+
+
+def _near_groups(points: Float[Tensor, "n 2"], size: int) -> Int[Tensor, "G size"]:
+    """Halved along its longer side until a group has no more than `size` points."""
+    parts = [torch.arange(len(points), device=points.device)]
+    while len(parts[0]) > size:
+        halves = []
+        for part in parts:
+            own = points[part]
+            across = part[own[:, (own.amax(0) - own.amin(0)).argmax()].argsort(stable=True)]
+            halves += [across[: (len(part) + 1) // 2], across[len(part) // 2 :]]
+        parts = halves
+    filled = torch.arange(size, device=points.device)
+    return torch.stack([part[filled % len(part)] for part in parts])
 
 
 def _points(shape: ToolShape, body_m: float, info_m: float, *, spatial: bool) -> dict[str, Float[Tensor, "n 3"]]:

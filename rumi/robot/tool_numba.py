@@ -12,7 +12,9 @@ from sdf.compiled import bare
 
 @bare
 def _wrapped(angle):
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+    turned = angle + math.pi
+    # most angles are there already; a remainder takes longer than all else
+    return (turned if 0.0 <= turned < 2.0 * math.pi else turned % (2.0 * math.pi)) - math.pi
 
 
 @bare

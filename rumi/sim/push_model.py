@@ -100,6 +100,10 @@ class MujocoRollouts:
         chosen = representatives(self.poses[:, 2], self.weights, rollouts)
         return self.rollout_poses(configuration, controls, self.poses[chosen])
 
+    def coarse(self) -> Self:
+        """Itself: there is no quicker one."""
+        return self
+
     def nominal_rollout(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) of the likeliest pose."""
         return self.rollout_poses(configuration, controls[None], self.poses[self.weights.argmax()][None])

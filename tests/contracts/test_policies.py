@@ -245,7 +245,9 @@ def test_samples_cost_alone_what_they_cost_together(
     elif push_model == "quasi-static" and scene.tool.spatial:
         pytest.skip("pushes level tools only")
     few = replace(PLANNER.mppi, samples=12, warmup_iterations=1) if push_model == "mujoco" else PLANNER.mppi
-    planner = replace(PLANNER, push_model=push_model, mppi=few, engine=EngineSettings(time_step_s=0.01, action_s=0.2))
+    # which of them are rolled out in full hangs on the others, what that costs does not
+    planner = replace(PLANNER, screen_kept=1.0)
+    planner = replace(planner, push_model=push_model, mppi=few, engine=EngineSettings(time_step_s=0.01, action_s=0.2))
     policy = make_policy(
         Settings(method=method, planner=planner, gpvr=GPVR), (1.0 - scene.workspace.points[:, 0]).clamp(0, 1)
     )

@@ -13,7 +13,7 @@ from sdf import backend
 DOUBLE = {"dtype": torch.float64}
 MOTION = MotionNoise(1e-4, 2e-4, 0.03)
 NOISE = torch.tensor([1e-3, 1e-3, 0.02], **DOUBLE).square()
-OTHERS = torch.tensor([[0.1, 0.1, 1.0], [8e-3, 8e-3, 0.15], [0.03, 0.03, 0.5]], **DOUBLE).square()
+OTHERS = torch.tensor([[0.1, 0.1, 1.0], [0.01, 0.01, 0.2], [8e-3, 8e-3, 0.15], [0.03, 0.03, 0.5]], **DOUBLE).square()
 
 
 def reading_of(value: Tensor, *, rates: tuple[float, float] = (0.01, 0.05), far: float = 0.0) -> PoseReading:
@@ -46,15 +46,15 @@ def test_compiled_equals_plain(count: int, value: tuple[float, float, float]) ->
 @pytest.mark.parametrize("version", backend.versions("update_by_reading"))
 def test_weights_and_densities_are_those_of_normal_motion_and_noise(version: str) -> None:
     value, count = torch.tensor([1e-3, -2e-3, 0.03], **DOUBLE), 5
-    rates = (1e-9, 1e-9)
+    rates = (1e-12, 1e-12)
     found = updated(version, reading_of(value, rates=rates), count)
     before, pushed, log_weights = particles(count)
     variance = MOTION.variance(pushed - before) + NOISE
     normal = torch.distributions.Normal(pushed, variance.sqrt()).log_prob(value).sum(-1)
     np.testing.assert_allclose(found.log_weights, (log_weights + normal).log_softmax(-1), atol=1e-7)
     assert found.log_density == pytest.approx(float(torch.logsumexp(log_weights + normal, -1)), abs=1e-7)
-    knocked = torch.distributions.Normal(pushed, (variance + OTHERS[2]).sqrt()).log_prob(value).sum(-1)
-    assert float(found.others[2]) == pytest.approx(float(torch.logsumexp(log_weights + knocked, -1)), abs=1e-9)
+    knocked = torch.distributions.Normal(pushed, (variance + OTHERS[3]).sqrt()).log_prob(value).sum(-1)
+    assert float(found.others[3]) == pytest.approx(float(torch.logsumexp(log_weights + knocked, -1)), abs=1e-9)
     assert found.told == pytest.approx(1.0, abs=1e-4)
     assert found.effective == pytest.approx(1.0 / float(found.log_weights.exp().square().sum()))
 

@@ -116,7 +116,7 @@ def test_single_outliers_are_borne_and_raise_their_rate() -> None:
     assert alarms(beliefs) == []
     lost, seen = beliefs[-1].outliers
     first, prior = beliefs[0].outliers
-    assert lost - first == pytest.approx(4.0, abs=0.1)
+    assert lost - first == pytest.approx(4.0, abs=0.5)  # a near one is told from noise by its odds alone
     assert seen - prior == 59.0
 
 

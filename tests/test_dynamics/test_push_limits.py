@@ -21,6 +21,8 @@ def wall(begin, end, count=41):
 PALM = wall((0.0, -0.05), (0.0, 0.05))
 """Flat tools that touch, at (-0.06, 0), the short side of a rectangle of 120 by 60 mm from its left."""
 HAND = torch.cat((PALM, wall((0.0, -0.031), (0.05, -0.031)), wall((0.0, 0.031), (0.05, 0.031))))
+BEYOND = wall((-0.01, -0.031), (0.05, -0.031))
+"""Along the long side, and on beyond its corner."""
 CORNER = torch.cat((PALM, wall((0.0, -0.031), (0.05, -0.031))))
 
 
@@ -30,6 +32,8 @@ CORNER = torch.cat((PALM, wall((0.0, -0.031), (0.05, -0.031))))
         (PALM, 0.0, False),
         (HAND, 0.0, True),
         (CORNER, 0.0, True),
+        (BEYOND, 0.0, False),
+        (torch.cat((BEYOND, BEYOND + torch.tensor([0.0, 0.001]).double())), 0.0, False),
         (HAND, 0.02, True),
         (HAND, 0.2, False),
         (torch.zeros(1, 2).double(), 0.0, False),

@@ -58,6 +58,9 @@ class Slow:
         self.clock.advance(len(controls) * self.sample_s())
         return self.model.rollout(configuration, controls, **rest)
 
+    def coarse(self) -> "Slow":
+        return self
+
     def nominal_rollout(self, configuration: Tensor, controls: Tensor) -> Any:
         self.clock.advance(self.finish_s)
         return self.model.nominal_rollout(configuration, controls)

@@ -19,6 +19,8 @@ from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw,
 from rumi.belief.remarks import Remark, remarks
 from rumi.clock import Clock
 from rumi.dynamics.outline import Base, base_of
+from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.pushed_body import PushedBody
 from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopEvidence, StopSettings, converged
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
@@ -29,6 +31,7 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.rummage.answer import relies_on, warnings, why_not
+from rumi.tasks.rummage.learnt_pushes import learnt_pushes
 from rumi.tasks.rummage.lost import SLIDES, Watch, searched_again, sensed_now, unseated, watch
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, merge
@@ -36,6 +39,8 @@ from sensors.reading import Reading
 from sensors.semantics import Semantics
 
 _PADS_M = 0.004  # between the points of the pads by which remarks tell where they feel
+_STREAMS = ("initialise", "filter", "plan", "renewal", "warm_up", "lost", "pushes")  # of random numbers, by use
+_TOLD = ("measured", "corrected", "estimated")  # motions that tell of the push, not of the push model
 _PARTS = 8  # of an action, in which its free path is worked out again
 
 
@@ -53,6 +58,7 @@ class RummageState:
         executed: controls of it that were carried out.
         surprised: whether the reading calls for a new plan.
         watch: for faults.
+        pushes: what was learnt of how the object slides; None where that is fixed.
     """
 
     record: StepRecord
@@ -64,6 +70,7 @@ class RummageState:
     executed: int = 0
     surprised: bool = False
     watch: Watch = field(default_factory=Watch)
+    pushes: PushPosterior | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +97,7 @@ class Rummager:
         looks_again: whether a camera sees the object after every action too.
         sensors: what the robot senses by, for people.
         remarks: whether steps are remarked on.
+        pushes: prior over push parameters, which plans draw and measured motions teach; None where they are fixed.
         about: what a run's folder tells of the settings.
     """
 
@@ -114,16 +122,17 @@ class Rummager:
     looks_again: bool = False
     sensors: str = "a first view, felt points"
     remarks: bool = True
+    pushes: PushPosterior | None = None
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def begin(self, result: StepResult | Reading, *, seed: int, clock: Clock) -> RummageState:
         """Believe what the first view shows (Alg 1, lines 1-3)."""
         result = StepResult.of(result)
-        random = {name: split(seed, name) for name in ("initialise", "filter", "plan", "renewal", "warm_up", "lost")}
+        random = {name: split(seed, name) for name in _STREAMS}
         with clock("belief"):
             belief, memory = first_belief(self, result.reading, generator=random["initialise"])
         record = evaluate_step(self, clock, (), result, belief, memory)
-        return RummageState(record, (record,), memory, random, clock)
+        return RummageState(record, (record,), memory, random, clock, pushes=self.pushes)
 
     def stop(self, state: RummageState) -> StopReason | None:
         """Stop where the belief is sure and nothing speaks for a fault, or after as many actions as there may be.
@@ -185,18 +194,23 @@ class Rummager:
             record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
         if alarm is not None and not now.lost:
             with clock("belief"):
-                belief, memory = searched_again(record, self.filter, self.misfit, generator=random["lost"])
+                belief, memory = searched_again(record, memory, self.filter, self.misfit, generator=random["lost"])
             again = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
             timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}
             record = replace(again, lost=record.lost, remarks=record.remarks, timings_s=record.timings_s | timings)
+        history, pushes = (*state.history, record), state.pushes
+        if self.pushes is not None and touched and self.filter.settings.motion in _TOLD:
+            with clock("pushes"):
+                pushes = learnt_pushes(self.pushes, history, self._body, generator=random["pushes"])
         return replace(
             state,
             record=record,
-            history=(*state.history, record),
+            history=history,
             memory=memory,
             executed=state.executed + 1,
             surprised=bool(info.moved) or touched or alarm is not None,
             watch=now,
+            pushes=pushes,
         )
 
     def _odd(self, state: RummageState, control: Float[Tensor, "A"], record: StepRecord) -> tuple[Remark, ...]:
@@ -214,12 +228,18 @@ class Rummager:
             upright=self.upright,
             pads=self._pads,
             base=self._base if self.upright else None,
+            body=self._body if self.upright and not self.tool.spatial else None,
         )
 
     @functools.cached_property
     def _pads(self) -> Float[Tensor, "P 3"]:
         """Points of the pads, tool frame."""
         return self.tool.shape.pad_shell(_PADS_M)
+
+    @functools.cached_property
+    def _body(self) -> PushedBody:
+        """The object and the tool, at its height."""
+        return PushedBody.of(self.model.sdf, self.tool.height_m - self.height_m, self.tool.shape)
 
     @functools.cached_property
     def _base(self) -> Base:
@@ -248,7 +268,13 @@ class Rummager:
         """What a plan has to know beside the belief."""
         reading = state.record.reading
         return Scene(
-            self.model, self.workspace, self.tool, reading.configuration, observed=state.memory, reading=reading
+            self.model,
+            self.workspace,
+            self.tool,
+            reading.configuration,
+            observed=state.memory,
+            reading=reading,
+            pushes=state.pushes,
         )
 
 

@@ -12,7 +12,9 @@ from rumi.belief.misfit import MISFITS, MisfitSettings, knocked, log_ratios
 from rumi.belief.motion import Motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
+from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.remarks import Remark
+from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.records import StepRecord
 from rumi.resampling import resample_systematic
 from rumi.weights import boltzmann
@@ -137,13 +139,21 @@ def watch(
 
 
 def searched_again(
-    record: StepRecord, pose_filter: PoseFilter, own: MisfitSettings, *, generator: torch.Generator
+    record: StepRecord,
+    memory: Observation,
+    pose_filter: PoseFilter,
+    own: MisfitSettings,
+    *,
+    generator: torch.Generator,
 ) -> tuple[PoseBelief, Observation]:
     """The belief and the memory of a search that begins anew about what was believed, from one reading alone.
 
-    Observations before it are dropped: they told where the object was.
+    Observations before it that ride with the object are dropped: they told where it was.
     """
     last = record.belief
+    if isinstance(pose_filter, UnseenTrajectoryFilter) and isinstance(last, PoseTrajectoryBelief):
+        begun = pose_filter.begun_again(last, record.reading, generator=generator)
+        return begun, memory[(~memory.attached).nonzero()[:, 0]]
     told = sensed_now(record, pose_filter.settings.motion)
     points = replace(told, points=se3.apply(last.world_T_attached, told.points))
     none = Observation.empty(dtype=points.points.dtype, device=points.points.device)

@@ -110,7 +110,7 @@ def test_what_may_have_tipped_is_doubted_and_odd_heights_until_a_touch_says_othe
 
 def test_a_search_finds_the_object_by_the_reading_alone(model, pose_filter):
     record = step(model, 3, -0.03)
-    belief, memory = searched_again(record, pose_filter, OWN, generator=torch.Generator().manual_seed(0))
+    belief, memory = searched_again(record, record.added, pose_filter, OWN, generator=torch.Generator().manual_seed(0))
     assert belief.log_weights.shape == record.belief.log_weights.shape
     assert len(memory.points[memory.valid]) == 3
     felt = face(model, -0.03)
