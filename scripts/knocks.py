@@ -25,7 +25,6 @@ from rumi.belief.pushed_pose import PushedPoseBelief, PushedPoseFilter, PushedPo
 from rumi.cli import script
 from rumi.dynamics.along_path import push_along_path
 from rumi.dynamics.push_parameters import sliding_of
-from rumi.dynamics.push_posterior import PushPosterior
 from rumi.seeding import split
 from scripts.bench import real_knocks
 from scripts.bench.real_knocks import Knock
@@ -81,7 +80,7 @@ def simulated(seed: int, *, knocked: bool) -> Readings:
     def even(low: float, high: float) -> float:
         return low + (high - low) * float(torch.rand((), generator=generator))
 
-    prior = PushPosterior.prior(1)
+    prior = PushedPoseFilter(body).prior
     drawn = torch.tensor(prior.mean) + torch.tensor(prior.deviation) * normal(1, 8)
     sliding, place = sliding_of(drawn, body.support), torch.cat((own.tool_m * normal(2), torch.zeros(1)))
     tips: list[torch.Tensor] = []
@@ -107,13 +106,13 @@ def simulated(seed: int, *, knocked: bool) -> Readings:
             spans.append(Knock(STEP_S * (k - 1), STEP_S * (k + 2)))
         path = torch.stack((before, tip)) + place
         moved = push_along_path(pose, path[None], body.pusher, body.outline, sliding, substeps=1).track[:, -1]
-        pose = moved + PushedPoseFilter(body)._motion_deviation(moved - pose) * normal(1, 3)
+        pose = moved + PushedPoseFilter(body).motion.variance(moved - pose).sqrt() * normal(1, 3)
         if spans and STEP_S * k <= spans[-1].end:
             pose = pose + left
         read = pose[0] + torch.tensor(NOISE, dtype=torch.float64) * normal(3)
         chance = even(0.0, 1.0)
         if chance < 0.005:
-            read = pose[0] + torch.tensor((own.outlier_m, own.outlier_m, own.outlier_rad)) * normal(3)
+            read = pose[0] + torch.tensor((own.outlier_m[0], own.outlier_m[0], own.outlier_rad[0])) * normal(3)
         elif chance < 0.025 and reads:
             read = reads[-1]
         for found, value in ((tips, tip), (truths, pose[0]), (reads, read)):

@@ -19,15 +19,23 @@ from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import Experiment, Line
 from scripts.reproduce.cells import rate, table
 
-CHOICES = {"lever 1.5 friction 0.5": (0.5, 1.5), "lever 1.0 friction 0.2": (0.2, 1.0), "prior": None}
+CHOICES: dict[str, tuple[float, float] | float] = {
+    "lever 1.5 friction 0.5": (0.5, 1.5),
+    "lever 1.0 friction 0.2": (0.2, 1.0),
+    "prior of pads, learnt in the run": 0.5,
+    "prior of a steel tip, learnt in the run": 0.22,
+}
+"""By what a table calls them: friction and lever ratio, or the median friction of a prior."""
+
 TASKS = ("mug-0", "mug-1", "mug-2")
 
 
 def settings_of(choice: str, task: str, seed: int) -> Settings:
     """Settings of a run."""
     own, numbers = preset(task=task, seed=seed), CHOICES[choice]
-    if numbers is None:
-        return replace(own, planner=replace(own.planner, push_parameters=choice))
+    if isinstance(numbers, float):
+        pushes = replace(own.planner.quasi_static, friction=numbers)
+        return replace(own, planner=replace(own.planner, push_parameters="prior", quasi_static=pushes))
     pushes = replace(own.planner.quasi_static, friction=numbers[0], lever_ratio=numbers[1])
     return replace(own, planner=replace(own.planner, quasi_static=pushes))
 

@@ -17,7 +17,6 @@ from torch import Tensor
 
 from rumi.cli import script
 from rumi.dynamics.along_path import displace_along_path
-from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
 from scripts.bench.real_pushes import (
@@ -26,6 +25,7 @@ from scripts.bench.real_pushes import (
     Scores,
     fit,
     fixed,
+    library_without,
     predicted,
     prior_without,
     push_set,
@@ -47,6 +47,7 @@ FIXED = {
 """Friction and lever ratio by what a table calls them."""
 LEARNT = {"never seen": 0, "after 1": 1, "after 3": 3, "after 10": 10}
 SHIPPED = {"library prior": 0, "library after 10": 10}
+"""The library's own prior, as it is without the shape (`library_without`), and after pushes."""
 WRENCHES = {"10 pushes": False, "10 pushes and wrenches": True}
 """Learnt alike by weights alone, with and without 10 measured pairs of wrench and twist of the same set."""
 MODELS = (FIT, "stays", "displacement", *FIXED, "Zhou by 600 wrenches", *SHIPPED, *LEARNT, *WRENCHES)
@@ -76,7 +77,7 @@ def measure(model: str, set: str) -> dict[str, Any]:
         return _summary([scores(predicted(fixed(*FIXED[model]), own, rows).mean(), own.end, own.path)])
     count = (SHIPPED | LEARNT)[model]
     shape = set.split()[1]
-    prior = PushPosterior.prior(PARTICLES) if model in SHIPPED else prior_without(shape, fits(), PARTICLES)
+    prior = (library_without if model in SHIPPED else prior_without)(shape, fits(), PARTICLES)
     found, densities, levels, numbers = [], [], [], []
     for draw in range(DRAWS if count else 1):
         generator = split(draw, f"real pushes {set}")

@@ -54,6 +54,7 @@ def prior_of(model: str, run: str) -> PoseTrajectorySettings:
         felt_sd_m=_CONTACT_M,
         felt_weight=1.0,
         ahead=(0.0, 0.0),
+        centre_change_m=0.0,
     )
     if model == "simulated":
         return sensor

@@ -11,8 +11,9 @@ from torch.nn import functional
 from sdf.check import check_shape, keep_within_reach
 from sdf.lookup import interpolate
 
-_BITS = 17
-_HALF = 1 << (_BITS - 1)
+BITS = 17
+"""Bits of a lattice key that each axis has."""
+_HALF = 1 << (BITS - 1)
 MOST_NODES = 2**28
 """Numbers that a lattice may hold: 1 GiB of float32."""
 
@@ -38,7 +39,7 @@ def lattice_keys(points: Float[Tensor, "*b 3"], spacing: float | Float[Tensor, "
             f"{float(points.abs().max()):g} m: remove points that are not finite or far off, or widen the spacing"
         )
     x, y, z = (cell.long() + _HALF).unbind(-1)
-    return (x << (2 * _BITS)) | (y << _BITS) | z
+    return (x << (2 * BITS)) | (y << BITS) | z
 
 
 class VoxelGrid(nn.Module):

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from sdf import se3
+from sdf import backend, compiled, se3
 from sdf.check import check_finite, check_shape, is_eager
 from sdf.containers import Ragged, container
-from sdf.voxel_grid import lattice_keys
+from sdf.voxel_grid import BITS, lattice_keys
 
 
 @container({"points": Ragged(-2), "semantics": Ragged(-1), "attached": Ragged(-1), "valid": Ragged(-1)})
@@ -167,15 +167,50 @@ def merge(old: Observation, new: Observation, spacing: Float[Tensor, "3"]) -> tu
     Returns:
         the merged observation and the part of `new` that was added (padding removed where every scene allows).
     """
-    taken = observation_keys(old, spacing)
-    added = compact(replace(new, valid=thin_mask(new, spacing, taken)))
+    version = backend.dispatch("merge", old.points, new.points, spacing)
+    added = compact(replace(new, valid=version(old, new, spacing)))
     return compact(concatenate([old, added])), added
+
+
+@backend.register("merge")
+def _added_plain(old: Observation, new: Observation, spacing: Float[Tensor, "3"]) -> Bool[Tensor, "*b M"]:
+    """Which of the new points are added."""
+    return thin_mask(new, spacing, observation_keys(old, spacing))
+
+
+@backend.register("merge", "numba", compiled.supports)
+def _added_numba(old: Observation, new: Observation, spacing: Float[Tensor, "3"]) -> Bool[Tensor, "*b M"]:
+    if new.points.ndim != 2 or old.points.dtype != new.points.dtype:
+        return _added_plain(old, new, spacing)
+    from sensors.observation_numba import added
+
+    table = torch.full((1 << max(4, (2 * len(new)).bit_length()),), -1, dtype=torch.long)
+    keep, wrong = torch.zeros(len(new), dtype=torch.bool), torch.zeros(1, dtype=torch.bool)
+    arrays = [
+        part.contiguous().numpy()
+        for own in (new, old)
+        for part in (own.points.detach(), torch.where(own.valid, 3 * own.attached.long() + own.semantics, -1))
+    ]
+    pitch = spacing.detach().to(new.points).numpy()
+    added(
+        *arrays,
+        pitch,
+        1 << (BITS - 1),
+        BITS,
+        table.numpy(),
+        torch.empty_like(table).numpy(),
+        keep.numpy(),
+        wrong.numpy(),
+    )
+    return _added_plain(old, new, spacing) if bool(wrong) else keep  # which says what is wrong
 
 
 def compact(observation: Observation) -> Observation:
     """Move the valid points of each scene to the front, in order, and cut what no scene needs."""
     if len(observation) == 0 or not is_eager() or bool(observation.valid.all()):
         return observation
+    if observation.points.ndim == 2:
+        return observation[observation.valid.nonzero()[:, 0]]
     longest = int(observation.valid.sum(-1).max())
     order = torch.argsort((~observation.valid).to(torch.uint8), dim=-1, stable=True)[..., :longest]
     return Observation(

@@ -33,7 +33,8 @@ class MisfitSettings:
     """Settings of the test, in every run.
 
     Attributes:
-        alpha: chance that a faultless run, however long, is called lost; 0 never asks.
+        alpha: chance that a faultless run, however long, is called lost; 0 never asks, nor doubts objects that may
+            have tipped.
         fit_m: standard deviation of a reading's middle surface point from the surface, and of the depth of its free
             points, where the belief is right.
         broad_m: the same where it is not.

@@ -291,6 +291,10 @@ class PoseFilter(nn.Module):
                 work.count(share * len(memory) + (1.0 - share) * len(added), len(memory))
         return self._weighted(replace(belief, discrepancy=total), total - before.discrepancy)
 
+    def log_chance(self, belief: PoseBelief) -> float:
+        """Log of the p-value of what was sensed at the best particle, an upper bound; 0 where costs tell of the fit."""
+        return 0.0
+
     def total(self, belief: PoseBelief, memory: Observation) -> Float[Tensor, "*b N"]:
         """Cost of each particle by all evidence and the prior."""
         here = in_attached_frame(memory, belief.world_T_attached)

@@ -21,7 +21,7 @@ from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
 
-PHYSICS, NOISE, OWN = 5, 9, 5
+PHYSICS, NOISE, OWN = 5, 11, 5
 """Standard normals of a particle, of a segment, and those of a segment that its action does not share."""
 
 
@@ -121,7 +121,7 @@ class PushedObject:
         before: Float[Tensor, "3"],
         after: Float[Tensor, "3"],
         body: Sliding,
-        noise: Float[Tensor, "N 3"],
+        noise: Float[Tensor, "N 5"],
     ) -> Float[Tensor, "N 3"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
         near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
@@ -131,7 +131,7 @@ class PushedObject:
         way = after[:2] - before[:2]
         direction = way / way.norm().clamp_min(1e-12)
         ahead = self.height_m * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
-        centre = self.centre + own.centre_m * body.centre[near, :2]
+        centre = self.centre + own.centre_m * body.centre[near, :2] + own.centre_change_m * noise[near, 3:]
         centre = centre + ahead[:, None] * rotated(direction.expand(many, 2), -start[:, 2])
         sliding = Sliding(centre, body.lever[near], body.friction[near])
         both = before.expand(many, 3), after.expand(many, 3)
@@ -141,7 +141,7 @@ class PushedObject:
         size = length + own.m_per_rad * step[:, 2].abs()
         along = torch.where(length[:, None] > 1e-9, step[:, :2] / length[:, None].clamp_min(1e-9), direction)
         across = torch.stack((-along[:, 1], along[:, 0]), -1)
-        own_noise = noise[near] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
+        own_noise = noise[near, :3] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
         shift = own_noise[:, :1] * along + own_noise[:, 1:2] * across
         return pose.index_copy(0, near, moved + torch.cat((shift, own_noise[:, 2:]), -1))
 
@@ -169,21 +169,24 @@ class Trajectories:
 
     Attributes:
         physics: (N, 5) standard normals: log-friction, log-lever, centre of friction (x, y), pressure ahead.
-        noise: (N, S, 9) standard normals of each segment: log-friction, log-lever, motion along, across and turn;
-            and for the whole action, of which its first segment's count, the last three once more, and their size.
+        noise: (N, S, 11) standard normals of each segment: log-friction, log-lever, motion along, across and turn;
+            and for the whole action, of which its first segment's count, the last three once more, the size of all
+            these, and the shift (x, y) of the centre of friction.
         poses: (N, S + 1, 3), (x, y, yaw) before the first segment and after each; in space (N, S + 1, 6), with the
             resting pose, the edge that it leans about, and the tilt (`rumi.dynamics.toppling.Leaning`).
         log_likelihood: (N, S), of each segment's readings.
         history: what was done and sensed.
         starts: (Q, 3 or 6), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
+        anywhere: whether start poses are even, whatever was known of them at first: they are where a jump led.
     """
 
     physics: Float[Tensor, "N 5"]
-    noise: Float[Tensor, "N S 9"]
+    noise: Float[Tensor, "N S 11"]
     poses: Float[Tensor, "N S1 D"]
     log_likelihood: Float[Tensor, "N S"]
     history: History
     starts: Float[Tensor, "Q D"]
+    anywhere: bool = False
 
     def __len__(self) -> int:
         """Number of particles."""
@@ -213,7 +216,7 @@ class Trajectories:
         physics, noise, poses, log_likelihood = parts
         return replace(self, physics=physics, noise=noise, poses=poses, log_likelihood=log_likelihood)
 
-    def lengthened(self, noise: Float[Tensor, "N 1 9"], history: History) -> Self:
+    def lengthened(self, noise: Float[Tensor, "N 1 11"], history: History) -> Self:
         """With one more segment, which is not replayed yet."""
         return replace(
             self,
@@ -323,7 +326,8 @@ def replay_plain(
         lever = own.lever_ratio[1] * physics[:, 1] + own.lever_change * noise[:, 1]
         lever = model.spread_m * own.lever_ratio[0] * lever.exp()
         mixed = math.sqrt(1.0 - own.shared) * noise[:, 2:OWN] + math.sqrt(own.shared) * together[:, :3]
-        mixed = model.wide * mixed * (0.5 * own.tails * together[:, 3:].square()).exp()
+        size = (0.5 * own.tails * together[:, 3:4].square()).exp()
+        mixed = model.wide * torch.cat((size * mixed, (size - 1.0) * together[:, 4:]), -1)
         pose, total = poses[rows, segment], torch.zeros_like(friction)
         for instant in range(int(history.ends[segment - 1]) if segment else 0, int(history.ends[segment])):
             if bool(history.pushes[instant]):
@@ -360,6 +364,7 @@ def _replay_numba(
     scales, logs = tables(own)
     particles = arrays_of((first, least, poses, found, given.physics, given.noise))
     grid = grid_arguments(model.sdf, torch.float32)
+    scales = torch.cat((scales, scales.new_tensor([own.centre_change_m])))
     kernel(particles, *history.arrays, model.arrays, scales.numpy(), logs.numpy(), grid)
     return poses, found
 

@@ -133,8 +133,10 @@ def _one(n, particles, done, sensed, shape, scales, logs, flat, lattice):
         friction = scales[0] * math.exp(scales[1] * physics[n, 0] + scales[7] * noises[n, segment, 0])
         lever = scales[3] * physics[n, 1] + scales[8] * noises[n, segment, 1]
         lever = numbers[5] * scales[2] * math.exp(lever)
-        body = (centre_x, centre_y, ahead, lever, friction)
         size = math.exp(0.5 * scales[13] * noises[n, shared, 8] * noises[n, shared, 8])
+        far = scales[16] * (size - 1.0)
+        shift_x, shift_y = far * noises[n, shared, 9], far * noises[n, shared, 10]
+        body = (centre_x + shift_x, centre_y + shift_y, ahead, lever, friction)
         noise = (
             size * (own * noises[n, segment, 2] + together * noises[n, shared, 5]),
             size * (own * noises[n, segment, 3] + together * noises[n, shared, 6]),

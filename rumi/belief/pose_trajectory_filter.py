@@ -7,6 +7,7 @@ resampled and moved under their whole history (Chopin's IBIS, 2002, with Del Mor
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Self
 
@@ -20,6 +21,7 @@ from rumi.belief.pose_trajectories import NOISE, OWN, PHYSICS, PoseTrajectoryBel
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
+from rumi.belief.trajectory_chance import log_chance
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_moves import Moves, start_density
 from rumi.errors import DegenerateBeliefError, UsageError
@@ -30,16 +32,14 @@ from rumi.weights import effective_sample_size, normalise
 from sdf import se3
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
-from sensors.observation import Observation, attach, merge
+from sensors.observation import Observation, attach, in_world, merge
 from sensors.reading import Reading
 
 _SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of draws about fitted poses: metres, radians
 _DRAWS, _STARTS, _LOOKED_AT, _FIRST_SWEEPS = 6000, 300, 24, 4
 _MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of the belief
-# draws of the prior at the first touch, and those of them that its motion is worked out for
-_UNMET, _MET = 40000, 10000
-_TOUCHED_ABOUT = (0.004, 0.004, 0.1)  # of starts after it
 _UNSETTLED = 0.03  # share of the belief that leans on the tool, and so moves with it, felt or not
+_ALIVE = 0.4  # share of different poses before an action that needs no moves in the middle of it
 _LONG = 6  # pushed segments up to which moves from the start are tried after each, not after each action
 
 
@@ -70,16 +70,8 @@ class PoseTrajectoryFilter(PoseFilter):
         raise UsageError("Expected a motion other than 'trajectory' where further evidence counts: it takes in none")
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
-        """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves.
-
-        Without a view: draws of the prior.
-        """
-        random, own = _one(generator), self.own
-        if self.prior is not None:
-            start, starts = (from_prior(self.prior, count, random) for count in (own.unseen_particles, _STARTS))
-            drawn = self._fresh(start, History.empty(4), starts, random)
-            even = normalise(torch.zeros(len(start), dtype=torch.float64))
-            return self._belief(drawn, even, belief.world_T_attached, belief.log_weights)
+        """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves."""
+        random, own = one(generator), self.own
         fitted = se3.to_planar(belief.world_T_object.double())
         draws = max(_DRAWS // len(fitted), 1)
         spread = fitted.new_tensor([(m, m, rad) for m, rad in _SPREADS])
@@ -108,28 +100,16 @@ class PoseTrajectoryFilter(PoseFilter):
             raise TypeError("Expected a belief with trajectories, as `begin` gives it, got one of poses alone")
         if reading.tool_pose.ndim != 3:
             raise ValueError(f"Expected a reading of one scene, got tool_pose {tuple(reading.tool_pose.shape)}")
-        random, own = _one(generator), self.own
+        random, own = one(generator), self.own
         now, log_weights, resampled = belief.trajectories, belief.log_weights.double(), False
-        spans: list[int] = []
         path = path_of(reading, self.model)
-        unmet = self.prior is not None and not len(now.history.moving())
-        touched = bool(reading.in_contact.any()) if unmet else self._pushes(now, log_weights, reading, path)
+        spans: list[int] = []
+        touched = self._pushes(now, log_weights, reading, path)
         if touched:
-            felt = felt_pads(reading, self.model, own)
-            parts = cut(reading, own)
-            if unmet and not bool(reading.in_contact[parts[0]].any()):
-                parts = [torch.cat(parts[:2]), *parts[2:]]
-            for instants in parts:
-                tracks = self._tracks(now, log_weights, path[instants])
-                segment = pushed(reading, instants, path, felt, tracks, self.model, own)
-                if unmet and not spans:
-                    now = self._met(now, segment, random)
-                else:
-                    now = self.absorbed(
-                        now, log_weights, segment, random, opens=not spans, closes=instants is parts[-1]
-                    )
-                log_weights, resampled = normalise(torch.zeros_like(log_weights)), True
-                spans.append(len(instants))
+            now, spans = self._touched(now, log_weights, reading, path, random)
+            log_weights, resampled = normalise(torch.zeros_like(log_weights)), True
+            if not spans:  # begun anew: what was sensed before told where it was
+                memory = memory[(~memory.attached).nonzero()[:, 0]]
         rides = self._ridden(now, spans, len(reading.in_contact))
         stood = reading.observation if not touched else seen_besides(reading, self.model, own)
         still = standing(stood, now.pose, self.model, own, now.history)
@@ -137,11 +117,21 @@ class PoseTrajectoryFilter(PoseFilter):
             now, log_weights, again = self._weighed(now, log_weights, still, random)
             resampled |= again
         frames = rides.to(belief.world_T_attached) @ belief.world_T_attached
-        memory, added = merge(memory, attach(reading.observation, reading.instant, frames), self.lattice)
+        if spans:
+            new = attach(reading.observation, reading.instant, frames)
+        else:  # one frame for all instants
+            new = in_world(reading.observation, se3.inverse(frames[0]))
+        memory, added = merge(memory, new, self.lattice)
         if touched or still is not None:
             now = now.remembered(own.memory)
             belief = self._belief(now, log_weights, frames[-1], belief.log_weights)
         return belief, memory, FilterInfo(torch.tensor(touched), torch.tensor(resampled), added)
+
+    def log_chance(self, belief: PoseBelief) -> float:
+        """Log of a bound on the p-value of all readings at the best particle."""
+        if not isinstance(belief, PoseTrajectoryBelief) or belief.trajectories is None:
+            return 0.0
+        return log_chance(belief.trajectories, belief.log_weights, self.own)
 
     def _fresh(self, start: Tensor, history: History, starts: Tensor, random: torch.Generator) -> Trajectories:
         """Start poses with physics and noise of the prior, not replayed yet."""
@@ -163,40 +153,40 @@ class PoseTrajectoryFilter(PoseFilter):
         moved = (self._tracks(now, log_weights, path)[:, -1] - now.pose[looked])[:, :2].norm(dim=-1) > _MOVED_M
         return float(moved.double().mean()) >= _MOVED
 
+    def _touched(
+        self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor, random: torch.Generator
+    ) -> tuple[Trajectories, list[int]]:
+        """Particles, equally weighted, after an action with contact, and how long its segments are; none if anew."""
+        return self._through(now, log_weights, cut(reading, self.own), reading, path, random, [])
+
+    def _through(
+        self,
+        now: Trajectories,
+        log_weights: Tensor,
+        parts: Sequence[Tensor],
+        reading: Reading,
+        path: Tensor,
+        random: torch.Generator,
+        spans: list[int],
+    ) -> tuple[Trajectories, list[int]]:
+        """The same, of an action of which segments of some lengths are taken in already."""
+        felt = felt_pads(reading, self.model, self.own)
+        for place, instants in enumerate(parts):
+            tracks = self._tracks(now, log_weights, path[instants])
+            segment = pushed(reading, instants, path, felt, tracks, self.model, self.own)
+            closes = place == len(parts) - 1
+            now = self.absorbed(now, log_weights, segment, random, opens=not spans, closes=closes)
+            log_weights, spans = normalise(torch.zeros_like(log_weights)), [*spans, len(instants)]
+        return now, spans
+
     def _tracks(self, now: Trajectories, log_weights: Tensor, path: Tensor) -> Float[Tensor, "n k D"]:
         """Where some of the particles go by the median of the prior."""
         some = now.pose[systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))]
         return self.model.tracks(self.own, some, path)
 
-    def _met(self, now: Trajectories, segment: Segment, random: torch.Generator) -> Trajectories:
-        """Particles after the first touch, drawn from the prior anew: those from before it stand too far apart."""
-        assert self.prior is not None
-        own, count, still = self.own, len(now), now.history
-        drawn = self._fresh(from_prior(self.prior, _UNMET, random), still, now.starts, random)
-        drawn = drawn.replayed(self.model, own, still, torch.zeros(_UNMET, dtype=torch.long))
-        _check(drawn.log_likelihood.sum(-1))
-        drawn = drawn.at(resample_systematic(drawn.log_likelihood.sum(-1), _MET, generator=random))
-        history = still.appended(segment)
-        noise = normal((_MET, 1, NOISE), generator=random, dtype=torch.float64)
-        drawn = drawn.lengthened(noise, history).replayed(
-            self.model, own, history, torch.full((_MET,), len(history) - 1)
-        )
-        gained = drawn.log_likelihood[:, -1]
-        _check(gained)
-        power = _power(torch.zeros_like(gained), gained, 0.0, float(count))
-        starts = drawn.poses[resample_systematic(power * gained, _STARTS, generator=random), 0]
-        now = replace(drawn.at(resample_systematic(power * gained, count, generator=random)), starts=starts)
-        scaled = now.log_likelihood.clone()
-        scaled[:, -1] *= power
-        now = self._tempered(replace(now, log_likelihood=scaled), power, random, whole=True)
-        return replace(now, starts=now.poses[:, 0])
-
-    def _moves(self, history: History, random: torch.Generator) -> Moves:
-        """Moves under a history; start poses that only a prior tells are drawn anew farther about others."""
-        if self.prior is None:
-            return Moves(self.model, self.own, random)
-        about = _TOUCHED_ABOUT if len(history.moving()) else (0.3 * self.prior.spread_m, 0.3 * self.prior.spread_m, 0.5)
-        return Moves(self.model, self.own, random, self.prior, about)
+    def _moves(self, now: Trajectories, random: torch.Generator) -> Moves:
+        """Moves under the history of some particles."""
+        return Moves(self.model, self.own, random)
 
     def absorbed(
         self,
@@ -228,8 +218,8 @@ class PoseTrajectoryFilter(PoseFilter):
         )
         tried = tried.replayed(self.model, own, history.last(), torch.zeros(len(parents), dtype=torch.long))
         base, gained = log_weights[parents], tried.log_likelihood[:, 0]
-        _check(gained)
-        power = _power(base, gained, 0.0, float(count))
+        check_finite(gained)
+        power = power_of(base, gained, 0.0, float(count))
         kept = resample_systematic(base + power * gained, count, generator=random)
         from_ = parents[kept]
         now = replace(
@@ -239,6 +229,10 @@ class PoseTrajectoryFilter(PoseFilter):
             log_likelihood=torch.cat((now.log_likelihood[from_], power * gained[kept, None]), 1),
             history=history,
         )
+        # the action's motions are branched anew; those before it are what dies out
+        alive = len(torch.unique(now.poses[:, int(history.action[-1]), 0]))
+        if power == 1.0 and not closes and alive >= _ALIVE * count:
+            return now
         return self._tempered(now, power, random, whole=closes)
 
     def _weighed(
@@ -251,11 +245,11 @@ class PoseTrajectoryFilter(PoseFilter):
         last = torch.full((count,), len(history) - 1)
         now = now.replayed(self.model, self.own, history, last)
         gained = now.log_likelihood[:, -1]
-        _check(gained)
+        check_finite(gained)
         heavier = log_weights + gained
         if float(effective_sample_size(heavier)) >= 0.5 * count:
             return now, normalise(heavier), False
-        power = _power(log_weights, gained, 0.0, 0.5 * count)
+        power = power_of(log_weights, gained, 0.0, 0.5 * count)
         now = now.at(resample_systematic(log_weights + power * gained, generator=random))
         scaled = now.log_likelihood.clone()
         scaled[:, -1] *= power
@@ -265,7 +259,7 @@ class PoseTrajectoryFilter(PoseFilter):
     def _tempered(self, now: Trajectories, power: float, random: torch.Generator, *, whole: bool) -> Trajectories:
         """Particles moved and resampled until the last segment's readings count in full, at last from the start."""
         history = now.history
-        moves, first = self._moves(history, random), self.prior is not None and len(history.moving()) <= 1
+        moves, first = self._moves(now, random), self.prior is not None and len(history.moving()) <= 1
         whole |= len(history.moving()) <= _LONG
         while True:
             now = moves.sweep(now, history.tempered(power), whole=whole and (first or power == 1.0))
@@ -273,7 +267,7 @@ class PoseTrajectoryFilter(PoseFilter):
                 return now
             gained = now.log_likelihood[:, -1] / power
             flat = torch.zeros_like(gained)
-            more = _power(flat, gained, power, 0.5 * len(now))
+            more = power_of(flat, gained, power, 0.5 * len(now))
             now = now.at(resample_systematic((more - power) * gained, generator=random))
             scaled = now.log_likelihood.clone()
             scaled[:, -1] *= more / power
@@ -308,27 +302,20 @@ class PoseTrajectoryFilter(PoseFilter):
         return PoseTrajectoryBelief(frame, attached, normalise(log_weights.to(like)), flat, None, now)
 
 
-def from_prior(prior: PosePrior, count: int, random: torch.Generator) -> Float[Tensor, "count 6"]:
-    """Draws of poses (x, y, yaw, way of resting, no edge, no tilt)."""
-    share = torch.rand(count, 2, generator=random, dtype=torch.float64)
-    place = prior.mean.double() + prior.spread_m * normal((count, 2), generator=random, dtype=torch.float64)
-    way = (share[:, 1] * len(prior.ways)).floor().clamp_max(len(prior.ways) - 1.0)
-    yaw = math.pi * (2.0 * share[:, 0] - 1.0)
-    return torch.cat((place, torch.stack((yaw, way, 0.0 * way - 1.0, 0.0 * way), -1)), -1)
-
-
-def _one(generator: Generators) -> torch.Generator:
+def one(generator: Generators) -> torch.Generator:
+    """The generator of one scene."""
     if not isinstance(generator, torch.Generator):
         raise TypeError("Expected one generator: trajectories are of one scene")
     return generator
 
 
-def _check(gained: Float[Tensor, "N"]) -> None:
+def check_finite(gained: Float[Tensor, "N"]) -> None:
+    """Refuse likelihoods that are none."""
     if not bool(torch.isfinite(gained).all()):
         raise DegenerateBeliefError("Expected finite likelihoods, got NaN or infinity: check the reading's points")
 
 
-def _power(log_weights: Float[Tensor, "N"], gained: Float[Tensor, "N"], least: float, wanted: float) -> float:
+def power_of(log_weights: Float[Tensor, "N"], gained: Float[Tensor, "N"], least: float, wanted: float) -> float:
     """Greatest power up to 1 of new readings that leaves an effective sample size, by bisection.
 
     Args:

@@ -91,7 +91,7 @@ class Pushed(Protocol):
         before: Float[Tensor, "T"],
         after: Float[Tensor, "T"],
         body: Sliding,
-        noise: Float[Tensor, "N 3"],
+        noise: Float[Tensor, "N 5"],
     ) -> Float[Tensor, "N D"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
         ...

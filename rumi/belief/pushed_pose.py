@@ -3,7 +3,8 @@
 Particles are poses and ways of sliding; each reading they are pushed along the tool's path, and drawn from their
 locally optimal proposal (Doucet, Godsill, Andrieu 2000), exact for normal noise. A reading is the object's pose or, at
 a rate that is learnt within the run, tells nothing. Faults, each with a predictive density of its own, are tested by
-`ChangeTest`; after an alarm the belief takes in what the likeliest fault leaves true.
+`ChangeTest`; after an alarm the belief takes in what the likeliest fault leaves true: what a tracker said from the
+fault's onset on is undone, by going back to the belief before it and along the tool's path from there.
 """
 
 import math
@@ -17,16 +18,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.change_test import ChangeEvidence, ChangeTest
+from rumi.belief.pose_reading import MotionNoise, PoseReading, pose_difference, update_by_reading
 from rumi.dynamics.along_path import push_along_path
 from rumi.dynamics.push_parameters import sliding_of
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.pushed_body import PushedBody
 from rumi.dynamics.sliding import Sliding
 from rumi.resampling import resample_systematic
-from rumi.weights import effective_sample_size
 from sdf.bounds import Checked, Count, Positive
 from sdf.check import check_shape
-from sdf.so3 import wrap
 
 Fault = Literal["knocked", "late", "stuck", "none of these"]
 FAULTS: tuple[Fault, ...] = get_args(Fault)
@@ -37,9 +37,11 @@ _LAGS = (3, 6, 12)  # readings by which a tracker is late, each as likely
 _KNOCKS = ((0.008, 0.15), (0.03, 0.5))  # standard deviations of knocks, metres and radians, each as likely
 _PARTS = ("knocked",) * len(_KNOCKS) + ("late",) * len(_LAGS) + ("stuck", "none of these")
 _SHARES = (0.35,) * len(_KNOCKS) + (0.05,) * len(_LAGS) + (0.1, 0.05)
+_REMEMBERED = 50  # readings that can be undone
+# of how objects slide: wider than the library's prior, since what slides differs along a run too
+_SLIDES = (math.log(0.25), 0.15, 1.1, 4.0, 0.0, 0.0, 0.0, 0.0)
+_WIDE = (0.5, 0.45, 1.2, 2.3, 0.04, 0.04, 0.06, 0.06)
 _FORGET = 0.99  # of a way of sliding at a resampling: it drifts about the prior, so that it is never used up
-_LOG_TAU = math.log(2.0 * math.pi)
-
 
 _DEGREE = math.radians(1.0)
 _Rate = Annotated[float, Interval(gt=0.0, lt=0.5)]
@@ -61,7 +63,7 @@ class PushedPoseSettings(Checked):
         repeats: rate of readings that repeat the last one to the digit, a frame that was lost.
         outlier: rate of readings that tell nothing, before the run.
         outlier_readings: how many readings that rate counts as.
-        outlier_m: standard deviation of those about the object, metres.
+        outlier_m: standard deviation of those about the object, metres, of far ones and of near ones: half each.
         outlier_rad: of their yaw.
         mean_run: faultless readings between false alarms, at least, on average.
     """
@@ -76,8 +78,8 @@ class PushedPoseSettings(Checked):
     repeats: _Rate = 0.05
     outlier: _Rate = 0.01
     outlier_readings: Positive = 200.0
-    outlier_m: Positive = 0.1
-    outlier_rad: Positive = 1.0
+    outlier_m: tuple[Positive, Positive] = (0.1, 0.008)
+    outlier_rad: tuple[Positive, Positive] = (1.0, 0.15)
     mean_run: Annotated[float, Gt(1.0), Lt(math.inf)] = 20_000.0
 
 
@@ -89,11 +91,12 @@ class PushedPoseBelief(NamedTuple):
         log_weights: (N), normalised.
         parameters: (N, 8) of how the object slides; see `rumi.dynamics.push_posterior.PARAMETERS`.
         sliding: the same, for its support.
-        tool: (N, 2), of the tool's place against the tracker's, metres.
+        tool: (N, 3), of the tool's place against the tracker's, metres; its yaw is not off.
         evidence: of faults.
         trail: (T, 3), mean poses after the last readings, the latest first.
         reading: the last one.
         outliers: readings that told nothing, and readings, with what the prior counts as.
+        past: the last beliefs since the last alarm, the earliest first, each with the tool's path from there on.
         fault: what the last alarm was taken for; None before the first, and once a tracker that failed fits again.
         alarm: whether this reading raised one.
     """
@@ -102,22 +105,23 @@ class PushedPoseBelief(NamedTuple):
     log_weights: Float[Tensor, "N"]
     parameters: Float[Tensor, "N 8"]
     sliding: Sliding
-    tool: Float[Tensor, "N 2"]
+    tool: Float[Tensor, "N 3"]
     evidence: ChangeEvidence
     trail: Float[Tensor, "T 3"]
     reading: Float[Tensor, "3"]
     outliers: tuple[float, float]
+    past: "tuple[tuple[PushedPoseBelief, Tensor], ...]" = ()
     fault: Fault | None = None
     alarm: bool = False
 
     def mean(self) -> Float[Tensor, "3"]:
         """Mean pose, of a belief that is near one place."""
         first = self.pose[0]
-        return first + self.log_weights.exp() @ _off(self.pose, first)
+        return first + self.log_weights.exp() @ pose_difference(self.pose, first)
 
     def covariance(self) -> Float[Tensor, "3 3"]:
         """Of the pose."""
-        off = _off(self.pose, self.mean())
+        off = pose_difference(self.pose, self.mean())
         return off.T @ (self.log_weights.exp()[:, None] * off)
 
 
@@ -133,7 +137,7 @@ class PushedPoseFilter:
 
     body: PushedBody
     settings: PushedPoseSettings = field(default_factory=PushedPoseSettings)
-    prior: PushPosterior = field(default_factory=lambda: PushPosterior.prior(1))
+    prior: PushPosterior = field(default_factory=lambda: PushPosterior.prior(1, mean=_SLIDES, deviation=_WIDE))
 
     @cached_property
     def test(self) -> ChangeTest:
@@ -147,11 +151,22 @@ class PushedPoseFilter:
         return torch.tensor((own.reading_m, own.reading_m, own.reading_rad), dtype=torch.float64).square()
 
     @cached_property
-    def _added(self) -> Float[Tensor, "4 1 3"]:
-        """Variance that is added to what is predicted: nothing, an outlier's, those of knocks."""
+    def _others(self) -> Float[Tensor, "4 3"]:
+        """Variance that is added to what is predicted: those of outliers, those of knocks."""
         own = self.settings
-        deviations = ((0.0, 0.0), (own.outlier_m, own.outlier_rad), *_KNOCKS)
-        return torch.tensor([(m, m, rad) for m, rad in deviations], dtype=torch.float64).square()[:, None]
+        deviations = (*zip(own.outlier_m, own.outlier_rad, strict=True), *_KNOCKS)
+        return torch.tensor([(m, m, rad) for m, rad in deviations], dtype=torch.float64).square()
+
+    @cached_property
+    def _tool_m(self) -> Float[Tensor, "3"]:
+        """Standard deviation of the tool's place."""
+        return torch.tensor((self.settings.tool_m, self.settings.tool_m, 0.0), dtype=torch.float64)
+
+    @cached_property
+    def motion(self) -> MotionNoise:
+        """Noise of the push model."""
+        own = self.settings
+        return MotionNoise(own.still, own.share**2 * own.share_way_m, self.body.support.spread)
 
     @cached_property
     def _old(self) -> Float[Tensor, "4 3"]:
@@ -168,7 +183,7 @@ class PushedPoseFilter:
             torch.zeros(own.particles, dtype=torch.float64).log_softmax(-1),
             posterior.parameters,
             sliding_of(posterior.parameters, self.body.support),
-            own.tool_m * torch.randn((own.particles, 2), generator=generator, dtype=torch.float64),
+            self._tool_m * torch.randn((own.particles, 3), generator=generator, dtype=torch.float64),
             self.test.begin(),
             reading[None].repeat(max(_LAGS) + 1, 1),
             reading,
@@ -195,63 +210,60 @@ class PushedPoseFilter:
         Raises:
             ValueError: a shape does not fit, or something is not finite.
         """
-        off = torch.cat((belief.tool, torch.zeros_like(belief.tool[:, :1])), -1)
-        pushed = push_along_path(
-            belief.pose, path.double() + off[:, None], self.body.pusher, self.body.outline, belief.sliding, substeps=1
-        ).track[:, -1]
-        spread = self._motion_deviation(pushed - belief.pose)
+        pushed = self._pushed(belief, path)
+        past = (*belief.past, (belief._replace(past=()), path))[-_REMEMBERED:]
         if reading is None:
-            normal = torch.randn(pushed.shape, generator=generator, dtype=pushed.dtype)
-            return self._remembered(belief._replace(pose=pushed + spread * normal, alarm=False))
+            return self._unread(belief, pushed, generator)._replace(past=past)
         check_shape("reading", reading, "(3,)", last=(3,))
         reading = reading.double()
         if not bool(reading.isfinite().all()):
             raise ValueError(f"Expected a reading of finite numbers, or None where there is none, got {reading}")
-        return self._remembered(self._weighed(belief, pushed, spread.square(), reading, generator))
+        return self._weighed(belief._replace(past=past), pushed, reading, generator)
+
+    def _pushed(self, belief: PushedPoseBelief, path: Tensor) -> Float[Tensor, "N 3"]:
+        """Poses after a path of the tool, by the push model."""
+        return push_along_path(
+            belief.pose,
+            path.double() + belief.tool[:, None],
+            self.body.pusher,
+            self.body.outline,
+            belief.sliding,
+            substeps=1,
+        ).track[:, -1]
+
+    def _unread(self, belief: PushedPoseBelief, pushed: Tensor, generator: torch.Generator) -> PushedPoseBelief:
+        """The belief after a path without a reading."""
+        normal = torch.randn(pushed.shape, generator=generator, dtype=pushed.dtype)
+        spread = self.motion.variance(pushed - belief.pose).sqrt()
+        after = belief._replace(pose=pushed + spread * normal, alarm=False)
+        return _followed(after, after.mean())
 
     def _weighed(
-        self, belief: PushedPoseBelief, pushed: Tensor, motion: Tensor, reading: Tensor, generator: torch.Generator
+        self, belief: PushedPoseBelief, pushed: Tensor, reading: Tensor, generator: torch.Generator
     ) -> PushedPoseBelief:
         """The belief after a reading, and the evidence of faults in it."""
-        own, noise, added = self.settings, self._noise, self._added
-        off = _off(reading, pushed)
-        weights, (lost, readings) = belief.log_weights, belief.outliers
-        # of each particle: as predicted, as an outlier, and knocked, a little or far
-        predicted = _log_normal(off.square(), (motion + noise) + added)
-        mixed = torch.logsumexp(weights + predicted, -1)
-        # of the tracker: as it was a while ago, or the last reading to the digit
-        back = torch.cat((belief.trail[list(_LAGS)], belief.reading[None]))
-        tracker = _log_normal(_off(reading, back).square(), self._old)
+        own, (lost, readings) = self.settings, belief.outliers
         rate = min(lost / readings, 0.2)
-        told, untold = math.log1p(-rate - own.repeats) + predicted[0], math.log(rate) + predicted[1]
-        both = torch.logaddexp(told, torch.logaddexp(untold, math.log(own.repeats) + tracker[-1]))
-        weighed = weights + both
-        null = torch.logsumexp(weighed, -1)
-        alternatives = torch.cat((mixed[2:], tracker, mixed[1:2]))  # in the order of their names
+        back = torch.cat((belief.trail[list(_LAGS)], belief.reading[None]))
+        read = PoseReading(reading, self._noise, self._others, back, self._old, (rate, own.repeats))
+        found = update_by_reading(belief.pose, pushed, belief.log_weights, self.motion, read, generator=generator)
+        alternatives = torch.cat((found.others[2:], found.old, found.others[:1]))  # in the order of their names
         test = self.test
-        evidence = test.update(belief.evidence, alternatives - null)
+        evidence = test.update(belief.evidence, alternatives - found.log_density)
         alarm = bool(test.alarm(evidence))
-        # each particle's pose, given what of the reading it takes in
-        told_share = (told - both).exp()
-        takes = torch.rand(told.shape, generator=generator, dtype=told.dtype) < told_share
-        gain = takes[:, None] * (motion / (motion + noise))
-        normal = torch.randn(pushed.shape, generator=generator, dtype=pushed.dtype)
-        pose = pushed + gain * off + ((1.0 - gain) * motion).sqrt() * normal
-        log_weights = weighed.log_softmax(-1)
-        lost += float(log_weights.exp() @ (untold - both).exp())
-        fits = float(log_weights.exp() @ told_share) > 0.5
         after = belief._replace(
-            pose=pose,
-            log_weights=log_weights,
+            pose=found.pose,
+            log_weights=found.log_weights,
             evidence=evidence,
             reading=reading,
-            outliers=(lost, readings + 1.0),
+            outliers=(lost + found.untold, readings + 1.0),
             alarm=alarm,
-            fault=None if fits and belief.fault in _OF_TRACKER else belief.fault,
+            fault=None if found.told > 0.5 and belief.fault in _OF_TRACKER else belief.fault,
         )
         if alarm:
             return self._recovered(after, generator)
-        if float(effective_sample_size(log_weights)) < 0.5 * len(log_weights):
+        after = _followed(after, found.mean)
+        if found.effective < 0.5 * len(found.log_weights):
             return self._resampled(after, generator)
         return after
 
@@ -259,7 +271,7 @@ class PushedPoseFilter:
         """The belief after an alarm: what the likeliest fault leaves true.
 
         A knock leaves the readings true: half of the particles begin anew about the last one, the rest are as they
-        were. A tracker that is late or stuck leaves the belief true, and nothing of what it said since is kept.
+        were. A tracker that is late or stuck leaves the belief before it true: nothing of what it said since is kept.
         """
         shares = self.test.explanations(belief.evidence)[1:]
         by_name = {
@@ -267,17 +279,32 @@ class PushedPoseFilter:
         }
         fault = max(FAULTS, key=lambda name: by_name[name])
         own = self.settings
+        if fault in _OF_TRACKER:
+            part = max(_parts(fault), key=lambda number: float(shares[number]))
+            belief = self._undone(belief, int(self.test.onset(belief.evidence)[part]), generator)
         fresh = belief._replace(
             evidence=self.test.begin(),
             outliers=(own.outlier * own.outlier_readings, own.outlier_readings),
+            past=(),
             fault=fault,
+            alarm=True,
         )
         if fault in _OF_TRACKER:
-            return fresh
+            return fresh  # whose poses were followed anew
         kept = self._resampled(fresh, generator)
         about = self._about(belief.reading, generator)
         some = (torch.arange(len(about)) % 2 == 0)[:, None]
-        return kept._replace(pose=torch.where(some, about, kept.pose))
+        after = kept._replace(pose=torch.where(some, about, kept.pose))
+        return _followed(after, after.mean())
+
+    def _undone(self, belief: PushedPoseBelief, onset: int, generator: torch.Generator) -> PushedPoseBelief:
+        """The belief without the readings from number `onset` since the last alarm on, as far as it remembers."""
+        before = [number for number, (past, _) in enumerate(belief.past) if int(past.evidence.readings) < onset]
+        rest = belief.past[max(before, default=0) :]
+        found = rest[0][0]
+        for _, path in rest:
+            found = self._unread(found, self._pushed(found, path), generator)
+        return found._replace(reading=belief.reading)
 
     def _resampled(self, belief: PushedPoseBelief, generator: torch.Generator) -> PushedPoseBelief:
         """Equally weighted, with ways of sliding that drift."""
@@ -293,30 +320,17 @@ class PushedPoseFilter:
             log_weights=torch.zeros_like(belief.log_weights).log_softmax(-1),
             parameters=parameters,
             sliding=sliding_of(parameters, self.body.support),
-            tool=_FORGET * belief.tool[rows] + left * self.settings.tool_m * moved,
+            tool=_FORGET * belief.tool[rows] + left * self._tool_m * moved,
         )
-
-    def _remembered(self, belief: PushedPoseBelief) -> PushedPoseBelief:
-        return belief._replace(trail=torch.cat((belief.mean()[None], belief.trail[:-1])))
 
     def _about(self, reading: Tensor, generator: torch.Generator) -> Float[Tensor, "N 3"]:
         shape = (self.settings.particles, 3)
         return reading + self._noise.sqrt() * torch.randn(shape, generator=generator, dtype=reading.dtype)
 
-    def _motion_deviation(self, motion: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-        """Of the push model's error over a motion."""
-        own, radius = self.settings, self.body.support.spread
-        way = motion[:, :2].norm(dim=-1) + radius * motion[:, 2].abs()
-        metres = (own.still**2 + own.share**2 * own.share_way_m * way).sqrt()
-        return torch.stack((metres, metres, metres / radius), -1)
+
+def _followed(belief: PushedPoseBelief, mean: Tensor) -> PushedPoseBelief:
+    return belief._replace(trail=torch.cat((mean[None], belief.trail[:-1])))
 
 
-def _off(first: Tensor, second: Tensor) -> Tensor:
-    off = first - second
-    off[..., 2] = wrap(off[..., 2])
-    return off
-
-
-def _log_normal(square: Tensor, variance: Tensor) -> Tensor:
-    """Log density of three independent normal parts, by their squares."""
-    return -0.5 * ((square / variance + variance.log()).sum(-1) + 3.0 * _LOG_TAU)
+def _parts(fault: Fault) -> list[int]:
+    return [number for number, part in enumerate(_PARTS) if part == fault]

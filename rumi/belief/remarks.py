@@ -5,7 +5,6 @@ What the cause is, and what to do, is not decided here.
 """
 
 import math
-from collections.abc import Container
 from dataclasses import dataclass
 
 import torch
@@ -14,7 +13,10 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.outline import Base
-from rumi.dynamics.push_limits import tips
+from rumi.dynamics.push_limits import held_twice, tips
+from rumi.dynamics.pushed_body import PushedBody
+from rumi.dynamics.sliding import rotated
+from rumi.resampling import systematic
 from sdf import se3
 from sdf.base import SDF
 from sdf.object_model import ObjectModel
@@ -24,6 +26,7 @@ from sensors.reading import Reading
 from sensors.semantics import Semantics
 
 _ON_M, _TOUCHES_M = 0.006, 0.001  # a felt point this near a pad is the pad's; a pad this near the object feels it
+_ASKED = 9  # poses that stand for equal shares of the belief
 _BEST = 5  # particles of least discrepancy that are asked: one that explains a reading is enough
 
 
@@ -33,7 +36,7 @@ class Remark:
 
     Attributes:
         name: in one or two words, one of "resists", "toppled", "rolled", "lifted", "dropped", "not there", "elsewhere",
-            "other height", "tips".
+            "other height", "tips", "two contacts".
         step: number of the action after which it was noticed first.
         sentence: for people.
     """
@@ -183,8 +186,35 @@ def tipping(
     rests_at = (poses[:, 2, :3] @ surface_points.mT + poses[:, 2, 3:]).amin(-1).median()
     height = float(places[met[0], 2] - rests_at)
     yaw = se3.to_planar(poses)[:, 2]
-    share = belief.log_weights.softmax(-1)[tips(yaw, way, height, base)].sum()
+    here = reading.observation.of_class(Semantics.SURFACE) & (reading.instant == met[-1])
+    felt = reading.observation.points[here][:, :2].to(poses)
+    touched = rotated(felt.mean(0) - poses[:, :2, 3], -yaw) if len(felt) else None
+    share = belief.log_weights.softmax(-1)[tips(yaw, way, height, base, touched)].sum()
     return height if float(share) > 0.5 else None
+
+
+def gripped(reading: Reading, belief: PoseBelief, body: PushedBody, limits: Limits) -> bool:
+    """Whether a tool that pushed touches the object at two sides at the end, by most of the belief.
+
+    A wedge, a second finger or a grasp: contacts are pushed one after the other, and forces between them are unknown.
+
+    Args:
+        reading: of the action.
+        belief: of upright poses.
+        body: the object at the tool's height, and the level tool.
+        limits: how much is a push.
+    """
+    met = reading.in_contact.nonzero()[:, 0]
+    places = reading.tool_pose[:, :3, 3]
+    if (
+        not bool(reading.in_contact[-1])
+        or float((places[-1] - places[max(int(met[0]) - 1, 0)]).norm()) < limits.pushed_m
+    ):
+        return False
+    some = systematic(belief.log_weights, 0.5, _ASKED)
+    poses = se3.to_planar(belief.world_T_object[some])
+    tool = se3.to_planar(reading.tool_pose[-1:]).to(poses).expand(len(poses), 3)
+    return 2 * int(held_twice(poses, tool, body).sum()) > _ASKED
 
 
 def unexplained(belief: PoseBelief, added: Observation, sdf: SDF) -> tuple[float, float]:
@@ -229,10 +259,10 @@ def remarks(
     upright: bool,
     pads: Float[Tensor, "P 3"] | None = None,
     base: Base | None = None,
-    said: Container[str] = (),
+    body: PushedBody | None = None,
     limits: Limits | None = None,
 ) -> tuple[Remark, ...]:
-    """What is odd after an action, each kind once a run.
+    """What is odd after an action.
 
     Args:
         step: number of the action.
@@ -245,7 +275,8 @@ def remarks(
         upright: whether the object is expected to stand as it did at first.
         pads: points of the pads' surface, tool frame; None where heights at which they feel are not looked at.
         base: of the object, where it should stand upright; None where pushes that tip it are not looked for.
-        said: names of the remarks of the run so far.
+        body: object and level tool, where the object should stand upright; None where it is not looked for contacts at
+            two sides.
         limits: how much is odd.
     """
     limits, found = limits or Limits(), []
@@ -270,7 +301,11 @@ def remarks(
     pushed_at = None if base is None or not unmeasured else tipping(reading, belief, model.surface_points, base, limits)
     if pushed_at is not None:
         where = f"pushed {1e3 * pushed_at:.0f} mm above what it stands on, the object tips or rolls before it slides"
-        found.append(("tips", f"{where} (friction with the floor .5): nothing measures how it lies now"))
+        found.append(("tips", f"{where} (friction .5): nothing measures how it lies now"))
+    if body is not None and tilt <= limits.tilt_rad and gripped(reading, belief, body, limits):
+        found.append(
+            ("two contacts", "the tool touches the object at two sides: how it moves then, no push model knows")
+        )
     off, deep = (1e3 * metres for metres in unexplained(belief, added, model.sdf))
     if deep > 1e3 * limits.apart_m:
         inside = f"the tool went {deep:.0f} mm deep into where the object is believed to be"
@@ -283,4 +318,4 @@ def remarks(
         if max(abs(bottom - low), abs(top - high)) > 1e3 * limits.apart_m:
             heights = f"{bottom:.0f} to {top:.0f} mm above the table, where every pose believed differs (the nearest is"
             found.append(("other height", f"the object was felt {heights} felt at {low:.0f} to {high:.0f} mm)"))
-    return tuple(Remark(name, step, sentence) for name, sentence in found if name not in said)
+    return tuple(Remark(name, step, sentence) for name, sentence in found)

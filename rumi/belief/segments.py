@@ -34,11 +34,10 @@ def standing(
         own: of the sensors.
         taken: free cells of this history since its last push are not counted again.
     """
-    seen = observation.points[observation.of_class(Semantics.SURFACE)].double()
-    free = observation.points[observation.of_class(Semantics.FREE)].double()
-    seen, free = _from_origin(seen, model), _from_origin(free, model)
-    free = free[_about(free, poses, model)]
-    if taken is not None:
+    seen = _from_origin(observation.points[observation.of_class(Semantics.SURFACE)].double(), model)
+    near = _about(observation.points, poses, model) & observation.of_class(Semantics.FREE)
+    free = _from_origin(observation.points[near].double(), model)
+    if taken is not None and len(free):
         since = taken.since_push()
         old = taken.points[since[taken.kind[since] == Kind.FREE]]
         free = free[~torch.isin(_cells(free, own), _cells(old, own))]
@@ -79,12 +78,14 @@ def path_of(reading: Reading, model: Pushed) -> Float[Tensor, "K 2 T"]:
 def felt_pads(reading: Reading, model: Pushed, own: PoseTrajectorySettings) -> Bool[Tensor, "K m"]:
     """Which of the pads' points felt something at each instant, from the felt points that were reported."""
     found = torch.zeros(len(reading.in_contact), len(model.pads), dtype=torch.bool)
-    surface = reading.observation.of_class(Semantics.SURFACE)
+    surface, near = reading.observation.of_class(Semantics.SURFACE), _OWN * own.pad_spacing_m
     for instant in reading.in_contact.nonzero()[:, 0].tolist():
         there = reading.observation.points[surface & (reading.instant == instant)].double()
         if len(there):
             back = se3.apply(se3.inverse(reading.tool_pose[instant].double()), there)
-            found[instant] = torch.cdist(model.reported, back).amin(-1) < _OWN * own.pad_spacing_m
+            low, high = back.amin(0) - near, back.amax(0) + near
+            some = ((model.reported > low) & (model.reported < high)).all(-1).nonzero()[:, 0]
+            found[instant, some] = torch.cdist(model.reported[some], back).amin(-1) < near
     return found
 
 
@@ -138,6 +139,16 @@ def pushed(
     return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order])
 
 
+def until_felt(segment: Segment) -> Segment | None:
+    """What a segment's pads sensed up to the first instant in which they felt something, as of an object at rest."""
+    felt = segment.instant[segment.kind == Kind.PAD_FELT]
+    if not len(felt):
+        return None
+    some = segment.instant <= felt.min()
+    points, kind, weight = segment.points[some], segment.kind[some], segment.weight[some]
+    return Segment(segment.tool[:1], False, points, torch.zeros_like(kind), kind, weight)
+
+
 def _from_origin(points: Float[Tensor, "*b 3"], model: Pushed) -> Float[Tensor, "*b 3"]:
     """The same with heights counted from the object's origin."""
     return points - points.new_tensor((0.0, 0.0, model.resting_m))
@@ -152,12 +163,15 @@ def _distance(
 
 
 def _about(points: Float[Tensor, "M 3"], poses: Float[Tensor, "N D"], model: Pushed) -> Bool[Tensor, "M"]:
-    """Which points may be near a pose's surface: those in a box about all poses, whatever their yaw."""
+    """Which points, world frame, may be near a pose's surface: those in a box about all poses, whatever their yaw."""
     far, low, high = model.extent_m
-    place = points[:, :2]
-    beside = far + _NEAR_M
-    near = ((place >= poses[:, :2].amin(0) - beside) & (place <= poses[:, :2].amax(0) + beside)).all(-1)
-    return near & (points[:, 2] >= low - _NEAR_M) & (points[:, 2] <= high + _NEAR_M)
+    beside, up = far + _NEAR_M, poses.new_tensor([model.resting_m])
+    lower = torch.cat((poses[:, :2].amin(0) - beside, up + low - _NEAR_M)).to(points)
+    upper = torch.cat((poses[:, :2].amax(0) + beside, up + high + _NEAR_M)).to(points)
+    near = torch.ones(len(points), dtype=torch.bool)
+    for axis in range(3):
+        near &= (points[:, axis] >= lower[axis]) & (points[:, axis] <= upper[axis])
+    return near
 
 
 def _cells(points: Float[Tensor, "M 3"], own: PoseTrajectorySettings) -> Int[Tensor, "M"]:

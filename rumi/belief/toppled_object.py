@@ -115,12 +115,12 @@ class ToppledObject:
         self, own: PoseTrajectorySettings, some: Float[Tensor, "n 6"], path: Float[Tensor, "K 2 4"]
     ) -> Float[Tensor, "n K 6"]:
         """Where poses go by the median of the prior."""
-        flat, out = some.new_zeros(len(some), 3), []
+        flat, still, out = some.new_zeros(len(some), 3), some.new_zeros(len(some), 5), []
         body = Sliding(
             flat, torch.full_like(flat[:, 0], own.lever_ratio[0]), torch.full_like(flat[:, 0], own.friction[0])
         )
         for before, after in path:
-            some = self.step(own, some, before, after, body, flat)
+            some = self.step(own, some, before, after, body, still)
             out.append(some)
         return torch.stack(out, 1)
 
@@ -131,7 +131,7 @@ class ToppledObject:
         before: Float[Tensor, "4"],
         after: Float[Tensor, "4"],
         body: Sliding,
-        noise: Float[Tensor, "N 3"],
+        noise: Float[Tensor, "N 5"],
     ) -> Float[Tensor, "N 6"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
         near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
@@ -154,10 +154,12 @@ class ToppledObject:
         size = length + own.m_per_rad * step[:, 2].abs()
         # a fall leaves it somewhere about where it would lie
         size = torch.where(done.fell, size.new_tensor(own.fall_m), size) * (done.slid | done.fell)
+        # what leans on the tool slips about as the tool moves it
+        size = torch.where(done.state.lying[:, 1] >= 0, way.norm(), size)
         along = torch.where((length[:, None] > 1e-9) & ~done.fell[:, None], step[:, :2], done.ahead)
         along = along / along.norm(dim=-1, keepdim=True).clamp_min(1e-9)
         across = torch.stack((-along[:, 1], along[:, 0]), -1)
-        own_noise = noise[near] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
+        own_noise = noise[near, :3] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
         shift = own_noise[:, :1] * along + own_noise[:, 1:2] * across
         moved = moved + torch.cat((shift, own_noise[:, 2:]), -1)
         return pose.index_copy(0, near, torch.cat((moved, done.state.lying), -1))

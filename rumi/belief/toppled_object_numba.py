@@ -231,17 +231,18 @@ def _stepped(state, before, after, tool, starts, centres, rests, numbers, scales
                 unit_x, unit_y = dx / length, dy / length
     if edge >= 0:
         if tilt < tip[rest, edge] * math.exp(scales[17] * noise[2]):
-            return x, y, yaw, rest, edge, tilt
-        following, change = rests[7], rests[8]
-        c, s = math.cos(yaw), math.sin(yaw)
-        x += c * change[rest, edge, 0] - s * change[rest, edge, 1]
-        y += s * change[rest, edge, 0] + c * change[rest, edge, 1]
-        yaw += change[rest, edge, 2]
-        rest = following[rest, edge]
-        size = scales[16]
+            size = math.sqrt((after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2)
+        else:
+            following, change = rests[7], rests[8]
+            c, s = math.cos(yaw), math.sin(yaw)
+            x += c * change[rest, edge, 0] - s * change[rest, edge, 1]
+            y += s * change[rest, edge, 0] + c * change[rest, edge, 1]
+            yaw += change[rest, edge, 2]
+            rest, edge, tilt = following[rest, edge], -1, 0.0
+            size = scales[16]
     along, across = noise[0] * size * scales[9], noise[1] * size * scales[10]
     x, y = x + along * unit_x - across * unit_y, y + along * unit_y + across * unit_x
-    return x, y, yaw + noise[2] * size * scales[11], rest, -1, 0.0
+    return x, y, yaw + noise[2] * size * scales[11], rest, edge, tilt
 
 
 @bare

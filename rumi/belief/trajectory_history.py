@@ -144,6 +144,13 @@ class History:
         moving = self.moving()
         return torch.arange(self._points_before(int(moving[-1]) + 1) if len(moving) else 0, len(self.points))
 
+    def worth(self) -> Float[Tensor, "S kinds"]:
+        """Independent readings of each kind that each segment's points are worth."""
+        at = torch.searchsorted(self.point_ends, torch.arange(len(self.points)), right=True)
+        segment = torch.searchsorted(self.ends, at, right=True)
+        flat = torch.zeros(len(self) * len(Kind), dtype=torch.float64)
+        return flat.index_add_(0, len(Kind) * segment + self.kind, self.weight.double()).view(len(self), len(Kind))
+
     def _points_before(self, segment: int) -> int:
         """Number of points of the segments before one."""
         first = int(self.ends[segment - 1]) if segment else 0

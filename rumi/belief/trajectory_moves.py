@@ -1,8 +1,9 @@
 """Metropolis-Hastings moves of trajectories under their history: they leave its posterior as it is.
 
-Noise of a segment turns towards a fresh draw of its prior; noise of all segments from one on, with start pose and
-physics where that is the first, goes by the difference of two other particles. The particles are moved half by half,
-with differences of the other half, so that each half's proposals are symmetric whatever the other is.
+Noise of a segment, or the physics, turns towards a fresh draw of its prior; noise of all segments from one on, with
+start pose and physics where that is the first, goes by the difference of two other particles. The particles are moved
+half by half, with differences of the other half, so that each half's proposals are symmetric whatever the other is.
+Friction and lever are drawn given those of all segments (Gibbs), which moves no trajectory.
 """
 
 import math
@@ -52,6 +53,8 @@ class Moves:
         if whole and len(given.starts):
             given = self.shifted(given, history, whole=True)
             given = self.restarted(given, history)
+            if len(history.moving()):
+                given = self.learnt(self.slid(given, history), history)
         return given
 
     def turned(self, given: Trajectories, history: History) -> Trajectories:
@@ -97,6 +100,33 @@ class Moves:
             moved = self.accepted(some, proposed, history, first, change)
             given = given.put(rows, moved)
         return given
+
+    def slid(self, given: Trajectories, history: History) -> Trajectories:
+        """Physics alone, all of it or one number, turned towards a fresh draw; what follows is replayed."""
+        count = len(given)
+        angle = 0.5 * math.pi * self._uniform(count)[:, None] ** 2
+        fresh = angle.cos() * given.physics + angle.sin() * self._normal(given.physics.shape)
+        numbers = given.physics.shape[1]
+        one = (self._uniform(count) * numbers).long()[:, None] == torch.arange(numbers)
+        chosen = one | (self._uniform(count) < 0.3)[:, None]
+        proposed = replace(given, physics=torch.where(chosen, fresh, given.physics))
+        return self.accepted(given, proposed, history, history.moving()[:1].expand(count))
+
+    def learnt(self, given: Trajectories, history: History) -> Trajectories:
+        """Friction and lever of each particle drawn given those of its pushed segments, which stay as they are."""
+        own, moving = self.settings, history.moving()
+        physics, noise = given.physics.clone(), given.noise.clone()
+        for k, (deviation, change) in enumerate(
+            ((own.friction[1], own.friction_change), (own.lever_ratio[1], own.lever_change))
+        ):
+            if not change > 0:
+                continue
+            ratio = deviation / change
+            each = ratio * physics[:, k, None] + noise[:, moving, k]
+            precision = 1.0 + len(moving) * ratio * ratio
+            physics[:, k] = ratio / precision * each.sum(-1) + self._normal((len(given),)) / math.sqrt(precision)
+            noise[:, moving, k] = each - ratio * physics[:, k, None]
+        return replace(given, physics=physics, noise=noise)
 
     def restarted(self, given: Trajectories, history: History) -> Trajectories:
         """Start poses drawn anew about those that the view leaves open."""

@@ -10,12 +10,12 @@ _OTHERS: dict[str, Any] = {
     "lever_ratio": (1.3, 0.15),
     "ahead": (0.09, 0.11),
     "centre_m": 0.004,
+    "centre_change_m": 0.0,
     "friction_change": 0.2,
     "lever_change": 0.1,
     "along": 0.15,
     "across": 0.35,
     "turn_rad_per_m": 3.0,
-    "tails": 0.15,
     "pad_slope_m": 0.0007,
 }
 
@@ -26,7 +26,7 @@ class PoseTrajectorySettings:
 
     Friction and lever of a particle are log-normal, and change a little from segment to segment. After each instant
     the pose is off by noise in proportion to the step, the same throughout a segment: the model's errors last. The
-    numbers of the motion and of the pads are fitted to 76 pushes of drawn, simulated mugs (push_models.md).
+    numbers of the motion and of the pads are fitted to pushes of drawn, simulated mugs (push_models.md).
 
     Attributes:
         particles: N, where a view shows the object.
@@ -43,6 +43,8 @@ class PoseTrajectorySettings:
         ahead: mean and deviation of how far the pressure's centre is ahead, in the direction of the push, as a share of
             the tool's height above the floor: what is pushed high up tips.
         centre_m: deviation of the centre of friction from below the centre of mass, along x and along y.
+        centre_change_m: deviation of a whole action's own shift of that centre, times how far the size of its noise is
+            above 1: now and then the object turns about quite another place, as where a handle is hooked.
         friction_change, lever_change: log-deviation from segment to segment.
         along, across: deviations of a step along itself and across it, as shares of its length.
         turn_rad_per_m: deviation of its turn.
@@ -67,16 +69,17 @@ class PoseTrajectorySettings:
     """
 
     particles: int = 150
-    unseen_particles: int = 450
+    unseen_particles: int = 900
     branches: int = 6
     instants: int = 5
     lag: int = 10
     memory: int = 80
-    rounds: int = 2
+    rounds: int = 1
     friction: tuple[float, float] = (0.45, 0.3)
     lever_ratio: tuple[float, float] = (1.25, 0.12)
     ahead: tuple[float, float] = (0.25, 0.06)
     centre_m: float = 0.001
+    centre_change_m: float = 0.025
     friction_change: float = 0.1
     lever_change: float = 0.05
     along: float = 0.05
@@ -85,7 +88,7 @@ class PoseTrajectorySettings:
     m_per_rad: float = 0.02
     fall_m: float = 0.06
     firm_change: float = 0.2
-    unfitted: float = 3.0
+    unfitted: float = 5.0
     tails: float = 0.5
     shared: float = 0.5
     seen_sd_m: float = 0.0015

@@ -1,4 +1,4 @@
-"""The command `rumi import`: a ROS 2 bag as a log."""
+"""The command `rumi import`: a ROS bag as a log."""
 
 import sys
 from collections.abc import Sequence
@@ -20,17 +20,19 @@ _LONGEST_S = 1e9  # what a stamp of 64 bits has room for
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Write a log of the raw streams in a ROS 2 bag; `rumi replay` then takes it in. No ROS is needed.
+    """Write a log of the raw streams in a ROS bag; `rumi replay` then takes it in. No ROS is needed.
 
     Attributes:
-        bag: an .mcap or .db3 file, or the folder of a bag.
+        bag: a .bag file of ROS 1, an .mcap or .db3 file, or the folder of a bag.
         map: mapping file: which topics and frames mean what (scripts/docs/logs.md).
-        out: the log; by default the bag's name with .h5, in the current folder.
+        suggest: write a mapping file to begin with, from the topics, types and frames of the bag, in place of a log.
+        out: the log, by default the bag's name with .h5, in the current folder; of --suggest the mapping, with .toml.
         future: seconds that a stamp may be later than its message was received.
     """
 
     bag: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BAG")]
-    map: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    map: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    suggest: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     out: Annotated[Path | None, tyro.conf.arg(metavar="LOG")] = None
     future: float = 1.0
 
@@ -40,6 +42,14 @@ def import_bag(arguments: Sequence[str]) -> int:
     options = tyro.cli(ImportOptions, prog="rumi import", args=arguments)
     if not 0 <= options.future <= _LONGEST_S:
         raise UsageError(f"Expected --future of 0 s to {_LONGEST_S:.0e} s, got {options.future}")
+    if options.suggest == (options.map is not None):
+        raise UsageError(
+            "Expected --map FILE, or --suggest, which writes such a file to begin with: "
+            f"rumi import {options.bag} --suggest"
+        )
+    if options.suggest:
+        return _suggest(options)
+    assert options.map is not None
     from rumi.rosbag.bag import check_frames
     from rumi.rosbag.bag import import_bag as write_log
     from rumi.rosbag.mapping import read_mapping
@@ -58,6 +68,19 @@ def import_bag(arguments: Sequence[str]) -> int:
     for problem in [*done.problems, *lost]:
         sys.stderr.write(f"rumi: {problem}\n")
     return NOT_CONVERGED if done.problems or done.lost else DONE
+
+
+def _suggest(options: ImportOptions) -> int:
+    from rumi.rosbag.suggest import suggest_mapping
+    from rumi.runs.files import new_file
+
+    out = options.out or Path(f"{options.bag.resolve().stem}.toml")
+    try:
+        new_file(out, suggest_mapping(options.bag))
+    except FileExistsError:
+        raise UsageError(f"{out} is there already: give another name with --out, or move it away") from None
+    sys.stdout.write(f"{out}: look at its lines with TODO, then rumi import {options.bag} --map {out}\n")
+    return DONE
 
 
 def report(done: "BagImport", path: Path) -> str:

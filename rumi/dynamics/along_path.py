@@ -249,10 +249,7 @@ def _push_along_path_numba(
         return _push_along_path(poses, path, pusher, outline, sliding, substeps, passes)
     count, instants = len(poses), path.shape[1] - 1
     track, distance = poses.new_empty(count, instants, 3), poses.new_empty(count, instants)
-    if isinstance(outline, RectangleOutline):
-        table, shape = poses.new_zeros(1, 1), (1.0, *outline.half, 0.0)
-    else:
-        table, shape = outline.values, (0.0, *outline.origin.tolist(), outline.spacing)
+    table, shape = outline_table(outline, poses)
     quartic = poses.new_zeros(count, 5) if sliding.quartic is None else sliding.quartic
     slides = (sliding.centre, sliding.lever, sliding.friction, quartic)
     kernel(
@@ -264,3 +261,12 @@ def _push_along_path_numba(
         distance.numpy(),
     )
     return PathOutcome(track, distance)
+
+
+def outline_table(
+    outline: GridOutline | RectangleOutline, like: Tensor
+) -> tuple[Float[Tensor, "X Y"], tuple[float, float, float, float]]:
+    """An outline as the compiled versions take it: distances, and whether it is a rectangle, with halves or lattice."""
+    if isinstance(outline, RectangleOutline):
+        return like.new_zeros(1, 1), (1.0, *outline.half, 0.0)
+    return outline.values, (0.0, *outline.origin.tolist(), outline.spacing)

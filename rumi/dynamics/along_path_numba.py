@@ -55,6 +55,49 @@ def _nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape):
 
 
 @bare
+def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body):
+    """Pose of an object after the tool's way from one instant to the next."""
+    thickness, reach, substeps, passes = sizes[0], sizes[1], counts[0], counts[1]
+    from_x, from_y, from_yaw = (
+        float(path[row, instant, 0]),
+        float(path[row, instant, 1]),
+        float(path[row, instant, 2]),
+    )
+    way_x = (path[row, instant + 1, 0] - from_x) / substeps
+    way_y = (path[row, instant + 1, 1] - from_y) / substeps
+    way_yaw = (path[row, instant + 1, 2] - from_yaw) / substeps
+    for part in range(substeps):
+        tool_x, tool_y = from_x + (part + 1) * way_x, from_y + (part + 1) * way_y
+        if (tool_x - x) * (tool_x - x) + (tool_y - y) * (tool_y - y) >= reach * reach:
+            continue
+        tool_yaw = from_yaw + (part + 1) * way_yaw
+        tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
+        first = (x, y, yaw)
+        for _ in range(passes):
+            apart, k, at_x, at_y = _nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape)
+            depth = thickness - apart
+            if not depth > 0.0:
+                break
+            gx, gy = _gradient(at_x, at_y, table, shape)
+            x, y, yaw = settled(
+                x,
+                y,
+                yaw,
+                first,
+                (tool_x, tool_y),
+                (way_x, way_y, way_yaw),
+                tool_cos * points[k, 0] - tool_sin * points[k, 1],
+                tool_sin * points[k, 0] + tool_cos * points[k, 1],
+                gx,
+                gy,
+                depth,
+                thickness,
+                body,
+            )
+    return x, y, yaw
+
+
+@bare
 def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape, sizes, counts, track, distance):
     x, y, yaw = float(poses[e, 0]), float(poses[e, 1]), float(poses[e, 2])
     row = e if len(path) > 1 else 0
@@ -69,44 +112,8 @@ def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape,
         float(quartic[e, 3]),
         float(quartic[e, 4]),
     )
-    thickness, reach, substeps, passes = sizes[0], sizes[1], counts[0], counts[1]
     for instant in range(path.shape[1] - 1):
-        from_x, from_y, from_yaw = (
-            float(path[row, instant, 0]),
-            float(path[row, instant, 1]),
-            float(path[row, instant, 2]),
-        )
-        way_x = (path[row, instant + 1, 0] - from_x) / substeps
-        way_y = (path[row, instant + 1, 1] - from_y) / substeps
-        way_yaw = (path[row, instant + 1, 2] - from_yaw) / substeps
-        for part in range(substeps):
-            tool_x, tool_y = from_x + (part + 1) * way_x, from_y + (part + 1) * way_y
-            if (tool_x - x) * (tool_x - x) + (tool_y - y) * (tool_y - y) >= reach * reach:
-                continue
-            tool_yaw = from_yaw + (part + 1) * way_yaw
-            tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
-            first = (x, y, yaw)
-            for _ in range(passes):
-                apart, k, at_x, at_y = _nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape)
-                depth = thickness - apart
-                if not depth > 0.0:
-                    break
-                gx, gy = _gradient(at_x, at_y, table, shape)
-                x, y, yaw = settled(
-                    x,
-                    y,
-                    yaw,
-                    first,
-                    (tool_x, tool_y),
-                    (way_x, way_y, way_yaw),
-                    tool_cos * points[k, 0] - tool_sin * points[k, 1],
-                    tool_sin * points[k, 0] + tool_cos * points[k, 1],
-                    gx,
-                    gy,
-                    depth,
-                    thickness,
-                    body,
-                )
+        x, y, yaw = advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body)
         track[e, instant, 0], track[e, instant, 1], track[e, instant, 2] = x, y, yaw
         end = instant + 1
         apart, _, _, _ = _nearest(
@@ -120,7 +127,7 @@ def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape,
             table,
             shape,
         )
-        distance[e, instant] = apart - thickness
+        distance[e, instant] = apart - sizes[0]
 
 
 def _push_along_path(

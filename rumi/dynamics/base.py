@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.dynamics.along_path import PathPush
+from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.sliding import rotated
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
@@ -161,6 +162,10 @@ class PushModel:
     def fits(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> bool:
         """Whether it can push particles at these poses with this tool."""
         return True
+
+    def knowing(self, pushes: PushPosterior) -> Self:
+        """The same model by what was learnt of how the object slides; itself, where that plays no part."""
+        return self
 
     def rollouts(
         self,

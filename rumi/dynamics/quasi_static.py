@@ -258,7 +258,13 @@ class QuasiStaticPush(PushModel):
     @classmethod
     def make(cls, settings: Any) -> Self:  # noqa: ANN401
         """The model that settings describe."""
-        return cls(settings.quasi_static, push_posterior(settings.push_parameters))
+        return cls(settings.quasi_static, push_posterior(settings.push_parameters, settings.quasi_static.friction))
+
+    def knowing(self, pushes: PushPosterior) -> Self:
+        """The same model with another posterior; what it keeps of shapes is shared."""
+        other = copy.copy(self)
+        other.posterior = pushes
+        return other
 
     def fits(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> bool:
         """Whether the tool is level and all particles stand upright at one height."""

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from rumi.dynamics.base import PushModel, RolloutModel, Use
 from rumi.dynamics.displacement import DisplacementPush, DisplacementSettings
-from rumi.dynamics.push_posterior import FIXED
+from rumi.dynamics.push_posterior import FIXED, PushPosterior
 from rumi.dynamics.quasi_static import QuasiStaticPush, QuasiStaticSettings
 from rumi.errors import UsageError
 from rumi.fields.information import WorkspaceFields
@@ -57,7 +57,8 @@ class PushSettings(Checked):
             the quasi-static model where it can be, with upright particles and a level tool, and the displacement model
             elsewhere.
         push_parameters: how the object slides, for the quasi-static model: "fixed", as its settings say; "prior", where
-            each rollout has its own draw of what real objects do; or a file of what was learnt of the object, as
+            each rollout has its own draw of how real objects slide, with a tool of about the settings' friction, and
+            motions that are measured teach it; or a file of what was learnt of the object, as
             `rumi pushes --out` writes.
         push: settings of the displacement model.
         quasi_static: settings of the quasi-static model.
@@ -141,9 +142,15 @@ class PushModels:
         tool: Tool,
         workspace: Workspace,
         fields: WorkspaceFields,
+        *,
+        pushes: PushPosterior | None = None,
     ) -> RolloutModel:
-        """Rollouts under one belief, by the member that suits it; see `PushModel.rollouts`."""
+        """Rollouts under one belief, by the member that suits it; see `PushModel.rollouts`.
+
+        What was learnt of how the object slides, `pushes`, takes the place of what a member was made with.
+        """
         member = self._member(self.chosen(world_T_object, tool))
+        member = member if pushes is None else member.knowing(pushes)
         return member.rollouts(model, world_T_object, log_weights, tool, workspace, fields)
 
     def _member(self, name: str) -> PushModel:

@@ -18,7 +18,7 @@ from rumi.errors import UsageError
 from rumi.information.entropy import Entropy
 from rumi.registry import Table
 from rumi.weights import check_weights
-from sdf.bounds import Checked, Count, CountOr0, OneOf, Positive, ShareAbove0
+from sdf.bounds import Checked, Count, CountOr0, OneOf, Positive, Share, ShareAbove0
 from sdf.check import check_shape
 from sdf.so3 import wrap
 
@@ -196,6 +196,7 @@ class StopEvidence(NamedTuple):
         diagonal: of the object's bounding box, metres.
         contacts: actions so far that touched the object.
         p_right: probability that the belief's best pose is within the task's tolerance, modulo symmetry.
+        chance: of readings as unlikely as these where the best particle is right, at most; 1 where nobody knows.
     """
 
     expected_nll: float
@@ -204,6 +205,7 @@ class StopEvidence(NamedTuple):
     diagonal: float
     contacts: int
     p_right: float = math.nan
+    chance: float = 1.0
 
 
 StopRule = Callable[["StopSettings", StopEvidence], bool]
@@ -229,6 +231,8 @@ class StopSettings(Checked, refusal=UsageError):
         contacts: actions that must have touched the object.
         apc_ratio: beta_t.
         probability: that the best pose is within the task's tolerance, as the belief has it.
+        least_chance: p-value of the readings at the best particle below which no pose explains them, and no rule but
+            "apc" stops; 0 asks for none.
     """
 
     rule: Annotated[str, OneOf(STOP_RULES)] = "self"
@@ -238,25 +242,30 @@ class StopSettings(Checked, refusal=UsageError):
     contacts: int = 1
     apc_ratio: float = 0.03
     probability: ShareAbove0 = 0.95
+    least_chance: Share = 0.01
 
 
 class Shortfall(NamedTuple):
     """A part of a stopping rule that does not hold.
 
     Attributes:
-        part: "fit", no pose explains the observations; "contacts", too few actions touched the object; "spread", poses
+        part: "fit" and "chance", no pose explains the observations, by its discrepancy and by the p-value of the
+            readings; "contacts", too few actions touched the object; "spread", poses
             that explain them differ too much; "rule", a rule without parts.
         value: of the belief.
         allowed: bound of it.
     """
 
-    part: Literal["fit", "contacts", "spread", "rule"]
+    part: Literal["fit", "chance", "contacts", "spread", "rule"]
     value: float
     allowed: float
 
 
 def shortfalls(settings: StopSettings, now: StopEvidence) -> tuple[Shortfall, ...]:
     """The parts of the rule of some settings that do not hold; none where it does."""
+    unexplained = now.chance < settings.least_chance
+    if unexplained and settings.rule in ("self", "probability"):
+        return (Shortfall("chance", now.chance, settings.least_chance),)
     if settings.rule == "self":
         allowed = settings.fit + settings.fit_a_contact * now.contacts
         parts = (
@@ -283,7 +292,12 @@ def _self_consistent(settings: StopSettings, now: StopEvidence) -> bool:
 STOP_RULES.add("self", _self_consistent)
 STOP_RULES.add("apc", lambda settings, now: now.apc < settings.apc_ratio * now.diagonal)
 STOP_RULES.add(
-    "probability", lambda settings, now: now.p_right >= settings.probability and now.contacts >= settings.contacts
+    "probability",
+    lambda settings, now: (
+        now.p_right >= settings.probability
+        and now.contacts >= settings.contacts
+        and now.chance >= settings.least_chance
+    ),
 )
 STOP_RULES.add("never", lambda settings, now: False)
 

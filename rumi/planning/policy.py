@@ -10,6 +10,7 @@ from torch import Tensor
 from kmppi import ControlPlan
 from rumi import seeding
 from rumi.belief.particles import PoseBelief
+from rumi.dynamics.push_posterior import PushPosterior
 from rumi.fields.workspace import Workspace
 from rumi.robot.tool import Tool
 from sdf.object_model import ObjectModel
@@ -28,6 +29,7 @@ class Scene:
         configuration: (Q,), where the tool is now (planar: x, y, yaw; in space: x, y, z, yaw).
         observed: all points so far, attached ones in the object-attached frame; None where nobody keeps them.
         reading: the last one; None before the first.
+        pushes: what was learnt of how the object slides; None for what the push model was made with.
     """
 
     model: ObjectModel
@@ -36,6 +38,7 @@ class Scene:
     configuration: Float[Tensor, "Q"]
     observed: Observation | None = None
     reading: Reading | None = None
+    pushes: PushPosterior | None = None
 
 
 @dataclass(frozen=True)

@@ -196,7 +196,8 @@ class RummagingPolicy:
         begun = budget.now()
         fields = information_field(sdf, poses, log_weights, workspace.points, self.settings.information)
         watch.lap("fields")
-        model = self.push_models.rollouts(scene.model, poses, log_weights, scene.tool, workspace, fields)
+        known = (scene.model, poses, log_weights, scene.tool, workspace, fields)
+        model = self.push_models.rollouts(*known, pushes=scene.pushes)
         watch.lap("push_model")
         budget.took("view", len(log_weights) + _VIEW_FIXED, budget.now() - begun)
         return fields, model

@@ -1,8 +1,9 @@
-"""Import of a ROS 2 bag as a log of raw streams."""
+"""Import of a ROS bag as a log of raw streams."""
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,15 @@ import numpy as np
 from rumi.errors import UsageError
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping import BagMap, Topic
-from rumi.rosbag.mcap import Message, Walk
+from rumi.rosbag.mcap import Message
 from rumi.rosbag.messages import CONVERTERS, RowOf
-from sdf.extras import optional
+from rumi.rosbag.source import BagError, BagSource
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
 from sensors.log.writer import LogWriter
 
 _TF = {"/tf": Topic("tf"), "/tf_static": Topic("tf")}
+_Unpack = Callable[[Message], Any]
 
 
 @dataclass
@@ -47,7 +49,7 @@ def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0)
     rest is kept.
 
     Args:
-        bag: an .mcap or .db3 file, or the folder of a bag.
+        bag: a .bag file of ROS 1, an .mcap or .db3 file, or the folder of a bag.
         mapping: which topics to take.
         path: of the log.
         future_s: seconds that a message's stamp may be later than when it was received.
@@ -56,17 +58,13 @@ def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0)
         UsageError: there is no such bag, none of the topics is in it, or the log cannot be written.
         ModuleNotFoundError: rosbags is not installed.
     """
-    optional("rosbags.rosbag2", "A ROS 2 bag")  # says what to install before anything is written
-
-    if not bag.exists():
-        raise UsageError(f"There is no bag {bag}: give an .mcap or .db3 file, or the folder of a bag")
     done, seen = _attempt(bag, mapping, path, future_s, walk=False)
     if done is None:
         done, seen = _attempt(bag, mapping, path, future_s, walk=True)
     assert done is not None
     topics = {**_TF, **mapping.topics}
     listed = ", ".join(f"{name} ({kind})" for name, kind in sorted(seen.items())) or "none"
-    lacking = [name for name in mapping.topics if name not in seen]
+    lacking = [name for name in mapping.topics if not any(fnmatchcase(topic, name) for topic in seen)]
     if not any(done.rows.values()):
         path.unlink(missing_ok=True)
         why = "".join(f"; {problem}" for problem in (*done.problems, *(why for _, why in done.lost.values())))
@@ -94,12 +92,8 @@ def _attempt(
     bag: Path, mapping: BagMap, path: Path, future_s: float, *, walk: bool
 ) -> tuple[BagImport | None, dict[str, str]]:
     """The import by rosbags, or record by record; None where rosbags cannot read an MCAP file to its end."""
-    from rosbags.typesys import Stores, get_typestore
-
-    store, done = get_typestore(Stores.ROS2_JAZZY), BagImport()
-    topics = {**_TF, **mapping.topics}
+    source, done = BagSource(bag), BagImport()
     seen: dict[str, str] = {}
-    files = _files(bag)
     about = {"map": mapping.text, "bag": bag.name}
     try:
         log = LogWriter(path, about=about, live=False, future_s=future_s)
@@ -107,14 +101,15 @@ def _attempt(
         raise UsageError(str(error)) from error
     columns = _Joints()
     try:
-        for found in _walked(files, done) if walk else _by_rosbags(bag):
+        for found in source.salvaged(done.problems) if walk else source.messages():
             seen[found.topic] = found.kind
-            if found.topic not in topics:
+            topic = mapping.topic(found.topic) or _TF.get(found.topic)
+            if topic is None:
                 continue
-            for row in _rows(found, topics[found.topic], store, done):
+            for row in _rows(found, topic, source.unpack, done):
                 _add(log, columns.ordered(row), found.received_ns, done)
-    except _BagError as error:
-        if not walk and all(file.suffix == ".mcap" for file in files):
+    except BagError as error:
+        if not walk and source.salvageable:
             log.discard()
             return None, seen
         done.problems.append(f"the bag cannot be read further: {error}")
@@ -126,43 +121,7 @@ def _attempt(
     return done, seen
 
 
-class _BagError(Exception):
-    """The bag cannot be read, or not further."""
-
-
-def _files(bag: Path) -> list[Path]:
-    if bag.is_file():
-        return [bag]
-    found = sorted(file for file in bag.iterdir() if file.suffix in (".mcap", ".db3"))
-    if not found:
-        raise UsageError(f"Expected a bag in the folder {bag}, found no .mcap and no .db3 file there")
-    return found
-
-
-def _by_rosbags(bag: Path) -> Iterator[Message]:
-    from rosbags.rosbag2 import Reader
-
-    try:
-        with Reader(bag) as reader:
-            for connection, received, data in reader.messages():
-                yield Message(connection.topic, connection.msgtype, received, bytes(data))
-    except (GeneratorExit, KeyboardInterrupt, MemoryError):
-        raise
-    except Exception as error:  # a damaged file may bring about any error in there
-        raise _BagError(f"{type(error).__name__}: {error}") from error
-
-
-def _walked(files: list[Path], done: BagImport) -> Iterator[Message]:
-    for file in files:
-        walk = Walk(file)
-        try:
-            yield from walk.messages()
-        except ValueError as error:
-            done.problems.append(str(error))
-        done.problems += [f"{file.name}: {problem}" for problem in walk.problems]
-
-
-def _rows(found: Message, config: Topic, store: Any, done: BagImport) -> Iterator[RowOf]:  # noqa: ANN401
+def _rows(found: Message, config: Topic, unpack: _Unpack, done: BagImport) -> Iterator[RowOf]:
     """Rows of a message; what is wrong with one is counted, and the next one is read."""
     if found.kind not in CONVERTERS:
         known = ", ".join(sorted(CONVERTERS))
@@ -171,7 +130,7 @@ def _rows(found: Message, config: Topic, store: Any, done: BagImport) -> Iterato
     if config.role not in roles:
         raise UsageError(f"Expected {found.topic} ({found.kind}) to be {' or '.join(roles)}, got {config.role}")
     try:
-        rows = convert(store.deserialize_cdr(found.data, found.kind), found.topic, config)
+        rows = convert(unpack(found), found.topic, config)
     except (KeyboardInterrupt, MemoryError):
         raise
     except Exception as error:  # damaged bytes may bring about any error when they are unpacked

@@ -5,6 +5,7 @@ import tomllib
 import typing
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,7 +29,19 @@ SCHEMA = 1
 """Of mapping files."""
 
 Role = Literal[
-    "cloud", "depth", "color", "camera", "felt", "contact", "bubble", "wrench", "joints", "torques", "tf", "sensor"
+    "cloud",
+    "depth",
+    "color",
+    "camera",
+    "felt",
+    "contact",
+    "bubble",
+    "wrench",
+    "joints",
+    "torques",
+    "tf",
+    "pose",
+    "sensor",
 ]
 ROLES: tuple[str, ...] = typing.get_args(Role)
 
@@ -41,8 +54,9 @@ class Topic:
         role: "cloud" of a camera, "depth" image, "color" image, "camera" intrinsics, "felt" points on the object that a
             finger felt, "contact" flags, "bubble": the depth image of a soft bubble's membrane from inside, "wrench",
             "joints", "torques": joints whose efforts are measured torques, "tf" (which /tf and /tf_static are by
-            themselves), or "sensor": the numbers of a further sensor.
+            themselves), "pose" of a frame, of a tracker or a tool, or "sensor": the numbers of a further sensor.
         frame: in place of the messages' frame_id.
+        child: of the role pose: name of the frame whose pose it is; a TransformStamped and an Odometry name one.
         camera: topic of a depth image's CameraInfo; of a bubble's too.
         color: topic of the colour images that are of a depth image's pixels; needed where several could be.
         unit_m: metres that one unit of a depth image is; by default 0.001 for whole numbers and 1 for floating ones.
@@ -52,6 +66,7 @@ class Topic:
 
     role: Role
     frame: str | None = None
+    child: str | None = None
     camera: str | None = None
     color: str | None = None
     unit_m: float | None = None
@@ -61,6 +76,8 @@ class Topic:
     def __post_init__(self) -> None:
         if (self.role == "sensor") != (self.sensor is not None):
             raise ValueError(f"expected sensor, a name, with the role sensor alone, got {self.role} and {self.sensor}")
+        if self.child is not None and self.role != "pose":
+            raise ValueError(f"expected child, a frame, with the role pose alone, got {self.role} and {self.child}")
 
 
 @dataclass(frozen=True)
@@ -217,7 +234,7 @@ class BagMap:
     """All that a mapping file says.
 
     Attributes:
-        topics: by name.
+        topics: by name, or by a pattern of names as of a shell's files, whose first that fits counts.
         frames: of world and tool.
         scene: what is known of the object's place.
         fixed: transforms.
@@ -247,6 +264,12 @@ class BagMap:
     actions: Actions = field(default_factory=Actions)
     settings: dict[str, Any] = field(default_factory=dict)
     text: str = ""
+
+    def topic(self, name: str) -> Topic | None:
+        """What a topic means; None where the mapping does not say."""
+        if name in self.topics:
+            return self.topics[name]
+        return next((topic for pattern, topic in self.topics.items() if fnmatchcase(name, pattern)), None)
 
     @property
     def touches_count(self) -> bool:

@@ -1,4 +1,4 @@
-"""ROS 2 messages as rows of raw streams: numbers and units as they came, arrays in place of packed bytes."""
+"""ROS messages as rows of raw streams: numbers and units as they came, arrays in place of packed bytes."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
@@ -154,6 +154,23 @@ def transforms(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # n
         raise ValueError(f"{len(wrong)} of {len(message.transforms)} transforms left out, {wrong[0]}")
 
 
+def pose(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: ANN401
+    """geometry_msgs/PoseStamped, PoseWithCovarianceStamped and TransformStamped, nav_msgs/Odometry: a frame's pose."""
+    parent = (config.frame or str(message.header.frame_id)).strip("/")
+    child = (config.child or str(getattr(message, "child_frame_id", ""))).strip("/")
+    if not parent or not child:
+        lacking = "frame, in which it is" if not parent else "child, whose it is"
+        raise ValueError(f"expected a pose between two frames: name its {lacking}, in the mapping")
+    given = message.transform if hasattr(message, "transform") else message.pose
+    given = given.pose if hasattr(given, "pose") else given  # with a covariance
+    at, turn = (
+        (given.translation, given.rotation) if hasattr(given, "translation") else (given.position, given.orientation)
+    )
+    found = pose_of((at.x, at.y, at.z), (turn.w, turn.x, turn.y, turn.z))
+    about = {"topic": topic, "role": config.role, "parent": parent, "child": child, "static": False}
+    yield RowOf(StreamSpec(topic.strip("/"), "pose", parent, about), stamp_ns(message), {"pose": found.numpy()})
+
+
 def flag(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa: ANN401
     """std_msgs/Bool and the like: whether a finger touches; they have no stamp of their own."""
     touched = np.atleast_1d(np.asarray(message.data)).astype(bool).astype(np.uint8)
@@ -167,6 +184,14 @@ def numbers(message: Any, topic: str, config: Topic) -> Iterator[RowOf]:  # noqa
     yield RowOf(spec, stamp_ns(message), {"numbers": np.where(np.isfinite(values), values, np.nan)})
 
 
+POSES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+    "nav_msgs/msg/Odometry",
+)
+"""Message types of a frame's pose."""
+
 CONVERTERS: Mapping[str, tuple[tuple[str, ...], Convert]] = {
     "sensor_msgs/msg/PointCloud2": (("cloud", "felt"), point_cloud),
     "sensor_msgs/msg/Image": (("depth", "color", "bubble"), image),
@@ -174,6 +199,7 @@ CONVERTERS: Mapping[str, tuple[tuple[str, ...], Convert]] = {
     "geometry_msgs/msg/WrenchStamped": (("wrench",), wrench),
     "sensor_msgs/msg/JointState": (("joints", "torques"), joint_state),
     "tf2_msgs/msg/TFMessage": (("tf",), transforms),
+    **{kind: (("pose",), pose) for kind in POSES},
     "std_msgs/msg/Bool": (("contact",), flag),
     "std_msgs/msg/UInt8MultiArray": (("contact",), flag),
     "sensor_msgs/msg/Range": (("sensor",), numbers),

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.rosbag.frames import Edge
+from rumi.rosbag.source import BagError, BagSource
 from sdf import se3, so3
-from sdf.extras import optional
 
 _GAP_NS = 300_000_000  # over which transforms are interpolated
 
@@ -49,34 +49,22 @@ def read_pushes(
         UsageError: there is no such bag, a topic is not in it, or nothing ties its frame to `frame`.
         ModuleNotFoundError: rosbags is not installed.
     """
-    optional("rosbags.rosbag1", "A ROS 1 bag")
-    from rosbags.rosbag1 import Reader, ReaderError
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
+    source = BagSource(bag)
     wanted = {"PoseStamped": tip, "TransformStamped": block, "WrenchStamped": wrench}
     rows: dict[str, list[tuple[int, str, list[float]]]] = defaultdict(list)
     moves: dict[tuple[str, str], list[tuple[int, list[float]]]] = defaultdict(list)
     try:
-        with Reader(bag) as reader:
-            store = get_typestore(Stores.ROS1_NOETIC)
-            for connection in reader.connections:
-                found = get_types_from_msg(connection.msgdef.data, connection.msgtype)
-                store.register({name: kind for name, kind in found.items() if name not in store.fielddefs})
-            for connection, _, raw in reader.messages():
-                kind, topic = connection.msgtype.rsplit("/", 1)[-1], connection.topic
-                message: Any
-                if kind == "TFMessage":
-                    message = store.deserialize_ros1(raw, connection.msgtype)
-                    for told in message.transforms:
-                        pair = _name(told.child_frame_id), _name(told.header.frame_id)
-                        moves[pair].append((_stamp(told), _numbers(told.transform)))
-                elif topic.startswith(wanted.get(kind, "\0")):
-                    message = store.deserialize_ros1(raw, connection.msgtype)
-                    value = getattr(
-                        message, {"PoseStamped": "pose", "TransformStamped": "transform"}.get(kind, "wrench")
-                    )
-                    rows[kind].append((_stamp(message), _name(message.header.frame_id) or frame, _numbers(value)))
-    except (ReaderError, OSError) as error:
+        for found in source.messages():
+            kind = found.kind.rsplit("/", 1)[-1]
+            if kind == "TFMessage":
+                for told in source.unpack(found).transforms:
+                    pair = _name(told.child_frame_id), _name(told.header.frame_id)
+                    moves[pair].append((_stamp(told), _numbers(told.transform)))
+            elif found.topic.startswith(wanted.get(kind, "\0")):
+                message = source.unpack(found)
+                value = getattr(message, {"PoseStamped": "pose", "TransformStamped": "transform"}.get(kind, "wrench"))
+                rows[kind].append((_stamp(message), _name(message.header.frame_id) or frame, _numbers(value)))
+    except BagError as error:
         raise UsageError(f"Expected a ROS 1 bag in {bag}, got: {error}") from None
     lacking = [f"{wanted[kind]} ({kind})" for kind in wanted if not rows[kind]]
     if lacking:

@@ -38,7 +38,7 @@ MODELS = ("", "plumb_bob", "rational_polynomial")
 
 
 def _topic_of(stream: Stream, mapping: BagMap) -> Topic | None:
-    return mapping.topics.get(str(stream.about.get("topic", stream.name)))
+    return mapping.topic(str(stream.about.get("topic", stream.name)))
 
 
 def role_of(stream: Stream, mapping: BagMap) -> str:

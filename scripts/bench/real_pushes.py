@@ -33,6 +33,10 @@ _INSTANTS = 21  # of a path of 50 mm
 
 SHAPES = ("rect1", "rect3", "tri1", "tri2", "ellip1", "ellip2", "hex")
 SURFACES = ("abs", "plywood")
+_MIDDLE = (math.log(0.25), 0.15, 1.1, 4.0, 0.0, 0.0, 0.0, 0.0)
+_WIDE = (1.0, 0.9, 2.4, 4.6, 0.08, 0.08, 0.12, 0.12)
+"""Prior of fits to whole sets."""
+
 SETS = tuple(f"{surface} {shape}" for surface in SURFACES for shape in SHAPES)
 
 
@@ -152,13 +156,13 @@ def predicted(posterior: PushPosterior, own: PushSet, rows: Tensor) -> PushPredi
 
 
 def fit(own: PushSet, *, evaluations: int = 350) -> tuple[float, ...]:
-    """Parameters of greatest posterior density, by all pushes of a set and the prior twice as wide (Nelder-Mead)."""
+    """Parameters of greatest posterior density, by all pushes of a set and a wide prior (Nelder-Mead)."""
     from scipy.optimize import minimize
 
-    wide = PushPosterior.prior(256)
+    wide = PushPosterior.prior(256, mean=_MIDDLE, deviation=[0.5 * part for part in _WIDE])
     pushes = own.observed(torch.arange(len(own.start)))
     registered = Registration().learnt(pushes, own.body)
-    wide = replace(wide, deviation=tuple(2 * d for d in wide.deviation), registration=registered, white=None)
+    wide = replace(wide, deviation=_WIDE, registration=registered, white=None)
     few = pushes[:: max(1, len(pushes) // 40)]
     like = wide.log_likelihood(few, own.body)
     start, deviation = wide.parameters[like.argmax()].numpy(), np.array(wide.deviation)
@@ -192,6 +196,21 @@ def prior_without(shape: str, fits: dict[str, tuple[float, ...]], count: int = 2
     return PushPosterior.prior(
         count, mean=mean.tolist(), deviation=torch.maximum(deviation, least).tolist(), residual=residual
     )
+
+
+FRICTION, SHARPER = (0.22, 0.45), 0.9
+"""Of the library's prior, for all that is pushed: median and log-deviation of the friction, which other tools have more
+of; and what its residual is of the sets' own, since particles that disagree are doubt too."""
+
+
+def library_without(shape: str, fits: dict[str, tuple[float, ...]], count: int = 256) -> PushPosterior:
+    """The library's prior, as it is without a shape: `prior_without`, friction as wide as tools are."""
+    own = prior_without(shape, fits, count)
+    mean, deviation = (math.log(FRICTION[0]), *own.mean[1:]), (FRICTION[1], *own.deviation[1:])
+    (a, b, c), (d, e, f) = own.residual.floor_m, own.residual.share
+    floor, share = (SHARPER * a, SHARPER * b, SHARPER * c), (SHARPER * d, SHARPER * e, SHARPER * f)
+    residual = PushResidual(floor, share, own.residual.tails)
+    return PushPosterior.prior(count, mean=mean, deviation=deviation, residual=residual)
 
 
 @cache

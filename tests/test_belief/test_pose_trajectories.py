@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories, log_likelihood_of
@@ -17,6 +18,7 @@ from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path
 from rumi.dynamics.sliding import Sliding
+from rumi.resampling import resample_systematic
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf import backend, se3
@@ -204,6 +206,51 @@ def test_metropolis_moves_keep_a_posterior_that_a_grid_gives(model):
     torch.testing.assert_close(given.physics.std(0), torch.ones(PHYSICS, **DOUBLE), rtol=0.15, atol=0)
 
 
+def test_moves_keep_the_posterior_of_motion_and_physics_that_draws_of_the_prior_give(model):
+    """Of readings drawn from the model: weighted draws of its prior, and after many moves, have the same moments."""
+    own = replace(OWN, pad_slope_m=0.001, friction=(0.4, 0.6), friction_change=0.3, lever_ratio=(1.25, 0.3))
+    own = replace(own, along=0.03, across=0.03, turn_rad_per_m=0.5, seen_sd_m=0.001, centre_change_m=0.002)
+    random, pose, count = generator(18), torch.zeros(3, **DOUBLE), 40000
+    view = drawn_view(model, own, pose, 12, random)
+    truth = drawn_truth(pose, random)
+    truth = replace(truth, physics=torch.tensor([[1.5, -1.0, 0.0, 0.0, 0.0]], **DOUBLE))
+    push, _ = drawn_push(model, own, truth, approach(count=10, y=0.03), model.pads[::6], random)
+    history = History.empty().appended(view).appended(push)
+    scale = torch.tensor([0.001, 0.001, 0.03], **DOUBLE)
+    prior = drawn(history, count, spread=scale.tolist())
+    prior = prior.replayed(model, own, history, torch.zeros(count, dtype=torch.long))
+    off = prior.poses[:, 0] / scale
+    weights = prior.log_likelihood.sum(-1) + 0.5 * off.square().sum(-1)  # start poses are even
+
+    def moments(some: Trajectories, weights: torch.Tensor) -> torch.Tensor:
+        parts = torch.cat((some.poses[:, -1] / scale, some.physics[:, :2], some.noise[:, 1, :2]), -1)
+        mean = weights @ parts
+        return torch.stack((mean, (weights @ (parts - mean).square()).sqrt()))
+
+    wanted = moments(prior, weights.softmax(0))
+    assert float(wanted[0, 4]) > 0.25  # the readings tell of the lever
+    now = prior.at(resample_systematic(weights, 600, generator=random))
+    now = replace(now, starts=now.poses[:, 0])
+    moves, found = Moves(model, own, random), []
+    for _ in range(16):
+        now = moves.sweep(now, history, whole=True)
+        found.append(moments(now, torch.full((600,), 1.0 / 600, **DOUBLE)))
+    assert len(torch.unique(now.physics[:, 1])) > 590
+    torch.testing.assert_close(torch.stack(found).mean(0), wanted, atol=0.12, rtol=0)
+
+
+def test_drawing_friction_given_its_segments_moves_nothing_and_keeps_the_prior(model):
+    history = long_history()
+    given = drawn(history, 4000).replayed(model, OWN, history, torch.zeros(4000, dtype=torch.long))
+    moved = Moves(model, OWN, generator(2)).learnt(given, history)
+    assert float((moved.physics[:, :2] - given.physics[:, :2]).abs().mean()) > 0.05
+    again = moved.replayed(model, OWN, history, torch.zeros(4000, dtype=torch.long))
+    torch.testing.assert_close(again.poses, given.poses, atol=1e-6, rtol=0)
+    for part in (moved.physics[:, :2], moved.noise[:, history.moving(), :2]):
+        torch.testing.assert_close(part.std(0), torch.ones_like(part[0]), atol=0.06, rtol=0)
+        torch.testing.assert_close(part.mean(0), torch.zeros_like(part[0]), atol=0.06, rtol=0)
+
+
 def test_tempering_and_parts_of_a_history():
     history = long_history()
     assert len(history) == 4 and history.action.tolist() == [0, 1, 1, 3] and history.moving().tolist() == [1, 2, 3]
@@ -336,6 +383,15 @@ def test_free_cells_count_once(block, model):
 def test_settings_without_meaning_are_refused(change):
     with pytest.raises(ValueError, match="Expected"):
         replace(PoseTrajectorySettings(), **change)
+
+
+def test_noise_of_other_objects_has_room_for_what_tips_and_rolls() -> None:
+    # a motion that is off by many deviations costs little of the prior: its size is drawn, too
+    size = torch.linspace(0.0, 8.0, 801, **DOUBLE)
+    for own in (PoseTrajectorySettings(), PoseTrajectorySettings().for_others()):
+        for deviations, nats in ((3.0, 3.0), (6.0, 4.5), (10.0, 6.0)):
+            z = deviations * (-0.5 * own.tails * size.square()).exp()
+            assert float((0.5 * (z.square() + size.square())).min()) < nats
 
 
 def test_numbers_for_others_leave_what_is_set() -> None:

@@ -7,11 +7,11 @@ import torch
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.segments import felt_pads
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf import se3
@@ -35,7 +35,7 @@ def prior(box) -> PosePrior:
     return PosePrior.of((0.0, 0.0), 0.02, box.exact.bounds, ("x", "z"))
 
 
-def follow(box, prior, **changes) -> PoseTrajectoryFilter:
+def follow(box, prior, **changes) -> UnseenTrajectoryFilter:
     model = ToppledObject.of(
         box.sdf,
         SHAPE,
@@ -48,7 +48,7 @@ def follow(box, prior, **changes) -> PoseTrajectoryFilter:
     )
     settings = replace(FilterSettings(motion="trajectory"), trajectories=replace(OWN, **changes))
     discrepancy = Discrepancy(box.sdf, box.radius, free_scale=80.0, tolerance=0.001)
-    return PoseTrajectoryFilter(settings, discrepancy, model, prior, "SE(3)")
+    return UnseenTrajectoryFilter(settings, discrepancy, model, prior, "SE(3)")
 
 
 def felt_by(box, world_T_object: torch.Tensor, path: torch.Tensor) -> Reading:
@@ -129,3 +129,27 @@ def test_what_leans_on_the_tool_moves_with_it_felt_or_not(box, prior):
     # the tool is gone: it stands as before
     away = torch.tensor([[[-0.18, 0.0, 0.0, 0.1], [-0.2, 0.0, 0.0, 0.1]]], dtype=torch.float64)
     assert model.tracks(OWN, poses, away)[1, -1].tolist() == [0.0, 0.0, 0.0, 1.0, -1.0, 0.0]
+
+
+def test_a_jump_that_no_push_explains_makes_the_belief_wide_and_touches_find_it_again(box, prior):
+    followed = follow(box, prior, unseen_particles=150)
+    pose = se3.from_planar(torch.tensor([0.01, 0.005, 0.0])) @ prior.ways[1]
+    belief, memory = begin(followed, prior)
+    for way in (towards(-0.055), towards(-0.054)):
+        belief, memory, _ = followed(belief, memory, felt_by(box, pose, way), generator=generator(2))
+    narrow = belief.trajectories.pose[:, :2].std(0).max()
+    # the tool drags it along by its top, where pushes from above do nothing, and turns it
+    dragged = se3.from_planar(torch.tensor([-0.02, 0.03, 0.5])) @ prior.ways[1]
+    odd = felt_by(box, dragged, towards(-0.06, count=20))
+    assert bool(odd.in_contact.any())
+    again = followed.begun_again(belief, odd, generator=generator(3))
+    now = again.trajectories
+    assert now.anywhere and not len(now.history.moving())
+    assert bool(torch.isfinite(again.world_T_object).all())
+    assert float(now.pose[:, :2].std(0).max()) > float(narrow)
+    found, _, info = followed(again, memory, felt_by(box, dragged, towards(-0.075)), generator=generator(4))
+    assert bool(info.moved) and found.trajectories.anywhere
+    whole = found.trajectories.replayed(
+        followed.model, followed.own, found.trajectories.history, torch.zeros(150, dtype=torch.long)
+    )
+    torch.testing.assert_close(whole.log_likelihood, found.trajectories.log_likelihood, atol=1e-9, rtol=0)

@@ -26,6 +26,7 @@ DOUBLE = {"dtype": torch.float64}
 SEEN = 10
 OWN = PoseTrajectorySettings(
     particles=100,
+    rounds=2,  # by one, the levers of 150 episodes are not even (push_models.md)
     seen_points=float(SEEN),
     seen_sd_m=0.003,
     outliers=1e-5,
@@ -75,6 +76,6 @@ def episode(seed: int) -> dict[str, float]:
 @pytest.mark.parametrize("episodes", [30, pytest.param(150, marks=pytest.mark.slow)])
 def test_the_truth_ranks_evenly_among_the_particles(episodes):
     found = [episode(seed) for seed in range(episodes)]
-    # friction and lever are left out: too few of them survive resampling (push_models.md)
-    for name in ("x", "y", "turn"):
-        assert rank_test([ranks[name] for ranks in found], bins=5 if episodes < 100 else 10) > 0.01 / 3, name
+    bins = 5 if episodes < 100 else 10
+    for name in found[0]:
+        assert rank_test([ranks[name] for ranks in found], bins=bins) > 0.01 / len(found[0]), name

@@ -21,6 +21,8 @@ def wall(begin, end, count=41):
 PALM = wall((0.0, -0.05), (0.0, 0.05))
 """Flat tools that touch, at (-0.06, 0), the short side of a rectangle of 120 by 60 mm from its left."""
 HAND = torch.cat((PALM, wall((0.0, -0.031), (0.05, -0.031)), wall((0.0, 0.031), (0.05, 0.031))))
+BEYOND = wall((-0.01, -0.031), (0.05, -0.031))
+"""Along the long side, and on beyond its corner."""
 CORNER = torch.cat((PALM, wall((0.0, -0.031), (0.05, -0.031))))
 
 
@@ -30,6 +32,8 @@ CORNER = torch.cat((PALM, wall((0.0, -0.031), (0.05, -0.031))))
         (PALM, 0.0, False),
         (HAND, 0.0, True),
         (CORNER, 0.0, True),
+        (BEYOND, 0.0, False),
+        (torch.cat((BEYOND, BEYOND + torch.tensor([0.0, 0.001]).double())), 0.0, False),
         (HAND, 0.02, True),
         (HAND, 0.2, False),
         (torch.zeros(1, 2).double(), 0.0, False),
@@ -68,3 +72,14 @@ def test_a_narrow_base_tips_aslant_too() -> None:
     aslant = torch.tensor([math.cos(0.5), math.sin(0.5)], dtype=torch.float64)
     assert bool(tips(torch.zeros(1, dtype=torch.float64), aslant, 0.045, base))
     assert not bool(tips(torch.full((1,), 0.5 - 0.5 * math.pi, dtype=torch.float64), aslant, 0.045, base))
+
+
+def test_the_tools_friction_holds_down_the_side_that_it_touches() -> None:
+    # 30 mm to either edge: held down 60 mm behind the one that it leans over, 2/3 (h - 30) mm have to be above 30 mm
+    base = base_of(Box((0.03, 0.06, 0.1)).double())
+    yaw, ahead = torch.zeros(2, dtype=torch.float64), torch.tensor([1.0, 0.0], dtype=torch.float64)
+    touched = torch.tensor([[-0.03, 0.0], [0.025, 0.0]], dtype=torch.float64)  # behind, and from within near the edge
+    assert tips(yaw, ahead, 0.065, base, touched).tolist() == [False, True]
+    assert tips(yaw, ahead, 0.085, base, touched).all() and not tips(yaw, ahead, 0.040, base, touched).any()
+    without = tips(yaw, ahead, 0.065, base, touched, tool_friction=0.0)
+    assert torch.equal(without, tips(yaw, ahead, 0.065, base)) and without.all()

@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 import torch
 
+from rumi.cli import main
 from rumi.errors import UsageError
+from rumi.exit_codes import BAD_INPUT, DONE
+from rumi.rosbag.bag import check_frames, import_bag
+from rumi.rosbag.frames import FrameTree
+from rumi.rosbag.mapping import mapping_of, read_mapping
 from rumi.rosbag.ros1_pushes import read_pushes
+from sensors.log.reader import Log
 
 pytest.importorskip("rosbags")
 
@@ -80,7 +86,7 @@ def test_what_a_bag_lacks_is_told(tmp_path, options, text):
 def test_another_file_is_refused(tmp_path):
     (tmp_path / "a.bag").write_text("no bag")
     for name in ("a.bag", "b.bag"):
-        with pytest.raises(UsageError, match="ROS 1 bag"):
+        with pytest.raises(UsageError, match=r"ROS 1 bag|no bag"):
             read_pushes(tmp_path / name)
 
 
@@ -100,3 +106,95 @@ def test_recorded_blocks_are_pushed_where_the_tip_is():
         assert 0.02 < float(apart.median()) < 0.10, (name, float(apart.median()))
         force = found.wrench[torch.tensor(moving), :2].norm(dim=-1)
         assert float(force.median()) > 0.5
+
+
+MAP = """
+schema = 1
+[topics]
+"/tip_pose" = { role = "pose", frame = "map", child = "tip" }
+"/vicon/*/*" = { role = "pose", child = "slider" }
+"/netft_data" = "wrench"
+[frames]
+world = "map"
+tool = "tip"
+[scene]
+within = [[0, 0, 0], [1, 1, 1]]
+"""
+
+
+def test_poses_by_topics_are_frames_of_the_log(tmp_path):
+    mapping = mapping_of(MAP)
+    done = import_bag(write(tmp_path / "a.bag"), mapping, tmp_path / "a.h5")
+    assert not done.problems
+    assert not done.lost
+    assert done.rows["tip_pose"] == done.rows["vicon/block/block"] == done.rows["netft_data"] == 11
+    check_frames(tmp_path / "a.h5", mapping)
+    with Log(tmp_path / "a.h5") as log:
+        tree = FrameTree.of_log(log, mapping)
+        stamps = [k * 10**8 for k in range(11)]
+        tip, known = tree.at("tip", stamps)
+        assert bool(known.all())
+        np.testing.assert_allclose(tip[:, :2, 3], [[0.01 * k, 0.2] for k in range(11)], atol=1e-9)
+        block, _ = tree.at("slider", stamps)
+        np.testing.assert_allclose(block[:, :2, 3], [[0.4, 0.1]] * 11, atol=1e-9)
+
+
+@pytest.mark.parametrize(("line", "lacking"), [('{ role = "pose", child = "tip" }', "frame"), ('"pose"', "frame")])
+def test_a_pose_between_unnamed_frames_is_told(tmp_path, line, lacking):
+    mapping = mapping_of(MAP.replace('{ role = "pose", frame = "map", child = "tip" }', line))
+    done = import_bag(write(tmp_path / "a.bag"), mapping, tmp_path / "a.h5")
+    count, why = done.lost["/tip_pose"]
+    assert count == 11
+    assert lacking in why
+
+
+def test_child_is_of_the_role_pose_alone():
+    with pytest.raises(UsageError, match="child"):
+        mapping_of(MAP.replace('"wrench"', '{ role = "wrench", child = "tip" }'))
+
+
+def test_a_suggested_mapping_can_be_used(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "a.bag")
+    assert main(["import", "a.bag", "--suggest"]) == DONE
+    text = (tmp_path / "a.toml").read_text()
+    assert "# geometry_msgs/msg/PoseStamped, 11 messages, without a frame of its own: TODO" in text
+    mapping = read_mapping(tmp_path / "a.toml")
+    assert mapping.frames.world == "map"
+    assert mapping.frames.tool == "tip"
+    assert {name: topic.role for name, topic in mapping.topics.items()} == {
+        "/tip_pose": "pose", "/vicon/block/block": "pose", "/netft_data": "wrench",
+    }  # fmt: skip
+    assert main(["import", "a.bag", "--map", "a.toml"]) == DONE
+    # what is there is kept
+    assert main(["import", "a.bag", "--suggest"]) == BAD_INPUT
+    assert "there already" in capsys.readouterr().err
+    assert (tmp_path / "a.toml").read_text() == text
+
+
+@pytest.mark.parametrize("flags", [[], ["--suggest", "--map", "a.toml"]])
+def test_either_a_mapping_or_a_suggestion(tmp_path, capsys, flags):
+    assert main(["import", str(write(tmp_path / "a.bag")), *flags]) == BAD_INPUT
+    assert "--suggest" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.skipif("RUMI_DATA" not in os.environ, reason="recorded bags by RUMI_DATA")
+def test_recorded_bags_come_in_by_one_mapping(tmp_path):
+    mapping = mapping_of(MAP)
+    bags = sorted(Path(os.environ["RUMI_DATA"]).glob("vicon_bags/*/*.bag"))
+    assert bags
+    for bag in bags[::5]:
+        done = import_bag(bag, mapping, tmp_path / f"{bag.stem}.h5")
+        assert not done.problems
+        assert not done.lost
+        recording = read_pushes(bag)
+        with Log(tmp_path / f"{bag.stem}.h5") as log:
+            tree = FrameTree.of_log(log, mapping)
+            (stream,) = (own for name, own in log.streams.items() if name.startswith("vicon/"))
+            stamps = torch.tensor([sample.stamp_ns for sample in stream.samples()])
+            block, known = tree.at("slider", stamps)
+        assert float(known.double().mean()) > 0.9
+        # the same by the other reader, whose instants are some of these
+        off = (block[known][:, None, :3, 3] - recording.block[None, :, :3, 3]).norm(dim=-1).amin(0)
+        assert float(off.max()) < 1e-4

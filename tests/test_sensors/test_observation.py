@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from sdf import se3
+from sdf import backend, se3
 from sensors.observation import Observation, attach, compact, concatenate, in_world, merge, thin_mask
 from sensors.semantics import Semantics
 
@@ -120,3 +120,29 @@ def test_attached_points_go_to_the_world_and_others_stay():
     moved = in_world(mixed, se3.from_planar(torch.tensor([1.0, 2.0, math.pi / 2])))
     torch.testing.assert_close(moved.points, torch.tensor([[1.0, 2.1, 0.0], [0.1, 0.0, 0.0]]))
     assert torch.equal(moved.attached, mixed.attached)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_versions_of_a_merge_add_the_same_points(dtype):
+    """Points of all classes and frames, some not valid, negative places, cells that both have."""
+    random = torch.Generator().manual_seed(5)
+
+    def mixed(count):
+        points = 0.3 * torch.rand(count, 3, generator=random, dtype=dtype) - 0.1
+        draws = torch.rand(3, count, generator=random)
+        return Observation(points, (3 * draws[0]).long(), draws[1] < 0.5, draws[2] < 0.9)
+
+    for sizes in ((4000, 3000), (0, 50), (50, 0), (1, 1)):
+        old, new = (mixed(count) for count in sizes)
+        found = []
+        for version in ("torch", "numba"):
+            with backend.force(version):
+                found.append(merge(old, new, SPACING))
+        for one, other in zip(*found, strict=True):
+            for name in ("points", "semantics", "attached", "valid"):
+                assert torch.equal(getattr(one, name), getattr(other, name))
+
+
+def test_a_merge_refuses_points_too_far_off():
+    with pytest.raises(ValueError, match="lattice cells of the origin"):
+        merge(cloud(3, 0), Observation.of(torch.tensor([[0.0, 0.0, 1e6]]), Semantics.SURFACE), SPACING)

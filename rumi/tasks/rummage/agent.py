@@ -19,6 +19,8 @@ from rumi.belief.reinitialise import ReinitialiseSettings, prior_belief, redraw,
 from rumi.belief.remarks import Remark, remarks
 from rumi.clock import Clock
 from rumi.dynamics.outline import Base, base_of
+from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.pushed_body import PushedBody
 from rumi.fields.workspace import Workspace
 from rumi.information.stopping import StopEvidence, StopSettings, converged
 from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
@@ -29,13 +31,16 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.rummage.answer import relies_on, warnings, why_not
-from rumi.tasks.rummage.lost import Watch, searched_again, sensed_now, watch
+from rumi.tasks.rummage.learnt_pushes import learnt_pushes
+from rumi.tasks.rummage.lost import SLIDES, Watch, searched_again, sensed_now, unseated, watch
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, merge
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 
 _PADS_M = 0.004  # between the points of the pads by which remarks tell where they feel
+_STREAMS = ("initialise", "filter", "plan", "renewal", "warm_up", "lost", "pushes")  # of random numbers, by use
+_TOLD = ("measured", "corrected", "estimated")  # motions that tell of the push, not of the push model
 _PARTS = 8  # of an action, in which its free path is worked out again
 
 
@@ -53,6 +58,7 @@ class RummageState:
         executed: controls of it that were carried out.
         surprised: whether the reading calls for a new plan.
         watch: for faults.
+        pushes: what was learnt of how the object slides; None where that is fixed.
     """
 
     record: StepRecord
@@ -64,6 +70,7 @@ class RummageState:
     executed: int = 0
     surprised: bool = False
     watch: Watch = field(default_factory=Watch)
+    pushes: PushPosterior | None = None
 
 
 @dataclass(frozen=True)
@@ -90,6 +97,7 @@ class Rummager:
         looks_again: whether a camera sees the object after every action too.
         sensors: what the robot senses by, for people.
         remarks: whether steps are remarked on.
+        pushes: prior over push parameters, which plans draw and measured motions teach; None where they are fixed.
         about: what a run's folder tells of the settings.
     """
 
@@ -114,21 +122,27 @@ class Rummager:
     looks_again: bool = False
     sensors: str = "a first view, felt points"
     remarks: bool = True
+    pushes: PushPosterior | None = None
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
     def begin(self, result: StepResult | Reading, *, seed: int, clock: Clock) -> RummageState:
         """Believe what the first view shows (Alg 1, lines 1-3)."""
         result = StepResult.of(result)
-        random = {name: split(seed, name) for name in ("initialise", "filter", "plan", "renewal", "warm_up", "lost")}
+        random = {name: split(seed, name) for name in _STREAMS}
         with clock("belief"):
             belief, memory = first_belief(self, result.reading, generator=random["initialise"])
         record = evaluate_step(self, clock, (), result, belief, memory)
-        return RummageState(record, (record,), memory, random, clock)
+        return RummageState(record, (record,), memory, random, clock, pushes=self.pushes)
 
     def stop(self, state: RummageState) -> StopReason | None:
-        """Stop where the belief is sure and nothing speaks for a fault, or after as many actions as there may be."""
-        if state.record.converged and not state.watch.doubts(self.misfit):
+        """Stop where the belief is sure and nothing speaks for a fault, or after as many actions as there may be.
+
+        Where the object may have tipped, and nothing but touches tell, there is nothing to do about it.
+        """
+        if state.record.converged and state.watch.doubt(self.misfit) is None:
             return "sure"
+        if state.record.converged and state.watch.unseated == "tips":
+            return "nothing to do"
         return "steps" if self.steps is not None and state.record.step >= self.steps else None
 
     def act(self, state: RummageState) -> tuple[RummageState, Float[Tensor, "A"]]:
@@ -170,23 +184,33 @@ class Rummager:
             record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
         now, alarm = state.watch, None
         if self.remarks:
-            record = replace(record, remarks=self._odd(state, control, record))
+            odd = self._odd(state, control, record)
+            said = {remark.name for step in state.history for remark in step.remarks}
+            record = replace(record, remarks=tuple(remark for remark in odd if remark.name not in said))
             now, nats, alarm = watch(state.watch, last.belief, record, self.filter, self.model, self.misfit)
+            unknown = result.reading.object_motion is None and not self.looks_again
+            if self.upright and unknown and self.filter.settings.motion in SLIDES and self.misfit.alpha > 0:
+                now = replace(now, unseated=unseated(state.watch.unseated, odd, touched))
             record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
         if alarm is not None and not now.lost:
             with clock("belief"):
-                belief, memory = searched_again(record, self.filter, self.misfit, generator=random["lost"])
+                belief, memory = searched_again(record, memory, self.filter, self.misfit, generator=random["lost"])
             again = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
             timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}
             record = replace(again, lost=record.lost, remarks=record.remarks, timings_s=record.timings_s | timings)
+        history, pushes = (*state.history, record), state.pushes
+        if self.pushes is not None and touched and self.filter.settings.motion in _TOLD:
+            with clock("pushes"):
+                pushes = learnt_pushes(self.pushes, history, self._body, generator=random["pushes"])
         return replace(
             state,
             record=record,
-            history=(*state.history, record),
+            history=history,
             memory=memory,
             executed=state.executed + 1,
             surprised=bool(info.moved) or touched or alarm is not None,
             watch=now,
+            pushes=pushes,
         )
 
     def _odd(self, state: RummageState, control: Float[Tensor, "A"], record: StepRecord) -> tuple[Remark, ...]:
@@ -204,13 +228,18 @@ class Rummager:
             upright=self.upright,
             pads=self._pads,
             base=self._base if self.upright else None,
-            said={remark.name for step in state.history for remark in step.remarks},
+            body=self._body if self.upright and not self.tool.spatial else None,
         )
 
     @functools.cached_property
     def _pads(self) -> Float[Tensor, "P 3"]:
         """Points of the pads, tool frame."""
         return self.tool.shape.pad_shell(_PADS_M)
+
+    @functools.cached_property
+    def _body(self) -> PushedBody:
+        """The object and the tool, at its height."""
+        return PushedBody.of(self.model.sdf, self.tool.height_m - self.height_m, self.tool.shape)
 
     @functools.cached_property
     def _base(self) -> Base:
@@ -222,7 +251,8 @@ class Rummager:
 
     def result(self, state: RummageState, stopped_by: StopReason, outcome: object) -> RunResult:
         """How the run ended."""
-        return replace(summarise(self, state.history, stopped_by), lost=state.watch.lost)
+        doubt = state.watch.doubt(self.misfit)
+        return replace(summarise(self, state.history, stopped_by, doubt), lost=state.watch.lost)
 
     @property
     def relies_on(self) -> str:
@@ -238,7 +268,13 @@ class Rummager:
         """What a plan has to know beside the belief."""
         reading = state.record.reading
         return Scene(
-            self.model, self.workspace, self.tool, reading.configuration, observed=state.memory, reading=reading
+            self.model,
+            self.workspace,
+            self.tool,
+            reading.configuration,
+            observed=state.memory,
+            reading=reading,
+            pushes=state.pushes,
         )
 
 
@@ -294,6 +330,8 @@ def evaluate_step(
     p_right = belief.probability_right(
         model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
     )
+    chance = math.exp(rummager.filter.log_chance(belief))
+    evidence = StopEvidence(expected, fit, apc, model.diagonal, contacts, p_right, chance)
     return StepRecord(
         step=len(history),
         control=control,
@@ -307,7 +345,7 @@ def evaluate_step(
         ess=float(belief.ess()),
         contacts=contacts,
         resampled=resampled,
-        converged=converged(rummager.stop_rule, StopEvidence(expected, fit, apc, model.diagonal, contacts, p_right)),
+        converged=converged(rummager.stop_rule, evidence),
         truth=result.truth,
         nll=nll,
         timings_s=clock.take(),
@@ -328,8 +366,10 @@ def _agreement(rummager: Rummager, last: StepRecord | None, belief: PoseBelief) 
     return float(agreement.expected_nll), float(agreement.apc)
 
 
-def summarise(rummager: Rummager, history: Sequence[StepRecord], stopped_by: StopReason) -> RunResult:
-    """How the run ended, from its records."""
+def summarise(
+    rummager: Rummager, history: Sequence[StepRecord], stopped_by: StopReason, doubt: str | None = None
+) -> RunResult:
+    """How the run ended, from its records, and what speaks against being sure."""
     records, last = history, history[-1]
     nll = [r.nll for r in records if r.nll is not None]
     errors: tuple[float, float] | None = None
@@ -364,7 +404,7 @@ def summarise(rummager: Rummager, history: Sequence[StepRecord], stopped_by: Sto
         timings_s=timings,
         belief=last.belief,
         pose=pose,
-        why_not=why_not(rummager, last, pose, stopped_by),
+        why_not=why_not(rummager, last, pose, stopped_by, doubt),
         wrong_by=wrong_by,
         relies_on=relies_on(rummager),
         warnings=warnings(rummager, history),

@@ -1,5 +1,6 @@
 """What rummaging says of its own answer: what it relies on, what was not measured, and why it is not sure."""
 
+import math
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
@@ -99,22 +100,35 @@ def _seen_again(history: Sequence[StepRecord]) -> bool:
     return 2 * seen > len(free)
 
 
-def why_not(rummager: Answerer, record: StepRecord, pose: PoseSummary, stopped_by: StopReason) -> str | None:
-    """Why a belief is not sure, by the parts of its stopping rule; None where it is."""
+def why_not(
+    rummager: Answerer, record: StepRecord, pose: PoseSummary, stopped_by: StopReason, doubt: str | None = None
+) -> str | None:
+    """Why a belief is not sure, by the parts of its stopping rule or else by a doubt; None where it is."""
     if stopped_by == "sure":
         return None
     ended = _ENDED.get(stopped_by, stopped_by)
     evidence = StopEvidence(
-        record.expected_nll, record.fit, record.apc, rummager.model.diagonal, record.contacts, pose.probability
+        record.expected_nll,
+        record.fit,
+        record.apc,
+        rummager.model.diagonal,
+        record.contacts,
+        pose.probability,
+        math.exp(rummager.filter.log_chance(record.belief)),
     )
     short = shortfalls(rummager.stop_rule, evidence)
     if not short:
-        return ended
+        return f"{doubt}; {ended}" if doubt else ended
     first = short[0]
     if first.part == "fit":
         return (
             f"no pose explains the observations (least discrepancy {first.value:.3g}, allowed {first.allowed:.3g}): "
             f"calibration, wrench sign, floor height, mesh? `rumi check` shows where; {ended}"
+        )
+    if first.part == "chance":
+        return (
+            f"no pose explains the observations (readings as unlikely as these have a chance of {first.value:.2g} at "
+            f"most, {first.allowed:.2g} is asked for): was it knocked, did it fall, is it another mesh? {ended}"
         )
     if first.part == "contacts":
         return f"{first.value:.0f} actions touched the object, {first.allowed:.0f} are asked for; {ended}"

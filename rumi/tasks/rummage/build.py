@@ -18,10 +18,10 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.pose_trajectories import PushedObject
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
-from rumi.belief.pushed_model import Pushed
 from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.belief.toppled_object import ToppledObject
-from rumi.dynamics.push_posterior import push_posterior
+from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
+from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
@@ -162,9 +162,11 @@ def build_rummager(
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
-        upright=spec.search == "SE(2)",
+        # trajectories in space topple from one resting pose to the next, whatever the search for poses has
+        upright=spec.search == "SE(2)" and not isinstance(pose_filter, UnseenTrajectoryFilter),
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
+        pushes=_pushes(settings.planner) if _slides(spec, settings.planner) else None,
     )
 
 
@@ -232,7 +234,7 @@ def trajectory_filter(
     if _planar(spec):
         if not isinstance(model.exact, Mug):
             settings = replace(settings, trajectories=settings.trajectories.for_others())
-        pushed: Pushed = PushedObject.of(
+        pushed = PushedObject.of(
             discrepancy.sdf,
             tool.shape,
             height_m=spec.height_m,
@@ -244,7 +246,7 @@ def trajectory_filter(
     prior = prior_of(spec, model)
     if prior is None:
         raise UsageError(f"Expected a prior for --filter.motion trajectory in space, got none for {spec.name}")
-    pushed = ToppledObject.of(
+    toppled = ToppledObject.of(
         discrepancy.sdf,
         gripper_of(tool.shape),
         prior.ways,
@@ -254,7 +256,7 @@ def trajectory_filter(
         felt_ahead_m=spec.felt_ahead_m,
         wide=settings.trajectories.unfitted,
     )
-    return PoseTrajectoryFilter(settings, discrepancy, pushed, prior, cast(Search, spec.search))
+    return UnseenTrajectoryFilter(settings, discrepancy, toppled, prior, cast(Search, spec.search))
 
 
 def pushed_motion(
@@ -276,6 +278,16 @@ def pushed_motion(
     return PushedMotion(push_model(name, "motion", planner).motion(model, tool.shape, height_m, resting_m))
 
 
+def _pushes(planner: PushSettings) -> PushPosterior | None:
+    """What is believed of how an object slides before a run; None where that is fixed."""
+    return push_posterior(planner.push_parameters, planner.quasi_static.friction)
+
+
+def _slides(spec: TaskSpec, planner: PushSettings) -> bool:
+    """Whether plans are made by the quasi-static model."""
+    return _planar(spec) and planner.push_model in (AUTO, "quasi-static")
+
+
 def _planar(spec: TaskSpec) -> bool:
     """Whether the object stays upright and the tool level."""
     return spec.search == "SE(2)" and not spec.spatial
@@ -283,7 +295,7 @@ def _planar(spec: TaskSpec) -> bool:
 
 def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
-    push_posterior(settings.planner.push_parameters)  # a file that is none is told before anything is done
+    _pushes(settings.planner)  # a file that is none is told before anything is done
     if settings.filter.motion == "trajectory":
         _check_trajectory(settings)
         if _planar(spec) and spec.prior is not None:

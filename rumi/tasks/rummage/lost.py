@@ -1,5 +1,6 @@
 """Whether a run is lost: a test of every reading against the belief, and the search that begins anew after an alarm."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -8,15 +9,21 @@ from torch import Tensor
 
 from rumi.belief.change_test import ChangeEvidence
 from rumi.belief.misfit import MISFITS, MisfitSettings, knocked, log_ratios
+from rumi.belief.motion import Motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
+from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.remarks import Remark
+from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.records import StepRecord
 from rumi.resampling import resample_systematic
 from rumi.weights import boltzmann
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, attach, merge
+
+SLIDES: tuple[Motion, ...] = ("pushed", "corrected", "trajectory")
+"""Motions by a push model, of an object that slides and stays as it stands."""
 
 _DOUBT = 1.0  # nats
 _DRAWS = 8  # poses to search among, for each particle
@@ -30,15 +37,44 @@ class Watch:
         evidence: since the belief was last begun; None before the first reading.
         begun: number of the action after which that was.
         lost: whether an alarm was raised that no search came after.
+        unseated: name of the remark by which an object that no belief has but upright may lie otherwise; None where
+            none says so.
     """
 
     evidence: ChangeEvidence | None = None
     begun: int = 0
     lost: bool = False
+    unseated: str | None = None
 
-    def doubts(self, own: MisfitSettings) -> bool:
-        """Whether the readings speak for a fault, though not enough for an alarm: no time to be sure."""
-        return self.evidence is not None and float(own.test.log_evidence(self.evidence)) > _DOUBT
+    def doubt(self, own: MisfitSettings) -> str | None:
+        """What speaks for a fault, though not enough for an alarm: no time to be sure."""
+        if self.unseated is not None:
+            return (
+                f"the object may lie otherwise than any pose believed ({self.unseated!r} was remarked), and nothing "
+                "measures how: look again, measure its motion, or push it lower (--tool-height)"
+            )
+        if self.evidence is not None and float(own.test.log_evidence(self.evidence)) > _DOUBT:
+            return "the last readings fit a fault better than the belief"
+        return None
+
+
+def unseated(before: str | None, odd: Sequence[Remark], touched: bool) -> str | None:
+    """Name of the remark by which an object that should stand, whose motion nothing measures, may lie otherwise.
+
+    A push that tips it: touches that fit tell little of how it lies then, so that this lasts. Or heights at which no
+    pose that is believed has it felt, until it is touched again and they are not odd.
+
+    Args:
+        before: what was said before the action.
+        odd: all remarks of the action, also those that were said before.
+        touched: whether the action touched it.
+    """
+    names = {remark.name for remark in odd}
+    if before == "tips" or "tips" in names:
+        return "tips"
+    if "other height" in names:
+        return "other height"
+    return None if touched else before
 
 
 def sensed_now(record: StepRecord, motion: str) -> Observation:
@@ -103,13 +139,21 @@ def watch(
 
 
 def searched_again(
-    record: StepRecord, pose_filter: PoseFilter, own: MisfitSettings, *, generator: torch.Generator
+    record: StepRecord,
+    memory: Observation,
+    pose_filter: PoseFilter,
+    own: MisfitSettings,
+    *,
+    generator: torch.Generator,
 ) -> tuple[PoseBelief, Observation]:
     """The belief and the memory of a search that begins anew about what was believed, from one reading alone.
 
-    Observations before it are dropped: they told where the object was.
+    Observations before it that ride with the object are dropped: they told where it was.
     """
     last = record.belief
+    if isinstance(pose_filter, UnseenTrajectoryFilter) and isinstance(last, PoseTrajectoryBelief):
+        begun = pose_filter.begun_again(last, record.reading, generator=generator)
+        return begun, memory[(~memory.attached).nonzero()[:, 0]]
     told = sensed_now(record, pose_filter.settings.motion)
     points = replace(told, points=se3.apply(last.world_T_attached, told.points))
     none = Observation.empty(dtype=points.points.dtype, device=points.points.device)

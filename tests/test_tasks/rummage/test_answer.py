@@ -1,5 +1,6 @@
 """Why a belief is not sure, and what a run relies on, in words."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -63,9 +64,20 @@ def test_it_says_why_it_is_not_sure(mug):
     assert "0 actions touched" in said(mug, step(turned(0.0), contacts=0), "budget")
     assert "not closely enough (the belief expects 6.1, allowed 5)" in said(mug, step(turned(0.0), expected_nll=6.1))
     assert "rule 'never'" in said(mug, step(turned(0.0)), rule="never")
+    record = step(turned(0.0))
+    assert why_not(mug, record, record.belief.summary(), "steps", "it may lie") == "it may lie; all actions are used up"
 
 
-@pytest.mark.parametrize("rule", ["self", "apc", "never"])
+def test_it_says_where_no_trajectory_explains_what_was_sensed(mug, monkeypatch):
+    monkeypatch.setattr(type(mug.filter), "log_chance", lambda *_: math.log(1e-4))
+    for rule in ("self", "probability"):
+        words = said(mug, step(turned(0.0)), rule=rule)
+        assert words.startswith(
+            "no pose explains the observations (readings as unlikely as these have a chance of 0.0001"
+        )
+
+
+@pytest.mark.parametrize("rule", ["self", "probability", "apc", "never"])
 def test_a_rule_holds_where_nothing_is_short_of_it(rule):
     assert rule in STOP_RULES
     for fit in (1.0, 5.4, 5.6, float("nan")):
@@ -74,6 +86,8 @@ def test_a_rule_holds_where_nothing_is_short_of_it(rule):
                 now = StopEvidence(expected, fit, 0.001, 0.2, contacts)
                 settings = StopSettings(rule=rule)
                 assert converged(settings, now) == (not shortfalls(settings, now))
+                poor = now._replace(chance=1e-3, p_right=0.99)
+                assert rule == "apc" or not converged(settings, poor)
 
 
 @pytest.mark.parametrize(

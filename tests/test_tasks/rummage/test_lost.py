@@ -8,8 +8,9 @@ import torch
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
+from rumi.belief.remarks import Remark
 from rumi.tasks.rummage.entry import ENTRIES, describe, ending
-from rumi.tasks.rummage.lost import Watch, searched_again, watch
+from rumi.tasks.rummage.lost import Watch, searched_again, unseated, watch
 from sdf import se3
 from sdf.object_model import box_model
 from sensors.discrepancy import Discrepancy
@@ -89,18 +90,27 @@ def test_without_recovery_an_alarm_leaves_the_run_lost_and_0_never_asks(model, p
 
 def test_a_reading_that_speaks_for_a_fault_is_no_time_to_be_sure(model, pose_filter):
     own = replace(OWN, alpha=1e-6)  # no alarm yet
-    assert not any(
-        now.doubts(OWN) for now, _, _ in followed(model, pose_filter, [step(model, n, None) for n in range(20)])
-    )
+    silent = [step(model, number, None) for number in range(20)]
+    assert all(now.doubt(OWN) is None for now, _, _ in followed(model, pose_filter, silent))
     steps = [step(model, 1, 0.0), step(model, 2, -0.03), *(step(model, number, 0.0) for number in range(3, 12))]
-    doubts = [now.doubts(own) for now, _, _ in followed(model, pose_filter, steps, own)]
+    doubts = [now.doubt(own) is not None for now, _, _ in followed(model, pose_filter, steps, own)]
     assert doubts[:2] == [False, True] and not doubts[-1]
-    assert not Watch().doubts(own)
+    assert Watch().doubt(own) is None
+
+
+def test_what_may_have_tipped_is_doubted_and_odd_heights_until_a_touch_says_otherwise():
+    tips, high, resists = (Remark(name, 3, "") for name in ("tips", "other height", "resists"))
+    assert unseated(None, (resists, tips, high), True) == "tips" and unseated(None, (high,), True) == "other height"
+    assert unseated(None, (resists,), True) is None and unseated(None, (), False) is None
+    assert unseated("other height", (), False) == "other height"
+    assert unseated("other height", (resists,), True) is None
+    assert unseated("tips", (resists,), True) == "tips"
+    assert "'tips' was remarked" in (Watch(unseated="tips").doubt(OWN) or "")
 
 
 def test_a_search_finds_the_object_by_the_reading_alone(model, pose_filter):
     record = step(model, 3, -0.03)
-    belief, memory = searched_again(record, pose_filter, OWN, generator=torch.Generator().manual_seed(0))
+    belief, memory = searched_again(record, record.added, pose_filter, OWN, generator=torch.Generator().manual_seed(0))
     assert belief.log_weights.shape == record.belief.log_weights.shape
     assert len(memory.points[memory.valid]) == 3
     felt = face(model, -0.03)

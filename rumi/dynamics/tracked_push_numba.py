@@ -1,0 +1,71 @@
+"""The compiled CPU version of pushes as tracked; `tracked_push.py` has the definition."""
+
+import math
+
+import numpy as np
+
+from rumi.dynamics.along_path_numba import advanced
+from sdf.compiled import Kernel, bare
+from sdf.part_numba import indices
+
+
+@bare
+def _pushed(e, n, start, path, shifts, points, table, centre, lever, friction, quartic, shape, sizes, counts):
+    """Where one push ends by one particle, as tracked."""
+    tool_x, tool_y, own_x, own_y = float(shifts[n, 0]), float(shifts[n, 1]), float(shifts[n, 2]), float(shifts[n, 3])
+    turn = float(shifts[n, 4])
+    x, y, yaw = float(start[e, 0]), float(start[e, 1]), float(start[e, 2])
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    x, y, yaw = x + cos * own_x - sin * own_y + tool_x, y + sin * own_x + cos * own_y + tool_y, yaw + turn
+    body = (
+        float(centre[n, 0]),
+        float(centre[n, 1]),
+        float(lever[n]),
+        float(friction[n]),
+        float(quartic[n, 0]),
+        float(quartic[n, 1]),
+        float(quartic[n, 2]),
+        float(quartic[n, 3]),
+        float(quartic[n, 4]),
+    )
+    for instant in range(path.shape[1] - 1):
+        x, y, yaw = advanced(x, y, yaw, path, e, instant, points, table, shape, sizes, counts, body)
+    yaw -= turn
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return x - tool_x - cos * own_x + sin * own_y, y - tool_y - sin * own_x - cos * own_y, yaw
+
+
+def _tracked_ends(
+    start,
+    path,
+    shifts,
+    points,
+    table,
+    centre,
+    lever,
+    friction,
+    quartic,
+    shape,
+    sizes,
+    counts,
+    support,
+    ends,
+    way,
+    part,
+):
+    count = len(shifts)
+    for k in indices(part, len(start) * count):
+        # a signed index: a parallel loop's is unsigned, which with a signed one makes no index
+        e, n = np.int64(k) // count, np.int64(k) % count
+        x, y, yaw = _pushed(
+            e, n, start, path, shifts, points, table, centre, lever, friction, quartic, shape, sizes, counts
+        )
+        ends[e, n, 0], ends[e, n, 1], ends[e, n, 2] = x, y, yaw
+        first = float(start[e, 2])
+        cos, sin = math.cos(yaw) - math.cos(first), math.sin(yaw) - math.sin(first)
+        gone_x = x - start[e, 0] + cos * support[0] - sin * support[1]
+        gone_y = y - start[e, 1] + sin * support[0] + cos * support[1]
+        way[e, n] = math.sqrt(gone_x * gone_x + gone_y * gone_y) + support[2] * abs(yaw - first)
+
+
+tracked_ends = Kernel(_tracked_ends)
