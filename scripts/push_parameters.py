@@ -58,14 +58,16 @@ def measure(choice: str, task: str, seed: int) -> dict[str, Any]:
 
 
 def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
-    """A row for each choice, over the runs that all have done."""
-    choices = chosen.get("choice", tuple(CHOICES))
+    """A row for each choice but the first, beside the first over the runs that both have done."""
+    first, *others = chosen.get("choice", tuple(CHOICES))
     runs = {(line["choice"], line["task"], line["seed"]): line for line in lines}
-    shared = [key[1:] for key in runs if key[0] == choices[0] and all((other, *key[1:]) in runs for other in choices)]
     rows = []
-    for choice in choices:
-        own = [runs[choice, *key] for key in shared]
-        if own:
+    for other in others or [first]:
+        shared = [key[1:] for key in runs if key[0] == first and (other, *key[1:]) in runs]
+        for choice in (first, other) if others else (first,):
+            own = [runs[choice, *key] for key in shared]
+            if not own:
+                continue
             sure = [line["right"] for line in own if stop_reason(line["stopped_by"]) not in ("steps", "degenerate")]
             steps = sum(line["steps"] for line in own)
             cells = [f"{steps / len(own):.1f}", f"{sum(sure)}/{len(sure)}"]
