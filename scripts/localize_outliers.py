@@ -2,6 +2,8 @@
 
     python -m scripts.localize_outliers --poses 40 --outlier 0.05       # Markdown; seeds 1000-1039
     RUMI_DATA=... python -m scripts.localize_outliers --shape drill
+    RUMI_DATA=... python -m scripts.localize_outliers --shape lego --touches 4 6 9 12 --bad 0 --poses 20
+    python -m scripts.localize_outliers --touches 30 --bad 6 --off-mm 50 --poses 5
 
 A bad touch is 15 mm off in a direction drawn evenly. Right is within 10 mm, at the middle of the object's box,
 and 10 degrees, up to symmetries.
@@ -9,6 +11,7 @@ and 10 degrees, up to symmetries.
 
 import math
 import os
+import statistics
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +33,18 @@ from sdf.surface import sample_triangles
 _OUTLINE = [(0.0, 0.0), (0.08, 0.0), (0.08, 0.008), (0.008, 0.008), (0.008, 0.06), (0.0, 0.06)]
 _CAP = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
 _WIDE = 0.04
+_HEADS = (
+    "touches",
+    "bad",
+    "normals",
+    "right",
+    "a right one kept",
+    "wrong, weight > 0.95",
+    "plausible",
+    "noise, mm",
+    "spread, mm",
+    "seconds",
+)
 
 
 @dataclass(frozen=True)
@@ -37,15 +52,17 @@ class Options:
     """Options.
 
     Attributes:
-        shape: an angle bracket of 80 x 60 x 40 mm with walls of 8 mm, or the drill in RUMI_DATA.
-        touches: how many, one table row each for none, one and a fifth of them bad.
+        shape: an angle bracket of 80 x 60 x 40 mm with walls of 8 mm, or the drill or the block in RUMI_DATA.
+        touches: how many.
+        bad: how many of them, a table row each; none gives rows for none, one and a fifth of them.
         poses: how many, of seeds from 1000 on.
         outlier: share of outliers that the likelihood has.
         off_mm: of a bad touch.
     """
 
-    shape: Literal["bracket", "drill"] = "bracket"
+    shape: Literal["bracket", "drill", "lego"] = "bracket"
     touches: tuple[int, ...] = (6, 8, 10, 12, 20, 30)
+    bad: tuple[int, ...] = ()
     poses: int = 40
     outlier: float = 0.05
     off_mm: float = 15.0
@@ -75,8 +92,8 @@ def touches(surface: TouchSurface, count: int, bad: int, off_m: float, seed: int
 
 
 def cell(surface: TouchSurface, options: Options, count: int, bad: int, with_normals: bool) -> list[str]:
-    """Of so many touches: right, wrong with a weight above 0.95, and the median of the seconds."""
-    right, sure, seconds = 0, 0, []
+    """Of so many touches: right, a right one kept, wrong above 0.95; medians of modes, noise, spread and seconds."""
+    right, kept, sure, told = 0, 0, 0, []
     for seed in range(1000, 1000 + options.poses):
         truth, points, normals = touches(surface, count, bad, 1e-3 * options.off_mm, seed)
         began = time.perf_counter()
@@ -84,13 +101,21 @@ def cell(surface: TouchSurface, options: Options, count: int, bad: int, with_nor
         found = localize(
             surface, points, normals=normals if with_normals else None, settings=settings, generator=generator(seed)
         )
-        seconds.append(time.perf_counter() - began)
-        own = surface.symmetries.nearest(truth, found.world_T_object[0])
-        metres, radians = se3.distance(surface.centred(own), surface.centred(found.world_T_object[0]))
-        good = float(metres) < 0.01 and float(radians) < math.radians(10.0)
-        right += good
-        sure += not good and float(found.weights[0]) > 0.95
-    return [f"{right}", f"{sure}", f"{sorted(seconds)[len(seconds) // 2]:.2f}"]
+        seconds = time.perf_counter() - began
+        own = [surface.centred(surface.symmetries.nearest(truth, mode)) for mode in found.world_T_object]
+        modes = [surface.centred(mode) for mode in found.world_T_object]
+        good = [_near(*pair) for pair in zip(own, modes, strict=True)]
+        right, kept = right + good[0], kept + any(good)
+        sure += not good[0] and float(found.weights[0]) > 0.95
+        spread_m = float(torch.linalg.eigvalsh(found.covariance[0, :3, :3])[-1].clamp_min(0.0).sqrt())
+        told.append((found.found, 1e3 * found.noise_m, 1e3 * spread_m, seconds))
+    modes_, noise, spread, took = (statistics.median(values) for values in zip(*told, strict=True))
+    return [f"{right}", f"{kept}", f"{sure}", f"{modes_:g}", f"{noise:.1f}", f"{spread:.1f}", f"{took:.2f}"]
+
+
+def _near(one: Tensor, other: Tensor) -> bool:
+    metres, radians = se3.distance(one, other)
+    return float(metres) < 0.01 and float(radians) < math.radians(10.0)
 
 
 def main() -> None:
@@ -100,15 +125,17 @@ def main() -> None:
     mesh: TriangleMesh | Path = bracket()
     if options.shape == "drill":
         mesh = next((Path(os.environ["RUMI_DATA"]) / "ycb_power_drill").glob("**/*.obj"))
+    if options.shape == "lego":
+        mesh = Path(os.environ["RUMI_DATA"]) / "icub_touch" / "legoBox.off"
     surface = TouchSurface.of(mesh)
     rows = []
     for count in options.touches:
-        for bad in sorted({0, 1, round(0.2 * count)}):
+        for bad in options.bad or sorted({0, 1, round(0.2 * count)}):
             for with_normals in (False, True):
                 own = cell(surface, options, count, bad, with_normals)
                 rows.append([str(count), str(bad), "with" if with_normals else "none", *own])
                 print("\t".join(rows[-1]), flush=True)
-    print(table(("touches", "bad", "normals", "right", "wrong, weight > 0.95", "seconds"), rows))
+    print(table(_HEADS, rows))
 
 
 if __name__ == "__main__":

@@ -19,15 +19,23 @@ from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import Experiment, Line
 from scripts.reproduce.cells import rate, table
 
-CHOICES = {"lever 1.5 friction 0.5": (0.5, 1.5), "lever 1.0 friction 0.2": (0.2, 1.0), "prior": None}
+CHOICES: dict[str, tuple[float, float] | float] = {
+    "lever 1.5 friction 0.5": (0.5, 1.5),
+    "lever 1.0 friction 0.2": (0.2, 1.0),
+    "prior of pads, learnt in the run": 0.5,
+    "prior of a steel tip, learnt in the run": 0.22,
+}
+"""By what a table calls them: friction and lever ratio, or the median friction of a prior."""
+
 TASKS = ("mug-0", "mug-1", "mug-2")
 
 
 def settings_of(choice: str, task: str, seed: int) -> Settings:
     """Settings of a run."""
     own, numbers = preset(task=task, seed=seed), CHOICES[choice]
-    if numbers is None:
-        return replace(own, planner=replace(own.planner, push_parameters=choice))
+    if isinstance(numbers, float):
+        pushes = replace(own.planner.quasi_static, friction=numbers)
+        return replace(own, planner=replace(own.planner, push_parameters="prior", quasi_static=pushes))
     pushes = replace(own.planner.quasi_static, friction=numbers[0], lever_ratio=numbers[1])
     return replace(own, planner=replace(own.planner, quasi_static=pushes))
 
@@ -50,14 +58,16 @@ def measure(choice: str, task: str, seed: int) -> dict[str, Any]:
 
 
 def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
-    """A row for each choice, over the runs that all have done."""
-    choices = chosen.get("choice", tuple(CHOICES))
+    """A row for each choice but the first, beside the first over the runs that both have done."""
+    first, *others = chosen.get("choice", tuple(CHOICES))
     runs = {(line["choice"], line["task"], line["seed"]): line for line in lines}
-    shared = [key[1:] for key in runs if key[0] == choices[0] and all((other, *key[1:]) in runs for other in choices)]
     rows = []
-    for choice in choices:
-        own = [runs[choice, *key] for key in shared]
-        if own:
+    for other in others or [first]:
+        shared = [key[1:] for key in runs if key[0] == first and (other, *key[1:]) in runs]
+        for choice in (first, other) if others else (first,):
+            own = [runs[choice, *key] for key in shared]
+            if not own:
+                continue
             sure = [line["right"] for line in own if stop_reason(line["stopped_by"]) not in ("steps", "degenerate")]
             steps = sum(line["steps"] for line in own)
             cells = [f"{steps / len(own):.1f}", f"{sum(sure)}/{len(sure)}"]

@@ -18,7 +18,8 @@ from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.build import Robot, build_touch_box
 from rumi.tasks.touch_box.gripper_robot import GripperRobot
 from rumi.tasks.touch_box.mujoco_scene import GripperPhysics
-from rumi.tasks.touch_box.robot import TouchBox
+from rumi.tasks.touch_box.planar_robot import PlanarRobot
+from rumi.tasks.touch_box.robot import TouchBox, TouchRobot
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 from scripts.experiment import Experiment, Line
@@ -26,7 +27,9 @@ from scripts.reproduce.code import code_of
 from scripts.reproduce.touch_report import calibration, digest, table
 
 PART = "touch-ablation"
-_FILTER = TouchSettings().filter
+# the default's when most of these were run
+_FILTER = replace(TouchSettings().filter, lever_m=(1.22 * 0.0447, 2.45 * 0.0447))
+_OWN = replace(TouchSettings(), filter=_FILTER)
 _EVERY = 0.2  # metres of a poke
 
 
@@ -39,33 +42,39 @@ class Variant:
         task: the scene and its readings.
         robot: by name.
         truth: physics of the gripper that pokes, where they are others; the table of grasps stays as it is.
+        levers: of the quasi-static truth, in multiples of that of even pressure, where they are others.
         slow: takes a minute a run; left out unless it is asked for by name.
     """
 
-    settings: TouchSettings = TouchSettings()  # noqa: RUF009  (frozen)
+    settings: TouchSettings = _OWN
     task: TouchTask = TouchTask()  # noqa: RUF009
     robot: Robot = "gripper"
     truth: GripperPhysics | None = None
+    levers: tuple[float, float] | None = None
     slow: bool = False
 
     @property
     def digest(self) -> str:
         """A name of all that decides a run but its seed and the code."""
-        name = self.robot if self.truth is None else f"{self.robot} {self.truth}"
+        name = " ".join(str(part) for part in (self.robot, self.truth, self.levers) if part is not None)
         return digest(self.task, self.settings, name)
 
     def parts(self) -> Parts[TouchBox, Toucher]:
         """What a run needs."""
         parts = build_touch_box(self.task, self.settings, self.robot, cache_dir=cache_folder())
-        if self.truth is None:
+        if self.truth is None and self.levers is None:
             return parts
-        robot = GripperRobot(self.task, self.truth)
+        robot: TouchRobot
+        if self.levers is None:
+            robot = GripperRobot(self.task, self.truth)
+        else:
+            robot = PlanarRobot(self.task, parts.agent.table, self.levers)
         agent = Toucher(self.task, self.settings, robot, parts.agent.table, parts.agent.carrier)
         return Parts(TouchBox(self.task, robot), agent)
 
 
 def _with(**changes: Any) -> Variant:  # noqa: ANN401
-    return Variant(replace(TouchSettings(), **changes))
+    return Variant(replace(_OWN, **changes))
 
 
 def _filtered(**changes: Any) -> Variant:  # noqa: ANN401
@@ -77,7 +86,7 @@ def _readings(count: int) -> Variant:
 
 
 def _correlated(chance: float, *, weighed: bool) -> Variant:
-    own = replace(TouchSettings(), weigh_correlated=weighed)
+    own = replace(_OWN, weigh_correlated=weighed)
     return Variant(own, replace(TouchTask(), correlation=chance))
 
 
@@ -87,15 +96,20 @@ def _limit_surface(low: float, high: float) -> Variant:
     return _filtered(lever_m=(low * even, high * even))
 
 
+def _real_levers(low: float, high: float) -> Variant:
+    """A truth as real objects have it, and a prior of c."""
+    return replace(_limit_surface(low, high), robot="planar", levers=(0.4, 1.6))
+
+
 def _in_engine(**changes: Any) -> Variant:  # noqa: ANN401
     """Fewer particles and candidates, of the engine or to compare it with."""
-    poke = replace(TouchSettings().poke, candidates=10, particles=60)
+    poke = replace(_OWN.poke, candidates=10, particles=60)
     few = replace(_FILTER, sweeps=1, **changes)
-    return Variant(replace(TouchSettings(), push_model="mujoco", count=300, poke=poke, filter=few), slow=True)
+    return Variant(replace(_OWN, push_model="mujoco", count=300, poke=poke, filter=few), slow=True)
 
 
 def _sharp(**changes: Any) -> Variant:  # noqa: ANN401
-    return Variant(replace(TouchSettings(), **changes), TouchTask(rates=(0.9, 0.05)))
+    return Variant(replace(_OWN, **changes), TouchTask(rates=(0.9, 0.05)))
 
 
 _ENGINE = _in_engine()
@@ -113,6 +127,8 @@ VARIANTS: dict[str, Variant] = {
     "friction and limit surface not learned: the middles": _filtered(friction=(0.4, 0.4), lever_m=(0.082, 0.082)),
     "limit surface 1.4 to 1.6": _limit_surface(1.4, 1.6),
     "limit surface 1.2 to 1.9": _limit_surface(1.2, 1.9),
+    "limit surface 1.22 to 2.45": _limit_surface(1.22, 2.45),
+    "limit surface 0.4 to 2.45": _limit_surface(0.4, 2.45),
     "pushes through": _with(stop_early=False),
     "soft contact in the truth": Variant(truth=GripperPhysics(contact_s=0.02)),
     "threshold 0.8": _with(threshold=0.8),
@@ -121,11 +137,13 @@ VARIANTS: dict[str, Variant] = {
     "100 particles": _with(count=100),
     "300 particles": _with(count=300),
     "2000 particles": _with(count=2000),
-    "straight pokes": _with(poke=replace(TouchSettings().poke, bend=0.0)),
-    "80 candidates": _with(poke=replace(TouchSettings().poke, candidates=80)),
-    "funnel 0.3": _with(poke=replace(TouchSettings().poke, funnel=0.3)),
+    "straight pokes": _with(poke=replace(_OWN.poke, bend=0.0)),
+    "80 candidates": _with(poke=replace(_OWN.poke, candidates=80)),
+    "funnel 0.3": _with(poke=replace(_OWN.poke, funnel=0.3)),
     "quasi-static truth": Variant(robot="planar"),
     "quasi-static truth, no noise": replace(_filtered(noise=0.0, noise_tails=0.0), robot="planar"),
+    "real levers, 0.4 to 1.6; limit surface 1.22 to 2.45": _real_levers(1.22, 2.45),
+    "real levers, 0.4 to 1.6; limit surface 0.4 to 2.45": _real_levers(0.4, 2.45),
     "displacement": _with(push_model="displacement"),
     "20 readings": _readings(20),
     "8 readings": _readings(8),

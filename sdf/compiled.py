@@ -78,13 +78,18 @@ class Kernel:
         self._announce()
         divide(partial(self._compiled, *arguments), count())
 
+    @property
+    def kept(self) -> bool:
+        """Whether compiled code of it is kept."""
+        name = self._compiled.py_func.__name__
+        return next(Path(self._compiled.stats.cache_path).glob(f"*.{name}-*.nbi"), None) is not None
+
     def _announce(self) -> None:
         """Say once that compiling takes a while, where nothing compiled is kept yet."""
         if self._announced:
             return
         self._announced = True
-        name = self._compiled.py_func.__name__
-        if next(Path(self._compiled.stats.cache_path).glob(f"*.{name}-*.nbi"), None) is None:
+        if not self.kept:
             sys.stderr.write(f"rumi: compiling {self._label} for this processor (seconds, once)\n")
             sys.stderr.flush()
 

@@ -14,6 +14,7 @@ from rumi.commands.explain import Decisions, explain
 from rumi.commands.flags import FLAGS
 from rumi.commands.former_flags import renamed
 from rumi.commands.glossary import FIGURE, GLOSSARY
+from rumi.commands.kernels_ahead import kernels_ahead
 from rumi.commands.pushes import learnt, level_rummager
 from rumi.commands.tasks import listing
 from rumi.errors import UsageError
@@ -85,8 +86,9 @@ def run(arguments: Sequence[str]) -> int:
             level_rummager(parts.agent, name)
         announce(parts.agent)
         steps = entry.steps(settings)
-        with Progress(name, steps, entry.describe) as progress:
-            on_step = both(recorder, progress, Decisions(account))
+        about = entry.as_dict(settings)
+        with Progress(name, steps, entry.describe) as progress, kernels_ahead(parts.agent, about) as compiled:
+            on_step = both(recorder, progress, Decisions(account), compiled)
             result = loop.run(*parts, seed=settings.seed, steps=steps, on_step=on_step)
         recorder.finish(result)
     interrupted = result.stopped_by == "interrupted"

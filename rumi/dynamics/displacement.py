@@ -1,8 +1,9 @@
 """RUMI's push model: the object moves with the point that touches it, if it is touched head-on."""
 
+import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
@@ -154,8 +155,11 @@ class DisplacementRollouts:
         return self.rollout_drawn(configuration, controls, uniforms)
 
     def coarse(self) -> Self:
-        """Itself: there is no quicker one."""
-        return self
+        """The same with half of the mini steps."""
+        coarse = copy.copy(self)
+        coarse.__dict__.pop("compiled", None)
+        coarse.settings = replace(self.settings, mini_steps=math.ceil(self.settings.mini_steps / 2))
+        return coarse
 
     def nominal_rollout(self, configuration: Float[Tensor, "Q"], controls: Float[Tensor, "H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) in which contact happens where it is more likely than not."""

@@ -29,7 +29,7 @@ from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.sliding import Sliding, push
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
-from rumi.robot.tool import Tool
+from rumi.robot.tool import BORDER_GROUP, Tool
 from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3, skipped_work
 from sdf.base import SDF
@@ -37,8 +37,6 @@ from sdf.bounds import Checked, Count, NotNegative, Positive
 from sdf.check import check_shape
 from sdf.object_model import ObjectModel
 
-GROUP = 8
-"""Points of the tool's border that one bound settles together."""
 _COARSE = 4  # mini steps that are one where samples are only told apart
 
 
@@ -97,7 +95,7 @@ class QuasiStaticRollouts:
         self.poses = se3.to_planar(world_T_object)
         self.weights = log_weights.softmax(-1)
         self.pivot = self.weights @ self.poses[:, :2]
-        points, self.groups = tool.border(self.settings.spacing_m, GROUP)
+        points, self.groups = tool.border(self.settings.spacing_m, BORDER_GROUP)
         self.points = points.to(self.poses)
         self.outline = outline.to(self.poses)
         self.sliding = Sliding(

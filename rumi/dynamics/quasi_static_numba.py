@@ -9,8 +9,8 @@ from numba import types
 from numba.extending import intrinsic
 
 from rumi.dynamics.base import PushRollouts, duplicates
-from rumi.dynamics.quasi_static import GROUP
 from rumi.dynamics.sliding_numba import settled, slope
+from rumi.robot.tool import BORDER_GROUP
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
@@ -59,8 +59,8 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
         if -clear < depth:
             gap = min(gap, clear)
             continue
-        begin, most = group * GROUP, _rank(kind(-1e9))
-        for n in range(GROUP):
+        begin, most = group * BORDER_GROUP, _rank(kind(-1e9))
+        for n in range(BORDER_GROUP):
             k = begin + n
             # beyond the table is outside of the object, as its border is
             u = place_x + turn_x * at(px, k) - turn_y * at(py, k)
@@ -80,10 +80,10 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
             rank = _rank(within)
             most = rank if rank > most else most
         if most < _rank(kind(depth)):
-            for n in range(GROUP):
+            for n in range(BORDER_GROUP):
                 gap = min(gap, max(clear, -inside[n] / steepness))
             continue
-        for n in range(GROUP):
+        for n in range(BORDER_GROUP):
             k = begin + n
             if inside[n] > depth or (inside[n] == depth and inside[n] > 0.0 and order[k] < first):
                 depth, best, first = inside[n], k, order[k]
@@ -229,7 +229,7 @@ def _push_rollouts(
         _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out)
 
 
-_push_rollouts_kernel = Kernel(_push_rollouts)
+push_rollouts = Kernel(_push_rollouts)
 
 
 class CompiledRollouts:
@@ -263,7 +263,7 @@ class CompiledRollouts:
         track = path.new_empty(samples, rollouts, horizon + 1, 3)
         contact = torch.zeros(samples, rollouts, horizon, dtype=torch.bool)
         checks = torch.zeros(samples, dtype=torch.long)
-        _push_rollouts_kernel(
+        push_rollouts(
             *_arrays(controls, self._model.tool.scale),
             self._model.tool.arm_arrays(),
             *_arrays(path, poses.to(path)),
@@ -272,7 +272,7 @@ class CompiledRollouts:
             self._outline,
             self._numbers,
             self._counts,
-            tuple(np.empty((samples, size), self._body[0].dtype) for size in (GROUP, len(self._body[3][2]))),
+            tuple(np.empty((samples, size), self._body[0].dtype) for size in (BORDER_GROUP, len(self._body[3][2]))),
             tuple(part.numpy() for part in (track, contact, checks)),
         )
         shifts, turns = self._model.motions(

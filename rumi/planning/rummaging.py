@@ -95,7 +95,7 @@ class RummagingPolicy:
 
             def costs_of(controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
                 kept = max(_LEAST_KEPT, math.ceil(self.settings.screen_kept * len(controls)))
-                if kept >= len(controls):
+                if kept >= len(controls) or few == count:
                     return in_parts(controls, lambda part: cost_of(view.model, part, count))
                 budget.reserve(kept)
                 costs = in_parts(controls, lambda part: cost_of(coarse, part, few))

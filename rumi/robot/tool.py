@@ -13,6 +13,8 @@ from rumi.robot.tool_shape import ToolShape
 from sdf import se3
 from sdf.check import check_shape, is_eager
 
+BORDER_GROUP = 8
+"""Points of a tool's border that one bound settles together."""
 _PARTS = 16
 # metres by which rounding may make a residual grow that is the same all along a circle about the base
 _SLACK_M = 1e-6

@@ -1,5 +1,6 @@
 """What a figure needs to know of a scene that no step records: the lattice, the object's outline, the tool's."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import torch
@@ -14,6 +15,7 @@ _MARGIN = 0.012  # metres around a shape, so that its outline closes inside the 
 _SPACING = 0.0015  # metres; well under what a figure shows
 _LAYERS = 24
 _CLOSING = 0.004  # metres; dents narrower than twice this are closed in the outline of points
+_AT_ONCE = 512  # points whose distances to all others are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,17 +110,25 @@ def outline_of_points(points: Float[Tensor, "H 3"]) -> OutlineMap:
     Grown until the points touch each other, then shrunk by as much, so that the shape keeps its size.
     """
     flat = points[:, :2].double()
-    apart = torch.cdist(flat, flat)
     # points above each other are one point here
-    spread = float(torch.where(apart > 1e-6, apart, torch.inf).amin(-1).max()) if len(flat) > 1 else 0.0
+    spread = float(_least(flat, flat, lambda apart: torch.where(apart > 1e-6, apart, torch.inf)).max())
+    spread = spread if len(flat) > 1 else 0.0
     grown = max(0.9 * spread, _CLOSING)
     xy, origin = _raster(torch.stack((flat.amin(0) - grown, flat.amax(0) + grown)))
     cells = xy.reshape(-1, 2)
-    beyond = torch.cdist(cells, flat).amin(-1) - grown
+    beyond = _least(cells, flat) - grown
     outside = beyond > 0
     # way to the grown shape's border: past it to a cell outside, less that cell's own way back
-    depth = (torch.cdist(cells, cells[outside]) - beyond[outside]).amin(-1)
+    back = beyond[outside]
+    depth = _least(cells, cells[outside], lambda apart: apart - back)
     return OutlineMap((grown - depth).reshape(xy.shape[:-1]).float(), origin.float(), _SPACING)
+
+
+def _least(
+    points: Float[Tensor, "N 2"], others: Float[Tensor, "M 2"], of: Callable[[Tensor], Tensor] = lambda apart: apart
+) -> Float[Tensor, "N"]:
+    """Least of what is made of each point's distances to the others, few points at a time, for the memory's sake."""
+    return torch.cat([of(torch.cdist(some, others)).amin(-1) for some in points.split(_AT_ONCE)])
 
 
 def _raster(bounds: Float[Tensor, "2 2"]) -> tuple[Float[Tensor, "X Y 2"], Float[Tensor, "2"]]:

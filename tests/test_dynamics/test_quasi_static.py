@@ -210,3 +210,19 @@ def test_the_family_chooses_by_what_the_particles_do() -> None:
     raised = standing.clone()
     raised[0, 2, 3] += 0.01
     assert [rests(poses) for poses in (standing, standing[:1], tilted, raised)] == [True, True, False, False]
+
+
+def test_the_outline_is_nowhere_steeper_than_it_says() -> None:
+    outline = GridOutline.of_slice(Mug(), 0.045)
+    random = torch.Generator().manual_seed(0)
+    low, size = outline.origin, outline.spacing * torch.tensor(outline.values.shape)
+    first = low + torch.rand(20000, 2, generator=random) * (size - outline.spacing)
+    second = first + 0.002 * torch.randn(20000, 2, generator=random)
+    second = torch.minimum(torch.maximum(second, low), low + size - outline.spacing)
+    here, there = outline(first).distance, outline(second).distance
+    way = (second - first).norm(dim=-1)
+    # who goes by a border cannot be nearer it at one end than at the other by more
+    apart = (here > way * outline.steepness) & (there > 0)
+    assert int(apart.sum()) > 1000
+    assert bool((here - there <= outline.steepness * way + 1e-6)[apart].all())
+    assert outline.steepness < 1.5

@@ -77,9 +77,9 @@ def slow_policy(
     policy = RummagingPolicy(None, replace(SETTINGS, reachability_scale=0.0), now=clock)
     made = policy.push_models.rollouts
 
-    def rollouts(model: Any, poses: Tensor, *rest: Any) -> Any:
+    def rollouts(model: Any, poses: Tensor, *rest: Any, **told: Any) -> Any:
         clock.advance(len(poses) * particle_s)
-        return Slow(made(model, poses, *rest), clock, sample_s, finish_s)
+        return Slow(made(model, poses, *rest, **told), clock, sample_s, finish_s)
 
     policy.push_models.rollouts = rollouts  # type: ignore[method-assign]
     return policy

@@ -1,6 +1,7 @@
 """The policy in small: what it is told it keeps to, and what it plans serves its ends."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -12,8 +13,9 @@ from rumi.dynamics.displacement import DisplacementSettings
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import InformationSettings
 from rumi.fields.workspace import Workspace
+from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import Plan, PlanRequest, Scene
-from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, info_only, reach_only
+from rumi.planning.rummaging import RummagingPolicy, RummagingSettings, _Stopwatch, info_only, reach_only
 from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.object_model import ObjectModel, object_model
@@ -182,3 +184,48 @@ def test_what_suits_the_push_model_is_what_is_planned_with(scene: Scene) -> None
     assert torch.equal(one.controls, other.controls)
     third = plan(RummagingPolicy(falling(scene), replace(left, rollouts=8)), scene, belief())
     assert third.info["least_cost"] != other.info["least_cost"]
+
+
+class Counted:
+    """A push model that notes how many control sequences it rolls out, and how often each."""
+
+    def __init__(self, model: Any, seen: list[tuple[str, Tensor, int]], kind: str = "full") -> None:
+        self.model, self.seen, self.kind = model, seen, kind
+
+    def rollout(self, configuration: Tensor, controls: Tensor, *, rollouts: int, **rest: Any) -> Any:
+        self.seen.append((self.kind, controls, rollouts))
+        return self.model.rollout(configuration, controls, rollouts=rollouts, **rest)
+
+    def nominal_rollout(self, configuration: Tensor, controls: Tensor) -> Any:
+        return self.model.nominal_rollout(configuration, controls)
+
+    def coarse(self) -> "Counted":
+        return Counted(self.model.coarse(), self.seen, "coarse")
+
+
+@pytest.mark.parametrize("push_model", ["displacement", "quasi-static"])
+def test_only_samples_of_little_coarse_cost_are_rolled_out_in_full(scene: Scene, push_model: str) -> None:
+    settings = replace(SMALL, push_model=push_model, rollouts=4, mppi=replace(SMALL.mppi, samples=160))
+    policy, seen = RummagingPolicy(falling(scene), settings), list[tuple[str, Tensor, int]]()
+    made = policy.push_models.rollouts
+    policy.push_models.rollouts = lambda *a, **k: Counted(made(*a, **k), seen)  # type: ignore[method-assign]
+    plan(policy, scene, belief(at=(0.32, 0.0)))
+    assert [(kind, len(controls), rollouts) for kind, controls, rollouts in seen] == [
+        ("coarse", 160, 2),
+        ("full", 20, 4),
+    ] * 4
+    # those that were kept are told from the rest by what they are found to cost
+    alone = RummagingPolicy(falling(scene), replace(settings, screen_kept=1.0))
+    view = alone._view_in_time(belief(at=(0.32, 0.0)), scene, None, PlanBudget(None, float), _Stopwatch(float))
+    random = torch.Generator().manual_seed(0)
+    costs = view.objective.cost(
+        view.model.coarse().rollout(scene.configuration, seen[0][1], rollouts=2, generator=random)
+    )
+    assert torch.equal(seen[1][1], seen[0][1][costs.topk(20, largest=False).indices])
+
+
+def test_few_samples_are_all_rolled_out_in_full(scene: Scene) -> None:
+    settings = replace(SMALL, rollouts=4, mppi=replace(SMALL.mppi, samples=16))
+    screened = plan(RummagingPolicy(falling(scene), settings), scene, belief())
+    whole = plan(RummagingPolicy(falling(scene), replace(settings, screen_kept=1.0)), scene, belief())
+    assert torch.equal(screened.controls, whole.controls)

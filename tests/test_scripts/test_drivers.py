@@ -18,7 +18,8 @@ SHOWN = Path(__file__).resolve().parents[1] / "fixtures" / "tables"
 REPRODUCED = {
     "mugs": ("table5", "table6", "--tasks", "mug-0", "mug-1", "mug-2"),
     "peg": ("allocation-table1", "allocation-accuracy", "allocation-time", "--seeds", "0-99"),
-    "touch": ("touch-table1",),
+    # run with the default of then
+    "touch": ("touch-table1", "--settings.filter.lever-m", str(1.22 * 0.0447), str(2.45 * 0.0447)),
 }
 
 

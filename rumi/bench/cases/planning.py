@@ -57,19 +57,32 @@ def _case(title: str, setup: Setup, policy: Policy, belief: PoseBelief, scene: S
 @case("plan-mug")
 def plan_mug(setup: Setup) -> Case:
     """The planning pass of mug-0 after its first view, under the paper's push model."""
-    return _mug(setup, "displacement")
+    return _task(setup, "mug-0", "displacement")
 
 
 @case("plan-mug-pushed")
 def plan_mug_pushed(setup: Setup) -> Case:
     """The same pass under the quasi-static push model, which is the default there."""
-    return _mug(setup, "quasi-static")
+    return _task(setup, "mug-0", "quasi-static")
 
 
-def _mug(setup: Setup, push_model: str) -> Case:
+@case("plan-drill-space")
+def plan_drill_space(setup: Setup) -> Case:
+    """The planning pass of drill-0 before anything is seen, as its default plans: tool and particles in space."""
+    return _task(setup, "drill-0", "displacement")
+
+
+@case("plan-box-space")
+def plan_box_space(setup: Setup) -> Case:
+    """The planning pass of box-0 before anything is seen, as its default plans: tool and particles in space."""
+    return _task(setup, "box-0", "displacement")
+
+
+def _task(setup: Setup, task: str, push_model: str) -> Case:
     if setup.tiny:
-        return _made_up(setup, mug_scene(setup), "made up", push_model)
-    settings = preset("default", task="mug-0", seed=_SEED, device=setup.device.type)
+        made_up = mug_scene(setup) if task == "mug-0" else box_scene(setup)
+        return _made_up(setup, made_up, "made up", push_model)
+    settings = preset("default", task=task, seed=_SEED, device=setup.device.type)
     settings = replace(settings, planner=replace(settings.planner, push_model=push_model))
     parts = build(settings, cache_dir=setup.cache_dir)
     try:
@@ -80,7 +93,7 @@ def _mug(setup: Setup, push_model: str) -> Case:
     belief, _ = first_belief(rummager, reading, generator=split(_SEED, "initialise"))
     scene = Scene(rummager.model, rummager.workspace, rummager.tool, reading.configuration)
     return _case(
-        f"planning pass of mug-0, {push_model}: {_effort(settings.planner, push_model)}",
+        f"planning pass of {task}, {push_model}: {_effort(settings.planner, push_model)}",
         setup,
         rummager.policy,
         belief,

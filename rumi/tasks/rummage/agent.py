@@ -32,7 +32,7 @@ from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.rummage.answer import relies_on, warnings, why_not
 from rumi.tasks.rummage.learnt_pushes import learnt_pushes
-from rumi.tasks.rummage.lost import Watch, searched_again, sensed_now, unseated, watch
+from rumi.tasks.rummage.lost import SLIDES, Watch, searched_again, sensed_now, unseated, watch
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, merge
 from sensors.reading import Reading
@@ -188,8 +188,8 @@ class Rummager:
             said = {remark.name for step in state.history for remark in step.remarks}
             record = replace(record, remarks=tuple(remark for remark in odd if remark.name not in said))
             now, nats, alarm = watch(state.watch, last.belief, record, self.filter, self.model, self.misfit)
-            unmeasured = not self.looks_again and result.reading.object_motion is None
-            if self.upright and unmeasured and self.misfit.alpha > 0:
+            unknown = result.reading.object_motion is None and not self.looks_again
+            if self.upright and unknown and self.filter.settings.motion in SLIDES and self.misfit.alpha > 0:
                 now = replace(now, unseated=unseated(state.watch.unseated, odd, touched))
             record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
         if alarm is not None and not now.lost:

@@ -162,7 +162,8 @@ def build_rummager(
         nll_threshold=spec.nll_threshold,
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
-        upright=spec.search == "SE(2)",
+        # trajectories in space topple from one resting pose to the next, whatever the search for poses has
+        upright=spec.search == "SE(2)" and not isinstance(pose_filter, UnseenTrajectoryFilter),
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
         pushes=_pushes(settings.planner) if _slides(spec, settings.planner) else None,

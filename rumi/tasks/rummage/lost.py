@@ -9,6 +9,7 @@ from torch import Tensor
 
 from rumi.belief.change_test import ChangeEvidence
 from rumi.belief.misfit import MISFITS, MisfitSettings, knocked, log_ratios
+from rumi.belief.motion import Motion
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief
@@ -20,6 +21,9 @@ from rumi.weights import boltzmann
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, attach, merge
+
+SLIDES: tuple[Motion, ...] = ("pushed", "corrected", "trajectory")
+"""Motions by a push model, of an object that slides and stays as it stands."""
 
 _DOUBT = 1.0  # nats
 _DRAWS = 8  # poses to search among, for each particle

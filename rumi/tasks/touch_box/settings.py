@@ -44,8 +44,8 @@ def _filter() -> TrajectorySettings:
         trigger=0.5,
         sweeps=6,
         friction=(0.1, 0.7),
-        # square roots of 1.5 to 6: c of even pressure up to that of the four corners
-        lever_m=(1.22 * 0.0447, 2.45 * 0.0447),
+        # c of even pressure is 0.0447: real objects have 0.4 to 1.6 of it, what stands on its four corners 2.45
+        lever_m=(0.4 * 0.0447, 2.45 * 0.0447),
         noise=0.08,
         noise_tails=0.1,
     )
