@@ -18,7 +18,8 @@ from rumi.runs.progress import say
 from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.registry import TASKS
-from rumi.tasks.rummage.agent import Rummager, evaluate_step
+from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.evaluation import evaluate_step
 from sdf import compiled, se3, threads
 from sensors.observation import Observation
 

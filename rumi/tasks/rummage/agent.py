@@ -1,8 +1,7 @@
 """Rummaging's agent: believe, plan a path of much information that stays in reach, follow it, until sure."""
 
 import functools
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -22,15 +21,14 @@ from rumi.dynamics.outline import Base, base_of
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.pushed_body import PushedBody
 from rumi.fields.workspace import Workspace
-from rumi.information.stopping import StopEvidence, StopSettings, converged
-from rumi.metrics.likelihood import negative_log_likelihood, self_agreement
-from rumi.metrics.pose_error import pose_error
+from rumi.information.stopping import StopSettings
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.records import RunResult, StepRecord
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.task import StepResult
-from rumi.tasks.rummage.answer import relies_on, warnings, why_not
+from rumi.tasks.rummage.answer import relies_on, warnings
+from rumi.tasks.rummage.evaluation import evaluate_step, summarise
 from rumi.tasks.rummage.learnt_pushes import learnt_pushes
 from rumi.tasks.rummage.lost import SLIDES, Watch, searched_again, sensed_now, unseated, watch
 from sdf.object_model import ObjectModel
@@ -302,125 +300,3 @@ def first_belief(rummager: Rummager, reading: Reading, *, generator: torch.Gener
         generator=generator,
     )
     return rummager.filter.begin(belief, memory, generator=generator), memory
-
-
-def evaluate_step(
-    rummager: Rummager,
-    clock: Clock,
-    history: Sequence[StepRecord],
-    result: StepResult,
-    belief: PoseBelief,
-    added: Observation,
-    control: Float[Tensor, "A"] | None = None,
-    plan: Plan | None = None,
-    resampled: bool = False,
-) -> StepRecord:
-    """Measure the belief: what it expects of itself, and, apart from that, against the truth."""
-    model, sensor = rummager.model, rummager.model.surface_points
-    with clock("agree"):
-        expected, apc = _agreement(rummager, history[-1] if history else None, belief)
-    with clock("score"):
-        nll = None
-        if result.truth is not None:
-            truth = result.truth.to(belief.log_weights)
-            nll = float(negative_log_likelihood(belief.world_T_object, belief.log_weights, truth, sensor, model.judge))
-    touched = bool(result.reading.in_contact.any()) and control is not None
-    contacts = (history[-1].contacts if history else 0) + touched
-    fit = float(belief.discrepancy.min())
-    p_right = belief.probability_right(
-        model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
-    )
-    chance = math.exp(rummager.filter.log_chance(belief))
-    evidence = StopEvidence(expected, fit, apc, model.diagonal, contacts, p_right, chance)
-    return StepRecord(
-        step=len(history),
-        control=control,
-        reading=result.reading,
-        added=added,
-        belief=belief,
-        plan=plan,
-        expected_nll=expected,
-        fit=fit,
-        apc=apc,
-        ess=float(belief.ess()),
-        contacts=contacts,
-        resampled=resampled,
-        converged=converged(rummager.stop_rule, evidence),
-        truth=result.truth,
-        nll=nll,
-        timings_s=clock.take(),
-    )
-
-
-def _agreement(rummager: Rummager, last: StepRecord | None, belief: PoseBelief) -> tuple[float, float]:
-    """Expected nll and APC; those of the last step where the particles and their weights are still the same."""
-    if (
-        last is not None
-        and torch.equal(last.belief.attached_T_object, belief.attached_T_object)
-        and torch.equal(last.belief.log_weights, belief.log_weights)
-    ):
-        return last.expected_nll, last.apc
-    points = rummager.model.surface_points
-    stride = max(1, len(points) // rummager.agreement_points)
-    agreement = self_agreement(belief, points[::stride], rummager.model.sdf, nll_points=len(points))
-    return float(agreement.expected_nll), float(agreement.apc)
-
-
-def summarise(
-    rummager: Rummager, history: Sequence[StepRecord], stopped_by: StopReason, doubt: str | None = None
-) -> RunResult:
-    """How the run ended, from its records, and what speaks against being sure."""
-    records, last = history, history[-1]
-    nll = [r.nll for r in records if r.nll is not None]
-    errors: tuple[float, float] | None = None
-    if last.truth is not None:
-        metres, radians = pose_error(
-            last.belief.mode(), last.truth.to(last.belief.log_weights), rummager.model.symmetries
-        )
-        errors = float(metres), float(radians)
-    timings: dict[str, float] = {}
-    for record in records:
-        for stage, seconds in record.timings_s.items():
-            timings[stage] = timings.get(stage, 0.0) + seconds
-    wrong_by = _wrong_by(rummager, nll[-1], errors) if nll and errors is not None else None
-    pose = last.belief.summary(
-        rummager.model.symmetries, within_m=rummager.position_tolerance_m, within_rad=rummager.rotation_tolerance_rad
-    )
-    return RunResult(
-        right=not wrong_by if nll and errors is not None else None,
-        paper_success=min(nll) <= rummager.nll_threshold if nll else None,
-        paper_success_at_start=nll[0] <= rummager.nll_threshold if nll else None,
-        min_nll=min(nll) if nll else None,
-        final_nll=nll[-1] if nll else None,
-        cumulative_nll=sum(nll) if nll else None,
-        steps=last.step,
-        stopped_by=stopped_by,
-        apc=last.apc,
-        expected_nll=last.expected_nll,
-        position_error_mm=errors[0] * 1e3 if errors else None,
-        rotation_error_deg=errors[1] * 180.0 / torch.pi if errors else None,
-        contacts=last.contacts,
-        clipped=sum(float(r.reading.clipped) > 1e-4 for r in records),
-        timings_s=timings,
-        belief=last.belief,
-        pose=pose,
-        why_not=why_not(rummager, last, pose, stopped_by, doubt),
-        wrong_by=wrong_by,
-        relies_on=relies_on(rummager),
-        warnings=warnings(rummager, history),
-        remarks=tuple(remark for record in records for remark in record.remarks),
-    )
-
-
-def _wrong_by(rummager: Rummager, nll: float, errors: tuple[float, float]) -> str | None:
-    """What is not within the task's tolerances; None where all is."""
-    metres, radians = errors
-    said = (
-        (nll <= rummager.nll_threshold, f"nll {nll:.1f} above {rummager.nll_threshold:g}"),
-        (metres <= rummager.position_tolerance_m, f"place beyond {1e3 * rummager.position_tolerance_m:g} mm"),
-        (
-            radians <= rummager.rotation_tolerance_rad,
-            f"turn beyond {math.degrees(rummager.rotation_tolerance_rad):.3g} degrees",
-        ),
-    )
-    return ", ".join(words for holds, words in said if not holds) or None

@@ -10,7 +10,7 @@ from rumi.fields.workspace import Workspace
 from rumi.metrics.likelihood import self_agreement
 from rumi.planning.rummaging import RummagingPolicy
 from rumi.robot.tool import Tool
-from rumi.tasks.rummage import agent
+from rumi.tasks.rummage import evaluation
 from rumi.tasks.rummage.agent import Rummager
 from sdf.object_model import mug_model
 from sensors.discrepancy import Discrepancy
@@ -37,20 +37,20 @@ def test_agreement_is_worked_out_where_the_belief_changed_and_only_there(rummage
         asked.append(arguments[0])
         return self_agreement(*arguments, **options)
 
-    monkeypatch.setattr(agent, "self_agreement", counted)
+    monkeypatch.setattr(evaluation, "self_agreement", counted)
     steps = make_up().steps
     record = steps[2]
-    expected, apc = agent._agreement(rummager, None, record.belief)
+    expected, apc = evaluation._agreement(rummager, None, record.belief)
     fresh = self_agreement(record.belief, rummager.model.surface_points[::2], rummager.model.sdf, nll_points=100)
     assert (expected, apc) == (float(fresh.expected_nll), float(fresh.apc))
     assert len(asked) == 1
     last = replace(record, expected_nll=expected, apc=apc)
     # the same particles and weights, carried along by a motion
     carried = record.belief.moved(steps[-1].belief.world_T_attached)
-    assert agent._agreement(rummager, last, carried) == (expected, apc)
+    assert evaluation._agreement(rummager, last, carried) == (expected, apc)
     assert len(asked) == 1
     other = record.belief.reweighted(record.belief.log_weights * 2)
-    assert agent._agreement(rummager, last, other) != (expected, apc)
+    assert evaluation._agreement(rummager, last, other) != (expected, apc)
     moved = replace(record.belief, attached_T_object=record.belief.attached_T_object.roll(1, 0))
-    agent._agreement(rummager, last, moved)
+    evaluation._agreement(rummager, last, moved)
     assert len(asked) == 3
