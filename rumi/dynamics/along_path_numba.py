@@ -55,6 +55,22 @@ def _nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape):
 
 
 @bare
+def sliding_at(e, centre, lever, friction, quartic):
+    """How one object slides, as `settled` takes it."""
+    return (
+        float(centre[e, 0]),
+        float(centre[e, 1]),
+        float(lever[e]),
+        float(friction[e]),
+        float(quartic[e, 0]),
+        float(quartic[e, 1]),
+        float(quartic[e, 2]),
+        float(quartic[e, 3]),
+        float(quartic[e, 4]),
+    )
+
+
+@bare
 def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body):
     """Pose of an object after the tool's way from one instant to the next."""
     thickness, reach, substeps, passes = sizes[0], sizes[1], counts[0], counts[1]
@@ -101,17 +117,7 @@ def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts,
 def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape, sizes, counts, track, distance):
     x, y, yaw = float(poses[e, 0]), float(poses[e, 1]), float(poses[e, 2])
     row = e if len(path) > 1 else 0
-    body = (
-        float(centre[e, 0]),
-        float(centre[e, 1]),
-        float(lever[e]),
-        float(friction[e]),
-        float(quartic[e, 0]),
-        float(quartic[e, 1]),
-        float(quartic[e, 2]),
-        float(quartic[e, 3]),
-        float(quartic[e, 4]),
-    )
+    body = sliding_at(e, centre, lever, friction, quartic)
     for instant in range(path.shape[1] - 1):
         x, y, yaw = advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body)
         track[e, instant, 0], track[e, instant, 1], track[e, instant, 2] = x, y, yaw

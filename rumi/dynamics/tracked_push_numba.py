@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rumi.dynamics.along_path_numba import advanced
+from rumi.dynamics.along_path_numba import advanced, sliding_at
 from sdf.compiled import Kernel, bare
 from sdf.part_numba import indices
 
@@ -17,17 +17,7 @@ def _pushed(e, n, start, path, shifts, points, table, centre, lever, friction, q
     x, y, yaw = float(start[e, 0]), float(start[e, 1]), float(start[e, 2])
     cos, sin = math.cos(yaw), math.sin(yaw)
     x, y, yaw = x + cos * own_x - sin * own_y + tool_x, y + sin * own_x + cos * own_y + tool_y, yaw + turn
-    body = (
-        float(centre[n, 0]),
-        float(centre[n, 1]),
-        float(lever[n]),
-        float(friction[n]),
-        float(quartic[n, 0]),
-        float(quartic[n, 1]),
-        float(quartic[n, 2]),
-        float(quartic[n, 3]),
-        float(quartic[n, 4]),
-    )
+    body = sliding_at(n, centre, lever, friction, quartic)
     for instant in range(path.shape[1] - 1):
         x, y, yaw = advanced(x, y, yaw, path, e, instant, points, table, shape, sizes, counts, body)
     yaw -= turn

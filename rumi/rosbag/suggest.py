@@ -4,6 +4,7 @@ import json
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from posixpath import commonpath
 from typing import Any
 
 from rumi.errors import UsageError
@@ -108,7 +109,7 @@ def _topic(topic: str, kind: str, found: _Found, world: str) -> tuple[str, str, 
         color = str(message.encoding).startswith(_COLORS)
         values["role"] = "color" if color else "depth"
         infos = [name for name, other in found.count if other == "sensor_msgs/msg/CameraInfo"]
-        near = max(infos, key=lambda name: _common(name, topic), default=None)
+        near = max(infos, key=lambda name: len(commonpath((f"/{name}", f"/{topic}"))), default=None)
         if not color and near is not None:
             values["camera"] = near
         told += f", {message.encoding}"
@@ -152,13 +153,6 @@ def _chain(found: _Found, frame: str) -> list[str]:
     while (parent := found.parents.get(chain[-1])) is not None and parent not in chain:
         chain.append(parent)
     return chain
-
-
-def _common(first: str, second: str) -> int:
-    """How many characters two names begin with alike."""
-    return next(
-        (k for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b), min(map(len, (first, second)))
-    )
 
 
 def _name(frame: str) -> str:
