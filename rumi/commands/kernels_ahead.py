@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import torch
@@ -43,8 +43,8 @@ def kernels_ahead(agent: object, settings: dict[str, Any]) -> Iterator[Callable[
             [sys.executable, "-m", _MODULE], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         assert helper.stdin is not None
-        helper.stdin.write(json_text(settings).encode())
-        helper.stdin.close()
+        with suppress(BrokenPipeError), helper.stdin:  # it may have ended already
+            helper.stdin.write(json_text(settings).encode())
 
     def wait(_: object) -> None:
         if helper is not None:

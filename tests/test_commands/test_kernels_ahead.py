@@ -38,6 +38,14 @@ def test_the_run_waits_for_it_after_the_first_view(agent: Any, monkeypatch: pyte
         assert made[0].returncode == 3  # that it failed is nobody's trouble
 
 
+def test_that_it_ends_before_it_is_told_what_to_compile_harms_no_run(
+    agent: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started(monkeypatch, "")
+    with ahead.kernels_ahead(agent, {"task": "x" * 10**6}) as wait:  # more than a pipe holds
+        wait(None)
+
+
 def test_it_ends_with_the_run(agent: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     made = started(monkeypatch, "import time; time.sleep(600)")
     with ahead.kernels_ahead(agent, {"task": "mug-0"}):
