@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.agent import StopReason
+from rumi.belief.frictions import frictions_of
 from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.particles import PoseBelief
@@ -226,6 +227,7 @@ class Rummager:
             upright=self.upright,
             pads=self._pads,
             base=self._base if self.upright else None,
+            frictions=frictions_of(record.belief, self.filter.settings.trajectories) if self.upright else None,
             body=self._body if self.upright and not self.tool.spatial else None,
         )
 
