@@ -243,7 +243,8 @@ def outcome(agent: Rummager, result: RunResult) -> str:
 
 
 def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
-    """A row an object, the sum, and what was said."""
+    """A row an object, the sum, and what was said; of runs that were done again, with other code, the last counts."""
+    lines = list({(line["object"], line["motion"], line.get("seed")): line for line in lines}.values())
     motions = [motion for motion in MOTIONS if any(line["motion"] == motion for line in lines)]
     names = [name for name in OBJECTS if any(line["object"] == name for line in lines)]
     told = (*(f"motion {motion}" for motion in motions), "actions", "wrong, with a warning")

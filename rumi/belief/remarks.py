@@ -5,6 +5,7 @@ What the cause is, and what to do, is not decided here.
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import torch
@@ -28,6 +29,7 @@ from sensors.semantics import Semantics
 
 _ON_M, _TOUCHES_M = 0.006, 0.001  # a felt point this near a pad is the pad's; a pad this near the object feels it
 _ASKED = 9  # poses that stand for equal shares of the belief
+_AT_ODDS = {"not there", "elsewhere", "other height", "lost"}
 _DRAWN = 64  # the same where frictions differ from one to the next
 _BEST = 5  # particles of least discrepancy that are asked: one that explains a reading is enough
 
@@ -62,6 +64,7 @@ class Limits:
             believed the tool may have been.
         pushed_m: that a tool goes in contact, at least, to have pushed.
         tips: probability that a push tipped the object.
+        odds: how many times as likely readings are to be at odds with an upright pose where it was tipped.
     """
 
     short_m: float = 0.015
@@ -72,6 +75,7 @@ class Limits:
     apart_m: float = 0.012
     pushed_m: float = 0.002
     tips: float = 0.9
+    odds: float = 9.0
 
 
 def held_up(
@@ -275,6 +279,7 @@ def remarks(
     base: Base | None = None,
     frictions: Frictions | None = None,
     body: PushedBody | None = None,
+    before: Collection[str] = (),
     limits: Limits | None = None,
 ) -> tuple[Remark, ...]:
     """What is odd after an action.
@@ -293,6 +298,7 @@ def remarks(
         frictions: of the object by the belief, for the same.
         body: object and level tool, where the object should stand upright; None where it is not looked for contacts at
             two sides.
+        before: names of what was remarked before; readings at odds with the belief make it likelier that a push tips.
         limits: how much is odd.
     """
     limits, found = limits or Limits(), []
@@ -312,14 +318,6 @@ def remarks(
     if abs(height) > 1e3 * limits.height_m:
         name, where = ("lifted", "above") if height > 0 else ("dropped", "below")
         found.append((name, f"by its motion the object's lowest point is {abs(height):.0f} mm {where} the table"))
-    # a motion that is measured tells by itself whether it fell
-    unmeasured = reading.object_motion is None and tilt <= limits.tilt_rad
-    tipped = None
-    if base is not None and frictions is not None and unmeasured:
-        tipped = tipping(reading, belief, model.surface_points, base, frictions, limits)
-    if tipped is not None and tipped[1] > limits.tips:
-        where = f"pushed {1e3 * tipped[0]:.0f} mm above what it stands on, the object tips or rolls before it slides"
-        found.append(("tips", f"{where} with probability {tipped[1]:.2f}: nothing measures how it lies now"))
     if body is not None and tilt <= limits.tilt_rad and gripped(reading, belief, body, limits):
         found.append(
             ("two contacts", "the tool touches the object at two sides: how it moves then, no push model knows")
@@ -336,4 +334,16 @@ def remarks(
         if max(abs(bottom - low), abs(top - high)) > 1e3 * limits.apart_m:
             heights = f"{bottom:.0f} to {top:.0f} mm above the table, where every pose believed differs (the nearest is"
             found.append(("other height", f"the object was felt {heights} felt at {low:.0f} to {high:.0f} mm)"))
+    tipped = None
+    # a motion that is measured tells by itself whether it fell
+    if base is not None and frictions is not None and reading.object_motion is None and tilt <= limits.tilt_rad:
+        tipped = tipping(reading, belief, model.surface_points, base, frictions, limits)
+    if tipped is not None:
+        odds = limits.odds if _AT_ODDS & {name.split(":")[0] for name in (*before, *dict(found))} else 1.0
+        share = tipped[1] * odds / (1.0 + tipped[1] * (odds - 1.0))
+        if share > limits.tips:
+            where = (
+                f"pushed {1e3 * tipped[0]:.0f} mm above what it stands on, the object tips or rolls before it slides"
+            )
+            found.append(("tips", f"{where} with probability {share:.2f}: nothing measures how it lies now"))
     return tuple(Remark(name, step, sentence) for name, sentence in found)

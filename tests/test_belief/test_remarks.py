@@ -236,6 +236,23 @@ def test_that_a_push_tips_is_a_probability_over_the_beliefs_frictions():
     assert shares == sorted(shares, reverse=True) and shares[0] > shares[-1]
 
 
+@pytest.mark.parametrize(
+    ("height", "before", "names"),
+    [
+        (0.08, ("resists",), []),
+        (0.08, ("lost: none of these",), ["tips"]),
+        (0.08, ("other height",), ["tips"]),
+        (0.04, ("other height",), []),
+    ],
+)
+def test_what_is_at_odds_with_the_belief_makes_a_fall_likelier(height, before, names):
+    reading = pushed_along(height=height)
+    assert found(reading=reading, moved=None, base=BASE, frictions=PRIOR, before=before) == names
+    if names:
+        given = {"added": points(Semantics.SURFACE, (0.30, 0.0, 0.05), (0.30, 0.01, 0.05)), "reading": reading}
+        assert found(**given, moved=None, base=BASE, frictions=PRIOR) == ["elsewhere", "tips"]
+
+
 def test_trajectories_know_their_friction_at_the_tool():
     own = PoseTrajectorySettings()
     physics, noise = torch.zeros(3, 5, dtype=torch.float64), torch.zeros(3, 2, 11, dtype=torch.float64)

@@ -70,11 +70,12 @@ def test_the_table():
         "remarks": [],
     }
     lines = [
+        run | {"seed": 0, "outcome": "crash"},  # by earlier code
         run | {"seed": 0},
         run | {"seed": 1, "steps": 9, "remarks": ["toppled"]},
         run | {"motion": "corrected", "outcome": "wrong", "warnings": ["not measured"]},
-        run | {"motion": "corrected", "outcome": "wrong", "tips_at": None, "fell_at": 3},
-        run | {"motion": "corrected", "tips_at": 4, "fell_at": None},
+        run | {"seed": 2, "motion": "corrected", "outcome": "wrong", "tips_at": None, "fell_at": 3},
+        run | {"seed": 1, "motion": "corrected", "tips_at": 4, "fell_at": None},
         {"object": "spoon", "motion": "measured", "outcome": "refused", "said": "too low"},
     ]
     text = first_day.show(lines, {})
