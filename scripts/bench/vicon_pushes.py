@@ -8,6 +8,7 @@ tip's radius is taken to be that of the laboratory's other sets).
 import os
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import numpy as np
@@ -18,9 +19,24 @@ from torch import Tensor
 from rumi.dynamics.push_registration import put_right
 from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.errors import UsageError
-from rumi.rosbag.ros1_pushes import PushRecording, read_pushes
+from rumi.rosbag.bag import import_bag
+from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.recorded_pushes import PushRecording, read_pushes
 from scripts.bench.real_pushes import TIP_M, polygon_body
 from sdf import se3
+
+_MAP = """
+schema = 1
+[topics]
+"/tip_pose" = { role = "pose", frame = "map", child = "tip" }
+"/vicon/*/*" = { role = "pose", child = "slider" }
+"/netft_data" = "wrench"
+[frames]
+world = "map"
+tool = "tip"
+[scene]
+within = [[0, 0, 0], [1, 1, 1]]
+"""
 
 BLOCKS = ("Al_block", "Plastic_block", "St_block")
 _APART_M = 0.002  # of the tip's way between instants
@@ -78,8 +94,13 @@ def recordings() -> dict[str, PushRecording]:
     value = os.environ.get("RUMI_DATA")
     if not value:
         raise UsageError("Expected RUMI_DATA to name the folder of data sets, got nothing")
-    bags = sorted((Path(value) / "vicon_bags").glob("*/*.bag"))
-    return {f"{bag.parent.name} {bag.stem}": read_pushes(bag) for bag in bags}
+    found, mapping = {}, mapping_of(_MAP)
+    with TemporaryDirectory() as folder:
+        for bag in sorted((Path(value) / "vicon_bags").glob("*/*.bag")):
+            log = Path(folder) / f"{bag.stem}.h5"
+            import_bag(bag, mapping, log)
+            found[f"{bag.parent.name} {bag.stem}"] = read_pushes(log, mapping, block="slider")
+    return found
 
 
 @cache
