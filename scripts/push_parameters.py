@@ -106,16 +106,30 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
                     [group, choice, *_cells(own), more]
                     for choice, own, more in zip((first, other), pair, ("-", _more(*pair)), strict=True)
                 ]
-    heads = ("tasks", "pushes", "right", "sure and wrong", "actions, mean", "processor s an action", "more actions")
+    heads = (
+        "tasks",
+        "pushes",
+        "sure and right",
+        "sure and wrong",
+        "actions, mean",
+        "processor s an action",
+        "more actions",
+    )
     return table(heads, rows)
 
 
 def _cells(own: list[Line]) -> list[str]:
-    sure = [line["right"] for line in own if stop_reason(line["stopped_by"]) == "sure"]
+    sure = [line for line in own if stop_reason(line["stopped_by"]) == "sure"]
+    found = sum(_found(line) for line in sure)
     steps = sum(line["steps"] for line in own)
     seconds = sum(line["cpu_s"] for line in own) / max(1, steps)
-    right = rate([line["right"] for line in own])
-    return [right, f"{len(sure) - sum(sure)} of {len(sure)}", f"{steps / len(own):.1f}", f"{seconds:.2f}"]
+    share = rate([_found(line) and line in sure for line in own])
+    return [share, str(len(sure) - found), f"{steps / len(own):.1f}", f"{seconds:.2f}"]
+
+
+def _found(line: Line) -> bool:
+    """By the pose, modulo the object's symmetries; of the mugs' earlier lines by what the run says."""
+    return bool(line["outcome"] == "found" if "outcome" in line else line["right"])
 
 
 def _more(first: list[Line], other: list[Line]) -> str:
