@@ -153,6 +153,14 @@ def _solve(matrix, vector, size):
 
 
 @exact
+def _copy(source, target):
+    """Copies a matrix; by an assignment of all at once a third of the kernel's compiling would go to its error."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
+
+
+@exact
 def _retract(pose, step, out):
     """Shifts the origin by the first three of a step (6) and turns about it by the others (Rodrigues)."""
     x, y, z = step[3], step[4], step[5]
@@ -223,8 +231,9 @@ def _descend(
         floor = max(counts[b, 0], 1)
         terms, gradient, hessian, work = np.empty(28), np.empty(6), np.empty((6, 6)), np.empty((6, 6))
         system, step = np.empty((size, size)), np.empty(12)
-        pose, candidate = result[b, n], poses[b, n].copy()
-        pose[:] = candidate
+        pose, candidate = result[b, n], np.empty((4, 4), poses.dtype)
+        _copy(poses[b, n], candidate)
+        _copy(candidate, pose)
         _terms(near, count, start, flat, lattice, free_scale, alpha, terms)
         _to_frame(terms, start, gradient, hessian, work)
         objective, damping, done = terms[0], 1e-3, 1
@@ -238,7 +247,7 @@ def _descend(
                 _terms(near, count, place, flat, lattice, free_scale, alpha, terms)
                 done += 1
             if found and terms[0] < objective:
-                pose[:] = candidate
+                _copy(candidate, pose)
                 _to_frame(terms, place, gradient, hessian, work)
                 objective, damping = terms[0], max(damping * 0.2, 1e-6)
             else:
