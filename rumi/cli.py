@@ -36,6 +36,8 @@ COMMANDS = {
     "check": Command("LOG [options]", "draw a log's observations over the model", "rumi.commands.check:check"),
     "plot": Command("RUN [options]", "draw the figures of a run again", "rumi.commands.plot:plot"),
     "result": Command("RUN [--json]", "the answer of a run: pose, covariance, why not", "rumi.commands.result:result"),
+    "export": Command("RUN --to FORMAT [options]", "the answer for other programs", "rumi.commands.export:export"),
+    "serve": Command("[options]", "find an object for a robot in another process", "rumi.commands.serve:serve"),
     "pushes": Command("RUN [options]", "learn how an object slides", "rumi.commands.pushes:pushes"),
     "calibrate": Command("TASK [options]", "whether beliefs cover the truth", "rumi.commands.calibrate:calibrate"),
     "leaderboard": Command("POLICY.py [options]", "rank a policy on a task", "rumi.commands.leaderboard:leaderboard"),
