@@ -1,7 +1,6 @@
 """The tables of a mapping: which topics and frames of a recording mean what; `scripts/docs/logs.md` describes them."""
 
 import math
-import typing
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -35,7 +34,6 @@ Role = Literal[
     "pose",
     "sensor",
 ]
-ROLES: tuple[str, ...] = typing.get_args(Role)
 
 
 @dataclass(frozen=True)
