@@ -35,6 +35,7 @@ COMMANDS = {
     "import": Command("BAG --map FILE", "make a log of a ROS 2 bag", "rumi.commands.import_bag:import_bag"),
     "check": Command("LOG [options]", "draw a log's observations over the model", "rumi.commands.check:check"),
     "plot": Command("RUN [options]", "draw the figures of a run again", "rumi.commands.plot:plot"),
+    "view": Command("RUN [options]", "look at a run in a viewer", "rumi.commands.view:view"),
     "result": Command("RUN [--json]", "the answer of a run: pose, covariance, why not", "rumi.commands.result:result"),
     "export": Command("RUN --to FORMAT [options]", "the answer for other programs", "rumi.commands.export:export"),
     "serve": Command("[options]", "find an object for a robot in another process", "rumi.commands.serve:serve"),
