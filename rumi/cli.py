@@ -42,6 +42,7 @@ COMMANDS = {
     "pushes": Command("RUN [options]", "learn how an object slides", "rumi.commands.pushes:pushes"),
     "calibrate": Command("TASK [options]", "whether beliefs cover the truth", "rumi.commands.calibrate:calibrate"),
     "leaderboard": Command("POLICY.py [options]", "rank a policy on a task", "rumi.commands.leaderboard:leaderboard"),
+    "doctor": Command("[--json]", "what is installed and whether it works", "rumi.commands.doctor:doctor"),
     "bench": Command("[options]", "time each part on this machine", "rumi.bench.command:bench"),
     "mesh": Command("FILE [options]", "check a triangle mesh", "rumi.commands.mesh:mesh"),
     "localize": Command("MESH CONTACTS [options]", "poses by touched points", "rumi.commands.localize:localize"),
