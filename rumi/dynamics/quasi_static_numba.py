@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from rumi.dynamics.base import PushRollouts, duplicates
+from rumi.dynamics.base import PushRollouts, duplicates, rigid_motions
 from rumi.dynamics.sliding_numba import settled, slope
 from rumi.robot.tool import BORDER_GROUP
 from rumi.robot.tool_numba import residual, step_within
@@ -29,6 +29,20 @@ def _rank(typingctx, x):
         return builder.xor(bits, builder.lshr(below, ir.Constant(kind, 1)))
 
     return whole(x), generate
+
+
+@intrinsic
+def _ranked(typingctx, rank):
+    """The number that has a rank."""
+    number = {types.int32: types.float32, types.int64: types.float64}[rank]
+
+    def generate(context, builder, signature, arguments):
+        kind = ir.IntType(rank.bitwidth)
+        below = builder.ashr(arguments[0], ir.Constant(kind, rank.bitwidth - 1))
+        bits = builder.xor(arguments[0], builder.lshr(below, ir.Constant(kind, 1)))
+        return builder.bitcast(bits, context.get_value_type(number))
+
+    return number(rank), generate
 
 
 @bare
@@ -80,8 +94,7 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
             rank = _rank(within)
             most = rank if rank > most else most
         if most < _rank(kind(depth)):
-            for n in range(BORDER_GROUP):
-                gap = min(gap, max(clear, -inside[n] / steepness))
+            gap = min(gap, max(clear, -_ranked(most) / steepness))
             continue
         for n in range(BORDER_GROUP):
             k = begin + n
@@ -275,8 +288,11 @@ class CompiledRollouts:
             tuple(np.empty((samples, size), self._body[0].dtype) for size in (BORDER_GROUP, len(self._body[3][2]))),
             tuple(part.numpy() for part in (track, contact, checks)),
         )
-        shifts, turns = self._model.motions(
-            poses.to(path).repeat(samples, 1), track.view(samples * rollouts, horizon + 1, 3)
+        shifts, turns = rigid_motions(
+            poses.to(path).repeat(samples, 1),
+            track.view(samples * rollouts, horizon + 1, 3),
+            self._model.pivot,
+            contact.any(-1).flatten().nonzero()[:, 0],
         )
         whole = samples * rollouts * horizon * self._model.settings.mini_steps
         return PushRollouts(

@@ -159,11 +159,11 @@ def test_predicted_against_realised(tmp_path, monkeypatch):
         for column in ("rumi/default", "slide/default")
     ]
     shown = module.show(lines, {})
-    rows = [line.split(" | ") for line in shown.splitlines() if line.startswith("| rumi")]
+    rows = [line.split(" | ") for line in shown.splitlines() if line.startswith("| mug rumi")]
     assert rows[0][1:3] == ["1", "3"]
-    assert len(rows) == 1 + 4 + 6
+    assert len(rows) == 1 + 4 + 7
     # sliding predicts nothing by itself, but can be asked about
-    assert len([line for line in shown.splitlines() if line.startswith("| slide")]) == 4 + 6
+    assert len([line for line in shown.splitlines() if line.startswith("| mug slide")]) == 4 + 7
 
 
 @pytest.mark.slow

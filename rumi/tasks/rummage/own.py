@@ -120,6 +120,11 @@ def _check_followed(settings: Settings) -> None:
     """Refuse settings of what a robot of one's own has not."""
     if settings.object != ObjectSettings():
         raise UsageError("Expected no object in the settings, since the model is given: leave settings.object out")
+    if settings.fault:
+        raise UsageError(
+            f"Expected no faults in the settings, since nothing is simulated, got {', '.join(settings.fault)}: leave "
+            "settings.fault out"
+        )
     if settings.tool_height_m is not None:
         raise UsageError("Expected no tool_height_m in the settings, since the workspace has the tool's height")
     if settings.simulator != PRESETS[settings.preset]().simulator:
