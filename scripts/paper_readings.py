@@ -6,7 +6,8 @@ python -m scripts.paper_readings show
 A reading changes settings of that preset: the optimisation of resampled particles ("rounds": N_o counts rounds of fifty
 Adam steps each, which is how CHSEL's published registration counts by default), the lattice of free points ("lattice":
 5 mm, nearer to how finely that library samples the object's inside), the depth behind which a view leaves free space
-unseen ("near": as of a camera at half the distance), and the unit of the discrepancy ("mm").
+unseen ("near": as of a camera at half the distance), and the unit of the discrepancy that is weighed ("mm": lambda is 2 a
+millimetre of the sum) and of the one that asks for resampling ("trigger": l_r is 5 mm of the sum, in place of 5 m).
 """
 
 import math
@@ -32,6 +33,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "lattice": {"filter.free_spacing_m": 0.005, "simulator.free_spacing_m": 0.005},
     "near": {"simulator.free_fraction": 0.975},
     "mm": {"filter.peakiness": 2000.0},
+    "trigger": {"filter.trigger": 0.005},
 }
 READINGS = (
     "as printed",
@@ -40,7 +42,9 @@ READINGS = (
     "rounds, lattice",
     "rounds, near",
     "rounds, lattice, near",
+    "mm",
     "rounds, mm",
+    "rounds, mm, trigger",
     "rounds, lattice, near, mm",
 )
 
