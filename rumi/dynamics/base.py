@@ -9,7 +9,6 @@ from torch import Tensor
 
 from rumi.dynamics.along_path import PathPush
 from rumi.dynamics.push_posterior import PushPosterior
-from rumi.dynamics.sliding import rotated
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.robot.tool import Tool
@@ -212,20 +211,33 @@ class PushModel:
 
 
 def rigid_motions(
-    start: Float[Tensor, "E 3"], track: Float[Tensor, "E T 3"], pivot: Float[Tensor, "2"]
+    start: Float[Tensor, "E 3"],
+    track: Float[Tensor, "E T 3"],
+    pivot: Float[Tensor, "2"],
+    rows: Int[Tensor, "R"] | None = None,
 ) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
     """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones.
 
     Skipped, with the same result: objects that never move.
+
+    Args:
+        start: poses.
+        track: poses at T instants.
+        pivot: the point at the start.
+        rows: objects that may have moved, if that is known; the others have not.
     """
     shift, turn = track.new_zeros(track.shape), track.new_zeros(track.shape[:-1])
-    moved = (track != start[:, None]).any(-1)
-    rows = moved.any(-1).nonzero()[:, 0]
-    start, track = start[rows], track[rows]
-    turned = track[..., 2] - start[:, None, 2]
-    arm = (pivot - start[:, :2])[:, None].expand(-1, track.shape[1], 2)
-    way = track[..., :2] - start[:, None, :2] + rotated(arm, turned) - arm
-    shift[rows, :, :2] = torch.where(moved[rows, :, None], way, 0.0)
+    if rows is None:
+        rows = (track != start[:, None]).flatten(1).any(-1).nonzero()[:, 0]
+    start, track = start[rows][:, None], track[rows]
+    x, y, yaw = start.unbind(-1)
+    arm_x, arm_y = pivot[0] - x, pivot[1] - y
+    turned = track[..., 2] - yaw
+    cos, sin = turned.cos(), turned.sin()
+    way_x = track[..., 0] - x + (cos * arm_x - sin * arm_y) - arm_x
+    way_y = track[..., 1] - y + (sin * arm_x + cos * arm_y) - arm_y
+    moved = (track != start).any(-1)
+    shift[rows, :, :2] = torch.where(moved[..., None], torch.stack((way_x, way_y), -1), 0.0)
     turn[rows] = turned
     return shift, turn
 

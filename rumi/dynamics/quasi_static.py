@@ -106,6 +106,7 @@ class QuasiStaticRollouts:
         self.support, self.posterior = support, posterior
         if posterior is not None:
             self.sliding = posterior.middle(support).to(self.poses)
+        self._representatives: dict[int, Tensor] = {}
         # a tool farther than this from an object does not touch it
         self.reach = float(self.points.norm(dim=-1).max()) + self.outline.radius
 
@@ -126,7 +127,9 @@ class QuasiStaticRollouts:
 
     def representatives(self, count: int) -> Float[Tensor, "count 3"]:
         """Poses in the middles of `count` equal shares of the belief, in the order of their yaws."""
-        return self.poses[representatives(self.poses[:, 2], self.weights, count)]
+        if count not in self._representatives:
+            self._representatives[count] = self.poses[representatives(self.poses[:, 2], self.weights, count)]
+        return self._representatives[count]
 
     def rollout(
         self,
@@ -208,7 +211,7 @@ class QuasiStaticRollouts:
                 now = now.index_copy(0, near, pushed)
                 contact[near, action] |= touched
             track.append(now)
-        shifts, turns = self.motions(start, torch.stack(track, 1))
+        shifts, turns = rigid_motions(start, torch.stack(track, 1), self.pivot)
         shape = (samples, rollouts, horizon + 1)
         contact = contact.view(samples, rollouts, horizon)
         return PushRollouts(
@@ -220,12 +223,6 @@ class QuasiStaticRollouts:
             turns.view(shape),
             self.pivot,
         )
-
-    def motions(
-        self, start: Float[Tensor, "E 3"], track: Float[Tensor, "E T 3"]
-    ) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
-        """Displacement of the pivot, were it part of the object, and turn, since the start."""
-        return rigid_motions(start, track, self.pivot)
 
 
 backend.register("quasi_static_rollouts")(QuasiStaticRollouts._rollouts)

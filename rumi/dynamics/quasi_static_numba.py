@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from rumi.dynamics.base import PushRollouts, duplicates
+from rumi.dynamics.base import PushRollouts, duplicates, rigid_motions
 from rumi.dynamics.sliding_numba import settled, slope
 from rumi.robot.tool import BORDER_GROUP
 from rumi.robot.tool_numba import residual, step_within
@@ -29,6 +29,20 @@ def _rank(typingctx, x):
         return builder.xor(bits, builder.lshr(below, ir.Constant(kind, 1)))
 
     return whole(x), generate
+
+
+@intrinsic
+def _ranked(typingctx, rank):
+    """The number that has a rank."""
+    number = {types.int32: types.float32, types.int64: types.float64}[rank]
+
+    def generate(context, builder, signature, arguments):
+        kind = ir.IntType(rank.bitwidth)
+        below = builder.ashr(arguments[0], ir.Constant(kind, rank.bitwidth - 1))
+        bits = builder.xor(arguments[0], builder.lshr(below, ir.Constant(kind, 1)))
+        return builder.bitcast(bits, context.get_value_type(number))
+
+    return number(rank), generate
 
 
 @bare
@@ -80,8 +94,7 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
             rank = _rank(within)
             most = rank if rank > most else most
         if most < _rank(kind(depth)):
-            for n in range(BORDER_GROUP):
-                gap = min(gap, max(clear, -inside[n] / steepness))
+            gap = min(gap, max(clear, -_ranked(most) / steepness))
             continue
         for n in range(BORDER_GROUP):
             k = begin + n
@@ -103,8 +116,9 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
     inside, clears = scratch[0][k], scratch[1][k]
     actions = path.shape[1] - 1
     table, base, bounds, limits = arm
-    free_x, free_y, free_yaw = float(path[k, 0, 0]), float(path[k, 0, 1]), float(path[k, 0, 2])
-    left = residual(free_x, free_y, 0.0, free_yaw, table, base, limits)
+    left = residual(path[k, 0, 0], path[k, 0, 1], 0.0, path[k, 0, 2], table, base, limits)
+    # in double precision from the start: else numba compiles all that they are given to once for each
+    free_x, free_y, free_yaw = np.float64(path[k, 0, 0]), np.float64(path[k, 0, 1]), np.float64(path[k, 0, 2])
     for h in range(actions):
         free_x, free_y, _height, free_yaw, left = step_within(
             free_x,
@@ -124,8 +138,8 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
         path[k, h + 1, 0], path[k, h + 1, 1], path[k, h + 1, 2] = free_x, free_y, free_yaw
     checked = 0
     for m in range(len(poses)):
-        x, y, yaw = float(poses[m, 0]), float(poses[m, 1]), float(poses[m, 2])
-        cos, sin = math.cos(yaw), math.sin(yaw)
+        x, y, yaw = np.float64(poses[m, 0]), np.float64(poses[m, 1]), np.float64(poses[m, 2])
+        cos, sin = np.float64(math.cos(poses[m, 2])), np.float64(math.sin(poses[m, 2]))
         slides = (
             bodies[m, 0],
             bodies[m, 1],
@@ -140,11 +154,7 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
         track[k, m, 0, 0], track[k, m, 0, 1], track[k, m, 0, 2] = poses[m, 0], poses[m, 1], poses[m, 2]
         still, gap = True, 0.0  # metres that the tool may go before it can touch
         for action in range(actions):
-            from_x, from_y, from_yaw = (
-                float(path[k, action, 0]),
-                float(path[k, action, 1]),
-                float(path[k, action, 2]),
-            )
+            from_x, from_y, from_yaw = path[k, action, 0], path[k, action, 1], path[k, action, 2]
             way_x = (path[k, action + 1, 0] - from_x) / mini
             way_y = (path[k, action + 1, 1] - from_y) / mini
             way_yaw = (path[k, action + 1, 2] - from_yaw) / mini
@@ -275,8 +285,11 @@ class CompiledRollouts:
             tuple(np.empty((samples, size), self._body[0].dtype) for size in (BORDER_GROUP, len(self._body[3][2]))),
             tuple(part.numpy() for part in (track, contact, checks)),
         )
-        shifts, turns = self._model.motions(
-            poses.to(path).repeat(samples, 1), track.view(samples * rollouts, horizon + 1, 3)
+        shifts, turns = rigid_motions(
+            poses.to(path).repeat(samples, 1),
+            track.view(samples * rollouts, horizon + 1, 3),
+            self._model.pivot,
+            contact.any(-1).flatten().nonzero()[:, 0],
         )
         whole = samples * rollouts * horizon * self._model.settings.mini_steps
         return PushRollouts(

@@ -56,7 +56,7 @@ def _gathered(
     wide, deep, tall = value.shape
     worth = value.reshape(-1)
     for r in indices(part, rollouts):
-        met = np.zeros(worth.size, np.bool_)
+        left = worth.copy()  # what is not met yet
         cell = np.empty(along.size, np.int32)
         total, factor = 0.0, 1.0
         last_x, last_y, last_z, last_yaw = np.inf, np.inf, np.inf, np.inf
@@ -80,9 +80,8 @@ def _gathered(
                             index = np.uint32(cell[m])
                         else:
                             index = np.uint32(cell[m]) * np.uint32(tall) + np.uint32(layer[m])
-                        if not met[index]:
-                            met[index] = True
-                            gained += worth[index]
+                        gained += left[index]
+                        left[index] = 0.0
                     total += factor * gained
             factor *= discount
         result[r] = total

@@ -1,6 +1,7 @@
 """Reachability cost: information that is pushed to where the robot does not reach (RUMI, Alg 8)."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -85,10 +86,12 @@ class ReachabilityCost:
         self._information, self._correlation = information, CrossCorrelation(reachability.values)
         where = information.values.nonzero()
         self._held = where.to(information.values), information.values[tuple(where.unbind(-1))]
-        self._total = information.values.sum()
+        total = information.values.sum()
+        self._total = torch.where(total > 0, total, math.inf)  # without information all shares are 0
         self._origin = self._total.new_tensor([-(n - 1.0) * information.spacing for n in information.shape])
         self._share = FieldSampler(VoxelGrid(self._table(information.values), self._origin, information.spacing))
-        self._turned: dict[int, Tensor] = {}
+        # a table for every turn, and which of them are made
+        self._stack, self._made = self._total.new_empty(0), [False] * self._steps
 
     def __call__(
         self,
@@ -108,52 +111,97 @@ class ReachabilityCost:
         if turns is not None and pivot is not None:
             eager_only("the reachability cost of turns", "a turn's table is made where one first needs it")
             # each by itself: what a row costs must not hang on whether another one turns
-            turned = turns != 0
-            if bool(turned.any()):
-                share[turned] = self._turned_shares(displacements[turned][:, :2], turns[turned], pivot)
+            self._make_tables(turns, pivot)
+            version = backend.dispatch("turned_shares", share, displacements, turns, self._stack)
+            version(share, displacements, turns, Turned(self._stack, self._origin, self._information.spacing))
         return -share.mean(-1)
 
     def _table(self, information: Tensor) -> Tensor:
-        share = self._correlation(information)
-        return torch.where(self._total > 0, share / self._total, torch.zeros_like(share)).clamp(0.0, 1.0)
+        return (self._correlation(information) / self._total).clamp(0.0, 1.0)
 
-    def _turned_shares(
-        self, displacements: Float[Tensor, "E 2"], turns: Float[Tensor, "E"], pivot: Float[Tensor, "2"]
-    ) -> Float[Tensor, "E"]:
-        """Share that stays reachable after each displacement and turn, linear between the tables of two turns.
-
-        Written out, element by element: the library's sampler would want the turns as a share of the stack's extent,
-        and so round each by what the others are.
-        """
-        place = turns / self.turn_step
-        below = place.floor()
-        first, part = int(below.min()), place - below
+    def _make_tables(self, turns: Float[Tensor, "*b H"], pivot: Float[Tensor, "2"]) -> None:
+        """The tables of the turns next to those given, where they are not made yet."""
+        below = (turns[turns != 0] / self.turn_step).floor().long().unique()
         # whole turns leave the information where it was
-        needed = [index % self._steps for index in range(first, int(below.max()) + 2)]
-        missing = [index for index in dict.fromkeys(needed) if index not in self._turned]
-        if missing:
-            nodes, held = self._held
-            turn = backend.dispatch("turned_information", held, pivot)
-            about = pivot.to(held)
-            found = turn(nodes, held, self._information, about, [index * self.turn_step for index in missing])
-            for index, information in zip(missing, found, strict=True):
-                # one by one: a transform of several may round otherwise
-                self._turned[index] = self._flat_table(information)
-        stack = torch.stack([self._turned[index] for index in needed])
-        last = stack.new_tensor([n - 1.0 for n in stack.shape[1:]])
-        # in the frame of zeros about each table, on which all that lies outside lands
-        node = (displacements - self._origin[:2]) / self._information.spacing + 1.0
-        node = torch.minimum(node.clamp_min(0.0), last)
-        corner = torch.minimum(node.floor(), last - 1.0)
-        a, b = (node - corner).unbind(-1)
-        i, j = corner.long().unbind(-1)
-        layer = below.long() - first
-        low, high = (_bilinear(stack, layer + up, i, j, a, b) for up in (0, 1))
-        return low + part * (high - low)
+        needed = (torch.cat((below, below + 1)) % self._steps).unique().tolist()
+        missing = [index for index in needed if not self._made[index]]
+        if not missing:
+            return
+        nodes, held = self._held
+        turn = backend.dispatch("turned_information", held, pivot)
+        about = pivot.to(held)
+        found = turn(nodes, held, self._information, about, [index * self.turn_step for index in missing])
+        for index, information in zip(missing, found, strict=True):
+            # one by one: a transform of several may round otherwise
+            table = self._correlation(information)[..., information.shape[2] - 1]
+            if len(self._stack) == 0:
+                columns, rows = table.shape
+                self._stack = table.new_zeros(self._steps, columns + 2, rows + 2)
+            torch.div(table, self._total, out=self._stack[index, 1:-1, 1:-1]).clamp_(0.0, 1.0)
+            self._made[index] = True
 
-    def _flat_table(self, information: Float[Tensor, "X Y Z"]) -> Float[Tensor, "X3 Y3"]:
-        """Table of the shifts by no height, within a frame of zeros."""
-        return functional.pad(self._table(information)[..., information.shape[2] - 1], (1, 1, 1, 1))
+
+class Turned(NamedTuple):
+    """Tables of the share of turned information that stays reachable, for shifts by no height.
+
+    Attributes:
+        stack: of a turn each, all equally far apart, each within a frame of zeros; zeros where none asked for it yet.
+        origin: shift of the tables' first node within the frame, metres.
+        spacing: between nodes, metres.
+    """
+
+    stack: Float[Tensor, "N X Y"]
+    origin: Float[Tensor, "3"]
+    spacing: float
+
+    @property
+    def turn_step(self) -> float:
+        """Between the tables' turns, radians."""
+        return 2.0 * math.pi / len(self.stack)
+
+
+@backend.register("turned_shares")
+def _turned_shares(
+    share: Float[Tensor, "*b H"], displacements: Float[Tensor, "*b H 3"], turns: Float[Tensor, "*b H"], tables: Turned
+) -> None:
+    """Enter the share that stays reachable where there is a turn, linear between the tables of two turns.
+
+    Written out, element by element: the library's sampler would want the turns as a share of the stack's extent, and so
+    round each by what the others are.
+    """
+    turned, stack = turns != 0, tables.stack
+    if not bool(turned.any()):
+        return
+    place = turns[turned] / tables.turn_step
+    below = place.floor()
+    part, layer = place - below, below.long()
+    last = stack.new_tensor([n - 1.0 for n in stack.shape[1:]])
+    # in the frame of zeros about each table, on which all that lies outside lands
+    node = (displacements[turned][:, :2] - tables.origin[:2]) / tables.spacing + 1.0
+    node = torch.minimum(node.clamp_min(0.0), last)
+    corner = torch.minimum(node.floor(), last - 1.0)
+    a, b = (node - corner).unbind(-1)
+    i, j = corner.long().unbind(-1)
+    low, high = (_bilinear(stack, (layer + up) % len(stack), i, j, a, b) for up in (0, 1))
+    share[turned] = low + part * (high - low)
+
+
+@backend.register("turned_shares", "numba", compiled.supports)
+def _turned_shares_numba(share: Tensor, displacements: Tensor, turns: Tensor, tables: Turned) -> None:
+    from rumi.planning.reach_cost_numba import turned_shares
+
+    if len(tables.stack) == 0:
+        return
+    kind = tables.stack.numpy().dtype.type
+    turned_shares(
+        displacements.reshape(-1, 3).contiguous().numpy(),
+        turns.reshape(-1).contiguous().numpy(),
+        tables.stack.numpy(),
+        tables.origin.contiguous().numpy(),
+        kind(tables.spacing),
+        kind(tables.turn_step),
+        share.view(-1).numpy(),
+    )
 
 
 @backend.register("turned_information")

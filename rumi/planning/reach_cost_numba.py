@@ -1,4 +1,4 @@
-"""The compiled CPU version of information turned about a point; `reach_cost.py` has the definition."""
+"""The compiled CPU versions of information turned about a point and of its look-up; `reach_cost.py` defines both."""
 
 import math
 
@@ -34,3 +34,32 @@ def _turned(nodes, values, start, pivot, spacing, turns, result, part):
 
 
 turned = Kernel(_turned)
+
+
+def _turned_shares(displacements, turns, stack, origin, spacing, step, share, part):
+    kind = stack.dtype.type
+    none, one = kind(0.0), kind(1.0)
+    layers, columns, rows = stack.shape
+    last_x, last_y = kind(columns - 1), kind(rows - 1)
+    low_x, low_y = origin[0], origin[1]
+    for n in indices(part, len(turns)):
+        if turns[n] == none:
+            continue
+        place = turns[n] / step
+        below = kind(math.floor(place))
+        u, v = (displacements[n, 0] - low_x) / spacing + one, (displacements[n, 1] - low_y) / spacing + one
+        u, v = u if u > none else none, v if v > none else none
+        u, v = u if u < last_x else last_x, v if v < last_y else last_y
+        i, j = min(np.int64(u), columns - 2), min(np.int64(v), rows - 2)
+        a, b = u - kind(i), v - kind(j)
+        layer = np.int64(below) % layers
+        low, high = none, none
+        for up in range(2):
+            table = stack[(layer + up) % layers]
+            near = table[i, j] + b * (table[i, j + 1] - table[i, j])
+            far = table[i + 1, j] + b * (table[i + 1, j + 1] - table[i + 1, j])
+            low, high = high, near + a * (far - near)
+        share[n] = low + (place - below) * (high - low)
+
+
+turned_shares = Kernel(_turned_shares)

@@ -11,7 +11,7 @@ from rumi.dynamics.base import Paths, PushRollouts
 from rumi.fields.workspace import Workspace
 from rumi.planning.costs import InformationCost, information_cost
 from rumi.planning.objective import TrajectoryCost, gathered_by_action
-from rumi.planning.reach_cost import CrossCorrelation, ReachabilityCost
+from rumi.planning.reach_cost import CrossCorrelation, ReachabilityCost, Turned
 from sdf import backend, se3
 from sdf.voxel_grid import VoxelGrid
 
@@ -364,6 +364,22 @@ def test_reachability_of_turned_layers_is_that_of_each(generator: torch.Generato
         expected += share * ReachabilityCost(one, two)(displacements, turns, pivot)
     torch.testing.assert_close(ReachabilityCost(information, reachability)(displacements, turns, pivot), expected)
     assert float(expected.min()) < -0.01
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_versions_of_turned_shares_agree_to_the_bit(dtype: torch.dtype, generator: torch.Generator) -> None:
+    """Within the tables and beyond them, whole turns and none; where there is no turn the share stays as it was."""
+    stack = torch.rand(7, 9, 6, generator=generator, dtype=dtype)
+    moved = torch.randn(40, 5, 3, generator=generator, dtype=dtype)
+    turns = torch.where(moved[..., 2] > 0, 5.0 * torch.randn(40, 5, generator=generator, dtype=dtype), 0.0)
+    turns[0, :3] = torch.tensor([2.0, -1.0, 7.0]) * 2.0 * torch.pi / 7
+    tables = Turned(stack, torch.tensor([-0.8, -0.5, 0.0], dtype=dtype), 0.2)
+    found, plain = torch.full((40, 5), 0.5, dtype=dtype), torch.full((40, 5), 0.5, dtype=dtype)
+    backend.dispatch("turned_shares", found)(found, moved, turns, tables)
+    with backend.force("torch"):
+        backend.dispatch("turned_shares", plain)(plain, moved, turns, tables)
+    assert torch.equal(found, plain)
+    assert torch.equal(found == 0.5, turns == 0)
 
 
 def test_information_turns_with_the_object_in_space(generator: torch.Generator) -> None:
