@@ -20,7 +20,7 @@ from rumi.dynamics.push_registration import put_right
 from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.errors import UsageError
 from rumi.rosbag.bag import import_bag
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.recorded_pushes import PushRecording, read_pushes
 from scripts.bench.real_pushes import TIP_M, polygon_body
 from sdf import se3
