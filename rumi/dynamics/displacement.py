@@ -1,4 +1,8 @@
-"""RUMI's push model: the object moves with the point that touches it, if it is touched head-on."""
+"""RUMI's push model: the object moves with the point that touches it, if it is touched head-on.
+
+It is kept as the paper's. Over 5400 real pushes of 50 mm it is off by 31 mm and 12 degrees in the mean, more than to
+say that nothing moves (23 mm); see `scripts.real_pushes`.
+"""
 
 from collections.abc import Callable
 from typing import Any, Self

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rumi.agent import Parts
+from rumi.columns import folded
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
 from rumi.registration.pose_summary import PoseSummary, answer_lines
@@ -214,7 +215,8 @@ def ending(result: RunResult) -> list[str]:
         ended = f"lost; {ended}"
     lines = [f"{ended} after {result.steps} actions, {result.contacts} of them in contact{judged}"]
     lines += answer_lines(result.pose, result.why_not, result.warnings)
-    lines += [f"odd      {remark.name} at action {remark.step}: {remark.sentence}" for remark in result.remarks]
+    for remark in result.remarks:
+        lines += folded(f"odd      {remark.name} at action {remark.step}: {remark.sentence}")
     if result.position_error_mm is not None and result.rotation_error_deg is not None:
         lines.append(f"truth    {result.position_error_mm:.1f} mm and {result.rotation_error_deg:.1f} degrees away")
     known = "" if result.final_nll is None else f"{result.final_nll:.1f} at the end, {result.min_nll:.1f} at best; "
