@@ -47,7 +47,7 @@ from sdf.symmetry import Symmetries
 HALF_M = 0.045
 START_M, START_RAD = 0.005, math.radians(5.0)
 _LEARNT, _PUSH_PARTICLES = 10, 512
-_KEPT = 150
+_KEPT = 1000
 
 FILTERED = {"simulated": 1.0, "library": 1.0, "learnt": 1.0, "learnt, exact start": 0.02}
 """Models that the filter runs, with the start's deviation over 5 mm and 5 degrees."""
