@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.columns import folded
 from sdf import se3, so3
 from sdf.symmetry import Symmetries
 
@@ -231,8 +232,8 @@ def answer_lines(pose: PoseSummary | None, why_not: str | None, warnings: Sequen
     """The lines of an answer, for people: the pose, why it is not sure, and what may have made it wrong."""
     found = [] if pose is None else pose.lines()
     if why_not is not None:
-        found.append(f"not sure: {why_not}")
-    return found + [f"warning  {warning}" for warning in warnings]
+        found += folded(f"not sure: {why_not}")
+    return found + [line for warning in warnings for line in folded(f"warning  {warning}")]
 
 
 def _within(
