@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from rumi import loop
 from rumi.agent import Agent, Parts
 from rumi.runs.folder import RunRecorder, load_run
@@ -12,9 +14,10 @@ from rumi.runs.progress import announce, both
 from rumi.runs.recorded import RunLog
 from rumi.runs.replay import Replayed
 from rumi.runs.replay import replay as take_in
-from rumi.task import Task
+from rumi.task import Task, TaskOnDevice
 from rumi.tasks.registry import TASKS, entry_of, entry_of_record
-from rumi.tasks.rummage.build import geometry_of
+from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.geometry import geometry_of
 from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.touch_box.agent import Toucher
 
@@ -70,6 +73,7 @@ def run(
         UsageError: the folder cannot be written or holds a run.
     """
     announce(agent)
+    task = _beside(task, agent)
     if folder is None:
         return loop.run(task, agent, seed=seed, steps=steps, on_step=on_step)
     asked = {**getattr(agent, "about", {}), "seed": seed}
@@ -94,7 +98,17 @@ def replay(folder: Path | str, agent: Agent[Any] | None = None, *, cache_dir: Pa
     if agent is None:
         entry = entry_of_record(recorded.settings["task"])
         agent = entry.agent(entry.from_dict(recorded.settings), cache_dir=cache_dir)
-    return take_in(recorded.taken(), agent, seed=int(recorded.settings["seed"]))
+    whose = agent
+    return take_in(recorded.taken(), agent, seed=int(recorded.settings["seed"]), wrap=lambda task: _beside(task, whose))
+
+
+def _beside(task: Task, agent: Agent[Any]) -> Task:
+    """A robot's task, with its readings on the device and in the dtype of what the agent believes."""
+    if not isinstance(agent, Rummager) or isinstance(task, TaskOnDevice):
+        return task
+    where = agent.model.surface_points
+    same = where.device.type == "cpu" and where.dtype == torch.float32
+    return task if same else TaskOnDevice(task, where.device, where.dtype)
 
 
 def plot(folder: Path | str, out: Path | str | None = None, steps: Sequence[int] | None = None) -> list[Path]:

@@ -6,8 +6,9 @@
 
 Their meshes are made here. With --motions measured a sensor reports exactly how an object moved, with the others none
 does. A run ends found (sure, the pose within the task's tolerance modulo the object's symmetries), unsure (it says so),
-refused (before anything is run, with what to do), wrong (sure, the pose is not) or as a crash. Tune on seeds of 1000
-and more; seeds 0-2 are for the record.
+refused (before anything is run, with what to do), wrong (sure, the pose is not) or as a crash. An object fell where its
+z axis is more than 20 degrees off upright after an action, be it that it rolled. Tune on seeds of 1000 and more; seeds
+0-2 are for the record.
 """
 
 import math
@@ -22,10 +23,11 @@ from typing import Any
 import numpy as np
 
 from rumi import loop
+from rumi.belief.remarks import least_tilt
 from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.errors import DegenerateBeliefError, UsageError
-from rumi.records import RunResult
+from rumi.records import RunResult, StepRecord
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.objects import ObjectSettings
@@ -37,6 +39,7 @@ from sdf.drill import Drill
 
 PART = "first-day"
 MOTIONS = ("measured", "trajectory", "corrected")
+FELL_RAD = math.radians(20.0)
 OUTCOMES = ("found", "unsure", "refused", "wrong", "crash")
 Mesh = Any  # trimesh has no types
 
@@ -200,10 +203,12 @@ def measure(object: str, motion: str, seed: int) -> dict[str, Any]:
         return {"outcome": "refused", "said": str(error)}
     except Exception as error:  # whatever it is, it is what is looked for
         return {"outcome": "crash", "said": f"{type(error).__name__}: {error}"}
-    ready = time.perf_counter()
+    ready, off_upright = time.perf_counter(), list[float]()
     try:
         with parts:
-            result = loop.run(*parts, seed=seed, steps=parts.agent.steps)
+            result = loop.run(
+                *parts, seed=seed, steps=parts.agent.steps, on_step=lambda step: off_upright.append(tilt(step))
+            )
     except DegenerateBeliefError as error:
         return {"outcome": "unsure", "said": str(error)}
     except Exception as error:
@@ -216,9 +221,16 @@ def measure(object: str, motion: str, seed: int) -> dict[str, Any]:
         "said": "",
         "warnings": list(told.get("warnings", ())),
         "remarks": [remark.name for remark in result.remarks],
+        "tips_at": next((remark.step for remark in result.remarks if remark.name == "tips"), None),
+        "fell_at": next((step for step, angle in enumerate(off_upright) if angle > FELL_RAD), None),
         "build_s": ready - begun,
         "run_s": time.perf_counter() - ready,
     }
+
+
+def tilt(step: StepRecord) -> float:
+    """Angle of the true object's z axis off upright at the end of an action, radians; no run is told."""
+    return least_tilt(step.truth[None]) if step.truth is not None and step.truth.shape[-1] == 4 else 0.0
 
 
 def outcome(agent: Rummager, result: RunResult) -> str:
@@ -231,10 +243,12 @@ def outcome(agent: Rummager, result: RunResult) -> str:
 
 
 def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
-    """A row an object, the sum, and what was said."""
+    """A row an object, the sum, and what was said; of runs that were done again, with other code, the last counts."""
+    lines = list({(line["object"], line["motion"], line.get("seed")): line for line in lines}.values())
     motions = [motion for motion in MOTIONS if any(line["motion"] == motion for line in lines)]
     names = [name for name in OBJECTS if any(line["object"] == name for line in lines)]
-    heads = ("object", *(f"motion {motion}" for motion in motions), "actions", "wrong, with a warning", "remarks")
+    told = (*(f"motion {motion}" for motion in motions), "actions", "wrong, with a warning")
+    heads = ("object", *told, "tips said: fell, stood", "remarks")
     rows = [_row(name, motions, [line for line in lines if line["object"] == name]) for name in names]
     said = sorted({f"- {line['object']}, {line['outcome']}: {line['said']}" for line in lines if line["said"]})
     sums = table(heads, [*rows, _row("all", motions, lines)] if rows else [])
@@ -250,8 +264,17 @@ def _row(name: str, motions: Sequence[str], lines: Sequence[Line]) -> list[str]:
         *(", ".join(_counted(line["outcome"] for line in lines if line["motion"] == motion)) for motion in motions),
         f"{min(steps, key=int)} to {max(steps, key=int)}" if steps else "-",
         f"{sum(wrong)} of {len(wrong)}" if wrong else "-",
+        _tips(lines),
         ", ".join(f"{remark} {count}" for remark, count in sorted(odd.items())) or "-",
     ]
+
+
+def _tips(lines: Sequence[Line]) -> str:
+    """Of runs without a sensor of the motion, how many said `tips` where the object fell or rolled, and where not."""
+    some = [line for line in lines if line["motion"] != "measured" and "fell_at" in line]
+    both = ([line for line in some if (line["fell_at"] is None) is stood] for stood in (False, True))
+    counts = [f"{sum(line['tips_at'] is not None for line in part)} of {len(part)}" for part in both]
+    return ", ".join(counts) if some else "-"
 
 
 def _counted(outcomes: Iterator[str]) -> list[str]:

@@ -5,8 +5,9 @@
     python -m scripts.predicted_realised touching                # of the actions that touched the object only
     python -m scripts.predicted_realised folder runs/mug-0-rumi-default-s0
 
-Every mode and push model is asked about the same actions, the executed ones, from the beliefs before them. Tune on
-seeds of 1000 and more; seeds 0-9 are for the record.
+All modes and push models are asked about the same actions, the executed ones, from the beliefs before them; of tasks
+in space, whose fields are dear, the run's own mode alone, and of touch-box, which has no fields, its particles alone.
+Tune on seeds of 1000 and more; seeds 0-9 are for the record.
 """
 
 import math
@@ -18,21 +19,30 @@ from typing import Any, get_args
 
 import torch
 import tyro
+from jaxtyping import Float
+from torch import Tensor
 
 from rumi import loop
+from rumi.belief.trajectory_belief import TrajectoryBelief
 from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.dynamics.displacement import Hazard
+from rumi.dynamics.displacement_rollouts import Hazard
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationMode
 from rumi.records import StepRecord
 from rumi.runs.folder import load_run
 from rumi.seeding import split
+from rumi.task import StepResult
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build, build_rummager
 from rumi.tasks.rummage.scenes import find_task, make_tool
 from rumi.tasks.rummage.settings import Settings, from_dict
+from rumi.tasks.touch_box.agent import Toucher, TouchState
+from rumi.tasks.touch_box.build import build_touch_box
+from rumi.tasks.touch_box.scene import TouchTask
+from rumi.tasks.touch_box.settings import TouchSettings
 from scripts.bench.prediction import (
+    Predicted,
     Situation,
     actions,
     agreement,
@@ -46,10 +56,13 @@ from scripts.experiment import RESULTS, Experiment, Line
 from scripts.reproduce.cells import table
 from scripts.reproduce.code import code_of
 from scripts.reproduce.jobs import Job
+from scripts.reproduce.touch_report import digest
 from scripts.store import Store
 
-TASKS = ("mug-0", "mug-1", "mug-2")
-COLUMNS = ("rumi/default", "rumi/paper", "info-only/default", "reach-only/default")
+TOUCH = "touch-box"
+TASKS = (*(f"{kind}-{number}" for kind in ("mug", "drill", "box") for number in range(3)), TOUCH)
+COLUMNS = ("rumi/default", "rumi/paper", "info-only/default", "reach-only/default", "sequence/default")
+"""Method and preset; the last is of touch-box alone."""
 MODES: tuple[str, ...] = get_args(InformationMode)
 HAZARDS: tuple[str, ...] = get_args(Hazard)
 Cells = Sequence[str]
@@ -92,7 +105,7 @@ def judged(steps: Sequence[StepRecord], rummager: Rummager, settings: Settings) 
         situation = Situation(steps[index - 1], rummager.model, rummager.workspace, rummager.tool)
         row["modes"], row["swept"] = {}, {}
         own = PushModels(planner)
-        for mode in MODES:
+        for mode in (planner.information.mode,) if rummager.tool.spatial else MODES:
             information = replace(planner.information, mode=mode)
             row["modes"][mode] = asdict(situation.predict(after.control, information, own))
             row["swept"][mode] = situation.swept(after, information)
@@ -113,6 +126,8 @@ def _asked(
         maker = PushModels(replace(planner, push_model="displacement", push=replace(planner.push, hazard=hazard)))
         asked[f"displacement, mean {hazard}"] = (maker, rollouts["displacement"])
     asked["quasi-static, mean"] = (makers["quasi-static"], rollouts["quasi-static"])
+    drawn = replace(planner, push_model="quasi-static", push_parameters="prior")
+    asked["quasi-static, mean of the prior's draws"] = (PushModels(drawn), rollouts["quasi-static"])
     found: dict[str, dict[str, Any] | None] = {}
     for name, (maker, count) in asked.items():
         try:
@@ -135,6 +150,46 @@ def one_run(settings: Settings) -> list[dict[str, Any]]:
     return judged(steps, parts.agent, settings)
 
 
+class _Judged:
+    """The agent of touch-box, which notes how its particles would be pushed along each path that was carried out."""
+
+    def __init__(self, agent: Toucher) -> None:
+        self.agent = agent
+        self.actions: list[dict[str, Any]] = []
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        return getattr(self.agent, name)
+
+    def update(self, state: TouchState, action: object, result: StepResult) -> TouchState:
+        """As the agent's, and a line on what was foreseen and what came true."""
+        belief, path, truth = state.belief, result.reading.path, state.record.truth
+        true = replace(belief, pose=truth.expand_as(belief.pose))
+        expected = {name: self._expected(own, path) for name, own in (("belief", belief), ("true pose", true))}
+        after = self.agent.update(state, action, result)
+        u, v = (after.record.truth - truth)[:2].tolist()
+        moved = math.hypot(u, v) > 1e-3  # readings err, so that one in each poke or two is of a contact
+        came = {"gained": 0.0, "drop": 0.0, "displacement_m": (u, v, 0.0), "touched": moved}
+        pushes = {f"quasi-static, particles, {name}": own for name, own in expected.items()}
+        self.actions.append(
+            {"realised": came, "planned": expected["belief"], "modes": {}, "swept": {}, "pushes": pushes}
+        )
+        return after
+
+    def _expected(self, belief: TrajectoryBelief, path: Float[Tensor, "K1 3"]) -> dict[str, Any]:
+        rows = torch.arange(belief.pose.shape[1])
+        states = self.agent.rollouts(belief, path[None], rows)[0].states[0]
+        x, y = (belief.log_weights[0].exp() @ (states[-1] - states[0])[:, :2]).tolist()
+        return asdict(Predicted(0.0, (x, y, 0.0)))
+
+
+def one_touch_run(seed: int) -> list[dict[str, Any]]:
+    """Carry out one run of touch-box by its default, and judge its pokes."""
+    with build_touch_box(TouchTask(), TouchSettings(), "gripper", cache_dir=cache_folder()) as (task, agent):
+        judge = _Judged(agent)
+        loop.run(task, judge, seed=seed)
+    return judge.actions
+
+
 def job(column: str, task: str, seed: int, changes: tuple[str, ...]) -> Job:
     """The run of a variant."""
     return Job("run", task, *column.split("/"), seed, changes)
@@ -142,23 +197,30 @@ def job(column: str, task: str, seed: int, changes: tuple[str, ...]) -> Job:
 
 def measure(column: str, task: str, seed: int, changes: tuple[str, ...]) -> dict[str, Any]:
     """What was expected of each action of a run, and what it did."""
+    if task == TOUCH:
+        return {"actions": one_touch_run(seed)}
     return {"actions": one_run(job(column, task, seed, changes).settings)}
 
 
 def identity(variant: dict[str, Any]) -> dict[str, Any]:
     """Hashes of all settings and of the code."""
+    if variant["task"] == TOUCH:
+        own = digest(TouchTask(), TouchSettings(), "gripper")
+        return {"experiment": "prediction", "changes": [], "settings": own, "code": code_of("touch-box")}
     hashes = {"settings": job(**variant).settings_hash, "code": code_of("prediction")}
     return {"experiment": "prediction", "changes": list(variant["changes"]), **hashes}
 
 
 def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]], *, touching: bool = False) -> str:
-    """The tables of the newest code."""
+    """The tables of the newest code, by kind of task."""
     if not lines:
         raise SystemExit("There are no runs: do some with `run` first")
+    codes = {r["task"] == TOUCH: r["code"] for r in lines}
     newest = {}
     for r in lines:
-        if r["code"] == lines[-1]["code"]:
-            newest[" ".join((r["column"], *r["changes"])), r["task"], r["seed"]] = r["actions"]
+        if r["code"] == codes[r["task"] == TOUCH]:
+            kind = TOUCH if r["task"] == TOUCH else r["task"].split("-")[0]
+            newest[" ".join((kind, r["column"], *r["changes"])), r["task"], r["seed"]] = r["actions"]
     columns: dict[str, list[list[dict[str, Any]]]] = {}
     for (column, _, _), found in newest.items():
         columns.setdefault(column, []).append(found)
@@ -194,9 +256,15 @@ def tables(columns: dict[str, list[list[dict[str, Any]]]], touching: bool) -> st
         for column, runs in columns.items()
     }
     ends = ("error, mm (median)", "moves foreseen", "false moves")
-    heads = ("method/preset", "runs", "actions", "information predicted and gained", "displacement predicted and true")
-    modes = ("method/preset", "mode", "predicted and gained", "swept and gained", "predicted and swept")
-    pushes = ("method/preset", "push model", "displacement predicted and true", *ends)
+    heads = (
+        "task, method/preset",
+        "runs",
+        "actions",
+        "information predicted and gained",
+        "displacement predicted and true",
+    )
+    modes = ("task, method/preset", "mode", "predicted and gained", "swept and gained", "predicted and swept")
+    pushes = ("task, method/preset", "push model", "displacement predicted and true", *ends)
     return (
         f"Rank correlations over {which}, with 95 % intervals over whole runs.\n\nAs the plans had it:\n\n"
         f"{table((*heads, *ends), _planned(kept))}\n"
@@ -221,7 +289,7 @@ def _planned(columns: dict[str, list[list[dict[str, Any]]]]) -> Iterator[Cells]:
 def _modes(columns: dict[str, list[list[dict[str, Any]]]]) -> Iterator[Cells]:
     for column, runs in columns.items():
         for mode in MODES:
-            known = [[a for a in one if a["swept"][mode] is not None] for one in runs]
+            known = [[a for a in one if a["swept"].get(mode) is not None] for one in runs]
             known = [one for one in known if one]
             if not known:
                 continue
@@ -268,6 +336,7 @@ EXPERIMENT = Experiment(
     seeds="0-9",
     parameters={"changes": ()},
     identity=identity,
+    possible=lambda variant: (variant["task"] == TOUCH) == (variant["column"] == COLUMNS[-1]),
     commands={"touching": (Touching, touching), "folder": (Folder, folder)},
 )
 

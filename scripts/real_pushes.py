@@ -3,12 +3,14 @@
 python -m scripts.real_pushes run     # needs RUMI_DATA; again to go on
 python -m scripts.real_pushes show
 
-Priors of a shape are fitted to the other six on both surfaces; "after n" learns from n random pushes of the set, 20
-times, and is scored on all others of it (its regions on every eighth of those).
+Priors of a shape, and all that is chosen, are fitted to the other six on both surfaces; "after n" learns from n random
+pushes of the set, 20 times (5 for 1 and 3), and is scored on all others of it (its regions on every eighth of those).
+`--models fit`, `choices` and `coverage` come first, in this order: the others read them.
 """
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -17,17 +19,28 @@ from torch import Tensor
 
 from rumi.cli import script
 from rumi.dynamics.along_path import displace_along_path
+from rumi.dynamics.push_density import PushPrediction
+from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
+from scripts.bench.push_priors import (
+    FACTORS,
+    POWERS,
+    Choice,
+    chosen_factor,
+    chosen_power,
+    fit,
+    for_other_tools,
+    label,
+    prior_of,
+    without,
+)
 from scripts.bench.real_pushes import (
     SETS,
     SHAPES,
     Scores,
-    fit,
     fixed,
-    library_without,
     predicted,
-    prior_without,
     push_set,
     scores,
     wrench_log_likelihood,
@@ -38,7 +51,7 @@ from scripts.reproduce.cells import table
 from scripts.store import Store
 
 FILE = "real_pushes.jsonl"
-FIT = "fit"
+FIT, CHOSEN, HELD = "fit", "choices", "coverage"
 FIXED = {
     "lever 1.5 friction 0.5": (0.5, 1.5),
     "lever 1.5 friction 0.3": (0.3, 1.5),
@@ -47,12 +60,31 @@ FIXED = {
 """Friction and lever ratio by what a table calls them."""
 LEARNT = {"never seen": 0, "after 1": 1, "after 3": 3, "after 10": 10}
 SHIPPED = {"library prior": 0, "library after 10": 10}
-"""The library's own prior, as it is without the shape (`library_without`), and after pushes."""
+"""The library's own prior, as it is without the shape: a friction as wide as tools are; and after pushes."""
+FAR = {"library, another shape less": 0, "library, another shape less, after 10": 10}
+"""The same, without one more shape: the mean over each of the others."""
+OTHER = {"library of the other surface": 0, "library of the other surface, after 10": 10}
+"""The same, of the other shapes on the other surface."""
 WRENCHES = {"10 pushes": False, "10 pushes and wrenches": True}
 """Learnt alike by weights alone, with and without 10 measured pairs of wrench and twist of the same set."""
-MODELS = (FIT, "stays", "displacement", *FIXED, "Zhou by 600 wrenches", *SHIPPED, *LEARNT, *WRENCHES)
-DRAWS, PARTICLES, SHOWN = 20, 128, 48
-"""Times that pushes are drawn to learn from; particles that learn; draws of them that predict."""
+MODELS = (
+    FIT,
+    CHOSEN,
+    HELD,
+    "stays",
+    "displacement",
+    *FIXED,
+    "Zhou by 600 wrenches",
+    *LEARNT,
+    *SHIPPED,
+    *FAR,
+    *OTHER,
+    *WRENCHES,
+)
+DRAWS, FEWER = {0: 1, 1: 5, 3: 5, 10: 20}, {0: 1, 10: 3}
+"""Times that so many pushes are drawn to learn from; of what is no part of the protocol's table."""
+PARTICLES, SHOWN = 128, 48
+"""Particles that learn; draws of them that predict."""
 SHARES = (0.5, 0.9, 0.95)
 
 
@@ -75,13 +107,34 @@ def measure(model: str, set: str) -> dict[str, Any]:
         return _with_wrenches(set, known=WRENCHES[model])
     if model in FIXED:
         return _summary([scores(predicted(fixed(*FIXED[model]), own, rows).mean(), own.end, own.path)])
-    count = (SHIPPED | LEARNT)[model]
-    shape = set.split()[1]
-    prior = (library_without if model in SHIPPED else prior_without)(shape, fits(), PARTICLES)
-    found, densities, levels, numbers = [], [], [], []
-    for draw in range(DRAWS if count else 1):
-        generator = split(draw, f"real pushes {set}")
-        order = torch.randperm(len(rows), generator=generator)
+    if model == CHOSEN:
+        return {"densities": _densities(set)}
+    if model == HELD:
+        return {"held": _held(set)}
+    surface, shape = set.split()
+    count = (SHIPPED | LEARNT | FAR | OTHER)[model]
+    if model in FAR:
+        return _averaged(
+            [_believed(set, prior_without((shape, other)), count, FEWER[count]) for other in SHAPES if other != shape]
+        )
+    prior = prior_without((shape,), surface if model in OTHER else "", library=model not in LEARNT)
+    return _believed(set, prior, count, (FEWER if model in OTHER else DRAWS)[count])
+
+
+def prior_without(
+    shapes: tuple[str, ...], surface: str = "", *, library: bool = True, count: int = PARTICLES
+) -> PushPosterior:
+    """By the fits of all other shapes (on all other surfaces), with what they choose."""
+    prior = prior_of(without(fits(), shapes, surface), choice_without(shapes), count)
+    return for_other_tools(prior) if library else prior
+
+
+def _believed(name: str, prior: PushPosterior, count: int, draws: int) -> dict[str, Any]:
+    """Scores of a prior after some pushes of a set, drawn so many times."""
+    own, found, densities, levels, numbers = push_set(name), [], [], [], []
+    for draw in range(draws):
+        generator = split(draw, f"real pushes {name}")
+        order = torch.randperm(len(own.start), generator=generator)
         learnt, rest = order[:count], order[count:]
         posterior = prior.update(own.observed(learnt), own.body, generator)
         shown = predicted(posterior.thinned(SHOWN) if count else posterior, own, rest)
@@ -96,9 +149,60 @@ def measure(model: str, set: str) -> dict[str, Any]:
     return _summary(found) | held | {"log_density": float(np.mean(densities)), "friction_lever": middle}
 
 
+def _averaged(found: list[dict[str, Any]]) -> dict[str, Any]:
+    """Means of figures; of lists, of each part."""
+    return {name: np.mean([one[name] for one in found], axis=0).tolist() for name in found[0]}
+
+
+def _densities(name: str) -> dict[str, dict[str, float]]:
+    """Of each choice, without a set's shape and one other: mean log density after 0, 3 and 10 pushes.
+
+    Factors change what is predicted alone, not what is learnt: that saves most of the time.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for other in _others(name):
+        found[other] = {}
+        for power in POWERS:
+            shown = _inner(name, other, power, 4)
+            for factor in FACTORS:
+                terms = [_wider(each, factor).log_density(end).mean() for each, end in shown]
+                found[other][label(Choice(power, factor))] = float(torch.stack(terms).mean())
+    return found
+
+
+def _held(name: str) -> dict[str, dict[str, float]]:
+    """Of each factor, without a set's shape and one other: share of pushes that regions of 90 % hold; likewise."""
+    found: dict[str, dict[str, float]] = {}
+    for other in _others(name):
+        shown, generator = _inner(name, other, power_without((other,)), 16), split(1000, f"levels {name}")
+        found[other] = {}
+        for factor in FACTORS:
+            levels = [_wider(each, factor).level(end, generator, draws=200) for each, end in shown]
+            found[other][f"{factor:g}"] = float((torch.cat(levels) <= 0.9).double().mean())
+    return found
+
+
+def _inner(name: str, other: str, power: float, every: int) -> list[tuple[PushPrediction, Tensor]]:
+    """Some pushes of a set as they are predicted without its shape and one other, after 0, 3 and 10; their ends."""
+    own, generator = push_set(name), split(1000, f"real pushes {name}")
+    order = torch.randperm(len(own.start), generator=generator)
+    rest = order[10:][::every]
+    prior = prior_of(without(fits(), (name.split()[1], other)), Choice(power, 1.0), PARTICLES)
+    learnt = [prior.update(own.observed(order[:count]), own.body, generator) for count in (0, 3, 10)]
+    return [(predicted(posterior.thinned(SHOWN), own, rest), own.end[rest]) for posterior in learnt]
+
+
+def _wider(shown: PushPrediction, factor: float) -> PushPrediction:
+    return shown._replace(scale=factor * shown.scale)
+
+
+def _others(name: str) -> list[str]:
+    return [shape for shape in SHAPES if shape != name.split()[1]]
+
+
 def _with_wrenches(name: str, *, known: bool) -> dict[str, Any]:
     own, pairs = push_set(name), wrench_twists(name)
-    prior = prior_without(name.split()[1], fits(), 1024)
+    prior = prior_without((name.split()[1],), library=False, count=1024)
     found = []
     for draw in range(5):
         generator = split(draw, f"real pushes {name}")
@@ -107,12 +211,13 @@ def _with_wrenches(name: str, *, known: bool) -> dict[str, Any]:
         weighed = prior.log_weights + prior.log_likelihood(own.observed(learnt), own.body)
         rows = torch.randperm(len(pairs.wrench), generator=generator)[:10]
         if known:
-            weighed = weighed + 0.3 * wrench_log_likelihood(prior.parameters, rows, pairs, own.body)
+            weighed = weighed + prior.residual.power * wrench_log_likelihood(prior.parameters, rows, pairs, own.body)
         posterior = replace(prior, log_weights=weighed.log_softmax(-1))
         found.append(scores(predicted(posterior.thinned(SHOWN), own, rest).mean(), own.end[rest], own.path[rest]))
     return _summary(found)
 
 
+@cache
 def fits() -> dict[str, tuple[float, ...]]:
     """Parameters of each set, on record.
 
@@ -122,6 +227,29 @@ def fits() -> dict[str, tuple[float, ...]]:
     lines = {line["set"]: tuple(line["parameters"]) for line in Store(RESULTS / FILE).flat() if line["model"] == FIT}
     if set(lines) != set(SETS):
         raise ValueError("Expected a fit of every set on record: python -m scripts.real_pushes run --models fit")
+    return lines
+
+
+def choice_without(shapes: tuple[str, ...]) -> Choice:
+    """What the other shapes choose, on record."""
+    return Choice(power_without(shapes), chosen_factor(_recorded(HELD, "held"), shapes))
+
+
+def power_without(shapes: tuple[str, ...]) -> float:
+    """The power that the other shapes choose, on record."""
+    return chosen_power(_recorded(CHOSEN, "densities"), shapes)
+
+
+@cache
+def _recorded(model: str, figure: str) -> dict[str, dict[str, dict[str, float]]]:
+    """A figure of each set.
+
+    Raises:
+        ValueError: some are not on record yet.
+    """
+    lines = {line["set"]: line[figure] for line in Store(RESULTS / FILE).flat() if line["model"] == model}
+    if set(lines) != set(SETS):
+        raise ValueError(f"Expected all sets on record: python -m scripts.real_pushes run --models {model}")
     return lines
 
 
@@ -159,7 +287,9 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
     rows, covered = [], []
     for model in chosen.get("model", MODELS):
         own = [line for line in lines if line["model"] == model]
-        if model == FIT or len({line["set"] for line in own}) < (12 if model in WRENCHES else len(SETS)):
+        if model in (FIT, CHOSEN, HELD) or len({line["set"] for line in own}) < (
+            12 if model in WRENCHES else len(SETS)
+        ):
             continue
         density = f"{over_sets(own, 'log_density'):.2f}" if "log_density" in own[0] else "-"
         cells = [f"{over_sets(own, name):.2f}" for name in ("mm_median", "mm_90", "along_mm", "across_mm")]

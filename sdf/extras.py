@@ -12,6 +12,8 @@ EXTRAS = {
     "cluster": "submitit",
     "vision": "cv2",
     "logs": "h5py rosbags lz4 backports",
+    "serve": "msgspec",
+    "view": "rerun",
     "baselines": "gpytorch",
     "gym": "gymnasium",
     "peers": "pytorch_volumetric chsel pytorch_mppi",

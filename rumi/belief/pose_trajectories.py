@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from rumi.belief.felt_force import log_likelihood_of_forces
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import NODES, History, Kind, arrays_of
@@ -17,6 +18,7 @@ from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path, unwrapped
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.sliding import Sliding, push, rotated
+from rumi.errors import UsageError
 from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
@@ -267,6 +269,13 @@ class Trajectories:
         version = backend.dispatch(model.replay, self.poses, *model.sdf.tensors())
         least = torch.full_like(first, -torch.inf, dtype=torch.float64) if least is None else least
         poses, log_likelihood = version(model, settings, history, self, first, least)
+        if bool(history.force[:, 2].any()):
+            if not isinstance(model, PushedObject):
+                raise UsageError("Expected an upright object where the tool's force is felt: in space it tells nothing")
+            centre = model.centre + settings.centre_m * self.physics[:, 2:4]
+            ahead = model.height_m * (settings.ahead[0] + settings.ahead[1] * self.physics[:, 4])
+            told = log_likelihood_of_forces(poses, centre, ahead, history, settings)
+            log_likelihood = log_likelihood + torch.where(torch.arange(len(history)) >= first[:, None], told, 0.0)
         return replace(self, poses=poses, log_likelihood=log_likelihood)
 
 

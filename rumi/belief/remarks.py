@@ -5,12 +5,14 @@ What the cause is, and what to do, is not decided here.
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.belief.frictions import Frictions
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.outline import Base
 from rumi.dynamics.push_limits import held_twice, tips
@@ -27,6 +29,8 @@ from sensors.semantics import Semantics
 
 _ON_M, _TOUCHES_M = 0.006, 0.001  # a felt point this near a pad is the pad's; a pad this near the object feels it
 _ASKED = 9  # poses that stand for equal shares of the belief
+_AT_ODDS = {"not there", "elsewhere", "other height", "lost"}
+_DRAWN = 64  # the same where frictions differ from one to the next
 _BEST = 5  # particles of least discrepancy that are asked: one that explains a reading is enough
 
 
@@ -59,6 +63,8 @@ class Limits:
         apart_m: between a surface that was felt or seen and the nearest that is believed, and how deep in what is
             believed the tool may have been.
         pushed_m: that a tool goes in contact, at least, to have pushed.
+        tips: probability that a push tipped the object.
+        odds: how many times as likely readings are to be at odds with an upright pose where it was tipped.
     """
 
     short_m: float = 0.015
@@ -68,6 +74,8 @@ class Limits:
     height_m: float = 0.010
     apart_m: float = 0.012
     pushed_m: float = 0.002
+    tips: float = 0.9
+    odds: float = 9.0
 
 
 def held_up(
@@ -161,19 +169,27 @@ def felt_heights(
 
 
 def tipping(
-    reading: Reading, belief: PoseBelief, surface_points: Float[Tensor, "S 3"], base: Base, limits: Limits
-) -> float | None:
-    """Height above what the object stands on at which it was pushed, metres, where it rather tips than slides there.
+    reading: Reading,
+    belief: PoseBelief,
+    surface_points: Float[Tensor, "S 3"],
+    base: Base,
+    frictions: Frictions,
+    limits: Limits,
+) -> tuple[float, float] | None:
+    """Height above what the object stands on at which it was pushed, and the probability that this tipped it.
+
+    Over poses and frictions of the belief, in quasi-statics: it tips or rolls where that takes less than sliding.
 
     Args:
         reading: of the action.
         belief: of upright poses.
         surface_points: of the object.
         base: of the object.
+        frictions: of it, by the belief.
         limits: how much is a push.
 
     Returns:
-        None where it was not pushed, or slides by most of the belief.
+        metres, and a number in [0, 1]; None where it was not pushed.
     """
     met = reading.in_contact.nonzero()[:, 0]
     if not len(met):
@@ -182,15 +198,17 @@ def tipping(
     way = (places[met[-1]] - places[max(int(met[0]) - 1, 0)])[:2]
     if float(way.norm()) < limits.pushed_m:
         return None
-    poses = belief.world_T_object
-    rests_at = (poses[:, 2, :3] @ surface_points.mT + poses[:, 2, 3:]).amin(-1).median()
+    some = systematic(belief.log_weights, 0.5, _DRAWN)
+    poses = belief.world_T_object[some].double()
+    rests_at = (poses[:, 2, :3] @ surface_points.to(poses).mT + poses[:, 2, 3:]).amin(-1).median()
     height = float(places[met[0], 2] - rests_at)
     yaw = se3.to_planar(poses)[:, 2]
     here = reading.observation.of_class(Semantics.SURFACE) & (reading.instant == met[-1])
     felt = reading.observation.points[here][:, :2].to(poses)
     touched = rotated(felt.mean(0) - poses[:, :2, 3], -yaw) if len(felt) else None
-    share = belief.log_weights.softmax(-1)[tips(yaw, way, height, base, touched)].sum()
-    return height if float(share) > 0.5 else None
+    tool = frictions.tool[some]
+    over = [tips(yaw, way, height, base, touched, friction=floor, tool_friction=tool) for floor in frictions.floor]
+    return height, float(torch.stack(over).double().mean())
 
 
 def gripped(reading: Reading, belief: PoseBelief, body: PushedBody, limits: Limits) -> bool:
@@ -259,7 +277,9 @@ def remarks(
     upright: bool,
     pads: Float[Tensor, "P 3"] | None = None,
     base: Base | None = None,
+    frictions: Frictions | None = None,
     body: PushedBody | None = None,
+    before: Collection[str] = (),
     limits: Limits | None = None,
 ) -> tuple[Remark, ...]:
     """What is odd after an action.
@@ -275,8 +295,10 @@ def remarks(
         upright: whether the object is expected to stand as it did at first.
         pads: points of the pads' surface, tool frame; None where heights at which they feel are not looked at.
         base: of the object, where it should stand upright; None where pushes that tip it are not looked for.
+        frictions: of the object by the belief, for the same.
         body: object and level tool, where the object should stand upright; None where it is not looked for contacts at
             two sides.
+        before: names of what was remarked before; readings at odds with the belief make it likelier that a push tips.
         limits: how much is odd.
     """
     limits, found = limits or Limits(), []
@@ -296,12 +318,6 @@ def remarks(
     if abs(height) > 1e3 * limits.height_m:
         name, where = ("lifted", "above") if height > 0 else ("dropped", "below")
         found.append((name, f"by its motion the object's lowest point is {abs(height):.0f} mm {where} the table"))
-    # a motion that is measured tells by itself whether it fell
-    unmeasured = reading.object_motion is None and tilt <= limits.tilt_rad
-    pushed_at = None if base is None or not unmeasured else tipping(reading, belief, model.surface_points, base, limits)
-    if pushed_at is not None:
-        where = f"pushed {1e3 * pushed_at:.0f} mm above what it stands on, the object tips or rolls before it slides"
-        found.append(("tips", f"{where} (friction .5): nothing measures how it lies now"))
     if body is not None and tilt <= limits.tilt_rad and gripped(reading, belief, body, limits):
         found.append(
             ("two contacts", "the tool touches the object at two sides: how it moves then, no push model knows")
@@ -318,4 +334,16 @@ def remarks(
         if max(abs(bottom - low), abs(top - high)) > 1e3 * limits.apart_m:
             heights = f"{bottom:.0f} to {top:.0f} mm above the table, where every pose believed differs (the nearest is"
             found.append(("other height", f"the object was felt {heights} felt at {low:.0f} to {high:.0f} mm)"))
+    tipped = None
+    # a motion that is measured tells by itself whether it fell
+    if base is not None and frictions is not None and reading.object_motion is None and tilt <= limits.tilt_rad:
+        tipped = tipping(reading, belief, model.surface_points, base, frictions, limits)
+    if tipped is not None:
+        odds = limits.odds if _AT_ODDS & {name.split(":")[0] for name in (*before, *dict(found))} else 1.0
+        share = tipped[1] * odds / (1.0 + tipped[1] * (odds - 1.0))
+        if share > limits.tips:
+            where = (
+                f"pushed {1e3 * tipped[0]:.0f} mm above what it stands on, the object tips or rolls before it slides"
+            )
+            found.append(("tips", f"{where} with probability {share:.2f}: nothing measures how it lies now"))
     return tuple(Remark(name, step, sentence) for name, sentence in found)

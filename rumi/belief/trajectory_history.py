@@ -34,6 +34,8 @@ class Segment(NamedTuple):
         instant: (M), in ascending order.
         kind: (M), of `Kind`.
         weight: (M), independent readings that a point is worth.
+        force: (3), x and y of the tool's mean force on the object, in N or any unit, and the independent readings that
+            it is worth; None where none was measured.
     """
 
     tool: Float[Tensor, "K 2 T"]
@@ -42,6 +44,7 @@ class Segment(NamedTuple):
     instant: Int[Tensor, "M"]
     kind: Int[Tensor, "M"]
     weight: Float[Tensor, "M"]
+    force: Float[Tensor, "3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +60,7 @@ class History:
         kind: (M).
         weight: (M).
         point_ends: (T), point behind each instant's last.
+        force: (S, 3), mean force of each segment and what it is worth; 0 where none was measured.
     """
 
     tool: Float[Tensor, "T 2 C"]
@@ -67,12 +71,15 @@ class History:
     kind: Int[Tensor, "M"]
     weight: Float[Tensor, "M"]
     point_ends: Int[Tensor, "T"]
+    force: Float[Tensor, "S 3"]
 
     @classmethod
     def empty(cls, numbers: int = 3) -> Self:
         """Nothing yet; of a tool's pose by 3 numbers, in space by 4."""
         none, flat = torch.zeros(0, dtype=torch.long), torch.zeros(0, dtype=torch.float64)
-        return cls(flat.view(0, 2, numbers), none.bool(), none, none, flat.view(0, 3), none, flat, none)
+        return cls(
+            flat.view(0, 2, numbers), none.bool(), none, none, flat.view(0, 3), none, flat, none, flat.view(0, 3)
+        )
 
     def __len__(self) -> int:
         """Number of segments."""
@@ -95,6 +102,7 @@ class History:
         count, instants = len(self), len(segment.tool)
         action = count if opens or not count else int(self.action[-1])
         counts = torch.bincount(segment.instant, minlength=instants)
+        force = self.force.new_zeros(3) if segment.force is None else segment.force.to(self.force)
         return replace(
             self,
             tool=torch.cat((self.tool, segment.tool)),
@@ -105,15 +113,17 @@ class History:
             kind=torch.cat((self.kind, segment.kind)),
             weight=torch.cat((self.weight, segment.weight)),
             point_ends=torch.cat((self.point_ends, len(self.points) + counts.cumsum(0))),
+            force=torch.cat((self.force, force[None])),
         )
 
     def tempered(self, power: float) -> Self:
         """The last segment's readings raised to a power."""
         if power == 1.0 or not len(self):
             return self
-        weight = self.weight.clone()
+        weight, force = self.weight.clone(), self.force.clone()
         weight[self._points_before(len(self) - 1) :] *= power
-        return replace(self, weight=weight)
+        force[-1, 2] *= power
+        return replace(self, weight=weight, force=force)
 
     def last(self) -> Self:
         """The last segment alone, as an action of its own."""
@@ -133,6 +143,7 @@ class History:
             kind=self.kind[point:],
             weight=self.weight[point:],
             point_ends=self.point_ends[first:] - point,
+            force=self.force[segment:],
         )
 
     def moving(self) -> Int[Tensor, "s"]:
@@ -145,11 +156,13 @@ class History:
         return torch.arange(self._points_before(int(moving[-1]) + 1) if len(moving) else 0, len(self.points))
 
     def worth(self) -> Float[Tensor, "S kinds"]:
-        """Independent readings of each kind that each segment's points are worth."""
+        """Independent readings of each kind that each segment's points are worth; a force errs as felt points do."""
         at = torch.searchsorted(self.point_ends, torch.arange(len(self.points)), right=True)
         segment = torch.searchsorted(self.ends, at, right=True)
         flat = torch.zeros(len(self) * len(Kind), dtype=torch.float64)
-        return flat.index_add_(0, len(Kind) * segment + self.kind, self.weight.double()).view(len(self), len(Kind))
+        flat = flat.index_add_(0, len(Kind) * segment + self.kind, self.weight.double())
+        flat[int(Kind.FELT) :: len(Kind)] += self.force[:, 2]
+        return flat.view(len(self), len(Kind))
 
     def _points_before(self, segment: int) -> int:
         """Number of points of the segments before one."""

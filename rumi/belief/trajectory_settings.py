@@ -64,6 +64,7 @@ class PoseTrajectorySettings:
             an instant are worth.
         pad_m, pad_slope_m, pad_weight, pad_spacing_m: distance within which a pad's point feels the surface, width of
             that border, what a point is worth, and the points' spacing.
+        force_rad: deviation of the direction of a tool's force, where it is measured.
         outliers: share of readings that mean nothing.
         most: points that are kept of a view, the free ones of it, and of a segment's felt points and pads.
     """
@@ -104,6 +105,7 @@ class PoseTrajectorySettings:
     pad_slope_m: float = 0.0003
     pad_weight: float = 0.03
     pad_spacing_m: float = 0.0025
+    force_rad: float = 0.15
     outliers: float = 0.02
     most: tuple[int, int, int, int] = (500, 250, 60, 120)
 
@@ -122,7 +124,7 @@ class PoseTrajectorySettings:
                 if not 0 <= number < math.inf:
                     raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")
         whole = ("particles", "unseen_particles", "branches", "instants", "lag", "memory", "rounds")
-        positive = ("seen_sd_m", "free_sd_m", "felt_sd_m", "pad_slope_m", "pad_spacing_m", "free_cell_m")
+        positive = ("seen_sd_m", "free_sd_m", "felt_sd_m", "pad_slope_m", "pad_spacing_m", "free_cell_m", "force_rad")
         for name in (*whole, *positive):
             if not getattr(self, name) > 0:
                 raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")

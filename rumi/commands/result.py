@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from rumi.columns import folded
 from rumi.exit_codes import DONE
 from rumi.runs.plain import plain
 
@@ -51,6 +52,6 @@ def result(arguments: Sequence[str]) -> int:
     if pose is None:
         lines.append("pose     not known yet")
     if relies_on := ended.get("relies_on"):
-        lines.append(f"relies on {relies_on}")
+        lines += folded(f"relies on {relies_on}")
     sys.stdout.write("\n  ".join(lines) + "\n")
     return DONE

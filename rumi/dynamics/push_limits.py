@@ -15,6 +15,7 @@ from rumi.dynamics.sliding import rotated
 
 _SIDES = 72  # directions in which a base's convex hull is looked at, and in which an object is moved
 _DEEPER = 0.25  # of such a way, by which the tool is deeper in it then: it stands in the way
+_WEDGED = 0.05  # of the weight over the push, below which it is not let fall
 
 
 def held_twice(
@@ -58,14 +59,15 @@ def tips(
     base: Base,
     touched: Float[Tensor, "E 2"] | None = None,
     *,
-    friction: float = 0.5,
-    tool_friction: float = 0.5,
+    friction: Float[Tensor, "*#E"] | float = 0.5,
+    tool_friction: Float[Tensor, "*#E"] | float = 0.5,
 ) -> Bool[Tensor, "E"]:
     """Whether an upright object that is pushed at a height tips about an edge of its base before it slides.
 
     A push that is about to slide it moves the centre of pressure ahead of the centre of mass by friction times the
     height; out of the base's convex hull there is nothing to press on. Where it begins to lean, the side that the tool
-    touches goes up, and the tool's own friction holds it down, by as much as it presses.
+    touches goes up, and the tool's own friction holds it down, by as much as it presses. Where the product of both
+    frictions nears 1, pushing wedges the object.
 
     Args:
         yaw: of the objects, radians.
@@ -73,16 +75,17 @@ def tips(
         height_m: of the push above what the object stands on.
         base: of the object.
         touched: places that the tool touches, object frame; None leaves the tool's own friction out.
-        friction: coefficient between object and floor.
-        tool_friction: the same between object and tool; less than 1 over the other.
+        friction: coefficient between object and floor, one or one for each object.
+        tool_friction: the same between object and tool.
     """
     ahead = rotated((direction / direction.norm()).to(yaw).expand(len(yaw), 2), -yaw)
     angle = torch.arange(_SIDES, dtype=yaw.dtype, device=yaw.device) * (2.0 * math.pi / _SIDES)
     sides = torch.stack((angle.cos(), angle.sin()), -1)
     reach = (sides @ (base.points - base.centre).to(yaw).mT).amax(-1)
+    floor, tool = (torch.as_tensor(part).to(yaw).expand(len(yaw))[:, None] for part in (friction, tool_friction))
     if touched is None:
-        return (friction * height_m * ahead @ sides.mT > reach).any(-1)
+        return (floor * height_m * (ahead @ sides.mT) > reach).any(-1)
     # shares of the weight: what presses where it slides while held down all it can be, and the moment about an edge
-    pressed = friction / (1.0 - friction * tool_friction)
+    pressed = floor / (1.0 - floor * tool).clamp_min(_WEDGED)
     back = (reach - (touched - base.centre.to(yaw)) @ sides.mT).clamp_min(0.0)
-    return (pressed * height_m * ahead @ sides.mT > reach + tool_friction * pressed * back).any(-1)
+    return (pressed * height_m * (ahead @ sides.mT) > reach + tool * pressed * back).any(-1)

@@ -98,7 +98,7 @@ def _wrench_contacts(
     config = mapping.wrench
     assert config is not None
     every = stream.samples(span.start_ns, span.read_ns)
-    samples = [one for one in every if bool(torch.isfinite(_wrench_of(one)).all())]
+    samples = [one for one in every if bool(torch.isfinite(wrench_of(one)).all())]
     if lost := len(every) - len(samples):
         problems.append(f"stream {stream.name}: {lost} of {len(every)} wrenches are no numbers, and left out")
     if not samples:
@@ -107,7 +107,7 @@ def _wrench_contacts(
     report_unknown_poses(stream, known, problems)
     samples = [one for one, there in zip(samples, known.tolist(), strict=True) if there]
     pose = pose[known]
-    wrench = torch.stack([_wrench_of(one) for one in samples]) if samples else torch.zeros(0, 6, dtype=torch.float64)
+    wrench = torch.stack([wrench_of(one) for one in samples]) if samples else torch.zeros(0, 6, dtype=torch.float64)
     load = _load(stream, config, wrench, pose, samples, span.start_ns, problems)
     contact = read_wrenches(wrench, pose, load, mapping)
     for name in WrenchStatus:
@@ -168,5 +168,6 @@ def _load(
     return load.tared(signed[early], pose[early, :3, :3])
 
 
-def _wrench_of(sample: Sample) -> Float[Tensor, "6"]:
+def wrench_of(sample: Sample) -> Float[Tensor, "6"]:
+    """Force and moment of a sample of a stream of wrenches, N and N m."""
     return torch.cat([torch.tensor(sample.values[name]) for name in ("force", "torque")])

@@ -8,6 +8,8 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 from tqdm import tqdm
 
+from rumi.columns import folded
+
 _STAGES = ("simulate", "belief", "plan", "agree", "score")
 
 
@@ -37,9 +39,9 @@ def say(text: str) -> None:
 def announce(agent: object) -> None:
     """Say what a run relies on, and what is not measured and may make its belief sure and wrong."""
     if relies_on := getattr(agent, "relies_on", ""):
-        say(f"relies on {relies_on}")
+        say("\n".join(folded(f"relies on {relies_on}", indent=6, hang=6)))
     for warning in getattr(agent, "warnings", ()):
-        say(f"warning: {warning}")
+        say("\n".join(folded(f"warning: {warning}", indent=6, hang=6)))
 
 
 class Progress:

@@ -8,12 +8,11 @@ import torch
 from torch import Tensor
 
 from rumi.records import StepRecord
+from rumi.runs.memory import memory
 from rumi.runs.scene_geometry import SceneGeometry
 from rumi.viz import style
 from rumi.viz.curves import touched
 from rumi.viz.outlines import bounding_box, heaviest, object_outline, object_section, placed
-from sdf import se3
-from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
 
 if TYPE_CHECKING:
@@ -122,14 +121,6 @@ def draw_reach(reach: np.ndarray, origin: Sequence[float], spacing: float, ax: "
     places = [place for place in places if left + inset < place[0] < right - inset]
     ax.clabel(lines, fmt="r = %g", fontsize=7, colors=style.QUIET, inline_spacing=3, manual=places)
     return ax
-
-
-def memory(steps: Sequence[StepRecord]) -> Observation:
-    """All points observed up to the last step, in the world as it is then."""
-    points = concatenate([step.added for step in steps])
-    moved = se3.apply(steps[-1].belief.world_T_attached.to(points.points), points.points)
-    world = torch.where(points.attached[:, None], moved, points.points)
-    return Observation(world, points.semantics, points.attached, points.valid)
 
 
 def draw_observations(steps: Sequence[StepRecord], ax: "Axes", most: int = 4000) -> "Axes":

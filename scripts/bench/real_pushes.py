@@ -7,7 +7,6 @@ kept in github.com/robinzhoucmu/Pushing; `closed_loop.npz` is of github.com/mcub
 import json
 import math
 import os
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -19,10 +18,9 @@ from torch import Tensor
 
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import GridOutline, Support
-from rumi.dynamics.push_density import PushPrediction, PushResidual
+from rumi.dynamics.push_density import PushPrediction
 from rumi.dynamics.push_parameters import sliding_of
 from rumi.dynamics.push_posterior import PushPosterior
-from rumi.dynamics.push_registration import Registration
 from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.dynamics.sliding import rotated
 from rumi.errors import UsageError
@@ -33,10 +31,6 @@ _INSTANTS = 21  # of a path of 50 mm
 
 SHAPES = ("rect1", "rect3", "tri1", "tri2", "ellip1", "ellip2", "hex")
 SURFACES = ("abs", "plywood")
-_MIDDLE = (math.log(0.25), 0.15, 1.1, 4.0, 0.0, 0.0, 0.0, 0.0)
-_WIDE = (1.0, 0.9, 2.4, 4.6, 0.08, 0.08, 0.12, 0.12)
-"""Prior of fits to whole sets."""
-
 SETS = tuple(f"{surface} {shape}" for surface in SURFACES for shape in SHAPES)
 
 
@@ -153,104 +147,6 @@ def fixed(friction: float, lever_ratio: float) -> PushPosterior:
 def predicted(posterior: PushPosterior, own: PushSet, rows: Tensor) -> PushPrediction:
     """Of some pushes of a set."""
     return posterior.predict(own.start[rows], own.path[rows], own.body)
-
-
-def fit(own: PushSet, *, evaluations: int = 350) -> tuple[float, ...]:
-    """Parameters of greatest posterior density, by all pushes of a set and a wide prior (Nelder-Mead)."""
-    from scipy.optimize import minimize
-
-    wide = PushPosterior.prior(256, mean=_MIDDLE, deviation=[0.5 * part for part in _WIDE])
-    pushes = own.observed(torch.arange(len(own.start)))
-    registered = Registration().learnt(pushes, own.body)
-    wide = replace(wide, deviation=_WIDE, registration=registered, white=None)
-    few = pushes[:: max(1, len(pushes) // 40)]
-    like = wide.log_likelihood(few, own.body)
-    start, deviation = wide.parameters[like.argmax()].numpy(), np.array(wide.deviation)
-    full = replace(wide, pushes=tuple(pushes))
-
-    def cost(parameters: np.ndarray) -> float:
-        particle = torch.tensor(np.concatenate((parameters, np.zeros(5))))[None]
-        return -float(full._log_target(particle, own.body))
-
-    simplex = np.vstack([start] + [start + 0.2 * row for row in np.diag(deviation)])
-    found = minimize(cost, start, method="Nelder-Mead", options={"maxfev": evaluations, "initial_simplex": simplex})
-    return tuple(float(part) for part in found.x)
-
-
-def prior_without(shape: str, fits: dict[str, tuple[float, ...]], count: int = 256) -> PushPosterior:
-    """Prior and residual by the fits of all other shapes; what has a sign that a mirror changes is about 0.
-
-    How elongation shapes the limit surface is weighed by how elongated the shapes are.
-    """
-    others = [name for name in fits if name.split()[1] != shape]
-    rows = torch.tensor([fits[name] for name in others], dtype=torch.float64)
-    weights = torch.ones_like(rows)
-    weights[:, 3] = torch.stack([body_of(name.split()[1]).support.elongation.square().sum() for name in others])
-    weights = weights / weights.sum(0)
-    mean = (weights * rows).sum(0)
-    mean[4:] = 0.0
-    deviation = (weights * (rows - mean).square()).sum(0).sqrt()
-    # at least, since six shapes tell little of a scatter
-    least = torch.tensor([0.18, 0.42, 1.0, 1.8, 0.03, 0.03, 0.04, 0.04], dtype=torch.float64)
-    residual = residual_of(tuple((name, fits[name]) for name in others))
-    return PushPosterior.prior(
-        count, mean=mean.tolist(), deviation=torch.maximum(deviation, least).tolist(), residual=residual
-    )
-
-
-FRICTION, SHARPER = (0.22, 0.45), 0.9
-"""Of the library's prior, for all that is pushed: median and log-deviation of the friction, which other tools have more
-of; and what its residual is of the sets' own, since particles that disagree are doubt too."""
-
-
-def library_without(shape: str, fits: dict[str, tuple[float, ...]], count: int = 256) -> PushPosterior:
-    """The library's prior, as it is without a shape: `prior_without`, friction as wide as tools are."""
-    own = prior_without(shape, fits, count)
-    mean, deviation = (math.log(FRICTION[0]), *own.mean[1:]), (FRICTION[1], *own.deviation[1:])
-    (a, b, c), (d, e, f) = own.residual.floor_m, own.residual.share
-    floor, share = (SHARPER * a, SHARPER * b, SHARPER * c), (SHARPER * d, SHARPER * e, SHARPER * f)
-    residual = PushResidual(floor, share, own.residual.tails)
-    return PushPosterior.prior(count, mean=mean, deviation=deviation, residual=residual)
-
-
-@cache
-def residual_of(fits: tuple[tuple[str, tuple[float, ...]], ...]) -> PushResidual:
-    """The residual of greatest likelihood, of sets predicted by their own fits."""
-    pairs = [_residuals(name, parameters) for name, parameters in fits]
-    off, way = torch.cat([pair[0] for pair in pairs]), torch.cat([pair[1] for pair in pairs])
-    usual = PushResidual()
-    logs = torch.tensor([*usual.floor_m, *usual.share, usual.tails], dtype=torch.float64).log().requires_grad_()
-    search = torch.optim.LBFGS([logs], max_iter=100, line_search_fn="strong_wolfe")
-
-    def cost() -> float:
-        search.zero_grad()
-        scale = torch.hypot(logs[:3].exp().expand(len(way), 3), way[:, None] * logs[3:6].exp())
-        tails, square = logs[6].exp(), (off / scale).square().sum(-1)
-        constant = torch.lgamma(0.5 * (tails + 3.0)) - torch.lgamma(0.5 * tails) - 1.5 * tails.log()
-        density = constant - scale.log().sum(-1) - 0.5 * (tails + 3.0) * torch.log1p(square / tails)
-        loss = -density.mean()
-        loss.backward()
-        return float(loss.detach())
-
-    search.step(cost)
-    numbers = logs.detach().exp().tolist()
-    return PushResidual(tuple(numbers[:3]), tuple(numbers[3:6]), numbers[6])
-
-
-@cache
-def _residuals(name: str, parameters: tuple[float, ...]) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n"]]:
-    """Of a set by its fit: along the tip's way, across it, turn times the base's radius; and the predicted ways."""
-    own = push_set(name)
-    rows = torch.arange(len(own.start))
-    one = PushPosterior(
-        torch.tensor([parameters], dtype=torch.float64),
-        torch.zeros(1, dtype=torch.float64),
-        registration=Registration().learnt(own.observed(rows), own.body),
-    )
-    shown = predicted(one, own, rows)
-    residual = shown.residual_of(own.end[:, None])[:, 0, 0]
-    floor, share = one.residual.floor_m[0], one.residual.share[0]
-    return residual, (shown.scale[:, 0, 0].square() - floor**2).clamp_min(0.0).sqrt() / share
 
 
 @cache

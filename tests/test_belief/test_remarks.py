@@ -6,8 +6,12 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi.belief.frictions import Frictions, frictions_of
 from rumi.belief.particles import PoseBelief
-from rumi.belief.remarks import Limits, held_up, remarks
+from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories
+from rumi.belief.remarks import Limits, held_up, remarks, tipping
+from rumi.belief.trajectory_history import History
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import RectangleOutline, base_of, support_of
 from rumi.dynamics.pushed_body import PushedBody
@@ -180,27 +184,96 @@ def test_a_pose_that_explains_the_heights_is_enough():
     assert found(reading=pressing(0.0, 0.036), told=told, moved=None, pads=PADS) == []
 
 
-BASE = base_of(BOX.sdf)
+BASE = base_of(BOX.sdf)  # 30 mm to the edge ahead: by the prior's median it slides below 60 mm, and is not held down
+PRIOR = frictions_of(belief(), PoseTrajectorySettings())
+
+
+def pushed_along(way=(0.02, 0.0), height=0.13, felt=(), **given):
+    share = torch.linspace(0.0, 1.0, 5)[:, None]
+    path = torch.cat((torch.tensor([0.37, 0.0]) + share * torch.tensor(way), torch.zeros(5, 1)), -1)
+    reading = make_reading(tool=se3.from_planar(path, height), **({"contact": True} | given), configuration=GOAL)
+    points = torch.tensor(felt).reshape(-1, 3)
+    return replace(
+        reading,
+        observation=Observation.of(points, Semantics.SURFACE),
+        instant=torch.full((len(points),), 4),
+    )
 
 
 @pytest.mark.parametrize(
-    ("height", "way", "given", "names"),
+    ("given", "names"),
     [
-        (0.09, (0.02, 0.0), {}, ["tips"]),  # 30 mm to the edge ahead: it slides below 60 mm
-        (0.05, (0.02, 0.0), {}, []),
-        (0.09, (0.0, 0.02), {}, []),  # 79 mm to the edge
-        (0.09, (0.001, 0.0), {}, []),  # no push
-        (0.09, (0.02, 0.0), {"contact": False}, []),
-        (0.09, (0.02, 0.0), {"motion": se3.identity()[None].expand(5, 4, 4)}, []),
+        ({}, ["tips"]),
+        ({"height": 0.07}, []),  # likelier than not, but nobody knows the friction
+        ({"way": (0.0, 0.02)}, []),  # 79 mm to the edge
+        ({"way": (0.001, 0.0)}, []),  # no push
+        ({"contact": False}, []),
+        ({"motion": se3.identity()[None].expand(5, 4, 4)}, []),
     ],
 )
-def test_what_is_pushed_too_high_may_fall(height, way, given, names):
-    share = torch.linspace(0.0, 1.0, 5)[:, None]
-    path = torch.cat((torch.tensor([0.37, 0.0]) + share * torch.tensor(way), torch.zeros(5, 1)), -1)
-    tool = se3.from_planar(path, height)
-    reading = make_reading(tool=tool, **({"contact": True} | given), configuration=GOAL)
-    assert found(reading=reading, moved=None, base=BASE) == names
-    assert found(reading=reading, moved=None) == []
+def test_what_is_pushed_too_high_may_fall(given, names):
+    reading = pushed_along(**given)
+    assert found(reading=reading, moved=None, base=BASE, frictions=PRIOR) == names
+    assert found(reading=reading, moved=None, base=BASE) == []
+
+
+def test_that_a_push_tips_is_a_probability_over_the_beliefs_frictions():
+    reading, flat = pushed_along(height=0.08), torch.full((3,), 0.5, dtype=torch.float64)
+
+    def share(told, *floor, felt=()):
+        given = reading if not felt else pushed_along(height=0.08, felt=felt)
+        frictions = Frictions(told, torch.tensor(floor, dtype=torch.float64))
+        height, probability = tipping(given, belief(), BOX.surface_points, BASE, frictions, Limits())
+        assert height == pytest.approx(0.08, abs=1e-4)
+        return probability
+
+    # it slides below 30 mm over 80
+    assert [share(flat, 0.3), share(flat, 0.45), share(flat, 0.3, 0.45)] == [0.0, 1.0, 0.5]
+    assert 0.5 < share(PRIOR.tool, *PRIOR.floor) < 0.9
+    # the more the tool's friction holds down the side that it touches the less
+    behind = ((0.37, 0.0, 0.08),)
+    shares = [share(mu * flat, *PRIOR.floor, felt=behind) for mu in (0.0, 0.5, 1.0, 1.5)]
+    assert shares == sorted(shares, reverse=True) and shares[0] > shares[-1]
+
+
+@pytest.mark.parametrize(
+    ("height", "before", "names"),
+    [
+        (0.08, ("resists",), []),
+        (0.08, ("lost: none of these",), ["tips"]),
+        (0.08, ("other height",), ["tips"]),
+        (0.04, ("other height",), []),
+    ],
+)
+def test_what_is_at_odds_with_the_belief_makes_a_fall_likelier(height, before, names):
+    reading = pushed_along(height=height)
+    assert found(reading=reading, moved=None, base=BASE, frictions=PRIOR, before=before) == names
+    if names:
+        given = {"added": points(Semantics.SURFACE, (0.30, 0.0, 0.05), (0.30, 0.01, 0.05)), "reading": reading}
+        assert found(**given, moved=None, base=BASE, frictions=PRIOR) == ["elsewhere", "tips"]
+
+
+def test_trajectories_know_their_friction_at_the_tool():
+    own = PoseTrajectorySettings()
+    physics, noise = torch.zeros(3, 5, dtype=torch.float64), torch.zeros(3, 2, 11, dtype=torch.float64)
+    physics[:, 0] = torch.tensor([-1.0, 0.0, 1.0])
+    noise[:, -1, 0] = 1.0
+    poses, starts = torch.zeros(3, 3, 3, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64)
+    trajectories = Trajectories(physics, noise, poses, starts[:, :2], History.empty(), starts)
+    told = belief()
+    knows = PoseTrajectoryBelief(
+        told.world_T_attached, told.attached_T_object, told.log_weights, told.discrepancy, trajectories=trajectories
+    )
+    found = frictions_of(knows, own)
+    (median, deviation), change = own.friction, own.friction_change
+    expected = median * (deviation * physics[:, 0] + change).exp()
+    torch.testing.assert_close(found.tool, expected)
+    torch.testing.assert_close(found.floor.log().mean().exp(), torch.tensor(median).double())
+    fresh = replace(trajectories, noise=noise[:, :0], poses=poses[:, :1], log_likelihood=starts[:, :0])
+    begun = replace(knows, trajectories=fresh)
+    torch.testing.assert_close(frictions_of(begun, own).tool, median * (deviation * physics[:, 0]).exp())
+    wide = own.for_others().friction[0]
+    assert frictions_of(told, own).tool.tolist() == [wide] * 3
 
 
 LINE = torch.linspace(-0.05, 0.05, 21)[:, None]

@@ -83,3 +83,16 @@ def test_the_tools_friction_holds_down_the_side_that_it_touches() -> None:
     assert tips(yaw, ahead, 0.085, base, touched).all() and not tips(yaw, ahead, 0.040, base, touched).any()
     without = tips(yaw, ahead, 0.065, base, touched, tool_friction=0.0)
     assert torch.equal(without, tips(yaw, ahead, 0.065, base)) and without.all()
+
+
+def test_frictions_may_differ_from_object_to_object_and_wedge() -> None:
+    base = base_of(Box((0.02, 0.06, 0.1)).double())
+    yaw, ahead = torch.zeros(3, dtype=torch.float64), torch.tensor([1.0, 0.0], dtype=torch.float64)
+    floor = torch.tensor([0.3, 0.4, 0.5], dtype=torch.float64)
+    assert tips(yaw, ahead, 0.045, base, friction=floor).tolist() == [False, False, True]
+    touched = torch.tensor([-0.02, 0.0], dtype=torch.float64).expand(3, 2)
+    tool = torch.tensor([0.0, 0.5, 0.9], dtype=torch.float64)
+    alone = [tips(yaw[:1], ahead, 0.06, base, touched[:1], friction=0.45, tool_friction=float(mu)) for mu in tool]
+    assert torch.equal(tips(yaw, ahead, 0.06, base, touched, friction=0.45, tool_friction=tool), torch.cat(alone))
+    # frictions whose product is above 1 do not let it slide
+    assert tips(yaw, ahead, 0.06, base, touched, friction=1.4, tool_friction=0.9).all()

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from rumi.rosbag.bag import import_bag
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.readings import ImportedReadings, make_readings
 from sdf import se3, so3
 from sensors.log.reader import Log

@@ -70,14 +70,16 @@ def test_the_table():
         "remarks": [],
     }
     lines = [
+        run | {"seed": 0, "outcome": "crash"},  # by earlier code
         run | {"seed": 0},
         run | {"seed": 1, "steps": 9, "remarks": ["toppled"]},
         run | {"motion": "corrected", "outcome": "wrong", "warnings": ["not measured"]},
-        run | {"motion": "corrected", "outcome": "wrong"},
+        run | {"seed": 2, "motion": "corrected", "outcome": "wrong", "tips_at": None, "fell_at": 3},
+        run | {"seed": 1, "motion": "corrected", "tips_at": 4, "fell_at": None},
         {"object": "spoon", "motion": "measured", "outcome": "refused", "said": "too low"},
     ]
     text = first_day.show(lines, {})
-    assert "| can | 2 found | 2 wrong | 6 to 9 | 1 of 2 | toppled 1 |" in text
-    assert "| spoon | 1 refused | - | - | - | - |" in text
-    assert "| all | 2 found, 1 refused | 2 wrong | 6 to 9 | 1 of 2 | toppled 1 |" in text
+    assert "| can | 2 found | 1 found, 2 wrong | 6 to 9 | 1 of 2 | 0 of 1, 1 of 1 | toppled 1 |" in text
+    assert "| spoon | 1 refused | - | - | - | - | - |" in text
+    assert "| all | 2 found, 1 refused | 1 found, 2 wrong | 6 to 9 | 1 of 2 | 0 of 1, 1 of 1 | toppled 1 |" in text
     assert "- spoon, refused: too low" in text

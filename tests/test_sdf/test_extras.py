@@ -44,7 +44,9 @@ def test_extras_are_those_of_the_project():
     extras = PROJECT["optional-dependencies"]
     assert set(EXTRAS) == set(extras) - {"all", "dev"}
     (everything,) = extras["all"]
-    assert set(everything.split("[")[1].rstrip("]").split(",")) == {"sim", "robot", "plot", "mesh", "vision", "logs"}
+    assert set(everything.split("[")[1].rstrip("]").split(",")) == {
+        *("sim", "robot", "plot", "mesh", "vision", "logs", "serve")
+    }
 
 
 def test_what_installs_it_is_named(monkeypatch, tmp_path):

@@ -9,13 +9,14 @@ from PIL import Image
 
 from rumi.errors import UsageError
 from rumi.runs.folder import RunRecorder, load_run
+from rumi.runs.memory import memory
 from rumi.runs.scene_geometry import outline_of_points
 from rumi.viz import style
 from rumi.viz.animation import animate
 from rumi.viz.curves import apc_curve, nll_curve
 from rumi.viz.figures import heading, make_figures, telling_steps
 from rumi.viz.outlines import contours, hull, object_outline, placed
-from rumi.viz.scene import information_at, interesting, memory, scene_from_above
+from rumi.viz.scene import information_at, interesting, scene_from_above
 from rumi.viz.space import BOXES, scene_in_space, tips
 from sdf import se3, so3
 from tests.fixtures.made_up_run import make_up

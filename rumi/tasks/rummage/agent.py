@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.agent import StopReason
+from rumi.belief.frictions import frictions_of
 from rumi.belief.initialise import InitialiseSettings, initialise, view_starts
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.particles import PoseBelief
@@ -182,8 +183,8 @@ class Rummager:
             record = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
         now, alarm = state.watch, None
         if self.remarks:
-            odd = self._odd(state, control, record)
             said = {remark.name for step in state.history for remark in step.remarks}
+            odd = self._odd(state, control, record, said)
             record = replace(record, remarks=tuple(remark for remark in odd if remark.name not in said))
             now, nats, alarm = watch(state.watch, last.belief, record, self.filter, self.model, self.misfit)
             unknown = result.reading.object_motion is None and not self.looks_again
@@ -211,7 +212,9 @@ class Rummager:
             pushes=pushes,
         )
 
-    def _odd(self, state: RummageState, control: Float[Tensor, "A"], record: StepRecord) -> tuple[Remark, ...]:
+    def _odd(
+        self, state: RummageState, control: Float[Tensor, "A"], record: StepRecord, said: set[str]
+    ) -> tuple[Remark, ...]:
         """What the action told that is at odds with the belief."""
         start, moved = state.record.reading.configuration, None
         if bool(control.any()):  # a recording may not tell where the tool was to go
@@ -226,7 +229,9 @@ class Rummager:
             upright=self.upright,
             pads=self._pads,
             base=self._base if self.upright else None,
+            frictions=frictions_of(record.belief, self.filter.settings.trajectories) if self.upright else None,
             body=self._body if self.upright and not self.tool.spatial else None,
+            before=said,
         )
 
     @functools.cached_property

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rumi.agent import Parts
+from rumi.columns import folded
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
 from rumi.registration.pose_summary import PoseSummary, answer_lines
@@ -131,7 +132,8 @@ class RummageTask:
 
     def agent(self, settings: Settings, *, cache_dir: Path | None = None) -> Rummager:
         """What finds the object; it plans by the simplest means, and believes as the run did."""
-        from rumi.tasks.rummage.build import build_rummager, followed, predicts_motion
+        from rumi.tasks.rummage.build import build_rummager
+        from rumi.tasks.rummage.motions import followed, predicts_motion
         from rumi.tasks.rummage.objects import with_object
         from rumi.tasks.rummage.scenes import make_tool
         from rumi.tasks.rummage.tool_height import at_tool_height
@@ -154,7 +156,7 @@ class _Recorder(contextlib.ExitStack):
     """Writes the folder of a run; with a log also what its sensors gave, before it was read."""
 
     def __init__(self, folder: Path, settings: Settings, parts: Parts[Any, Rummager], *, log: bool) -> None:
-        from rumi.tasks.rummage.build import scene_geometry
+        from rumi.tasks.rummage.geometry import scene_geometry
 
         super().__init__()
         about = record(parts.agent.model)
@@ -213,7 +215,8 @@ def ending(result: RunResult) -> list[str]:
         ended = f"lost; {ended}"
     lines = [f"{ended} after {result.steps} actions, {result.contacts} of them in contact{judged}"]
     lines += answer_lines(result.pose, result.why_not, result.warnings)
-    lines += [f"odd      {remark.name} at action {remark.step}: {remark.sentence}" for remark in result.remarks]
+    for remark in result.remarks:
+        lines += folded(f"odd      {remark.name} at action {remark.step}: {remark.sentence}")
     if result.position_error_mm is not None and result.rotation_error_deg is not None:
         lines.append(f"truth    {result.position_error_mm:.1f} mm and {result.rotation_error_deg:.1f} degrees away")
     known = "" if result.final_nll is None else f"{result.final_nll:.1f} at the end, {result.min_nll:.1f} at best; "

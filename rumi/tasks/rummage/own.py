@@ -12,7 +12,8 @@ from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
 from rumi.tasks.registry import OWN
 from rumi.tasks.rummage.agent import Rummager
-from rumi.tasks.rummage.build import build_rummager, check_pushing
+from rumi.tasks.rummage.build import build_rummager
+from rumi.tasks.rummage.motions import check_pushing
 from rumi.tasks.rummage.objects import ObjectSettings
 from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, preset, to_dict
@@ -120,6 +121,11 @@ def _check_followed(settings: Settings) -> None:
     """Refuse settings of what a robot of one's own has not."""
     if settings.object != ObjectSettings():
         raise UsageError("Expected no object in the settings, since the model is given: leave settings.object out")
+    if settings.fault:
+        raise UsageError(
+            f"Expected no faults in the settings, since nothing is simulated, got {', '.join(settings.fault)}: leave "
+            "settings.fault out"
+        )
     if settings.tool_height_m is not None:
         raise UsageError("Expected no tool_height_m in the settings, since the workspace has the tool's height")
     if settings.simulator != PRESETS[settings.preset]().simulator:

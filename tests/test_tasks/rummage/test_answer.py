@@ -103,7 +103,9 @@ def test_a_rule_holds_where_nothing_is_short_of_it(rule):
 def test_it_says_what_it_relies_on(motion, changes, words, warned, capsys):
     agent = rummager(motion=motion, **changes)
     announce(agent)
-    assert f"rumi: relies on {relies_on(agent)}\n" in (said := capsys.readouterr().err)
+    lines = capsys.readouterr().err.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert f"rumi: relies on {relies_on(agent)}" in (said := " ".join(" ".join(lines).split()))
     assert ("rumi: warning: the object's motion is not measured" in said) is warned
     assert words in relies_on(agent)
     assert bool(warnings(agent)) is warned

@@ -9,10 +9,12 @@ import rumi
 from rumi.errors import UsageError
 from rumi.runs.folder import RunRecorder
 from rumi.sim.settings import SimSettings
+from rumi.task import StepResult
 from rumi.tasks.rummage.objects import ObjectSettings
 from rumi.tasks.rummage.scenes import PriorSpec
 from sdf.object_model import box_model, mug_model
 from sdf.primitives import Sphere
+from tests.fixtures.readings import make_reading
 
 
 def lattice(low=0.03, high=0.03):
@@ -67,6 +69,7 @@ def test_trajectories_are_surer_of_the_mugs_that_they_are_fitted_to(model):
         ({"motion": "trajectory", "prior": PriorSpec((0.5, 0.0), 0.02)}, "a first view"),
         ({"workspace": lattice(0.5, 0.5)}, "up to the middle of the tool"),
         ({"workspace": lattice(0.01, 0.01)}, "0.012 m below"),
+        ({"settings": rumi.preset("default", fault=("knocked:0.02@5",))}, "no faults"),
         ({"settings": rumi.preset("default", tool_height_m=0.03)}, "workspace has the tool's height"),
         ({"settings": replace(rumi.preset(), planner=replace(rumi.preset().planner, push_model="mujoco"))}, None),
     ],
@@ -78,6 +81,34 @@ def test_what_nothing_could_follow_is_refused(changes, said, model):
         changes, said = {**changes, "tool": rumi.SolidTool([Sphere(0.01)])}, "'quasi-static' or 'displacement'"
     with pytest.raises(UsageError, match=said):
         rumi.rummager(model, workspace, **changes)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_robot_gives_float32_whatever_the_belief_is_in(model, monkeypatch, dtype):
+    told = []
+
+    class Robot:
+        def reset(self, seed):
+            return make_reading()
+
+        def step(self, control):
+            told.append(control.dtype)
+            return make_reading()
+
+        def finish(self, action):
+            """Nothing."""
+
+        def close(self):
+            """Nothing."""
+
+    def one_step(task, agent, **_):
+        assert StepResult.of(task.reset(0)).reading.tool_pose.dtype == agent.model.surface_points.dtype
+        return StepResult.of(task.step(agent.model.surface_points[0])).reading.tool_pose.dtype
+
+    monkeypatch.setattr("rumi.loop.run", one_step)
+    agent = rumi.rummager(model, lattice(), motion="corrected", settings=rumi.preset("default", dtype=dtype))
+    assert rumi.run(Robot(), agent, seed=0) == getattr(torch, dtype)
+    assert told == [torch.float32]
 
 
 def test_a_folder_of_such_a_run_says_how_to_replay_it(model, tmp_path):

@@ -1,4 +1,4 @@
-"""Pushes of ROS 1 bags: of a bag written here, and of recorded ones."""
+"""Pushes of logs of ROS 1 bags: of a bag written here, and of recorded ones."""
 
 import math
 import os
@@ -13,8 +13,9 @@ from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE
 from rumi.rosbag.bag import check_frames, import_bag
 from rumi.rosbag.frames import FrameTree
-from rumi.rosbag.mapping import mapping_of, read_mapping
-from rumi.rosbag.ros1_pushes import read_pushes
+from rumi.rosbag.mapping_file import mapping_of, read_mapping
+from rumi.rosbag.recorded_pushes import read_pushes
+from sensors.log.errors import LogError
 from sensors.log.reader import Log
 
 pytest.importorskip("rosbags")
@@ -64,50 +65,6 @@ def write(path, *, frame="world", wrench=True):
     return path
 
 
-def test_tip_block_and_wrench_are_told_in_one_frame(tmp_path):
-    found = read_pushes(write(tmp_path / "a.bag"))
-    steps = torch.arange(11, dtype=torch.float64)
-    torch.testing.assert_close(found.time_s, 0.1 * steps)
-    torch.testing.assert_close(found.tip[:, 0], 0.01 * steps)
-    torch.testing.assert_close(found.block[:, :2, 3], torch.tensor([0.4, 0.1]).double().expand(11, 2))
-    torch.testing.assert_close(found.block[0, :2, 0], torch.tensor([0.0, 1.0]).double())
-    torch.testing.assert_close(found.wrench[:, 1], steps)
-    torch.testing.assert_close(found.wrench[:, 3], torch.full((11,), -1.0).double())
-
-
-@pytest.mark.parametrize(
-    ("options", "text"), [({"wrench": False}, "netft_data"), ({"frame": "elsewhere"}, "from world")]
-)
-def test_what_a_bag_lacks_is_told(tmp_path, options, text):
-    with pytest.raises(UsageError, match=text):
-        read_pushes(write(tmp_path / "a.bag", **options))
-
-
-def test_another_file_is_refused(tmp_path):
-    (tmp_path / "a.bag").write_text("no bag")
-    for name in ("a.bag", "b.bag"):
-        with pytest.raises(UsageError, match=r"ROS 1 bag|no bag"):
-            read_pushes(tmp_path / name)
-
-
-@pytest.mark.data
-def test_recorded_blocks_are_pushed_where_the_tip_is():
-    folder = Path(os.environ.get("RUMI_DATA", "")) / "vicon_bags"
-    if not os.environ.get("RUMI_DATA") or not folder.is_dir():
-        pytest.skip("RUMI_DATA is not set")
-    for name in ("Al_block/Test_metal_1.bag", "Plastic_block/Test_changing_vel_1.bag", "St_block/Test_st_3.bag"):
-        found = read_pushes(folder / name)
-        assert len(found.time_s) > 100 and all(bool(part.isfinite().all()) for part in found)
-        way = (found.block[:, :2, 3] - found.block[0, :2, 3]).norm(dim=-1)
-        assert float(way[-1]) > 0.1
-        # while the block moves, the tip is at its border: the distance from its middle is that of a block some cm wide
-        moving = np.gradient(way.numpy(), found.time_s.numpy()) > 0.02
-        apart = (found.tip[:, :2] - found.block[:, :2, 3]).norm(dim=-1)[torch.tensor(moving)]
-        assert 0.02 < float(apart.median()) < 0.10, (name, float(apart.median()))
-        force = found.wrench[torch.tensor(moving), :2].norm(dim=-1)
-        assert float(force.median()) > 0.5
-
-
 MAP = """
 schema = 1
 [topics]
@@ -120,6 +77,61 @@ tool = "tip"
 [scene]
 within = [[0, 0, 0], [1, 1, 1]]
 """
+
+
+def pushes_of(bag, log, text=MAP, block="slider"):
+    import_bag(bag, mapping_of(text), log)
+    return read_pushes(log, mapping_of(text), block=block)
+
+
+def test_tip_block_and_wrench_are_told_in_one_frame(tmp_path):
+    found = pushes_of(write(tmp_path / "a.bag"), tmp_path / "a.h5")
+    steps = torch.arange(11, dtype=torch.float64)
+    torch.testing.assert_close(found.time_s, 0.1 * steps)
+    torch.testing.assert_close(found.tip[:, 0], 0.01 * steps)
+    torch.testing.assert_close(found.block[:, :2, 3], torch.tensor([0.4, 0.1]).double().expand(11, 2))
+    torch.testing.assert_close(found.block[0, :2, 0], torch.tensor([0.0, 1.0]).double())
+    torch.testing.assert_close(found.wrench[:, 1], steps)
+    torch.testing.assert_close(found.wrench[:, 3], torch.full((11,), -1.0).double())
+
+
+@pytest.mark.parametrize(
+    ("options", "text", "block", "said"),
+    [
+        ({"wrench": False}, MAP, "slider", "role wrench"),
+        ({"frame": "elsewhere"}, MAP, "slider", "at the same time|slider"),
+        ({}, MAP, "brick", "at the same time|brick"),
+        ({}, MAP.replace('tool = "tip"', 'tool = "finger"'), "slider", "finger"),
+    ],
+)
+def test_what_a_log_lacks_is_told(tmp_path, options, text, block, said):
+    with pytest.raises(UsageError, match=said):
+        pushes_of(write(tmp_path / "a.bag", **options), tmp_path / "a.h5", text, block)
+
+
+def test_another_file_is_refused(tmp_path):
+    (tmp_path / "a.h5").write_text("no log")
+    for name in ("a.h5", "b.h5"):
+        with pytest.raises(LogError):
+            read_pushes(tmp_path / name, mapping_of(MAP), block="slider")
+
+
+@pytest.mark.data
+def test_recorded_blocks_are_pushed_where_the_tip_is(tmp_path):
+    folder = Path(os.environ.get("RUMI_DATA", "")) / "vicon_bags"
+    if not os.environ.get("RUMI_DATA") or not folder.is_dir():
+        pytest.skip("RUMI_DATA is not set")
+    for name in ("Al_block/Test_metal_1.bag", "Plastic_block/Test_changing_vel_1.bag", "St_block/Test_st_3.bag"):
+        found = pushes_of(folder / name, tmp_path / f"{Path(name).stem}.h5")
+        assert len(found.time_s) > 100 and all(bool(part.isfinite().all()) for part in found)
+        way = (found.block[:, :2, 3] - found.block[0, :2, 3]).norm(dim=-1)
+        assert float(way[-1]) > 0.1
+        # while the block moves, the tip is at its border: the distance from its middle is that of a block some cm wide
+        moving = np.gradient(way.numpy(), found.time_s.numpy()) > 0.02
+        apart = (found.tip[:, :2] - found.block[:, :2, 3]).norm(dim=-1)[torch.tensor(moving)]
+        assert 0.02 < float(apart.median()) < 0.10, (name, float(apart.median()))
+        force = found.wrench[torch.tensor(moving), :2].norm(dim=-1)
+        assert float(force.median()) > 0.5
 
 
 def test_poses_by_topics_are_frames_of_the_log(tmp_path):
@@ -188,13 +200,13 @@ def test_recorded_bags_come_in_by_one_mapping(tmp_path):
         done = import_bag(bag, mapping, tmp_path / f"{bag.stem}.h5")
         assert not done.problems
         assert not done.lost
-        recording = read_pushes(bag)
         with Log(tmp_path / f"{bag.stem}.h5") as log:
             tree = FrameTree.of_log(log, mapping)
             (stream,) = (own for name, own in log.streams.items() if name.startswith("vicon/"))
             stamps = torch.tensor([sample.stamp_ns for sample in stream.samples()])
             block, known = tree.at("slider", stamps)
         assert float(known.double().mean()) > 0.9
-        # the same by the other reader, whose instants are some of these
+        # pushes are told at some of these instants, in the same frame
+        recording = read_pushes(tmp_path / f"{bag.stem}.h5", mapping, block="slider")
         off = (block[known][:, None, :3, 3] - recording.block[None, :, :3, 3]).norm(dim=-1).amin(0)
-        assert float(off.max()) < 1e-4
+        assert float(off.max()) < 1e-9

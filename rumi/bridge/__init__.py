@@ -1,0 +1,1 @@
+"""Bridge: a robot in another process, by messages over a socket."""

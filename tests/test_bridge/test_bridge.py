@@ -1,0 +1,388 @@
+"""The bridge, from a client that talks nonsense to the example's robot."""
+
+import json
+import os
+import random
+import runpy
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+pytest.importorskip("msgspec")
+
+from rumi import rummager
+from rumi.belief.particles import PoseBelief
+from rumi.bridge.messages import Sample, decoder
+from rumi.bridge.served import ClientGoneError, thinned
+from rumi.bridge.server import Served, listen, serve
+from rumi.cli import main
+from rumi.commands.serve import ServeOptions, made
+from rumi.fields.workspace import Workspace
+from rumi.robot.gripper import GripperShape
+from rumi.robot.tool import Tool
+from rumi.runs.folder import load_run
+from rumi.tasks.rummage.settings import preset
+from sdf import se3
+from sdf.symmetry import Symmetries
+from tests.test_scripts.test_own_robot import code_lines
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+BOUNDS = torch.tensor([[0.2, -0.3, 0.06], [0.85, 0.3, 0.06]])
+WITHIN = torch.tensor([[0.2, -0.3, 0.0], [0.85, 0.3, 0.3]])
+TOOL = [0.25, 0.0, 0.06, 0.0, 0.0, 0.0, 1.0]
+
+
+@dataclass(frozen=True)
+class State:
+    record: Any
+
+
+@dataclass
+class Waver:
+    """An agent that goes left twice and believes what it believed before."""
+
+    tool: Tool = field(default_factory=lambda: Tool(BOUNDS[:, :2], None, shape=GripperShape(), height_m=0.06))
+    position_tolerance_m, rotation_tolerance_rad = 0.005, 0.1
+    relies_on, warnings = "nothing", ()
+    model = SimpleNamespace(symmetries=Symmetries.none())
+    filter = SimpleNamespace(settings=SimpleNamespace(motion="trajectory"))
+
+    def begin(self, result, *, seed, clock):
+        belief = PoseBelief.uniform(se3.identity((4,), dtype=torch.float32))
+        return State(SimpleNamespace(step=0, belief=belief, converged=False, remarks=(), reading=result))
+
+    def stop(self, state):
+        return "sure" if state.record.step == 2 else None
+
+    def act(self, state):
+        return state, torch.tensor([0.0, 1.0, 0.0])
+
+    def update(self, state, action, result):
+        step = state.record.step + 1
+        return State(SimpleNamespace(**{**vars(state.record), "step": step, "reading": result}))
+
+    def last(self, state):
+        return None
+
+    def result(self, state, stopped_by, outcome):
+        return SimpleNamespace(stopped_by=stopped_by, why_not=None)
+
+
+@contextmanager
+def serving(served, clients):
+    """The port of a server in a thread, which has to end after so many clients."""
+    with listen("127.0.0.1", 0) as listener:
+        thread = threading.Thread(target=serve, args=(served, listener, clients), daemon=True)
+        thread.start()
+        yield listener.getsockname()[1]
+        thread.join(60)
+        assert not thread.is_alive()
+
+
+class Client:
+    def __init__(self, port):
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=60)
+        self.lines = self.socket.makefile("rb")
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.lines.close()
+        self.socket.close()
+
+    def raw(self, data):
+        self.socket.sendall(data)
+
+    def tell(self, **message):
+        self.raw(json.dumps(message).encode() + b"\n")
+
+    def hear(self):
+        return json.loads(self.lines.readline())
+
+    def until(self, kind):
+        while (told := self.hear())["type"] != kind:
+            pass
+        return told
+
+
+def whole_run(port):
+    """A client that does all as it should."""
+    with Client(port) as client:
+        assert client.hear()["control"] == ["x", "y", "yaw"]
+        client.tell(type="start", tool=TOOL)
+        for step in range(2):
+            assert client.until("belief")["step"] == step
+            action = client.until("action")
+            assert action["control"] == [0, 1, 0] and len(action["path"]) == 20
+            assert action["path"][-1][1] == pytest.approx(0.08 * (step + 1), abs=1e-6)
+            for pose in action["path"]:
+                client.tell(type="sample", tool=pose)
+            client.tell(type="done", stamp=step + 1)
+        assert client.until("end")["stopped_by"] == "sure"
+
+
+def test_a_run_by_messages():
+    with serving(Served(Waver(), WITHIN), 1) as port:
+        whole_run(port)
+
+
+REFUSED = [
+    ({"type": "dance"}, "Invalid value 'dance'"),
+    ({"tool": TOOL}, "missing required field `type`"),
+    ({"type": "done"}, "Expected start now, got done"),
+    ({"type": "start", "tool": TOOL[:3]}, "length 7 - at `$.tool`"),
+    ({"type": "start", "tool": TOOL, "colour": 1}, "unknown field `colour`"),
+    ({"type": "start", "tool": [1e5, *TOOL[1:]]}, "`float` <= 1000.0"),
+    ({"type": "start", "tool": TOOL, "schema": 9}, "Expected schema 1, got 9"),
+    ({"type": "start", "tool": [0] * 7}, "unit quaternion"),
+]
+
+
+def test_a_message_that_is_none_is_refused_by_name():
+    with serving(Served(Waver(), WITHIN), 1) as port, Client(port) as client:
+        client.hear()
+        for message, words in REFUSED:
+            client.tell(**message)
+            assert words in client.until("error")["message"]
+        for raw in (b"\xff\xfe\n", b"NaN\n", b"[" * 5000 + b"\n", b'{"type":"start","tool":[NaN]}\n'):
+            client.raw(raw)
+            assert client.hear()["type"] == "error"
+        client.tell(type="start", tool=TOOL)
+        client.until("action")
+        client.tell(type="done")
+        assert "a sample before done" in client.hear()["message"]
+        client.tell(type="sample", tool=[0, 0, 0, 0, 0, 0, 2])
+        assert "unit quaternion" in client.hear()["message"]
+        client.tell(type="stop")
+        assert client.until("end")["stopped_by"] == "interrupted"
+
+
+def test_clients_that_die_or_talk_nonsense_harm_nobody():
+    noise = random.Random(0)
+    good = [b'{"type":"start","tool":[0.25,0,0.06,0,0,0,1]}\n', b'{"type":"sample","tool":[0.3,0,0.06,0,0,0,1]}\n',
+            b'{"type":"done"}\n', b'{"type":"stop"}\n']  # fmt: skip
+
+    def nonsense():
+        lines = bytearray(b"".join(noise.choices(good, k=noise.randrange(1, 8))))
+        for _ in range(noise.randrange(0, 6)):
+            at = noise.randrange(len(lines))
+            lines[at : at + noise.randrange(0, 9)] = noise.randbytes(noise.randrange(0, 9))
+        return bytes(lines)
+
+    with serving(Served(Waver(), WITHIN, patience_s=5.0), 41) as port:
+        for _ in range(40):
+            with Client(port) as client:
+                client.raw(nonsense())
+                if noise.random() < 0.5:
+                    client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")  # a reset
+        whole_run(port)
+
+
+def test_a_client_that_says_nothing_is_left():
+    with serving(Served(Waver(), WITHIN, patience_s=0.05), 2) as port, Client(port) as client:
+        client.hear()
+        assert client.lines.readline() == b"", "the server has hung up"
+        with Client(port) as other:
+            assert other.hear()["type"] == "hello"
+
+
+def test_thousands_of_samples_become_a_reading_that_keeps_what_touched():
+    samples = [Sample(tuple(TOOL), touched=((0.1, 0.2, 0.3),) if k == 777 else False) for k in range(1000)]
+    kept = thinned(samples)
+    assert len(kept) == 20 and kept[-1] is samples[-1] and samples[777] in kept
+    assert [id(one) for one in thinned(samples[:3])] == [id(one) for one in samples[:3]]
+    assert thinned(samples[:1]) == samples[:1]
+
+
+def test_a_line_without_an_end_ends_the_connection(monkeypatch):
+    monkeypatch.setattr("rumi.bridge.served.LINE", 100)
+    with serving(Served(Waver(), WITHIN), 1) as port, Client(port) as client:
+        client.hear()
+        client.raw(b"x" * 200)
+        told = client.hear()
+        assert told["fatal"] and "less than 100 bytes" in told["message"]
+
+
+def small_agent():
+    settings = preset("fast", steps=2)
+    few = replace(settings.initialise, particles=12, starts=40, polished=12)
+    mppi = replace(settings.planner.mppi, samples=8)
+    settings = replace(settings, initialise=few, planner=replace(settings.planner, mppi=mppi, rollouts=1))
+    workspace = Workspace.from_bounds(BOUNDS, 0.01, planar_height=0.06)
+    from sdf.object_model import box_model
+
+    return rummager(box_model(), workspace, motion="measured", settings=settings)
+
+
+def test_the_example_client_pushes_a_box_and_leaves_a_run(tmp_path):
+    source = (SCRIPTS / "bridge_client.py").read_text()
+    assert len(code_lines(source)) <= 40 and "import rumi" not in source
+    with serving(Served(small_agent(), WITHIN, tmp_path), 1) as port:
+        done = subprocess.run(
+            [sys.executable, "-I", str(SCRIPTS / "bridge_client.py"), str(port)],
+            capture_output=True, text=True, timeout=120, check=True,
+        )  # fmt: skip
+    run = load_run(tmp_path / "run")
+    assert len(run.steps) == 3 and run.result.stopped_by == "steps"
+    *steps, end = done.stdout.splitlines()
+    assert [line.split()[0] for line in steps] == ["0", "1", "2"] and "'type': 'end'" in end
+    last = [float(word) for word in steps[-1].split()[2:]]
+    assert last == pytest.approx(run.steps[-1].belief.mode()[:3, 3].tolist(), abs=1e-6), "the pose that came over"
+
+
+def test_a_view_without_the_object_ends_the_run_and_nothing_else(tmp_path):
+    with serving(Served(small_agent(), WITHIN, tmp_path), 1) as port, Client(port) as client:
+        client.hear()
+        client.tell(type="start", tool=TOOL)
+        told = client.hear()
+        assert told["fatal"] and "Expected a first view with surface points" in told["message"]
+        assert list(tmp_path.iterdir()) == []
+        client.tell(type="done")
+        assert "Expected start now" in client.hear()["message"]
+
+
+@pytest.mark.slow
+def test_a_server_that_is_killed_leaves_a_readable_run(tmp_path):
+    command = [sys.executable, "-m", "rumi", "serve", "--builtin", "box", "--motion", "measured", "--port", "0"]
+    command += [
+        "--workspace",
+        *["0.2", "-0.3", "0.06", "0.85", "0.3", "0.06"],
+        "--preset",
+        "fast",
+        "--out",
+        str(tmp_path),
+    ]
+    env = {**os.environ, "PYTHONPATH": str(SCRIPTS.parent)}
+    server = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=env)
+    try:
+        port = int(server.stderr.readline().split("port ")[1].split(";")[0])
+        with Client(port) as client:
+            client.hear()
+            seen = [[0.52, 0.01 * y, 0.01 * z] for y in range(-7, 8) for z in range(21)]
+            client.tell(type="start", tool=TOOL, surface=seen)
+            assert client.until("belief")["step"] == 0
+            for pose in client.until("action")["path"]:
+                client.tell(type="sample", tool=pose, motion=[0, 0, 0, 0, 0, 0, 1])
+            client.tell(type="done")
+            assert client.until("belief")["step"] == 1
+            server.kill()
+    finally:
+        server.kill()
+        server.wait()
+    run = load_run(tmp_path / "run")
+    assert len(run.steps) == 2 and run.ended is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--workspace", *["0", "0", "0", "1", "1", "0"]], "Expected the object, by --mesh FILE or by --builtin NAME"),
+        (["--workspace", *["1", "0", "0", "0", "1", "0"], "--builtin", "box"], "a lower and an upper corner"),
+        (["--workspace", *["0", "0", "0.1", "1", "1", "0.1"], "--builtin", "can"], "There is no object 'can'"),
+        (["--builtin", "box"], "--workspace"),
+    ],
+)
+def test_bad_input_is_named(arguments, message, capsys, tmp_path):
+    assert main(["serve", *arguments, "--out", str(tmp_path / "runs")]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_is_named():
+    from rumi.errors import UsageError
+
+    with listen("127.0.0.1", 0) as listener, pytest.raises(UsageError, match="give another --port"):
+        listen("127.0.0.1", listener.getsockname()[1])
+
+
+class Message(SimpleNamespace):
+    """A message of ROS, as far as the node looks at it."""
+
+    def __init__(self, **parts):
+        super().__init__(**{"header": SimpleNamespace(), **parts})
+
+
+def a_pose():
+    return SimpleNamespace(position=SimpleNamespace(), orientation=SimpleNamespace())
+
+
+def stamped(covariance=False):
+    return Message(pose=SimpleNamespace(pose=a_pose()) if covariance else a_pose())
+
+
+class Node:
+    def __init__(self, name):
+        self.published, self.heard = {}, {}
+
+    def create_publisher(self, kind, topic, depth):
+        self.published[topic] = []
+        return SimpleNamespace(publish=self.published[topic].append)
+
+    def create_subscription(self, kind, topic, call, depth):
+        self.heard[topic] = call
+
+    def get_logger(self):
+        return SimpleNamespace(info=lambda text: self.published.setdefault("log", []).append(json.loads(text)))
+
+
+def test_the_node_against_a_stub_of_ros(monkeypatch):
+    poses = {"PointStamped": Message, "PoseStamped": stamped, "PoseWithCovarianceStamped": lambda: stamped(True)}
+    stubs = {
+        "rclpy": {},
+        "rclpy.node": {"Node": Node},
+        "nav_msgs.msg": {"Path": Message},
+        "std_msgs.msg": {"Empty": Message},
+        "geometry_msgs.msg": poses,
+        "sensor_msgs.msg": {"PointCloud2": Message},
+        "sensor_msgs_py.point_cloud2": {"read_points": lambda cloud, **asked: cloud},
+    }
+    for name, values in stubs.items():
+        for at in range(1, name.count(".") + 2):
+            part = ".".join(name.split(".")[:at])
+            monkeypatch.setitem(sys.modules, part, sys.modules.get(part) or ModuleType(part))
+        vars(sys.modules[name]).update(values)
+    source = (SCRIPTS / "ros_bridge_node.py").read_text()
+    assert len(code_lines(source)) <= 60 and "import rumi" not in source
+    node_of = runpy.run_path(str(SCRIPTS / "ros_bridge_node.py"))["Bridge"]
+
+    def wait(topic, count):
+        end = time.monotonic() + 30
+        while len(node.published.get(topic, ())) < count and time.monotonic() < end:
+            time.sleep(0.01)
+        return node.published[topic][count - 1]
+
+    def pose(*numbers):
+        x, y, z, a, b, c, d = numbers
+        return Message(pose=Message(position=Message(x=x, y=y, z=z), orientation=Message(x=a, y=b, z=c, w=d)))
+
+    with serving(Served(Waver(), WITHIN), 1) as port:
+        node = node_of(port=port)
+        node.heard["tool_pose"](pose(*TOOL))
+        node.heard["view"]([(0.5, 0.0, 0.1)])
+        for step in range(2):
+            path = wait("rumi/path", step + 1)
+            assert path.header.frame_id == "world" and len(path.poses) == 20
+            node.heard["contact"](Message(point=Message(x=0.5, y=0.0, z=0.06)))
+            node.heard["tool_pose"](pose(*TOOL))
+            node.heard["done"](Message())
+        found = wait("rumi/pose", 3)
+        assert found.pose.pose.orientation.w == 1 and len(found.pose.covariance) == 36
+        assert wait("log", 2)["type"] == "end"
+        node.socket.shutdown(socket.SHUT_RDWR)
+
+
+def test_options_make_an_agent_in_the_plane():
+    served = made(ServeOptions(workspace=((0.2, -0.3, 0.06), (0.85, 0.3, 0.06)), builtin="box", prior_mean=(0.5, 0.0)))
+    assert served.agent.filter.settings.motion == "corrected" and served.agent.steps == 40
+    assert served.within.tolist()[1][2] == pytest.approx(0.3)
+    assert decoder.decode(b'{"type":"stop"}') and ClientGoneError
