@@ -17,7 +17,7 @@ from rumi.runs.replay import replay as take_in
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.registry import TASKS, entry_of, entry_of_record
 from rumi.tasks.rummage.agent import Rummager
-from rumi.tasks.rummage.build import geometry_of
+from rumi.tasks.rummage.geometry import geometry_of
 from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.touch_box.agent import Toucher
 

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from rumi.cli import script
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.readings import make_readings
 from rumi.rosbag.scene import rummager_of_map, settings_of
 from rumi.runs.replay import replay

@@ -26,7 +26,7 @@ from rumi import loop
 from rumi.belief.trajectory_belief import TrajectoryBelief
 from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.dynamics.displacement import Hazard
+from rumi.dynamics.displacement_rollouts import Hazard
 from rumi.dynamics.registry import PushModels
 from rumi.fields.information import InformationMode
 from rumi.records import StepRecord

@@ -2,181 +2,225 @@
 
 python -m scripts.real_trajectories run     # needs RUMI_DATA; again to go on
 python -m scripts.real_trajectories show
+python -m scripts.real_trajectories figure
 
 Stretches without knocks of github.com/mcubelab/cpush. What the filter is told: the tip's path, that it touches all
-along, and a start drawn about the true one (by the seed). "simulated" is the default, fitted to mugs; "real" has
-friction, lever and residual of `rumi.dynamics.push_posterior`; "dead reckoning" is that without the contact; "learnt"
-has seen ten stretches of 50 mm of the other runs; "learnt, exact start" knows the start to 0.1 mm and 0.1 degrees.
+along, and a start drawn about the true one (by the seed). "simulated" is the default, fitted to mugs; "library" has
+friction, lever, centre and residual of `PushPosterior.prior`; "learnt" has seen ten stretches of 50 mm of the other
+runs, and the shifts of tip and square by them; "exact start" is a start known to 0.1 mm and 0.1 degrees. A "reference"
+is the exact posterior by the learnt push density (`scripts.bench.push_reference`), whatever a filter does with it;
+"sliding known" takes that density's mean for exact, so that the start alone is in doubt.
+"Straight ahead" takes the square to lie along the tip's way, as a controller that sees it would hold it: no belief.
 """
 
 import math
-import statistics
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
+import numpy as np
 import torch
+import tyro
+from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
-from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.pose_trajectories import PushedObject
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.cli import script
 from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.push_registration import as_tracked, put_right
+from rumi.dynamics.pushed_body import ObservedPush
 from rumi.metrics.calibration import checked, covered
+from rumi.resampling import resample_systematic
 from rumi.seeding import split
+from scripts.bench.push_reference import Contact, weighed_ends
 from scripts.bench.real_pushes import TIP_M, long_pushes, square_body
-from scripts.experiment import Experiment, Line
+from scripts.bench.square_trajectories import DRAWS, TALL_M, followed, motion_of, sensed, square_object
+from scripts.experiment import DOCS, Experiment, Line
 from scripts.reproduce.cells import table
 from sdf import se3
-from sdf.grid_sdf import GridSDF
-from sdf.primitives import Box
 from sdf.so3 import wrap
 from sdf.symmetry import Symmetries
-from sensors.discrepancy import Discrepancy
 
-HALF_M, TALL_M = 0.045, 0.03
+HALF_M = 0.045
 START_M, START_RAD = 0.005, math.radians(5.0)
-EXACT, _LEARNT = "learnt, exact start", 10
-_CONTACT_M = 0.001  # deviation of the tip's distance while it touches
-_ARM_M = START_M / START_RAD / math.sqrt(2.0)
+_LEARNT, _PUSH_PARTICLES = 10, 512
+_KEPT = 1000
 
+FILTERED = {"simulated": 1.0, "library": 1.0, "learnt": 1.0, "learnt, exact start": 0.02}
+"""Models that the filter runs, with the start's deviation over 5 mm and 5 degrees."""
 
-def prior_of(model: str, run: str) -> PoseTrajectorySettings:
-    """A model's motion prior for a stretch of a run; the contact is a felt point, the tip's centre."""
-    sensor = PoseTrajectorySettings(
-        seen_sd_m=START_M * (0.02 if model == EXACT else 1.0),
-        outliers=1e-4,
-        felt_m=TIP_M,
-        felt_sd_m=_CONTACT_M,
-        felt_weight=1.0,
-        ahead=(0.0, 0.0),
-        centre_change_m=0.0,
-    )
-    if model == "simulated":
-        return sensor
-    believed = PushPosterior.prior(256)
-    if model in ("learnt", EXACT):
-        random = split(0, f"long pushes {run}")
-        others = [own for name, own in long_pushes(0.05, 26) if name != run]
-        chosen = torch.randperm(len(others), generator=random)[:_LEARNT].tolist()
-        believed = believed.update([others[i] for i in chosen], square_body(), random)
-    weights = believed.log_weights.exp()
-    mean = weights @ believed.parameters
-    deviation = (weights @ (believed.parameters - mean).square()).sqrt().tolist()
-    spread = square_body().support.spread
-    return replace(
-        sensor,
-        friction=(math.exp(mean[0]), deviation[0]),
-        lever_ratio=(math.exp(mean[1]), deviation[1]),
-        centre_m=deviation[6] * spread,
-        along=believed.residual.share[0],
-        across=believed.residual.share[1],
-        turn_rad_per_m=believed.residual.share[2] / spread,
-        m_per_rad=spread,
-        tails=0.25,
-        shared=1.0,
-    )
+_KNOWN = "reference, sliding known"
+REFERENCES = {
+    "reference": (1.0, Contact()),
+    "reference, no contact": (1.0, Contact(first=0.0, each=0.0)),
+    "reference, contact to 0.3 mm at every instant": (1.0, Contact(0.0003, each=1.0)),
+    "reference, start to 2 mm and 2 degrees": (0.4, Contact()),
+    "reference, start to 1 mm and 1 degree": (0.2, Contact()),
+    "reference, start to 0.5 mm and 0.5 degrees": (0.1, Contact()),
+    "reference, exact start": (0.02, Contact()),
+    _KNOWN: (1.0, Contact()),
+}
+"""The same, and what is known of the contact."""
 
-
-MODELS = ("simulated", "real", "dead reckoning", "learnt", EXACT)
+HELD = "straight ahead"
+MODELS = (*FILTERED, *REFERENCES, HELD)
 WAYS = ("50 mm", "100 mm", "200 mm")
 
 
+@cache
+def believed_of(model: str, run: str) -> PushPosterior:
+    """Push density for a stretch of a run: the library's, or what ten stretches of other runs made of it."""
+    if model == "library":
+        return PushPosterior.prior(_PUSH_PARTICLES)
+    random = split(0, f"long pushes {run}")
+    others = [own for name, own in long_pushes(0.05, 26) if name != run]
+    chosen = torch.randperm(len(others), generator=random)[:_LEARNT].tolist()
+    return PushPosterior.prior(_PUSH_PARTICLES).update([others[i] for i in chosen], square_body(), random)
+
+
+def prior_of(model: str, run: str) -> tuple[PoseTrajectorySettings, PushedObject, Tensor]:
+    """A model's motion prior for a stretch of a run, the object, and the shifts of tip and square."""
+    body = square_body()
+    sensor = sensed(START_M * FILTERED[model])
+    if model == "simulated":
+        return sensor, square_object(body, HALF_M, body.support.centre), torch.zeros(5, dtype=torch.float64)
+    believed = believed_of(model.split(",")[0], run)
+    own, centre = motion_of(believed, body, sensor)
+    return own, square_object(body, HALF_M, centre), torch.tensor(believed.registration.mean, dtype=torch.float64)
+
+
 def measure(model: str, way: str, seed: int) -> dict[str, Any]:
-    """Errors of all stretches of a way, with a start of their own each."""
-    length, square = 1e-3 * float(way.split()[0]), _square()
-    scale = torch.tensor([START_M, START_M, START_RAD], dtype=torch.float64) * (0.02 if model == EXACT else 1.0)
-    own_of = cache(lambda run: prior_of(model, run))
-    errors, turns, levels = [], [], []
+    """Errors of all stretches of a way, with a start of their own each; the belief's medians are what is compared."""
+    length = 1e-3 * float(way.split()[0])
+    errors, turns, levels, widths = [], [], [], []
     for index, (run, push) in enumerate(long_pushes(length, round(500 * length) + 1)):
         random = split(seed, f"real trajectories {index}")
-        own = own_of(run)
-        settings = FilterSettings(motion="trajectory", trajectories=own)
-        followed = PoseTrajectoryFilter(
-            settings, Discrepancy(square.sdf, 0.08, free_scale=80.0, tolerance=1e-3), square
-        )
-        told = push.start + scale * torch.randn(3, generator=random, dtype=torch.float64)
-        now = _about(told, scale, own, square, random)
-        flat = now.log_likelihood.new_zeros(len(now)).log_softmax(-1)
-        path = torch.stack((push.path[:-1], push.path[1:]), 1)
-        for k, part in enumerate(path.split(own.instants)):
-            touches = part[:, 1].clone()
-            touches[:, 2] = 0.0  # of the object's middle height
-            count = torch.arange(len(part))
-            weight = torch.full((len(part),), 0.0 if model == "dead reckoning" else 1.0 / len(part))
-            felt = torch.full_like(count, int(Kind.FELT))
-            segment = Segment(part, True, touches, count, felt, weight.double())
-            now = followed.absorbed(now, flat, segment, random, opens=k == 0, closes=True)
-        belief = PoseBelief.uniform(se3.from_planar(now.pose, TALL_M))
-        mean = now.pose[:, :2].mean(0)
-        turn = now.pose[0, 2] + wrap(now.pose[:, 2] - now.pose[0, 2]).mean()
-        errors.append(1e3 * float((mean - push.end[:2]).norm()))
+        told = torch.randn(3, generator=random, dtype=torch.float64)
+        poses = _ends(model, run, push, told, random)
+        off = wrap(poses[:, 2] - poses[0, 2])
+        turn = poses[0, 2] + off.median()
+        middle = poses[:, :2].median(0).values
+        errors.append(1e3 * float((middle - push.end[:2]).norm()))
         turns.append(float(wrap(turn - push.end[2]).abs().rad2deg()))
-        true = se3.from_planar(push.end, TALL_M)
-        levels.append(checked(belief, true, Symmetries.none(), within_m=0.005, within_rad=0.175).both)
-    return {"mm": errors, "degrees": turns, "levels": levels}
+        if len(poses) > 1:
+            belief, true = (se3.from_planar(part, TALL_M) for part in (poses, push.end))
+            found = checked(PoseBelief.uniform(belief), true, Symmetries.none(), within_m=0.005, within_rad=0.175)
+            levels.append(found.both)
+            place = (poses[:, :2] - middle).norm(dim=-1).median()
+            widths.append((1e3 * float(place), float((off - off.median()).abs().median().rad2deg())))
+    return {"mm": errors, "degrees": turns, "levels": levels, "foreseen": widths}
 
 
-def _square() -> PushedObject:
-    body = square_body()
-    sdf = GridSDF.from_sdf(Box([HALF_M, HALF_M, TALL_M]), 0.003)
-    around = torch.linspace(0.0, 2.0 * math.pi, 25, dtype=torch.float64)[:-1]
-    tip = TIP_M * torch.stack((around.cos(), around.sin()), -1)
-    assert hasattr(body.outline, "values")
-    return PushedObject(
-        sdf, TALL_M, body.outline, body.support.centre, body.support.spread, tip, tip.new_zeros(1, 3), TALL_M
+def _ends(model: str, run: str, push: ObservedPush, normal: Tensor, random: torch.Generator) -> Tensor:
+    """Poses that stand for the belief at the end of a push, or the one that is taken for it."""
+    scale = torch.tensor([START_M, START_M, START_RAD], dtype=torch.float64)
+    if model == HELD:
+        way = push.path[-1, :2] - push.path[0, :2]
+        place = push.path[-1, :2] + (HALF_M + TIP_M) * way / way.norm()
+        return torch.cat((place, torch.atan2(way[1:], way[:1])))[None]
+    if model in REFERENCES:
+        share, contact = REFERENCES[model]
+        told = push.start + share * scale * normal
+        starts = told + share * scale * torch.randn(DRAWS, 3, generator=random, dtype=torch.float64)
+        believed = believed_of("learnt", run)
+        if model == _KNOWN:
+            believed = _certain(believed)
+        ends, weights = weighed_ends(push, starts, believed, square_body(), contact, random)
+        return ends[resample_systematic(weights, _KEPT, generator=random)]
+    own, square, shifts = prior_of(model, run)
+    scale, tip = FILTERED[model] * scale, push.path.clone()
+    tip[:, :2] += shifts[:2]
+    told = put_right(push.start + scale * normal, shifts)
+    return as_tracked(followed(told, scale, tip, own, square, random, half_m=HALF_M), shifts)
+
+
+def _certain(believed: PushPosterior) -> PushPosterior:
+    """The mean of a push density, taken for exact."""
+    residual = replace(believed.residual, floor_m=(1e-6,) * 3, share=(1e-6,) * 3, tails=100.0)
+    mean = (believed.log_weights.exp() @ believed.parameters)[None]
+    return replace(
+        believed, parameters=mean, log_weights=mean.new_zeros(1), residual=residual, white=mean.new_zeros(1, 5)
     )
 
 
-def _about(
-    told: torch.Tensor,
-    scale: torch.Tensor,
-    own: PoseTrajectorySettings,
-    square: PushedObject,
-    random: torch.Generator,
-) -> Trajectories:
-    """Particles of a start that is known to so much: points on the sides it was told of hold it, in moves too."""
-    side = torch.tensor([-_ARM_M, _ARM_M], dtype=torch.float64)
-    local = torch.cat([torch.stack((torch.full_like(side, s * HALF_M), side), -1) for s in (-1, 1)])
-    local = torch.cat((local, local.flip(-1)))
-    cos, sin = told[2].cos(), told[2].sin()
-    place = told[:2] + torch.stack((cos * local[:, 0] - sin * local[:, 1], sin * local[:, 0] + cos * local[:, 1]), -1)
-    points = torch.cat((place, torch.zeros_like(place[:, :1])), -1)
-    none = torch.zeros(len(points), dtype=torch.long)
-    weight = torch.full((len(points),), 0.25, dtype=torch.float64)
-    view = Segment(torch.zeros(1, 2, 3, dtype=torch.float64), False, points, none, none, weight)
-    start = told + scale * torch.randn(300, 3, generator=random, dtype=torch.float64)
-    some = start[: own.particles]
-    physics = torch.randn(len(some), PHYSICS, generator=random, dtype=torch.float64)
-    noise = torch.randn(len(some), 1, NOISE, generator=random, dtype=torch.float64)
-    history = History.empty().appended(view)
-    poses = some[:, None].repeat(1, 2, 1)
-    given = Trajectories(physics, noise, poses, some.new_zeros(len(some), 1), history, start)
-    return given.replayed(square, own, history, torch.zeros(len(some), dtype=torch.long))
-
-
 def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
-    """A row for each model: medians over stretches and starts, and what regions of 90 % hold, by way."""
+    """A row for each model and way: median errors, what the belief foresees of them, and what its regions hold."""
     rows = []
-    for model in chosen.get("model", MODELS):
-        row = [model]
-        for way in WAYS:
+    for way in chosen.get("way", WAYS):
+        for model in chosen.get("model", MODELS):
             own = [line for line in lines if (line["model"], line["way"]) == (model, way)]
-            mm, degrees, levels = (
-                [value for line in own for value in line[name]] for name in ("mm", "degrees", "levels")
-            )
-            held = 100 * covered(levels, 0.9)
-            row.append(f"{statistics.median(mm):.1f}; {statistics.median(degrees):.1f}; {held:.0f} %" if own else "-")
-        rows.append(row)
-    return table(("model", *(f"{way}: mm; degrees; held" for way in WAYS)), rows)
+            if not own:
+                continue
+            errors = [_middle(np.array([line[name] for line in own])) for name in ("mm", "degrees")]
+            levels = [level for line in own for level in line["levels"]]
+            widths = np.array([width for line in own for width in line["foreseen"]]).reshape(-1, 2)
+            foreseen = "; ".join(f"{part:.1f}" for part in np.median(widths, 0)) if len(widths) else "-"
+            held = ["-"] * 3
+            if levels:
+                held = [f"{100 * covered(levels, share):.0f}" for share in (0.5, 0.9, 0.95)]
+            count = f"{len(own[0]['mm'])} x {len(own)}"
+            rows.append([model, way, count, *errors, foreseen, " / ".join(held)])
+    heads = ("model", "way", "stretches x starts", "mm", "degrees", "foreseen: mm; degrees", "50/90/95 % hold, %")
+    return table(heads, rows)
+
+
+def _middle(errors: np.ndarray) -> str:
+    """Median of (starts, stretches) with its 95 % interval, by drawing stretches anew: starts of one are alike."""
+    random = np.random.default_rng(0)
+    drawn = [np.median(errors[:, random.integers(errors.shape[1], size=errors.shape[1])]) for _ in range(2000)]
+    low, high = np.percentile(drawn, (2.5, 97.5))
+    return f"{np.median(errors):.1f} [{low:.1f}, {high:.1f}]"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Draw what the contact leaves open: two recorded pushes by nearly one path, and ends by the reference."""
+
+    out: Annotated[Path, tyro.conf.arg(help="image file")] = DOCS / "contact_leaves_open.png"
+
+
+def draw(options: Figure) -> None:
+    """Starts, tip paths and ends of a steered and an open-loop push, with draws of the reference's posterior."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    shown = ("StraightLine_2016_10_23_NoPerturbationsBlack", "StraightLine_2016_10_23_StraightLineOpenLoop")
+    found = {run: push for run, push in long_pushes(0.2, 101) if run in shown}
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), sharex=True, sharey=True, constrained_layout=True)
+    corners = HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    for axis, run, title in zip(axes, shown, ("closed loop: steered by the square's pose", "open loop"), strict=True):
+        push, random = found[run], split(0, f"real trajectories figure {run}")
+        drawn = _ends("reference", run, push, torch.zeros(3, dtype=torch.float64), random)
+        for colour, width, poses in (
+            ("C0", 0.4, drawn[:60]),
+            ("0.5", 1.5, push.start[None]),
+            ("k", 1.5, push.end[None]),
+        ):
+            for x, y, yaw in poses.tolist():
+                cos, sin = math.cos(yaw), math.sin(yaw)
+                outline = corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+                axis.plot(*(1e3 * outline.T), color=colour, lw=width, alpha=0.5 if colour == "C0" else 1.0)
+        axis.plot(*(1e3 * push.path[:, :2].T.numpy()), "C3", lw=1.5)
+        axis.set_title(title)
+        axis.set(xlim=(100, 520), ylim=(-150, 180), aspect="equal")
+        axis.set_xlabel("mm")
+    figure.savefig(options.out, dpi=120)
+    plt.close(figure)
 
 
 EXPERIMENT = Experiment(
-    __doc__, "real_trajectories.jsonl", {"model": MODELS, "way": WAYS}, measure, show, seeds="1000-1001"
+    __doc__,
+    "real_trajectories.jsonl",
+    {"model": MODELS, "way": WAYS},
+    measure,
+    show,
+    seeds="0-4",
+    commands={"figure": (Figure, draw)},
 )
 
 if __name__ == "__main__":

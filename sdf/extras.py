@@ -13,7 +13,7 @@ EXTRAS = {
     "vision": "cv2",
     "logs": "h5py rosbags lz4 backports",
     "serve": "msgspec",
-    "view": "rerun rerun_sdk",
+    "view": "rerun",
     "baselines": "gpytorch",
     "gym": "gymnasium",
     "peers": "pytorch_volumetric chsel pytorch_mppi",

@@ -145,6 +145,17 @@ def quaternion(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 4"]:
     return torch.where(unit[..., :1] < 0, -unit, unit)[..., [1, 2, 3, 0]]
 
 
+def from_wxyz(quaternion: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b 3 3"]:
+    """Rotation of a quaternion (w, x, y, z) of any length, as simulators and recordings order it; of 0 none."""
+    w, x, y, z = torch.nn.functional.normalize(quaternion, dim=-1).unbind(-1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
 def _scaled_quaternion(rotation: Tensor) -> Tensor:
     """(w, x, y, z) times a positive or negative number of size 2 to 4: polynomial in the matrix, so smooth.
 

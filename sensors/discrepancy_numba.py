@@ -12,7 +12,7 @@ from sdf.grid_numba import Arrays, at, block, fast, grid_arguments, lattice_of, 
 from sdf.grid_sdf import GridSDF
 from sdf.part_numba import indices
 from sensors.tiles import Tiles, steepness, tiles
-from sensors.tiles_numba import local, near_points
+from sensors.tiles_numba import WHOLE, local, near_points
 
 
 class Prepared(NamedTuple):
@@ -80,7 +80,7 @@ def _discrepancy(poses, scene, grid, steepness, free_scale, alpha, result, looke
         lattice = lattice_of(numbers, sizes)
         pose = placed(poses[b, n])
         own = (hinged[b], signs[b], small_first[b], small_balls[b], large_first[b], large_balls[b], counts[b])
-        near, count = near_points(own, pose, flat, lattice, steepness, alpha, 0)
+        near, count = near_points(own, pose, flat, lattice, steepness, alpha, WHOLE)
         looked[b, n] = count + counts[b, 0]
         hinge = _hinge_cost(near, count, pose, flat, lattice, alpha)
         result[b, n] = free_scale * hinge + _surface_cost(surface[b], counts[b, 0], pose, flat, lattice)

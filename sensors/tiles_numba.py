@@ -8,6 +8,8 @@ from sdf.compiled import Kernel
 from sdf.grid_numba import at, block, exact, fast, put, value
 from sdf.part_numba import indices
 
+# 0 as a number of no known value: for a known one numba compiles what is called with it once more
+WHOLE = np.int64(0)
 # small boxes along an axis of a large one
 _SPLIT = 2
 _SMALL = _SPLIT**3
@@ -54,7 +56,7 @@ def _sort_points(
 ):
     for b in indices(part, len(points)):
         own, kind = points[b], kinds[b]
-        number, seen = 0, 0
+        number = seen = WHOLE
         where = np.empty(len(kind), np.int32)
         low_x = low_y = low_z = math.inf
         high_x = high_y = high_z = -math.inf
@@ -83,7 +85,10 @@ def _sort_points(
                 if wide * deep * tall == 1.0:
                     break
             width *= 1.6
-        start = np.zeros(key.max() // _SMALL * _SMALL + _SMALL + 1, np.int32)
+        last = 0
+        for n in range(number):
+            last = max(last, key[n])
+        start = np.zeros(last // _SMALL * _SMALL + _SMALL + 1, np.int32)
         for n in range(number):
             start[key[n] + 1] += 1
         for c in range(1, len(start)):
@@ -94,7 +99,7 @@ def _sort_points(
             place[key[n]] = to + 1
             hinged[b, 0, to], hinged[b, 1, to], hinged[b, 2, to] = own[m, 0], own[m, 1], own[m, 2]
             signs[b, to] = kind[m]
-        smalls, larges = 0, 0
+        smalls = larges = WHOLE
         for large in range((len(start) - 1) // _SMALL):
             first, last = start[large * _SMALL], start[(large + 1) * _SMALL]
             if first == last:
@@ -149,7 +154,7 @@ def near_points(scene, pose, flat, lattice, steepness, limit, more):
     chosen = np.empty(smalls, np.int32)
     balls = np.empty((5, smalls), flat.dtype)
     _clearances(large_balls, larges, pose, flat, lattice, steepness, limit, far)
-    count = 0
+    count = WHOLE
     for n in range(larges):
         if not far[n] >= 0:
             for c in range(large_first[n], large_first[n + 1]):

@@ -1,10 +1,14 @@
 """What every test can ask for: device, dtype, a seeded generator, golden numbers; and shape checks for all of them.
 
 The hints of the four packages (`Float[Tensor, "*b 3"]`) are enforced while the tests run, `*_numba` modules apart
-(numba compiles plain functions only). A wrong shape then fails before the function's own check sees it: a test of
-that check, or of `torch.compile`, asks for the fixture `no_shape_check`.
+(numba compiles plain functions only): in each test, for a function's first calls, and then for ever fewer, since a
+check takes longer than most calls. A wrong shape then fails before the function's own check sees it: a test of that
+check, or of `torch.compile`, asks for the fixture `no_shape_check`.
 """
 
+import dataclasses
+import functools
+import inspect
 import json
 import os
 import sys
@@ -19,12 +23,49 @@ import pytest
 import torch
 from beartype import BeartypeConf, FrozenDict, beartype
 
+_jaxtyped = jaxtyping.jaxtyped
 PACKAGES = ("kmppi", "sdf", "sensors", "rumi")
 _HERE = Path(__file__).parent
 
 # the packages are tested from the checkout, installed or not
 if str(_HERE.parent) not in sys.path:
     sys.path.insert(0, str(_HERE.parent))
+
+_tests_begun = 0
+_CHECKED_CALLS = 3  # of each function in a test, whatever their number
+
+
+def _sampled(fn: Any = None, *, typechecker: Any) -> Any:
+    """`jaxtyping.jaxtyped` for a function's first calls in each test, then every one whose count is 2^k.
+
+    The hints of a function are read at its first call, so that those of functions without any cost nothing.
+    """
+    if fn is None:
+        return functools.partial(_sampled, typechecker=typechecker)
+    if isinstance(fn, classmethod | staticmethod):
+        return type(fn)(_sampled(fn.__func__, typechecker=typechecker))
+    if dataclasses.is_dataclass(fn) and not hasattr(fn.__init__, "__wrapped__"):
+        fn.__init__ = _sampled(fn.__init__, typechecker=typechecker)
+        return fn
+    if not inspect.isfunction(fn):
+        return _jaxtyped(fn, typechecker=typechecker)
+    checked, test, calls = None, -1, 0
+
+    @functools.wraps(fn)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        nonlocal checked, test, calls
+        if jaxtyping.config.jaxtyping_disable:
+            return fn(*args, **kwargs)
+        if test != _tests_begun:
+            test, calls = _tests_begun, 0
+        calls += 1
+        if calls > _CHECKED_CALLS and calls & (calls - 1):
+            return fn(*args, **kwargs)
+        if checked is None:
+            checked = _jaxtyped(fn, typechecker=typechecker)
+        return checked(*args, **kwargs)
+
+    return call
 
 
 def _enforce_hints() -> None:
@@ -34,6 +75,7 @@ def _enforce_hints() -> None:
     checker = ModuleType("rumi_typecheck")
     checker.check = beartype(conf=conf)
     sys.modules[checker.__name__] = checker
+    jaxtyping.jaxtyped = _sampled  # the name by which the hook finds it
     finder = jaxtyping.install_import_hook(PACKAGES, f"{checker.__name__}.check").hook
     wanted = finder.should_instrument
     finder.should_instrument = lambda module_name: wanted(module_name) and not module_name.endswith("_numba")
@@ -70,6 +112,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for name, reason in lacking.items():
             if reason and item.get_closest_marker(name):
                 item.add_marker(pytest.mark.skip(reason=reason))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Count the tests, so that each checks the hints of what it calls."""
+    global _tests_begun
+    _tests_begun += 1
 
 
 @pytest.fixture(params=["torch", "numba"])

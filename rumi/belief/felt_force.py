@@ -29,7 +29,7 @@ def log_likelihood_of_forces(
 
     Args:
         poses: (x, y, yaw) before the first segment and after each.
-        centre: of friction, object frame, metres.
+        centre: of friction, object frame, metres; an action's own shift of it is left out.
         ahead_m: how far the pressure's centre is ahead of it, in the direction of the push.
         history: what was done and sensed.
         own: of `force_rad` and `outliers`.

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from sdf.cache import DAMAGED
+from sensors.vision.numpy_files import read_arrays
 from sensors.vision.ply import numbers_of, read_vertices, table_of
 
 SUFFIXES = (".csv", ".txt", ".xyz", ".off", ".ply", ".npz", ".npy")
@@ -37,7 +38,7 @@ def read_contacts(path: str | Path, *, scale: float = 1.0) -> Contacts:
 
     Args:
         path: .csv, .txt or .xyz (3 columns, or 6 with normals; a header may name them x, y, z, nx, ny, nz in any
-            order), .off, .ply, .npz (arrays `points` and `normals`) or .npy.
+            order), .off, .ply, .npz (arrays `points` and `normals`) or .npy (3 columns, or 6).
         scale: metres that one unit of the file is.
 
     Raises:
@@ -53,7 +54,7 @@ def read_contacts(path: str | Path, *, scale: float = 1.0) -> Contacts:
         raise UsageError(f"Expected a scale of the points above 0 and finite, got {scale}")
     try:
         if suffix in (".npz", ".npy"):
-            points, normals = _arrays(path)
+            points, normals = _arrays(path.read_bytes())
         elif suffix == ".ply":
             points, normals = _named(read_vertices(path.read_bytes()))
         else:
@@ -128,24 +129,11 @@ def _off(text: str) -> _Arrays:
     return _split(rows[1 : 1 + count])
 
 
-def _arrays(path: Path) -> _Arrays:
-    with path.open("rb") as file:
-        begins = file.read(6)
-    if not (begins.startswith(b"PK") or begins == b"\x93NUMPY"):
-        kind = "an archive of arrays, as numpy.savez writes it" if path.suffix.lower() == ".npz" else "a NumPy array"
-        raise ValueError(f"expected {kind}, and it is none")
-    loaded = np.load(path, allow_pickle=False)
-    if isinstance(loaded, np.ndarray):
-        table = _real(loaded, "an array")
-        return (table[:, :3], table[:, 3:]) if table.ndim == 2 and table.shape[1] == 6 else (table, None)
-    with loaded:
-        if "points" not in loaded:
-            raise ValueError(f"expected an array `points`, found {', '.join(loaded) or 'none'}")
-        normals = _real(loaded["normals"], "`normals`") if "normals" in loaded else None
-        return _real(loaded["points"], "`points`"), normals
-
-
-def _real(array: np.ndarray, name: str) -> np.ndarray:
-    if array.dtype.kind not in "fiu":
-        raise ValueError(f"expected {name} of real numbers, got {array.dtype}")
-    return np.array(array, dtype=float)
+def _arrays(data: bytes) -> _Arrays:
+    arrays = {name: array.astype(float) for name, array in read_arrays(data, "points", "normals").items()}
+    if "points" not in arrays:
+        raise ValueError("expected an array `points`, found normals alone")
+    points, normals = arrays["points"], arrays.get("normals")
+    if normals is None and points.ndim == 2 and points.shape[1] == 6:
+        return points[:, :3], points[:, 3:]
+    return points, normals

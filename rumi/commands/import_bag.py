@@ -52,7 +52,7 @@ def import_bag(arguments: Sequence[str]) -> int:
     assert options.map is not None
     from rumi.rosbag.bag import check_frames
     from rumi.rosbag.bag import import_bag as write_log
-    from rumi.rosbag.mapping import read_mapping
+    from rumi.rosbag.mapping_file import read_mapping
 
     mapping = read_mapping(options.map)
     out = options.out or Path(f"{options.bag.resolve().stem}.h5")

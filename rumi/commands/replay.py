@@ -143,7 +143,7 @@ def mapping_of_log(log: "Log | RunLog", asked: Path | None) -> "BagMap | None":
             return None
         if not log.streams:
             raise UsageError(f"{log.path} holds the readings of a run and no raw streams, which need no --map")
-    from rumi.rosbag.mapping import mapping_of, read_mapping
+    from rumi.rosbag.mapping_file import mapping_of, read_mapping
 
     if asked is not None:
         return read_mapping(asked)
@@ -197,7 +197,7 @@ def _replay(
 ) -> int:
     from rumi.runs.folder import RunRecorder, load_run, prepare_folder, write_json
     from rumi.runs.replay import replay as take_in
-    from rumi.tasks.rummage.build import geometry_of
+    from rumi.tasks.rummage.geometry import geometry_of
     from rumi.tasks.rummage.objects import record
 
     settings = options.settings

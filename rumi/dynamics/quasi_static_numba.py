@@ -116,8 +116,9 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
     inside, clears = scratch[0][k], scratch[1][k]
     actions = path.shape[1] - 1
     table, base, bounds, limits = arm
-    free_x, free_y, free_yaw = float(path[k, 0, 0]), float(path[k, 0, 1]), float(path[k, 0, 2])
-    left = residual(free_x, free_y, 0.0, free_yaw, table, base, limits)
+    left = residual(path[k, 0, 0], path[k, 0, 1], 0.0, path[k, 0, 2], table, base, limits)
+    # in double precision from the start: else numba compiles all that they are given to once for each
+    free_x, free_y, free_yaw = np.float64(path[k, 0, 0]), np.float64(path[k, 0, 1]), np.float64(path[k, 0, 2])
     for h in range(actions):
         free_x, free_y, _height, free_yaw, left = step_within(
             free_x,
@@ -137,8 +138,8 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
         path[k, h + 1, 0], path[k, h + 1, 1], path[k, h + 1, 2] = free_x, free_y, free_yaw
     checked = 0
     for m in range(len(poses)):
-        x, y, yaw = float(poses[m, 0]), float(poses[m, 1]), float(poses[m, 2])
-        cos, sin = math.cos(yaw), math.sin(yaw)
+        x, y, yaw = np.float64(poses[m, 0]), np.float64(poses[m, 1]), np.float64(poses[m, 2])
+        cos, sin = np.float64(math.cos(poses[m, 2])), np.float64(math.sin(poses[m, 2]))
         slides = (
             bodies[m, 0],
             bodies[m, 1],
@@ -153,11 +154,7 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
         track[k, m, 0, 0], track[k, m, 0, 1], track[k, m, 0, 2] = poses[m, 0], poses[m, 1], poses[m, 2]
         still, gap = True, 0.0  # metres that the tool may go before it can touch
         for action in range(actions):
-            from_x, from_y, from_yaw = (
-                float(path[k, action, 0]),
-                float(path[k, action, 1]),
-                float(path[k, action, 2]),
-            )
+            from_x, from_y, from_yaw = path[k, action, 0], path[k, action, 1], path[k, action, 2]
             way_x = (path[k, action + 1, 0] - from_x) / mini
             way_y = (path[k, action + 1, 1] - from_y) / mini
             way_yaw = (path[k, action + 1, 2] - from_yaw) / mini

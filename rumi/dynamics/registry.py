@@ -6,7 +6,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.dynamics.base import PushModel, RolloutModel, Use
-from rumi.dynamics.displacement import DisplacementPush, DisplacementSettings
+from rumi.dynamics.displacement import DisplacementPush
+from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.push_posterior import FIXED, PushPosterior
 from rumi.dynamics.quasi_static import QuasiStaticPush, QuasiStaticSettings
 from rumi.errors import UsageError

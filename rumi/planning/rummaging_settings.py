@@ -5,7 +5,7 @@ from typing import Self
 
 from kmppi import MPPISettings
 from rumi.dynamics.base import PushDefaults
-from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.registry import PUSH_MODELS, PushSettings
 from rumi.fields.information import InformationSettings
 from sdf.bounds import Count, NotNegative, ShareAbove0

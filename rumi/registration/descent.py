@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from sdf import backend, compiled, se3, so3
-from sdf.bounds import Checked, CountOr0, ShareBelow1
+from sdf.bounds import Checked, Count, CountOr0, ShareBelow1
 from sdf.numbers import refuse_trained
 from sdf.posed import posed_distance, posed_query
 from sdf.precision import full_precision
@@ -28,6 +28,7 @@ class DescentSettings(Checked):
     Attributes:
         method: "gauss-newton" (damped, exact objective of Eqs 7-9) or "adam" (the paper's and CHSEL's).
         iterations: steps.
+        rounds: how often Adam does its iterations, its moments new each time.
         learning_rate: of Adam, metres and radians a step.
         step_limit_m, step_limit_rad: greatest Gauss-Newton step.
         margin_m: free and occupied points further than this from being violated at the start are left out.
@@ -38,6 +39,7 @@ class DescentSettings(Checked):
 
     method: Literal["gauss-newton", "adam"] = "gauss-newton"
     iterations: CountOr0 = 6
+    rounds: Count = 1
     learning_rate: float = 0.01
     step_limit_m: float = 0.03
     step_limit_rad: float = 0.3
@@ -134,12 +136,15 @@ def _descend_numba(
     search: Search,
     settings: DescentSettings,
 ) -> Tensor:
-    from rumi.registration.descent_numba import descend as compiled
     from sensors.discrepancy import takes
 
     sdf = discrepancy.sdf
-    if settings.method != "gauss-newton" or not takes(sdf, frame_T_object, observation.points):
+    if not takes(sdf, frame_T_object, observation.points):
         return _descend(discrepancy, frame_T_object, observation, search, settings)
+    if settings.method == "adam":
+        from rumi.registration.adam_numba import descend as compiled
+    else:
+        from rumi.registration.descent_numba import descend as compiled
     return compiled(sdf, discrepancy, frame_T_object, observation, search, settings)
 
 
@@ -283,8 +288,9 @@ def gauss_newton(
 
 def _adam(terms: Callable[[Tensor], Terms], start: Tensor, search: Search, settings: DescentSettings) -> Tensor:
     pose = start
-    first = second = torch.zeros(())
-    for iteration in range(1, settings.iterations + 1):
+    for iteration in list(range(1, settings.iterations + 1)) * settings.rounds:
+        if iteration == 1:
+            first = second = torch.zeros(())
         gradient = terms(pose).gradient
         first = 0.9 * first + 0.1 * gradient
         second = 0.999 * second + 0.001 * gradient**2

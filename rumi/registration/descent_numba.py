@@ -13,7 +13,7 @@ from sensors.tiles_numba import local, near_points
 
 
 @fast
-def _violable(near, count, pose, flat, lattice, margin, centre, reach):
+def violable(near, count, pose, flat, lattice, margin, centre, reach):
     """Keeps the points less than `margin` from being violated, of free ones those in reach; how many."""
     far = np.empty(count, flat.dtype)
     room, given = near.shape[1], near.reshape(-1)
@@ -118,7 +118,7 @@ def _to_frame(terms, pose, gradient, hessian, work):
 
 
 @exact
-def _gather(surface, counts, near, count):
+def gather(surface, counts, near, count):
     """Puts the surface points behind the first `count` of `near`; how many there are then."""
     for m in range(counts[0]):
         near[0, count + m], near[1, count + m], near[2, count + m] = surface[0, m], surface[1, m], surface[2, m]
@@ -153,7 +153,15 @@ def _solve(matrix, vector, size):
 
 
 @exact
-def _retract(pose, step, out):
+def copy(source, target):
+    """Copies a matrix; by an assignment of all at once a third of the kernel's compiling would go to its error."""
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
+
+
+@exact
+def retract(pose, step, out):
     """Shifts the origin by the first three of a step (6) and turns about it by the others (Rodrigues)."""
     x, y, z = step[3], step[4], step[5]
     square = x * x + y * y + z * z
@@ -218,13 +226,14 @@ def _descend(
         own = (hinged[b], signs[b], small_first[b], small_balls[b], large_first[b], large_balls[b], counts[b])
         start = placed(poses[b, n])
         near, count = near_points(own, start, flat, lattice, steepness, margin, counts[b, 0])
-        count = _violable(near, count, start, flat, lattice, margin, centres[b], reaches[b])
-        count = _gather(surface[b], counts[b], near, count)
+        count = violable(near, count, start, flat, lattice, margin, centres[b], reaches[b])
+        count = gather(surface[b], counts[b], near, count)
         floor = max(counts[b, 0], 1)
         terms, gradient, hessian, work = np.empty(28), np.empty(6), np.empty((6, 6)), np.empty((6, 6))
         system, step = np.empty((size, size)), np.empty(12)
-        pose, candidate = result[b, n], poses[b, n].copy()
-        pose[:] = candidate
+        pose, candidate = result[b, n], np.empty((4, 4), poses.dtype)
+        copy(poses[b, n], candidate)
+        copy(candidate, pose)
         _terms(near, count, start, flat, lattice, free_scale, alpha, terms)
         _to_frame(terms, start, gradient, hessian, work)
         objective, damping, done = terms[0], 1e-3, 1
@@ -233,12 +242,12 @@ def _descend(
             if found and decrease <= enough * objective:
                 break
             if found:
-                _retract(pose, step, candidate)
+                retract(pose, step, candidate)
                 place = placed(candidate)
                 _terms(near, count, place, flat, lattice, free_scale, alpha, terms)
                 done += 1
             if found and terms[0] < objective:
-                pose[:] = candidate
+                copy(candidate, pose)
                 _to_frame(terms, place, gradient, hessian, work)
                 objective, damping = terms[0], max(damping * 0.2, 1e-6)
             else:

@@ -20,6 +20,7 @@ from sdf.symmetry import Symmetries
 COVARIANCE_ORDER = "x y z (m) of the object's origin, then turns about the world's fixed x y z (rad)"
 _MODES = 8  # that are told apart at most
 _PARTICLES = 200  # that modes are looked for among
+_ROWS = 25  # of them whose distances to all others are had at once
 _NEAR_M, _NEAR_RAD = 0.01, 0.175  # of one mode, as `PoseBelief.mode` has it
 _LEAST = 0.01  # weight of a mode that is told
 
@@ -161,7 +162,8 @@ def summarise_particles(
         comb = (torch.arange(_PARTICLES, dtype=torch.float64) + 0.5) / _PARTICLES
         few = poses[torch.searchsorted(weights.cumsum(0), comb).clamp_max(len(poses) - 1)]
         shares = torch.full((_PARTICLES,), 1.0 / _PARTICLES, dtype=torch.float64)
-    together = torch.stack([_within(few, one, own) for one in few])
+    pairs = [(few.repeat(len(some), 1, 1), some.repeat_interleave(len(few), 0)) for some in few.split(_ROWS)]
+    together = torch.cat([_within(every, one, own).reshape(-1, len(few)) for every, one in pairs])
     left, modes = torch.ones(len(few), dtype=torch.bool), list[PoseMode]()
     while bool(left.any()) and len(modes) < _MODES:
         # ties go to the heavier particle
@@ -236,12 +238,12 @@ def answer_lines(pose: PoseSummary | None, why_not: str | None, warnings: Sequen
 
 def _within(
     poses: Float[Tensor, "N 4 4"],
-    at: Float[Tensor, "4 4"],
+    at: Float[Tensor, "*n 4 4"],
     own: Symmetries,
     within_m: float = _NEAR_M,
     within_rad: float = _NEAR_RAD,
 ) -> Bool[Tensor, "N"]:
-    """Whether each pose, as the nearest that looks the same, is within 10 mm and 10 degrees of one, or as asked."""
+    """Whether each pose, as the nearest that looks the same, is within 10 mm and 10 degrees of `at`, or as asked."""
     there = at.expand(len(poses), 4, 4)
     metres, radians = se3.distance(own.nearest(poses, there), there)
     return (metres <= within_m) & (radians <= within_rad)

@@ -1,32 +1,23 @@
-"""The mapping file: which topics and frames of a recording mean what, as TOML; `scripts/docs/logs.md` describes it."""
+"""The tables of a mapping: which topics and frames of a recording mean what; `scripts/docs/logs.md` describes them."""
 
 import math
-import tomllib
-import typing
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape, gripper_links
 from rumi.robot.tool_shape import SolidTool
 from rumi.rosbag.sensor_maps import BubbleMap, RobotMap, TorqueMap, Vector, WrenchMap, placed
-from rumi.runs.json_settings import dataclass_of
 from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings
-from sdf import se3
+from sdf import se3, so3
 from sdf.base import SDF
 from sdf.bounds import Checked, Count, NotNegative, OneOf, Positive
 from sdf.primitives import Box, Placed
-
-SCHEMA = 1
-"""Of mapping files."""
 
 Role = Literal[
     "cloud",
@@ -43,7 +34,6 @@ Role = Literal[
     "pose",
     "sensor",
 ]
-ROLES: tuple[str, ...] = typing.get_args(Role)
 
 
 @dataclass(frozen=True)
@@ -282,73 +272,6 @@ class BagMap:
         return self.torques is not None and self.torques.likelihood
 
 
-_TABLES: dict[str, type] = {
-    "frames": Frames,
-    "scene": SceneMap,
-    "object": ObjectSettings,
-    "tool": ToolMap,
-    "view": ViewMap,
-    "bubble": BubbleMap,
-    "wrench": WrenchMap,
-    "robot": RobotMap,
-    "torques": TorqueMap,
-    "actions": Actions,
-}
-
-
-def read_mapping(path: Path | str) -> BagMap:
-    """A mapping file.
-
-    Raises:
-        UsageError: there is none, or it is wrong; with the name of what is.
-    """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"Cannot read the mapping {path}: {error}") from error
-    return mapping_of(text, str(path))
-
-
-def mapping_of(text: str, name: str = "the mapping") -> BagMap:
-    """Mapping of a file's text; see `read_mapping`."""
-    try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"{name} is no TOML: {error}") from error
-    if "schema" not in values:
-        raise UsageError(f"Expected schema = {SCHEMA} at the top of {name}, found none: add that line")
-    schema = values.pop("schema")
-    if not isinstance(schema, int) or isinstance(schema, bool) or schema < 1:
-        raise UsageError(f"Expected schema = {SCHEMA} in {name}, got {schema!r}")
-    if schema > SCHEMA:
-        raise UsageError(f"Expected schema = {SCHEMA} in {name}, got {schema}: a newer one needs a newer rumi")
-    known = {*_TABLES, "topics", "fixed", "settings"}
-    if wrong := sorted(set(values) - known):
-        raise UsageError(f"There is no table [{wrong[0]}] in a mapping; there are {', '.join(sorted(known))}")
-    if lacking := [table for table in ("topics", "frames", "scene") if table not in values]:
-        raise UsageError(f"Expected a table [{lacking[0]}] in {name}, found none")
-    for table in ("topics", "settings"):
-        if not isinstance(values.get(table, {}), Mapping):
-            raise UsageError(f"{name}: Expected {table} to be a table, [{table}], got {values[table]!r}")
-    if not isinstance(values.get("fixed", []), list):
-        raise UsageError(f"{name}: Expected fixed to be tables, each headed [[fixed]], got {values['fixed']!r}")
-    try:
-        made: dict[str, Any] = {
-            key: dataclass_of(kind, values[key], f"{key}.") for key, kind in _TABLES.items() if key in values
-        }
-        topics = {topic: _topic(topic, value) for topic, value in values["topics"].items()}
-        fixed = tuple(dataclass_of(Fixed, value, "fixed.") for value in values.get("fixed", ()))
-        for key, one in [*made.items(), *((f'topics."{topic}"', one) for topic, one in topics.items())]:
-            _check_finite(one, f"{key}.")
-        for one in fixed:
-            one.pose()
-            _check_finite(one, "fixed.")
-    except ValueError as error:
-        raise UsageError(f"{name}: {error}") from error
-    return BagMap(topics=topics, fixed=fixed, settings=values.get("settings", {}), text=text, **made)
-
-
 def pose_of(position: Sequence[float], quaternion_wxyz: Sequence[float]) -> Float[Tensor, "4 4"]:
     """A transform (4, 4), float64, of a position and a quaternion, which is normalised.
 
@@ -359,23 +282,4 @@ def pose_of(position: Sequence[float], quaternion_wxyz: Sequence[float]) -> Floa
     length = float(numbers[3:].norm())
     if not (bool(torch.isfinite(numbers).all()) and abs(length - 1.0) < 0.1):
         raise ValueError(f"expected a position and a unit quaternion, got {numbers.tolist()}")
-    w, x, y, z = (numbers[3:] / length).tolist()
-    turn = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return se3.make(torch.tensor(turn, dtype=torch.float64), numbers[:3])
-
-
-def _check_finite(table: Any, at: str) -> None:  # noqa: ANN401  (a table of any kind)
-    """Refuse numbers that are none; only `view.far_m` may be infinite."""
-    for name, value in asdict(table).items():
-        numbers = np.ravel([part for part in np.ravel(np.array(value, dtype=object)) if isinstance(part, float)])
-        if not np.isfinite(numbers.astype(float)).all() and (at + name, value) != ("view.far_m", math.inf):
-            raise ValueError(f"Expected {at}{name} to be finite, got {value}")
-
-
-def _topic(name: str, value: Any) -> Topic:  # noqa: ANN401  (read from TOML)
-    values = value if isinstance(value, Mapping) else {"role": value}
-    return dataclass_of(Topic, values, f'topics."{name}".')
+    return se3.make(so3.from_wxyz(numbers[3:]), numbers[:3])

@@ -8,7 +8,7 @@ from posixpath import commonpath
 from typing import Any
 
 from rumi.errors import UsageError
-from rumi.rosbag.mapping import SCHEMA
+from rumi.rosbag.mapping_file import SCHEMA
 from rumi.rosbag.messages import CONVERTERS, POSES
 from rumi.rosbag.source import BagError, BagSource
 

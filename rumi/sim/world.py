@@ -13,7 +13,7 @@ from rumi.robot.gripper import GripperShape
 from rumi.sim.bodies import Body, body_of
 from rumi.sim.scene import RAY_GROUPS, scene_model
 from rumi.sim.settings import PhysicsSettings
-from sdf import se3
+from sdf import se3, so3
 from sdf.base import SDF
 from sdf.extras import optional
 
@@ -252,17 +252,7 @@ class World:
 
     def _object_poses(self, states: np.ndarray) -> Float[Tensor, "K 4 4"]:
         pose = torch.from_numpy(states[:, self._object : self._object + 7].copy())
-        return se3.make(_rotation(pose[:, 3:]), pose[:, :3])
-
-
-def _rotation(quaternion: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b 3 3"]:
-    w, x, y, z = (quaternion / quaternion.norm(dim=-1, keepdim=True)).unbind(-1)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+        return se3.make(so3.from_wxyz(pose[:, 3:]), pose[:, :3])
 
 
 def _import_mujoco() -> Any:  # noqa: ANN401

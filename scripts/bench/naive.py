@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import TIE, DisplacementSettings
+from rumi.dynamics.displacement_rollouts import TIE, DisplacementSettings
 from rumi.dynamics.tool_lookup import ToolField, placement, planar_features, world_height
 from rumi.robot.tool import Tool
 from sdf.voxel_grid import VoxelGrid
@@ -21,7 +21,7 @@ def roll_out(
     controls: Float[Tensor, "K H A"],
     uniforms: Float[Tensor, "K M H S"],
 ) -> tuple[Float[Tensor, "R H1 3"], Float[Tensor, "R H1 3"]]:
-    """RUMI's Alg 7 as corrected (`rumi.dynamics.displacement`): every point of every rollout at every mini step.
+    """RUMI's Alg 7, corrected (`displacement_rollouts`): every point of every rollout at every mini step.
 
     Looked up by the library's image sampler, the quickest that plain torch has.
 

@@ -12,7 +12,8 @@ from kmppi import MPPI, MPPISettings
 from rumi.belief.particles import PoseBelief
 from rumi.cache import cache_folder
 from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementPush, DisplacementRollouts, DisplacementSettings
+from rumi.dynamics.displacement import DisplacementPush
+from rumi.dynamics.displacement_rollouts import DisplacementRollouts, DisplacementSettings
 from rumi.dynamics.tool_lookup import world_height
 from rumi.fields.information import information_field
 from rumi.planning.objective import TrajectoryCost

@@ -14,7 +14,8 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.cache import cache_folder
 from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementPush, DisplacementRollouts
+from rumi.dynamics.displacement import DisplacementPush
+from rumi.dynamics.displacement_rollouts import DisplacementRollouts
 from rumi.dynamics.tool_lookup import world_height
 from rumi.fields.information import information_field
 from rumi.fields.normal import expected_normal

@@ -1,6 +1,5 @@
 """Point cloud files: PLY, PCD and NPZ, organised as an image or not."""
 
-import io
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -9,9 +8,10 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from sdf import se3
+from sdf import se3, so3
 from sdf.cache import DAMAGED
 from sensors.vision.images import depth_metres
+from sensors.vision.numpy_files import read_arrays
 from sensors.vision.pcd import read_pcd
 from sensors.vision.ply import read_vertices
 
@@ -96,8 +96,8 @@ def _pcd(data: bytes) -> Cloud:
         bits = packed.view(np.uint32) if packed.dtype.itemsize == 4 else packed.astype(np.uint32)
         colors = torch.from_numpy(np.stack([(bits >> shift) & 255 for shift in (16, 8, 0)], -1).astype(np.uint8))
     normals = _columns(columns, ("normal_x", "normal_y", "normal_z"))
-    pose = se3.identity()
-    pose[:3, :3], pose[:3, 3] = _rotation(file.viewpoint[3:]), torch.tensor(file.viewpoint[:3])
+    place, turn = torch.tensor(file.viewpoint, dtype=torch.float64).split((3, 4))
+    pose = se3.make(so3.from_wxyz(turn), place).float()
     shape = (file.height, file.width, 3) if file.height > 1 else (file.width, 3)
     return Cloud(
         points.reshape(shape),
@@ -108,43 +108,29 @@ def _pcd(data: bytes) -> Cloud:
 
 
 def _npz(data: bytes) -> Cloud:
-    with np.load(io.BytesIO(data), allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
-    viewpoint = None
-    if "world_T_camera" in arrays:
-        viewpoint = _numbers(arrays["world_T_camera"], "world_T_camera")
-        if tuple(viewpoint.shape) != (4, 4):
-            raise ValueError(f"expected world_T_camera (4, 4), got {tuple(viewpoint.shape)}")
+    names = ("points", "colors", "normals", "depth", "intrinsics", "color", "world_T_camera")
+    arrays = read_arrays(data, *names)
+    single = {name: torch.tensor(array, dtype=torch.float32) for name, array in arrays.items()}
+    viewpoint = single.get("world_T_camera")
+    if viewpoint is not None and viewpoint.shape != (4, 4):
+        raise ValueError(f"expected world_T_camera (4, 4), got {tuple(viewpoint.shape)}")
     if "points" in arrays:
-        points = _numbers(arrays["points"], "points")
-        colors, normals = arrays.get("colors"), arrays.get("normals")
+        points = single["points"]
+        colors, normals = arrays.get("colors"), single.get("normals")
     elif "depth" in arrays and "intrinsics" in arrays:
         from sensors.vision.camera import pixel_rays
 
         depth = depth_metres(arrays["depth"])
-        rays = pixel_rays(depth.shape[0], depth.shape[1], _numbers(arrays["intrinsics"], "intrinsics"))
+        rays = pixel_rays(depth.shape[0], depth.shape[1], single["intrinsics"])
         points = rays * torch.where((depth > 0) & torch.isfinite(depth), depth, torch.nan)[..., None]
         colors, normals = arrays.get("color"), None
     else:
         raise ValueError(f"expected arrays `points`, or `depth` and `intrinsics`, found {', '.join(arrays) or 'none'}")
-    return Cloud(
-        points,
-        None if colors is None else _bytes(colors),
-        None if normals is None else _numbers(normals, "normals"),
-        viewpoint,
-    )
-
-
-def _numbers(array: np.ndarray, name: str) -> Float[Tensor, "..."]:
-    if array.dtype.kind not in "fiu":
-        raise ValueError(f"expected {name} to be numbers, got {array.dtype}")
-    return torch.tensor(array, dtype=torch.float32)
+    return Cloud(points, None if colors is None else _bytes(colors), normals, viewpoint)
 
 
 def _bytes(colors: np.ndarray) -> UInt8[Tensor, "..."]:
     """Colours as bytes: whole numbers up to 255 as they are, floating ones up to 1 as parts of it; NaN as 0."""
-    if colors.dtype.kind not in "fiu":
-        raise ValueError(f"expected colours to be numbers, got {colors.dtype}")
     values = np.nan_to_num(colors.astype(np.float64), nan=0.0)
     least, most = float(values.min(initial=0.0)), float(values.max(initial=0.0))
     if colors.dtype.kind == "f" and least >= 0.0 and most <= 1.0:
@@ -168,13 +154,3 @@ def _columns(columns: dict[str, Any], names: tuple[str, ...]) -> Float[Tensor, "
     """The same in single precision."""
     found = _beside(columns, names)
     return None if found is None else torch.tensor(found, dtype=torch.float32)
-
-
-def _rotation(wxyz: tuple[float, ...]) -> Float[Tensor, "3 3"]:
-    w, x, y, z = torch.nn.functional.normalize(torch.tensor(wxyz, dtype=torch.float64), dim=0).tolist()
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return torch.tensor(rows)

@@ -1,6 +1,7 @@
 """Float32 tensors stay float32, and nothing breaks, where torch's default is float64, and the other way round."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import torch
@@ -79,8 +80,8 @@ def test_pixels_that_last() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["mug-0", "box-0"])
-def test_a_run(task: str) -> None:
-    robot, rummager = build(preset("fast", task=task, seed=1000, steps=2))
+def test_a_run(task: str, cache: Path) -> None:
+    robot, rummager = build(preset("fast", task=task, seed=1000, steps=2), cache_dir=cache)
     try:
         assert run(robot, rummager, seed=1000, steps=2).stopped_by == "steps"
     finally:

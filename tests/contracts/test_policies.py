@@ -13,7 +13,7 @@ from torch import Tensor
 from kmppi import MPPI, MPPISettings
 from kmppi.types import Objective
 from rumi.belief.particles import PoseBelief
-from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.registry import EngineSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.gpvr import GPVRSettings

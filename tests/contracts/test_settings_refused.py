@@ -10,7 +10,7 @@ from kmppi import MPPISettings
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.static_filter import ResampleMoveSettings
 from rumi.belief.trajectory_filter import TrajectorySettings
-from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import EngineSettings
 from rumi.errors import UsageError

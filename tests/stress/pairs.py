@@ -37,22 +37,28 @@ class Paired:
     wrong: list[str] = field(default_factory=list)
 
 
-def run_pairs(count: int, folder: Path, *, seed: int = 0, said: Callable[[int], None] = lambda done: None) -> Paired:
+def run_pairs(
+    count: int,
+    folder: Path,
+    *,
+    cache: Path | None = None,
+    seed: int = 0,
+    said: Callable[[int], None] = lambda done: None,
+) -> Paired:
     """Pairs, by turns with one `--out` and with none.
 
     Args:
         count: of pairs.
         folder: to work in.
+        cache: folder that keeps the arm's reach; by default one in `folder`.
         seed: of how far apart the two start.
         said: told how many pairs are done.
     """
-    random, found = np.random.default_rng(seed), Paired()
+    random, found, cache = np.random.default_rng(seed), Paired(), cache or folder / "caches"
     with Commands() as commands:
         whole = []
         for number in (0, 1):
-            commands.begin(_asked(number, "whole"), folder / f"{number}", "it", cache=folder / "caches").finish(
-                (NOT_CONVERGED,)
-            )
+            commands.begin(_asked(number, "whole"), folder / f"{number}", "it", cache=cache).finish((NOT_CONVERGED,))
             whole.append(folder / f"{number}" / "whole")
         for turn in range(count):
             kind = (NAMED, DEFAULT)[turn % 2]
@@ -61,7 +67,7 @@ def run_pairs(count: int, folder: Path, *, seed: int = 0, said: Callable[[int], 
             pair = []
             for number in (0, 1):
                 asked = _asked(number, "same") if kind == NAMED else _asked(0, None)
-                pair.append(commands.begin(asked, place, f"{number}", cache=folder / "caches"))
+                pair.append(commands.begin(asked, place, f"{number}", cache=cache))
                 if number == 0:
                     time.sleep(float(random.uniform(0.0, _APART_S)) * float(random.integers(2)))
             try:

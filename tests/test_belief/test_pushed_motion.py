@@ -17,7 +17,7 @@ from rumi.registration.descent import DescentSettings
 from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
 from rumi.sim.world import World
-from rumi.tasks.rummage.build import pushed_motion
+from rumi.tasks.rummage.motions import pushed_motion
 from sdf import se3
 from sdf.grid_sdf import GridSDF
 from sdf.object_model import object_model

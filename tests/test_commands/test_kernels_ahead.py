@@ -1,6 +1,7 @@
 """What a first plan needs is compiled by another process, which nobody waits for in vain."""
 
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,8 +14,8 @@ from sdf import threads
 
 
 @pytest.fixture(scope="module")
-def agent() -> Any:
-    return build(preset("fast", task="mug-0")).agent
+def agent(cache: Path) -> Any:
+    return build(preset("fast", task="mug-0"), cache_dir=cache).agent
 
 
 def started(monkeypatch: pytest.MonkeyPatch, code: str) -> list[Any]:

@@ -151,7 +151,7 @@ def test_options_that_cannot_be(wedge, touched, arguments, words, capsys):
         ("type.ply", PLY.replace("COUNT", "1").replace("float x", "half x"), "got 'property half x'"),
         ("list.ply", PLY.replace("COUNT", "1").replace("float x", "list uchar int x"), "without lists"),
         ("not.npz", "nope", "expected an archive of arrays"),
-        ("not.npy", "nope", "expected a NumPy array"),
+        ("not.npy", "nope", "or a NumPy array"),
         ("what.docx", "x", "ending in .csv"),
     ],
 )

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementRollouts, DisplacementSettings, Hazard
+from rumi.dynamics.displacement_rollouts import DisplacementRollouts, DisplacementSettings, Hazard
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
 from rumi.robot.reach import Reach, SpatialReach

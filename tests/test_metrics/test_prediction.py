@@ -11,7 +11,7 @@ from torch import Tensor
 from kmppi import MPPISettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
-from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.registry import PushModels, PushSettings
 from rumi.fields.information import InformationSettings, information_field
 from rumi.fields.workspace import Workspace

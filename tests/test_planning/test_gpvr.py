@@ -14,7 +14,7 @@ from kmppi import MPPISettings
 from rumi.belief.particles import PoseBelief
 from rumi.clock import SimulatedClock
 from rumi.dynamics.base import PushRollouts
-from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
 from rumi.planning import gpvr

@@ -11,7 +11,7 @@ from torch import Tensor
 from kmppi import MPPISettings
 from rumi.belief.particles import PoseBelief
 from rumi.clock import SimulatedClock
-from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import Plan, PlanRequest, Scene

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from kmppi import MPPI, MPPISettings
 from rumi.belief.particles import PoseBelief
-from rumi.dynamics.displacement import DisplacementSettings
+from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.fields.information import InformationSettings
 from rumi.fields.workspace import Workspace

@@ -111,6 +111,36 @@ def test_adam_goes_downhill_as_the_paper_does():
     assert float(module(found, observation)) < 0.4 * float(module(start, observation))
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, F64])
+@pytest.mark.parametrize("search", ["SE(2)", "SE(3)"])
+def test_compiled_adam_takes_the_steps_of_the_plain_one(search, dtype):
+    random = torch.Generator().manual_seed(5)
+    points = torch.cat((box_surface(), 0.08 * torch.randn(200, 3, generator=random, dtype=F64))).to(dtype)
+    semantics = torch.full((len(points),), int(Semantics.FREE))
+    semantics[:-200] = int(Semantics.SURFACE)
+    valid = torch.rand(2, len(points), generator=random) < 0.8
+    observation = Observation(points.expand(2, -1, 3), semantics.expand(2, -1), torch.ones_like(valid), valid)
+    poses = se3.exp(0.05 * torch.randn(2, 9, 6, generator=random, dtype=F64)).to(dtype)
+    module = Discrepancy(TABLE, 0.125, tolerance=0.001).to(dtype)
+    settings = DescentSettings(method="adam", iterations=8, rounds=2)
+    found = []
+    for name in ("torch", "numba"):
+        with backend.force(name):
+            found.append(descend(module, poses, observation, search, settings))
+    assert float((found[0] - poses).abs().max()) > 0.05
+    torch.testing.assert_close(found[1], found[0], rtol=0.0, atol=1e-12 if dtype == F64 else 2e-3)
+
+
+def test_adam_starts_anew_in_every_round():
+    observation = Observation.of(box_surface(), Semantics.SURFACE)
+    start = retract(se3.identity((1,), dtype=F64), torch.tensor([[0.01, -0.008, 0.05]], dtype=F64), "SE(2)")
+    module = Discrepancy(BOX, 0.125).double()
+    once = DescentSettings(method="adam", iterations=7)
+    twice = descend(module, descend(module, start, observation, "SE(2)", once), observation, "SE(2)", once)
+    found = descend(module, start, observation, "SE(2)", DescentSettings(method="adam", iterations=7, rounds=2))
+    torch.testing.assert_close(found, twice, rtol=0.0, atol=0.0)
+
+
 def test_pairs_hold_every_violation():
     random = torch.Generator().manual_seed(4)
     poses = se3.exp(0.1 * torch.randn(6, 6, generator=random, dtype=F64))

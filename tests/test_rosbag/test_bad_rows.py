@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.readings import make_readings
 from rumi.rosbag.torques import JointTrack
 from sensors.log.reader import Log

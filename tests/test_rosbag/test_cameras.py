@@ -6,7 +6,7 @@ import torch
 
 from rumi.errors import UsageError
 from rumi.rosbag.frames import FrameTree
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.streams import lens_of, lenses_of
 from rumi.rosbag.views import Views
 from sensors.log.reader import Log

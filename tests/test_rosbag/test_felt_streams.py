@@ -8,7 +8,7 @@ import torch
 
 from rumi.errors import UsageError
 from rumi.rosbag.bag import import_bag
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.readings import make_readings
 from rumi.rosbag.scene import rummager_of_map, settings_of
 from rumi.runs.replay import replay

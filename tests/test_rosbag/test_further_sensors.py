@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from rumi.errors import UsageError
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 
 TEXT = """
 schema = 1

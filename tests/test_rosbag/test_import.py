@@ -11,7 +11,7 @@ from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.rosbag.bag import import_bag
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from sensors.log.reader import Log
 from sensors.log.writer import Odd
 

@@ -8,7 +8,7 @@ import torch
 
 from rumi.cli import main
 from rumi.errors import UsageError
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.readings import make_readings
 from rumi.runs.logbook import LogRecorder
 from sdf import se3

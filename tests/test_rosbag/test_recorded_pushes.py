@@ -13,7 +13,7 @@ from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE
 from rumi.rosbag.bag import check_frames, import_bag
 from rumi.rosbag.frames import FrameTree
-from rumi.rosbag.mapping import mapping_of, read_mapping
+from rumi.rosbag.mapping_file import mapping_of, read_mapping
 from rumi.rosbag.recorded_pushes import read_pushes
 from sensors.log.errors import LogError
 from sensors.log.reader import Log

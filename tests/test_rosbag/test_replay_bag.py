@@ -10,7 +10,7 @@ from rumi.errors import UsageError
 from rumi.exit_codes import NOT_CONVERGED
 from rumi.rosbag.bag import import_bag
 from rumi.rosbag.frames import Edge, FrameTree
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.readings import make_readings
 from rumi.rosbag.scene import rummager_of_map, settings_of
 from rumi.runs.folder import load_run

@@ -7,7 +7,7 @@ import torch
 
 from rumi.errors import UsageError
 from rumi.rosbag.bag import import_bag
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from sensors.log.reader import Log
 from sensors.semantics import Semantics
 from sensors.vision.camera import look_at, pinhole, pixel_rays

@@ -7,7 +7,7 @@ import torch
 
 from rumi.belief.particles import PoseBelief
 from rumi.errors import UsageError
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.scene import rummager_of_map, settings_of
 from sensors.observation import Observation
 from sensors.reading import Reading

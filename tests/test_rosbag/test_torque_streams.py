@@ -8,7 +8,7 @@ import torch
 
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.errors import UsageError
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from rumi.rosbag.scene import contact_models, rummager_of_map, settings_of
 from rumi.runs.replay import replay
 from sensors.semantics import Semantics

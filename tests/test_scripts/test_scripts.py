@@ -128,8 +128,8 @@ class Robot:
         return sensed(surface, free, reading.configuration, bool(reading.in_contact[-1]), motion)
 
 
-def test_a_robot_may_bring_bare_readings(tmp_path):
-    task, rummager = build(preset("default"), cache_dir=tmp_path)
+def test_a_robot_may_bring_bare_readings(cache):
+    task, rummager = build(preset("default"), cache_dir=cache)
     result = run(Robot(task), rummager, seed=0, steps=3)
     assert (result.steps, result.right, result.position_error_mm) == (3, None, None)
     assert result.expected_nll > 0
@@ -147,11 +147,11 @@ def test_the_first_belief_covers_what_the_view_leaves_open(task, tmp_path):
     assert figure.stat().st_size > 1000
 
 
-def test_predicted_against_realised(tmp_path, monkeypatch):
+def test_predicted_against_realised(cache, monkeypatch):
     """Two short runs, and their tables."""
     from scripts import predicted_realised as module
 
-    monkeypatch.setenv("RUMI_CACHE", str(tmp_path))
+    monkeypatch.setenv("RUMI_CACHE", str(cache))
     small = ("steps=3", "planner.mppi.samples=40", "initialise.starts=60", "initialise.polished=20")
     lines = [
         {"column": column, "task": "mug-0", "seed": 1000, "changes": [], "code": ""}
@@ -167,10 +167,10 @@ def test_predicted_against_realised(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_cap_on_gpvrs_points(capsys, tmp_path, monkeypatch):
+def test_the_cap_on_gpvrs_points(capsys, cache, monkeypatch):
     """The row of all points has no error, and a cap that allows them all is the same."""
     pytest.importorskip("gpytorch")
-    monkeypatch.setenv("RUMI_CACHE", str(tmp_path))
+    monkeypatch.setenv("RUMI_CACHE", str(cache))
     module = load(ROOT / "scripts" / "gpvr_cap.py")
     module.main(module.Options(tasks=("mug-0",), actions=(0,), caps=(60, 5000)))
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in capsys.readouterr().out.splitlines()[2:]]

@@ -114,3 +114,11 @@ def test_exp_under_function_transforms(no_shape_check, generator):
     assert torch.allclose(torch.func.vmap(so3.exp)(omega), so3.exp(omega))
     forward = torch.func.vmap(torch.func.jacfwd(lambda w: so3.log(so3.exp(w))))(omega)
     assert torch.allclose(forward, torch.eye(3, dtype=torch.float64).expand(4, 3, 3), atol=1e-9)
+
+
+def test_of_a_quaternion_undoes_quaternion(generator):
+    rotation = so3.exp(torch.cat([vectors(angle, torch.float64, generator) for angle in (*ANGLES, math.pi)]))
+    found = so3.quaternion(rotation)[..., [3, 0, 1, 2]]
+    for scale in (1.0, -1.0, 3.0):
+        assert (so3.from_wxyz(scale * found) - rotation).abs().max() < 1e-14
+    assert torch.equal(so3.from_wxyz(torch.zeros(4)), torch.eye(3))

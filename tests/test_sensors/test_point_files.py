@@ -267,7 +267,7 @@ def test_other_files_are_refused(tmp_path):
     for arrays, message in (
         ({"depths": np.zeros((2, 2))}, "found depths"),
         ({"points": np.zeros((4, 2))}, "got \\(4, 2\\)"),
-        ({"points": np.array([["a", "b", "c"]])}, "to be numbers"),
+        ({"points": np.array([["a", "b", "c"]])}, "to be real numbers"),
         ({"points": POINTS, "colors": COLORS[:2]}, "as many colors"),
         ({"points": POINTS, "world_T_camera": np.eye(3)}, "world_T_camera"),
     ):

@@ -115,8 +115,8 @@ def test_a_full_disk_keeps_the_old_lines_and_results(tmp_path):
 
 
 @pytest.mark.sim
-def test_runs_at_once_have_a_folder_each(tmp_path):
-    found = run_pairs(2, tmp_path)
+def test_runs_at_once_have_a_folder_each(tmp_path, cache):
+    found = run_pairs(2, tmp_path, cache=cache)
     assert found.wrong == []
     assert (found.pairs, found.refused) == ({pairs.NAMED: 1, pairs.DEFAULT: 1}, 1)
 

@@ -11,7 +11,7 @@ from rumi.bench.case import Case, Setup, case
 from rumi.bench.scenes import HEIGHT_M, FieldScene, mug_scene
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactField
-from rumi.dynamics.displacement import DisplacementRollouts
+from rumi.dynamics.displacement_rollouts import DisplacementRollouts
 from rumi.fields.information import information_field
 from rumi.robot.tool import Tool
 from rumi.seeding import split

@@ -81,7 +81,7 @@ class _Handle:
         self, folder: Path, settings: HandleRunSettings, parts: Parts[Any, HandleAgent], *, log: bool
     ) -> RunRecorder:
         """Writes the run's folder."""
-        from rumi.tasks.rummage.build import scene_geometry
+        from rumi.tasks.rummage.geometry import scene_geometry
 
         return RunRecorder(folder, self.as_dict(settings), scene_geometry(parts.agent.rummager))
 

@@ -13,29 +13,31 @@ from torch import Tensor
 from rumi.agent import Parts
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
-from rumi.belief.motion import PushedMotion
-from rumi.belief.pose_filter import FilterSettings, PoseFilter
-from rumi.belief.pose_trajectories import PushedObject
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
-from rumi.belief.prior import PosePrior
+from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import ReinitialiseSettings
-from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
-from rumi.dynamics.push_posterior import PushPosterior, push_posterior
-from rumi.dynamics.quasi_static import QuasiStaticSettings
-from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
+from rumi.dynamics.registry import AUTO, PushSettings
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
 from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
-from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
-from rumi.runs.scene_geometry import SceneGeometry, make_geometry
 from rumi.sim.faults import Fault, Stale, parse_fault
 from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
+from rumi.tasks.rummage.motions import (
+    check_pushing,
+    check_trajectory,
+    followed,
+    is_planar,
+    predicts_motion,
+    prior_of,
+    push_posterior_of,
+    pushed_motion,
+    trajectory_filter,
+)
 from rumi.tasks.rummage.objects import with_object
 from rumi.tasks.rummage.scenes import TaskSpec, find_task, make_tool
 from rumi.tasks.rummage.sensed import SensedTask
@@ -43,13 +45,8 @@ from rumi.tasks.rummage.settings import Settings
 from rumi.tasks.rummage.simulated import SimTask
 from rumi.tasks.rummage.tool_height import at_tool_height
 from sdf.object_model import ObjectModel
-from sdf.primitives import Mug
 from sensors.discrepancy import Discrepancy
 from sensors.evidence import EvidenceModel
-
-_PLANAR = ("pushed", "corrected", "trajectory")  # motions of upright objects and a level tool; the last of others too
-_SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
-_OUTLINE_SPACING = 0.002  # metres between the tool's points that its outline is drawn from
 
 
 def build(
@@ -134,7 +131,7 @@ def build_rummager(
     standing = 0.0 - float(model.exact.bounds[0, 2])
     renewal = settings.renewal
     if following.motion == "trajectory":
-        _check_trajectory(settings)
+        check_trajectory(settings)
         pose_filter: PoseFilter = trajectory_filter(spec, following, discrepancy, tool, model, standing)
         renewal = ReinitialiseSettings.never()  # its particles come from the prior, and are moved under all evidence
     else:
@@ -166,7 +163,7 @@ def build_rummager(
         upright=spec.search == "SE(2)" and not isinstance(pose_filter, UnseenTrajectoryFilter),
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
-        pushes=_pushes(settings.planner) if _slides(spec, settings.planner) else None,
+        pushes=push_posterior_of(settings.planner) if _slides(spec, settings.planner) else None,
     )
 
 
@@ -199,140 +196,9 @@ def _sensors(spec: TaskSpec, settings: Settings) -> str:
     return ", ".join(filter(None, (seen, *further)))
 
 
-def followed(spec: TaskSpec, following: FilterSettings) -> FilterSettings:
-    """The filter's settings with the motion that the task has a sensor for, or what takes its place."""
-    if following.motion != "measured" or spec.measures_motion:
-        return following
-    needs_plane = following.unmeasured in _PLANAR and not _planar(spec)
-    return replace(following, motion="estimated" if needs_plane else following.unmeasured)
-
-
-def predicts_motion(following: FilterSettings) -> bool:
-    """Whether the filter moves the object by the planner's push model."""
-    return following.motion in ("pushed", "corrected")
-
-
-def trajectory_filter(
-    spec: TaskSpec,
-    settings: FilterSettings,
-    discrepancy: Discrepancy,
-    tool: Tool,
-    model: ObjectModel,
-    resting_m: float,
-) -> PoseTrajectoryFilter:
-    """The filter whose particles each have their own motion.
-
-    Args:
-        spec: of the task.
-        settings: of the filter.
-        discrepancy: of the object.
-        tool: the gripper.
-        model: the object.
-        resting_m: of an upright object's origin above the floor.
-    """
-    spacing = settings.trajectories.pad_spacing_m
-    if _planar(spec):
-        if not isinstance(model.exact, Mug):
-            settings = replace(settings, trajectories=settings.trajectories.for_others())
-        pushed = PushedObject.of(
-            discrepancy.sdf,
-            tool.shape,
-            height_m=spec.height_m,
-            resting_m=resting_m,
-            spacing_m=QuasiStaticSettings().spacing_m,
-            pad_spacing_m=spacing,
-        )
-        return PoseTrajectoryFilter(settings, discrepancy, pushed)
-    prior = prior_of(spec, model)
-    if prior is None:
-        raise UsageError(f"Expected a prior for --filter.motion trajectory in space, got none for {spec.name}")
-    toppled = ToppledObject.of(
-        discrepancy.sdf,
-        gripper_of(tool.shape),
-        prior.ways,
-        model.symmetries,
-        spacing_m=_SURFACE_SPACING,
-        pad_spacing_m=spacing,
-        felt_ahead_m=spec.felt_ahead_m,
-        wide=settings.trajectories.unfitted,
-    )
-    return UnseenTrajectoryFilter(settings, discrepancy, toppled, prior, cast(Search, spec.search))
-
-
-def pushed_motion(
-    planner: PushSettings, model: ObjectModel, tool: Tool, height_m: float, resting_m: float
-) -> PushedMotion:
-    """Motion of a pushed object that nothing measures, by the planner's push model ("auto": the quasi-static one).
-
-    Args:
-        planner: its settings.
-        model: the object.
-        tool: the gripper.
-        height_m: of the level tool.
-        resting_m: of the object's origin above the floor.
-
-    Raises:
-        UsageError: the push model does not predict motions.
-    """
-    name = "quasi-static" if planner.push_model == AUTO else planner.push_model
-    return PushedMotion(push_model(name, "motion", planner).motion(model, tool.shape, height_m, resting_m))
-
-
-def _pushes(planner: PushSettings) -> PushPosterior | None:
-    """What is believed of how an object slides before a run; None where that is fixed."""
-    return push_posterior(planner.push_parameters, planner.quasi_static.friction)
-
-
 def _slides(spec: TaskSpec, planner: PushSettings) -> bool:
     """Whether plans are made by the quasi-static model."""
-    return _planar(spec) and planner.push_model in (AUTO, "quasi-static")
-
-
-def _planar(spec: TaskSpec) -> bool:
-    """Whether the object stays upright and the tool level."""
-    return spec.search == "SE(2)" and not spec.spatial
-
-
-def check_pushing(spec: TaskSpec, settings: Settings) -> None:
-    """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
-    _pushes(settings.planner)  # a file that is none is told before anything is done
-    if settings.filter.motion == "trajectory":
-        _check_trajectory(settings)
-        if _planar(spec) and spec.prior is not None:
-            raise UsageError("Expected a first view for --filter.motion trajectory to start from, got a prior")
-    if _planar(spec):
-        return
-    upright, name = spec.search == "SE(2)", settings.planner.push_model
-    suited = ("any", "upright") if upright else ("any",)
-    if name != AUTO and PUSH_MODELS[name].objects not in suited:
-        fits = " or ".join(other for other in PUSH_MODELS if PUSH_MODELS[other].objects in suited)
-        raise UsageError(_other_task(spec, f"planner.push-model {name}", fits))
-    if settings.filter.motion in _PLANAR and not (settings.filter.motion == "trajectory" and spec.prior is not None):
-        raise UsageError(
-            _other_task(spec, f"filter.motion {settings.filter.motion}", "measured, sticking or estimated")
-        )
-
-
-def _check_trajectory(settings: Settings) -> None:
-    """Refuse what trajectories do not take in."""
-    for flag, odd, fits in (
-        ("simulator.sensors.kind", settings.simulator.sensors.kind != "points", "points"),
-        ("filter.evidence", bool(settings.filter.evidence), "none"),
-        ("device", settings.device != "cpu", "cpu"),
-    ):
-        if odd:
-            raise UsageError(f"Expected --{flag} {fits} with --filter.motion trajectory, which takes in no other")
-
-
-def _other_task(spec: TaskSpec, flag: str, fits: str) -> str:
-    return f"--{flag} pushes upright objects with a level tool, and {spec.name} is another task: use {fits} there"
-
-
-def prior_of(spec: TaskSpec, model: ObjectModel) -> PosePrior | None:
-    """What is known of the pose before anything is sensed, on the model's device; None where a camera sees it."""
-    if spec.prior is None:
-        return None
-    return PosePrior.of(spec.prior.mean_m, spec.prior.spread_m, model.sdf.bounds, spec.up)
+    return is_planar(spec) and planner.push_model in (AUTO, "quasi-static")
 
 
 def workspace_of(spec: TaskSpec) -> Workspace:
@@ -358,27 +224,3 @@ def make_policy(settings: Settings, reach: Float[Tensor, "V"]) -> Policy:
         UsageError: the method needs a package that is not installed.
     """
     return POLICIES[settings.method](settings, reach)
-
-
-def geometry_of(agent: object) -> SceneGeometry | None:
-    """What figures need to know of the scene; None where the agent neither rummages nor has one that does."""
-    rummager = getattr(agent, "rummager", agent)
-    return scene_geometry(rummager) if isinstance(rummager, Rummager) else None
-
-
-def scene_geometry(rummager: Rummager) -> SceneGeometry:
-    """What figures need to know of the scene."""
-    section = rummager.tool.shape.section(_OUTLINE_SPACING)
-    return make_geometry(
-        rummager.model.to("cpu"),
-        rummager.workspace.to("cpu"),
-        torch.cat((section, torch.zeros_like(section[:, :1])), -1),
-        height_m=rummager.height_m,
-        reachability=reachability(rummager.tool, rummager.workspace).cpu(),
-        thresholds={
-            "nll": rummager.nll_threshold,
-            "expected_nll": rummager.stop_rule.expected_nll,
-            "apc": rummager.stop_rule.apc_ratio * rummager.model.diagonal,
-        },
-        tolerance={"within_m": rummager.position_tolerance_m, "within_rad": rummager.rotation_tolerance_rad},
-    )

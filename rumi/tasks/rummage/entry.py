@@ -132,7 +132,8 @@ class RummageTask:
 
     def agent(self, settings: Settings, *, cache_dir: Path | None = None) -> Rummager:
         """What finds the object; it plans by the simplest means, and believes as the run did."""
-        from rumi.tasks.rummage.build import build_rummager, followed, predicts_motion
+        from rumi.tasks.rummage.build import build_rummager
+        from rumi.tasks.rummage.motions import followed, predicts_motion
         from rumi.tasks.rummage.objects import with_object
         from rumi.tasks.rummage.scenes import make_tool
         from rumi.tasks.rummage.tool_height import at_tool_height
@@ -155,7 +156,7 @@ class _Recorder(contextlib.ExitStack):
     """Writes the folder of a run; with a log also what its sensors gave, before it was read."""
 
     def __init__(self, folder: Path, settings: Settings, parts: Parts[Any, Rummager], *, log: bool) -> None:
-        from rumi.tasks.rummage.build import scene_geometry
+        from rumi.tasks.rummage.geometry import scene_geometry
 
         super().__init__()
         about = record(parts.agent.model)

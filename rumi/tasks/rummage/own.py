@@ -12,7 +12,8 @@ from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
 from rumi.tasks.registry import OWN
 from rumi.tasks.rummage.agent import Rummager
-from rumi.tasks.rummage.build import build_rummager, check_pushing
+from rumi.tasks.rummage.build import build_rummager
+from rumi.tasks.rummage.motions import check_pushing
 from rumi.tasks.rummage.objects import ObjectSettings
 from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, preset, to_dict

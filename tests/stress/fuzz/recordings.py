@@ -12,7 +12,7 @@ import numpy as np
 from torch import Tensor
 
 from rumi.robot.urdf import UrdfBody
-from rumi.rosbag.mapping import mapping_of
+from rumi.rosbag.mapping_file import mapping_of
 from sensors.vision.point_files import read_cloud
 from tests.stress.fuzz.draw import Draw
 from tests.stress.fuzz.files import with_file

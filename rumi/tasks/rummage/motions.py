@@ -1,0 +1,157 @@
+"""Motion of the object in a task: which filter follows it, by which push model, and what suits the task."""
+
+from dataclasses import replace
+from typing import cast
+
+from rumi.belief.motion import PushedMotion
+from rumi.belief.pose_filter import FilterSettings
+from rumi.belief.pose_trajectories import PushedObject
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.prior import PosePrior
+from rumi.belief.toppled_object import ToppledObject
+from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
+from rumi.dynamics.push_posterior import PushPosterior, push_posterior
+from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
+from rumi.errors import UsageError
+from rumi.registration.descent import Search
+from rumi.robot.gripper import gripper_of
+from rumi.robot.tool import Tool
+from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.settings import Settings
+from sdf.object_model import ObjectModel
+from sdf.primitives import Mug
+from sensors.discrepancy import Discrepancy
+
+_PLANAR = ("pushed", "corrected", "trajectory")  # motions of upright objects and a level tool; the last of others too
+_SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
+
+
+def followed(spec: TaskSpec, following: FilterSettings) -> FilterSettings:
+    """The filter's settings with the motion that the task has a sensor for, or what takes its place."""
+    if following.motion != "measured" or spec.measures_motion:
+        return following
+    needs_plane = following.unmeasured in _PLANAR and not is_planar(spec)
+    return replace(following, motion="estimated" if needs_plane else following.unmeasured)
+
+
+def predicts_motion(following: FilterSettings) -> bool:
+    """Whether the filter moves the object by the planner's push model."""
+    return following.motion in ("pushed", "corrected")
+
+
+def is_planar(spec: TaskSpec) -> bool:
+    """Whether the object stays upright and the tool level."""
+    return spec.search == "SE(2)" and not spec.spatial
+
+
+def trajectory_filter(
+    spec: TaskSpec,
+    settings: FilterSettings,
+    discrepancy: Discrepancy,
+    tool: Tool,
+    model: ObjectModel,
+    resting_m: float,
+) -> PoseTrajectoryFilter:
+    """The filter whose particles each have their own motion.
+
+    Args:
+        spec: of the task.
+        settings: of the filter.
+        discrepancy: of the object.
+        tool: the gripper.
+        model: the object.
+        resting_m: of an upright object's origin above the floor.
+    """
+    spacing = settings.trajectories.pad_spacing_m
+    if is_planar(spec):
+        if not isinstance(model.exact, Mug):
+            settings = replace(settings, trajectories=settings.trajectories.for_others())
+        pushed = PushedObject.of(
+            discrepancy.sdf,
+            tool.shape,
+            height_m=spec.height_m,
+            resting_m=resting_m,
+            spacing_m=settings.trajectories.tool_spacing_m,
+            pad_spacing_m=spacing,
+        )
+        return PoseTrajectoryFilter(settings, discrepancy, pushed)
+    prior = prior_of(spec, model)
+    if prior is None:
+        raise UsageError(f"Expected a prior for --filter.motion trajectory in space, got none for {spec.name}")
+    toppled = ToppledObject.of(
+        discrepancy.sdf,
+        gripper_of(tool.shape),
+        prior.ways,
+        model.symmetries,
+        spacing_m=_SURFACE_SPACING,
+        pad_spacing_m=spacing,
+        felt_ahead_m=spec.felt_ahead_m,
+        wide=settings.trajectories.unfitted,
+    )
+    return UnseenTrajectoryFilter(settings, discrepancy, toppled, prior, cast(Search, spec.search))
+
+
+def pushed_motion(
+    planner: PushSettings, model: ObjectModel, tool: Tool, height_m: float, resting_m: float
+) -> PushedMotion:
+    """Motion of a pushed object that nothing measures, by the planner's push model ("auto": the quasi-static one).
+
+    Args:
+        planner: its settings.
+        model: the object.
+        tool: the gripper.
+        height_m: of the level tool.
+        resting_m: of the object's origin above the floor.
+
+    Raises:
+        UsageError: the push model does not predict motions.
+    """
+    name = "quasi-static" if planner.push_model == AUTO else planner.push_model
+    return PushedMotion(push_model(name, "motion", planner).motion(model, tool.shape, height_m, resting_m))
+
+
+def prior_of(spec: TaskSpec, model: ObjectModel) -> PosePrior | None:
+    """What is known of the pose before anything is sensed, on the model's device; None where a camera sees it."""
+    if spec.prior is None:
+        return None
+    return PosePrior.of(spec.prior.mean_m, spec.prior.spread_m, model.sdf.bounds, spec.up)
+
+
+def push_posterior_of(planner: PushSettings) -> PushPosterior | None:
+    """What is believed of how an object slides before a run; None where that is fixed."""
+    return push_posterior(planner.push_parameters, planner.quasi_static.friction)
+
+
+def check_pushing(spec: TaskSpec, settings: Settings) -> None:
+    """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
+    push_posterior_of(settings.planner)  # a file that is none is told before anything is done
+    if settings.filter.motion == "trajectory":
+        check_trajectory(settings)
+        if is_planar(spec) and spec.prior is not None:
+            raise UsageError("Expected a first view for --filter.motion trajectory to start from, got a prior")
+    if is_planar(spec):
+        return
+    upright, name = spec.search == "SE(2)", settings.planner.push_model
+    suited = ("any", "upright") if upright else ("any",)
+    if name != AUTO and PUSH_MODELS[name].objects not in suited:
+        fits = " or ".join(other for other in PUSH_MODELS if PUSH_MODELS[other].objects in suited)
+        raise UsageError(_other_task(spec, f"planner.push-model {name}", fits))
+    if settings.filter.motion in _PLANAR and not (settings.filter.motion == "trajectory" and spec.prior is not None):
+        raise UsageError(
+            _other_task(spec, f"filter.motion {settings.filter.motion}", "measured, sticking or estimated")
+        )
+
+
+def check_trajectory(settings: Settings) -> None:
+    """Refuse what trajectories do not take in."""
+    for flag, odd, fits in (
+        ("simulator.sensors.kind", settings.simulator.sensors.kind != "points", "points"),
+        ("filter.evidence", bool(settings.filter.evidence), "none"),
+        ("device", settings.device != "cpu", "cpu"),
+    ):
+        if odd:
+            raise UsageError(f"Expected --{flag} {fits} with --filter.motion trajectory, which takes in no other")
+
+
+def _other_task(spec: TaskSpec, flag: str, fits: str) -> str:
+    return f"--{flag} pushes upright objects with a level tool, and {spec.name} is another task: use {fits} there"

@@ -1,0 +1,154 @@
+"""Viewer recordings: a run over its steps and seconds in space, beside its curves, for the viewer Rerun."""
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.records import StepRecord
+from rumi.runs.export import StepEstimate
+from rumi.runs.files import whole_file
+from rumi.runs.folder import Run
+from rumi.runs.memory import memory
+from rumi.runs.plain import plain
+from rumi.viz import style
+from rumi.viz.outlines import heaviest, object_outline, placed
+from sdf.extras import optional
+from sensors.semantics import Semantics
+
+_PARTICLES = 60  # that are drawn, the heaviest
+_HEADING_M = 0.03
+_POINTS = 5000  # of a class
+_WORTH = 0.05  # of the most information, below which a place is not drawn
+_CLASSES = {"surface": (Semantics.SURFACE, style.SURFACE), "free": (Semantics.FREE, style.FREE),
+            "occupied": (Semantics.OCCUPIED, style.INK)}  # fmt: skip
+CURVES = {
+    "nll": "nats",
+    "entropy": "nats, of a normal belief over x, y and yaw",
+    "right": "P(right), by the belief",
+    "fault": "nats for a fault",
+}
+"""Curves by name, each in a plot of its own."""
+
+
+def write_recording(run: Run, estimates: Sequence[StepEstimate], path: Path) -> Path:
+    """Write a run as a recording (.rrd), whole or not at all.
+
+    Args:
+        run: as `load_run` gives it.
+        estimates: of its steps, as `estimates_of` gives them.
+        path: of the recording.
+
+    Raises:
+        ModuleNotFoundError: rerun-sdk is not installed.
+    """
+    rerun = optional("rerun", "The viewer")
+    stream = rerun.RecordingStream("rumi", recording_id=str(run.folder))
+    with whole_file(path) as aside:
+        stream.save(str(aside), default_blueprint=_blueprint())
+        known = {one.step: one for one in estimates}
+        stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for k, record in enumerate(run.steps):
+            stream.set_time("action", sequence=record.step)
+            if record.step in known:
+                _belief(rerun, stream, run, record, known[record.step])
+            if isinstance(record, StepRecord):
+                _scene(rerun, stream, run, k)
+        stream.flush()
+        stream.disconnect()
+    return path
+
+
+def _belief(rerun: Any, stream: Any, run: Run, record: Any, found: StepEstimate) -> None:  # noqa: ANN401
+    """Particles by weight, the best pose, and what the curves show of them."""
+    poses, log_weights = record.poses
+    chosen = heaviest(log_weights, _PARTICLES)
+    some, share = poses[chosen].double(), (log_weights[chosen] - log_weights.max()).exp().double()
+    ahead = torch.stack((some[:, :3, 3], some[:, :3, 3] + _HEADING_M * some[:, :3, 0]), 1)
+    colours = [(11, 65, 139, int(40 + 215 * weight)) for weight in share.tolist()]
+    stream.log("world/particles", rerun.LineStrips3D(ahead.numpy(), colors=colours, radii=0.0006))
+    best, tool_z = found.pose.world_T_object, 0.0
+    stream.log("world/object", rerun.Transform3D(translation=best[:3, 3].numpy(), mat3x3=best[:3, :3].numpy()))
+    if run.geometry is not None:
+        points = run.geometry.surface_points.numpy()
+        stream.log("world/object/surface", rerun.Points3D(points, colors=_rgb(style.NLL), radii=0.001))
+        lines = [line for pose in poses[chosen[:20]] for line in object_outline(run.geometry, pose)]
+        stream.log("world/outlines", _lines(rerun, lines, tool_z, style.QUIET))
+    plane = found.pose.covariance[[0, 1, 5]][:, [0, 1, 5]] + 1e-12 * torch.eye(3, dtype=torch.float64)
+    nats = 0.5 * float(torch.logdet(2 * math.pi * math.e * plane))
+    values = {"entropy/belief": nats, "right/belief": found.pose.probability}
+    for name, value in values.items():
+        stream.log(f"curves/{name}", rerun.Scalars(value))
+
+
+def _scene(rerun: Any, stream: Any, run: Run, k: int) -> None:  # noqa: ANN401
+    """What was sensed up to a step, where the tool went, what was planned and why."""
+    records, record = run.steps[: k + 1], run.steps[k]
+    seen = memory(records)
+    for name, (kind, colour) in _CLASSES.items():
+        points = seen.points[seen.of_class(kind)]
+        points = points[:: max(1, len(points) // _POINTS)]
+        stream.log(f"world/points/{name}", rerun.Points3D(points.numpy(), colors=_rgb(colour), radii=0.0012))
+    tool = record.reading.tool_pose
+    path = torch.cat([one.reading.tool_pose[:, :3, 3] for one in records]).numpy()
+    touched = torch.cat([one.reading.in_contact for one in records]).numpy()
+    stream.log("world/tool/path", rerun.LineStrips3D([path], colors=_rgb(style.PATH), radii=0.0008))
+    stream.log("world/contacts", rerun.Points3D(path[touched], colors=_rgb(style.CONTACT), radii=0.003))
+    if run.geometry is not None:
+        outline = placed(run.geometry.tool, tool[-1])
+        stream.log("world/tool/outline", _lines(rerun, outline, float(tool[-1, 2, 3]), style.TOOL))
+    known = {"nll/true": record.nll, "nll/expected": record.expected_nll, "fault/evidence": record.lost}
+    for name, value in known.items():
+        if value is not None and math.isfinite(value):
+            stream.log(f"curves/{name}", rerun.Scalars(value))
+    for remark in record.remarks:
+        stream.log("remarks", rerun.TextLog(f"{remark.name}: {json.dumps(plain(remark))}", level="WARN"))
+    following = run.steps[k + 1].plan if k + 1 < len(run.steps) else None
+    if following is None:
+        stream.log("world/plan", rerun.Clear(recursive=True))
+        stream.log("why", rerun.TextDocument("Nothing was planned any more."))
+        return
+    ahead = following.path
+    heights = ahead[:, 2:3] if ahead.shape[-1] == 4 else tool[-1, 2, 3].expand(len(ahead), 1)
+    way = torch.cat((ahead[:, :2], heights), -1).float().numpy()
+    stream.log("world/plan/path", rerun.LineStrips3D([way], colors=_rgb(style.EXPECTED), radii=0.0012))
+    if run.geometry is not None and "information" in following.fields:
+        stream.log("world/plan/information", _information(rerun, run, following.fields["information"]))
+    told = [f"- {name}: {value}" for name, value in (following.info | {"skipped": following.skipped}).items()]
+    stream.log("why", rerun.TextDocument("\n".join(["# The next action", *told]), media_type="text/markdown"))
+
+
+def _information(rerun: Any, run: Run, field: Float[Tensor, "V"]) -> Any:  # noqa: ANN401
+    """The places of most information, the brighter the more."""
+    assert run.geometry is not None
+    values = field.float() / field.float().max().clamp_min(1e-12)
+    kept = values > _WORTH
+    colours = [(224, 130, 20, int(255 * value)) for value in values[kept].tolist()]
+    return rerun.Points3D(run.geometry.workspace.points[kept].numpy(), colors=colours, radii=0.002)
+
+
+def _lines(rerun: Any, lines: list[np.ndarray], z: float, colour: str) -> Any:  # noqa: ANN401
+    """Lines (M, 2) at a height."""
+    return rerun.LineStrips3D(
+        [np.column_stack((line, np.full(len(line), z))) for line in lines], colors=_rgb(colour), radii=0.0005
+    )
+
+
+def _blueprint() -> Any:  # noqa: ANN401
+    """Space at the left, a plot for each curve and words at the right."""
+    blueprint = optional("rerun.blueprint", "The viewer")
+    plots = [blueprint.TimeSeriesView(origin=f"curves/{name}", name=f"{name}: {what}") for name, what in CURVES.items()]
+    words = [blueprint.TextDocumentView(origin="why", name="why"), blueprint.TextLogView(origin="remarks")]
+    space = blueprint.Spatial3DView(origin="world", name="scene")
+    right = blueprint.Vertical(*plots, blueprint.Tabs(*words))
+    return blueprint.Blueprint(blueprint.Horizontal(space, right, column_shares=[3, 2]), collapse_panels=True)
+
+
+def _rgb(colour: str) -> tuple[int, int, int]:
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
