@@ -32,7 +32,7 @@ COMMANDS = {
     "tasks": Command("", "list the tasks", "rumi.commands.tasks:tasks"),
     "run": Command("TASK [options]", "carry out a task in simulation", "rumi.commands.run:run"),
     "replay": Command("LOG [options]", "take in a recorded log again", "rumi.commands.replay:replay"),
-    "import": Command("BAG --map FILE", "make a log of a ROS 2 bag", "rumi.commands.import_bag:import_bag"),
+    "import": Command("BAG --map FILE", "make a log of a ROS bag", "rumi.commands.import_bag:import_bag"),
     "check": Command("LOG [options]", "draw a log's observations over the model", "rumi.commands.check:check"),
     "plot": Command("RUN [options]", "draw the figures of a run again", "rumi.commands.plot:plot"),
     "view": Command("RUN [options]", "look at a run in a viewer", "rumi.commands.view:view"),

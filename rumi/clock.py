@@ -32,19 +32,24 @@ class SimulatedClock:
 
 
 class Clock:
-    """Seconds by stage since the last `take`."""
+    """Seconds by stage since the last `take`.
 
-    def __init__(self) -> None:
+    Args:
+        now: the clock that they are read from.
+    """
+
+    def __init__(self, now: Now = time.perf_counter) -> None:
+        self._now = now
         self._seconds: dict[str, float] = {}
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
         """Add the time of a block to a stage."""
-        start = time.perf_counter()
+        start = self._now()
         try:
             yield
         finally:
-            self._seconds[stage] = self._seconds.get(stage, 0.0) + time.perf_counter() - start
+            self._seconds[stage] = self._seconds.get(stage, 0.0) + self._now() - start
 
     def take(self) -> dict[str, float]:
         """The seconds so far; starts again from nothing."""

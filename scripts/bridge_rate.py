@@ -14,6 +14,7 @@ import torch
 
 from rumi.bridge.messages import Start
 from rumi.bridge.served import ServedRobot, Wire
+from rumi.cli import script
 from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
 
@@ -45,9 +46,13 @@ def seconds(points: int) -> float:
     return min(found)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print microseconds a sample, and samples a second."""
     torch.set_num_threads(1)
     for touched in (0, 10):
-        print(
-            f"{touched:2} touched points a sample: {1e6 * (each := seconds(touched)):.0f} us, {1 / each:.0f} a second"
-        )
+        each = seconds(touched)
+        print(f"{touched:2} touched points a sample: {1e6 * each:.0f} us, {1 / each:.0f} a second")
+
+
+if __name__ == "__main__":
+    script(main)

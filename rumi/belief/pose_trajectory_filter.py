@@ -262,7 +262,9 @@ class PoseTrajectoryFilter(PoseFilter):
         moves, first = self._moves(now, random), self.prior is not None and len(history.moving()) <= 1
         whole |= len(history.moving()) <= _LONG
         while True:
-            now = moves.sweep(now, history.tempered(power), whole=whole and (first or power == 1.0))
+            # what comes before the last stage is moved on in any case
+            rounds = self.own.rounds if power == 1.0 and self.prior is None else 1
+            now = moves.sweep(now, history.tempered(power), whole=whole and (first or power == 1.0), rounds=rounds)
             if power == 1.0:
                 return now
             gained = now.log_likelihood[:, -1] / power

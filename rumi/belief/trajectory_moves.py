@@ -44,9 +44,9 @@ class Moves:
     prior: PosePrior | None = None
     about: tuple[float, float, float] = _KERNEL
 
-    def sweep(self, given: Trajectories, history: History, *, whole: bool) -> Trajectories:
-        """Moves of all particles; `whole` ones from the start, too."""
-        for _ in range(self.settings.rounds):
+    def sweep(self, given: Trajectories, history: History, *, whole: bool, rounds: int = 1) -> Trajectories:
+        """Moves of all particles, late ones so many times; `whole` ones from the start, too."""
+        for _ in range(rounds):
             if len(history.moving()):
                 given = self.turned(given, history)
                 given = self.shifted(given, history, whole=False)

@@ -36,7 +36,10 @@ class PoseTrajectorySettings:
         lag: pushed segments, from the last on, whose noise is still moved by itself.
         memory: segments beyond which the older half is forgotten: the particles then stand for it as they are, and
             neither start poses nor physics move any more.
-        rounds: of Metropolis moves at every stage of tempering.
+        rounds: of Metropolis moves once readings count in full, where a view shows the object; one at every stage of
+            tempering before, and where only a prior tells of it.
+        tool_spacing_m: between the points of the tool's border that push an upright object: where they are far apart, a
+            handle's bar sinks in between two, and is pushed along a wrong normal.
         friction: median and log-deviation of the coefficient between tool and object.
         lever_ratio: median and log-deviation of c of the limit surface over the mean distance of the base from below
             the centre of mass.
@@ -75,7 +78,8 @@ class PoseTrajectorySettings:
     instants: int = 5
     lag: int = 10
     memory: int = 80
-    rounds: int = 1
+    rounds: int = 2
+    tool_spacing_m: float = 0.002
     friction: tuple[float, float] = (0.45, 0.3)
     lever_ratio: tuple[float, float] = (1.25, 0.12)
     ahead: tuple[float, float] = (0.25, 0.06)
@@ -124,7 +128,16 @@ class PoseTrajectorySettings:
                 if not 0 <= number < math.inf:
                     raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")
         whole = ("particles", "unseen_particles", "branches", "instants", "lag", "memory", "rounds")
-        positive = ("seen_sd_m", "free_sd_m", "felt_sd_m", "pad_slope_m", "pad_spacing_m", "free_cell_m", "force_rad")
+        positive = (
+            "seen_sd_m",
+            "free_sd_m",
+            "felt_sd_m",
+            "pad_slope_m",
+            "pad_spacing_m",
+            "free_cell_m",
+            "tool_spacing_m",
+            "force_rad",
+        )
         for name in (*whole, *positive):
             if not getattr(self, name) > 0:
                 raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")

@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+import traceback
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,7 +59,7 @@ def serve(served: Served, listener: socket.socket, clients: int | None = None) -
     while clients is None or count < clients:
         connection, address = listener.accept()
         count += 1
-        with connection, contextlib.suppress(ConnectionError):
+        with connection, contextlib.suppress(OSError):  # a client that has gone meanwhile
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             say(f"client {address[0]} port {address[1]}")
@@ -82,8 +83,13 @@ def _talk(served: Served, wire: Wire) -> None:
             continue
         try:
             _run(served, wire, start)
+        except ClientGoneError:
+            raise
         except (ValueError, DegenerateBeliefError) as error:  # of readings that make no sense
             wire.tell(Error(str(error), fatal=True))
+        except Exception as error:  # a bug of ours is no reason to leave the others alone
+            traceback.print_exc()
+            wire.tell(Error(f"the run broke off: {type(error).__name__}: {error}", fatal=True))
 
 
 def _run(served: Served, wire: Wire, start: Start) -> None:

@@ -48,7 +48,8 @@ def view(arguments: Sequence[str]) -> int:
     write_recording(run, estimates_of(run, entry_of(run).pose).steps, path)
     sys.stdout.write(f"{path}\n")
     if not options.headless and has_display():
-        subprocess.Popen([sys.executable, "-m", "rerun", str(path)], start_new_session=True)
+        # by itself the viewer would listen to the whole network
+        subprocess.Popen([sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)], start_new_session=True)
     return DONE
 
 

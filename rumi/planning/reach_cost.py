@@ -133,11 +133,11 @@ class ReachabilityCost:
         found = turn(nodes, held, self._information, about, [index * self.turn_step for index in missing])
         for index, information in zip(missing, found, strict=True):
             # one by one: a transform of several may round otherwise
-            table = self._correlation(information)[..., information.shape[2] - 1]
+            table = self._table(information)[..., information.shape[2] - 1]
             if len(self._stack) == 0:
                 columns, rows = table.shape
                 self._stack = table.new_zeros(self._steps, columns + 2, rows + 2)
-            torch.div(table, self._total, out=self._stack[index, 1:-1, 1:-1]).clamp_(0.0, 1.0)
+            self._stack[index, 1:-1, 1:-1] = table
             self._made[index] = True
 
 

@@ -23,7 +23,7 @@ from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf import backend, se3
 from sdf.grid_sdf import GridSDF
-from sdf.primitives import Box, Placed, Union
+from sdf.primitives import Box, Cylinder, Placed, Union
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
@@ -132,6 +132,24 @@ def test_no_point_of_the_tool_that_may_be_deepest_is_left_out(model):
     moved = (poses["torch"].diff(dim=1).abs().amax(-1) > 0).double().mean()
     assert 0.05 < float(moved) < 0.95
     torch.testing.assert_close(poses["numba"], poses["torch"], atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("along", [0.0, 0.2, 0.5, 0.8])
+def test_a_thin_bar_is_pushed_alike_by_any_place_of_a_side(along):
+    """A side that comes along -y, its points as far apart as by default, carries a bar as far as it goes."""
+    spacing = PoseTrajectorySettings().tool_spacing_m
+    bar = Cylinder(0.008, 0.05)
+    own = PushedObject.of(bar, SHAPE, height_m=0.0, resting_m=0.05, spacing_m=spacing, pad_spacing_m=0.01)
+    pose = torch.tensor([[-0.07 + along * spacing, -0.06, 0.0]], **DOUBLE)
+    sliding = Sliding(torch.zeros(1, 3, **DOUBLE), torch.tensor([0.005], **DOUBLE), torch.tensor([0.4], **DOUBLE))
+    still = replace(OWN, ahead=(0.0, 0.0), centre_m=0.0)
+    for step in range(10):
+        before = torch.tensor([0.0, -0.002 * step, 0.0], **DOUBLE)
+        after = before - torch.tensor([0.0, 0.002, 0.0], **DOUBLE)
+        pose = own.step(still, pose, before, after, sliding, torch.zeros(1, 5, **DOUBLE))
+    # the side ends at y = -50 - 20 mm
+    expected = torch.tensor([[-0.07 + along * spacing, -0.078]], **DOUBLE)
+    torch.testing.assert_close(pose[:, :2], expected, atol=8e-4, rtol=0)  # points 3 mm apart: 1 mm off
 
 
 def test_two_particles_by_hand(model):
@@ -328,6 +346,19 @@ def test_the_filter_follows_a_push_that_nothing_measures(block, model, dtype):
     torch.testing.assert_close(whole.log_likelihood, now.log_likelihood, atol=1e-9, rtol=0)
     few = subsample(belief, 10)
     assert type(few) is PoseBelief and few.world_T_object.shape == (10, 4, 4)
+
+
+def test_moves_go_on_once_readings_count_in_full_and_not_before(block, model, monkeypatch):
+    followed, swept, seen = follow(block, model, rounds=3, felt_weight=20.0, outliers=1e-6), Moves.sweep, []
+
+    def noted(self, given, history, *, whole, rounds=1):
+        seen.append((rounds, history is given.history))
+        return swept(self, given, history, whole=whole, rounds=rounds)
+
+    belief, memory = begin(followed)
+    monkeypatch.setattr(Moves, "sweep", noted)
+    followed(belief, memory, felt_by(0 * PUSH[0], PUSH, block), generator=generator(3))
+    assert set(seen) == {(1, False), (3, True)}
 
 
 @pytest.mark.parametrize("particles", [1, 60])

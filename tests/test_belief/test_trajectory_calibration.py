@@ -26,7 +26,6 @@ DOUBLE = {"dtype": torch.float64}
 SEEN = 10
 OWN = PoseTrajectorySettings(
     particles=100,
-    rounds=2,  # by one, the levers of 150 episodes are not even (push_models.md)
     seen_points=float(SEEN),
     seen_sd_m=0.003,
     outliers=1e-5,

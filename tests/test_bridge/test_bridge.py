@@ -253,6 +253,47 @@ def test_a_view_without_the_object_ends_the_run_and_nothing_else(tmp_path):
 
 
 @pytest.mark.slow
+def test_readings_that_make_no_sense_end_at_most_their_run():
+    """Messages that are well formed and that no robot sends, to the real agent; then one that a robot sends."""
+    noise = random.Random(1)
+    seen = [[0.52, 0.01 * y, 0.01 * z] for y in range(-7, 8) for z in range(21)]
+    still, far = [0, 0, 0, 0, 0, 0, 1], [900.0, -900.0, 900.0, 0.6, 0.0, 0.8, 0.0]
+    with serving(Served(small_agent(), WITHIN), 1) as port, Client(port) as client:
+        client.hear()
+        for view, tool, touched, motion in (
+            (seen, far, True, far),
+            (seen[:1], TOOL, [[1000.0, 1000.0, -1000.0]], still),
+            ([[noise.uniform(-1000, 1000) for _ in range(3)] for _ in range(50)], TOOL, seen, far),
+            (seen, TOOL, False, still),
+        ):
+            client.tell(type="start", tool=tool, surface=view)
+            told = client.hear()
+            while told["type"] != "end" and not told.get("fatal"):
+                if told["type"] == "action":
+                    for _ in range(2):
+                        client.tell(type="sample", tool=tool, touched=touched, motion=motion)
+                    client.tell(type="done")
+                told = client.hear()
+        assert told["type"] == "end"
+
+
+def test_a_bug_ends_the_run_and_not_the_server(capsys, monkeypatch):
+    def broken(self, state):
+        raise IndexError("a bug")
+
+    with serving(Served(Waver(), WITHIN), 1) as port, Client(port) as client:
+        client.hear()
+        with monkeypatch.context() as patched:
+            patched.setattr(Waver, "act", broken)
+            client.tell(type="start", tool=TOOL)
+            told = client.until("error")
+            assert told["fatal"] and told["message"] == "the run broke off: IndexError: a bug"
+        client.tell(type="start", tool=TOOL)
+        client.until("action")
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_a_server_that_is_killed_leaves_a_readable_run(tmp_path):
     command = [sys.executable, "-m", "rumi", "serve", "--builtin", "box", "--motion", "measured", "--port", "0"]
     command += [

@@ -382,6 +382,17 @@ def test_versions_of_turned_shares_agree_to_the_bit(dtype: torch.dtype, generato
     assert torch.equal(found == 0.5, turns == 0)
 
 
+def test_turned_reach_has_its_slope_along_information(generator: torch.Generator) -> None:
+    field, reachability = sparse_field((5, 4, 1), generator, 1.0), sparse_field((5, 4, 1), generator, 1.0)
+    moved, turns = torch.zeros(2, 2, 3, **DOUBLE), torch.tensor([[0.3, -0.2], [0.0, 2.0]], **DOUBLE)
+
+    def cost(values: Tensor) -> Tensor:
+        return ReachabilityCost(VoxelGrid(values, field.origin, 0.02), reachability)(moved, turns, field.origin[:2])
+
+    with backend.force("torch"):
+        assert torch.autograd.gradcheck(cost, (0.1 + field.values).requires_grad_())
+
+
 def test_information_turns_with_the_object_in_space(generator: torch.Generator) -> None:
     """Height stays, and the rest is as in the plane."""
     rollouts = turning_rollouts(generator)

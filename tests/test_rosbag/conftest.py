@@ -1,5 +1,6 @@
 """Bags written by rosbags, of what a simulated robot senses: its camera's cloud, its frames, what its pads felt."""
 
+import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,14 +22,6 @@ pytest.importorskip("h5py")
 
 START = 1_700_000_000 * 10**9
 SECOND = 10**9
-
-
-def quaternion(rotation) -> tuple[float, float, float, float]:
-    """(x, y, z, w) of a rotation matrix, by its axis and angle."""
-    turn = so3.log(torch.as_tensor(rotation, dtype=torch.float64))
-    half = 0.5 * float(turn.norm())
-    axis = turn / turn.norm().clamp_min(1e-12)
-    return (*(axis * np.sin(half)).tolist(), float(np.cos(half)))
 
 
 class BagMaker:
@@ -125,7 +118,7 @@ class BagMaker:
         made = []
         for parent, child, given in frames:
             pose = torch.as_tensor(given, dtype=torch.float64)
-            x, y, z, w = quaternion(pose[:3, :3])
+            x, y, z, w = so3.quaternion(pose[:3, :3]).tolist()
             at = self.types.Vector3(**dict(zip("xyz", pose[:3, 3].tolist(), strict=True)))
             turn = self.types.Quaternion(x=x, y=y, z=z, w=w)
             one = self.types.TransformStamped(
@@ -206,7 +199,8 @@ class Recorded:
     readings: list
 
 
-def pushes(steps: int = 5):
+@functools.cache
+def pushes():
     """A simulated robot that goes to a mug and pushes it a little: its task, first result and results."""
     from rumi.tasks.rummage.build import make_task
     from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_tool
@@ -215,7 +209,7 @@ def pushes(steps: int = 5):
     task = make_task(spec, tool=make_tool(spec, free_flying=True), model=large_handled_mug())
     first = task.reset(0)
     controls = torch.tensor([[1.0, 0.3, 0.0], [1.0, 0.1, 0.0], [0.9, 0.0, 0.0], [0.6, 0.0, 0.0], [0.2, 0.0, 0.0]])
-    return task, first, [task.step(control) for control in controls[:steps]]
+    return task, first, [task.step(control) for control in controls]
 
 
 def record(folder: Path, *, organised: bool = True, depth: bool = False, **options) -> Recorded:

@@ -10,10 +10,12 @@ from rumi.bench.cases import (  # noqa: I001  (the order of the table)
     reach,
     sampling,
     planning,
+    actions,
     loading,
 )
 
 __all__ = [
+    "actions",
     "discrepancy",
     "fields",
     "loading",

@@ -1,26 +1,21 @@
 """One whole planning pass: fields, push model, costs, sampling."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
-from rumi import loop
 from rumi.belief.particles import PoseBelief
 from rumi.bench.case import Case, Setup, case, largest_difference
 from rumi.bench.cases.rollouts import bench_tool
 from rumi.bench.scenes import FieldScene, box_scene, mug_scene
 from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
 from rumi.planning.rummaging import RummagingPolicy, RummagingSettings
-from rumi.records import StepRecord
 from rumi.seeding import split
-from rumi.task import StepResult
 from rumi.tasks.rummage.agent import first_belief
 from rumi.tasks.rummage.build import build, reachability
 from rumi.tasks.rummage.settings import preset
-from sensors.reading import Reading
 
 _SEED = 0
 
@@ -127,65 +122,3 @@ def _made_up(
     policy = RummagingPolicy(reachability(tool, scene.workspace), settings)
     title = f"planning pass, {what}: {scene.what}; {_effort(settings, push_model)}"
     return _case(title, setup, policy, belief, Scene(scene.model, scene.workspace, tool, start))
-
-
-class Replay:
-    """A task that reports what another one reported before, whatever it is told to do; it knows no truth.
-
-    Args:
-        readings: the first view's and one an action.
-    """
-
-    def __init__(self, readings: Sequence[Reading]) -> None:
-        self.readings, self._at = tuple(readings), 0
-
-    def reset(self, seed: int) -> StepResult:
-        """The first view."""
-        self._at = 0
-        return StepResult(self.readings[0], None)
-
-    def step(self, control: Float[Tensor, "A"]) -> StepResult:
-        """What came of the next action then."""
-        self._at += 1
-        return StepResult(self.readings[self._at], None)
-
-    def finish(self, action: object) -> None:
-        """Nothing is done at the end."""
-
-    def close(self) -> None:
-        """Nothing to let go of."""
-
-
-@case("run-mug", slow=True)
-def run_mug(setup: Setup) -> Case:
-    """All that a run of mug-0 computes."""
-    settings = preset("default", task="mug-0", seed=_SEED, device=setup.device.type)
-    steps = 40
-    if setup.tiny:
-        mppi = replace(settings.planner.mppi, samples=8, warmup_iterations=1)
-        small = replace(settings.initialise, particles=12, starts=40, polished=12)
-        settings = replace(settings, planner=replace(settings.planner, mppi=mppi, rollouts=1), initialise=small)
-        steps = 2
-    parts = build(settings, cache_dir=setup.cache_dir)
-    readings: list[Reading] = []
-    try:
-        loop.run(parts.task, parts.agent, seed=_SEED, steps=steps, on_step=lambda step: readings.append(step.reading))
-    finally:
-        parts.task.close()
-    task = Replay(readings)
-
-    def run() -> tuple[Tensor, int]:
-        records: list[StepRecord] = []
-        loop.run(task, parts.agent, seed=_SEED, steps=len(readings) - 1, on_step=records.append)
-        return records[-1].belief.mode()[:3, 3], len(records) - 1
-
-    return Case(
-        f"whole run of mug-0, its {len(readings) - 1} recorded actions replayed: all but the simulator",
-        setup.ours(run),
-        items=len(readings) - 1,
-        item="action",
-        error=lambda found, reference: largest_difference(found[0], reference[0]),
-        tolerance=2e-3,
-        facts={"error": "of the likeliest position, m"},
-        rounds=3,
-    )

@@ -11,6 +11,7 @@ from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.trajectory_history import History, Segment
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.bench.case import Case, Setup, case
 from rumi.bench.scenes import HEIGHT_M, mug_scene
 from rumi.robot.gripper import GripperShape
@@ -25,9 +26,9 @@ def trajectory_update(setup: Setup) -> Case:
     """Update by trajectories."""
     sdf = mug_scene(setup).model.sdf
     resting = -float(sdf.bounds[0, 2])
-    fine = 0.006 if setup.tiny else 0.0025
+    fine, spacing = 0.006 if setup.tiny else 0.0025, PoseTrajectorySettings().tool_spacing_m
     model = PushedObject.of(
-        sdf, GripperShape(), height_m=HEIGHT_M, resting_m=resting, spacing_m=0.003, pad_spacing_m=fine
+        sdf, GripperShape(), height_m=HEIGHT_M, resting_m=resting, spacing_m=spacing, pad_spacing_m=fine
     )
     count = setup.size(150, 8)
     settings = FilterSettings(motion="trajectory")

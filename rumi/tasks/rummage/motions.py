@@ -11,7 +11,6 @@ from rumi.belief.prior import PosePrior
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.dynamics.push_posterior import PushPosterior, push_posterior
-from rumi.dynamics.quasi_static import QuasiStaticSettings
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
 from rumi.registration.descent import Search
@@ -72,7 +71,7 @@ def trajectory_filter(
             tool.shape,
             height_m=spec.height_m,
             resting_m=resting_m,
-            spacing_m=QuasiStaticSettings().spacing_m,
+            spacing_m=settings.trajectories.tool_spacing_m,
             pad_spacing_m=spacing,
         )
         return PoseTrajectoryFilter(settings, discrepancy, pushed)
