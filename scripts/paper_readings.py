@@ -6,8 +6,8 @@ python -m scripts.paper_readings show
 A reading changes settings of that preset: the optimisation of resampled particles ("rounds": N_o counts rounds of fifty
 Adam steps each, which is how CHSEL's published registration counts by default), the lattice of free points ("lattice":
 5 mm, nearer to how finely that library samples the object's inside), the depth behind which a view leaves free space
-unseen ("near": as of a camera at half the distance), and the unit of the discrepancy that is weighed ("mm": lambda is 2 a
-millimetre of the sum) and of the one that asks for resampling ("trigger": l_r is 5 mm of the sum, in place of 5 m).
+unseen ("near": as of a camera at half the distance), and the unit of the discrepancy that is weighed ("mm": lambda is 2
+a millimetre of the sum) and of the one that asks for resampling ("trigger": l_r is 5 mm of the sum, in place of 5 m).
 """
 
 import math

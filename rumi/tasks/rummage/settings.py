@@ -164,8 +164,8 @@ def _fast() -> Settings:
 def _paper() -> Settings:
     """Table IV and the text around it, also where the default has reasons to differ.
 
-    Not the paper's rule to stop, which holds at the first view of a mug: its runs are counted over all actions. What the
-    text leaves open (`scripts/docs/tasks.md`) is read as it is printed: ten steps of Adam, a discrepancy in metres.
+    Not the paper's rule to stop, which holds at the first view of a mug: its runs are counted over all actions. What
+    the text leaves open (`scripts/docs/tasks.md`) is read as it is printed: ten steps of Adam, a discrepancy in metres.
     """
     return Settings(
         preset="paper",
