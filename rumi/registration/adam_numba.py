@@ -3,13 +3,12 @@
 import math
 
 import numpy as np
-import torch
 
-from rumi.registration.descent_numba import copy, gather, retract, violable
+from rumi.registration.descent_numba import copy, gather, given, retract, violable
 from sdf.compiled import Kernel
 from sdf.grid_numba import at, exact, fast, lattice_of, value_and_gradient
 from sdf.part_numba import indices
-from sensors.discrepancy_numba import placed, prepare
+from sensors.discrepancy_numba import placed
 from sensors.tiles_numba import local, near_points
 
 
@@ -83,23 +82,6 @@ _kernel = Kernel(_descend_adam)
 
 def descend(sdf, discrepancy, frame_T_object, observation, search, settings):
     """What `descent.descend` gives by Adam."""
-    ready = prepare(sdf, frame_T_object, observation.points, observation.semantics, observation.valid)
-    kind = ready.poses.dtype.type
-    origin = torch.from_numpy(ready.poses)[..., :3, 3]
-    centre = 0.5 * (origin.amin(1) + origin.amax(1))
-    reach = discrepancy.radius + (origin - centre[:, None]).norm(dim=-1).amax(1)
-    result = torch.empty_like(torch.from_numpy(ready.poses))
-    _kernel(
-        *ready,
-        kind(float(discrepancy.free_scale)),
-        kind(-float(discrepancy.tolerance)),
-        kind(settings.margin_m),
-        centre.contiguous().numpy(),
-        reach.numpy(),
-        np.array((0, 1, 5) if search == "SE(2)" else (0, 1, 2, 3, 4, 5)),
-        settings.iterations,
-        settings.rounds,
-        settings.learning_rate,
-        result.numpy(),
-    )
+    arguments, result = given(sdf, discrepancy, frame_T_object, observation, search, settings)
+    _kernel(*arguments, settings.iterations, settings.rounds, settings.learning_rate, result.numpy())
     return result.view(frame_T_object.shape)

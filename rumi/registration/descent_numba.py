@@ -258,20 +258,14 @@ def _descend(
 _kernel = Kernel(_descend)
 
 
-def descend(sdf, discrepancy, frame_T_object, observation, search, settings):
-    """What `descent.descend` gives by Gauss-Newton; each pose stops by itself.
-
-    Skipped, with the same result: free and occupied points that a pose cannot violate within the margin, ball by ball.
-    """
-    points, semantics, valid = observation.points, observation.semantics, observation.valid
-    ready = prepare(sdf, frame_T_object, points, semantics, valid)
-    kind = ready.poses.dtype.type
-    origin = torch.from_numpy(ready.poses)[..., :3, 3]
+def given(sdf, discrepancy, frame_T_object, observation, search, settings):
+    """What every descent's kernel takes at first, and a place for the poses that it finds (b, N, 4, 4)."""
+    ready = prepare(sdf, frame_T_object, observation.points, observation.semantics, observation.valid)
+    kind, poses = ready.poses.dtype.type, torch.from_numpy(ready.poses)
+    origin = poses[..., :3, 3]
     centre = 0.5 * (origin.amin(1) + origin.amax(1))
     reach = discrepancy.radius + (origin - centre[:, None]).norm(dim=-1).amax(1)
-    result = torch.empty_like(torch.from_numpy(ready.poses))
-    passes = np.empty(ready.poses.shape[:2], np.int64)
-    _kernel(
+    arguments = (
         *ready,
         kind(float(discrepancy.free_scale)),
         kind(-float(discrepancy.tolerance)),
@@ -279,11 +273,23 @@ def descend(sdf, discrepancy, frame_T_object, observation, search, settings):
         centre.contiguous().numpy(),
         reach.numpy(),
         np.array((0, 1, 5) if search == "SE(2)" else (0, 1, 2, 3, 4, 5)),
+    )
+    return arguments, torch.empty_like(poses)
+
+
+def descend(sdf, discrepancy, frame_T_object, observation, search, settings):
+    """What `descent.descend` gives by Gauss-Newton; each pose stops by itself.
+
+    Skipped, with the same result: free and occupied points that a pose cannot violate within the margin, ball by ball.
+    """
+    arguments, result = given(sdf, discrepancy, frame_T_object, observation, search, settings)
+    _kernel(
+        *arguments,
         settings.lever_m,
         settings.iterations,
         np.array((settings.step_limit_m, settings.step_limit_rad)),
         settings.enough,
         result.numpy(),
-        passes,
+        np.empty(result.shape[:2], np.int64),
     )
     return result.view(frame_T_object.shape)

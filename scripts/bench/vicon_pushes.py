@@ -25,7 +25,7 @@ from rumi.rosbag.recorded_pushes import PushRecording, read_pushes
 from scripts.bench.real_pushes import TIP_M, polygon_body
 from sdf import se3
 
-_MAP = """
+MAP = """
 schema = 1
 [topics]
 "/tip_pose" = { role = "pose", frame = "map", child = "tip" }
@@ -94,7 +94,7 @@ def recordings() -> dict[str, PushRecording]:
     value = os.environ.get("RUMI_DATA")
     if not value:
         raise UsageError("Expected RUMI_DATA to name the folder of data sets, got nothing")
-    found, mapping = {}, mapping_of(_MAP)
+    found, mapping = {}, mapping_of(MAP)
     with TemporaryDirectory() as folder:
         for bag in sorted((Path(value) / "vicon_bags").glob("*/*.bag")):
             log = Path(folder) / f"{bag.stem}.h5"

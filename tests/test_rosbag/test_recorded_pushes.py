@@ -15,6 +15,7 @@ from rumi.rosbag.bag import check_frames, import_bag
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping_file import mapping_of, read_mapping
 from rumi.rosbag.recorded_pushes import read_pushes
+from scripts.bench.vicon_pushes import MAP
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
 
@@ -63,20 +64,6 @@ def write(path, *, frame="world", wrench=True):
                 told = kinds["geometry_msgs/msg/Wrench"](vector(x=float(k), y=0.0, z=0.0), vector(x=0.0, y=1.0, z=0.0))
                 put("/netft_data", k, kinds["geometry_msgs/msg/WrenchStamped"](own("sensor"), told))
     return path
-
-
-MAP = """
-schema = 1
-[topics]
-"/tip_pose" = { role = "pose", frame = "map", child = "tip" }
-"/vicon/*/*" = { role = "pose", child = "slider" }
-"/netft_data" = "wrench"
-[frames]
-world = "map"
-tool = "tip"
-[scene]
-within = [[0, 0, 0], [1, 1, 1]]
-"""
 
 
 def pushes_of(bag, log, text=MAP, block="slider"):
