@@ -196,19 +196,22 @@ def draw(options: Figure) -> None:
     for axis, run, title in zip(axes, shown, ("closed loop: steered by the square's pose", "open loop"), strict=True):
         push, random = found[run], split(0, f"real trajectories figure {run}")
         drawn = _ends("reference", run, push, torch.zeros(3, dtype=torch.float64), random)
-        for colour, width, poses in (
-            ("C0", 0.4, drawn[:60]),
-            ("0.5", 1.5, push.start[None]),
-            ("k", 1.5, push.end[None]),
+        for label, colour, width, poses in (
+            ("sixty draws of the reference posterior's end", "C0", 0.4, drawn[:60]),
+            ("start", "0.5", 1.5, push.start[None]),
+            ("true end", "k", 1.5, push.end[None]),
         ):
-            for x, y, yaw in poses.tolist():
+            for number, (x, y, yaw) in enumerate(poses.tolist()):
                 cos, sin = math.cos(yaw), math.sin(yaw)
                 outline = corners @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
-                axis.plot(*(1e3 * outline.T), color=colour, lw=width, alpha=0.5 if colour == "C0" else 1.0)
-        axis.plot(*(1e3 * push.path[:, :2].T.numpy()), "C3", lw=1.5)
+                named = label if number == 0 else None
+                shade = 0.5 if colour == "C0" else 1.0
+                axis.plot(*(1e3 * outline.T), color=colour, lw=width, alpha=shade, label=named)
+        axis.plot(*(1e3 * push.path[:, :2].T.numpy()), "C3", lw=1.5, label="path of the tip")
         axis.set_title(title)
-        axis.set(xlim=(100, 520), ylim=(-150, 180), aspect="equal")
-        axis.set_xlabel("mm")
+        axis.set(xlim=(100, 520), ylim=(-150, 180), xlabel="x [mm]", aspect="equal")
+    axes[0].set_ylabel("y [mm]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     figure.savefig(options.out, dpi=120)
     plt.close(figure)
 
