@@ -191,7 +191,7 @@ def draw(options: Figure) -> None:
 
     shown = ("StraightLine_2016_10_23_NoPerturbationsBlack", "StraightLine_2016_10_23_StraightLineOpenLoop")
     found = {run: push for run, push in long_pushes(0.2, 101) if run in shown}
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.0), sharex=True, sharey=True, constrained_layout=True)
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.6), sharex=True, sharey=True, constrained_layout=True)
     corners = HALF_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
     for axis, run, title in zip(axes, shown, ("closed loop: steered by the square's pose", "open loop"), strict=True):
         push, random = found[run], split(0, f"real trajectories figure {run}")
@@ -212,7 +212,7 @@ def draw(options: Figure) -> None:
         axis.set(xlim=(100, 520), ylim=(-150, 180), xlabel="x [mm]", aspect="equal")
     axes[0].set_ylabel("y [mm]")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
-    figure.savefig(options.out, dpi=120)
+    figure.savefig(options.out, dpi=120, bbox_inches="tight")
     plt.close(figure)
 
 
