@@ -23,8 +23,9 @@ import torch
 import tyro
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.segments import cut, path_of
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings

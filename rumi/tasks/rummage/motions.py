@@ -5,9 +5,9 @@ from typing import cast
 
 from rumi.belief.motion import PushedMotion
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import PushedObject
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.dynamics.push_posterior import PushPosterior, push_posterior
