@@ -8,6 +8,7 @@ contact (`rumi.metrics.calibration`).
 """
 
 import hashlib
+import re
 import statistics
 import time
 from collections.abc import Sequence
@@ -31,7 +32,9 @@ from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
 from scripts.store import Store
 
 RESULTS = Path(__file__).parent / "results" / "trajectories.jsonl"
-DEFAULTS = hashlib.sha256(repr(PoseTrajectorySettings()).encode()).hexdigest()[:8]
+# without what counts for a wrist force sensor alone, so that runs without one stay what they are
+_WRIST_ALONE = re.compile(r", force_(n|per_m)=[^,)]*")
+DEFAULTS = hashlib.sha256(_WRIST_ALONE.sub("", repr(PoseTrajectorySettings())).encode()).hexdigest()[:8]
 Motion = Literal["trajectory", "corrected", "estimated", "pushed", "measured"]
 
 
