@@ -151,7 +151,7 @@ def _default() -> Settings:
 def _fast() -> Settings:
     """A quarter of the starts, a third of the polished poses and a quarter of the rollouts that `default` has.
 
-    What that gives up, `scripts/docs/choosing.md` says with figures.
+    What that gives up, `scripts/docs/how-to/choosing.md` says with figures.
     """
     planner = RummagingSettings()
     return Settings(
@@ -165,7 +165,7 @@ def _paper() -> Settings:
     """Table IV and the text around it, also where the default has reasons to differ.
 
     Not the paper's rule to stop, which holds at the first view of a mug: its runs are counted over all actions. What
-    the text leaves open (`scripts/docs/tasks.md`) is read as it is printed: ten steps of Adam, a discrepancy in metres.
+    the text leaves open (`scripts/docs/reference/tasks.md`) is read as printed: ten steps of Adam, metres.
     """
     return Settings(
         preset="paper",
