@@ -26,7 +26,7 @@ import tyro
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.belief.pose_trajectories import PushedObject
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.cli import script
 from rumi.dynamics.push_posterior import PushPosterior

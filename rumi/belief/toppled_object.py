@@ -7,13 +7,15 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import Trajectories, replay_plain, tables
+from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.trajectory_history import History, arrays_of
+from rumi.belief.trajectory_likelihood import replay_plain, tables
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import unwrapped
 from rumi.dynamics.resting import RestingPoses
 from rumi.dynamics.sliding import Sliding, rotated
 from rumi.dynamics.toppling import Leaning, push_in_space
+from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
@@ -163,6 +165,16 @@ class ToppledObject:
         shift = own_noise[:, :1] * along + own_noise[:, 1:2] * across
         moved = moved + torch.cat((shift, own_noise[:, 2:]), -1)
         return pose.index_copy(0, near, torch.cat((moved, done.state.lying), -1))
+
+    def told_by_force(
+        self,
+        own: PoseTrajectorySettings,
+        physics: Float[Tensor, "N 5"],
+        poses: Float[Tensor, "N S1 6"],
+        history: History,
+    ) -> Float[Tensor, "N S"]:
+        """Refused: an object that may lean or fall goes where its edges let it, not as friction alone has it."""
+        raise UsageError("Expected an upright object where the tool's force is felt: in space it tells nothing")
 
 
 backend.register("replay_in_space")(replay_plain)
