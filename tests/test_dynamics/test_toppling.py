@@ -152,7 +152,7 @@ def test_the_compiled_replay_in_space_is_the_plain_one(toppled):
             torch.testing.assert_close(again.poses, whole.poses, atol=0, rtol=0)
     one, other = found
     assert float((one.pose - start)[:, :2].norm(dim=-1).max()) > 0.01 and bool((one.poses[..., 4] >= 0).any())
-    torch.testing.assert_close(one.poses, other.poses, atol=1e-6, rtol=0)
+    torch.testing.assert_close(one.poses, other.poses, atol=1e-4, rtol=0)  # which of two points is deepest
     torch.testing.assert_close(one.log_likelihood, other.log_likelihood, atol=2e-3, rtol=2e-4)
 
 
