@@ -150,7 +150,8 @@ class ToppledObject:
         noise: Float[Tensor, "N 5"],
     ) -> Float[Tensor, "N 6"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
-        near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
+        near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m) | (pose[:, 4] >= 0)
+        near = near.nonzero()[:, 0]
         if not len(near):
             return pose
         start = pose[near]
