@@ -94,8 +94,8 @@ def push_in_space(
     if len(falling):
         lying[falling], ahead[falling] = _fallen(rests, planar[falling], lying[falling], limit[falling])
     if len(leaning):
-        own = body.friction[leaning]
-        lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning], own, way)
+        rubs = body.friction[leaning]
+        lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning], rubs, way)
     free = (lying[:, 1] < 0).nonzero()[:, 0]
     met = _met(scene, planar[free], lying[free])
     edge, tilt, outward = _levered(rests, planar[free], lying[free], met, body.friction[free], way)
