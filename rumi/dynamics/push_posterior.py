@@ -96,10 +96,17 @@ class PushPosterior:
 
     def quantiles(self, shares: Sequence[float]) -> Float[Tensor, "q 8"]:
         """Weighted quantiles of each parameter."""
-        order = self.parameters.argsort(0)
+        return self._quantiles(self.parameters, shares)
+
+    def scale_quantiles(self, shares: Sequence[float]) -> Float[Tensor, "q"]:
+        """Weighted quantiles of the object's own multiple of the residual's scale."""
+        return self._quantiles(self.residual.own(self._all[:, -1:]), shares)[:, 0]
+
+    def _quantiles(self, values: Float[Tensor, "N k"], shares: Sequence[float]) -> Float[Tensor, "q k"]:
+        order = values.argsort(0)
         below = self.log_weights.exp()[order].cumsum(0)
         at = torch.stack([(below >= share - 1e-12).to(torch.int8).argmax(0) for share in shares])
-        return self.parameters.gather(0, order).gather(0, at)
+        return values.gather(0, order).gather(0, at)
 
     def draws(self, count: int) -> Float[Tensor, "count 8"]:
         """Particles that stand for equal shares of the posterior (systematic, nothing random)."""
