@@ -85,7 +85,7 @@ MODELS = (
 DRAWS, FEWER = {0: 1, 1: 5, 3: 5, 10: 20}, {0: 1, 10: 3}
 """Times that so many pushes are drawn to learn from; of what is no part of the protocol's table."""
 PARTICLES, SHOWN = 128, 48
-"""Particles that learn, and whose regions are looked at; draws of them that predict."""
+"""Particles that learn; draws of them that predict."""
 SHARES = (0.5, 0.9, 0.95)
 
 
@@ -143,7 +143,7 @@ def _believed(name: str, prior: PushPosterior, count: int, draws: int) -> dict[s
         found.append(scores(shown.mean(), end, own.path[rest]))
         densities.append(float(shown.log_density(end).mean()))
         every = 8 if count else 1
-        some = predicted(posterior, own, rest[::every])
+        some = predicted(posterior.thinned(SHOWN) if count else posterior, own, rest[::every])
         levels.append(some.level(end[::every], generator, draws=200))
         numbers.append(posterior.quantiles((0.5,))[0, :2].exp())
     held = {f"held_{share:g}": float((torch.cat(levels) <= share).double().mean()) for share in SHARES}
@@ -165,7 +165,7 @@ def _densities(name: str) -> dict[str, dict[str, float]]:
     for other in _others(name):
         found[other] = {}
         for power in POWERS:
-            shown = _inner(name, other, power, 4, SHOWN)
+            shown = _inner(name, other, power, 4)
             for factor in FACTORS:
                 terms = [_wider(each, factor).log_density(end).mean() for each, end in shown]
                 found[other][label(Choice(power, factor))] = float(torch.stack(terms).mean())
@@ -176,7 +176,7 @@ def _held(name: str) -> dict[str, dict[str, float]]:
     """Of each factor, without a set's shape and one other: share of pushes that regions of 90 % hold; likewise."""
     found: dict[str, dict[str, float]] = {}
     for other in _others(name):
-        shown, generator = _inner(name, other, power_without((other,)), 16, PARTICLES), split(1000, f"levels {name}")
+        shown, generator = _inner(name, other, power_without((other,)), 16), split(1000, f"levels {name}")
         found[other] = {}
         for factor in FACTORS:
             levels = [_wider(each, factor).level(end, generator, draws=200) for each, end in shown]
@@ -184,14 +184,14 @@ def _held(name: str) -> dict[str, dict[str, float]]:
     return found
 
 
-def _inner(name: str, other: str, power: float, every: int, count: int) -> list[tuple[PushPrediction, Tensor]]:
+def _inner(name: str, other: str, power: float, every: int) -> list[tuple[PushPrediction, Tensor]]:
     """Some pushes of a set as they are predicted without its shape and one other, after 0, 3 and 10; their ends."""
     own, generator = push_set(name), split(1000, f"real pushes {name}")
     order = torch.randperm(len(own.start), generator=generator)
     rest = order[10:][::every]
     prior = prior_of(without(fits(), (name.split()[1], other)), Choice(power, 1.0), PARTICLES)
     learnt = [prior.update(own.observed(order[:some]), own.body, generator) for some in (0, 3, 10)]
-    return [(predicted(posterior.thinned(count), own, rest), own.end[rest]) for posterior in learnt]
+    return [(predicted(posterior.thinned(SHOWN), own, rest), own.end[rest]) for posterior in learnt]
 
 
 def _wider(shown: PushPrediction, factor: float) -> PushPrediction:
