@@ -142,7 +142,7 @@ def _certain(believed: PushPosterior) -> PushPosterior:
     residual = replace(believed.residual, floor_m=(1e-6,) * 3, share=(1e-6,) * 3, tails=100.0)
     mean = (believed.log_weights.exp() @ believed.parameters)[None]
     return replace(
-        believed, parameters=mean, log_weights=mean.new_zeros(1), residual=residual, white=mean.new_zeros(1, 5)
+        believed, parameters=mean, log_weights=mean.new_zeros(1), residual=residual, white=mean.new_zeros(1, 6)
     )
 
 
