@@ -32,6 +32,8 @@ class Trajectories:
         history: what was done and sensed.
         starts: (Q, 3 or 6), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
         anywhere: whether start poses are even, whatever was known of them at first: they are where a jump led.
+        log_evidence: estimate of the log marginal likelihood of the readings since the start, in the plane.
+        forgotten: segments before the history's first.
     """
 
     physics: Float[Tensor, "N 5"]
@@ -41,6 +43,8 @@ class Trajectories:
     history: History
     starts: Float[Tensor, "Q D"]
     anywhere: bool = False
+    log_evidence: float = 0.0
+    forgotten: int = 0
 
     def __len__(self) -> int:
         """Number of particles."""
@@ -94,6 +98,7 @@ class Trajectories:
             log_likelihood=self.log_likelihood[:, at:],
             history=self.history.since(at),
             starts=self.starts[:0],
+            forgotten=self.forgotten + at,
         )
 
     def log_prior(self) -> Float[Tensor, "N"]:

@@ -26,7 +26,7 @@ class PoseTrajectorySettings:
 
     Friction and lever of a particle are log-normal, and change a little from segment to segment. After each instant
     the pose is off by noise in proportion to the step, the same throughout a segment: the model's errors last. The
-    numbers of the motion and of the pads are fitted to pushes of drawn, simulated mugs (push_models.md).
+    numbers of the motion and of the pads are fitted to pushes of drawn, simulated mugs (results/push_models.md).
 
     Attributes:
         particles: N, where a view shows the object.

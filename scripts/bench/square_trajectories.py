@@ -48,7 +48,8 @@ def motion_of(
     weights, spread = believed.log_weights.exp(), body.support.spread
     mean = weights @ believed.parameters
     deviation = (weights @ (believed.parameters - mean).square()).sqrt().tolist()
-    share = believed.residual.share
+    scale = float(believed.scale_quantiles((0.5,))[0])
+    share = [scale * part for part in believed.residual.share]
     settings = replace(
         own,
         friction=(math.exp(mean[0]), deviation[0]),
