@@ -59,10 +59,10 @@ class Process:
     """A viewer that listens to nobody."""
 
     def __init__(self, words, **more):
-        self.words, self.ended = words, False
+        self.words, self.ended, self.pid = words, False, -7
 
-    def terminate(self):
-        self.ended = True
+    def end(self, pid, signal):
+        self.ended = pid == self.pid
 
     def wait(self):
         assert self.ended
@@ -73,6 +73,7 @@ def test_a_live_view_shows_what_a_recording_holds(display, tmp_path, monkeypatch
     made, opened = make_up(5, particles=10), []
     monkeypatch.setattr(live, "has_display", lambda: display)
     monkeypatch.setattr(live.subprocess, "Popen", lambda *words, **more: opened.append(Process(*words)) or opened[0])
+    monkeypatch.setattr(live.os, "killpg", lambda *given: opened[0].end(*given))
     stream = rerun.RecordingStream
     to_file = lambda self, url, default_blueprint: stream.save(self, tmp_path / "run.rrd", default_blueprint)  # noqa: E731
     monkeypatch.setattr(stream, "connect_grpc", to_file)
