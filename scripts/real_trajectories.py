@@ -26,7 +26,7 @@ import tyro
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.belief.pose_trajectories import PushedObject
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.cli import script
 from rumi.dynamics.push_posterior import PushPosterior
@@ -142,7 +142,7 @@ def _certain(believed: PushPosterior) -> PushPosterior:
     residual = replace(believed.residual, floor_m=(1e-6,) * 3, share=(1e-6,) * 3, tails=100.0)
     mean = (believed.log_weights.exp() @ believed.parameters)[None]
     return replace(
-        believed, parameters=mean, log_weights=mean.new_zeros(1), residual=residual, white=mean.new_zeros(1, 5)
+        believed, parameters=mean, log_weights=mean.new_zeros(1), residual=residual, white=mean.new_zeros(1, 6)
     )
 
 
