@@ -39,11 +39,11 @@ def test_a_recording_holds_scene_curves_and_reasons(folder, monkeypatch, capsys)
     assert {one.name for one in folder.iterdir()} >= {"run.rrd"} and not list(folder.glob(".*"))
 
 
-def test_a_log_is_no_run(tmp_path, capsys):
+def test_a_file_that_is_no_log_is_refused(tmp_path, capsys):
     log = tmp_path / "log.h5"
     log.touch()
     assert main(["view", str(log)]) == 2
-    assert "`rumi replay" in capsys.readouterr().err
+    assert "log.h5" in capsys.readouterr().err
 
 
 def test_a_fresh_recording_is_not_written_again(folder, monkeypatch):
