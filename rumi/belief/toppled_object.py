@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import Trajectories
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.trajectory_history import History, arrays_of
 from rumi.belief.trajectory_likelihood import replay_plain, tables
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
