@@ -151,7 +151,7 @@ def _default() -> Settings:
 def _fast() -> Settings:
     """A quarter of the starts, a third of the polished poses and a quarter of the rollouts that `default` has.
 
-    What that gives up, `scripts/docs/choosing.md` says with figures.
+    What that gives up, `scripts/docs/how-to/choosing.md` says with figures.
     """
     planner = RummagingSettings()
     return Settings(
@@ -165,8 +165,8 @@ def _paper() -> Settings:
     """Table IV and the text around it, also where the default has reasons to differ; two of its numbers are read.
 
     N_o = 10 counts rounds of fifty steps of Adam, and the discrepancy that lambda = 2 weighs particles by is in
-    millimetres: `scripts/docs/tasks.md` says why, and what each reading does. Not the paper's rule to stop, which holds
-    at the first view of a mug: its runs are counted over all actions.
+    millimetres: `scripts/docs/reference/tasks.md` says why, and what each reading does. Not the paper's rule to
+    stop, which holds at the first view of a mug: its runs are counted over all actions.
     """
     return Settings(
         preset="paper",
