@@ -28,6 +28,7 @@ from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.geometry import scene_geometry
 from rumi.tasks.rummage.settings import Settings, preset
 from rumi.viz import scene, style
+from rumi.viz.outlines import bounding_box, object_outline
 from rumi.weights import boltzmann
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
@@ -86,7 +87,7 @@ def draw_first_view(task: str, seed: int, cache_dir: Path, path: Path) -> str:
     with style.figure(8.0, 3.8) as figure:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         for ax in (left, right):
-            _frame(ax, scene.interesting(first, seen.geometry))
+            _frame(ax, _about(first, seen.geometry))
             scene.draw_truth(first[0], seen.geometry, ax)
         scene.draw_observations(first, left)
         scene.draw_fields(scene.information_at(seen.steps, 0), replace(seen.geometry, reachability=None), right)
@@ -109,7 +110,7 @@ def draw_resampling(task: str, seed: int, cache_dir: Path, path: Path) -> str:
     costs = following.total(carried, _as_kept(seen.steps[: at + 1]))
     weighed = replace(after, belief=carried.reweighted(boltzmann(costs, following.settings.peakiness)))
     panels = (("Before the touch", before), ("Weights after it", weighed), ("Resampled", after))
-    extent = scene.interesting([before, after], seen.geometry)
+    extent = _about([before, after], seen.geometry)
     with style.figure(10.5, 3.8) as figure:
         for ax, (title, step) in zip(figure.subplots(1, 3, sharex=True, sharey=True), panels, strict=True):
             _frame(ax, extent)
@@ -183,6 +184,12 @@ DRAWN: dict[str, Callable[[str, int, Path, Path], str]] = {
     "fig14": draw_process,
 }
 """What draws each for a task and a seed to a path; it gives what is to be said below."""
+
+
+def _about(steps: list[StepRecord], geometry: SceneGeometry) -> scene.Extent:
+    """The part of the scene about the object, wherever the tool is."""
+    poses = torch.cat([step.belief.world_T_object for step in steps])
+    return bounding_box([line for pose in poses for line in object_outline(geometry, pose)], 0.03)
 
 
 def _frame(ax: "Axes", extent: scene.Extent) -> None:
