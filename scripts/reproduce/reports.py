@@ -34,8 +34,8 @@ class Report:
 _COUNTS = """Two counts of each method and task, as `right · paper's`. Right: at its own stop, or at the last action,
 nll within the threshold and the best pose within the task's tolerance of the truth, modulo the object's symmetry. The
 paper's: nll within the threshold at any step. Rates with Wilson intervals (95 %). The preset `paper` has the paper's
-settings; its runs in `runs.jsonl` are of before two of them were read otherwise than printed (reference/tasks.md). The paper's
-own figures are of its simulator, ten runs each."""
+settings; its runs in `runs.jsonl` are of before two of them were read otherwise than printed (reference/tasks.md). The
+paper's own figures are of its simulator, ten runs each."""
 _SUMS = """Medians over the seeds of the nll summed over the steps, and the sum of the medians with its bootstrap
 interval. A run that stops adds nothing more, in ours as in the paper's; held to the last step, stopping early and
 wrong does not pay."""
