@@ -138,11 +138,12 @@ def draw_process(task: str, seed: int, cache_dir: Path, path: Path) -> str:
     seen = begin(preset("paper", task=task, seed=seed, method="gpvr"), 1, cache_dir)
     data, found = process(seen)
     points, workspace = seen.rummager.workspace.points, seen.rummager.workspace
-    mean = predictive_mean(data, found, points)
+    mean, variance = predictive_mean(data, found, points), predictive_variance(data, found, points)
+    share = [float(variance.quantile(level) / variance.amax()) for level in (0.5, 0.9)]
     with style.figure(9.6, 4.0) as figure:
         left, right = figure.subplots(1, 2, sharex=True, sharey=True)
         _map(left, seen, mean, "Mean: 0 on the surface, 1 in free space")
-        _map(right, seen, predictive_variance(data, found, points), "Variance")
+        _map(right, seen, variance, "Variance")
         axes = [workspace.points[:, axis].unique() for axis in (0, 1)]
         layer = mean.reshape(workspace.shape).amin(-1)
         left.contour(*axes, layer.T, levels=[0.0], colors=style.CONTACT, linewidths=1.2)
@@ -152,7 +153,10 @@ def draw_process(task: str, seed: int, cache_dir: Path, path: Path) -> str:
         for ax in (left, right):
             scene.draw_truth(seen.steps[0], seen.geometry, ax)
         style.save(figure, path)
-    return f"{task}, seed {seed}, first view, {len(data.points)} points; red is the level 0 of the mean."
+    return (
+        f"{task}, seed {seed}, preset `paper`, {len(data.points)} points; red is the level 0 of the mean. Half of the "
+        f"workspace has more than {share[0]:.2f} of the largest variance, a tenth of it more than {share[1]:.2f}."
+    )
 
 
 def process(seen: Seen) -> tuple[Labelled, Hyperparameters]:
