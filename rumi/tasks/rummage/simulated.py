@@ -101,7 +101,7 @@ class SimTask:
                 own = self._scene.physics
                 physics = replace(physics, mass_kg=own.mass_kg, friction=own.friction)
             height = None if self.spec.spatial else self.spec.height_m
-            self.world = World(self.world.body, self.shape, height, self.settings.time_step_s, physics)
+            self.world = type(self.world)(self.world.body, self.shape, height, self.settings.time_step_s, physics)
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
         self._views = []
