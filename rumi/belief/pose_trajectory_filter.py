@@ -107,7 +107,7 @@ class PoseTrajectoryFilter(PoseFilter):
         touched = self._pushes(now, log_weights, reading, path)
         if touched:
             now, spans = self._touched(now, log_weights, reading, path, random)
-            log_weights, resampled = normalise(torch.zeros_like(log_weights)), True
+            log_weights, resampled = normalise(log_weights.new_zeros(len(now))), True
             if not spans:  # begun anew: what was sensed before told where it was
                 memory = memory[(~memory.attached).nonzero()[:, 0]]
         rides = self._ridden(now, spans, len(reading.in_contact))
