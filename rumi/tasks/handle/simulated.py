@@ -71,6 +71,7 @@ class HandleTask(SensedTask):
         super().__init__(spec, simulator, tool, model, cache_dir=cache_dir, faults=faults)
         self.fused = settings
         self._drawn = spec
+        self._kind = ForceSensingWorld
         self.world: ForceSensingWorld = ForceSensingWorld(
             self.world.body, self.shape, spec.height_m, simulator.time_step_s, spec.physics
         )
