@@ -15,7 +15,7 @@ from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.faulty import FaultyRobot
 from rumi.tasks.touch_box.mujoco_scene import path_scene
-from rumi.tasks.touch_box.robot import TouchBox, TouchRobot
+from rumi.tasks.touch_box.robot import SimulatedBox, TouchBox, TouchRobot
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 
@@ -52,6 +52,10 @@ def build_touch_box(
     table = grasp_table(task, cache_dir=cache_dir)
     made = make_robot(task, robot, table, cache_dir=cache_dir)
     if faults:
+        if not isinstance(made, SimulatedBox):
+            raise UsageError(
+                f"Expected --robot gripper or planar with --fault, got {robot}: nothing goes wrong with it"
+            )
         made = FaultyRobot(made, faults)
     agent = Toucher(task, settings, made, table, make_path_push(settings.push_model, task))
     return Parts(TouchBox(task, made), agent)

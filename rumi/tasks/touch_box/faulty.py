@@ -8,7 +8,7 @@ from torch import Tensor
 
 from rumi.dynamics.along_path import Pusher
 from rumi.sim.faults import Absent, Dead, FalseContact, Fault, HandOff, Knock
-from rumi.tasks.touch_box.robot import GoOn, Touched, TouchRobot
+from rumi.tasks.touch_box.robot import GoOn, SimulatedBox, Touched
 from rumi.tasks.touch_box.scene import BoxTruth
 
 KINDS = ("knock", "absent", "hand", "dead", "false-contact")
@@ -25,7 +25,7 @@ class FaultyRobot:
         faults: of `KINDS`.
     """
 
-    def __init__(self, robot: TouchRobot, faults: Sequence[Fault]) -> None:
+    def __init__(self, robot: SimulatedBox, faults: Sequence[Fault]) -> None:
         self.robot, self.faults, self._pokes = robot, tuple(faults), 0
 
     @property
@@ -58,10 +58,6 @@ class FaultyRobot:
     def box_pose(self) -> Float[Tensor, "3"]:
         """Where the box is."""
         return self.robot.box_pose()
-
-    def put_box(self, pose: Float[Tensor, "3"]) -> None:
-        """Of the robot."""
-        self.robot.put_box(pose)
 
     def close(self) -> None:
         """Of the robot."""

@@ -75,12 +75,17 @@ class TouchRobot(Protocol):
         """Where the box is, for judging alone."""
         ...
 
-    def put_box(self, pose: Float[Tensor, "3"]) -> None:
-        """Stand the box at (x, y, yaw), where a simulated one is knocked to."""
-        ...
-
     def close(self) -> None:
         """Give back what it holds."""
+        ...
+
+
+@runtime_checkable
+class SimulatedBox(TouchRobot, Protocol):
+    """A robot before a simulated box, which can be put elsewhere."""
+
+    def put_box(self, pose: Float[Tensor, "3"]) -> None:
+        """Stand the box at (x, y, yaw)."""
         ...
 
 
