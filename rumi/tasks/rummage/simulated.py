@@ -17,16 +17,18 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.bodies import body_of
 from rumi.sim.faults import Fault, Hand
+from rumi.sim.force_sensing_world import ForceSensingWorld
 from rumi.sim.sensors import measure
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.world import Track, World
+from rumi.sim.wrist_force import wrist_force
 from rumi.task import StepResult
 from rumi.tasks.rummage.scenes import TaskSpec
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, concatenate
-from sensors.reading import Reading
+from sensors.reading import FORCE, Reading
 from sensors.semantics import Semantics
 from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
 from sensors.vision.camera import depth_observation, look_at, pinhole, pixel_rays
@@ -72,7 +74,8 @@ class SimTask:
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
         height = None if spec.spatial else spec.height_m
         self.shape = shape = gripper_of(tool.shape)
-        self.world = World(body, shape, height, settings.time_step_s, physics)
+        self._kind: type[World] = ForceSensingWorld if settings.sensors.wrist_force else World
+        self.world = self._kind(body, shape, height, settings.time_step_s, physics)
         self._scene = spec
         # what cannot stand is refused before anything begins
         self.world.reset(torch.tensor(spec.tool_start), self._start())
@@ -101,7 +104,7 @@ class SimTask:
                 own = self._scene.physics
                 physics = replace(physics, mass_kg=own.mass_kg, friction=own.friction)
             height = None if self.spec.spatial else self.spec.height_m
-            self.world = World(self.world.body, self.shape, height, self.settings.time_step_s, physics)
+            self.world = self._kind(self.world.body, self.shape, height, self.settings.time_step_s, physics)
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
         self._views = []
@@ -150,8 +153,11 @@ class SimTask:
         for fault in self.faults:
             if fault.step <= self._steps:
                 reading = fault.felt(reading, self._hand(), self._steps)
-        if further := self.settings.sensors.further:
-            measured = measure(further, self.world, track, reading.tool_pose, self._further_noise)
+        sensors = self.settings.sensors
+        if sensors.further or sensors.wrist_force:
+            measured = measure(sensors.further, self.world, track, reading.tool_pose, self._further_noise)
+            if isinstance(self.world, ForceSensingWorld) and self.world.trace is not None:
+                measured[FORCE] = wrist_force(self.world.trace, sensors.wrist_noise_n, self._further_noise)
             reading = replace(reading, measurements=measured)
         if self._looks_again:
             reading = self._seen_again(reading)
