@@ -14,9 +14,9 @@ Both need p alone to be right: a p that is too narrow (belief or sensor surer th
 float64 and log-space.
 """
 
-import functools
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple, get_args
 
 import torch
@@ -136,7 +136,7 @@ class ChangeTest:
         off = torch.where(ruled_out, 0.0, evidence.log_moment - torch.where(ruled_out, 0.0, evidence.log_sum))
         return torch.where(ruled_out, last, off.exp())
 
-    @functools.cached_property
+    @cached_property
     def _log_weights(self) -> Float[Tensor, "K"]:
         return torch.tensor(self.weights, dtype=torch.float64).log().log_softmax(-1)
 
