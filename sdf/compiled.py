@@ -49,6 +49,15 @@ def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without t
     return compiler(error_model="numpy", _nrt=False)(function)
 
 
+def interpreted(function: Any) -> Any:  # noqa: ANN401  (numba comes without types)
+    """A `bare` function as Python runs it, with those of its file: for calls that are too few to compile it for."""
+    names = dict(function.py_func.__globals__)
+    for name, value in names.items():
+        if getattr(value, "py_func", None) is not None and value.py_func.__module__ == function.py_func.__module__:
+            names[name] = FunctionType(value.py_func.__code__, names, name, value.py_func.__defaults__)
+    return names[function.py_func.__name__]
+
+
 class Kernel:
     """A function over NumPy arrays that numba compiles, run by as many threads as its work is worth.
 

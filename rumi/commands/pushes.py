@@ -13,6 +13,8 @@ from rumi.cache import cache_folder
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
 
+_SHARES = (0.5, 0.05, 0.95)  # quantiles that are printed
+
 if TYPE_CHECKING:
     from rumi.dynamics.push_posterior import PushPosterior
     from rumi.dynamics.pushed_body import ObservedPush, PushedBody
@@ -90,14 +92,16 @@ def pushes(arguments: Sequence[str]) -> int:
     write = sys.stdout.write
     write(f"{len(found)} pushes; median [5 %, 95 %]\n")
     for name, own in (("before", before), ("after", after)):
-        friction, lever = own.quantiles((0.5, 0.05, 0.95))[:, :2].exp().T.tolist()
+        friction, lever = own.quantiles(_SHARES)[:, :2].exp().T.tolist()
+        scale = own.scale_quantiles(_SHARES).tolist()
         ends, starts = torch.stack([push.end for push in found]), torch.stack([push.start for push in found])
         shown = [own.predict(push.start[None], push.path[None], body) for push in found]
         off = torch.cat([part.mean() for part in shown]) - ends
         density = torch.cat([part.log_density(end[None]) for part, end in zip(shown, ends, strict=True)]).mean()
         write(
             f"{name}: friction {friction[0]:.2f} [{friction[1]:.2f}, {friction[2]:.2f}], "
-            f"lever {lever[0]:.2f} [{lever[1]:.2f}, {lever[2]:.2f}] of even pressure's; "
+            f"lever {lever[0]:.2f} [{lever[1]:.2f}, {lever[2]:.2f}] of even pressure's, "
+            f"residual {scale[0]:.2f} [{scale[1]:.2f}, {scale[2]:.2f}] of other objects'; "
             f"{1e3 * off[:, :2].norm(dim=-1).mean():.1f} mm and {off[:, 2].abs().mean().rad2deg():.1f} degrees off "
             f"(the object went {1e3 * (ends - starts)[:, :2].norm(dim=-1).mean():.0f} mm), log density {density:.2f}\n"
         )

@@ -31,7 +31,8 @@ def _outline(x, y, table, shape):
 
 
 @bare
-def _gradient(x, y, table, shape):
+def gradient(x, y, table, shape):
+    """Gradient of it."""
     if shape[0] > 0.0:
         _, gx, gy = _rectangle(x, y, shape[1], shape[2])
         return gx, gy
@@ -39,7 +40,7 @@ def _gradient(x, y, table, shape):
 
 
 @bare
-def _nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape):
+def nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape):
     """The tool's point that is nearest to the object, its distance, and its place in the object's frame."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
@@ -90,11 +91,11 @@ def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts,
         tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
         first = (x, y, yaw)
         for _ in range(passes):
-            apart, k, at_x, at_y = _nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape)
+            apart, k, at_x, at_y = nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape)
             depth = thickness - apart
             if not depth > 0.0:
                 break
-            gx, gy = _gradient(at_x, at_y, table, shape)
+            gx, gy = gradient(at_x, at_y, table, shape)
             x, y, yaw = settled(
                 x,
                 y,
@@ -122,7 +123,7 @@ def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape,
         x, y, yaw = advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body)
         track[e, instant, 0], track[e, instant, 1], track[e, instant, 2] = x, y, yaw
         end = instant + 1
-        apart, _, _, _ = _nearest(
+        apart, _, _, _ = nearest(
             x,
             y,
             yaw,

@@ -18,12 +18,13 @@ class PushResidual:
     """Student-t residual of a predicted push: along the tool's way, across it, and of the turn times the base's radius.
 
     The scale of each grows with the way that the object is predicted to go (its centre's, and the turn's at the base's
-    mean radius). Scales are 0.9 of what the sets' own fits leave: particles that differ are doubt too.
+    mean radius). Scales are a factor of what the sets' own fits leave: particles that differ are doubt too.
 
     Attributes:
         floor_m: scales of a push that moves nothing.
         share: of the predicted way.
         tails: degrees of freedom.
+        spread: deviation of the log of an object's own scale, as a multiple of these.
         power: of the likelihood where parameters are learnt: pushes of an object err together, so that ten tell less
             than ten independent ones.
     """
@@ -32,6 +33,7 @@ class PushResidual:
     share: tuple[float, float, float] = (0.0437, 0.0324, 0.0489)
     tails: float = 1.5
     power: float = 0.3
+    spread: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
@@ -41,10 +43,16 @@ class PushResidual:
                 raise ValueError(f"Expected {name} as three numbers above 0, got {value}")
         if not 0 < self.tails < math.inf or not 0 < self.power <= 1:
             raise ValueError(f"Expected tails above 0 and power in (0, 1], got {self.tails} and {self.power}")
+        if not 0 <= self.spread < math.inf:
+            raise ValueError(f"Expected a spread of 0 or more, got {self.spread}")
 
     def scale(self, way_m: Float[Tensor, "*b"]) -> Float[Tensor, "*b 3"]:
         """Of the residual, metres, by the predicted way."""
         return torch.hypot(way_m.new_tensor(self.floor_m), way_m[..., None] * way_m.new_tensor(self.share))
+
+    def own(self, white: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+        """An object's own multiple of the scale, by standard normal numbers."""
+        return (self.spread * white).exp()
 
     def log_density(self, residual_m: Float[Tensor, "*#b 3"], scale: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b"]:
         """Of a residual, 1/m^3."""

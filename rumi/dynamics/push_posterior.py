@@ -3,8 +3,9 @@
 Particles over how an object slides are weighed by pushes whose outcome was measured, with the likelihood of a
 quasi-static prediction and a heavy-tailed residual; resample-move (Gilks & Berzuini 2001) keeps them apart. Where tool
 and object are off where they are tracked is learnt by itself, from where they touched (`Registration`), and a particle
-has a draw of it: its error makes some pushes, those that turn the object either way, less certain. All numbers are
-fitted to the 14 sets of 5400 real pushes (7 shapes on two surfaces) of Yu, Bauza, Fazeli, Rodriguez (IROS 2016).
+has a draw of it: its error makes some pushes, those that turn the object either way, less certain. The residual's scale
+is an object's own too: a particle has a draw of it. All numbers are fitted to the 14 sets of 5400 real pushes (7 shapes
+on two surfaces) of Yu, Bauza, Fazeli, Rodriguez (IROS 2016).
 """
 
 import json
@@ -13,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -35,6 +36,7 @@ _MEAN = (math.log(0.22), 0.12, 1.03, 3.7, 0.0, 0.0, 0.0, 0.0)
 # are .5 to 1.6 of even pressure's there, and up to 2.45 of what rests on a rim or on four corners
 _DEVIATION = (0.45, 0.42, 1.0, 1.8, 0.035, 0.03, 0.045, 0.045)
 _MOVES = 2  # Metropolis sweeps at a resampling
+_WHITE = len(SHIFTS) + 1  # standard normal numbers of a particle: of the shifts, and of the residual's scale
 _KEPT = 200  # pushes that are replayed: the latest
 
 
@@ -50,7 +52,8 @@ class PushPosterior:
         mean: of the normal prior, (8,).
         deviation: of it.
         registration: belief about the shifts of tool and object.
-        white: (N, 5), standard normal numbers that say which shifts of that belief a particle has; None for the mean.
+        white: (N, 6), standard normal numbers that say which shifts of that belief a particle has, and which scale of
+            the residual; None for the middle.
     """
 
     parameters: Float[Tensor, "N 8"]
@@ -60,7 +63,7 @@ class PushPosterior:
     mean: tuple[float, ...] = _MEAN
     deviation: tuple[float, ...] = _DEVIATION
     registration: Registration = field(default_factory=Registration)
-    white: Float[Tensor, "N 5"] | None = None
+    white: Float[Tensor, "N 6"] | None = None
 
     @classmethod
     def prior(
@@ -75,12 +78,12 @@ class PushPosterior:
         """Even particles of the prior, quasi-random: the same each time."""
         if len(mean) != len(PARAMETERS) or len(deviation) != len(PARAMETERS) or not min(deviation) > 0:
             raise ValueError(f"Expected a mean and a deviation above 0 for each of {len(PARAMETERS)} parameters")
-        sequence = torch.quasirandom.SobolEngine(len(PARAMETERS) + len(SHIFTS), scramble=True, seed=1)
+        sequence = torch.quasirandom.SobolEngine(len(PARAMETERS) + _WHITE, scramble=True, seed=1)
         uniform = sequence.draw(count, dtype=torch.float64)
         # every n-th point of the sequence lies in a part of the space
         uniform = uniform[torch.randperm(count, generator=torch.Generator().manual_seed(1))]
         normal = math.sqrt(2.0) * torch.erfinv((2.0 * uniform - 1.0).clamp(-1.0 + 1e-9, 1.0 - 1e-9))
-        normal, white = normal.split((len(PARAMETERS), len(SHIFTS)), -1)
+        normal, white = normal.split((len(PARAMETERS), _WHITE), -1)
         parameters = torch.tensor(mean, dtype=torch.float64) + torch.tensor(deviation, dtype=torch.float64) * normal
         flat = parameters.new_zeros(count).log_softmax(-1)
         own = registration or Registration()
@@ -93,10 +96,17 @@ class PushPosterior:
 
     def quantiles(self, shares: Sequence[float]) -> Float[Tensor, "q 8"]:
         """Weighted quantiles of each parameter."""
-        order = self.parameters.argsort(0)
+        return self._quantiles(self.parameters, shares)
+
+    def scale_quantiles(self, shares: Sequence[float]) -> Float[Tensor, "q"]:
+        """Weighted quantiles of the object's own multiple of the residual's scale."""
+        return self._quantiles(self.residual.own(self._all[:, -1:]), shares)[:, 0]
+
+    def _quantiles(self, values: Float[Tensor, "N k"], shares: Sequence[float]) -> Float[Tensor, "q k"]:
+        order = values.argsort(0)
         below = self.log_weights.exp()[order].cumsum(0)
         at = torch.stack([(below >= share - 1e-12).to(torch.int8).argmax(0) for share in shares])
-        return self.parameters.gather(0, order).gather(0, at)
+        return values.gather(0, order).gather(0, at)
 
     def draws(self, count: int) -> Float[Tensor, "count 8"]:
         """Particles that stand for equal shares of the posterior (systematic, nothing random)."""
@@ -119,8 +129,7 @@ class PushPosterior:
     ) -> PushPrediction:
         """Predictive density of pushes along paths; see `tracked_ends`."""
         check_shape("start", start, "(E, 3)", last=(3,))
-        sliding, shifts = self._known(body.support, start)
-        ends, scale, heading = self._ends(sliding, shifts, start, path, body, substeps)
+        ends, scale, heading = self._ends(self._known(body.support, start), start, path, body, substeps)
         return PushPrediction(ends, self.log_weights, scale, heading, body.support, self.residual)
 
     def log_likelihood(self, pushes: Sequence[ObservedPush], body: PushedBody) -> Float[Tensor, "N"]:
@@ -133,9 +142,9 @@ class PushPosterior:
         return {}
 
     @property
-    def _all(self) -> Float[Tensor, "N 13"]:
-        """Push parameters and the standard normal numbers of the shifts."""
-        white = self.parameters.new_zeros(len(self.parameters), len(SHIFTS)) if self.white is None else self.white
+    def _all(self) -> Float[Tensor, "N 14"]:
+        """Push parameters and the standard normal numbers."""
+        white = self.parameters.new_zeros(len(self.parameters), _WHITE) if self.white is None else self.white
         return torch.cat((self.parameters, white.to(self.parameters)), -1)
 
     def update(self, pushes: Sequence[ObservedPush], body: PushedBody, generator: torch.Generator) -> "PushPosterior":
@@ -159,7 +168,7 @@ class PushPosterior:
         whole, weights = self._all, self.log_weights.exp()
         off = whole - weights @ whole
         covariance = off.T @ (weights[:, None] * off)
-        ones = [1.0] * len(SHIFTS)
+        ones = [1.0] * _WHITE
         slack = 1e-4 * torch.tensor([*self.deviation, *ones], dtype=off.dtype).square().diag()
         root = torch.linalg.cholesky(covariance + slack) * (2.38 / math.sqrt(off.shape[1]))
         now = whole[resample_systematic(self.log_weights, generator=generator)]
@@ -171,48 +180,45 @@ class PushPosterior:
             uniform = torch.rand(len(now), generator=generator, dtype=now.dtype)
             accept = uniform.log() < gained - target
             now, target = torch.where(accept[:, None], there, now), torch.where(accept, gained, target)
-        parameters, white = now.split((len(PARAMETERS), len(SHIFTS)), -1)
+        parameters, white = now.split((len(PARAMETERS), _WHITE), -1)
         flat = torch.zeros_like(target).log_softmax(-1)
         return replace(self, parameters=parameters.contiguous(), log_weights=flat, white=white.contiguous())
 
-    def _log_target(self, particles: Float[Tensor, "N 13"], body: PushedBody) -> Float[Tensor, "N"]:
-        parameters, white = particles.split((len(PARAMETERS), len(SHIFTS)), -1)
+    def _log_target(self, particles: Float[Tensor, "N 14"], body: PushedBody) -> Float[Tensor, "N"]:
+        parameters, white = particles.split((len(PARAMETERS), _WHITE), -1)
         off = (parameters - parameters.new_tensor(self.mean)) / parameters.new_tensor(self.deviation)
         prior = -0.5 * (off.square().sum(-1) + white.square().sum(-1))
         return self._log_likelihood(particles, self.pushes, body) + prior
 
     def _log_likelihood(
-        self, particles: Float[Tensor, "N 13"], pushes: Sequence[ObservedPush], body: PushedBody
+        self, particles: Float[Tensor, "N 14"], pushes: Sequence[ObservedPush], body: PushedBody
     ) -> Float[Tensor, "N"]:
         """Of pushes, to the residual's power."""
         whole = particles.new_zeros(len(particles))
         for count in sorted({len(push.path) for push in pushes}):
             same = [push for push in pushes if len(push.path) == count]
             start, path, end = (torch.stack(part).to(particles) for part in zip(*same, strict=True))
-            sliding, shifts = self._slides(particles, body.support)
-            ends, scale, heading = self._ends(sliding, shifts, start, path, body, 1)
+            ends, scale, heading = self._ends(self._slides(particles, body.support), start, path, body, 1)
             shown = PushPrediction(ends, self.log_weights, scale, heading, body.support, self.residual)
             whole = whole + self.residual.power * shown.particle_log_density(end[:, None])[:, 0].sum(0)
         return whole
 
-    def _known(self, support: Support, like: Tensor) -> tuple[Sliding, Float[Tensor, "N 5"]]:
+    def _known(self, support: Support, like: Tensor) -> "_Known":
         """`_slides` of all particles, kept for the object that was pushed last."""
         last = self._made.get("last")
         if last is None or last[0] is not support or last[1] != (like.dtype, like.device):
             last = (support, (like.dtype, like.device), self._slides(self._all.to(like), support))
             self._made["last"] = last
-        found: tuple[Sliding, Tensor] = last[2]
+        found: _Known = last[2]
         return found
 
-    def _slides(self, particles: Float[Tensor, "N 13"], support: Support) -> tuple[Sliding, Float[Tensor, "N 5"]]:
-        """How an object slides by particles, and its and the tool's shifts."""
-        parameters, white = particles.split((len(PARAMETERS), len(SHIFTS)), -1)
-        return sliding_of(parameters, support), self.registration.shifts(white)
+    def _slides(self, particles: Float[Tensor, "N 14"], support: Support) -> "_Known":
+        parameters, shifts, scale = particles.split((len(PARAMETERS), len(SHIFTS), 1), -1)
+        return _Known(sliding_of(parameters, support), self.registration.shifts(shifts), self.residual.own(scale))
 
     def _ends(
         self,
-        sliding: Sliding,
-        shifts: Float[Tensor, "N 5"],
+        known: "_Known",
         start: Float[Tensor, "E 3"],
         path: Float[Tensor, "#E K1 3"],
         body: PushedBody,
@@ -220,14 +226,14 @@ class PushPosterior:
     ) -> tuple[Float[Tensor, "E N 3"], Float[Tensor, "E N 3"], Float[Tensor, "E"]]:
         """Predicted ends, scales of their residuals, and headings of the tool's ways."""
         path = path.to(start).expand(len(start), *path.shape[1:])
-        ends, way = tracked_ends(start, path, shifts, sliding, body, substeps=substeps)
+        ends, way = tracked_ends(start, path, known.shifts, known.sliding, body, substeps=substeps)
         along = path[:, -1, :2] - path[:, 0, :2]
-        return ends, self.residual.scale(way), torch.atan2(along[:, 1], along[:, 0])
+        return ends, known.scale * self.residual.scale(way), torch.atan2(along[:, 1], along[:, 0])
 
     def save(self, path: Path) -> None:
         """Write to a JSON file, whole or not at all."""
         data = {
-            "format": _FORMAT,
+            "format": _FORMATS[-1],
             "names": list(PARAMETERS),
             "mean": list(self.mean),
             "deviation": list(self.deviation),
@@ -256,17 +262,23 @@ class PushPosterior:
                 f"Expected a file of push parameters, as `rumi pushes --out` writes, got {path}: {error}"
             ) from None
         try:
-            if data["format"] != _FORMAT or data["names"] != list(PARAMETERS):
+            if data["format"] not in _FORMATS or data["names"] != list(PARAMETERS):
                 raise ValueError(f"format {data['format']!r}")
             numbers = data["residual"]
             residual = PushResidual(
-                tuple(numbers["floor_m"]), tuple(numbers["share"]), numbers["tails"], numbers["power"]
+                tuple(numbers["floor_m"]),
+                tuple(numbers["share"]),
+                numbers["tails"],
+                numbers["power"],
+                numbers.get("spread", 0.0),
             )
             double = {
                 name: torch.tensor(data[name], dtype=torch.float64) for name in ("parameters", "log_weights", "white")
             }
             check_shape("parameters", double["parameters"], "(N, 8)", last=(len(PARAMETERS),))
-            check_shape("white", double["white"], "(N, 5)", last=(len(SHIFTS),))
+            if data["format"] == _FORMATS[0]:  # of one scale for all objects
+                double["white"] = torch.nn.functional.pad(double["white"], (0, 1))
+            check_shape("white", double["white"], "(N, 6)", last=(_WHITE,))
             if not all(bool(part.isfinite().all()) for part in double.values()):
                 raise ValueError("numbers that are not finite")
             pushes = tuple(
@@ -285,7 +297,16 @@ class PushPosterior:
             ) from None
 
 
-_FORMAT = "rumi push parameters 2"
+class _Known(NamedTuple):
+    """What particles say of an object: how it slides, its and the tool's shifts, and the residual's scale."""
+
+    sliding: Sliding
+    shifts: Float[Tensor, "N 5"]
+    scale: Float[Tensor, "N 1"]
+
+
+_FORMATS = ("rumi push parameters 2", "rumi push parameters 3")
+"""The earlier, which is read too, and the one that is written."""
 
 
 FIXED, PRIOR = "fixed", "prior"

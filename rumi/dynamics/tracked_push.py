@@ -11,11 +11,12 @@ from rumi.dynamics.along_path import Pusher, outline_table, push_along_path
 from rumi.dynamics.outline import GridOutline, RectangleOutline, Support
 from rumi.dynamics.push_registration import as_tracked, put_right
 from rumi.dynamics.pushed_body import PushedBody
-from rumi.dynamics.sliding import Sliding, rotated
+from rumi.dynamics.sliding import Outline, Sliding, rotated
 from sdf import backend, compiled
 from sdf.check import check_finite, check_shape, is_eager
 
 _PASSES = 2  # contacts that are settled in a part of the way, at most
+_APART = 4  # points of a tool that begins in the object that are brought out of it, at most
 
 
 class TrackedEnds(NamedTuple):
@@ -40,6 +41,9 @@ def tracked_ends(
     substeps: int = 1,
 ) -> TrackedEnds:
     """Push along paths by each particle (`push_along_path`), from poses that are put right by its shifts.
+
+    An object in which the tool begins is not pushed there, but tracked wrong: it is first moved straight off the tool,
+    by the depth.
 
     Args:
         start: poses as tracked.
@@ -73,10 +77,12 @@ def _tracked_ends(
     # the object is moved in place of the tool: only where they are to each other matters
     whole = (put_right(start[:, None].expand(-1, count, -1), shifts) + shift).reshape(-1, 3)
     outline = body.outline.to(start) if hasattr(body.outline, "to") else body.outline
+    pusher, paths = Pusher(body.pusher.points.to(start), body.pusher.thickness), path.repeat_interleave(count, 0)
+    whole = separated(whole, paths[:, 0], pusher, outline)
     track = push_along_path(
         whole,
-        path.repeat_interleave(count, 0),
-        Pusher(body.pusher.points.to(start), body.pusher.thickness),
+        paths,
+        pusher,
         outline,
         sliding.map(lambda part: part.repeat(pushes, *[1] * (part.ndim - 1))),
         substeps=substeps,
@@ -85,6 +91,20 @@ def _tracked_ends(
     last = track[:, -1] if track.shape[1] else whole
     ends = as_tracked(last.view(pushes, count, 3) - shift, shifts)
     return TrackedEnds(ends, way_of(start[:, None], ends, body.support))
+
+
+def separated(
+    poses: Float[Tensor, "E 3"], tool: Float[Tensor, "E 3"], pusher: Pusher, outline: Outline
+) -> Float[Tensor, "E 3"]:
+    """Poses of objects moved off a tool that stands in them: along the normal by the depth, without a turn."""
+    for _ in range(_APART):
+        placed = tool[:, None, :2] + rotated(pusher.points, tool[:, None, 2])
+        local = rotated(placed - poses[:, None, :2], -poses[:, None, 2])
+        depth, index = (pusher.thickness - outline(local).distance).max(-1)
+        gradient = outline(local[torch.arange(len(local)), index]).gradient
+        inward = -rotated(gradient / gradient.norm(dim=-1, keepdim=True).clamp_min(1e-9), poses[:, 2])
+        poses = torch.cat((poses[:, :2] + depth.clamp_min(0.0)[:, None] * inward, poses[:, 2:]), -1)
+    return poses
 
 
 def way_of(start: Float[Tensor, "*#b 3"], end: Float[Tensor, "*#b 3"], support: Support) -> Float[Tensor, "*b"]:
@@ -110,7 +130,7 @@ def _tracked_ends_numba(
         *(part.detach().to(start.dtype).contiguous().numpy() for part in (start, path, shifts, points, table, *slides)),
         np.array(shape),
         np.array((body.pusher.thickness, body.pusher.radius + body.outline.radius)),
-        np.array((substeps, _PASSES)),
+        np.array((substeps, _PASSES, _APART)),
         np.array((*body.support.centre.tolist(), body.support.spread)),
         ends.numpy(),
         way.numpy(),

@@ -4,9 +4,26 @@ import math
 
 import numpy as np
 
-from rumi.dynamics.along_path_numba import advanced, sliding_at
+from rumi.dynamics.along_path_numba import advanced, gradient, nearest, sliding_at
 from sdf.compiled import Kernel, bare
 from sdf.part_numba import indices
+
+
+@bare
+def _separated(x, y, yaw, path, e, points, table, shape, thickness, most):
+    """Place of an object off a tool that stands in it; see `separated`."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    for _ in range(most):
+        apart, _, at_x, at_y = nearest(
+            x, y, yaw, float(path[e, 0, 0]), float(path[e, 0, 1]), float(path[e, 0, 2]), points, table, shape
+        )
+        depth = thickness - apart
+        if not depth > 0.0:
+            break
+        gx, gy = gradient(at_x, at_y, table, shape)
+        length = max(math.sqrt(gx * gx + gy * gy), 1e-9)
+        x, y = x - depth * (cos * gx - sin * gy) / length, y - depth * (sin * gx + cos * gy) / length
+    return x, y
 
 
 @bare
@@ -18,6 +35,7 @@ def _pushed(e, n, start, path, shifts, points, table, centre, lever, friction, q
     cos, sin = math.cos(yaw), math.sin(yaw)
     x, y, yaw = x + cos * own_x - sin * own_y + tool_x, y + sin * own_x + cos * own_y + tool_y, yaw + turn
     body = sliding_at(n, centre, lever, friction, quartic)
+    x, y = _separated(x, y, yaw, path, e, points, table, shape, sizes[0], counts[2])
     for instant in range(path.shape[1] - 1):
         x, y, yaw = advanced(x, y, yaw, path, e, instant, points, table, shape, sizes, counts, body)
     yaw -= turn

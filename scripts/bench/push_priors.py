@@ -45,7 +45,8 @@ class Choice(NamedTuple):
     factor: float
 
 
-POWERS, FACTORS = (0.15, 0.3, 0.5, 0.8), (0.7, 0.8, 0.9, 1.0, 1.1)
+_HELD = (0.9, 0.82)  # of regions of 90 %: what they are to hold of all shapes, and of the least
+POWERS, FACTORS = (0.15, 0.3, 0.5), (0.7, 0.8, 0.9, 1.0, 1.1)
 
 
 def fit(own: PushSet, *, evaluations: int = 500) -> Parameters:
@@ -62,7 +63,7 @@ def fit(own: PushSet, *, evaluations: int = 500) -> Parameters:
     full = replace(wide, pushes=tuple(pushes))
 
     def cost(parameters: np.ndarray) -> float:
-        particle = torch.tensor(np.concatenate((parameters, np.zeros(5))))[None]
+        particle = torch.tensor(np.concatenate((parameters, np.zeros(6))))[None]
         return -float(full._log_target(particle, own.body))
 
     simplex = np.vstack([start] + [start + 0.2 * row for row in np.diag(deviation)])
@@ -90,7 +91,9 @@ def prior_of(fits: Mapping[str, Parameters], choice: Choice, count: int = 256) -
     deviation = next_off * (weights * (rows - mean).square()).sum(0).sqrt()
     left = residual_of(tuple(fits.items()))
     (a, b, c), (d, e, f), by = left.floor_m, left.share, choice.factor
-    residual = PushResidual((by * a, by * b, by * c), (by * d, by * e, by * f), left.tails, choice.power)
+    residual = PushResidual(
+        (by * a, by * b, by * c), (by * d, by * e, by * f), left.tails, choice.power, scale_spread(tuple(fits.items()))
+    )
     return PushPosterior.prior(
         count,
         mean=mean.tolist(),
@@ -131,14 +134,22 @@ def chosen_power(densities: Mapping[str, Mapping[str, Mapping[str, float]]], sha
 
 
 def chosen_factor(held: Mapping[str, Mapping[str, Mapping[str, float]]], shapes: Collection[str]) -> float:
-    """The factor with which regions of 90 % hold nearest to 90 % of the pushes of other shapes.
+    """The least factor with which regions of 90 % hold 90 % of the pushes of other shapes, and 82 % of each shape's.
 
     Args:
         held: shares, as the densities above, by factor.
         shapes: that are not looked at.
     """
-    means = _over_others(held, shapes)
-    return min(FACTORS, key=lambda factor: abs(means[f"{factor:g}"] - 0.9))
+    each = [
+        _over_others({name: line for name, line in held.items() if name.split()[1] == shape}, shapes)
+        for shape in dict.fromkeys(name.split()[1] for name in held)
+        if shape not in shapes
+    ]
+    for factor in FACTORS:
+        shares = [means[f"{factor:g}"] for means in each]
+        if np.mean(shares) >= _HELD[0] and min(shares) >= _HELD[1]:
+            return factor
+    return FACTORS[-1]
 
 
 def _over_others(found: Mapping[str, Mapping[str, Mapping[str, float]]], shapes: Collection[str]) -> dict[str, float]:
@@ -199,6 +210,25 @@ def residual_of(fits: tuple[tuple[str, tuple[float, ...]], ...]) -> PushResidual
     search.step(cost)
     numbers = logs.detach().exp().tolist()
     return PushResidual(tuple(numbers[:3]), tuple(numbers[3:6]), numbers[6])
+
+
+@cache
+def scale_spread(fits: tuple[tuple[str, tuple[float, ...]], ...]) -> float:
+    """Deviation of the log of an object's own scale: scatter of the sets', as of the parameters."""
+    common = residual_of(fits)
+    logs = torch.tensor([_log_scale(name, parameters, common) for name, parameters in fits], dtype=torch.float64)
+    shapes = len({name.split()[1] for name, _ in fits})
+    return math.sqrt((shapes + 1.0) / (shapes - 1.0)) * float(logs.std(correction=0))
+
+
+def _log_scale(name: str, parameters: tuple[float, ...], common: PushResidual) -> float:
+    """Log of the multiple of a common scale that a set's own residuals have (expectation-maximisation)."""
+    off, way = _residuals(name, parameters)
+    square = (off / common.scale(way)).square().sum(-1)
+    scale = torch.ones((), dtype=torch.float64)
+    for _ in range(100):
+        scale = ((common.tails + 3.0) / (common.tails + square / scale) * square).mean() / 3.0
+    return 0.5 * math.log(float(scale))
 
 
 @cache

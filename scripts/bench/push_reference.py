@@ -56,7 +56,7 @@ def weighed_ends(
     """
     count = len(starts)
     particle = believed.thinned(count)
-    sliding, shifts = particle._known(body.support, starts)
+    sliding, shifts, own = particle._known(body.support, starts)
     path = push.path.expand(count, -1, -1).clone()
     path[..., :2] += shifts[:, None, :2]
     right = put_right(starts, shifts)
@@ -67,7 +67,7 @@ def weighed_ends(
     worth[0] = contact.first
     touches = (_OUTLIERS + (1.0 - _OUTLIERS) * (-0.5 * gap.square()).exp()).log() @ worth
     ends = as_tracked(pushed.track[:, -1], shifts)
-    scale = believed.residual.scale(way_of(starts, ends, body.support))
+    scale = own * believed.residual.scale(way_of(starts, ends, body.support))
     way = push.path[-1] - push.path[0]
     heading = torch.atan2(way[1], way[0])[None]
     one = torch.zeros(1, dtype=ends.dtype)

@@ -8,9 +8,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories, log_likelihood_of
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.trajectory_likelihood import log_likelihood_of
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.outline import GridOutline
 from rumi.dynamics.push_posterior import PushPosterior
@@ -46,7 +48,8 @@ def motion_of(
     weights, spread = believed.log_weights.exp(), body.support.spread
     mean = weights @ believed.parameters
     deviation = (weights @ (believed.parameters - mean).square()).sqrt().tolist()
-    share = believed.residual.share
+    scale = float(believed.scale_quantiles((0.5,))[0])
+    share = [scale * part for part in believed.residual.share]
     settings = replace(
         own,
         friction=(math.exp(mean[0]), deviation[0]),

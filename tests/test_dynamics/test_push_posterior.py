@@ -1,5 +1,6 @@
 """Push parameters learnt from pushes, and the density of a push: against a grid, integrals, symmetry and own draws."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -152,7 +153,7 @@ def test_the_posterior_is_that_of_a_grid():
     )
     grid = torch.cat((grid, torch.tensor(mean[2:]).expand(len(grid), 6)), -1)
     exact = replace(found, parameters=grid, log_weights=torch.zeros(len(grid)).double(), white=None)
-    weights = exact._log_target(torch.cat((grid, grid.new_zeros(len(grid), 5)), -1), own).softmax(-1)
+    weights = exact._log_target(torch.cat((grid, grid.new_zeros(len(grid), 6)), -1), own).softmax(-1)
     centre = weights @ grid[:, :2]
     spread = (weights @ (grid[:, :2] - centre).square()).sqrt()
     assert (spread < torch.tensor([0.25, 0.2])).all()
@@ -179,6 +180,36 @@ def test_it_is_saved_and_read_again(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["mug.json"]
 
 
+def test_a_file_without_an_objects_own_scale_is_read(tmp_path):
+    prior = PushPosterior.prior(4)
+    prior.save(tmp_path / "new.json")
+    data = json.loads((tmp_path / "new.json").read_text())
+    data |= {"format": "rumi push parameters 2", "white": [row[:5] for row in data["white"]]}
+    del data["residual"]["spread"]
+    (tmp_path / "old.json").write_text(json.dumps(data))
+    old = PushPosterior.load(tmp_path / "old.json")
+    assert old.residual == replace(prior.residual, spread=0.0)
+    assert torch.equal(old.white[:, :5], prior.white[:, :5]) and not old.white[:, 5].any()
+    start, path = pushes(2)
+    same = replace(prior, residual=old.residual)
+    assert torch.equal(old.predict(start, path, body()).scale, same.predict(start, path, body()).scale)
+
+
+@pytest.mark.parametrize("times", [0.4, 2.5])
+def test_how_far_off_pushes_of_an_object_are_is_learnt(times):
+    own, residual = body(), replace(PushResidual(), power=1.0, spread=1.0)
+    known = {"mean": [-1.5, 0.2, 1.0, 3.0, 0, 0, 0, 0], "deviation": [1e-6] * 8, "registration": SURE}
+    prior = PushPosterior.prior(256, residual=residual, **known)
+    start, path = pushes(24)
+    shown = PushPosterior.prior(1, residual=replace(residual, spread=0.0), **known).predict(start, path, own)
+    end = shown._replace(scale=times * shown.scale).sample(1, generator())[:, 0]
+    found = prior.update(observed(start, path, end), own, generator())
+    scale = found.predict(start, path, own).scale
+    middle = (found.log_weights.exp()[:, None] * (scale[0] / shown.scale[0]).log()).sum(0)
+    assert float(middle[0]) == pytest.approx(math.log(times), abs=0.35)
+    torch.testing.assert_close(middle, middle[:1].expand(3))
+
+
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"format": "rumi push parameters 2", "names": []}'])
 def test_another_file_is_refused(tmp_path, text):
     (tmp_path / "a.json").write_text(text)
@@ -200,3 +231,23 @@ def test_no_push_makes_what_is_not_a_number(dtype, count, length):
     still = prior.update(observed(start, path, start), own, generator())
     assert still.parameters.isfinite().all() and still.log_weights.isfinite().all()
     assert shown.mean().isfinite().all() and shown.sample(50, generator()).isfinite().all()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_tool_that_stands_in_the_object_moves_it_by_the_depth(dtype):
+    """Extreme ways of sliding, and a tool that does not move: as pushes of it, some would go more than a metre."""
+    own, middle = body(dtype), PushPosterior.prior(1).mean
+    prior = PushPosterior.prior(
+        2000, mean=middle, deviation=[5.0, 1.5, 5.0, 8.0, 0.5, 0.5, 0.5, 0.5], registration=SURE
+    )
+    start = torch.tensor([[0.0, 0.0, 0.0], [0.01, 0.02, 2.0], [-0.02, -0.02, 4.0]], dtype=dtype)
+    path = torch.tensor([0.02, -0.01, 0.0], dtype=dtype).expand(3, 3, 3)
+    shown = prior.predict(start, path, own)
+    local = rotated(path[:, 0, :2] - start[:, :2], -start[:, 2])
+    depth = own.pusher.thickness - own.outline(local).distance
+    assert float(depth.min()) > 0.01
+    gone = (shown.ends - start[:, None])[..., :2].norm(dim=-1)
+    torch.testing.assert_close(gone, depth[:, None].expand_as(gone), atol=1e-4, rtol=0)
+    with backend.force("torch"):
+        plain = prior.predict(start, path, own)
+    torch.testing.assert_close(shown.ends[..., :2], plain.ends[..., :2], atol=1e-4, rtol=0)

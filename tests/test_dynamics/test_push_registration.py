@@ -6,7 +6,7 @@ import torch
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import RectangleOutline, Support
 from rumi.dynamics.push_posterior import PushPosterior
-from rumi.dynamics.push_registration import Registration, as_tracked, put_right, touches
+from rumi.dynamics.push_registration import Registration, as_tracked, put_right, student_4, touches
 from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.dynamics.sliding import rotated
 
@@ -48,14 +48,15 @@ def test_poses_are_put_right_and_back():
 
 def test_gaps_change_with_the_shifts_as_told():
     observed, own = pushes(12)
-    poses, tools = [push.end for push in observed], [push.path[-1] for push in observed]
-    gap, slope = touches(poses, tools, own)
-    for k in range(5):
-        shift = torch.zeros(5, dtype=torch.float64)
-        shift[k] = 1e-6
-        tool = torch.cat((shift[:2], shift.new_zeros(1)))
-        after, _ = touches([put_right(pose, shift) for pose in poses], [place - tool for place in tools], own)
-        torch.testing.assert_close((gap - after) / 1e-6, slope[:, k], atol=1e-3, rtol=0)
+    poses, tools = (torch.stack(part) for part in zip(*((push.end, push.path[-1]) for push in observed), strict=True))
+    for known in (torch.zeros_like(TRUE), TRUE + 0.05 * torch.eye(5, dtype=torch.float64)[4]):
+        gap, slope = touches(poses, tools, own, known)
+        for k in range(5):
+            more = 1e-6 * torch.eye(5, dtype=torch.float64)[k]
+            after, _ = touches(poses, tools, own, known + more)
+            torch.testing.assert_close((gap - after) / 1e-6, slope[:, k], atol=1e-3, rtol=0)
+    right, tool = put_right(poses, TRUE), tools - torch.cat((TRUE[:2], TRUE.new_zeros(1)))
+    torch.testing.assert_close(touches(right, tool, own)[0], touches(poses, tools, own, TRUE)[0])
 
 
 def test_shifts_are_learnt_from_touches():
@@ -75,6 +76,21 @@ def test_shifts_are_learnt_from_touches():
     assert float(off[0]) < 3e-4 and float(off[1]) > 3.0 * float(off[0])
 
 
+def test_a_frame_that_is_turned_by_degrees_is_found():
+    observed, own = pushes()
+    turned = TRUE.new_tensor([0.0, 0.0, 0.0, 0.0, 0.075])
+    shown = [push._replace(start=as_tracked(push.start, turned), end=as_tracked(push.end, turned)) for push in observed]
+    found = Registration().learnt(shown, own)
+    assert found.mean[4] == pytest.approx(float(TRUE[4]) + 0.075, abs=0.005)
+
+
+def test_draws_are_student_t():
+    """Their quantiles are those of a standard normal one over the root of a mean of four squares."""
+    value = student_4(torch.tensor([0.0, 0.6744897501960817, -1.6448536269514722, 40.0], dtype=torch.float64))
+    torch.testing.assert_close(value[:3], torch.tensor([0.0, 0.7406970841, -2.1318467863]).double(), atol=1e-6, rtol=0)
+    assert bool(value[3].isfinite()) and float(value[3]) > 100.0
+
+
 def test_what_does_not_touch_tells_nothing():
     observed, own = pushes(3)
     far = torch.tensor([0.5, 0.0, 0.0], dtype=torch.float64)
@@ -92,7 +108,7 @@ def test_a_start_within_the_object_is_off():
         off = rotated(torch.tensor([aside, 0.0]).double(), push.start[2])
         return push._replace(start=push.start + torch.cat((off, off.new_zeros(1))), end=push.end + 0.5)
 
-    _, slope = touches([push.start], [push.path[0]], own)
+    _, slope = touches(push.start[None], push.path[:1], own)
     shallow, deep = (Registration().learnt([moved(aside)], own) for aside in (0.004, -0.004))
     assert max(map(abs, shallow.mean)) == 0.0
     assert float(slope[0] @ torch.tensor(deep.mean).double()) < -5e-4

@@ -1,8 +1,12 @@
 """Priors by some shapes alone: what is left out is not looked at, and scales are recovered."""
 
+import math
+
 import pytest
 import torch
 
+from rumi.dynamics.push_density import PushResidual
+from scripts.bench import push_priors
 from scripts.bench.push_priors import FACTORS, POWERS, Choice, _t_scale, chosen_factor, chosen_power, label, without
 
 FITS = {f"{surface} {shape}": (0.0,) * 8 for surface in ("abs", "plywood") for shape in ("rect1", "tri1", "hex")}
@@ -34,6 +38,25 @@ def test_a_shape_s_own_sets_have_no_say_in_what_is_chosen_for_it():
             for shape in names
         }
         assert chosen_factor(found, ("hex",)) == FACTORS[1]
+
+
+def test_regions_hold_enough_of_the_shape_that_is_held_least():
+    def line(least: float) -> dict[str, float]:
+        return {f"{factor:g}": min(1.0, least + 0.05 * index) for index, factor in enumerate(FACTORS)}
+
+    held = {"abs rect1": {"hex": line(0.99)}, "abs tri1": {"hex": line(0.75)}, "abs hex": {"rect1": line(0.0)}}
+    assert chosen_factor(held, ("hex",)) == FACTORS[2]  # 85 % of the triangle; on average 87, 90 and 92.5 %
+    assert chosen_factor({name: {"hex": line(0.1)} for name in held}, ("hex",)) == FACTORS[-1]
+
+
+def test_an_object_s_own_scale_is_recovered(monkeypatch):
+    generator, common = torch.Generator().manual_seed(0), PushResidual()
+    way = 0.05 * torch.rand(4000, generator=generator, dtype=torch.float64)
+    chi = 2.0 * torch._standard_gamma(torch.full((4000, 1), 0.5 * common.tails).double(), generator=generator)
+    normal = torch.randn(4000, 3, generator=generator, dtype=torch.float64)
+    off = 1.4 * common.scale(way) * normal * (common.tails / chi).sqrt()
+    monkeypatch.setattr(push_priors, "_residuals", lambda name, parameters: (off, way))
+    assert push_priors._log_scale("abs hex", (0.0,) * 8, common) == pytest.approx(math.log(1.4), abs=0.05)
 
 
 def test_a_t_scale_is_that_of_the_draws():
