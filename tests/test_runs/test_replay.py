@@ -13,7 +13,7 @@ import torch
 from rumi import exit_codes
 from rumi.belief.particles import PoseBelief
 from rumi.cli import main
-from rumi.commands.replay import changes
+from rumi.commands.replay_summary import changes
 from rumi.runs.folder import load_run
 from rumi.runs.replay import digest
 
