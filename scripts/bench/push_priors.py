@@ -26,7 +26,7 @@ Parameters = tuple[float, ...]
 _MIDDLE = (math.log(0.3), *[0.0] * 7)
 _WIDE = (1.0, 0.9, 2.4, 4.6, 0.08, 0.08, 0.12, 0.12)
 """Prior of fits to whole sets."""
-_ROUND = PushResidual((1e-4, 1e-4, 1e-4), (0.05, 0.05, 0.05), 2.0, 1.0)
+_ROUND = PushResidual((1e-4, 1e-4, 1e-4), (0.05, 0.05, 0.05), 2.0, 1.0, 0.0)
 """Residual of fits to whole sets: round numbers, all pushes at their full weight."""
 _SHIFT_TAILS = 4.0  # degrees of freedom, as `Registration` has them
 _OTHER_TOOLS = (0.6, 2.5)
