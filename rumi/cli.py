@@ -51,8 +51,8 @@ COMMANDS = {
 }  # fmt: skip
 """The subcommands by name, in the order of the help."""
 
-_OWN_THREADS = ("bench", "stress")
-"""Those that measure, and choose their threads themselves: not by what is free just now."""
+_OWN_THREADS = ("bench", "stress", "view")
+"""Those that choose their threads themselves: to measure, or since they may end before they need any."""
 
 
 def help_text() -> str:

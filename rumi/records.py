@@ -37,7 +37,10 @@ class StepRecord:
         nll: negative log-likelihood of the true surface (RUMI, Eq 36), None where the truth is unknown.
         timings_s: seconds by stage of this step.
         remarks: what is odd about it and was not so before.
-        lost: evidence against "no fault so far", nats (`rumi.belief.misfit`).
+        lost: evidence against "no fault so far", nats (`rumi.belief.change_test`).
+        p_value: of the reading under the belief, an upper bound: the inverse of its own evidence for any fault.
+        explanations: probability of "no fault" and of each fault (`rumi.tasks.rummage.lost`); those of the last alarm
+            from it on; none where nothing is asked.
     """
 
     step: int
@@ -58,6 +61,8 @@ class StepRecord:
     timings_s: dict[str, float] = field(default_factory=dict)
     remarks: tuple[Remark, ...] = ()
     lost: float = 0.0
+    p_value: float = 1.0
+    explanations: dict[str, float] = field(default_factory=dict)
 
     @property
     def stamp(self) -> float:
@@ -95,6 +100,7 @@ class RunResult:
         warnings: what was not measured, and may have made the belief sure and wrong.
         remarks: what was odd, in the order of the steps.
         lost: whether no pose that was believed fitted, and the object was not searched for again.
+        explanations: probability of "no fault" and of each fault, at the last alarm or else at the end.
     """
 
     right: bool | None
@@ -120,6 +126,7 @@ class RunResult:
     warnings: tuple[str, ...] = ()
     remarks: tuple[Remark, ...] = ()
     lost: bool = False
+    explanations: dict[str, float] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, ready for JSON."""

@@ -5,7 +5,7 @@
     python -m scripts.deadlines real --clock cpu --pieces 4    # the processor's clock, where others share the machine
     python -m scripts.deadlines value --seeds 4                # what first plans are worth by budget
     python -m scripts.deadlines show                           # Markdown
-    python -m scripts.deadlines draw                           # figures into scripts/docs
+    python -m scripts.deadlines draw                           # figures into scripts/docs/figures
 
 Lines go to scripts/results/deadlines.jsonl. The wall clock tells about planners only on a machine with nothing else
 to do; 20 pieces of all planners take about three quarters of an hour there, most of it waiting for none.
@@ -25,7 +25,7 @@ from rumi.cli import script
 from scripts.bench.deadline_report import draw, tables
 from scripts.bench.deadline_simulation import measure_simulated
 from scripts.bench.deadlines import PLANNERS, measure_real, measure_value
-from scripts.experiment import DOCS, RESULTS
+from scripts.experiment import FIGURES, RESULTS
 from scripts.store import Store
 
 
@@ -58,7 +58,7 @@ class Options:
     planners: tuple[str, ...] = ()
     task: str = "mug-1"
     seeds: int = 4
-    folder: Path = DOCS
+    folder: Path = FIGURES
 
 
 def main(options: Options) -> None:

@@ -20,7 +20,7 @@ from scripts.reproduce.seeds import seeds_of
 from scripts.store import Figures, Line, Store
 
 RESULTS = Path(__file__).resolve().parent / "results"
-DOCS = Path(__file__).resolve().parent / "docs"
+FIGURES = Path(__file__).resolve().parent / "docs" / "figures"
 Variant = dict[str, Any]
 
 

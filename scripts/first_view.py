@@ -1,6 +1,6 @@
 """Hold the first belief of the mug tasks against a one-degree sweep of the discrepancy.
 
-    python -m scripts.first_view --seeds 20 --figure scripts/docs/first_view.png
+    python -m scripts.first_view --seeds 20 --figure scripts/docs/figures/first_view.png
 
 Plausible is a yaw whose best pose weighs at least 1 % of the best pose of all. The particles should cover the plausible
 arc without a gap over 15 degrees, and at most 1 % of them should lie outside it.

@@ -3,7 +3,7 @@
     python -m scripts.fused_table run --seeds 1000-1009 --seconds 120   # a line a run in scripts/results/fused.jsonl
     python -m scripts.fused_table run --sensors 'all, noise-free'       # with sensors that make no errors
     python -m scripts.fused_table show                                  # Markdown
-    python -m scripts.fused_table draw                                  # scripts/docs/fused.png
+    python -m scripts.fused_table draw                                  # scripts/docs/figures/fused.png
     python -m scripts.fused_table senses --pushes 100                   # how far each sense and the grasp are off
 
 Tune on seeds of 1000 and more.
@@ -35,7 +35,7 @@ from rumi.tasks.handle.gripper import HandleGripper
 from rumi.tasks.handle.settings import SENSORS, HandleSettings, SensorName, task_of
 from rumi.tasks.handle.simulated import HandleTask
 from rumi.tasks.rummage.scenes import make_tool
-from scripts.experiment import DOCS, RESULTS, Experiment, Line
+from scripts.experiment import FIGURES, RESULTS, Experiment, Line
 from scripts.reproduce.cells import rate, table
 from scripts.store import Store
 from sdf import se3
@@ -58,7 +58,7 @@ class Draw:
     """
 
     results: Path = RESULTS / "fused.jsonl"
-    out: Path = DOCS / "fused.png"
+    out: Path = FIGURES / "fused.png"
 
 
 @dataclass(frozen=True)

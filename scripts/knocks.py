@@ -29,7 +29,7 @@ from rumi.seeding import split
 from scripts.bench import real_knocks
 from scripts.bench.real_knocks import Knock
 from scripts.bench.real_pushes import square_body
-from scripts.experiment import DOCS, Experiment, Line
+from scripts.experiment import FIGURES, Experiment, Line
 from scripts.reproduce.cells import rate, table
 
 KINDS = ("recorded", "faultless", "knocked")
@@ -222,7 +222,7 @@ class Figure:
 
     run: str = "StraightLineBigPertubations"
     seed: int = 0
-    out: Annotated[Path, tyro.conf.arg(help="image file")] = DOCS / "knocks.png"
+    out: Annotated[Path, tyro.conf.arg(help="image file")] = FIGURES / "knocks.png"
 
 
 def draw(options: Figure) -> None:

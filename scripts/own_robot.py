@@ -4,7 +4,7 @@
     python scripts/own_robot.py --motion trajectory  # the same robot without the tracker of the object
     rumi plot runs/own-robot
 
-The page scripts/docs/own-robot.md goes through it. It needs no simulator.
+The page scripts/docs/how-to/own-robot.md goes through it. It needs no simulator.
 """
 
 from functools import partial

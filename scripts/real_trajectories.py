@@ -26,7 +26,7 @@ import tyro
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.belief.pose_trajectories import PushedObject
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.cli import script
 from rumi.dynamics.push_posterior import PushPosterior
@@ -38,7 +38,7 @@ from rumi.seeding import split
 from scripts.bench.push_reference import Contact, weighed_ends
 from scripts.bench.real_pushes import TIP_M, long_pushes, square_body
 from scripts.bench.square_trajectories import DRAWS, TALL_M, followed, motion_of, sensed, square_object
-from scripts.experiment import DOCS, Experiment, Line
+from scripts.experiment import FIGURES, Experiment, Line
 from scripts.reproduce.cells import table
 from sdf import se3
 from sdf.so3 import wrap
@@ -179,7 +179,7 @@ def _middle(errors: np.ndarray) -> str:
 class Figure:
     """Draw what the contact leaves open: two recorded pushes by nearly one path, and ends by the reference."""
 
-    out: Annotated[Path, tyro.conf.arg(help="image file")] = DOCS / "contact_leaves_open.png"
+    out: Annotated[Path, tyro.conf.arg(help="image file")] = FIGURES / "contact_leaves_open.png"
 
 
 def draw(options: Figure) -> None:

@@ -20,8 +20,9 @@ import tyro
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories, log_likelihood_of
+from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories
 from rumi.belief.trajectory_history import History
+from rumi.belief.trajectory_likelihood import log_likelihood_of
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.cli import script
 from rumi.loop import run

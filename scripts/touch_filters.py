@@ -38,7 +38,7 @@ class Options:
     runs: int = 1000
     count: int = 100
     exact_count: int = 0
-    variants: tuple[Variant, ...] = ("binary", "smooth", "smooth+replay")
+    variants: tuple[Variant, ...] = ("binary", "smooth", "smooth+newcomers", "smooth+replay")
     place_m: float = 0.02
     turn_rad: float = 0.2
     readings: int = 60

@@ -8,6 +8,8 @@ contact (`rumi.metrics.calibration`).
 """
 
 import hashlib
+import math
+import re
 import statistics
 import time
 from collections.abc import Sequence
@@ -31,7 +33,9 @@ from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
 from scripts.store import Store
 
 RESULTS = Path(__file__).parent / "results" / "trajectories.jsonl"
-DEFAULTS = hashlib.sha256(repr(PoseTrajectorySettings()).encode()).hexdigest()[:8]
+# without what counts for a wrist force sensor alone, so that runs without one stay what they are
+_WRIST_ALONE = re.compile(r", force_(n|per_m)=[^,)]*")
+DEFAULTS = hashlib.sha256(_WRIST_ALONE.sub("", repr(PoseTrajectorySettings())).encode()).hexdigest()[:8]
 Motion = Literal["trajectory", "corrected", "estimated", "pushed", "measured"]
 
 
@@ -143,8 +147,9 @@ def _near(step: dict[str, Any], task: str) -> bool:
 def tables(lines: Sequence[dict[str, Any]]) -> str:
     """Markdown: how runs end by rule, and how the beliefs cover."""
     out = [
-        "| motion | rule | runs | right | sure and wrong | not sure | actions, median | mm, median; 90 % |",
-        "|-" * 8 + "|",
+        "| motion | rule | runs | right | sure and wrong | not sure | P(right) where sure | actions, median "
+        "| mm, median; 90 % |",
+        "|-" * 9 + "|",
     ]
     covers = [
         "| motion | updates | 50 % | 90 % | 95 % | 99 % | error of P(right) (by chance) | seconds, median; 90 % |",
@@ -163,20 +168,23 @@ def tables(lines: Sequence[dict[str, Any]]) -> str:
             good = sum(right(steps[k], own[0]["part"]) for k, _, steps in ends)
             wrong = sum(stopped and not right(steps[k], own[0]["part"]) for k, stopped, steps in ends)
             unsure = sum(not stopped for _, stopped, _ in ends)
+            own_p = statistics.mean([steps[k]["p"] for k, stopped, steps in ends if stopped] or [math.nan])
             off = sorted(steps[k]["mm"] for k, _, steps in ends)
             actions = statistics.median(k for k, _, _ in ends)
             far = off[min(len(off) - 1, int(0.9 * len(off)))]
             out.append(
-                f"| {label} | {name} | {len(own)} | {good} | {wrong} | {unsure} | {actions:g} "
+                f"| {label} | {name} | {len(own)} | {good} | {wrong} | {unsure} | {own_p:.3f} | {actions:g} "
                 f"| {statistics.median(off):.1f}; {far:.1f} |"
             )
         after = [s for line in own for s in line["steps"] if s["contacts"] > 0]
         held = [sum(s["level"] <= p for s in after) / max(1, len(after)) for p in (0.5, 0.9, 0.95, 0.99)]
         cpu = sorted(s["cpu_s"] for s in after if s["touched"])
         p, near = [s["p"] for s in after], [_near(s, own[0]["part"]) for s in after]
+        looks = [(k, s["contacts"]) for k, line in enumerate(own) for s in line["steps"] if s["contacts"] > 0]
+        errs = f"{calibration_error(p, near):.3f} ({chance_error(p, groups=looks):.3f})"
         shares = " | ".join(f"{h:.2f}" for h in held)
         covers.append(
-            f"| {label} | {len(after)} | {shares} | {calibration_error(p, near):.3f} ({chance_error(p):.3f}) "
+            f"| {label} | {len(after)} | {shares} | {errs} "
             f"| {statistics.median(cpu):.2f}; {cpu[int(0.9 * (len(cpu) - 1))]:.2f} |"
         )
     return "\n".join((*out, "", *covers))

@@ -23,8 +23,9 @@ import torch
 import tyro
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.segments import cut, path_of
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -253,7 +254,7 @@ def _of_pushes(lines: Sequence[Figures]) -> list[str]:
 
 
 def _of_updates(lines: Sequence[Figures]) -> list[str]:
-    every = [step for line in lines for step in line["updates"]]
+    every = [step | {"episode": k} for k, line in enumerate(lines) for step in line["updates"]]
     select: tuple[tuple[str, Callable[[dict[str, Any]], bool]], ...] = (
         ("", lambda _: True),
         (" of contacts 1 to 3", lambda step: step["contacts"] <= 3),
@@ -270,7 +271,8 @@ def _of_updates(lines: Sequence[Figures]) -> list[str]:
         ]
         p, right = [step["p_right"] for step in some], [step["right"] for step in some]
         cpu = sorted(step["cpu_s"] for step in some if step["touched"]) or [0.0]
-        errs = f"{calibration_error(p, right):.3f} ({chance_error(p):.3f})"
+        chance = chance_error(p, groups=[(step["episode"], step["contacts"]) for step in some])
+        errs = f"{calibration_error(p, right):.3f} ({chance:.3f})"
         mm = _tail([step["mm"] for step in some])
         out.append(f"{len(some)}{name} | {mm} | {' | '.join(holds)} | {errs} | {cpu[len(cpu) // 2]:.2f}; {cpu[-1]:.2f}")
     return out

@@ -1,4 +1,4 @@
-"""Numba kernels for the CPU, compiled at their first use and cached beside the source."""
+"""Numba kernels for the CPU, compiled at their first use and kept in the user's cache."""
 
 import hashlib
 import importlib.util
@@ -49,12 +49,20 @@ def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without t
     return compiler(error_model="numpy", _nrt=False)(function)
 
 
+def interpreted(function: Any) -> Any:  # noqa: ANN401  (numba comes without types)
+    """A `bare` function as Python runs it, with those of its file: for calls that are too few to compile it for."""
+    names = dict(function.py_func.__globals__)
+    for name, value in names.items():
+        if getattr(value, "py_func", None) is not None and value.py_func.__module__ == function.py_func.__module__:
+            names[name] = FunctionType(value.py_func.__code__, names, name, value.py_func.__defaults__)
+    return names[function.py_func.__name__]
+
+
 class Kernel:
     """A function over NumPy arrays that numba compiles, run by as many threads as its work is worth.
 
     It is compiled once, without any threading: threads run the same code on parts of its loop, so that results are the
-    same to the bit for any number of them. Compiled code is kept beside the source, or where that is read-only in the
-    user's cache.
+    same to the bit for any number of them. Compiled code is kept in the user's cache (`kernel_cache`).
 
     Args:
         function: what numba compiles. It fills arrays that it is given; its last argument is a part, and its outermost
@@ -66,11 +74,15 @@ class Kernel:
     def __init__(self, function: FunctionType, *, fast: bool = False) -> None:
         import numba
 
+        from sdf.kernel_cache import KernelCache
+
         compiler: Any = numba.njit
-        options: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": _FAST if fast else False}
+        options: dict[str, Any] = {"error_model": "numpy", "fastmath": _FAST if fast else False}
         self._label = function.__name__.strip("_")
-        name = f"{function.__name__}{_stamp(function)}"
-        self._compiled: Any = compiler(**options, nogil=True)(_renamed(function, name))
+        self._compiled: Any = compiler(**options, nogil=True)(
+            _renamed(function, f"{function.__name__}_{_stamp(function)}")
+        )
+        self._compiled._cache = KernelCache(self._compiled.py_func)
         self._announced = False
 
     def __call__(self, *arguments: Any) -> None:  # noqa: ANN401  (whatever the function takes)
@@ -95,21 +107,19 @@ class Kernel:
 
 
 def _stamp(function: FunctionType) -> str:
-    """What a function's name carries of the building blocks that it takes from other files, if it does.
-
-    Whether compiled code is up to date is told from the file of the function alone.
-    """
-    own, met = function.__module__, {function.__module__}
-    waiting, digest = [own], hashlib.sha256()
+    """Digest of a function's file, of those of its building blocks and of this one: what its compiled code hangs on."""
+    met = {function.__module__}
+    waiting = [function.__module__]
     while waiting:
         for value in list(vars(sys.modules[waiting.pop()]).values()):
             module = getattr(value, "__module__", None)
             if isinstance(module, str) and module.endswith("_numba") and module in sys.modules and module not in met:
                 met.add(module)
                 waiting.append(module)
-    for module in sorted(met - {own}):
+    digest = hashlib.sha256()
+    for module in sorted({*met, __name__}):
         digest.update(Path(str(sys.modules[module].__file__)).read_bytes())
-    return f"_{digest.hexdigest()[:8]}" if len(met) > 1 else ""
+    return digest.hexdigest()[:16]
 
 
 def _renamed(function: FunctionType, name: str) -> FunctionType:

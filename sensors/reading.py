@@ -13,6 +13,9 @@ from sdf.check import check_finite, is_eager
 from sdf.containers import Ragged, container
 from sensors.observation import Observation
 
+FORCE = "tool_force"
+"""Name of the measurements (*b, K, 3) of a wrist: mean force on the tool on the way to each instant, N, world axes."""
+
 # of a reading padded in its instants the last one counts on
 RAGGED = {
     "instant": Ragged(-1),

@@ -9,7 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated

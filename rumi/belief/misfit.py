@@ -13,7 +13,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.change_test import ChangeTest
 from rumi.belief.particles import PoseBelief
 from sdf import se3
 from sdf.base import SDF
@@ -23,7 +22,6 @@ from sensors.semantics import Semantics
 MISFITS = ("knocked", "absent", "none of these")
 """The object is elsewhere near by; it is gone; nothing known fits."""
 
-_SHARES = (0.6, 0.25, 0.15)
 _JUMPS = 256  # poses that a knock may have led to
 _POINTS = 128  # of a reading that are looked up, evenly, of each kind
 
@@ -61,11 +59,6 @@ class MisfitSettings:
         for name in ("fit_m", "broad_m", "knock_m", "knock_rad"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"Expected {name} above 0, got {getattr(self, name)}")
-
-    @property
-    def test(self) -> ChangeTest:
-        """Of the ratios of `MISFITS`."""
-        return ChangeTest(_SHARES, self.alpha or 0.5)
 
 
 def log_ratios(belief: PoseBelief, added: Observation, sdf: SDF, own: MisfitSettings) -> Float[Tensor, "K"]:

@@ -1,4 +1,4 @@
-"""The compiled CPU version of replayed trajectories; `pose_trajectories.py` has the definition."""
+"""The compiled CPU version of replayed trajectories; `trajectory_likelihood.py` has the definition."""
 
 import math
 

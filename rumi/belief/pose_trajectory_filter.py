@@ -107,7 +107,7 @@ class PoseTrajectoryFilter(PoseFilter):
         touched = self._pushes(now, log_weights, reading, path)
         if touched:
             now, spans = self._touched(now, log_weights, reading, path, random)
-            log_weights, resampled = normalise(torch.zeros_like(log_weights)), True
+            log_weights, resampled = normalise(log_weights.new_zeros(len(now))), True
             if not spans:  # begun anew: what was sensed before told where it was
                 memory = memory[(~memory.attached).nonzero()[:, 0]]
         rides = self._ridden(now, spans, len(reading.in_contact))
@@ -228,6 +228,7 @@ class PoseTrajectoryFilter(PoseFilter):
             poses=torch.cat((now.poses[from_], tried.poses[kept, 1:]), 1),
             log_likelihood=torch.cat((now.log_likelihood[from_], power * gained[kept, None]), 1),
             history=history,
+            log_evidence=now.log_evidence + log_mean(base, power * gained),
         )
         # the action's motions are branched anew; those before it are what dies out
         alive = len(torch.unique(now.poses[:, int(history.action[-1]), 0]))
@@ -248,8 +249,10 @@ class PoseTrajectoryFilter(PoseFilter):
         check_finite(gained)
         heavier = log_weights + gained
         if float(effective_sample_size(heavier)) >= 0.5 * count:
-            return now, normalise(heavier), False
+            told = log_mean(log_weights, gained)
+            return replace(now, log_evidence=now.log_evidence + told), normalise(heavier), False
         power = power_of(log_weights, gained, 0.0, 0.5 * count)
+        now = replace(now, log_evidence=now.log_evidence + log_mean(log_weights, power * gained))
         now = now.at(resample_systematic(log_weights + power * gained, generator=random))
         scaled = now.log_likelihood.clone()
         scaled[:, -1] *= power
@@ -270,6 +273,7 @@ class PoseTrajectoryFilter(PoseFilter):
             gained = now.log_likelihood[:, -1] / power
             flat = torch.zeros_like(gained)
             more = power_of(flat, gained, power, 0.5 * len(now))
+            now = replace(now, log_evidence=now.log_evidence + log_mean(flat, (more - power) * gained))
             now = now.at(resample_systematic((more - power) * gained, generator=random))
             scaled = now.log_likelihood.clone()
             scaled[:, -1] *= more / power
@@ -309,6 +313,11 @@ def one(generator: Generators) -> torch.Generator:
     if not isinstance(generator, torch.Generator):
         raise TypeError("Expected one generator: trajectories are of one scene")
     return generator
+
+
+def log_mean(log_weights: Float[Tensor, "N"], gained: Float[Tensor, "N"]) -> float:
+    """Log of the weighted mean of likelihoods: what a reading adds to the log marginal likelihood."""
+    return float(torch.logsumexp(log_weights + gained, -1) - torch.logsumexp(log_weights, -1))
 
 
 def check_finite(gained: Float[Tensor, "N"]) -> None:

@@ -5,6 +5,7 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import Sliding
 from sdf.base import SDF
@@ -94,4 +95,14 @@ class Pushed(Protocol):
         noise: Float[Tensor, "N 5"],
     ) -> Float[Tensor, "N D"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
+        ...
+
+    def told_by_force(
+        self,
+        own: PoseTrajectorySettings,
+        physics: Float[Tensor, "N 5"],
+        poses: Float[Tensor, "N S1 D"],
+        history: History,
+    ) -> Float[Tensor, "N S"]:
+        """Log-likelihood of the tool's force in each segment, up to a constant."""
         ...

@@ -10,7 +10,7 @@ from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from sdf import se3
 from sdf.posed import posed_distance
 from sensors.observation import Observation, observation_keys
-from sensors.reading import Reading
+from sensors.reading import FORCE, Reading
 from sensors.semantics import Semantics
 
 _NEAR_M = 0.012  # of a particle's surface: what is farther from all of them tells none from another
@@ -136,7 +136,28 @@ def pushed(
     touched = _from_origin(there, model), at, torch.full((len(at),), int(Kind.FELT)), each[at]
     points, instant, kinds, weights = (torch.cat(part) for part in zip(pads, touched, strict=True))
     order = instant.argsort(stable=True)
-    return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order])
+    force = _mean_force(reading, instants, path, own)
+    return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order], force)
+
+
+def _mean_force(
+    reading: Reading, instants: Int[Tensor, "k"], path: Float[Tensor, "K 2 T"], own: PoseTrajectorySettings
+) -> Float[Tensor, "3"] | None:
+    """Mean force on the object along the tool's way in contact, and what it is worth; None where it tells nothing.
+
+    The force's own error adds to that of its direction, so that a faint one is worth little.
+    """
+    if FORCE not in reading.measurements or own.force_per_m == 0:
+        return None
+    on_tool = reading.measurements[FORCE][instants].double()
+    known = on_tool.isfinite().all(-1) & reading.in_contact[instants]
+    way = (path[instants, 1] - path[instants, 0])[:, :2].norm(dim=-1) * known
+    force = -(way @ on_tool.nan_to_num()) / way.sum().clamp_min(1e-12)
+    size = float(force[:2].norm())
+    if not size > 0:
+        return None
+    sure = 1.0 / (1.0 + (own.force_n / (size * own.force_rad)) ** 2)
+    return torch.cat((force[:2], own.force_per_m * sure * way.sum()[None]))
 
 
 def until_felt(segment: Segment) -> Segment | None:

@@ -1,25 +1,29 @@
 """Object that slides and topples, and a level tool that moves in space, as trajectories need them."""
 
+import functools
 from dataclasses import dataclass
 from typing import Self
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import Trajectories, replay_plain, tables
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.trajectory_history import History, arrays_of
+from rumi.belief.trajectory_likelihood import replay_plain, tables
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import unwrapped
 from rumi.dynamics.resting import RestingPoses
 from rumi.dynamics.sliding import Sliding, rotated
 from rumi.dynamics.toppling import Leaning, push_in_space
+from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
 from sdf.symmetry import Symmetries
 
-_GROUP_M = 0.024
+_PART_M, _GROUP_M = 0.05, 0.024  # sides of the cells by which the tool's points are grouped
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,8 @@ class ToppledObject:
         reported: (m, 3), where what they feel is reported.
         group_starts: (G + 1), where groups of the tool's points that lie near each other begin.
         groups: (G, 4), (x, y, z) and radius of a sphere about each.
+        part_starts: (H + 1), where parts of the tool begin in the groups.
+        parts: (H, 4), spheres about them.
         reach_m: distance between tool and object, sideways, beyond which nothing is touched.
         wide: how much wider than the settings have it the noise of its motion is.
     """
@@ -48,6 +54,8 @@ class ToppledObject:
     tool: Float[Tensor, "n 3"]
     group_starts: Int[Tensor, "G1"]
     groups: Float[Tensor, "G 4"]
+    part_starts: Int[Tensor, "H1"]
+    parts: Float[Tensor, "H 4"]
     pads: Float[Tensor, "m 3"]
     reported: Float[Tensor, "m 3"]
     reach_m: float
@@ -88,6 +96,12 @@ class ToppledObject:
         rests = RestingPoses.of(sdf, ways, symmetries)
         return cls(sdf, rests, len(ways), *_grouped(tool), pads, reported, reach, wide)
 
+    @functools.cached_property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Tool as the compiled version takes it: points by coordinate, and spheres, float32."""
+        parts = self.tool.T.float().flatten(), self.group_starts, self.groups.float()
+        return arrays_of((*parts, self.part_starts, self.parts.float()))
+
     @property
     def extent_m(self) -> tuple[float, float, float]:
         """How far its surface is from its place sideways, and how low and how high, at most."""
@@ -115,14 +129,18 @@ class ToppledObject:
         self, own: PoseTrajectorySettings, some: Float[Tensor, "n 6"], path: Float[Tensor, "K 2 4"]
     ) -> Float[Tensor, "n K 6"]:
         """Where poses go by the median of the prior."""
-        flat, still, out = some.new_zeros(len(some), 3), some.new_zeros(len(some), 5), []
-        body = Sliding(
-            flat, torch.full_like(flat[:, 0], own.lever_ratio[0]), torch.full_like(flat[:, 0], own.friction[0])
+        many, instants = len(some), torch.arange(len(path))
+        none, flat = torch.zeros_like(instants), some.new_zeros(len(path), 3)
+        told = History(path, none == 0, instants + 1, instants, flat[:0], none[:0], flat[:0, 0], none, flat)
+        given = Trajectories(
+            some.new_zeros(many, PHYSICS),
+            some.new_zeros(many, len(path), NOISE),
+            some[:, None].repeat(1, len(path) + 1, 1),
+            some.new_zeros(many, len(path)),
+            told,
+            some[:0],
         )
-        for before, after in path:
-            some = self.step(own, some, before, after, body, still)
-            out.append(some)
-        return torch.stack(out, 1)
+        return given.replayed(self, own, told, torch.zeros(many, dtype=torch.long)).poses[:, 1:]
 
     def step(
         self,
@@ -134,7 +152,8 @@ class ToppledObject:
         noise: Float[Tensor, "N 5"],
     ) -> Float[Tensor, "N 6"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
-        near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
+        near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m) | (pose[:, 4] >= 0)
+        near = near.nonzero()[:, 0]
         if not len(near):
             return pose
         start = pose[near]
@@ -164,6 +183,16 @@ class ToppledObject:
         moved = moved + torch.cat((shift, own_noise[:, 2:]), -1)
         return pose.index_copy(0, near, torch.cat((moved, done.state.lying), -1))
 
+    def told_by_force(
+        self,
+        own: PoseTrajectorySettings,
+        physics: Float[Tensor, "N 5"],
+        poses: Float[Tensor, "N S1 6"],
+        history: History,
+    ) -> Float[Tensor, "N S"]:
+        """Refused: an object that may lean or fall goes where its edges let it, not as friction alone has it."""
+        raise UsageError("Expected an upright object where the tool's force is felt: in space it tells nothing")
+
 
 backend.register("replay_in_space")(replay_plain)
 
@@ -188,30 +217,51 @@ def _replay_numba(
     rests, edges = model.rests, model.rests.edges
     prior, priced = tables(own)
     scales = torch.cat((prior, prior.new_tensor((own.fall_m, own.firm_change / model.wide))))
-    done = history.tool, history.pushes, history.ends, history.action, history.point_ends
+    done, sensed = history.arrays
     turned = rests.turn, rests.height_m, rests.centre, rests.spread_m
     kernel(
         arrays_of((first, least, poses, logs, given.physics, given.noise)),
-        arrays_of(done),
-        arrays_of((history.points, history.kind, history.weight)),
-        arrays_of((model.tool, model.group_starts, model.groups)),
+        done,
+        sensed,
+        model.arrays,
         arrays_of((*turned, edges.point, edges.normal, edges.tip_rad, edges.next, edges.change)),
-        *arrays_of((scales.new_tensor((model.reach_m, model.wide)), scales, priced, model.sdf.bounds.double())),
+        *arrays_of((scales.new_tensor((model.reach_m, model.wide)), scales, priced)),
         grid_arguments(model.sdf, torch.float32),
     )
     return poses, logs
 
 
-def _grouped(points: Float[Tensor, "n 3"]) -> tuple[Tensor, Tensor, Tensor]:
-    """Points in groups that lie near each other: in their order, where each begins, and its (x, y, z, radius)."""
-    cell = (points / _GROUP_M).floor().long()
-    key = (cell[:, 0] * 1000 + cell[:, 1]) * 1000 + cell[:, 2]
+def _grouped(points: Float[Tensor, "n 3"]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Points in groups that lie near each other, and these in parts of the tool.
+
+    The points in their order; where each group begins, and its sphere (x, y, z, radius); the same of the parts.
+    """
+    near = points - points.amin(0)
+    coarse, fine = _cell(near, _PART_M), _cell(near, _GROUP_M)
+    key = (coarse << 24) + fine
     order = key.argsort(stable=True)
-    _, counts = key[order].unique_consecutive(return_counts=True)
-    ordered = points[order]
-    starts = torch.cat((counts.new_zeros(1), counts.cumsum(0)))
+    ordered, key = points[order], key[order]
+    starts, part_starts = _begins(key), _begins(key >> 24)
+    spheres, parts = _spheres(ordered, starts), _spheres(ordered, part_starts)
+    return ordered, starts, spheres, torch.searchsorted(starts, part_starts), parts
+
+
+def _cell(points: Float[Tensor, "n 3"], side: float) -> Int[Tensor, "n"]:
+    """Number of the cell of a lattice that each point is in."""
+    x, y, z = (points / side).floor().long().unbind(-1)
+    return (((x << 8) + y) << 8) + z
+
+
+def _begins(key: Int[Tensor, "n"]) -> Int[Tensor, "G1"]:
+    """Where runs of equal keys begin, and the end."""
+    counts = key.unique_consecutive(return_counts=True)[1]
+    return torch.cat((counts.new_zeros(1), counts.cumsum(0)))
+
+
+def _spheres(points: Float[Tensor, "n 3"], starts: Int[Tensor, "G1"]) -> Float[Tensor, "G 4"]:
+    """Spheres (x, y, z, radius) about runs of points."""
     spheres = []
     for begin, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
-        middle = 0.5 * (ordered[begin:end].amin(0) + ordered[begin:end].amax(0))
-        spheres.append(torch.cat((middle, (ordered[begin:end] - middle).norm(dim=-1).max()[None])))
-    return ordered, starts, torch.stack(spheres)
+        middle = 0.5 * (points[begin:end].amin(0) + points[begin:end].amax(0))
+        spheres.append(torch.cat((middle, (points[begin:end] - middle).norm(dim=-1).max()[None])))
+    return torch.stack(spheres)

@@ -26,7 +26,7 @@ class PoseTrajectorySettings:
 
     Friction and lever of a particle are log-normal, and change a little from segment to segment. After each instant
     the pose is off by noise in proportion to the step, the same throughout a segment: the model's errors last. The
-    numbers of the motion and of the pads are fitted to pushes of drawn, simulated mugs (push_models.md).
+    numbers of the motion and of the pads are fitted to pushes of drawn, simulated mugs (results/push_models.md).
 
     Attributes:
         particles: N, where a view shows the object.
@@ -67,7 +67,10 @@ class PoseTrajectorySettings:
             an instant are worth.
         pad_m, pad_slope_m, pad_weight, pad_spacing_m: distance within which a pad's point feels the surface, width of
             that border, what a point is worth, and the points' spacing.
-        force_rad: deviation of the direction of a tool's force, where it is measured.
+        force_rad: deviation of the direction of a tool's force from the motion that it makes, where it is measured.
+        force_n: deviation of a segment's mean force, N, each way.
+        force_per_m: independent readings of its direction that a metre of the tool's way in contact is worth; 0 leaves
+            measured forces out.
         outliers: share of readings that mean nothing.
         most: points that are kept of a view, the free ones of it, and of a segment's felt points and pads.
     """
@@ -110,6 +113,8 @@ class PoseTrajectorySettings:
     pad_weight: float = 0.03
     pad_spacing_m: float = 0.0025
     force_rad: float = 0.15
+    force_n: float = 0.2
+    force_per_m: float = 20.0
     outliers: float = 0.02
     most: tuple[int, int, int, int] = (500, 250, 60, 120)
 

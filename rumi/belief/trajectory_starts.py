@@ -105,7 +105,7 @@ def brought_to(
 def least_fit(instants: int) -> float:
     """Log-likelihood of an action's readings below which what is believed is not what happened.
 
-    At the true poses of simulated boxes and drills they are above it (push_models.md).
+    At the true poses of simulated boxes and drills they are above it (results/push_models.md).
 
     Args:
         instants: of contact in it.

@@ -22,9 +22,10 @@ from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_starts import brought_to, from_prior, jittered, jumped, least_fit
 from rumi.registration.descent import Search
-from rumi.resampling import resample_systematic
+from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import Generators, normal
 from rumi.weights import normalise
+from sdf.so3 import wrap
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
@@ -33,6 +34,8 @@ from sensors.reading import Reading
 _UNMET, _MET, _STARTS, _JUMPED = 24000, 4000, 300, 3000
 _LOOKED_AT = 24  # of these, to choose the points that tell
 _TOUCHED_ABOUT = (0.004, 0.004, 0.1)  # deviations of starts after a touch: metres, metres, radians
+_NARROW_M, _NARROW_RAD = 0.012, 0.2  # deviations of a belief that fewer particles stand for
+_FEWER = 3  # times
 
 
 class UnseenTrajectoryFilter(PoseTrajectoryFilter):
@@ -79,7 +82,8 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
         assert belief.trajectories is not None
         random, weights = one(generator), belief.log_weights.double()
         now = self._jumped(belief.trajectories, weights, reading, path_of(reading, self.model), random)
-        return self._belief(now, normalise(torch.zeros_like(weights)), belief.world_T_attached, belief.log_weights)
+        even = normalise(weights.new_zeros(len(now)))
+        return self._belief(now, even, belief.world_T_attached, belief.log_weights)
 
     def _pushes(self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor) -> bool:
         if not len(now.history.moving()):
@@ -98,11 +102,15 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
             felt = felt_pads(reading, self.model, self.own)
             tracks = self._tracks(now, log_weights, path[first])
             now = self._met(now, pushed(reading, first, path, felt, tracks, self.model, self.own), random)
-            spans, even = [len(first)], normalise(torch.zeros_like(log_weights))
+            spans, even = [len(first)], normalise(log_weights.new_zeros(len(now)))
         now, spans = self._through(now, even, parts, reading, path, random, spans)
         fit = float(now.log_likelihood[:, -len(spans) :].sum(-1).mean())
         if fit < least_fit(int(reading.in_contact.sum())):
             return self._jumped(before, log_weights, reading, path, random), []
+        many = self.own.unseen_particles
+        count = max(1, many // _FEWER) if narrow(now.pose) else many
+        if count != len(now):
+            now = now.at(systematic(normalise(now.log_likelihood.new_zeros(len(now))), 0.5, count))
         return now, spans
 
     def _met(self, now: Trajectories, segment: Segment, random: torch.Generator) -> Trajectories:
@@ -136,7 +144,7 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
             log_likelihood=drawn.log_likelihood[kept, : len(known)],
         )
         base = drawn.log_likelihood.sum(-1) - power * log_weights[kept]
-        return self._fitted(drawn, len(now), segment, random, base)
+        return self._fitted(drawn, self.own.unseen_particles, segment, random, base)
 
     def _jumped(
         self,
@@ -166,7 +174,7 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
         gained = drawn.log_likelihood[:, 0]
         check_finite(gained)
         starts = start[resample_systematic(gained, _JUMPED, generator=random)]
-        drawn = drawn.at(resample_systematic(gained, len(last), generator=random))
+        drawn = drawn.at(resample_systematic(gained, own.unseen_particles, generator=random))
         return replace(drawn, starts=starts, anywhere=True)
 
     def _fitted(
@@ -208,3 +216,12 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
         far = 0.3 * self.prior.spread_m
         about = _TOUCHED_ABOUT if len(now.history.moving()) else (far, far, 0.5)
         return Moves(self.model, self.own, random, self.prior, about)
+
+
+def narrow(poses: Float[Tensor, "N 6"]) -> bool:
+    """Whether poses rest in one way, at about one place and yaw."""
+    if bool((poses[:, 3] != poses[0, 3]).any()) or bool((poses[:, 4] >= 0).any()):
+        return False
+    apart = wrap(poses[:, 2] - poses[0, 2])
+    turn = apart.std(unbiased=False)
+    return float(poses[:, :2].std(0, unbiased=False).max()) < _NARROW_M and float(turn) < _NARROW_RAD

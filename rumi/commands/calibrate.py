@@ -121,6 +121,11 @@ def episode(entry: TaskEntry[Any], settings: Any) -> dict[str, Any]:  # noqa: AN
     return {"stopped_by": result.stopped_by, "steps": steps}
 
 
+def looks(lines: Sequence[Mapping[str, Any]]) -> list[tuple[int, int]]:
+    """Of each belief of `after_contact` the episode and its contacts: between two contacts it is the same one."""
+    return [(k, step["contacts"]) for k, line in enumerate(lines) for step in line["steps"] if step["contacts"] > 0]
+
+
 def after_contact(lines: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """The beliefs of all steps from the first contact on."""
     return [step for line in lines for step in line["steps"] if step["contacts"] > 0]
@@ -152,7 +157,7 @@ def report(name: str, lines: Sequence[Mapping[str, Any]]) -> str:
     sure = [own["right"] for own in beliefs if own["p_right"] >= _SURE]
     out.append(
         f"P(right)   expected calibration error {calibration_error(p_right, right):.3f}, by chance alone "
-        f"{chance_error(p_right):.3f}; of {len(sure)} with {_SURE} or more {sum(sure)} right"
+        f"{chance_error(p_right, groups=looks(lines)):.3f}; of {len(sure)} with {_SURE} or more {sum(sure)} right"
     )
     tests = {coordinate: rank_test(own) for coordinate, own in last_ranks(lines).items()}
     said = ", ".join(f"{coordinate} {value:.2g}" for coordinate, value in tests.items())

@@ -24,7 +24,7 @@ class ImportOptions:
 
     Attributes:
         bag: a .bag file of ROS 1, an .mcap or .db3 file, or the folder of a bag.
-        map: mapping file: which topics and frames mean what (scripts/docs/logs.md).
+        map: mapping file: which topics and frames mean what (scripts/docs/reference/mapping.md).
         suggest: write a mapping file to begin with, from the topics, types and frames of the bag, in place of a log.
         out: the log, by default the bag's name with .h5, in the current folder; of --suggest the mapping, with .toml.
         future: seconds that a stamp may be later than its message was received.

@@ -2,9 +2,10 @@
 
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
 import tyro
 
@@ -24,6 +25,9 @@ from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
 from sdf import skipped_work
 from sdf.extras import optional
+
+if TYPE_CHECKING:
+    from rumi.viz.live import LiveView
 
 S = TypeVar("S")
 
@@ -48,6 +52,7 @@ class RunOptions(Generic[S]):
         glossary: say at the end what the numbers mean, as on a terminal.
         pushes: file of how the object slides: planned with if it is there, and at the end written anew with what this
             run's pushes told, so that the next run with the object starts where this one ended.
+        view: show the run in the viewer Rerun while it goes on (extra `view`); without a display, in a browser.
         record: write what cameras and bubbles gave too, as raw streams: log.h5 in the run's folder.
     """
 
@@ -58,6 +63,7 @@ class RunOptions(Generic[S]):
     explain: bool = False
     glossary: bool = False
     pushes: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    view: bool = False
     record: bool = False
 
 
@@ -71,6 +77,8 @@ def run(arguments: Sequence[str]) -> int:
     notes = entry.check(settings)
     if options.figures:
         optional("matplotlib", "A figure (--no-figures draws none)")
+    if options.view:
+        optional("rerun", "--view")
     label = entry.label(settings)
     folder = options.out or free_folder(Path("runs") / label)
     prepare_folder(folder)
@@ -87,8 +95,12 @@ def run(arguments: Sequence[str]) -> int:
         announce(parts.agent)
         steps = entry.steps(settings)
         about = entry.as_dict(settings)
-        with Progress(name, steps, entry.describe) as progress, kernels_ahead(parts.agent, about) as compiled:
-            on_step = both(recorder, progress, Decisions(account), compiled)
+        with (
+            Progress(name, steps, entry.describe) as progress,
+            kernels_ahead(parts.agent, about) as compiled,
+            live_view(folder, entry, parts.agent, about) if options.view else nullcontext() as view,
+        ):
+            on_step = both(recorder, progress, Decisions(account), compiled, *([view] if view else []))
             result = loop.run(*parts, seed=settings.seed, steps=steps, on_step=on_step)
         recorder.finish(result)
     interrupted = result.stopped_by == "interrupted"
@@ -107,6 +119,18 @@ def run(arguments: Sequence[str]) -> int:
     if interrupted:
         return INTERRUPTED
     return DONE if entry.success(result) else NOT_CONVERGED
+
+
+def live_view(folder: Path, entry: TaskEntry[Any], agent: Any, about: dict[str, Any]) -> "LiveView":  # noqa: ANN401
+    """The viewer of a run that goes on."""
+    from rumi.runs.folder import Run
+    from rumi.tasks.rummage.geometry import geometry_of
+    from rumi.viz.live import LiveView
+
+    geometry = geometry_of(agent)
+    return LiveView(
+        str(folder), geometry, lambda steps: entry.pose(Run(folder, about, geometry, steps, result=None, ended=None))
+    )
 
 
 def parse(

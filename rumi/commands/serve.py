@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 class ServeOptions:
     """Find an object for a robot in another process, which sends readings and gets beliefs and actions.
 
-    One JSON message a line: scripts/docs/interfaces.md describes them, scripts/bridge_client.py is a client. Only this
+    One JSON message a line (scripts/docs/reference/bridge.md); scripts/bridge_client.py is a client. Only this
     machine can connect unless --host says otherwise; there is no password.
 
     Attributes:

@@ -1,15 +1,16 @@
 """The command `rumi view`: a recorded run in the viewer Rerun."""
 
-import os
 import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from rumi.environment import has_display
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE
 
@@ -37,15 +38,12 @@ def view(arguments: Sequence[str]) -> int:
             f"Expected a run's folder, got the file {options.run}: of a log "
             f"`rumi replay {options.run} --out DIR` makes one"
         )
-    from rumi.runs.export import estimates_of
-    from rumi.runs.folder import load_run, make_folder
-    from rumi.tasks.registry import entry_of
-    from rumi.viz.viewer import write_recording
-
-    run = load_run(options.run)
     path = options.out or options.run / "run.rrd"
-    make_folder(path.parent)
-    write_recording(run, estimates_of(run, entry_of(run).pose).steps, path)
+    if not is_fresh(path, options.run):
+        from sdf.threads import chosen
+
+        with chosen():
+            write(options.run, path)
     sys.stdout.write(f"{path}\n")
     if not options.headless and has_display():
         # by itself the viewer would listen to the whole network
@@ -53,6 +51,25 @@ def view(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def has_display() -> bool:
-    """Whether a window can be opened here."""
-    return sys.platform in ("darwin", "win32") or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+def write(run: Path, path: Path) -> None:
+    """Write the recording of a run's folder."""
+    from rumi.runs.export import estimates_of
+    from rumi.runs.folder import load_run, make_folder
+    from rumi.tasks.registry import entry_of
+    from rumi.viz.viewer import write_recording
+
+    read = load_run(run)
+    make_folder(path.parent)
+    write_recording(read, estimates_of(read, entry_of(read).pose).steps, path)
+
+
+def is_fresh(path: Path, run: Path) -> bool:
+    """Whether a recording is there that is younger than all that it shows and all that writes it."""
+    try:
+        installed = metadata.version("rerun-sdk")
+        before = (*run.glob("*.json*"), run / "trace.npz", Path(__file__).parents[1] / "viz" / "viewer.py")
+        with path.open("rb") as file:
+            same = tuple(file.read(8)[4:7]) == tuple(int(part) for part in installed.split(".")[:3])
+        return same and all(path.stat().st_mtime > one.stat().st_mtime for one in before)
+    except (metadata.PackageNotFoundError, OSError, ValueError):
+        return False

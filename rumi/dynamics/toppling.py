@@ -2,14 +2,18 @@
 
 What the tool meets sideways moves out of its way. With friction mu at floor and tool, a push at the height h slides the
 object while that takes less force than to lift it about the edge ahead, which is s away from the centre of mass:
-h < s (1/mu + mu). Else it leans about that edge by the tilt that the tool asks for, and back as the tool goes; with the
-centre of mass above the edge it falls to the next resting pose at once. Pushes from above do nothing.
+h < s (1/mu + mu). Else it leans about that edge by the tilt that the tool asks for, and back as the tool goes. With the
+centre of mass beyond the edge it falls as a pendulum does, slowly at first, and then is as it comes to rest.
+
+A *steep* contact, the tool on top of it or below a part that juts out, turns it about the edge for which that takes
+the least force, where that is little more than its weight: pressed down beyond the edge, lifted within it, or dragged
+along by friction near it. What is pressed down elsewhere stays.
 """
 
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.dynamics.resting import RestingPoses
@@ -20,8 +24,15 @@ from sdf.base import SDF
 _MOST_M = 0.012  # that one contact moves an object, at most
 _LEVEL = 0.5  # share of a contact's normal that has to be level for it to push
 _LEAST_M = 0.01  # lever of a lean, at least
+_OFF_M = 0.001  # distance of an edge from below the centre of mass, at least
 _PASSES, _TILTS, _HALVES = 2, 2, 5
 _ACROSS = 0.3  # cosine to the edge's normal below which a push does not lean on it
+_GRAZE_M = 0.001  # distance from the tool up to which what it presses on from above is dragged along
+_INSTANT_S = 0.05  # duration of a motion
+_RATE = 0.5  # rad/s at which a fall begins: a tool that goes 8 cm in a second, 16 cm above the floor
+_LANDS_RAD = 0.35  # into a fall, from when on it is as it comes to rest
+_SWINGS = 0.75 * 9.81  # m/s^2 over the distance of mass from edge: square of a thin rod's rate of falling
+_SHARE = 0.5  # lever of a steep contact about an edge, of the weight's, at least: a tool presses with twice the weight
 
 
 class Leaning(NamedTuple):
@@ -76,12 +87,25 @@ def push_in_space(
     ahead = planar.new_zeros(count, 2)
     scene = _Scene(sdf, rests, points)
     # what leans on the tool goes with it; what that leaves is as it rests
-    leaning = (lying[:, 1] >= 0).nonzero()[:, 0]
+    limit = _limit(rests, lying, firm)
+    falls = lying[:, 2] >= limit
+    falling, leaning = falls.nonzero()[:, 0], ((lying[:, 1] >= 0) & ~falls).nonzero()[:, 0]
+    way = after[:2] - before[:2]
+    if len(falling):
+        lying[falling], ahead[falling] = _fallen(rests, planar[falling], lying[falling], limit[falling])
     if len(leaning):
-        lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning])
+        rubs = body.friction[leaning]
+        lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning], rubs, way)
     free = (lying[:, 1] < 0).nonzero()[:, 0]
-    row, depth, inward, place = _deepest(scene, planar[free], lying[free])
-    found = free[row]
+    met = _met(scene, planar[free], lying[free])
+    edge, tilt, outward = _levered(rests, planar[free], lying[free], met, body.friction[free], way)
+    turns = edge >= 0
+    some = free[turns]
+    lying[some] = torch.stack((lying[some, 0], edge[turns].to(lying), tilt[turns]), -1)
+    ahead[some] = outward[turns]
+    pushes = ~turns & (met.depth > 0)
+    depth, inward, place = met.depth[pushes], met.inward[pushes], met.place[pushes]
+    found = free[pushes]
     if len(found):
         ahead[found] = inward
         about, off, rate = _edge_ahead(rests, planar[found], lying[found], inward)
@@ -90,15 +114,16 @@ def push_in_space(
         tips = found[leans]
         tilt = depth[leans] / (place[leans, 2] * rate[leans]).clamp_min(_LEAST_M)
         lying[tips] = torch.stack((lying[tips, 0], about[leans].to(lying), tilt), -1)
-        lying[tips], _ = _leant(scene, planar[tips], lying[tips])
+        lying[tips], _ = _leant(scene, planar[tips], lying[tips], body.friction[tips], way)
         slides, now = found[~leans], planar[found[~leans]]
         slid[slides] = True
         start, own, some = now, body.at(slides), torch.arange(len(slides))
         touch = depth[~leans], inward[~leans], place[~leans]
         for turn in range(_PASSES):
             if turn:
-                some, depth, inward, place = _deepest(scene, now, lying[slides])
-                touch = depth, inward, place
+                met = _met(scene, now, lying[slides])
+                some = (met.depth > 0).nonzero()[:, 0]
+                touch = met.depth[some], met.inward[some], met.place[some]
             many = len(some)
             if not many:
                 break
@@ -108,8 +133,7 @@ def push_in_space(
             now = now.index_copy(0, some, out)
         planar = planar.index_copy(0, slides, now)
     edges, rest, edge = rests.edges, lying[:, 0].long(), lying[:, 1].long()
-    over = (edge >= 0) & (lying[:, 2] >= firm * edges.tip_rad[rest, edge.clamp_min(0)])
-    down = over.nonzero()[:, 0]
+    down = (lying[:, 2] >= _limit(rests, lying, firm) + _LANDS_RAD).nonzero()[:, 0]
     if len(down):
         rest, edge = rest[down], edge[down]
         change = edges.change[rest, edge]
@@ -119,6 +143,25 @@ def push_in_space(
         lying[down] = torch.stack((edges.next[rest, edge].to(lying), none - 1.0, none), -1)
         fell[down] = True
     return Push(Leaning(planar, lying), slid, fell, ahead)
+
+
+def _limit(rests: RestingPoses, lying: Float[Tensor, "E 3"], firm: Float[Tensor, "E"]) -> Float[Tensor, "E"]:
+    """Tilt from which on each falls; infinite for what leans on nothing."""
+    rest, edge = lying[:, 0].long(), lying[:, 1].long()
+    return torch.where(edge >= 0, firm * rests.edges.tip_rad[rest, edge.clamp_min(0)], torch.inf)
+
+
+def _fallen(
+    rests: RestingPoses, planar: Float[Tensor, "E 3"], lying: Float[Tensor, "E 3"], limit: Float[Tensor, "E"]
+) -> tuple[Float[Tensor, "E 3"], Float[Tensor, "E 2"]]:
+    """What falls, a motion later, and the direction over its edge: a thin rod near the top of its swing."""
+    edges, rest, edge = rests.edges, lying[:, 0].long(), lying[:, 1].long()
+    normal, tip = edges.normal[rest, edge], edges.tip_rad[rest, edge]
+    off = ((edges.point[rest, edge] - rests.centre[rest]) * normal).sum(-1).clamp_min(_OFF_M)
+    rate = (_SWINGS * tip.sin().clamp_min(_LEAST_M) / off).sqrt()
+    into, turn = lying[:, 2] - limit, rate * _INSTANT_S
+    into = into * turn.cosh() + torch.hypot(into, _RATE / rate) * turn.sinh()
+    return torch.cat((lying[:, :2], (limit + into)[:, None]), -1), rotated(normal, planar[:, 2])
 
 
 class _Scene(NamedTuple):
@@ -143,58 +186,150 @@ def _edge_ahead(
     return about, off, torch.where(off.isfinite(), rate.gather(-1, about[:, None])[:, 0], torch.zeros_like(off))
 
 
+class _Levers(NamedTuple):
+    """What a steep contact of E objects does about K edges.
+
+    Attributes:
+        lifts: (E, K), metres that the contact goes inward for each radian of tilt.
+        arm: (E, K), lever of its force with friction over the weight's.
+        drag: (E, K), metres that the tool goes outward.
+        outward: (E, K, 2), of each edge, unit, world frame.
+    """
+
+    lifts: Float[Tensor, "E K"]
+    arm: Float[Tensor, "E K"]
+    drag: Float[Tensor, "E K"]
+    outward: Float[Tensor, "E K 2"]
+
+
+def _levers(
+    rests: RestingPoses,
+    planar: Float[Tensor, "E 3"],
+    lying: Float[Tensor, "E 3"],
+    met: "_Met",
+    friction: Float[Tensor, "E"],
+    way: Float[Tensor, "2"],
+) -> _Levers:
+    edges, rest = rests.edges, lying[:, 0].long()
+    normal, point = edges.normal[rest], edges.point[rest]
+    off = ((point - rests.centre[rest][:, None]) * normal).sum(-1).clamp_min(_OFF_M)
+    outward = rotated(normal, planar[:, None, 2])
+    corner = planar[:, None, :2] + rotated(point, planar[:, None, 2])
+    beyond = ((met.at[:, None, :2] - corner) * outward).sum(-1)
+    along = (outward * met.normal[:, None, :2]).sum(-1)
+    drag = outward @ way
+    high, down = met.at[:, 2:], met.normal[:, 2:]
+    lifts = high * along - beyond * down
+    rubs = friction[:, None] * drag / way.norm().clamp_min(1e-12)
+    return _Levers(lifts, (lifts + high * rubs) / off, drag, outward)
+
+
+def _levered(
+    rests: RestingPoses,
+    planar: Float[Tensor, "E 3"],
+    lying: Float[Tensor, "E 3"],
+    met: "_Met",
+    friction: Float[Tensor, "E"],
+    way: Float[Tensor, "2"],
+) -> tuple[Int[Tensor, "E"], Float[Tensor, "E"], Float[Tensor, "E 2"]]:
+    """Edge about which a steep contact turns objects at rest (-1: none), the tilt, and the way over it."""
+    lifts, arm, drag, outward = _levers(rests, planar, lying, met, friction, way)
+    steep, high = met.steep[:, None], met.at[:, 2:].clamp_min(_LEAST_M)
+    lifted = (lifts > _LEAST_M) & (steep > met.depth[:, None])
+    dragged = (
+        (lifts <= _LEAST_M) & (steep > -_GRAZE_M) & (met.depth[:, None] <= 0) & (met.normal[:, 2:] < 0) & (drag > 0)
+    )
+    can = (lifted | dragged) & (arm > _SHARE) & rests.edges.tip_rad[lying[:, 0].long()].isfinite()
+    most, edge = torch.where(can, arm, torch.full_like(arm, -torch.inf)).max(-1)
+    tilt = torch.where(lifted, steep.clamp_min(0.0) / lifts.clamp_min(_LEAST_M), drag / high)
+    rows = torch.arange(len(edge))
+    return torch.where(most > 0, edge, -1), tilt[rows, edge], outward[rows, edge]
+
+
 def _leant(
-    scene: _Scene, planar: Float[Tensor, "E 3"], lying: Float[Tensor, "E 3"]
+    scene: _Scene,
+    planar: Float[Tensor, "E 3"],
+    lying: Float[Tensor, "E 3"],
+    friction: Float[Tensor, "E"],
+    way: Float[Tensor, "2"],
 ) -> tuple[Float[Tensor, "E 3"], Float[Tensor, "E 2"]]:
     """Tilts of objects that lean on the tool where it is now, and the direction over their edges; rests where it left.
 
     From the tilt before: at rest the tool may be so deep in it that the way out is on the other side.
     """
-    edges, lying = scene.rests.edges, lying.clone()
-    outward = rotated(edges.normal[lying[:, 0].long(), lying[:, 1].long()], planar[:, 2])
+    lying, rows, edge = lying.clone(), torch.arange(len(planar)), lying[:, 1].long()
     touched = torch.zeros(len(planar), dtype=torch.bool)
-    for _ in range(_TILTS):
-        row, depth, inward, place = _deepest(scene, planar, lying)
-        touched[row] = True
-        along = (inward * outward[row]).sum(-1)
-        more = torch.where(along > _ACROSS, depth / (place[:, 2] * along).clamp_min(_LEAST_M), 0.0 * depth)
-        lying[row, 2] += more
+    outward = planar[:, :2]
+    for turn in range(_TILTS):
+        met = _met(scene, planar, lying)
+        levers = _levers(scene.rests, planar, lying, met, friction, way)
+        lifts, arm, drag, outward = (part[rows, edge] for part in levers)
+        inside = (met.depth > 0) | (met.steep > 0)
+        along, high = (met.inward * outward).sum(-1), met.at[:, 2].clamp_min(_LEAST_M)
+        more = torch.where(along > _ACROSS, met.depth / (met.place[:, 2] * along).clamp_min(_LEAST_M), 0.0 * along)
+        lifted = (lifts > _LEAST_M) & (met.steep > met.depth)
+        more = torch.where(lifted, met.steep / lifts.clamp_min(_LEAST_M), more)
+        if turn == 0:
+            dragged = (lifts <= _LEAST_M) & (met.steep > -_GRAZE_M) & (met.depth <= 0) & (met.normal[:, 2] < 0)
+            dragged &= (drag > 0) & (arm > _SHARE)
+            more, inside = torch.where(dragged, drag / high, more), inside | dragged
+        going = inside if turn == 0 else inside & touched
+        lying[going, 2] += more[going]
+        touched |= inside
     left = (~touched).nonzero()[:, 0]
     if len(left):
         low, high = torch.zeros_like(lying[left, 2]), lying[left, 2]
         for turn in range(_HALVES):
             middle = low if turn == 0 else 0.5 * (low + high)
             tried = torch.cat((lying[left, :2], middle[:, None]), -1)
-            held = torch.zeros(len(left), dtype=torch.bool)
-            held[_deepest(scene, planar[left], tried)[0]] = True
+            met = _met(scene, planar[left], tried)
+            held = (met.depth > 0) | (met.steep > 0)
             low, high = torch.where(held, middle, low), torch.where(held, high, middle)
         gone = high <= 0.0
-        edge = torch.where(gone, -torch.ones_like(high), lying[left, 1])
-        lying[left] = torch.stack((lying[left, 0], edge, high), -1)
+        lies = torch.where(gone, -torch.ones_like(high), lying[left, 1])
+        lying[left] = torch.stack((lying[left, 0], lies, high), -1)
     return lying, outward
 
 
-def _deepest(
-    scene: _Scene, planar: Float[Tensor, "E 3"], lying: Float[Tensor, "E 3"]
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Objects that the tool is in sideways: which, how deep, the level normal into them, and the point of the tool."""
+class _Met(NamedTuple):
+    """What of the tool each of E objects meets.
+
+    Attributes:
+        depth: (E), of the point that is deepest in it sideways, metres; 0 for none.
+        inward: (E, 2), level normal into it there.
+        place: (E, 3), of that point.
+        steep: (E), depth of the deepest point from above or below, down to -_GRAZE_M, which is none.
+        normal: (E, 3), into it there.
+        at: (E, 3), of that point.
+    """
+
+    depth: Float[Tensor, "E"]
+    inward: Float[Tensor, "E 2"]
+    place: Float[Tensor, "E 3"]
+    steep: Float[Tensor, "E"]
+    normal: Float[Tensor, "E 3"]
+    at: Float[Tensor, "E 3"]
+
+
+def _met(scene: _Scene, planar: Float[Tensor, "E 3"], lying: Float[Tensor, "E 3"]) -> _Met:
     sdf, rests, points = scene
     poses = rests.world_T_object(planar, lying)
     back = se3.inverse(poses)
     with torch.no_grad():
         local = se3.apply(back, points.expand(len(poses), -1, 3)).to(sdf.bounds)
         distance = sdf.distance(local)
-        row, which = (distance < 0).nonzero(as_tuple=True)
+        row, which = (distance < _GRAZE_M).nonzero(as_tuple=True)
         gradient = sdf(local[row, which]).gradient.to(poses)
     gradient = gradient / gradient.norm(dim=-1, keepdim=True).clamp_min(1e-9)
-    outward = (gradient[:, None] @ back[row, :3, :3])[:, 0]
-    level = outward[:, :2].norm(dim=-1)
-    kept = level > _LEVEL
-    depth = torch.zeros(distance.shape, dtype=poses.dtype)
-    row, which, outward = row[kept], which[kept], outward[kept]
-    depth[row, which] = -distance[row, which].to(poses)
-    directions = poses.new_zeros(*distance.shape, 2)
-    directions[row, which] = -outward[:, :2] / level[kept, None]
-    most, index = depth.max(-1)
-    found = (most > 0).nonzero()[:, 0]
-    return found, most[found], directions[found, index[found]], points[index[found]]
+    inward, depth = -(gradient[:, None] @ back[row, :3, :3])[:, 0], -distance[row, which].to(poses)
+    level, found = inward[:, :2].norm(dim=-1) > _LEVEL, []
+    for kept, least in ((level, 0.0), (~level, -_GRAZE_M)):
+        some = kept & (depth > least)
+        deep = poses.new_full(distance.shape, least)
+        deep[row[some], which[some]] = depth[some]
+        most, index = deep.max(-1)
+        normals = poses.new_zeros(*distance.shape, 3)
+        normals[row[some], which[some]] = inward[some]
+        found += [most, normals[torch.arange(len(poses)), index], points[index]]
+    most, normal, place = found[:3]
+    return _Met(most, normal[:, :2] / normal[:, :2].norm(dim=-1, keepdim=True).clamp_min(1e-9), place, *found[3:])

@@ -6,7 +6,7 @@ of the times that a belief gives its best pose 0.7 it is right in 70 %, and the 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -108,13 +108,25 @@ def calibration_error(p_right: Sequence[float], right: Sequence[bool], bins: int
     return sum(own.beliefs * abs(own.p_right - own.right) for own in found) / max(1, len(p_right))
 
 
-def chance_error(p_right: Sequence[float], bins: int = 10, draws: int = 200) -> float:
-    """The calibration error that as many, perfectly calibrated, have by chance: mean over draws of who is right."""
+def chance_error(
+    p_right: Sequence[float], bins: int = 10, draws: int = 200, *, groups: Sequence[Hashable] | None = None
+) -> float:
+    """The calibration error that as many, perfectly calibrated, have by chance: mean over draws of who is right.
+
+    Args:
+        p_right: of the beliefs.
+        bins: of the calibration error.
+        draws: of which the mean is taken.
+        groups: of each belief. Those of one group are right together, as those of an episode between two contacts
+            are, which are the same belief looked at again; by default each is right by itself.
+    """
     p = torch.tensor(p_right, dtype=torch.float64)
+    place = {name: k for k, name in enumerate(dict.fromkeys(groups))} if groups is not None else {}
+    of = torch.tensor([place[name] for name in groups]) if groups else torch.arange(len(p))
     random = torch.Generator().manual_seed(0)
     total = 0.0
     for _ in range(draws):
-        right = torch.rand(len(p), generator=random, dtype=torch.float64) < p
+        right = torch.rand(len(place) or len(p), generator=random, dtype=torch.float64)[of] < p
         total += calibration_error(p_right, right.tolist(), bins)
     return total / draws
 

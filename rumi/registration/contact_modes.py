@@ -14,7 +14,7 @@ from sdf.symmetry import Symmetries
 
 _SUSPECT = 3.0  # times the noise
 FEWEST, FEWEST_WITH_NORMALS = 20, 8
-"""Touches from which weights were right with one bad one among them (scripts/docs/localize.md)."""
+"""Touches from which weights were right with one bad one among them (scripts/docs/how-to/localize.md)."""
 
 
 @dataclass(frozen=True, eq=False)

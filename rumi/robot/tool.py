@@ -9,8 +9,9 @@ from torch import Tensor, nn
 
 from rumi.robot.gripper import GripperShape
 from rumi.robot.reach import Reach
+from rumi.robot.tool_guess import guessed_steps
 from rumi.robot.tool_shape import ToolShape
-from sdf import se3
+from sdf import compiled, se3
 from sdf.check import check_shape, is_eager
 
 BORDER_GROUP = 8
@@ -189,6 +190,10 @@ class Tool(nn.Module):
         begins = allowed[rows].to(torch.uint8).cumprod(-1).sum(-1)
         start = q.expand(*path.shape[:-2], q.shape[-1]).reshape(-1, q.shape[-1])[rows]
         current = torch.where((begins > 0)[:, None], flat[rows, begins - 1], start)
+        if len(rows) == 1 and self.reach is not None and compiled.supports(flat, *self.reach.buffers()):
+            row, first = int(rows), int(begins)
+            flat[row, first:] = self._guessed(current, steps[row, first:])
+            return flat.reshape(path.shape)
         residual = None if self.reach is None else self.reach.residual(current)
         for index in range(int(begins.min()), flat.shape[1]):
             held = (begins <= index).nonzero()[:, 0]
@@ -198,6 +203,23 @@ class Tool(nn.Module):
             if residual is not None and left is not None:
                 residual[held] = left
         return flat.reshape(path.shape)
+
+    def _guessed(self, current: Tensor, steps: Tensor) -> Tensor:
+        """The path (n, Q) of one tool from (1, Q), its steps guessed one by one and then carried out at once.
+
+        A call of the library takes as long for one step as for all. What a step comes to from where it was guessed to
+        begin is right where all guesses before it were right to the bit; after the first that was not, others are made.
+        """
+        assert self.reach is not None
+        path = []
+        while len(steps):
+            ends = guessed_steps(self.arm_arrays(), current[0], steps)
+            begins = torch.cat((current, ends[:-1]))
+            found, _ = self._within(begins, begins + steps, self.reach.residual(begins))
+            right = int((found == ends).all(-1).to(torch.uint8).cumprod(0).sum())
+            path.append(found[: right + 1])
+            current, steps = path[-1][-1:], steps[right + 1 :]
+        return torch.cat(path)
 
     def _step_by_step(self, q: Tensor, steps: Tensor) -> Tensor:
         """The path (*b, T, Q) of some steps, none skipped, as `torch.compile` and `torch.func` need it."""

@@ -9,6 +9,9 @@ import math
 
 from sdf.compiled import bare
 
+WHOLE, WITHOUT_TURN, ROUND, CARRIED, STAYED = range(5)
+"""Ways that a step takes: in full; after part of it without its turn, round, turning as it goes round; no further."""
+
 
 @bare
 def _wrapped(angle):
@@ -96,18 +99,21 @@ def _residual_about_base(x, y, z, yaw, table, base, limits):
 
 @bare
 def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, table, base, bounds, limits):
-    """Where a step from (x, y, z, yaw) ends, and the arm's residual there; `left` is it now."""
+    """Where a step from (x, y, z, yaw) ends, and the arm's residual there; `left` is it now.
+
+    Last comes which way it took, one of those above, and in front of that how many parts of the straight one.
+    """
     tolerance, slack, parts = limits[1], limits[2], int(limits[3])
     to_x = _within(to_x, bounds[0, 0], bounds[1, 0])
     to_y = _within(to_y, bounds[0, 1], bounds[1, 1])
     if bounds.shape[1] == 3:
         to_z = _within(to_z, bounds[0, 2], bounds[1, 2])
     if limits[0] == 0.0:
-        return to_x, to_y, to_z, to_yaw, 0.0
+        return to_x, to_y, to_z, to_yaw, 0.0, 0, WHOLE
     limit = max(left, tolerance) + slack
     rest = residual(to_x, to_y, to_z, to_yaw, table, base, limits)
     if rest <= limit:
-        return to_x, to_y, to_z, to_yaw, rest
+        return to_x, to_y, to_z, to_yaw, rest, 0, WHOLE
     # as far as the arm gets on the straight way, a part of the step at a time
     passed = 0
     for part in range(1, parts):
@@ -121,16 +127,16 @@ def step_within(x, y, z, yaw, to_x, to_y, to_z, to_yaw, left, table, base, bound
     # and from there round the limit: without the turn, along the circle, along it and turning with it
     rest = residual(to_x, to_y, to_z, yaw, table, base, limits)
     if rest <= limit:
-        return to_x, to_y, to_z, yaw, rest
+        return to_x, to_y, to_z, yaw, rest, passed, WITHOUT_TURN
     from_x, from_y, aim_x, aim_y = x - base[0], y - base[1], to_x - base[0], to_y - base[1]
     stretch = math.sqrt(from_x * from_x + from_y * from_y) / max(math.sqrt(aim_x * aim_x + aim_y * aim_y), 1e-9)
     round_x = _within(base[0] + aim_x * stretch, bounds[0, 0], bounds[1, 0])
     round_y = _within(base[1] + aim_y * stretch, bounds[0, 1], bounds[1, 1])
     rest = residual(round_x, round_y, to_z, to_yaw, table, base, limits)
     if rest <= limit:
-        return round_x, round_y, to_z, to_yaw, rest
+        return round_x, round_y, to_z, to_yaw, rest, passed, ROUND
     carried = yaw + math.atan2(from_x * aim_y - from_y * aim_x, from_x * aim_x + from_y * aim_y)
     rest = residual(round_x, round_y, to_z, carried, table, base, limits)
     if rest <= limit:
-        return round_x, round_y, to_z, carried, rest
-    return x, y, z, yaw, residual(x, y, z, yaw, table, base, limits)
+        return round_x, round_y, to_z, carried, rest, passed, CARRIED
+    return x, y, z, yaw, residual(x, y, z, yaw, table, base, limits), passed, STAYED

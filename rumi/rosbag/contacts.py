@@ -20,6 +20,7 @@ from sensors.contact_reading import WrenchTouch
 from sensors.force.force_torque import WrenchContact, WrenchNoise, WrenchSettings, WrenchStatus, wrench_contact
 from sensors.force.tool_load import ToolLoad
 from sensors.log.reader import Log, Sample, Stream
+from sensors.reading import FORCE
 
 
 def contact_samples(log: Log, mapping: BagMap, frames: FrameTree, span: Span) -> ContactSamples:
@@ -110,16 +111,19 @@ def _wrench_contacts(
     wrench = torch.stack([wrench_of(one) for one in samples]) if samples else torch.zeros(0, 6, dtype=torch.float64)
     load = _load(stream, config, wrench, pose, samples, span.start_ns, problems)
     contact = read_wrenches(wrench, pose, load, mapping)
+    forces = force_on_tool(wrench, pose, load, mapping).float()
     for name in WrenchStatus:
         counted[name.name.lower()] = counted.get(name.name.lower(), 0) + int((contact.status == int(name)).sum())
     kept = (contact.status == int(WrenchStatus.CONTACT)).nonzero()[:, 0]
     touches, place = WrenchTouch.of(contact, pose, kept), {k: n for n, k in enumerate(kept.tolist())}
 
     def sample(k: int, stamp_ns: int, touched: bool) -> ContactSample:
+        measured = {FORCE: forces[k]}
         if k not in place:
-            return ContactSample(stamp_ns, no_points(), touched)
+            return ContactSample(stamp_ns, no_points(), touched, measurements=measured)
         touch = touches.at(torch.tensor([place[k]]))
-        return ContactSample(stamp_ns, touch.points, touched, touch=touch if config.likelihood else None)
+        likely = touch if config.likelihood else None
+        return ContactSample(stamp_ns, touch.points, touched, touch=likely, measurements=measured)
 
     return [
         sample(k, one.stamp_ns, status != int(WrenchStatus.NONE))
@@ -138,6 +142,16 @@ def read_wrenches(
     noise = WrenchNoise(config.force_n, config.moment_nm)
     settings = WrenchSettings(least_force_n=config.least_force_n, friction=config.friction)
     return wrench_contact(left, config.tool(), noise.covariance(), settings)
+
+
+def force_on_tool(
+    wrench: Float[Tensor, "K 6"], world_T_sensor: Float[Tensor, "K 4 4"], load: ToolLoad, mapping: BagMap
+) -> Float[Tensor, "K 3"]:
+    """Force of what the mapping's tool touches on it by each wrench as recorded, N, world axes."""
+    config = mapping.wrench
+    assert config is not None
+    left = load.contact_wrench(-wrench if config.reaction else wrench, world_T_sensor[:, :3, :3])
+    return (world_T_sensor[:, :3, :3].double() @ left[:, :3, None].double())[..., 0]
 
 
 def _load(

@@ -1,4 +1,4 @@
-"""The tables of a mapping: which topics and frames of a recording mean what; `scripts/docs/logs.md` describes them."""
+"""The tables of a mapping: which topics and frames of a recording mean what (`scripts/docs/reference/mapping.md`)."""
 
 import math
 from collections.abc import Sequence

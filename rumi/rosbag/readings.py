@@ -19,7 +19,7 @@ from rumi.seeding import generator
 from sensors.contact_reading import ContactReading, WrenchTouch, surest
 from sensors.log.reader import Log, Taken
 from sensors.observation import Observation, concatenate
-from sensors.reading import Reading
+from sensors.reading import FORCE, Reading
 from sensors.semantics import Semantics
 from sensors.touch.tactile import InstantPoints
 from sensors.touch.touch_readings import swept_clear
@@ -189,9 +189,15 @@ class _Cutter:
 def _last_measurements(
     samples: Sequence[ContactSample], at: Sequence[int], instants: int
 ) -> dict[str, Float[Tensor, "K ..."]]:
-    """The last numbers of each further sensor up to each instant of a reading; NaN where it gave none."""
+    """The last numbers of each further sensor up to each instant of a reading, of forces the mean; NaN of none."""
     found: dict[str, Tensor] = {}
+    counts = torch.zeros(instants, 1)
     for sample, instant in zip(samples, at, strict=True):
         for name, values in sample.measurements.items():
-            found.setdefault(name, values.new_full((instants, len(values)), math.nan))[instant] = values
+            rows = found.setdefault(name, values.new_full((instants, len(values)), math.nan))
+            if name == FORCE:
+                counts[instant] += 1.0
+                old = rows[instant].nan_to_num()
+                values = old + (values - old) / counts[instant]
+            rows[instant] = values
     return found

@@ -47,7 +47,7 @@ def suggest_mapping(bag: Path) -> str:
         raise UsageError(f"Expected a bag with messages, got none from {bag}")
     world = _world(found)
     lines = [
-        f"# What the topics and frames of {bag.name} mean; scripts/docs/logs.md has all that can be said here.",
+        f"# What the topics and frames of {bag.name} mean; see scripts/docs/reference/mapping.md.",
         f"schema = {SCHEMA}",
         "",
         "[topics]",

@@ -25,7 +25,7 @@ from sensors.observation import Observation
 from sensors.reading import Reading
 
 # numbers of a step that are kept as JSON; a missing or non-finite one is null there
-_NUMBERS = ("step", "expected_nll", "fit", "apc", "ess", "contacts", "resampled", "converged", "nll", "lost")
+_NUMBERS = ("step", "expected_nll", "fit", "apc", "ess", "contacts", "resampled", "converged", "nll", "lost", "p_value")
 _LIGHT = (bool, int, float, str, list, tuple, type(None))
 _POINTS = ("points", "semantics", "attached", "valid")
 _WRENCH = ("points", "normals", "point_sd", "normal_sd", "instant")
@@ -36,7 +36,7 @@ _BELIEF = ("world_T_attached", "attached_T_object", "log_weights", "discrepancy"
 
 def numbers(step: StepRecord) -> dict[str, Any]:
     """The plain numbers of a step, ready for JSON."""
-    told = {"stamp": step.reading.stamp, "remarks": step.remarks}
+    told = {"stamp": step.reading.stamp, "remarks": step.remarks, "explanations": step.explanations}
     return plain({name: getattr(step, name) for name in _NUMBERS} | told)
 
 
@@ -104,7 +104,8 @@ def read_steps(members: Mapping[str, Any], timings_s: Mapping[int, dict[str, flo
         for name in ("expected_nll", "fit", "apc", "ess"):
             about[name] = math.nan if about[name] is None else about[name]
         remarks = tuple(Remark(**remark) for remark in about.pop("remarks", ()))
-        about["lost"] = about.get("lost") or 0.0  # which older runs lack
+        # which older runs lack
+        about |= {"lost": about.get("lost") or 0.0, "p_value": about.get("p_value", 1.0)}
         record = StepRecord(
             remarks=remarks,
             control=_get(members, f"{at}/control"),

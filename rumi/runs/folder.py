@@ -343,7 +343,7 @@ def _result(values: Mapping[str, Any]) -> RunResult:
         known[name] = float("nan") if known[name] is None else known[name]
     known["pose"] = None if known["pose"] is None else PoseSummary.of(known["pose"])
     known |= {"relies_on": known["relies_on"] or "", "warnings": tuple(known["warnings"] or ())}
-    known["lost"] = bool(known["lost"])
+    known |= {"lost": bool(known["lost"]), "explanations": known["explanations"] or {}}
     known["remarks"] = tuple(Remark(**remark) for remark in known["remarks"] or ())
     return RunResult(**known)  # type: ignore[arg-type]
 

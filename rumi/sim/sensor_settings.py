@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from rumi.errors import UsageError
-from sdf.bounds import Checked, Positive, ShareBelow1
+from sdf.bounds import Checked, NotNegative, Positive, ShareBelow1
 
 SensorKind = Literal["points", "camera", "bubbles", "both"]
 
@@ -32,6 +32,8 @@ class SensorSettings(Checked, refusal=UsageError):
         frame_rate_hz: of the camera, for 0.4 s after an action.
         further: names of sensors beside those (`rumi.sim.sensors.SIMULATED_SENSORS`), which count by evidence of their
             own (`filter.evidence`).
+        wrist_force: whether a force sensor at the wrist reports the tool's mean force in each mini step.
+        wrist_noise_n: standard deviation of each of its numbers.
     """
 
     kind: SensorKind = "points"
@@ -47,6 +49,8 @@ class SensorSettings(Checked, refusal=UsageError):
     membrane_m: Positive = 0.008
     frame_rate_hz: Positive = 15.0
     further: tuple[str, ...] = ()
+    wrist_force: bool = False
+    wrist_noise_n: NotNegative = 0.2
 
     @property
     def looks(self) -> bool:

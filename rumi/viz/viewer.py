@@ -11,12 +11,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.planning.policy import Plan
 from rumi.records import StepRecord
 from rumi.runs.export import StepEstimate
 from rumi.runs.files import whole_file
 from rumi.runs.folder import Run
 from rumi.runs.memory import memory
 from rumi.runs.plain import plain
+from rumi.runs.scene_geometry import SceneGeometry
 from rumi.viz import style
 from rumi.viz.outlines import heaviest, object_outline, placed
 from sdf.extras import optional
@@ -37,6 +39,107 @@ CURVES = {
 """Curves by name, each in a plot of its own."""
 
 
+class ViewerRecording:
+    """A run in the viewer's terms, step by step: written to a file, or sent to a viewer while the run goes on.
+
+    Args:
+        stream: of Rerun, which says where it all goes.
+        geometry: of the scene; None where the task tells none.
+    """
+
+    def __init__(self, stream: Any, geometry: SceneGeometry | None) -> None:  # noqa: ANN401  (Rerun's)
+        self._rerun = optional("rerun", "The viewer")
+        self._stream, self._geometry = stream, geometry
+        self._records: list[StepRecord] = []
+        stream.log("world", self._rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+
+    def add(self, record: Any, found: StepEstimate | None) -> None:  # noqa: ANN401  (of the task's own kind)
+        """Add a step: what was believed and sensed, and where the step before stood, the plan that led here.
+
+        Args:
+            record: of the step.
+            found: its pose estimate; None where there is none.
+        """
+        if isinstance(record, StepRecord) and self._records:
+            self._stream.set_time("action", sequence=self._records[-1].step)
+            self._plan(record.plan)
+        self._stream.set_time("action", sequence=record.step)
+        if found is not None:
+            self._belief(record, found)
+        if isinstance(record, StepRecord):
+            self._records.append(record)
+            self._scene()
+
+    def end(self) -> None:
+        """Say that no plan follows, and hand over all that is under way."""
+        if self._records:
+            self._stream.set_time("action", sequence=self._records[-1].step)
+            self._plan(None)
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def _belief(self, record: Any, found: StepEstimate) -> None:  # noqa: ANN401
+        """Particles by weight, the best pose, and what the curves show of them."""
+        rerun, stream = self._rerun, self._stream
+        poses, log_weights = record.poses
+        chosen = heaviest(log_weights, _PARTICLES)
+        some, share = poses[chosen].double(), (log_weights[chosen] - log_weights.max()).exp().double()
+        ahead = torch.stack((some[:, :3, 3], some[:, :3, 3] + _HEADING_M * some[:, :3, 0]), 1)
+        colours = [(11, 65, 139, int(40 + 215 * weight)) for weight in share.tolist()]
+        stream.log("world/particles", rerun.LineStrips3D(ahead.numpy(), colors=colours, radii=0.0006))
+        best, floor = found.pose.world_T_object, 0.0
+        stream.log("world/object", rerun.Transform3D(translation=best[:3, 3].numpy(), mat3x3=best[:3, :3].numpy()))
+        if self._geometry is not None:
+            points = self._geometry.surface_points.numpy()
+            stream.log("world/object/surface", rerun.Points3D(points, colors=_rgb(style.NLL), radii=0.001))
+            lines = [line for pose in poses[chosen[:20]] for line in object_outline(self._geometry, pose)]
+            stream.log("world/outlines", _lines(rerun, lines, floor, style.QUIET))
+        plane = found.pose.covariance[[0, 1, 5]][:, [0, 1, 5]] + 1e-12 * torch.eye(3, dtype=torch.float64)
+        nats = 0.5 * float(torch.logdet(2 * math.pi * math.e * plane))
+        for name, value in {"entropy/belief": nats, "right/belief": found.pose.probability}.items():
+            stream.log(f"curves/{name}", rerun.Scalars(value))
+
+    def _scene(self) -> None:
+        """What was sensed up to the last step, and where the tool went."""
+        rerun, stream, records, record = self._rerun, self._stream, self._records, self._records[-1]
+        seen = memory(records)
+        for name, (kind, colour) in _CLASSES.items():
+            points = seen.points[seen.of_class(kind)]
+            points = points[:: max(1, len(points) // _POINTS)]
+            stream.log(f"world/points/{name}", rerun.Points3D(points.numpy(), colors=_rgb(colour), radii=0.0012))
+        tool = record.reading.tool_pose
+        path = torch.cat([one.reading.tool_pose[:, :3, 3] for one in records]).numpy()
+        touched = torch.cat([one.reading.in_contact for one in records]).numpy()
+        stream.log("world/tool/path", rerun.LineStrips3D([path], colors=_rgb(style.PATH), radii=0.0008))
+        stream.log("world/contacts", rerun.Points3D(path[touched], colors=_rgb(style.CONTACT), radii=0.003))
+        if self._geometry is not None:
+            outline = placed(self._geometry.tool, tool[-1])
+            stream.log("world/tool/outline", _lines(rerun, outline, float(tool[-1, 2, 3]), style.TOOL))
+        known = {"nll/true": record.nll, "nll/expected": record.expected_nll, "fault/evidence": record.lost}
+        for name, value in known.items():
+            if value is not None and math.isfinite(value):
+                stream.log(f"curves/{name}", rerun.Scalars(value))
+        for remark in record.remarks:
+            stream.log("remarks", rerun.TextLog(f"{remark.name}: {json.dumps(plain(remark))}", level="WARN"))
+
+    def _plan(self, plan: Plan | None) -> None:
+        """The plan that was followed from the last step on, the information that it went for, and its numbers."""
+        if plan is None:
+            self._stream.log("world/plan", self._rerun.Clear(recursive=True))
+            self._stream.log("why", self._rerun.TextDocument("Nothing was planned any more."))
+            return
+        rerun, stream, tool = self._rerun, self._stream, self._records[-1].reading.tool_pose[-1]
+        ahead = plan.path
+        heights = ahead[:, 2:3] if ahead.shape[-1] == 4 else tool[2, 3].expand(len(ahead), 1)
+        way = torch.cat((ahead[:, :2], heights), -1).float().numpy()
+        stream.log("world/plan/path", rerun.LineStrips3D([way], colors=_rgb(style.EXPECTED), radii=0.0012))
+        if self._geometry is not None and "information" in plan.fields:
+            information = _information(rerun, self._geometry, plan.fields["information"])
+            stream.log("world/plan/information", information)
+        told = [f"- {name}: {value}" for name, value in (plan.info | {"skipped": plan.skipped}).items()]
+        stream.log("why", rerun.TextDocument("\n".join(["# The next action", *told]), media_type="text/markdown"))
+
+
 def write_recording(run: Run, estimates: Sequence[StepEstimate], path: Path) -> Path:
     """Write a run as a recording (.rrd), whole or not at all.
 
@@ -51,86 +154,21 @@ def write_recording(run: Run, estimates: Sequence[StepEstimate], path: Path) -> 
     rerun = optional("rerun", "The viewer")
     stream = rerun.RecordingStream("rumi", recording_id=str(run.folder))
     with whole_file(path) as aside:
-        stream.save(str(aside), default_blueprint=_blueprint())
+        stream.save(str(aside), default_blueprint=layout(run.geometry))
         known = {one.step: one for one in estimates}
-        stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for k, record in enumerate(run.steps):
-            stream.set_time("action", sequence=record.step)
-            if record.step in known:
-                _belief(rerun, stream, run, record, known[record.step])
-            if isinstance(record, StepRecord):
-                _scene(rerun, stream, run, k)
-        stream.flush()
-        stream.disconnect()
+        recording = ViewerRecording(stream, run.geometry)
+        for record in run.steps:
+            recording.add(record, known.get(record.step))
+        recording.end()
     return path
 
 
-def _belief(rerun: Any, stream: Any, run: Run, record: Any, found: StepEstimate) -> None:  # noqa: ANN401
-    """Particles by weight, the best pose, and what the curves show of them."""
-    poses, log_weights = record.poses
-    chosen = heaviest(log_weights, _PARTICLES)
-    some, share = poses[chosen].double(), (log_weights[chosen] - log_weights.max()).exp().double()
-    ahead = torch.stack((some[:, :3, 3], some[:, :3, 3] + _HEADING_M * some[:, :3, 0]), 1)
-    colours = [(11, 65, 139, int(40 + 215 * weight)) for weight in share.tolist()]
-    stream.log("world/particles", rerun.LineStrips3D(ahead.numpy(), colors=colours, radii=0.0006))
-    best, tool_z = found.pose.world_T_object, 0.0
-    stream.log("world/object", rerun.Transform3D(translation=best[:3, 3].numpy(), mat3x3=best[:3, :3].numpy()))
-    if run.geometry is not None:
-        points = run.geometry.surface_points.numpy()
-        stream.log("world/object/surface", rerun.Points3D(points, colors=_rgb(style.NLL), radii=0.001))
-        lines = [line for pose in poses[chosen[:20]] for line in object_outline(run.geometry, pose)]
-        stream.log("world/outlines", _lines(rerun, lines, tool_z, style.QUIET))
-    plane = found.pose.covariance[[0, 1, 5]][:, [0, 1, 5]] + 1e-12 * torch.eye(3, dtype=torch.float64)
-    nats = 0.5 * float(torch.logdet(2 * math.pi * math.e * plane))
-    values = {"entropy/belief": nats, "right/belief": found.pose.probability}
-    for name, value in values.items():
-        stream.log(f"curves/{name}", rerun.Scalars(value))
-
-
-def _scene(rerun: Any, stream: Any, run: Run, k: int) -> None:  # noqa: ANN401
-    """What was sensed up to a step, where the tool went, what was planned and why."""
-    records, record = run.steps[: k + 1], run.steps[k]
-    seen = memory(records)
-    for name, (kind, colour) in _CLASSES.items():
-        points = seen.points[seen.of_class(kind)]
-        points = points[:: max(1, len(points) // _POINTS)]
-        stream.log(f"world/points/{name}", rerun.Points3D(points.numpy(), colors=_rgb(colour), radii=0.0012))
-    tool = record.reading.tool_pose
-    path = torch.cat([one.reading.tool_pose[:, :3, 3] for one in records]).numpy()
-    touched = torch.cat([one.reading.in_contact for one in records]).numpy()
-    stream.log("world/tool/path", rerun.LineStrips3D([path], colors=_rgb(style.PATH), radii=0.0008))
-    stream.log("world/contacts", rerun.Points3D(path[touched], colors=_rgb(style.CONTACT), radii=0.003))
-    if run.geometry is not None:
-        outline = placed(run.geometry.tool, tool[-1])
-        stream.log("world/tool/outline", _lines(rerun, outline, float(tool[-1, 2, 3]), style.TOOL))
-    known = {"nll/true": record.nll, "nll/expected": record.expected_nll, "fault/evidence": record.lost}
-    for name, value in known.items():
-        if value is not None and math.isfinite(value):
-            stream.log(f"curves/{name}", rerun.Scalars(value))
-    for remark in record.remarks:
-        stream.log("remarks", rerun.TextLog(f"{remark.name}: {json.dumps(plain(remark))}", level="WARN"))
-    following = run.steps[k + 1].plan if k + 1 < len(run.steps) else None
-    if following is None:
-        stream.log("world/plan", rerun.Clear(recursive=True))
-        stream.log("why", rerun.TextDocument("Nothing was planned any more."))
-        return
-    ahead = following.path
-    heights = ahead[:, 2:3] if ahead.shape[-1] == 4 else tool[-1, 2, 3].expand(len(ahead), 1)
-    way = torch.cat((ahead[:, :2], heights), -1).float().numpy()
-    stream.log("world/plan/path", rerun.LineStrips3D([way], colors=_rgb(style.EXPECTED), radii=0.0012))
-    if run.geometry is not None and "information" in following.fields:
-        stream.log("world/plan/information", _information(rerun, run, following.fields["information"]))
-    told = [f"- {name}: {value}" for name, value in (following.info | {"skipped": following.skipped}).items()]
-    stream.log("why", rerun.TextDocument("\n".join(["# The next action", *told]), media_type="text/markdown"))
-
-
-def _information(rerun: Any, run: Run, field: Float[Tensor, "V"]) -> Any:  # noqa: ANN401
+def _information(rerun: Any, geometry: SceneGeometry, field: Float[Tensor, "V"]) -> Any:  # noqa: ANN401
     """The places of most information, the brighter the more."""
-    assert run.geometry is not None
     values = field.float() / field.float().max().clamp_min(1e-12)
     kept = values > _WORTH
     colours = [(224, 130, 20, int(255 * value)) for value in values[kept].tolist()]
-    return rerun.Points3D(run.geometry.workspace.points[kept].numpy(), colors=colours, radii=0.002)
+    return rerun.Points3D(geometry.workspace.points[kept].numpy(), colors=colours, radii=0.002)
 
 
 def _lines(rerun: Any, lines: list[np.ndarray], z: float, colour: str) -> Any:  # noqa: ANN401
@@ -140,14 +178,29 @@ def _lines(rerun: Any, lines: list[np.ndarray], z: float, colour: str) -> Any:  
     )
 
 
-def _blueprint() -> Any:  # noqa: ANN401
-    """Space at the left, a plot for each curve and words at the right."""
+def layout(geometry: SceneGeometry | None, following: bool = False) -> Any:  # noqa: ANN401
+    """The viewer's layout: space at the left, a plot for each curve and words at the right.
+
+    Args:
+        geometry: of the scene, at whose middle the view looks; None looks where the viewer likes.
+        following: show the newest step, as of a run that goes on, in place of the first.
+    """
     blueprint = optional("rerun.blueprint", "The viewer")
     plots = [blueprint.TimeSeriesView(origin=f"curves/{name}", name=f"{name}: {what}") for name, what in CURVES.items()]
     words = [blueprint.TextDocumentView(origin="why", name="why"), blueprint.TextLogView(origin="remarks")]
-    space = blueprint.Spatial3DView(origin="world", name="scene")
-    right = blueprint.Vertical(*plots, blueprint.Tabs(*words))
-    return blueprint.Blueprint(blueprint.Horizontal(space, right, column_shares=[3, 2]), collapse_panels=True)
+    eye = None
+    if geometry is not None:
+        places = geometry.workspace.points
+        middle, size = places.mean(0), float((places.amax(0) - places.amin(0)).norm())
+        place = middle + size * torch.tensor([-0.45, -0.45, 0.65])
+        eye = blueprint.EyeControls3D(position=place.tolist(), look_target=middle.tolist(), eye_up=(0, 0, 1))
+    space = blueprint.Spatial3DView(origin="world", name="scene", background=(255, 255, 255), eye_controls=eye)
+    right = blueprint.Vertical(*plots, blueprint.Tabs(*words, active_tab=0))
+    return blueprint.Blueprint(
+        blueprint.Horizontal(space, right, column_shares=[3, 2]),
+        blueprint.TimePanel(timeline="action", fps=2.0, play_state="following" if following else "paused"),
+        collapse_panels=True,
+    )
 
 
 def _rgb(colour: str) -> tuple[int, int, int]:

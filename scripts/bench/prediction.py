@@ -23,7 +23,7 @@ from rumi.fields.workspace import Workspace
 from rumi.planning.objective import gathering
 from rumi.records import StepRecord
 from rumi.robot.tool import Tool
-from scripts.reproduce.correlation import spearman
+from scripts.reproduce.correlation import rank_correlations
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.evidence import in_attached_frame
@@ -209,16 +209,14 @@ def run_spearman(
     if not runs:
         raise ValueError("Expected one or more runs, got none")
     pairs = [np.array(run, dtype=float).reshape(2, -1) for run in runs]
-
-    def over(chosen: Sequence[int] | np.ndarray) -> float:
-        first, second = np.concatenate([pairs[run] for run in chosen], axis=1)
-        return spearman(first, second)
-
-    random = np.random.default_rng(seed)
-    drawn = [over(random.integers(0, len(pairs), len(pairs))) for _ in range(resamples)]
-    known = [value for value in drawn if math.isfinite(value)]
+    first, second = np.concatenate(pairs, axis=1)
+    drawn = np.random.default_rng(seed).integers(0, len(pairs), (resamples, len(pairs)))
+    times = np.array([np.bincount(row, minlength=len(pairs)) for row in (*drawn, range(len(pairs)))])
+    times = times.repeat([pair.shape[1] for pair in pairs], axis=1).astype(float)
+    *found, middle = rank_correlations(first, second, times)
+    known = [value for value in found if math.isfinite(value)]
     low, high = np.quantile(known, [0.025, 0.975]) if known else (math.nan, math.nan)
-    return over(range(len(pairs))), float(low), float(high)
+    return float(middle), float(low), float(high)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from rumi.seeding import split
 from rumi.viz import style
 from rumi.viz.pushes import draw_push, scale_bar
 from scripts.bench.real_pushes import push_set
-from scripts.experiment import DOCS
+from scripts.experiment import FIGURES
 from scripts.real_pushes import prior_without
 
 SHOWN = ("abs rect3", "abs ellip2", "plywood tri1")
@@ -37,7 +37,7 @@ def draw() -> None:
                 draw_push(ax, belief, push, own.body)
             row[0].set_ylabel(name)
             scale_bar(row[0], 0.05)
-        figure.savefig(DOCS / "push_clouds.png", dpi=90)
+        figure.savefig(FIGURES / "push_clouds.png", dpi=90)
 
 
 if __name__ == "__main__":

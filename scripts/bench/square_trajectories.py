@@ -8,9 +8,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories, log_likelihood_of
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.trajectory_likelihood import log_likelihood_of
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.outline import GridOutline
 from rumi.dynamics.push_posterior import PushPosterior

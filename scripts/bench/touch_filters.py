@@ -178,7 +178,7 @@ def compare(
     runs: int = 1000,
     count: int = 100,
     exact_count: int = 0,
-    variants: tuple[Variant, ...] = ("binary", "smooth", "smooth+replay"),
+    variants: tuple[Variant, ...] = ("binary", "smooth", "smooth+newcomers", "smooth+replay"),
     seed: int = 0,
 ) -> dict[str, Any]:
     """Table II: means and 95 % intervals by variant, and differences between neighbours, paired over the runs.

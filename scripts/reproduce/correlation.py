@@ -17,11 +17,25 @@ def pearson(first: Values, second: Values) -> float:
 
 
 def spearman(first: Values, second: Values) -> float:
-    """Rank correlation in [-1, 1]: `pearson` of the ranks, of which equal values share the mean (needs scipy)."""
-    from scipy.stats import rankdata
-
+    """Rank correlation in [-1, 1]: `pearson` of the ranks, of which equal values share the mean."""
     a, b = _finite_pairs(first, second)
-    return pearson(rankdata(a), rankdata(b))
+    return float(rank_correlations(a, b, np.ones((1, a.size)))[0])
+
+
+def rank_correlations(first: np.ndarray, second: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Spearman's correlation of n pairs in B samples, in each of them `times` (B, n); NaN where one never changes."""
+    count = times.sum(1, keepdims=True)
+    centred = []
+    with np.errstate(invalid="ignore"):
+        for values in (first, second):
+            _, place = np.unique(values, return_inverse=True)
+            taken = np.zeros((place.max(initial=-1) + 1, len(times)))
+            np.add.at(taken, place, times.T)
+            ranks = (taken.cumsum(0) - (taken - 1) / 2)[place].T
+            centred.append(ranks - (times * ranks).sum(1, keepdims=True) / count)
+        x, y = centred
+        found = (times * x * y).sum(1) / np.sqrt((times * x**2).sum(1) * (times * y**2).sum(1))
+    return np.clip(found, -1.0, 1.0)
 
 
 def run_correlation(

@@ -1,7 +1,7 @@
 """Figures 5 and 15: the fields that are planned over at the first view, drawn side by side."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -46,9 +46,8 @@ class Field:
 def information_by_particles(task: str, seed: int, cache_dir: Path) -> list[Field]:
     """Figure 5: the information field of the first belief with different numbers of particles."""
     fields = []
-    for particles in PARTICLES:
-        settings = preset("default", task=task, seed=seed)
-        settings = replace(settings, initialise=replace(settings.initialise, particles=particles))
+    for particles, changes in PARTICLES.items():
+        settings = preset("default", task=task, seed=seed, **changes)
         first, rummager = _begin(settings, 0, cache_dir)
         points, belief = rummager.workspace.points, first.belief
         with torch.no_grad():
@@ -62,7 +61,9 @@ def information_by_particles(task: str, seed: int, cache_dir: Path) -> list[Fiel
                     settings.planner.information,
                 )
                 seconds = time.perf_counter() - begun
-        fields.append(_field(f"P = {particles}", found.information, points, seconds))
+        distinct = len(belief.world_T_object.flatten(1).unique(dim=0))
+        title = f"P = {particles}" + ("" if distinct == particles else f", {distinct} distinct")
+        fields.append(_field(title, found.information, points, seconds))
     return fields
 
 

@@ -10,7 +10,7 @@ from rumi.planning.registry import POLICIES
 from scripts.reproduce import allocation, paper, studies, tables
 from scripts.reproduce.cells import NOTHING, flags, rate, table
 from scripts.reproduce.experiments import EXPERIMENTS, Selection
-from scripts.reproduce.jobs import named
+from scripts.reproduce.jobs import Job, named
 from scripts.reproduce.records import Record, by_column, key_of
 
 
@@ -82,8 +82,22 @@ def reports(
             continue  # of all experiments, those that the file holds nothing of
         kind = _REPORTS[name]
         drawn, said = ([], ()) if figures is None else kind.draw(_Asked(name, selection, own, figures, cache_dir))
-        found.append(Report(name, kind.title, _text([*kind.text(own), *said]), tuple(drawn)))
+        text = [so_far(EXPERIMENTS[name](selection), own), *kind.text(own), *said]
+        found.append(Report(name, kind.title, _text(text), tuple(drawn)))
     return found
+
+
+def so_far(jobs: Sequence[Job], records: Sequence[Record]) -> str:
+    """How much of the work is done, by column, where not all of it is; empty where all is."""
+    done = {record.key for record in records}
+    columns: dict[str, list[bool]] = {}
+    for job in jobs:
+        columns.setdefault(job.column, []).append(key_of(job) in done)
+    if all(map(all, columns.values())):
+        return ""
+    parts = ", ".join(f"{name} {sum(own)} of {len(own)}" for name, own in columns.items())
+    every = [flag for own in columns.values() for flag in own]
+    return f"So far {sum(every)} of {len(every)} runs are done: {parts}.\n"
 
 
 def of_experiment(name: str, selection: Selection, records: Sequence[Record]) -> list[Record]:

@@ -22,7 +22,7 @@ FORMAT, SCHEMA = "rumi-log", 1
 
 _ABOUT = (
     "Sensor streams and readings as recorded. SI units: metres, radians, seconds, newtons; images in the units that "
-    "they say. a_T_b maps points of frame b to frame a. Stamps are ns since 1970. scripts/docs/logs.md says more."
+    "they say. a_T_b maps points of frame b to frame a. Stamps are ns since 1970. See scripts/docs/reference/files.md."
 )
 _FLUSH_BYTES = 1 << 20
 _END_BYTES = 1 << 16

@@ -2,11 +2,12 @@
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from sdf import se3
+from sdf import backend, compiled, se3
 from sdf.check import check_shape
 from sensors.observation import Observation, concatenate
 from sensors.semantics import Semantics
@@ -64,28 +65,56 @@ def swept_points(
     Returns:
         the points and the index of each among `body_points`.
     """
-    count, each = len(world_T_tool), len(body_points)
-    device = world_T_tool.device
     attached_T_tool = world_T_tool if attached_T_world is None else attached_T_world @ world_T_tool
     places = se3.apply(attached_T_tool, body_points)
     low = torch.floor(region[0] / spacing)
-    cells = torch.floor(places / spacing) - low
     shape = (torch.ceil(region[1] / spacing) - low).long().clamp_min(1)
+    if group is None:
+        group = torch.zeros(len(places), dtype=torch.long, device=places.device)
+    version = backend.dispatch("first_in_cells", places, low)
+    instant, index = version(places, spacing, low, shape, group)
+    return InstantPoints(_place(world_T_tool, body_points, instant, index), instant), index
+
+
+@backend.register("first_in_cells")
+def _first_in_cells(
+    places: Float[Tensor, "K n 3"],
+    spacing: float,
+    low: Float[Tensor, "3"],
+    shape: Int[Tensor, "3"],
+    group: Int[Tensor, "K"],
+) -> tuple[Int[Tensor, "M"], Int[Tensor, "M"]]:
+    """Instant and index of the first place in each cell of each group, in the order of instants, then of points."""
+    count, each = places.shape[:2]
+    cells = torch.floor(places / spacing) - low
     inside = ((cells >= 0) & (cells < shape)).all(-1)
     instant, index = inside.nonzero(as_tuple=True)
     x, y, z = cells[instant, index].long().unbind(-1)
-    key = (x * shape[1] + y) * shape[2] + z
-    groups = 1
-    if group is not None:
-        groups = int(group.max()) + 1 if count else 1
-        key = key + group[instant] * shape.prod()
+    key = (x * shape[1] + y) * shape[2] + z + group[instant] * shape.prod()
+    groups = int(group.max()) + 1 if count else 1
     # the order of `nonzero` is by instant, then by point: the least index of a cell is the first to come into it
-    order = torch.arange(len(key), device=device)
-    first = torch.full((int(shape.prod()) * groups,), count * each, dtype=torch.long, device=device)
+    order = torch.arange(len(key), device=places.device)
+    first = torch.full((int(shape.prod()) * groups,), count * each, dtype=torch.long, device=places.device)
     first.scatter_reduce_(0, key, order, "amin")
     chosen = first[first < count * each].sort().values
-    instant, index = instant[chosen], index[chosen]
-    return InstantPoints(_place(world_T_tool, body_points, instant, index), instant), index
+    return instant[chosen], index[chosen]
+
+
+@backend.register("first_in_cells", "numba", compiled.supports)
+def _first_in_cells_numba(
+    places: Tensor, spacing: float, low: Tensor, shape: Tensor, group: Tensor
+) -> tuple[Tensor, Tensor]:
+    """The same point by point, each cell marked as it is met."""
+    from sensors.touch.tactile_numba import first_in_cells
+
+    groups = int(group.max()) + 1 if len(group) else 1
+    flat = places.detach().contiguous().numpy()
+    pitch, start = places.new_tensor(spacing).numpy(), low.detach().to(places).numpy()
+    taken = np.zeros((groups, *shape.tolist()), np.bool_)
+    found, count = np.empty((2, flat.shape[0] * flat.shape[1]), np.int64), np.zeros(1, np.int64)
+    first_in_cells(flat, pitch[()], start, group.numpy(), taken, found, count)
+    instant, index = torch.from_numpy(found[:, : int(count[0])].copy())
+    return instant, index
 
 
 def tactile_observation(touched: InstantPoints, free: InstantPoints) -> tuple[Observation, Int[Tensor, "M"]]:

@@ -1,6 +1,6 @@
 """What learning code asks of every piece: slopes that are right, transforms, compilation; or a reason why not.
 
-The table of `scripts/docs/learning.md` is what the pieces say of themselves in `tests/fixtures/learning_pieces.py`.
+The table of `scripts/docs/how-to/learning.md` is what the pieces in `tests/fixtures/learning_pieces.py` say of it.
 """
 
 import subprocess
@@ -60,7 +60,7 @@ def test_compiled_to_code() -> None:
 
 
 def test_the_page_tells_what_cannot_be() -> None:
-    page = (ROOT / "scripts" / "docs" / "learning.md").read_text()
+    page = (ROOT / "scripts" / "docs" / "how-to" / "learning.md").read_text()
     for name, piece in PIECES.items():
         for of, reason in piece.cannot.items():
             assert f"| {name} | {of} | {reason} |" in page

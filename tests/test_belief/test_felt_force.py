@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from rumi.belief.felt_force import log_likelihood_of_forces
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.outline import GridOutline

@@ -10,10 +10,12 @@ import torch
 from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories, log_likelihood_of
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.segments import cut, felt_pads, standing
 from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.trajectory_likelihood import log_likelihood_of
 from rumi.belief.trajectory_moves import Moves
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import Pusher, push_along_path

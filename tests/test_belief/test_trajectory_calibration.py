@@ -9,8 +9,8 @@ import torch
 from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import PushedObject
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.metrics.calibration import rank_test
 from rumi.robot.gripper import GripperShape

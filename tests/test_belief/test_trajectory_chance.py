@@ -5,9 +5,10 @@ import math
 import pytest
 import torch
 
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories, log_likelihood_of
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.trajectory_chance import log_chance
 from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.trajectory_likelihood import log_likelihood_of
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 
 OWN = PoseTrajectorySettings()

@@ -1,12 +1,14 @@
 """Resting poses and toppling: a box by hand, and the compiled replay in space is the plain one."""
 
+import itertools
 import math
 
 import pytest
 import torch
 
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.prior import lying
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -122,6 +124,51 @@ def test_a_low_push_slides_a_high_one_leans_and_a_long_one_topples(toppled):
     assert not fell and int(flat.lying[0, 0]) == 0 and float(flat.planar[0, 0]) > 0.02
 
 
+def gone_over(toppled, rest, path, friction=0.5):
+    """States of an object at rest after each motion of a tool, along x at a height each: (x, z)."""
+    state = Leaning(torch.zeros(1, 3, **DOUBLE), torch.tensor([[rest, -1.0, 0.0]], **DOUBLE))
+    one, states = torch.ones(1, **DOUBLE), []
+    tools = torch.tensor([(x, 0.0, 0.0, z) for x, z in path], **DOUBLE)
+    for before, after in itertools.pairwise(tools):
+        body = Sliding(torch.zeros(1, 2, **DOUBLE), 0.05 * one, friction * one)
+        state = push_in_space(toppled.sdf, toppled.rests, toppled.tool, state, before, after, body, one).state
+        states.append(state)
+    return states
+
+
+def test_a_tool_that_goes_on_over_the_top_of_a_tall_box_tips_it_and_a_flat_one_stays(toppled):
+    # it rubs along the top, 22 mm below its middle, near the edge ahead
+    ends = {}
+    for rest, up in ((0, HALF[0]), (2, HALF[2])):
+        ends[rest] = gone_over(toppled, rest, [(0.003 * k, 2.0 * up + 0.0215) for k in range(8)])[-1]
+    assert float(ends[0].lying[0, 1]) < 0 and float(ends[0].planar.abs().max()) == 0
+    assert float(ends[2].lying[0, 1]) >= 0
+    assert float(ends[2].lying[0, 2]) == pytest.approx(7 * 0.003 / 0.21, rel=0.35)
+    slippery = gone_over(toppled, 2, [(0.003 * k, 2.0 * HALF[2] + 0.0215) for k in range(8)], friction=0.05)[-1]
+    assert float(slippery.lying[0, 1]) < 0
+
+
+def test_a_fall_begins_slowly_goes_on_without_the_tool_and_ends(toppled):
+    tip = float(toppled.rests.edges.tip_rad[2].min())
+    edge = int(toppled.rests.edges.tip_rad[2].argmin())
+    state = Leaning(torch.zeros(1, 3, **DOUBLE), torch.tensor([[2.0, float(edge), tip + 1e-3]], **DOUBLE))
+    away, one, tilts = torch.tensor([5.0, 0.0, 0.0, 0.1], **DOUBLE), torch.ones(1, **DOUBLE), []
+    body = Sliding(torch.zeros(1, 2, **DOUBLE), 0.05 * one, 0.5 * one)
+    for _ in range(12):
+        done = push_in_space(toppled.sdf, toppled.rests, toppled.tool, state, away, away, body, one)
+        state = done.state
+        if bool(done.fell):
+            break
+        tilts.append(float(state.lying[0, 2]) - tip)
+    assert bool(done.fell) and int(state.lying[0, 0]) == int(toppled.rests.edges.next[2, edge])
+    gained = [later - sooner for sooner, later in itertools.pairwise(tilts)]
+    assert gained == sorted(gained) and 3 <= len(tilts) <= 8
+    # of a thin rod: energy is kept
+    swings = 0.75 * 9.81 / math.hypot(0.03, 0.105)
+    time = 0.05 * len(tilts)
+    assert tilts[-1] == pytest.approx(0.5 / swings**0.5 * math.sinh(swings**0.5 * time), rel=0.1)
+
+
 def history(points=40) -> History:
     random, found = generator(0), History.empty(4)
     for height in (0.05, 0.11, 0.03):
@@ -152,7 +199,7 @@ def test_the_compiled_replay_in_space_is_the_plain_one(toppled):
             torch.testing.assert_close(again.poses, whole.poses, atol=0, rtol=0)
     one, other = found
     assert float((one.pose - start)[:, :2].norm(dim=-1).max()) > 0.01 and bool((one.poses[..., 4] >= 0).any())
-    torch.testing.assert_close(one.poses, other.poses, atol=1e-6, rtol=0)
+    torch.testing.assert_close(one.poses, other.poses, atol=1e-4, rtol=0)  # which of two points is deepest
     torch.testing.assert_close(one.log_likelihood, other.log_likelihood, atol=2e-3, rtol=2e-4)
 
 

@@ -87,6 +87,16 @@ def test_errors_by_hand():
     assert chance_error([0.5] * 4) == chance_error([0.5] * 4) > 0.1
 
 
+def test_beliefs_that_are_right_together_err_by_chance_as_one():
+    """Each looked at three times errs as each looked at once; taken for three by itself it would err less."""
+    p = [0.05 + 0.1 * (k % 10) for k in range(60)]
+    thrice = [value for value in p for _ in range(3)]
+    together = [k // 3 for k in range(len(thrice))]
+    assert chance_error(thrice, groups=together) == pytest.approx(chance_error(p), abs=1e-9)
+    assert chance_error(thrice, groups=range(len(thrice))) == chance_error(thrice) < 0.7 * chance_error(p)
+    assert chance_error([], groups=[]) == 0.0
+
+
 def test_ranks_by_hand():
     # ten of each of ten bins; then all in one bin, where chi-squared is 900 of 9 degrees
     even = [(k + 0.5) / 100 for k in range(100)]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from scripts.reproduce.correlation import pearson, run_correlation, spearman
+from scripts.reproduce.correlation import pearson, rank_correlations, run_correlation, spearman
 
 
 def test_pearson_by_hand():
@@ -27,7 +27,6 @@ def test_nothing_to_correlate():
 
 
 def test_spearman_sees_order_alone():
-    pytest.importorskip("scipy")
     x = np.array([0.1, 0.5, 2.0, 7.0])
     assert spearman(x, np.exp(x)) == pytest.approx(1.0)
     assert spearman(x, -(x**3)) == pytest.approx(-1.0)
@@ -35,6 +34,19 @@ def test_spearman_sees_order_alone():
     assert spearman([1, 2, 3, 4], [1, 3, 2, 4]) == pytest.approx(1 - 6 * 2 / (4 * 15))
     # equal values share the mean of their ranks, (5, 2, 4, 2, 2)
     assert spearman([30, 10, 20, 10, 10], [5, 2, 4, 2, 2]) == pytest.approx(1.0)
+
+
+def test_ranks_of_samples_are_those_of_the_values_written_out():
+    rankdata = pytest.importorskip("scipy.stats").rankdata
+    random = np.random.default_rng(0)
+    first, second = random.integers(0, 9, (2, 30)).astype(float)
+    times = random.integers(0, 4, (20, 30))
+    found = rank_correlations(first, second, times)
+    for row, value in zip(times, found, strict=True):
+        assert value == pytest.approx(pearson(*(rankdata(np.repeat(x, row)) for x in (first, second))))
+        assert value == pytest.approx(spearman(np.repeat(first, row), np.repeat(second, row)))
+    assert np.isnan(rank_correlations(first, second, np.eye(30)[:3])).all()
+    assert math.isnan(spearman([], [])) and math.isnan(spearman([1, 1], [1, 2]))
 
 
 def test_runs_are_pooled_and_drawn_whole():

@@ -10,6 +10,7 @@ from rumi.robot.gripper import GripperShape
 from rumi.robot.reach import Reach, SpatialReach
 from rumi.robot.reach_table import ReachSettings, ReachTable, table_shape
 from rumi.robot.tool import Tool
+from rumi.robot.tool_guess import guessed_steps
 from sdf import backend, se3
 
 BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)
@@ -351,3 +352,17 @@ def test_in_space_it_slides_along_the_limit_and_rises_no_farther_than_it_reaches
     assert float(up[2] - now[2]) < 0.02 and radius > 1.04
     back, _ = flying.free_step(now, torch.tensor([-1.0, 0.0, 1.0, 0.0], dtype=torch.float64))
     assert float(back[2] - now[2]) == pytest.approx(0.08)
+
+
+@pytest.mark.parametrize("name", ["tool", "flying"])
+def test_steps_along_the_limit_are_guessed_to_the_bit(name, request, generator):
+    """So that a path is worked out by two or three calls, however many of its steps the arm cuts short."""
+    tool = request.getfixturevalue(name)
+    start = torch.tensor([0.3, 0.1, 0.1, 0.2] if tool.spatial else [0.3, 0.1, 0.2], dtype=torch.float64)
+    control = torch.rand(1, len(start), generator=generator, dtype=torch.float64) * 0.4 - 0.2
+    control[0, 0] = 20.0
+    limit = tool.free_path(start, control, 20)[-1]
+    steps = (control * (tool.scale / 20)).expand(20, -1)
+    ends = guessed_steps(tool.arm_arrays(), limit, steps)
+    torch.testing.assert_close(ends, tool.free_path(limit, control, 20), rtol=0, atol=0)
+    assert bool((ends != limit + steps.cumsum(0)).any(-1).all())

@@ -5,7 +5,7 @@ import pytest
 from scripts.reproduce import cells, studies, tables
 from scripts.reproduce.experiments import Selection
 from scripts.reproduce.intervals import wilson
-from scripts.reproduce.reports import of_experiment
+from scripts.reproduce.reports import of_experiment, so_far
 
 
 def rows_of(text):
@@ -103,6 +103,13 @@ def test_experiments_take_the_runs_they_are_about(runs, made):
     assert len(of_experiment("table5", Selection(methods=("rumi",), tasks=("mug-1",), seeds=(0, 1)), every)) == 2
     particles = of_experiment("fig5", Selection(tasks=("mug-0",), seeds=(0,)), every)
     assert [run.overrides for run in particles] == [("initialise.particles=30",), ()]
+
+
+def test_work_that_is_not_all_done_is_counted(runs):
+    jobs = Selection(tasks=("mug-0",), methods=("rumi",), presets=("default",), seeds=(0, 1)).runs((), ())
+    assert so_far(jobs, runs) == ""
+    more = [*jobs, *Selection(tasks=("mug-0",), methods=("slide",), presets=("paper",), seeds=(0, 1)).runs((), ())]
+    assert so_far(more, runs).startswith("So far 2 of 4 runs are done: rumi/default 2 of 2, slide/paper 0 of 2.")
 
 
 def test_nothing_gives_no_table():

@@ -10,6 +10,7 @@ from rumi.rosbag.readings import make_readings
 from rumi.rosbag.torques import JointTrack
 from sensors.log.reader import Log
 from sensors.log.writer import LogWriter, StreamSpec
+from sensors.reading import FORCE
 
 SECOND = 10**9
 START = 1_700_000_000 * SECOND
@@ -156,3 +157,13 @@ def test_a_row_of_joints_of_another_length_is_left_out(tmp_path):
         track = JointTrack(log.stream("joints"))
     assert track.tables["position"][:, 0].tolist() == [0.0, 1.0, 3.0, 4.0]
     assert track.problems == ["stream joints: 1 of 5 rows are not of its 2 joints, left out"]
+
+
+def test_the_force_of_a_wrench_comes_along_without_its_bias(tmp_path):
+    """The mean of all rows on the way to each instant: one without a force and two with; NaN where there is none."""
+    extra = [("wrench", START + round(at * SECOND) + 7, push(3.0 + force)) for at, force in ((1.0, 2.0), (1.001, 4.0))]
+    made = made_of(written(tmp_path / "log.h5", extra))
+    found = torch.cat([own.reading.measurements[FORCE] for own in made.taken[1:]])
+    felt = found.nan_to_num().abs() > 1e-4
+    assert found.shape[1] == 3 and int(felt.sum()) == 1
+    assert float(found[felt]) == pytest.approx(2.0, abs=1e-4)

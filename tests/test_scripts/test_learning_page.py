@@ -8,7 +8,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_code_of_the_page() -> None:
-    blocks = (ROOT / "scripts" / "docs" / "learning.md").read_text().split("```python\n")[1:]
+    blocks = (ROOT / "scripts" / "docs" / "how-to" / "learning.md").read_text().split("```python\n")[1:]
     code = "\n".join(block.split("```")[0] for block in blocks)
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     shown = done.stdout.splitlines()

@@ -10,7 +10,7 @@ from sdf.primitives import Mug
 for package in ("trimesh", "scipy", "networkx"):
     pytest.importorskip(package)
 
-PAGE = Path(__file__).resolve().parents[2] / "scripts" / "docs" / "own-object.md"
+PAGE = Path(__file__).resolve().parents[2] / "scripts" / "docs" / "how-to" / "own-object.md"
 
 
 @pytest.mark.sim

@@ -34,8 +34,8 @@ def test_the_tables_tell_right_from_sure_and_wrong():
         },
     ]
     said = tables(lines)
-    assert "| trajectory | P(right) >= .95 | 2 | 1 | 1 | 0 | 1.5 |" in said
-    assert "| trajectory | P(right) >= .98 | 2 | 1 | 0 | 2 |" in said
+    assert "| trajectory | P(right) >= .95 | 2 | 1 | 1 | 0 | 0.970 | 1.5 |" in said
+    assert "| trajectory | P(right) >= .98 | 2 | 1 | 0 | 2 | nan |" in said
     assert "| corrected | as it is | 1 | 0 | 0 | 1 |" in said
     assert "| corrected | 1 | 0.00 | 0.00 | 0.00 | 0.00 |" in said
     assert "| 0.480 (" in said  # 0.5 is right in one of one, 0.97 in one of two: (0.5 + 0.94) / 3

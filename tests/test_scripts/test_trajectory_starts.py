@@ -2,7 +2,7 @@
 
 import torch
 
-from rumi.belief.pose_trajectories import PushedObject
+from rumi.belief.pushed_object import PushedObject
 from rumi.robot.gripper import GripperShape
 from scripts.trajectory_starts import tables, two_sides
 from sdf.primitives import Cylinder

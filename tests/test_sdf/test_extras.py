@@ -42,7 +42,7 @@ def test_what_may_be_missing_is_imported_when_it_is_needed_and_brought_by_an_ext
 
 def test_extras_are_those_of_the_project():
     extras = PROJECT["optional-dependencies"]
-    assert set(EXTRAS) == set(extras) - {"all", "dev"}
+    assert set(EXTRAS) == set(extras) - {"all", "dev", "docs"}
     (everything,) = extras["all"]
     assert set(everything.split("[")[1].rstrip("]").split(",")) == {
         *("sim", "robot", "plot", "mesh", "vision", "logs", "serve")

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from sdf import se3
+from sdf import backend, se3
 from sensors.semantics import Semantics
 from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
 
@@ -45,15 +45,17 @@ def test_nothing_touched():
     assert found.points.shape == (0, 3) and found.instant.shape == (0,)
 
 
+@pytest.mark.parametrize("version", backend.versions("first_in_cells"))
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("grouped", [False, True])
-def test_swept_points_against_a_loop(moving, grouped):
+def test_swept_points_against_a_loop(moving, grouped, version):
     world_T_tool, points = poses(6), body()
     attached_T_world = se3.inverse(poses(6, seed=3)) @ poses(1, seed=3)[0] if moving else None
     group = torch.tensor([0, 0, 1, 2, 2, 2]) if grouped else None
-    found, index = swept_points(
-        world_T_tool, points, 0.01, attached_T_world=attached_T_world, group=group, region=REGION
-    )
+    with backend.force(version):
+        found, index = swept_points(
+            world_T_tool, points, 0.01, attached_T_world=attached_T_world, group=group, region=REGION
+        )
     seen, expected = set(), []
     for k in range(6):
         for i, point in enumerate(points):
@@ -73,6 +75,20 @@ def test_swept_points_against_a_loop(moving, grouped):
     assert [(k, i) for k, i, _ in expected] == list(zip(found.instant.tolist(), index.tolist(), strict=True))
     torch.testing.assert_close(found.points, torch.stack([w for _, _, w in expected]))
     assert len(expected) > 20
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_swept_points_of_both_versions_are_equal_also_on_the_borders_of_cells(dtype):
+    """Points on the lattice fall to the side to which a division in their own precision rounds them."""
+    world_T_tool, points = se3.identity((2,), dtype=dtype), (body(400) / 0.005).round().to(dtype) * 0.005
+    points[0] = math.nan
+    region = torch.tensor([[-0.02, -0.02, -0.02], [0.02, 0.02, 0.02]], dtype=dtype)
+    found = []
+    for version in backend.versions("first_in_cells"):
+        with backend.force(version):
+            found.append(swept_points(world_T_tool, points, 0.005, region=region)[1])
+    assert len(found[0]) > 50
+    torch.testing.assert_close(found[1], found[0], rtol=0, atol=0)
 
 
 def test_standing_still_adds_nothing():

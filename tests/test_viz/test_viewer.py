@@ -1,12 +1,16 @@
+import os
+import sys
+
 import pytest
 
 from rumi.cli import main
 from rumi.commands import view as command
 from rumi.runs.folder import RunRecorder
+from rumi.viz import live
 from rumi.viz.viewer import CURVES
 from tests.fixtures.made_up_run import make_up
 
-pytest.importorskip("rerun")
+rerun = pytest.importorskip("rerun")
 
 
 @pytest.fixture
@@ -40,3 +44,58 @@ def test_a_log_is_no_run(tmp_path, capsys):
     log.touch()
     assert main(["view", str(log)]) == 2
     assert "`rumi replay" in capsys.readouterr().err
+
+
+def test_a_fresh_recording_is_not_written_again(folder, monkeypatch):
+    assert main(["view", str(folder), "--headless"]) == 0
+    monkeypatch.setattr(command, "write", lambda *_: pytest.fail("written again"))
+    assert main(["view", str(folder), "--headless"]) == 0
+    later = (folder / "run.rrd").stat().st_mtime + 1
+    os.utime(folder / "trace.npz", (later, later))  # the run went on
+    assert not command.is_fresh(folder / "run.rrd", folder)
+
+
+class Process:
+    """A viewer that listens to nobody."""
+
+    def __init__(self, words, **more):
+        self.words, self.ended = words, False
+
+    def terminate(self):
+        self.ended = True
+
+    def wait(self):
+        assert self.ended
+
+
+@pytest.mark.parametrize("display", [False, True])
+def test_a_live_view_shows_what_a_recording_holds(display, tmp_path, monkeypatch, capsys):
+    made, opened = make_up(5, particles=10), []
+    monkeypatch.setattr(live, "has_display", lambda: display)
+    monkeypatch.setattr(live.subprocess, "Popen", lambda *words, **more: opened.append(Process(*words)) or opened[0])
+    stream = rerun.RecordingStream
+    to_file = lambda self, url, default_blueprint: stream.save(self, tmp_path / "run.rrd", default_blueprint)  # noqa: E731
+    monkeypatch.setattr(stream, "connect_grpc", to_file)
+    with live.LiveView("run", made.geometry, lambda steps: steps[-1].belief.summary()) as view:
+        for step in made.steps:
+            view(step)
+    data = (tmp_path / "run.rrd").read_bytes()
+    for entity in (
+        "world/particles",
+        "world/contacts",
+        "world/plan/path",
+        "why",
+        *(f"curves/{name}" for name in CURVES),
+    ):
+        assert entity.encode() in data, entity
+    words = opened[0].words
+    assert words[words.index("--bind") + 1] == "127.0.0.1"
+    assert ("--serve-web" in words, opened[0].ended, "http://127.0.0.1:" in capsys.readouterr().err) == (
+        not display,
+    ) * 3
+
+
+def test_a_run_without_the_viewer_says_what_to_install(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert main(["run", "mug-0", "--view", "--no-figures", "--out", str(tmp_path / "run")]) == 2
+    assert "[view]" in capsys.readouterr().err and not (tmp_path / "run").exists()

@@ -8,8 +8,9 @@ from torch import Tensor
 
 from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PushedObject, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.bench.case import Case, Setup, case

@@ -31,14 +31,14 @@ from rumi.task import StepResult
 from rumi.tasks.rummage.answer import relies_on, warnings
 from rumi.tasks.rummage.evaluation import evaluate_step, summarise
 from rumi.tasks.rummage.learnt_pushes import learnt_pushes
-from rumi.tasks.rummage.lost import SLIDES, Watch, searched_again, sensed_now, unseated, watch
+from rumi.tasks.rummage.lost import SLIDES, Watch, searched_again, sensed_now, told, unseated, watch
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, merge
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 
 _PADS_M = 0.004  # between the points of the pads by which remarks tell where they feel
-_STREAMS = ("initialise", "filter", "plan", "renewal", "warm_up", "lost", "pushes")  # of random numbers, by use
+_STREAMS = ("initialise", "filter", "plan", "renewal", "warm_up", "lost", "faults", "pushes")  # of random, by use
 _TOLD = ("measured", "corrected", "estimated")  # motions that tell of the push, not of the push model
 _PARTS = 8  # of an action, in which its free path is worked out again
 
@@ -138,7 +138,7 @@ class Rummager:
 
         Where the object may have tipped, and nothing but touches tell, there is nothing to do about it.
         """
-        if state.record.converged and state.watch.doubt(self.misfit) is None:
+        if state.record.converged and state.watch.doubt() is None:
             return "sure"
         if state.record.converged and state.watch.unseated == "tips":
             return "nothing to do"
@@ -186,17 +186,21 @@ class Rummager:
             said = {remark.name for step in state.history for remark in step.remarks}
             odd = self._odd(state, control, record, said)
             record = replace(record, remarks=tuple(remark for remark in odd if remark.name not in said))
-            now, nats, alarm = watch(state.watch, last.belief, record, self.filter, self.model, self.misfit)
+            now, alarm = watch(
+                state.watch, last, record, self.filter, self.model, self.misfit, generator=random["faults"]
+            )
             unknown = result.reading.object_motion is None and not self.looks_again
             if self.upright and unknown and self.filter.settings.motion in SLIDES and self.misfit.alpha > 0:
                 now = replace(now, unseated=unseated(state.watch.unseated, odd, touched))
-            record = replace(record, lost=nats, remarks=(*record.remarks, *filter(None, (alarm,))))
+            record = told(record, now, alarm)
         if alarm is not None and not now.lost:
             with clock("belief"):
-                belief, memory = searched_again(record, memory, self.filter, self.misfit, generator=random["lost"])
+                belief, memory = searched_again(
+                    last, record, memory, self.filter, self.misfit, now.named, generator=random["lost"]
+                )
             again = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
             timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}
-            record = replace(again, lost=record.lost, remarks=record.remarks, timings_s=record.timings_s | timings)
+            record = replace(told(again, now), remarks=record.remarks, timings_s=record.timings_s | timings)
         history, pushes = (*state.history, record), state.pushes
         if self.pushes is not None and touched and self.filter.settings.motion in _TOLD:
             with clock("pushes"):
@@ -254,8 +258,9 @@ class Rummager:
 
     def result(self, state: RummageState, stopped_by: StopReason, outcome: object) -> RunResult:
         """How the run ended."""
-        doubt = state.watch.doubt(self.misfit)
-        return replace(summarise(self, state.history, stopped_by, doubt), lost=state.watch.lost)
+        doubt = state.watch.doubt()
+        ended = summarise(self, state.history, stopped_by, doubt)
+        return replace(ended, lost=state.watch.lost, explanations=dict(state.watch.explanations))
 
     @property
     def relies_on(self) -> str:

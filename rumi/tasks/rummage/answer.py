@@ -33,7 +33,7 @@ _RECORD: dict[Motion, str] = {
     "corrected": ": 16 of 30 drawn mugs on record did",
     "trajectory": ": 2 of 100 drawn mugs on record did, 6 of 36 other objects",
 }
-"""What such runs came to; scripts/docs/push_models.md, mugs without a slip sensor."""
+"""What such runs came to; scripts/docs/results/push_models.md, mugs without a slip sensor."""
 
 _ENDED: dict[StopReason, str] = {
     "steps": "all actions are used up",
@@ -81,7 +81,7 @@ def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[st
     if motion != "measured":
         return (
             f"the object's motion is not measured, but {_TAKEN[motion]}, and no camera looks again: the belief may end "
-            f"sure and wrong{_RECORD.get(motion, '')} (scripts/docs/push_models.md)",
+            f"sure and wrong{_RECORD.get(motion, '')} (scripts/docs/results/push_models.md)",
         )
     missing = [str(record.step) for record in history[1:] if record.reading.object_motion is None]
     if not missing:
@@ -89,7 +89,7 @@ def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[st
     plural = "s" if len(missing) > 1 else ""
     return (
         f"the object's motion was not measured in action{plural} {', '.join(missing)}, and no camera looks again: the "
-        "belief may end sure and wrong (scripts/docs/push_models.md)",
+        "belief may end sure and wrong (scripts/docs/results/push_models.md)",
     )
 
 

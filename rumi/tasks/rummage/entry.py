@@ -60,7 +60,9 @@ class RummageTask:
                 f"Expected steps to be at most the {self.spec.steps} of {self.spec.name}, got {settings.steps}"
             )
         sensors = settings.simulator.sensors
-        if sensors.kind == "points" and sensors != SensorSettings(further=sensors.further):
+        if sensors.kind == "points" and sensors != SensorSettings(
+            further=sensors.further, wrist_force=sensors.wrist_force, wrist_noise_n=sensors.wrist_noise_n
+        ):
             raise UsageError(
                 "Expected --simulator.sensors.kind camera, bubbles or both with other settings of the sensors, "
                 "got points"

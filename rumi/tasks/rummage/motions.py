@@ -5,9 +5,9 @@ from typing import cast
 
 from rumi.belief.motion import PushedMotion
 from rumi.belief.pose_filter import FilterSettings
-from rumi.belief.pose_trajectories import PushedObject
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
+from rumi.belief.pushed_object import PushedObject
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.dynamics.push_posterior import PushPosterior, push_posterior
@@ -125,6 +125,13 @@ def push_posterior_of(planner: PushSettings) -> PushPosterior | None:
 def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
     push_posterior_of(settings.planner)  # a file that is none is told before anything is done
+    if settings.simulator.sensors.wrist_force and not (
+        is_planar(spec) and followed(spec, settings.filter).motion == "trajectory"
+    ):
+        raise UsageError(
+            "Expected --filter.motion trajectory, an upright object and a level tool with "
+            "--simulator.sensors.wrist-force: nothing else takes in a force"
+        )
     if settings.filter.motion == "trajectory":
         check_trajectory(settings)
         if is_planar(spec) and spec.prior is not None:

@@ -151,7 +151,7 @@ def _default() -> Settings:
 def _fast() -> Settings:
     """A quarter of the starts, a third of the polished poses and a quarter of the rollouts that `default` has.
 
-    What that gives up, `scripts/docs/choosing.md` says with figures.
+    What that gives up, `scripts/docs/how-to/choosing.md` says with figures.
     """
     planner = RummagingSettings()
     return Settings(
@@ -162,16 +162,17 @@ def _fast() -> Settings:
 
 
 def _paper() -> Settings:
-    """Table IV and the text around it, also where the default has reasons to differ.
+    """Table IV and the text around it, also where the default has reasons to differ; two of its numbers are read.
 
-    Not the paper's rule to stop, which holds at the first view of a mug: its runs are counted over all actions. What
-    the text leaves open (`scripts/docs/tasks.md`) is read as it is printed: ten steps of Adam, a discrepancy in metres.
+    N_o = 10 counts rounds of fifty steps of Adam, and the discrepancy that lambda = 2 weighs particles by is in
+    millimetres: `scripts/docs/reference/tasks.md` says why, and what each reading does. Not the paper's rule to
+    stop, which holds at the first view of a mug: its runs are counted over all actions.
     """
     return Settings(
         preset="paper",
         replan_every=3,
         filter=FilterSettings(
-            peakiness=2.0,
+            peakiness=2.0e3,
             free_scale=10.0,
             tolerance_m=0.0,
             free_spacing_m=0.010,
@@ -183,7 +184,7 @@ def _paper() -> Settings:
             trigger_percentile=1.0,
             weigh_before_resampling=False,
             lies_flat=False,
-            descent=DescentSettings(method="adam", iterations=10),
+            descent=DescentSettings(method="adam", iterations=50, rounds=10, margin_m=0.03),
         ),
         renewal=ReinitialiseSettings.never(),
         planner=RummagingSettings.paper(),

@@ -12,6 +12,7 @@ from rumi.robot.gripper import gripper_links
 from rumi.sim.force_sensing_world import ForceSensingWorld
 from rumi.sim.joint_torques import JointFeeler, JointSettings, LevelKinematics
 from rumi.sim.world import World
+from rumi.sim.wrist_force import wrist_force
 from rumi.tasks.handle.settings import HandleSettings, task_of
 from rumi.tasks.handle.simulated import HandleTask, _soon
 from sdf import se3
@@ -248,3 +249,17 @@ def test_sensors_without_noise_tell_the_truth(mug, tool):
     contact, _ = task.wrist_contacts(task.world.trace)
     again, _ = task.wrist_contacts(task.world.trace)
     assert torch.equal(contact.point_s, again.point_s), "no noise is drawn"
+
+
+def test_a_wrist_reports_the_mean_force_of_each_mini_step(body, tool):
+    """Of equal steps of the physics the means add up to the whole; noise has the deviation that is asked for."""
+    world = world_before(body, tool)
+    push(world)
+    whole = world.trace.wrench[:, :3]
+    counts = np.diff(np.concatenate(([-1], world.trace.ends)))
+    random = torch.Generator().manual_seed(0)
+    exact = wrist_force(world.trace, 0.0, random)
+    assert exact.shape == (20, 3) and counts.sum() == len(whole)
+    np.testing.assert_allclose(counts @ exact.double().numpy(), whole.sum(0), rtol=1e-4, atol=1e-3)
+    off = torch.stack([wrist_force(world.trace, 0.5, random) - exact for _ in range(200)])
+    assert abs(float(off.std()) - 0.5) < 0.01 and float(off.mean().abs()) < 0.02

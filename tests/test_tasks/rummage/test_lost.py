@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.belief.misfit import MisfitSettings
+from rumi.belief.misfit import MISFITS, MisfitSettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.remarks import Remark
 from rumi.tasks.rummage.entry import ENTRIES, describe, ending
-from rumi.tasks.rummage.lost import Watch, searched_again, unseated, watch
+from rumi.tasks.rummage.lost import Watch, searched_again, told, unseated, watch
 from sdf import se3
 from sdf.object_model import box_model
 from sensors.discrepancy import Discrepancy
@@ -50,10 +50,10 @@ def step(model, number, felt_at, free_at=None, spread=1e-3):
 
 
 def followed(model, pose_filter, steps, own=OWN):
-    now, found = Watch(), []
+    now, found, generator = Watch(), [], torch.Generator().manual_seed(0)
     for record in steps:
-        now, nats, remark = watch(now, record.belief, record, pose_filter, model, own)
-        found.append((now, nats, remark))
+        now, remark = watch(now, record, record, pose_filter, model, own, generator=generator)
+        found.append((now, now.nats, remark))
     return found
 
 
@@ -71,6 +71,26 @@ def test_a_surface_off_twice_is_a_knock_and_is_dated(model, pose_filter):
     assert "since about action 6" in remark.sentence
     now = found[remark.step - 1][0]
     assert now.evidence is None and now.begun == remark.step and not now.lost
+
+
+def test_what_is_told_of_a_step_is_the_reading_s_p_value_and_the_chance_of_each_fault(model, pose_filter):
+    steps = [step(model, number, 0.0 if number < 3 else -0.03) for number in range(1, 4)]
+    (*_, fits), (now, _, alarm) = (found for found in followed(model, pose_filter, steps)[1:])
+    assert fits is None
+    record = told(steps[2], now, alarm)
+    assert record.p_value < 0.05 and record.remarks[-1] is alarm
+    assert record.explanations.keys() == {"no fault", *MISFITS} and now.named == "knocked"
+    assert sum(record.explanations.values()) == pytest.approx(1.0)
+    assert record.explanations["knocked"] > 0.5
+    quiet = followed(model, pose_filter, steps[:2])[-1][0]
+    assert quiet.p_value == 1.0 and quiet.explanations["no fault"] > 0.8
+
+
+def test_of_a_touch_that_was_none_the_belief_before_goes_on(model, pose_filter):
+    before, record = step(model, 2, 0.0), step(model, 3, -0.3, spread=2e-3)
+    generator = torch.Generator().manual_seed(0)
+    belief, _ = searched_again(before, record, record.added, pose_filter, OWN, "false contacts", generator=generator)
+    assert belief is before.belief
 
 
 def test_an_absent_object_leaves_the_run_lost(model, pose_filter):
@@ -91,11 +111,11 @@ def test_without_recovery_an_alarm_leaves_the_run_lost_and_0_never_asks(model, p
 def test_a_reading_that_speaks_for_a_fault_is_no_time_to_be_sure(model, pose_filter):
     own = replace(OWN, alpha=1e-6)  # no alarm yet
     silent = [step(model, number, None) for number in range(20)]
-    assert all(now.doubt(OWN) is None for now, _, _ in followed(model, pose_filter, silent))
+    assert all(now.doubt() is None for now, _, _ in followed(model, pose_filter, silent))
     steps = [step(model, 1, 0.0), step(model, 2, -0.03), *(step(model, number, 0.0) for number in range(3, 12))]
-    doubts = [now.doubt(own) is not None for now, _, _ in followed(model, pose_filter, steps, own)]
+    doubts = [now.doubt() is not None for now, _, _ in followed(model, pose_filter, steps, own)]
     assert doubts[:2] == [False, True] and not doubts[-1]
-    assert Watch().doubt(own) is None
+    assert Watch().doubt() is None
 
 
 def test_what_may_have_tipped_is_doubted_and_odd_heights_until_a_touch_says_otherwise():
@@ -105,12 +125,13 @@ def test_what_may_have_tipped_is_doubted_and_odd_heights_until_a_touch_says_othe
     assert unseated("other height", (), False) == "other height"
     assert unseated("other height", (resists,), True) is None
     assert unseated("tips", (resists,), True) == "tips"
-    assert "'tips' was remarked" in (Watch(unseated="tips").doubt(OWN) or "")
+    assert "'tips' was remarked" in (Watch(unseated="tips").doubt() or "")
 
 
 def test_a_search_finds_the_object_by_the_reading_alone(model, pose_filter):
     record = step(model, 3, -0.03)
-    belief, memory = searched_again(record, record.added, pose_filter, OWN, generator=torch.Generator().manual_seed(0))
+    generator = torch.Generator().manual_seed(0)
+    belief, memory = searched_again(record, record, record.added, pose_filter, OWN, "knocked", generator=generator)
     assert belief.log_weights.shape == record.belief.log_weights.shape
     assert len(memory.points[memory.valid]) == 3
     felt = face(model, -0.03)

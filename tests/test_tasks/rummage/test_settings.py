@@ -85,11 +85,12 @@ def test_what_a_recorded_run_adds_is_no_setting():
 
 def test_paper_preset_is_table_iv():
     paper = preset("paper")
-    assert (paper.initialise.particles, paper.filter.peakiness, paper.filter.trigger) == (100, 2.0, 5.0)
+    assert (paper.initialise.particles, paper.filter.peakiness, paper.filter.trigger) == (100, 2000.0, 5.0)
     filter_ = paper.filter
     assert (filter_.free_scale, filter_.free_spacing_m, filter_.surface_spacing_m) == (10.0, 0.010, 0.002)
     assert (paper.filter.translation_noise_m, paper.filter.rotation_noise_rad) == (0.010, 0.0)
-    assert (paper.filter.descent.method, paper.filter.descent.iterations) == ("adam", 10)
+    descent = paper.filter.descent
+    assert (descent.method, descent.iterations, descent.rounds) == ("adam", 50, 10)
     assert (paper.planner.mppi.horizon, paper.planner.mppi.samples, paper.planner.mppi.temperature) == (15, 500, 0.01)
     assert (paper.planner.information_scale, paper.planner.reachability_scale) == (1.0, 200.0)
     planner, mppi, information = paper.planner, paper.planner.mppi, paper.planner.information

@@ -1,0 +1,199 @@
+"""Upright object that a level tool pushes, as trajectories need it: quasi-static steps with noise of their own."""
+
+import functools
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from rumi.belief.felt_force import log_likelihood_of_forces
+from rumi.belief.pose_trajectories import Trajectories
+from rumi.belief.trajectory_history import History, arrays_of
+from rumi.belief.trajectory_likelihood import replay_plain, tables
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.along_path import Pusher, push_along_path, unwrapped
+from rumi.dynamics.outline import GridOutline, support_of
+from rumi.dynamics.sliding import Sliding, push, rotated
+from rumi.robot.tool_shape import ToolShape
+from sdf import backend, compiled, se3
+from sdf.base import SDF
+
+_GROUP = 8  # points of the tool's border that the compiled version leaves out together
+
+
+@dataclass(frozen=True, eq=False)
+class PushedObject:
+    """Upright object and level tool, as trajectories need them; float64.
+
+    Attributes:
+        sdf: of the object.
+        resting_m: height of its origin above the floor.
+        outline: of the object at the tool's height.
+        centre: (2,), below the centre of mass, object frame.
+        spread_m: mean distance of what rests on the floor from there.
+        tool: (n, 2), points of the tool's border, tool frame.
+        pads: (m, 3), points of its pads, tool frame.
+        height_m: of the tool above the floor.
+        wide: how much wider than the settings have it the noise of its motion is.
+        replay: name of the versions that replay its trajectories.
+    """
+
+    sdf: SDF
+    resting_m: float
+    outline: GridOutline
+    centre: Float[Tensor, "2"]
+    spread_m: float
+    tool: Float[Tensor, "n 2"]
+    pads: Float[Tensor, "m 3"]
+    height_m: float
+    wide: float = 1.0
+    replay: str = "replay_trajectories"
+
+    @classmethod
+    def of(
+        cls, sdf: SDF, shape: ToolShape, *, height_m: float, resting_m: float, spacing_m: float, pad_spacing_m: float
+    ) -> Self:
+        """For an object and a gripper.
+
+        Args:
+            sdf: of the object.
+            shape: of the gripper.
+            height_m: of the tool above the floor.
+            resting_m: of the object's origin above the floor.
+            spacing_m: between the points of the tool's border.
+            pad_spacing_m: between the points of the pads.
+        """
+        support, like = support_of(sdf), torch.zeros((), dtype=torch.float64)
+        outline = GridOutline.of_slice(sdf, height_m - resting_m).to(like)
+        tool, pads = shape.outline(spacing_m).to(like), shape.pad_shell(pad_spacing_m).to(like)
+        return cls(sdf, resting_m, outline, support.centre.to(like), support.spread, tool, pads, height_m)
+
+    @functools.cached_property
+    def reach_m(self) -> float:
+        """Distance from the tool's origin beyond which nothing is touched."""
+        return float(self.tool.norm(dim=-1).max()) + self.outline.radius
+
+    @property
+    def extent_m(self) -> tuple[float, float, float]:
+        """How far its surface is from its place sideways, and how low and how high, at most."""
+        low, high = self.sdf.bounds.double()
+        return float(torch.stack((low[:2], high[:2])).abs().amax(0).norm()), float(low[2]), float(high[2])
+
+    @property
+    def reported(self) -> Float[Tensor, "m 3"]:
+        """Where what the pads' points felt is reported, tool frame: at them."""
+        return self.pads
+
+    def world_T_object(self, poses: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 4 4"]:
+        """Poses in space, heights counted from the object's origin."""
+        return se3.from_planar(poses)
+
+    def local(self, pose: Float[Tensor, "N 3"], points: Float[Tensor, "M 3"]) -> Float[Tensor, "N M 3"]:
+        """Points in the frame of each pose."""
+        local = rotated(points[:, :2] - pose[:, None, :2], -pose[:, None, 2])
+        return torch.cat((local, points[:, 2:].expand(len(pose), -1, 1)), -1)
+
+    def unsettled(self, poses: Float[Tensor, "N 3"]) -> Bool[Tensor, "N"]:
+        """Never: it stands upright."""
+        return torch.zeros(len(poses), dtype=torch.bool)
+
+    def path(self, tool_pose: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K 3"]:
+        """What counts of the tool's poses: (x, y, yaw)."""
+        return unwrapped(se3.to_planar(tool_pose.double()))
+
+    def tracks(
+        self, own: PoseTrajectorySettings, some: Float[Tensor, "n 3"], path: Float[Tensor, "K 2 3"]
+    ) -> Float[Tensor, "n K 3"]:
+        """Where poses go by the median of the prior."""
+        like = some.new_tensor(self.spread_m * own.lever_ratio[0])
+        sliding = Sliding(self.centre, like, some.new_tensor(own.friction[0]))
+        whole = torch.cat((path[:1, 0], path[:, 1]))[None]
+        return push_along_path(some, whole, Pusher(self.tool), self.outline, sliding, substeps=1).track
+
+    def step(
+        self,
+        own: PoseTrajectorySettings,
+        pose: Float[Tensor, "N 3"],
+        before: Float[Tensor, "3"],
+        after: Float[Tensor, "3"],
+        body: Sliding,
+        noise: Float[Tensor, "N 5"],
+    ) -> Float[Tensor, "N 3"]:
+        """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
+        near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
+        if not len(near):
+            return pose
+        start, many = pose[near], len(near)
+        way = after[:2] - before[:2]
+        direction = way / way.norm().clamp_min(1e-12)
+        ahead = self.height_m * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
+        centre = self.centre + own.centre_m * body.centre[near, :2] + own.centre_change_m * noise[near, 3:]
+        centre = centre + ahead[:, None] * rotated(direction.expand(many, 2), -start[:, 2])
+        sliding = Sliding(centre, body.lever[near], body.friction[near])
+        both = before.expand(many, 3), after.expand(many, 3)
+        moved, _ = push(start, *both, self.tool, self.outline, sliding, passes=2)
+        step = moved - start
+        length = step[:, :2].norm(dim=-1)
+        size = length + own.m_per_rad * step[:, 2].abs()
+        along = torch.where(length[:, None] > 1e-9, step[:, :2] / length[:, None].clamp_min(1e-9), direction)
+        across = torch.stack((-along[:, 1], along[:, 0]), -1)
+        own_noise = noise[near, :3] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
+        shift = own_noise[:, :1] * along + own_noise[:, 1:2] * across
+        return pose.index_copy(0, near, moved + torch.cat((shift, own_noise[:, 2:]), -1))
+
+    def told_by_force(
+        self,
+        own: PoseTrajectorySettings,
+        physics: Float[Tensor, "N 5"],
+        poses: Float[Tensor, "N S1 3"],
+        history: History,
+    ) -> Float[Tensor, "N S"]:
+        """Log-likelihood of the tool's force in each segment, up to a constant."""
+        centre = self.centre + own.centre_m * physics[:, 2:4]
+        ahead = self.height_m * (own.ahead[0] + own.ahead[1] * physics[:, 4])
+        return log_likelihood_of_forces(poses, centre, ahead, history, own)
+
+    @functools.cached_property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """Tool, groups of its points that are neighbours, outline and numbers, as the compiled version takes them.
+
+        A group is the centre of its points (x, y), how far they are from it, and the first of them and the one behind.
+        """
+        groups = []
+        for first in range(0, len(self.tool), _GROUP):
+            some = self.tool[first : first + _GROUP]
+            centre = 0.5 * (some.amin(0) + some.amax(0))
+            far = float((some - centre).norm(dim=-1).max())
+            groups.append((*centre.tolist(), far, first, first + len(some)))
+        outline = self.outline
+        place = (*outline.origin.tolist(), outline.spacing, self.reach_m, outline.radius, self.spread_m)
+        numbers = self.tool.new_tensor((*place, *self.centre.tolist(), self.height_m))
+        return arrays_of((self.tool, self.tool.new_tensor(groups), outline.values, numbers))
+
+
+@backend.register("replay_trajectories", "numba", compiled.supports)
+def _replay_numba(
+    model: PushedObject,
+    own: PoseTrajectorySettings,
+    history: History,
+    given: Trajectories,
+    first: Int[Tensor, "N"],
+    least: Float[Tensor, "N"],
+) -> tuple[Tensor, Tensor]:
+    from sdf.grid_sdf import GridSDF
+
+    if not isinstance(model.sdf, GridSDF):
+        return replay_plain(model, own, history, given, first, least)
+    from rumi.belief.pose_trajectories_numba import replay as kernel
+    from sdf.grid_numba import grid_arguments
+
+    poses, found = given.poses.clone(), given.log_likelihood.clone()
+    scales, logs = tables(own)
+    particles = arrays_of((first, least, poses, found, given.physics, given.noise))
+    grid = grid_arguments(model.sdf, torch.float32)
+    scales = torch.cat((scales, scales.new_tensor([own.centre_change_m])))
+    kernel(particles, *history.arrays, model.arrays, scales.numpy(), logs.numpy(), grid)
+    return poses, found

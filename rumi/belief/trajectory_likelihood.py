@@ -1,0 +1,80 @@
+"""Likelihood of what was sensed along trajectories: a point's by its distance, and motions replayed to be weighed."""
+
+import functools
+import math
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from rumi.belief.pose_trajectories import OWN, Trajectories
+from rumi.belief.pushed_model import Pushed
+from rumi.belief.trajectory_history import NODES, History, Kind
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.sliding import Sliding
+from sdf import backend
+
+# compiled versions look likelihoods up over distances: metres between nodes
+_STEP_M = 3e-5
+
+
+def log_likelihood_of(
+    distance: Float[Tensor, "*b M"], kind: Int[Tensor, "*#M"], own: PoseTrajectorySettings
+) -> Float[Tensor, "*b M"]:
+    """Log-likelihood of a point at a signed distance from the surface, by its kind, up to a constant of each kind."""
+    seen, felt = distance / own.seen_sd_m, (distance - own.felt_m) / own.felt_sd_m
+    free = (-distance - own.free_m).clamp_min(0.0) / own.free_sd_m
+    off = torch.where(kind == Kind.SEEN, seen, torch.where(kind == Kind.FREE, free, felt))
+    near = (own.outliers + (1.0 - own.outliers) * (-0.5 * off.square()).exp()).log()
+    feels = own.outliers + (1.0 - 2.0 * own.outliers) * torch.sigmoid((own.pad_m - distance) / own.pad_slope_m)
+    bit = torch.where(kind == Kind.PAD_FELT, feels, 1.0 - feels).log()
+    return torch.where(kind >= Kind.PAD_FELT, bit, near)
+
+
+@backend.register("replay_trajectories")
+def replay_plain(
+    model: Pushed,
+    own: PoseTrajectorySettings,
+    history: History,
+    given: Trajectories,
+    first: Int[Tensor, "N"],
+    least: Float[Tensor, "N"],
+) -> tuple[Tensor, Tensor]:
+    """The definition: poses and likelihoods from a segment of each particle's own on; none is given up."""
+    poses, logs = given.poses.clone(), given.log_likelihood.clone()
+    for segment in range(len(history)):
+        rows = (first <= segment).nonzero()[:, 0]
+        if not len(rows):
+            continue
+        noise, physics = given.noise[rows, segment], given.physics[rows]
+        together = given.noise[rows, int(history.action[segment]), OWN:]
+        friction = own.friction[0] * (own.friction[1] * physics[:, 0] + own.friction_change * noise[:, 0]).exp()
+        lever = own.lever_ratio[1] * physics[:, 1] + own.lever_change * noise[:, 1]
+        lever = model.spread_m * own.lever_ratio[0] * lever.exp()
+        mixed = math.sqrt(1.0 - own.shared) * noise[:, 2:OWN] + math.sqrt(own.shared) * together[:, :3]
+        size = (0.5 * own.tails * together[:, 3:4].square()).exp()
+        mixed = model.wide * torch.cat((size * mixed, (size - 1.0) * together[:, 4:]), -1)
+        pose, total = poses[rows, segment], torch.zeros_like(friction)
+        for instant in range(int(history.ends[segment - 1]) if segment else 0, int(history.ends[segment])):
+            if bool(history.pushes[instant]):
+                before, after = history.tool[instant]
+                pose = model.step(own, pose, before, after, Sliding(physics[:, 2:], lever, friction), mixed)
+            begin = int(history.point_ends[instant - 1]) if instant else 0
+            some = slice(begin, int(history.point_ends[instant]))
+            there = history.points[some]
+            if not len(there):
+                continue
+            distance = model.sdf.distance(model.local(pose, there).to(model.sdf.bounds)).to(pose)
+            total = total + log_likelihood_of(distance, history.kind[some], own) @ history.weight[some]
+        poses[rows, segment + 1], logs[rows, segment] = pose, total
+    return poses, logs
+
+
+@functools.cache
+def tables(own: PoseTrajectorySettings) -> tuple[Float[Tensor, "16"], Float[Tensor, "kinds D"]]:
+    """Numbers of the motion prior as the kernel takes them, and all kinds' log-likelihoods over distances, float32."""
+    prior = (*own.friction, *own.lever_ratio, *own.ahead, own.centre_m, own.friction_change, own.lever_change)
+    noise = (own.along, own.across, own.turn_rad_per_m, own.m_per_rad, own.tails, own.shared)
+    distance = _STEP_M * (torch.arange(NODES, dtype=torch.float64) - NODES // 2)
+    priced = torch.stack([log_likelihood_of(distance, torch.tensor(int(kind)), own) for kind in Kind])
+    return torch.tensor((*prior, *noise, _STEP_M), dtype=torch.float64), priced.float()

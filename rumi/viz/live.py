@@ -1,0 +1,85 @@
+"""Live view: a run in the viewer Rerun while it goes on, in a window or, without a display, in a browser."""
+
+import contextlib
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+from rumi.environment import has_display
+from rumi.records import StepRecord
+from rumi.registration.pose_summary import PoseSummary
+from rumi.runs.export import StepEstimate
+from rumi.runs.progress import say
+from rumi.runs.scene_geometry import SceneGeometry
+from rumi.viz.viewer import ViewerRecording, layout
+from sdf.extras import optional
+
+_HOST = "127.0.0.1"  # by itself the viewer would listen to the whole network
+_PATIENCE_S = 5.0  # for a viewer that does not take the last steps
+
+
+class LiveView:
+    """Shows each step in a viewer; an `on_step` of `rumi.loop.run`, and a context manager.
+
+    The viewer is a process of its own. A window stays open after the run; a server, which stands in for it where there
+    is no display, ends with the run. A viewer that is closed or dies does the run no harm.
+
+    Args:
+        name: of the run.
+        geometry: of the scene; None where the task tells none.
+        pose_of: the pose that the steps so far know of; None where they do not.
+    """
+
+    def __init__(
+        self, name: str, geometry: SceneGeometry | None, pose_of: Callable[[list[Any]], PoseSummary | None]
+    ) -> None:
+        self._name, self._geometry, self._pose_of = name, geometry, pose_of
+        self._steps: list[Any] = []
+
+    def __enter__(self) -> Self:
+        rerun = optional("rerun", "--view")
+        port, web = _free_ports()
+        self._window = has_display()
+        words = [sys.executable, "-m", "rerun", "--bind", _HOST, "--port", str(port), "--hide-welcome-screen"]
+        if not self._window:
+            words += ["--serve-web", "--web-viewer-port", str(web)]
+        self._process = subprocess.Popen(
+            words, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        url = f"rerun+http://{_HOST}:{port}/proxy"
+        if not self._window:
+            say(f"no display: see the run in a browser here, http://{_HOST}:{web}?url={url.replace('+', '%2B')}")
+        self._stream = rerun.RecordingStream("rumi", recording_id=self._name)
+        self._stream.connect_grpc(url, default_blueprint=layout(self._geometry, following=True))
+        self._recording = ViewerRecording(self._stream, self._geometry)
+        return self
+
+    def __call__(self, record: Any) -> None:  # noqa: ANN401  (of the task's own kind)
+        """Show a step."""
+        self._steps.append(record)
+        pose = self._pose_of(self._steps)
+        tool = record.reading.tool_pose[-1].double() if isinstance(record, StepRecord) else None
+        found = None if pose is None else StepEstimate(record.step, float(record.step), pose, tool)
+        self._recording.add(record, found)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with contextlib.suppress(Exception):  # of a viewer that is gone
+            self._stream.flush(timeout_sec=_PATIENCE_S)
+        with contextlib.suppress(Exception):
+            self._stream.disconnect()
+        if not self._window:
+            self._process.terminate()
+            self._process.wait()
+
+
+def _free_ports() -> tuple[int, int]:
+    """Two ports that are free just now."""
+    with socket.socket() as first, socket.socket() as second:
+        first.bind((_HOST, 0))
+        second.bind((_HOST, 0))
+        return first.getsockname()[1], second.getsockname()[1]

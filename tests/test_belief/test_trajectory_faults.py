@@ -1,0 +1,121 @@
+"""Named faults of trajectories: densities are densities, and each fault ranks first where it happened."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief import trajectory_faults
+from rumi.belief.misfit import MisfitSettings
+from rumi.belief.pose_trajectories import Trajectories
+from rumi.belief.pose_trajectory_filter import log_mean
+from rumi.belief.pushed_object import PushedObject
+from rumi.belief.trajectory_faults import TRAJECTORY_FAULTS, log_ratios, new_segments
+from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.robot.gripper import GripperShape
+from rumi.seeding import generator
+from sdf.grid_sdf import GridSDF
+from sdf.primitives import Box
+
+DOUBLE = {"dtype": torch.float64}
+OWN, SENSED = MisfitSettings(), PoseTrajectorySettings()
+FACE = torch.stack((torch.full((9,), -0.04), torch.linspace(-0.02, 0.02, 9), torch.zeros(9)), -1).double()
+
+
+@pytest.fixture(scope="module")
+def model() -> PushedObject:
+    block = GridSDF.from_sdf(Box([0.04, 0.06, 0.03]), 0.003)
+    shape = GripperShape()
+    return PushedObject.of(block, shape, height_m=0.03, resting_m=0.03, spacing_m=0.006, pad_spacing_m=0.006)
+
+
+def particles(spread: float = 5e-4, count: int = 80) -> Trajectories:
+    pose = spread * torch.randn(count, 1, 3, generator=generator(1), **DOUBLE)
+    none = torch.zeros(count, 0, **DOUBLE)
+    return Trajectories(
+        none.new_zeros(count, 5), none[..., None].expand(-1, -1, 11), pose, none, History.empty(), pose[:0, 0]
+    )
+
+
+def reading(kind: Kind, shift: float, instants: int = 5) -> Segment:
+    """The block's face, moved, felt or passed at some instants, by a tool that pushes nothing."""
+    points = (FACE + torch.tensor([shift, 0.0, 0.0], **DOUBLE)).repeat(instants, 1)
+    pads = int(Kind.PAD_FELT if kind == Kind.FELT else Kind.PAD_CLEAR)
+    when = torch.arange(instants).repeat_interleave(len(FACE)).repeat_interleave(2)
+    kinds = torch.tensor([pads, int(kind)]).repeat(len(points))
+    weight = torch.where(kinds >= Kind.PAD_FELT, 0.5, SENSED.felt_weight / len(FACE))
+    return Segment(torch.zeros(instants, 2, 3, **DOUBLE), False, points.repeat_interleave(2, 0), when, kinds, weight)
+
+
+def taken_in(before: Trajectories, segment: Segment, model) -> Trajectories:
+    """What the filter would have after it: here nothing is resampled."""
+    history = before.history.appended(segment)
+    after = before.lengthened(torch.zeros(len(before), 1, 11, **DOUBLE), history)
+    after = after.replayed(model, SENSED, history, torch.full((len(before),), len(history) - 1))
+    told = log_mean(torch.zeros(len(before), **DOUBLE), after.log_likelihood[:, -1])
+    return replace(after, log_evidence=before.log_evidence + told)
+
+
+def ratios(model, segment: Segment, untouched: bool = False) -> dict[str, float]:
+    before = particles()
+    after = taken_in(before, segment._replace(weight=segment.weight.double()), model)
+    even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
+    found = log_ratios(before, even, after, model, SENSED, OWN, untouched=untouched, generator=generator(2))
+    assert bool(torch.isfinite(found).all())
+    return dict(zip(TRAJECTORY_FAULTS, found.tolist(), strict=True))
+
+
+def test_what_fits_speaks_for_no_fault(model):
+    found = ratios(model, reading(Kind.FELT, -SENSED.felt_m))
+    assert max(found.values()) <= 0.0
+    empty = ratios(model, reading(Kind.PAD_CLEAR, -0.05))  # far in front of it
+    assert max(empty.values()) < 1.0
+
+
+def test_a_face_felt_elsewhere_for_long_is_a_knock(model):
+    found = ratios(model, reading(Kind.FELT, -0.03))
+    assert found["knocked"] > 5.0 and max(found, key=found.__getitem__) == "knocked"
+
+
+def test_a_touch_where_nothing_is_that_lasts_an_instant_is_false(model):
+    brief = ratios(model, reading(Kind.FELT, -0.3, instants=1))
+    assert max(brief, key=brief.__getitem__) == "false contacts" and brief["false contacts"] > 5.0
+    assert ratios(model, reading(Kind.FELT, -0.3))["false contacts"] < brief["false contacts"] - 2.0
+
+
+def test_pads_that_pass_through_the_object_and_feel_nothing_say_that_it_is_gone_or_the_hand_dead(model):
+    found = ratios(model, reading(Kind.PAD_CLEAR, 0.03))
+    assert found["absent"] == found["dead hand"] > 5.0 > found["false contacts"]
+
+
+def test_a_view_off_by_a_centimetre_is_told_by_the_first_touch_alone(model):
+    found = ratios(model, reading(Kind.FELT, -0.010 - SENSED.felt_m), untouched=True)
+    assert found["camera off"] > max(2.0, found["hand off"])
+    assert ratios(model, reading(Kind.FELT, -0.010))["camera off"] == 0.0
+
+
+def test_a_reading_that_adds_nothing_or_begins_anew_tells_nothing(model):
+    before = particles()
+    assert new_segments(before, before) == 0
+    segment = reading(Kind.FELT, 0.0)
+    longer = taken_in(taken_in(before, segment, model), segment, model)
+    assert new_segments(longer, before) == 0 and new_segments(before, longer) == 2
+    assert new_segments(longer, taken_in(longer, segment, model).remembered(2)) == 1
+
+
+def test_densities_of_displacements_integrate_to_one():
+    far = torch.linspace(-0.06, 0.06, 120, **DOUBLE)  # none at 0, where the rings' density has a pole
+    turn = torch.linspace(-0.05, 0.05, 41, **DOUBLE)
+    grid = torch.cartesian_prod(far, far, turn)
+    cell = float((far[1] - far[0]) ** 2 * (turn[1] - turn[0]))
+    for ring in ((0.006, 0.0015), (0.010, 0.003)):
+        assert cell * float(trajectory_faults._ring_density(grid, ring).exp().sum()) == pytest.approx(1.0, abs=0.05)
+    wide = torch.cartesian_prod(4.0 * far, 4.0 * far, 60.0 * turn)
+    knock = trajectory_faults._knock_density(wide, OWN).exp().sum()
+    assert 16.0 * 60.0 * cell * float(knock) == pytest.approx(1.0, abs=0.05)
+    moves = trajectory_faults._moves(OWN, [(0.006, 0.0015)], [4000, 4000], generator(0))
+    assert float(moves[:4000, :2].std()) == pytest.approx(OWN.knock_m, rel=0.05)
+    assert float(moves[4000:, :2].norm(dim=-1).mean()) == pytest.approx(0.006, rel=0.05)
+    assert math.isclose(float(moves[4000:, 2].std()), 0.01, rel_tol=0.1)
