@@ -32,7 +32,7 @@ class PushResidual:
     floor_m: tuple[float, float, float] = (1.1e-4, 0.9e-4, 1.1e-4)
     share: tuple[float, float, float] = (0.0445, 0.0331, 0.0499)
     tails: float = 1.54
-    power: float = 0.15
+    power: float = 0.3
     spread: float = 0.25
 
     def __post_init__(self) -> None:
