@@ -58,8 +58,7 @@ class Robot:
         for self.at in path:
             pose = self.tool.pose(self.at)
             for _ in range(20):  # the object goes out of the way by as much as the tool is in it
-                body = se3.apply(se3.inverse(self.truth) @ pose, self.body)
-                depth = self.model.exact.distance(body)
+                depth = self.model.exact.distance(body := se3.apply(se3.inverse(self.truth) @ pose, self.body))
                 deepest = int(depth.argmin())
                 if depth[deepest] > -1e-4:
                     break
