@@ -8,8 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rumi.bench.case import Case, Setup, Variant, case
+from rumi.exit_codes import DONE, NOT_CONVERGED
 
-_ENDED = (0, 1)  # right, or not within so few actions
+_ENDED = (DONE, NOT_CONVERGED)  # few runs are right after one action
 _RUN = ("run", "mug-0", "--steps", "1", "--no-figures")
 
 
