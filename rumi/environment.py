@@ -1,4 +1,4 @@
-"""Environment variables, set for a while: what libraries read when they are loaded, and processes when they start."""
+"""Environment of the process: variables set for a while, as libraries read them when loaded; and the display."""
 
 import os
 import sys

@@ -58,11 +58,12 @@ class Robot:
         for self.at in path:
             pose = self.tool.pose(self.at)
             for _ in range(20):  # the object goes out of the way by as much as the tool is in it
-                depth, outward = self.model.exact(se3.apply(se3.inverse(self.truth) @ pose, self.body))
+                body = se3.apply(se3.inverse(self.truth) @ pose, self.body)
+                depth = self.model.exact.distance(body)
                 deepest = int(depth.argmin())
                 if depth[deepest] > -1e-4:
                     break
-                way = self.truth[:3, :3] @ outward[deepest] * torch.tensor([1.0, 1.0, 0.0])
+                way = self.truth[:3, :3] @ self.model.exact(body[deepest])[1] * torch.tensor([1.0, 1.0, 0.0])
                 shift = depth[deepest] * way / way.square().sum().clamp_min(0.1)
                 self.truth = se3.make(self.truth[:3, :3], self.truth[:3, 3] + shift)
             pads = se3.apply(pose, self.pads)

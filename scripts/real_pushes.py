@@ -4,8 +4,8 @@ python -m scripts.real_pushes run     # needs RUMI_DATA; again to go on
 python -m scripts.real_pushes show
 
 Priors of a shape, and all that is chosen, are fitted to the other six on both surfaces; "after n" learns from n random
-pushes of the set, 20 times (5 for 1 and 3), and is scored on all others of it (after n, its regions on every eighth of
-those).
+pushes of the set, 20 times (5 for 1 and 3), and is scored on all others of it (its regions on every second, after n on
+every eighth of those).
 `--models fit`, `choices` and `coverage` come first, in this order: the others read them.
 """
 
@@ -142,9 +142,9 @@ def _believed(name: str, prior: PushPosterior, count: int, draws: int) -> dict[s
         end = own.end[rest]
         found.append(scores(shown.mean(), end, own.path[rest]))
         densities.append(float(shown.log_density(end).mean()))
-        every = 8 if count else 1
-        some = predicted(posterior.thinned(SHOWN) if count else posterior, own, rest[::every])
-        levels.append(some.level(end[::every], generator, draws=200))
+        every = slice(None, None, 8 if count else 2)
+        some = shown._replace(ends=shown.ends[every], scale=shown.scale[every], heading=shown.heading[every])
+        levels.append(some.level(end[every], generator, draws=200))
         numbers.append(posterior.quantiles((0.5,))[0, :2].exp())
     held = {f"held_{share:g}": float((torch.cat(levels) <= share).double().mean()) for share in SHARES}
     middle = torch.stack(numbers).mean(0).tolist()

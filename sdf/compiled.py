@@ -1,8 +1,10 @@
 """Numba kernels for the CPU, compiled at their first use and kept in the user's cache."""
 
+import gc
 import hashlib
 import importlib.util
 import sys
+from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 from types import FunctionType
@@ -43,10 +45,35 @@ def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without t
     Counting costs more than a small function does; so it must not make arrays, only use those that it is given. It is
     not kept on its own, only within the kernel: what is kept of it would outlive a change of another that it calls.
     """
+    return inner(_nrt=False)(function)
+
+
+def inner(**options: Any) -> Callable[[FunctionType], Any]:  # noqa: ANN401  (numba's own)
+    """Decorator: compile a function that kernels alone call; a fifth of a kernel's compile time goes into such calls.
+
+    Python cannot call it: what would take its arguments from Python is not made, and says so.
+
+    Args:
+        options: of `numba.njit`.
+    """
     import numba
 
-    compiler: Any = numba.njit  # whose stubs leave this out
-    return compiler(error_model="numpy", _nrt=False)(function)
+    def make(function: FunctionType) -> Any:  # noqa: ANN401
+        compiler: Any = numba.njit  # whose stubs leave these out
+        made = compiler(error_model="numpy", no_cpython_wrapper=True, **options)(function)
+
+        def add_overload(result: Any) -> None:  # noqa: ANN401
+            made.overloads[tuple(result.signature.args)] = result
+
+        def refuse(*_: object, **__: object) -> None:
+            raise TypeError(
+                f"Expected {function.__name__} to be called in a kernel: `interpreted` gives one for Python"
+            )
+
+        made.add_overload, made._compile_for_args = add_overload, refuse
+        return made
+
+    return make
 
 
 def interpreted(function: Any) -> Any:  # noqa: ANN401  (numba comes without types)
@@ -87,8 +114,17 @@ class Kernel:
 
     def __call__(self, *arguments: Any) -> None:  # noqa: ANN401  (whatever the function takes)
         """Run it."""
+        if self._announced:
+            divide(partial(self._compiled, *arguments), count())
+            return
         self._announce()
-        divide(partial(self._compiled, *arguments), count())
+        collecting = gc.isenabled()
+        gc.disable()  # compiling makes millions of objects, to look through which takes a tenth of its time
+        try:
+            divide(partial(self._compiled, *arguments), count())
+        finally:
+            if collecting:
+                gc.enable()
 
     @property
     def kept(self) -> bool:
@@ -98,8 +134,6 @@ class Kernel:
 
     def _announce(self) -> None:
         """Say once that compiling takes a while, where nothing compiled is kept yet."""
-        if self._announced:
-            return
         self._announced = True
         if not self.kept:
             sys.stderr.write(f"rumi: compiling {self._label} for this processor (seconds, once)\n")

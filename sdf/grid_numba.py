@@ -33,16 +33,17 @@ from numba.extending import intrinsic
 from torch import Tensor
 
 from sdf.check import FAR
+from sdf.compiled import inner
 from sdf.grid_sdf import GridSDF
 
 Arrays = tuple[np.ndarray, ...]
 
 _TINY = 1e-30
 # not kept on their own: kernels are, and what is kept of a block would outlive a change of another that it uses
-block = numba.njit(error_model="numpy", forceinline=True, fastmath={"contract", "nsz"})
+block = inner(forceinline=True, fastmath={"contract", "nsz"})
 # functions that stay functions: to the bit, or with sums reordered so that their loops become vector instructions
-exact = numba.njit(error_model="numpy")
-fast = numba.njit(error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+exact = inner()
+fast = inner(fastmath={"reassoc", "contract", "arcp", "nsz"})
 
 
 def _reads(builder):
@@ -138,7 +139,7 @@ def lattice_of(numbers, sizes):
 
 
 # without the flag said, that of the caller would hold
-@numba.njit(error_model="numpy", forceinline=True, fastmath=False)
+@inner(forceinline=True, fastmath=False)
 def _place(x, scale, shift):
     """Rounded as the plain version rounds, so that a point on a node or a face falls to the same side of it."""
     return x * scale + shift

@@ -31,6 +31,11 @@ _HERE = Path(__file__).parent
 if str(_HERE.parent) not in sys.path:
     sys.path.insert(0, str(_HERE.parent))
 
+# rooms whose files each compile kernels of their own: begun side by side, before the runs that need all of them
+_KERNELS = ("test_dynamics", "test_registration", "test_fields", "test_planning", "test_belief", "test_metrics")
+# rooms of many short files, which fill what is left at the end
+_SHORT = ("test_sdf", "test_sensors", "test_kmppi")
+
 _tests_begun = 0
 _CHECKED_CALLS = 3  # of each function in a test, whatever their number
 
@@ -103,7 +108,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what this machine cannot run."""
+    """Skip what this machine cannot run, and begin with the rooms that compile."""
     lacking = {
         "gpu": None if torch.cuda.is_available() else "needs a CUDA device",
         "data": None if os.environ.get("RUMI_DATA") else "needs RUMI_DATA to name the folder of recorded data",
@@ -112,6 +117,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for name, reason in lacking.items():
             if reason and item.get_closest_marker(name):
                 item.add_marker(pytest.mark.skip(reason=reason))
+    items.sort(key=lambda item: _turn(item.path.parent.name))  # in a room nothing changes
+
+
+def _turn(room: str) -> int:
+    return 0 if room in _KERNELS else 2 if room in _SHORT else 1
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -151,6 +161,16 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"
     folder.mkdir(exist_ok=True)
     return folder
+
+
+@pytest.fixture
+def all_in_reach(monkeypatch: pytest.MonkeyPatch, cache: Path) -> Path:
+    """Folder like `cache`, where the arm reaches every place: for runs in space, whose reach takes 12 s to solve."""
+    from rumi.robot import reach_table
+
+    zeros = torch.zeros(reach_table.table_shape(reach_table.ReachSettings()), dtype=torch.float64)
+    monkeypatch.setattr(reach_table, "solve_table", lambda settings: reach_table.ReachTable(zeros, zeros))
+    return cache / "all-in-reach"
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ float64 and log-space.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple, get_args
 
 import torch
@@ -105,7 +106,7 @@ class ChangeTest:
 
     def log_evidence(self, evidence: ChangeEvidence) -> Float[Tensor, "*b"]:
         """Nats against "no fault so far"; an alarm is due from `threshold` on."""
-        terms = self._log_weights() + evidence.log_sum
+        terms = self._log_weights + evidence.log_sum
         if self.bound == "rate":
             return torch.logsumexp(terms, -1)
         later = -(evidence.readings + 1.0).double().log()  # prior of an onset yet to come
@@ -123,7 +124,7 @@ class ChangeTest:
         none = torch.zeros_like(evidence.log_sum[..., :1])
         if self.bound == "run":
             none = none - (evidence.readings + 1.0).double().log()[..., None]
-        return torch.cat((none, self._log_weights() + evidence.log_sum), -1).softmax(-1)
+        return torch.cat((none, self._log_weights + evidence.log_sum), -1).softmax(-1)
 
     def onset(self, evidence: ChangeEvidence) -> Float[Tensor, "*b K"]:
         """Posterior mean of the number of the first reading with a fault, from 1 on, were it each alternative.
@@ -135,6 +136,7 @@ class ChangeTest:
         off = torch.where(ruled_out, 0.0, evidence.log_moment - torch.where(ruled_out, 0.0, evidence.log_sum))
         return torch.where(ruled_out, last, off.exp())
 
+    @cached_property
     def _log_weights(self) -> Float[Tensor, "K"]:
         return torch.tensor(self.weights, dtype=torch.float64).log().log_softmax(-1)
 

@@ -89,7 +89,7 @@ class PoseTrajectoryFilter(PoseFilter):
         for _ in range(_FIRST_SWEEPS):
             drawn = moves.sweep(drawn, history, whole=True)
         flat = torch.zeros(own.particles, dtype=torch.float64)
-        return self._belief(drawn, normalise(flat), belief.world_T_attached, belief.log_weights)
+        return self.belief_of(drawn, normalise(flat), belief.world_T_attached, belief.log_weights)
 
     @torch.no_grad()
     def forward(
@@ -124,7 +124,7 @@ class PoseTrajectoryFilter(PoseFilter):
         memory, added = merge(memory, new, self.lattice)
         if touched or still is not None:
             now = now.remembered(own.memory)
-            belief = self._belief(now, log_weights, frames[-1], belief.log_weights)
+            belief = self.belief_of(now, log_weights, frames[-1], belief.log_weights)
         return belief, memory, FilterInfo(torch.tensor(touched), torch.tensor(resampled), added)
 
     def log_chance(self, belief: PoseBelief) -> float:
@@ -296,7 +296,7 @@ class PoseTrajectoryFilter(PoseFilter):
         moved = self.model.world_T_object(torch.cat(steps))
         return moved @ se3.inverse(self.model.world_T_object(track[0]))
 
-    def _belief(
+    def belief_of(
         self, now: Trajectories, log_weights: Tensor, world_T_attached: Tensor, like: Tensor
     ) -> PoseTrajectoryBelief:
         """The belief of trajectories, in the dtype of another."""

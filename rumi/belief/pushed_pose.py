@@ -229,6 +229,7 @@ class PushedPoseFilter:
             self.body.outline,
             belief.sliding,
             substeps=1,
+            distances=False,
         ).track[:, -1]
 
     def _unread(self, belief: PushedPoseBelief, pushed: Tensor, generator: torch.Generator) -> PushedPoseBelief:

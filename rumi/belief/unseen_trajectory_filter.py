@@ -68,7 +68,7 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
         start, starts = (from_prior(self.prior, count, random) for count in (self.own.unseen_particles, _STARTS))
         drawn = self._fresh(start, History.empty(4), starts, random)
         even = normalise(torch.zeros(len(start), dtype=torch.float64))
-        return self._belief(drawn, even, belief.world_T_attached, belief.log_weights)
+        return self.belief_of(drawn, even, belief.world_T_attached, belief.log_weights)
 
     @torch.no_grad()
     def begun_again(self, belief: PoseTrajectoryBelief, reading: Reading, *, generator: Generators) -> PoseBelief:
@@ -83,7 +83,7 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
         random, weights = one(generator), belief.log_weights.double()
         now = self._jumped(belief.trajectories, weights, reading, path_of(reading, self.model), random)
         even = normalise(weights.new_zeros(len(now)))
-        return self._belief(now, even, belief.world_T_attached, belief.log_weights)
+        return self.belief_of(now, even, belief.world_T_attached, belief.log_weights)
 
     def _pushes(self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor) -> bool:
         if not len(now.history.moving()):

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from rumi.bench.timing import fitting_clock
-from rumi.runs.folder import provenance, version_of
+from rumi.runs.provenance import provenance, version_of
 from sdf.threads import cores
 
 PACKAGES = ("numba", "pytorch-volumetric", "chsel", "pytorch-mppi", "open3d", "ribs")

@@ -81,7 +81,7 @@ def _looked(look: Callable[[], Iterator[Finding]]) -> list[Finding]:
 def _versions() -> Iterator[Finding]:
     """Versions, the place that the packages are imported from, and the machine."""
     from rumi import __version__
-    from rumi.runs.folder import provenance
+    from rumi.runs.provenance import provenance
 
     made = provenance()
     versions = {name: version for name, version in made["versions"].items() if version and name != "rumi"}

@@ -22,9 +22,9 @@ class ExportOptions:
     """Write what a run found out about the object's pose for other programs.
 
     Attributes:
-        run: folder of the run.
+        run: folder of the run; or a log, which is replayed for it, by its own settings.
         to: format: json, npz, mjcf, urdf or mcap.
-        out: file to write; by default in RUN/export.
+        out: file to write; by default in RUN/export, of a log LOG.h5 in LOG/export.
         step: the last step to take; by default the run's.
         mesh: file of the object's mesh, for mjcf and urdf, where the run's is not there any more.
         scale: metres that one unit of that file is.
@@ -41,23 +41,21 @@ class ExportOptions:
 def export(arguments: Sequence[str]) -> int:
     """`rumi export`: 0 where the files are written, 2 for bad input."""
     options = tyro.cli(ExportOptions, prog="rumi export", args=arguments)
+    from rumi.commands.replayed import run_folder
     from rumi.runs.export import FORMATS, estimates_of
     from rumi.runs.folder import load_run, make_folder
     from rumi.tasks.registry import entry_of
 
     kind = FORMATS[options.to]
-    if options.run.is_file():
-        raise UsageError(
-            f"Expected a run's folder, got the file {options.run}: a log holds no beliefs. "
-            f"`rumi replay {options.run} --out DIR` makes them, then export DIR"
-        )
     if options.mesh is not None and not kind.meshed:
         raise UsageError(f"Expected no --mesh with {options.to}, which holds none")
-    run = load_run(options.run)
-    found = estimates_of(run, entry_of(run).pose, options.step)
-    if kind.meshed:
-        found = replace(found, mesh=object_mesh(run, options.mesh, options.scale))
-    path = options.out or options.run / "export" / kind.file
+    with run_folder(options.run) as folder:
+        run = load_run(folder)
+        found = estimates_of(run, entry_of(run).pose, options.step)
+        if kind.meshed:
+            found = replace(found, mesh=object_mesh(run, options.mesh, options.scale))
+    beside = options.run.with_suffix("") if options.run.is_file() else options.run
+    path = options.out or beside / "export" / kind.file
     make_folder(path.parent)
     for written in kind.write(found, path):
         sys.stdout.write(f"{written}\n")

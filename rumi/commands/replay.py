@@ -3,7 +3,7 @@
 import contextlib
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar, cast
@@ -13,10 +13,10 @@ import tyro
 
 from rumi.cache import cache_folder
 from rumi.commands.flags import FLAGS
+from rumi.commands.replay_summary import differing, machines, summary
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.logbook import LOG
-from rumi.runs.plain import plain
 from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry, entry_of_record
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rumi.agent import Agent
     from rumi.rosbag.mapping import BagMap
     from rumi.runs.recorded import RunLog
-    from rumi.runs.replay import Recorded, Replayed
+    from rumi.runs.replay import Recorded
     from rumi.tasks.rummage.settings import Settings
     from sensors.log.reader import Log, Taken
 
@@ -247,59 +247,6 @@ _OF_LIVE = ("seconds", "clock", "grasp")
 """Lines of a summary that are of a live run alone, by their first word."""
 
 
-def summary(
-    done: "Replayed", name: str, lines: Sequence[str], readings: int, changed: Sequence[str], out: Path | None
-) -> str:
-    """A few lines on a replay.
-
-    Args:
-        done: what came of it.
-        name: of the task.
-        lines: on how it ended.
-        readings: that there were.
-        changed: settings that are not the recorded ones and that matter.
-        out: the folder that was written.
-    """
-    used = len(done.same)
-    first, *rest = lines
-    lines = [f"{name}: {first}", *rest]
-    if used < readings:
-        lines.append(f"readings {used} of {readings}: sure before the log's end")
-    known = [same for same in done.same if same is not None]
-    if not known:
-        lines.append("belief   no live run's to compare with")
-    elif all(known):
-        lines.append(f"belief   the recorded one, bit for bit, after each of {len(known)} readings")
-    else:
-        place = done.same.index(False)
-        at = "the first view" if place == 0 else f"action {place}"
-        why = f" ({', '.join(changed)} changed)" if changed else ", though the settings are the same"
-        lines.append(f"belief   differs from the recorded one from {at} on{why}")
-    faster = done.robot_s / max(done.wall_s, 1e-9)
-    told = f" for {done.robot_s:.1f} of the robot: {faster:.1f} times as fast" if done.robot_s > 0 else ""
-    lines.append(f"seconds  {done.wall_s:.1f}{told}")
-    if out is not None:
-        lines.append(f"folder   {out}")
-    return "\n  ".join(lines) + "\n"
-
-
-def differing(before: Any, after: Any) -> list[str]:  # noqa: ANN401  (settings of one task)
-    """Names of the settings that differ, as their flags have them but with underscores."""
-    return [name.removeprefix("settings.") for name in changes(plain(before), plain(after))]
-
-
-def changes(before: Mapping[str, Any], after: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """Names of the settings that differ, nested ones with dots."""
-    found: list[str] = []
-    for name in before.keys() | after.keys():
-        a, b = before.get(name), after.get(name)
-        if isinstance(a, Mapping) and isinstance(b, Mapping):
-            found += changes(a, b, f"{prefix}{name}.")
-        elif a != b:
-            found.append(prefix + name)
-    return sorted(found)
-
-
 def made_readings(log: "Log | RunLog", mapping: "BagMap", settings: "Settings") -> "list[Taken]":
     """The readings of an imported recording; says what could not be used."""
     from rumi.rosbag.readings import make_readings
@@ -353,18 +300,3 @@ def _check_object(log: Any, agent: Any) -> None:  # noqa: ANN401
     source = getattr(getattr(agent, "model", None), "source", None)
     if mesh is not None and source is not None and mesh.get("sha256") != source.sha256:
         say(f"{source.file} is not the mesh of the recorded run ({mesh.get('file')}): other beliefs will come of it")
-
-
-def machines(log: "Log | RunLog") -> list[str]:
-    """What this machine has other than the one that recorded a log, which may be why beliefs differ."""
-    from rumi.runs.folder import provenance
-
-    now, then = provenance(), json.loads(log.texts.get("made_with", "{}"))
-    then.setdefault("processor", now["processor"])  # logs of before do not tell
-    return [f"recorded with {name} {_at(then, name)}, replayed with {_at(now, name)}" for name in changes(then, now)]
-
-
-def _at(values: Mapping[str, Any], name: str) -> Any:  # noqa: ANN401  (a plain value)
-    for part in name.split("."):
-        values = values.get(part, {}) if isinstance(values, Mapping) else {}
-    return values if values != {} else None

@@ -11,7 +11,6 @@ from typing import Annotated
 import tyro
 
 from rumi.environment import has_display
-from rumi.errors import UsageError
 from rumi.exit_codes import DONE
 
 
@@ -20,8 +19,8 @@ class ViewOptions:
     """Look at a recorded run over time: object, particles, points, plan and contacts in space, beside its curves.
 
     Attributes:
-        run: folder of the run, also of one that goes on or was interrupted.
-        out: recording to write, .rrd; by default RUN/run.rrd.
+        run: folder of the run, also of one that goes on or was interrupted; or a log, which is replayed for it.
+        out: recording to write, .rrd; by default RUN/run.rrd, of a log beside it.
         headless: write it and open nothing, as where there is no display.
     """
 
@@ -33,12 +32,7 @@ class ViewOptions:
 def view(arguments: Sequence[str]) -> int:
     """`rumi view`: 0 where the recording is written, 2 for bad input."""
     options = tyro.cli(ViewOptions, prog="rumi view", args=arguments)
-    if options.run.is_file():
-        raise UsageError(
-            f"Expected a run's folder, got the file {options.run}: of a log "
-            f"`rumi replay {options.run} --out DIR` makes one"
-        )
-    path = options.out or options.run / "run.rrd"
+    path = options.out or (options.run.with_suffix(".rrd") if options.run.is_file() else options.run / "run.rrd")
     if not is_fresh(path, options.run):
         from sdf.threads import chosen
 
@@ -52,13 +46,15 @@ def view(arguments: Sequence[str]) -> int:
 
 
 def write(run: Path, path: Path) -> None:
-    """Write the recording of a run's folder."""
+    """Write the recording of a run's folder, or of a log."""
+    from rumi.commands.replayed import run_folder
     from rumi.runs.export import estimates_of
     from rumi.runs.folder import load_run, make_folder
     from rumi.tasks.registry import entry_of
     from rumi.viz.viewer import write_recording
 
-    read = load_run(run)
+    with run_folder(run) as folder:
+        read = load_run(folder)
     make_folder(path.parent)
     write_recording(read, estimates_of(read, entry_of(read).pose).steps, path)
 

@@ -45,11 +45,11 @@ class PathOutcome(NamedTuple):
     Attributes:
         track: (E, K, 3), pose (x, y, yaw) after each instant.
         distance: (E, K), metres from the tool's border to the object then; 0 where they touch, or less by what depth
-            a step has left.
+            a step has left; (E, 0) where nobody asked for it.
     """
 
     track: Float[Tensor, "E K 3"]
-    distance: Float[Tensor, "E K"]
+    distance: Float[Tensor, "E #K"]
 
 
 @runtime_checkable
@@ -80,6 +80,7 @@ def push_along_path(
     *,
     substeps: int = 2,
     passes: int = 2,
+    distances: bool = True,
 ) -> PathOutcome:
     """Push objects along tool paths, quasi-statically (`sliding.push` has the mechanics).
 
@@ -94,6 +95,7 @@ def push_along_path(
         sliding: of each object.
         substeps: equal parts of the way from one instant to the next.
         passes: contacts that are settled in a part, at most.
+        distances: whether they are asked for, which takes as long as a part.
 
     Raises:
         ValueError: a shape does not fit, or a pose or the path is not finite.
@@ -107,7 +109,7 @@ def push_along_path(
     version = backend.dispatch(
         "push_along_path", poses, path, pusher.points, *(part for part in sliding if part is not None)
     )
-    found: PathOutcome = version(poses, path, pusher, outline, sliding, substeps, passes)
+    found: PathOutcome = version(poses, path, pusher, outline, sliding, substeps, passes, distances)
     return found
 
 
@@ -131,7 +133,14 @@ def displace_along_path(
 
 @backend.register("push_along_path")
 def _push_along_path(
-    poses: Tensor, path: Tensor, pusher: Pusher, outline: Outline, sliding: Sliding, substeps: int, passes: int
+    poses: Tensor,
+    path: Tensor,
+    pusher: Pusher,
+    outline: Outline,
+    sliding: Sliding,
+    substeps: int,
+    passes: int,
+    distances: bool,
 ) -> PathOutcome:
     path = path.expand(len(poses), *path.shape[1:])
     reach, now = pusher.radius + outline.radius, poses
@@ -154,10 +163,12 @@ def _push_along_path(
                 )
                 now = now.index_copy(0, near, pushed)
         track.append(now)
-        distance.append(distance_to(now, path[:, instant + 1], pusher, outline))
+        if distances:
+            distance.append(distance_to(now, path[:, instant + 1], pusher, outline))
+    none = poses.new_zeros(len(poses), 0)
     if not track:
-        return PathOutcome(poses.new_zeros(len(poses), 0, 3), poses.new_zeros(len(poses), 0))
-    return PathOutcome(torch.stack(track, 1), torch.stack(distance, 1))
+        return PathOutcome(none[..., None].expand(-1, -1, 3), none)
+    return PathOutcome(torch.stack(track, 1), torch.stack(distance, 1) if distances else none)
 
 
 @dataclass(frozen=True)
@@ -241,14 +252,21 @@ def unwrapped(path: Float[Tensor, "*b T 3"]) -> Float[Tensor, "*b T 3"]:
 
 @backend.register("push_along_path", "numba", compiled.supports)
 def _push_along_path_numba(
-    poses: Tensor, path: Tensor, pusher: Pusher, outline: Outline, sliding: Sliding, substeps: int, passes: int
+    poses: Tensor,
+    path: Tensor,
+    pusher: Pusher,
+    outline: Outline,
+    sliding: Sliding,
+    substeps: int,
+    passes: int,
+    distances: bool,
 ) -> PathOutcome:
     from rumi.dynamics.along_path_numba import push_along_path as kernel
 
     if not isinstance(outline, GridOutline | RectangleOutline):
-        return _push_along_path(poses, path, pusher, outline, sliding, substeps, passes)
+        return _push_along_path(poses, path, pusher, outline, sliding, substeps, passes, distances)
     count, instants = len(poses), path.shape[1] - 1
-    track, distance = poses.new_empty(count, instants, 3), poses.new_empty(count, instants)
+    track, distance = poses.new_empty(count, instants, 3), poses.new_empty(count, instants if distances else 0)
     table, shape = outline_table(outline, poses)
     quartic = poses.new_zeros(count, 5) if sliding.quartic is None else sliding.quartic
     slides = (sliding.centre, sliding.lever, sliding.friction, quartic)

@@ -122,6 +122,8 @@ def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape,
     for instant in range(path.shape[1] - 1):
         x, y, yaw = advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body)
         track[e, instant, 0], track[e, instant, 1], track[e, instant, 2] = x, y, yaw
+        if distance.shape[1] == 0:
+            continue
         end = instant + 1
         apart, _, _, _ = nearest(
             x,

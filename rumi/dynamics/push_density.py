@@ -18,22 +18,22 @@ class PushResidual:
     """Student-t residual of a predicted push: along the tool's way, across it, and of the turn times the base's radius.
 
     The scale of each grows with the way that the object is predicted to go (its centre's, and the turn's at the base's
-    mean radius). Scales are a factor of what the sets' own fits leave: particles that differ are doubt too.
+    mean radius). Scales are 0.89 of what the sets' own fits leave: particles that differ are doubt too.
 
     Attributes:
         floor_m: scales of a push that moves nothing.
         share: of the predicted way.
         tails: degrees of freedom.
-        spread: deviation of the log of an object's own scale, as a multiple of these.
         power: of the likelihood where parameters are learnt: pushes of an object err together, so that ten tell less
             than ten independent ones.
+        spread: deviation of the log of an object's own scale, as a multiple of these.
     """
 
-    floor_m: tuple[float, float, float] = (1.1e-4, 0.9e-4, 1.05e-4)
-    share: tuple[float, float, float] = (0.0437, 0.0324, 0.0489)
-    tails: float = 1.5
+    floor_m: tuple[float, float, float] = (1.1e-4, 0.9e-4, 1.1e-4)
+    share: tuple[float, float, float] = (0.0445, 0.0331, 0.0499)
+    tails: float = 1.54
     power: float = 0.3
-    spread: float = 0.0
+    spread: float = 0.25
 
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""

@@ -31,10 +31,10 @@ from rumi.errors import UsageError
 from rumi.resampling import resample_systematic, systematic
 from sdf.check import check_shape
 
-_MEAN = (math.log(0.22), 0.12, 1.03, 3.7, 0.0, 0.0, 0.0, 0.0)
-# as the fits of the sets scatter, but for the friction, which is .14 to .27 there and .2 to .6 in the simulator; levers
-# are .5 to 1.6 of even pressure's there, and up to 2.45 of what rests on a rim or on four corners
-_DEVIATION = (0.45, 0.42, 1.0, 1.8, 0.035, 0.03, 0.045, 0.045)
+_MEAN = (math.log(0.2), 0.1, 0.74, 3.6, 0.0, 0.0, 0.0, 0.0)
+# as the fits of the sets scatter, but for the friction, which is .14 to .28 there and .2 to .6 in the simulator; levers
+# are .6 to 1.6 of even pressure's there, and up to 2.45 of what rests on a rim or on four corners
+_DEVIATION = (0.45, 0.4, 1.15, 2.6, 0.04, 0.03, 0.055, 0.055)
 _MOVES = 2  # Metropolis sweeps at a resampling
 _WHITE = len(SHIFTS) + 1  # standard normal numbers of a particle: of the shifts, and of the residual's scale
 _KEPT = 200  # pushes that are replayed: the latest

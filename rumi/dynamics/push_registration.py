@@ -26,7 +26,7 @@ _TAILS = 4.0  # degrees of freedom: of a gap, and of the prior, since one frame 
 _FAR = 4.0  # prior deviations of a gap beyond which the tool no longer touched
 _STEPS = 12
 _CLAMP = 7.0  # standard normal numbers beyond which Student-t ones grow no more
-_DEVIATION = (1e-3, 1e-3, 4e-4, 4e-4, 0.01)
+_DEVIATION = (8e-4, 8e-4, 2.7e-4, 2.7e-4, 0.0085)
 
 
 @dataclass(frozen=True)

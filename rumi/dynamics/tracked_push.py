@@ -87,6 +87,7 @@ def _tracked_ends(
         sliding.map(lambda part: part.repeat(pushes, *[1] * (part.ndim - 1))),
         substeps=substeps,
         passes=_PASSES,
+        distances=False,
     ).track
     last = track[:, -1] if track.shape[1] else whole
     ends = as_tracked(last.view(pushes, count, 3) - shift, shifts)

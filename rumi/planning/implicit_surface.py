@@ -199,6 +199,24 @@ def predictive_variance(
     return (scale - torch.cat(known)).clamp(0.0, scale) if known else places.new_zeros(0)
 
 
+def predictive_mean(
+    data: Labelled, hyperparameters: Hyperparameters, points: Float[Tensor, "V 3"]
+) -> Float[Tensor, "V"]:
+    """Mean of the process at some points given the data, float64: 0 is the implicit surface, 1 free space.
+
+    `m + k(x, X) (k(X, X) + noise)^-1 (y - m)`; the constant m far from all data.
+    """
+    places = points.double()
+    if len(data.points) == 0:
+        return places.new_full((len(points),), hyperparameters.mean)
+    covariance = _matern(data.points, data.points, hyperparameters)
+    covariance.diagonal().add_(max(hyperparameters.noise, _LEAST_NOISE))
+    factor = torch.linalg.cholesky(covariance)
+    weights = torch.cholesky_solve((data.labels - hyperparameters.mean)[:, None], factor)
+    parts = [_matern(part, data.points, hyperparameters) @ weights for part in places.split(_CHUNK)]
+    return hyperparameters.mean + torch.cat(parts)[:, 0] if parts else places.new_zeros(0)
+
+
 def _matern(
     first: Float[Tensor, "N 3"], second: Float[Tensor, "M 3"], hyperparameters: Hyperparameters
 ) -> Float[Tensor, "N M"]:

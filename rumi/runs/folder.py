@@ -10,19 +10,14 @@ result.json     how the run ended; missing as long as it has not
 
 import contextlib
 import json
-import os
-import platform
-import subprocess
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from rumi.agent import stop_reason
@@ -33,10 +28,10 @@ from rumi.registration.pose_summary import PoseSummary
 from rumi.runs.codec import line, read_geometry, read_steps, write_geometry, write_step
 from rumi.runs.files import naming, new_file, whole_file
 from rumi.runs.plain import plain
+from rumi.runs.provenance import provenance
 from rumi.runs.scene_geometry import SceneGeometry
 from rumi.runs.trace import TraceWriter, read_trace
 from sdf.cache import DAMAGED
-from sdf.processor import processor
 
 SCHEMA = 1
 """Version of the run folder; raised when an older reader would misread a newer folder."""
@@ -289,42 +284,6 @@ def write_belief(path: Path, poses: Tensor, log_weights: Tensor, *, stamp: float
         archive.array("log_weights", log_weights.detach().cpu().numpy())
         archive.array("stamp", np.asarray(stamp))
         archive.array("frame", np.asarray(frame))
-
-
-def provenance() -> dict[str, Any]:
-    """Processor, versions, threads and the commit that a run is made with; the same for the same installation."""
-    versions = {name: version_of(name) for name in ("rumi", "torch", "numpy", "mujoco-core", "pytorch-kinematics")}
-    return {
-        "python": platform.python_version(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "processor": processor()._asdict(),
-        "versions": versions | {"torch": torch.__version__},
-        "backend": "torch",
-        "threads": torch.get_num_threads(),
-        "commit": _commit(Path(__file__).resolve().parents[2]),
-    }
-
-
-def version_of(name: str) -> str | None:
-    """The version of an installed package; None where it is not."""
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
-
-
-def _commit(root: Path) -> str | None:
-    """Commit of a checkout, with `-dirty` where files differ from it; None outside a checkout."""
-    if not (root / ".git").exists():
-        return None
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=5, env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout.strip() or None
 
 
 def _read_json(folder: Path, name: str) -> dict[str, Any] | None:

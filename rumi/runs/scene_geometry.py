@@ -14,6 +14,7 @@ from sdf.symmetry import Symmetries
 _MARGIN = 0.012  # metres around a shape, so that its outline closes inside the map
 _SPACING = 0.0015  # metres; well under what a figure shows
 _LAYERS = 24
+_BAND = 4  # cells beside the border that tell where it is, to .04 mm
 _CLOSING = 0.004  # metres; dents narrower than twice this are closed in the outline of points
 _AT_ONCE = 512  # points whose distances to all others are kept
 
@@ -117,10 +118,11 @@ def outline_of_points(points: Float[Tensor, "H 3"]) -> OutlineMap:
     xy, origin = _raster(torch.stack((flat.amin(0) - grown, flat.amax(0) + grown)))
     cells = xy.reshape(-1, 2)
     beyond = _least(cells, flat) - grown
-    outside = beyond > 0
-    # way to the grown shape's border: past it to a cell outside, less that cell's own way back
-    back = beyond[outside]
-    depth = _least(cells, cells[outside], lambda apart: apart - back)
+    # way to the grown shape's border: from inside past it to a cell outside, less that cell's own way back
+    inside, near = beyond <= 0, (beyond > 0) & (beyond <= _BAND * _SPACING)
+    back = beyond[near]
+    depth = -beyond
+    depth[inside] = _least(cells[inside], cells[near], lambda apart: apart - back)
     return OutlineMap((grown - depth).reshape(xy.shape[:-1]).float(), origin.float(), _SPACING)
 
 

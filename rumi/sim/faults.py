@@ -1,12 +1,13 @@
 """Faults of simulated runs: what goes wrong with the object, the hand and the sensors, from some action on."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import singledispatch
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import torch
+import tyro
 from jaxtyping import Float
 from torch import Tensor
 
@@ -20,6 +21,7 @@ from sdf.drill import Drill
 from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.object_model import ObjectModel
 from sdf.primitives import Box, Mug
+from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
@@ -81,12 +83,13 @@ class Fault:
         """What the camera reports, and the views that it gave before."""
         return view
 
-    def _drawn(self, step: int = 0) -> torch.Generator:
+    def drawn(self, step: int = 0) -> torch.Generator:
+        """What of it is random, in an action."""
         return split(self.seed, f"fault {type(self).__name__} {step}")
 
-    def _aside(self) -> Float[Tensor, "3"]:
+    def aside(self) -> Float[Tensor, "3"]:
         """A level way of `size` millimetres, the same all along."""
-        angle = 2.0 * math.pi * float(torch.rand((), generator=self._drawn()))
+        angle = 2.0 * math.pi * float(torch.rand((), generator=self.drawn()))
         return 1e-3 * self.size * torch.tensor([math.cos(angle), math.sin(angle), 0.0])
 
 
@@ -98,7 +101,7 @@ class Knock(Fault):
 
     def strike(self, world: World, shape: SDF, hand: Hand) -> None:
         """Move it; no slip sensor sees that."""
-        generator, now = self._drawn(), world.world_T_object()
+        generator, now = self.drawn(), world.world_T_object()
         body = se3.apply(hand.world_T_tool.double(), hand.body.double())
         for _ in range(_TRIES):
             angle, turn = (2.0 * torch.rand(2, generator=generator, dtype=torch.float64) - 1.0).tolist()
@@ -145,12 +148,19 @@ class HandOff(Fault):
 
     def felt(self, reading: Reading, hand: Hand, step: int) -> Reading:
         """The hand's poses and points, off by a constant in its own frame."""
-        tool_T_taken = se3.make(torch.eye(3), self._aside())
+        tool_T_taken = se3.make(torch.eye(3), self.aside())
         taken = reading.tool_pose @ tool_T_taken
-        points = reading.observation.points
-        carried = (taken @ se3.inverse(reading.tool_pose))[reading.instant]
-        moved = (carried[:, :3, :3] @ points[..., None])[..., 0] + carried[:, :3, 3]
-        return replace(reading, tool_pose=taken, observation=replace(reading.observation, points=moved))
+        carried = taken @ se3.inverse(reading.tool_pose)
+
+        def moved(points: Tensor, instant: Tensor) -> Tensor:
+            own = carried[instant]
+            return (own[:, :3, :3] @ points[..., None])[..., 0] + own[:, :3, 3]
+
+        if isinstance(reading, ContactReading):
+            wrench = replace(reading.wrench, points=moved(reading.wrench.points, reading.wrench.instant))
+            reading = replace(reading, wrench=wrench)
+        points = moved(reading.observation.points, reading.instant)
+        return replace(reading, tool_pose=taken, observation=replace(reading.observation, points=points))
 
 
 class CameraOff(Fault):
@@ -161,7 +171,7 @@ class CameraOff(Fault):
 
     def seen(self, view: Observation, before: Sequence[Observation]) -> Observation:
         """The view, moved."""
-        return replace(view, points=view.points + self._aside())
+        return replace(view, points=view.points + self.aside())
 
 
 class Stale(Fault):
@@ -182,7 +192,10 @@ class Dead(Fault):
     usual = (math.nan, 1)
 
     def felt(self, reading: Reading, hand: Hand, step: int) -> Reading:
-        """No contact, and no felt points."""
+        """No contact, no felt points, no wrench and no torques."""
+        if isinstance(reading, ContactReading):
+            signals = None if reading.signals is None else torch.zeros_like(reading.signals)
+            reading = replace(reading, wrench=WrenchTouch.none(), signals=signals)
         kept = ~reading.observation.of_class(Semantics.SURFACE)
         return replace(
             reading,
@@ -200,7 +213,7 @@ class FalseContact(Fault):
 
     def felt(self, reading: Reading, hand: Hand, step: int) -> Reading:
         """A contact of some points near by each other on the pads, at one instant."""
-        generator = self._drawn(step)
+        generator = self.drawn(step)
         chance, when, where = torch.rand(3, generator=generator).tolist()
         if chance >= self.size:
             return reading
@@ -241,6 +254,9 @@ class Mass(Fault):
         world.model.body_mass[body] *= self.size
         world.model.body_inertia[body] *= self.size
 
+
+Faults = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KIND[:SIZE][@STEP]")]
+"""Of settings: one text for each fault."""
 
 FAULTS: Table[type[Fault]] = Table("fault", "rumi.faults")
 """Faults by name, as `--fault` has them."""
@@ -293,6 +309,29 @@ def parse_fault(text: str, *, steps: int, seed: int = 0) -> Fault:
             )
         raise UsageError(f"Expected --fault {name} at an action from {first} to {last:g}, got {step} ({text!r})")
     return kind(size, step, seed)
+
+
+def chosen_faults(
+    texts: Sequence[str], kinds: Collection[str], *, task: str, steps: int, seed: int = 0
+) -> tuple[Fault, ...]:
+    """The faults that texts name, of the kinds that a task can have.
+
+    Args:
+        texts: such as "knock:30@4".
+        kinds: names of faults.
+        task: its name, for people.
+        steps: actions of the run at most.
+        seed: of what is drawn of them.
+
+    Raises:
+        UsageError: there is no such fault, or not in this task; or as `parse_fault` has it.
+    """
+    found = tuple(parse_fault(text, steps=steps, seed=seed) for text in texts)
+    for text in texts:
+        name = text.partition("@")[0].partition(":")[0]
+        if name not in kinds:
+            raise UsageError(f"Expected --fault of {task} to be one of {', '.join(kinds)}, got {text!r}")
+    return found
 
 
 def _number(text: str, part: str, what: str) -> float:

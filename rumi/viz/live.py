@@ -1,6 +1,8 @@
 """Live view: a run in the viewer Rerun while it goes on, in a window or, without a display, in a browser."""
 
 import contextlib
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -73,7 +75,10 @@ class LiveView:
         with contextlib.suppress(Exception):
             self._stream.disconnect()
         if not self._window:
-            self._process.terminate()
+            if hasattr(os, "killpg"):  # the viewer is started by a process of Python, which leads its group
+                os.killpg(self._process.pid, signal.SIGTERM)
+            else:
+                self._process.terminate()
             self._process.wait()
 
 

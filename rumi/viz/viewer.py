@@ -28,8 +28,11 @@ _PARTICLES = 60  # that are drawn, the heaviest
 _HEADING_M = 0.03
 _POINTS = 5000  # of a class
 _WORTH = 0.05  # of the most information, below which a place is not drawn
-_CLASSES = {"surface": (Semantics.SURFACE, style.SURFACE), "free": (Semantics.FREE, style.FREE),
-            "occupied": (Semantics.OCCUPIED, style.INK)}  # fmt: skip
+_CLASSES = {
+    "surface": (Semantics.SURFACE, style.SURFACE, 0.002),
+    "free": (Semantics.FREE, style.FREE, 0.0006),
+    "occupied": (Semantics.OCCUPIED, style.INK, 0.002),
+}
 CURVES = {
     "nll": "nats",
     "entropy": "nats, of a normal belief over x, y and yaw",
@@ -86,12 +89,12 @@ class ViewerRecording:
         some, share = poses[chosen].double(), (log_weights[chosen] - log_weights.max()).exp().double()
         ahead = torch.stack((some[:, :3, 3], some[:, :3, 3] + _HEADING_M * some[:, :3, 0]), 1)
         colours = [(11, 65, 139, int(40 + 215 * weight)) for weight in share.tolist()]
-        stream.log("world/particles", rerun.LineStrips3D(ahead.numpy(), colors=colours, radii=0.0006))
+        stream.log("world/particles", rerun.LineStrips3D(ahead.numpy(), colors=colours, radii=0.0012))
         best, floor = found.pose.world_T_object, 0.0
         stream.log("world/object", rerun.Transform3D(translation=best[:3, 3].numpy(), mat3x3=best[:3, :3].numpy()))
         if self._geometry is not None:
             points = self._geometry.surface_points.numpy()
-            stream.log("world/object/surface", rerun.Points3D(points, colors=_rgb(style.NLL), radii=0.001))
+            stream.log("world/object/surface", rerun.Points3D(points, colors=_rgb(style.NLL), radii=0.0014))
             lines = [line for pose in poses[chosen[:20]] for line in object_outline(self._geometry, pose)]
             stream.log("world/outlines", _lines(rerun, lines, floor, style.QUIET))
         plane = found.pose.covariance[[0, 1, 5]][:, [0, 1, 5]] + 1e-12 * torch.eye(3, dtype=torch.float64)
@@ -103,14 +106,14 @@ class ViewerRecording:
         """What was sensed up to the last step, and where the tool went."""
         rerun, stream, records, record = self._rerun, self._stream, self._records, self._records[-1]
         seen = memory(records)
-        for name, (kind, colour) in _CLASSES.items():
+        for name, (kind, colour, radius) in _CLASSES.items():
             points = seen.points[seen.of_class(kind)]
             points = points[:: max(1, len(points) // _POINTS)]
-            stream.log(f"world/points/{name}", rerun.Points3D(points.numpy(), colors=_rgb(colour), radii=0.0012))
+            stream.log(f"world/points/{name}", rerun.Points3D(points.numpy(), colors=_rgb(colour), radii=radius))
         tool = record.reading.tool_pose
         path = torch.cat([one.reading.tool_pose[:, :3, 3] for one in records]).numpy()
         touched = torch.cat([one.reading.in_contact for one in records]).numpy()
-        stream.log("world/tool/path", rerun.LineStrips3D([path], colors=_rgb(style.PATH), radii=0.0008))
+        stream.log("world/tool/path", rerun.LineStrips3D([path], colors=_rgb(style.PATH), radii=0.0012))
         stream.log("world/contacts", rerun.Points3D(path[touched], colors=_rgb(style.CONTACT), radii=0.003))
         if self._geometry is not None:
             outline = placed(self._geometry.tool, tool[-1])
@@ -132,12 +135,12 @@ class ViewerRecording:
         ahead = plan.path
         heights = ahead[:, 2:3] if ahead.shape[-1] == 4 else tool[2, 3].expand(len(ahead), 1)
         way = torch.cat((ahead[:, :2], heights), -1).float().numpy()
-        stream.log("world/plan/path", rerun.LineStrips3D([way], colors=_rgb(style.EXPECTED), radii=0.0012))
+        stream.log("world/plan/path", rerun.LineStrips3D([way], colors=_rgb(style.EXPECTED), radii=0.002))
         if self._geometry is not None and "information" in plan.fields:
             information = _information(rerun, self._geometry, plan.fields["information"])
             stream.log("world/plan/information", information)
-        told = [f"- {name}: {value}" for name, value in (plan.info | {"skipped": plan.skipped}).items()]
-        stream.log("why", rerun.TextDocument("\n".join(["# The next action", *told]), media_type="text/markdown"))
+        told = [f"- {name}: {_rounded(value)}" for name, value in (plan.info | {"skipped": plan.skipped}).items()]
+        stream.log("why", rerun.TextDocument("\n".join(["**The next action**", "", *told]), media_type="text/markdown"))
 
 
 def write_recording(run: Run, estimates: Sequence[StepEstimate], path: Path) -> Path:
@@ -174,7 +177,7 @@ def _information(rerun: Any, geometry: SceneGeometry, field: Float[Tensor, "V"])
 def _lines(rerun: Any, lines: list[np.ndarray], z: float, colour: str) -> Any:  # noqa: ANN401
     """Lines (M, 2) at a height."""
     return rerun.LineStrips3D(
-        [np.column_stack((line, np.full(len(line), z))) for line in lines], colors=_rgb(colour), radii=0.0005
+        [np.column_stack((line, np.full(len(line), z))) for line in lines], colors=_rgb(colour), radii=0.0012
     )
 
 
@@ -192,16 +195,25 @@ def layout(geometry: SceneGeometry | None, following: bool = False) -> Any:  # n
     if geometry is not None:
         places = geometry.workspace.points
         middle, size = places.mean(0), float((places.amax(0) - places.amin(0)).norm())
-        place = middle + size * torch.tensor([-0.45, -0.45, 0.65])
+        place = middle + size * torch.tensor([-0.3, -0.4, 0.4])
         eye = blueprint.EyeControls3D(position=place.tolist(), look_target=middle.tolist(), eye_up=(0, 0, 1))
     space = blueprint.Spatial3DView(origin="world", name="scene", background=(255, 255, 255), eye_controls=eye)
-    right = blueprint.Vertical(*plots, blueprint.Tabs(*words, active_tab=0))
+    right = blueprint.Vertical(*plots, blueprint.Tabs(*words, active_tab=0), row_shares=[2] * len(plots) + [3])
     return blueprint.Blueprint(
         blueprint.Horizontal(space, right, column_shares=[3, 2]),
-        blueprint.TimePanel(timeline="action", fps=2.0, play_state="following" if following else "paused"),
+        blueprint.TimePanel(
+            state="collapsed", timeline="action", fps=2.0, play_state="following" if following else "paused"
+        ),
         collapse_panels=True,
     )
 
 
 def _rgb(colour: str) -> tuple[int, int, int]:
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def _rounded(value: object) -> object:
+    """A value with three digits of its numbers."""
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    return ", ".join(str(_rounded(one)) for one in value) if isinstance(value, list | tuple) else value

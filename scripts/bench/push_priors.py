@@ -26,7 +26,7 @@ Parameters = tuple[float, ...]
 _MIDDLE = (math.log(0.3), *[0.0] * 7)
 _WIDE = (1.0, 0.9, 2.4, 4.6, 0.08, 0.08, 0.12, 0.12)
 """Prior of fits to whole sets."""
-_ROUND = PushResidual((1e-4, 1e-4, 1e-4), (0.05, 0.05, 0.05), 2.0, 1.0)
+_ROUND = PushResidual((1e-4, 1e-4, 1e-4), (0.05, 0.05, 0.05), 2.0, 1.0, 0.0)
 """Residual of fits to whole sets: round numbers, all pushes at their full weight."""
 _SHIFT_TAILS = 4.0  # degrees of freedom, as `Registration` has them
 _OTHER_TOOLS = (0.6, 2.5)
@@ -145,11 +145,17 @@ def chosen_factor(held: Mapping[str, Mapping[str, Mapping[str, float]]], shapes:
         for shape in dict.fromkeys(name.split()[1] for name in held)
         if shape not in shapes
     ]
-    for factor in FACTORS:
-        shares = [means[f"{factor:g}"] for means in each]
-        if np.mean(shares) >= _HELD[0] and min(shares) >= _HELD[1]:
-            return factor
-    return FACTORS[-1]
+    shares = np.array([[means[f"{factor:g}"] for means in each] for factor in FACTORS])
+    return max(_reached(shares.mean(1), _HELD[0]), _reached(shares.min(1), _HELD[1]))
+
+
+def _reached(shares: np.ndarray, wanted: float) -> float:
+    """The least factor with which a share is reached, linear between those that were tried."""
+    enough = np.flatnonzero(shares >= wanted - 1e-9)
+    if not len(enough) or enough[0] == 0:
+        return FACTORS[0] if len(enough) else FACTORS[-1]
+    at = slice(enough[0] - 1, enough[0] + 1)
+    return float(np.interp(wanted, shares[at], FACTORS[at]))
 
 
 def _over_others(found: Mapping[str, Mapping[str, Mapping[str, float]]], shapes: Collection[str]) -> dict[str, float]:

@@ -87,7 +87,8 @@ def reached(roots: Sequence[str]) -> set[str]:
     return found
 
 
-def imported(source: str, name: str, package: bool = False) -> Iterator[str]:
+@cache
+def imported(source: str, name: str, package: bool = False) -> tuple[str, ...]:
     """Names that a module imports; `from a import b` gives both a and a.b, either of which may be a module.
 
     Args:
@@ -95,19 +96,21 @@ def imported(source: str, name: str, package: bool = False) -> Iterator[str]:
         name: its full name, which relative imports start from.
         package: whether it is a package's `__init__`.
     """
+    found: list[str] = []
     for node in _run(ast.parse(source)):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = node.module or ""
             if node.level:
                 parts = name.split(".")
                 parts = parts[: len(parts) - node.level + package]
                 base = ".".join([*parts, base] if base else parts)
-            yield base
-            yield from (f"{base}.{alias.name}" for alias in node.names)
+            found += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+    return tuple(found)
 
 
+@cache
 def bare(source: str) -> str:
     """A source without comments, docstrings and blank lines."""
     lines = source.splitlines(keepends=True)

@@ -132,6 +132,7 @@ EXPERIMENTS: dict[str, Callable[[Selection], list[Job]]] = {
     "fig8": _toys,
     "fig5": _particles,
     "fig15": _none,
+    **dict.fromkeys(("fig2", "fig4", "fig6", "fig7", "fig14"), _none),
     "horizon": _horizons,
     "displacement": _displacement,
     "allocation-table1": _pegs([(f"t_max_s={t}", "stop=contacts") for t in (10, 20)]),

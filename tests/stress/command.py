@@ -31,6 +31,8 @@ WRONG = 1
 """Exit code where an error exceeded its limit."""
 KILLED = ("commands", "writers")
 """What `--kills` kills: whole commands, and processes that write one kind of file over and over."""
+FAULTS = "faults"
+"""What `--only` takes for runs with a fault."""
 SLOW_FROM = 5.0
 """Minutes from which sweeps that take minutes are carried out too."""
 
@@ -43,6 +45,7 @@ _HELP = """Hold public operations to references of higher precision, over inputs
     rumi stress --kills 100
     rumi stress --pairs 200
     rumi stress --readings 10000
+    rumi stress --only faults --rounds 20
 
 Ends with exit code 1 if an error exceeds its limit or something comes out that is not finite, with 2 for bad input."""
 
@@ -54,7 +57,7 @@ class StressOptions:
     Attributes:
         minutes: to spend; each sweep has one round at least. Those that take minutes run from 5 minutes on.
         only: sweeps, or the beginnings of their names; all if none is given. With --fuzz its targets, with --kills
-            "commands" or "writers".
+            "commands" or "writers". "faults" alone: runs of a drawn mug with a drawn fault, each beside one without.
         seed: of the first round; by a worst case's seed it is drawn again.
         rounds: of each sweep, in place of minutes.
         json: file for what was found.
@@ -97,6 +100,8 @@ def stress(arguments: Sequence[str]) -> int:
     if asked:
         carried = {"fuzz": _fuzz, "kills": _kills, "pairs": _pairs, "readings": _readings}
         return int(carried[asked[0]](options, instead[asked[0]]))
+    if options.only == (FAULTS,):
+        return _faults(options)
     subjects.load()
     sweeps = _chosen(options)
     if options.list:
@@ -190,6 +195,36 @@ def _pairs(options: StressOptions, count: int) -> int:
     sys.stdout.write("".join(f"    {text}\n" for text in found.wrong))
     _write(options, asdict(found))
     return WRONG if found.wrong else DONE
+
+
+def _faults(options: StressOptions) -> int:
+    """Runs with a drawn fault, each beside the same run without, seed by seed."""
+    from scripts import drawn_faults
+
+    if options.list:
+        sys.stdout.write(f"{FAULTS}\n")
+        return DONE
+    end, seed, ended = time.perf_counter() + 60.0 * options.minutes, options.seed, DONE
+    lines: list[dict[str, Any]] = []
+    try:
+        while len(lines) < (options.rounds or math.inf):
+            if lines and options.rounds is None and time.perf_counter() > end:
+                break
+            lines.append({"task": "mug", "seed": seed, **drawn_faults.measure("mug", seed)})
+            seed += 1
+            _progress(len(lines), options.rounds or 0, FAULTS)
+    except KeyboardInterrupt:
+        say("interrupted")
+        ended = INTERRUPTED
+    _progress(0, 0, "")
+    sys.stdout.write(drawn_faults.show(lines, {}))
+    wrong = [line for line in lines if drawn_faults.far(line["faulted"]) and not drawn_faults.flagged(line["faulted"])]
+    alarmed = [line for line in lines if line["faultless"]["alarms"]]
+    for told, some in (("far off, not flagged", wrong), ("false alarm", alarmed)):
+        sys.stdout.write("".join(f"    {told}: seed {line['seed']}, {line['fault']}\n" for line in some))
+    _write(options, {"runs": lines})
+    beyond = len(wrong) > 0.01 * len(lines) or len(alarmed) > 0.02 * len(lines)
+    return ended or (WRONG if beyond else DONE)
 
 
 def _readings(options: StressOptions, count: int) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 from rumi.exit_codes import BAD_INPUT, NOT_CONVERGED
 from tests.stress.processes import Commands
 
-RUN = ["run", "peg", "--most-actions", "2", "--no-figures"]
+RUN = ["run", "peg", "--most-actions", "2", "--particles", "150", "--search-particles", "400", "--no-figures"]
 NAMED, DEFAULT = "one name", "default names"
 TIMED = ("steps.jsonl", "result.json")
 """Files that hold seconds."""

@@ -8,6 +8,8 @@ import pytest
 import torch
 
 from rumi.belief.drawn_segments import drawn_push, drawn_truth, drawn_view
+from rumi.belief.knocked_trajectories import begun_again
+from rumi.belief.misfit import MisfitSettings
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
@@ -348,6 +350,24 @@ def test_the_filter_follows_a_push_that_nothing_measures(block, model, dtype):
     torch.testing.assert_close(whole.log_likelihood, now.log_likelihood, atol=1e-9, rtol=0)
     few = subsample(belief, 10)
     assert type(few) is PoseBelief and few.world_T_object.shape == (10, 4, 4)
+
+
+def test_after_a_knock_the_object_is_found_by_one_action_about_where_it_was(block, model):
+    """The block was moved by 30 mm; what the action felt leaves open how far along the face it is."""
+    followed = follow(block, model, felt_weight=5.0, outliers=1e-4)
+    belief, memory = begin(followed)
+    moved = torch.tensor([-0.03, 0.0, 0.0], **DOUBLE)
+    near = PUSH.clone()
+    near[:, 0] -= 0.046  # up to the face, which is not pushed on
+    reading = felt_by(moved, near, block)
+    assert bool(reading.in_contact.any())
+    after, _, _ = followed(belief, memory, reading, generator=generator(2))
+    found = begun_again(followed, belief, after, MisfitSettings(), generator=generator(3))
+    off, was = (abs(float(poses[:, 0, 3].mean()) + 0.03) for poses in (found.world_T_object, belief.world_T_object))
+    assert off < 0.010 < was
+    assert len(found.trajectories) == len(belief.trajectories) and found.trajectories.pose.isfinite().all()
+    followed(found, memory, reading, generator=generator(4))  # and goes on from there
+    assert begun_again(followed, belief, belief, MisfitSettings(), generator=generator(3)) is None
 
 
 def test_moves_go_on_once_readings_count_in_full_and_not_before(block, model, monkeypatch):

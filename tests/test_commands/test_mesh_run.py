@@ -17,7 +17,7 @@ from tests.fixtures.meshes import box
 
 for package in ("trimesh", "scipy", "networkx"):
     pytest.importorskip(package)
-pytestmark = [pytest.mark.sim, pytest.mark.usefixtures("at_home")]
+pytestmark = [pytest.mark.sim, pytest.mark.usefixtures("at_home", "all_in_reach")]  # meshes of many heights
 
 SMALL = [
     *("--initialise.particles", "12", "--initialise.starts", "40", "--initialise.polished", "12"),

@@ -67,8 +67,11 @@ def test_versions_agree(shape: str, kind: str, dtype: torch.dtype, generator: to
     poses, sliding = objects(generator, 40, dtype)
     arguments = (poses, straight(dtype=dtype), finger(kind, dtype), outline, sliding)
     found = push_along_path(*arguments)
+    alone = push_along_path(*arguments, distances=False)
+    assert torch.equal(alone.track, found.track) and alone.distance.shape == (40, 0)
     with backend.force("torch"):
         plain = push_along_path(*arguments)
+        assert torch.equal(push_along_path(*arguments, distances=False).track, plain.track)
     # rounding may decide which of two points is the deeper
     off = (found.track - plain.track).abs().amax((-1, -2)) > (1e-3 if dtype == torch.float32 else 1e-9)
     assert float(off.double().mean()) <= (0.1 if dtype == torch.float32 else 0.0)

@@ -140,7 +140,7 @@ def test_a_turned_scene_has_the_same_density():
 
 
 def test_the_posterior_is_that_of_a_grid():
-    own, residual = body(), replace(PushResidual(), power=1.0)
+    own, residual = body(), replace(PushResidual(), power=1.0, spread=0.0)
     mean, deviation = [-1.5, 0.2, 1.0, 3.0, 0, 0, 0, 0], [0.5, 0.4, *[1e-6] * 6]
     prior = PushPosterior.prior(512, mean=mean, deviation=deviation, residual=residual, registration=SURE)
     start, path = pushes(6)

@@ -9,6 +9,8 @@ from rumi import exit_codes
 from rumi.cli import main
 from rumi.environments.leaderboard import Score, read_board, table
 from rumi.errors import UsageError
+from rumi.tasks.rummage import settings
+from rumi.tasks.rummage.settings import preset
 
 AHEAD = """
 VIEW = "particles"
@@ -31,7 +33,9 @@ def made_up(policy, right, wrong, actions, count=10):
 
 @pytest.mark.sim
 @pytest.mark.usefixtures("at_home")
-def test_a_policy_is_ranked_beside_those_before(tmp_path, capsys):
+def test_a_policy_is_ranked_beside_those_before(tmp_path, capsys, monkeypatch):
+    short = {"steps": 3, "initialise.particles": 12, "initialise.starts": 40, "initialise.polished": 12}
+    monkeypatch.setattr(settings, "preset", lambda name, *, task: preset(name, task=task, **short))
     policy, board = tmp_path / "ahead.py", tmp_path / "board.jsonl"
     policy.write_text(AHEAD)
     before = Score("best", "", "mug-0", "default", [3], 1, 0, 4.0, 1.0)
@@ -42,7 +46,7 @@ def test_a_policy_is_ranked_beside_those_before(tmp_path, capsys):
     assert title == "mug-0, seeds 3 to 3, preset default"
     assert rows[0].startswith("best") and any(row.startswith("ahead.py") for row in rows)
     scores = read_board(board)
-    assert scores[0] == before and scores[1].policy == "ahead.py" and 1 <= scores[1].actions <= 40
+    assert scores[0] == before and scores[1].policy == "ahead.py" and 1 <= scores[1].actions <= 3
 
 
 def test_the_order_is_right_then_wrong_then_actions():

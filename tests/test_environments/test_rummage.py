@@ -38,8 +38,8 @@ def test_gymnasium_finds_nothing_wrong(cache, view):
 
 
 @pytest.mark.parametrize("name", ["rumi/Drill-v0", "rumi/Box-v0"])
-def test_tasks_in_space_have_four_controls(cache, name):
-    env = make(name, cache)
+def test_tasks_in_space_have_four_controls(all_in_reach, name):
+    env = make(name, all_in_reach)
     observation, info = env.reset(seed=3)
     assert env.action_space.shape == (4,) and env.observation_space.contains(observation)
     observation, *_ = env.step(env.action_space.sample())

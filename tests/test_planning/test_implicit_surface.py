@@ -17,6 +17,7 @@ from rumi.planning.implicit_surface import (
     fit,
     labelled,
     next_to_nodes,
+    predictive_mean,
     predictive_variance,
     spread_out,
 )
@@ -229,3 +230,16 @@ def test_cap_leaves_each_class_its_share(surface: int, free: int, expected: tupl
     assert data.points.dtype == data.labels.dtype == torch.float64
     whole = labelled(scattered(surface).float(), apart, None)
     assert len(whole.points) == surface + free
+
+
+def test_the_mean_is_that_of_a_dense_solve():
+    data, at = ball(), scattered(40)
+    x, y = data.points.numpy(), data.labels.numpy() - SOME.mean
+    gram = kernel(x, x, SOME) + SOME.noise * np.eye(len(x))
+    expected = SOME.mean + kernel(at.numpy(), x, SOME) @ np.linalg.solve(gram, y)
+    np.testing.assert_allclose(predictive_mean(data, SOME, at).numpy(), expected, atol=1e-10)
+    # without data it is the constant, and labels without noise come back
+    nothing = Labelled(torch.zeros(0, 3, dtype=torch.float64), torch.zeros(0, dtype=torch.float64))
+    assert predictive_mean(nothing, SOME, at).tolist() == [SOME.mean] * len(at)
+    exact = predictive_mean(data, SOME._replace(noise=0.0), data.points)
+    np.testing.assert_allclose(exact.numpy(), data.labels.numpy(), atol=2e-3)

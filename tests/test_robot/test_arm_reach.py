@@ -59,6 +59,7 @@ def test_limits_that_are_not_the_same_either_way_matter():
 def test_the_compiled_steps_are_the_plain_ones(six):
     """The kernel of the planner and the executor's step read the same table."""
     from rumi.robot.tool_numba import step_within
+    from sdf.compiled import interpreted
 
     tool = Tool(BOUNDS[:, :2].double(), six.double(), height_m=0.06)
     arrays, random = tool.arm_arrays(), torch.Generator().manual_seed(1)
@@ -69,7 +70,9 @@ def test_the_compiled_steps_are_the_plain_ones(six):
         path = tool.free_path(q, control[None], 1)[0]
         aim = q + control * tool.scale
         left = float(six.residual(q))
-        found = step_within(*q[:2].tolist(), 0.0, float(q[2]), *aim[:2].tolist(), 0.0, float(aim[2]), left, *arrays)
+        found = interpreted(step_within)(
+            *q[:2].tolist(), 0.0, float(q[2]), *aim[:2].tolist(), 0.0, float(aim[2]), left, *arrays
+        )
         torch.testing.assert_close(torch.tensor([found[0], found[1], found[3]]).double(), path, atol=1e-6, rtol=0)
 
 

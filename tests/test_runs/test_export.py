@@ -155,7 +155,7 @@ def test_the_command_writes_beside_the_run(folder, capsys):
         (["RUN", "--to", "json", "--step", "9"], "0 to 5, got 9"),
         (["RUN", "--to", "json", "--mesh", "a.obj"], "Expected no --mesh with json"),
         (["RUN", "--to", "mjcf", "--mesh", "nowhere.obj"], "no such file"),
-        (["RUN/settings.json", "--to", "json"], "a log holds no beliefs"),
+        (["RUN/settings.json", "--to", "json"], "is no HDF5 file"),
         (["nowhere", "--to", "json"], "There is no run folder nowhere"),
     ],
 )

@@ -13,7 +13,7 @@ import torch
 from rumi import exit_codes
 from rumi.belief.particles import PoseBelief
 from rumi.cli import main
-from rumi.commands.replay import changes
+from rumi.commands.replay_summary import changes
 from rumi.runs.folder import load_run
 from rumi.runs.replay import digest
 
@@ -178,7 +178,7 @@ def test_the_settings_of_a_log_that_another_rumi_wrote_are_checked(recorded, cap
 
 @pytest.mark.sim
 def test_a_log_of_before_with_readings_replays_bit_for_bit(recorded, capsys, tmp_path):
-    """`rumi run --record` wrote readings to HDF5 beside the trace once."""
+    """`rumi run --record` wrote readings to HDF5 beside the trace once; what is exported of it is what the run knew."""
     run = load_run(recorded)
     asked = {name: value for name, value in run.settings.items() if name not in ("schema", "made_with")}
     with LogWriter(tmp_path / "log.h5", [], settings=asked, about={"made_with": "{}"}) as log:
@@ -188,6 +188,12 @@ def test_a_log_of_before_with_readings_replays_bit_for_bit(recorded, capsys, tmp
     for path in (tmp_path, tmp_path / "log.h5"):
         main(["replay", str(path)])
         assert "the recorded one, bit for bit, after each of" in said_of_beliefs(capsys)
+    poses = []
+    for path in (recorded, tmp_path / "log.h5"):
+        assert main(["export", str(path), "--to", "json", "--out", str(tmp_path / "pose.json")]) == exit_codes.DONE
+        assert capsys.readouterr().out == f"{tmp_path / 'pose.json'}\n"
+        poses.append([step["pose"] for step in json.loads((tmp_path / "pose.json").read_text())["steps"]])
+    assert len(poses[0]) == STEPS + 1 and poses[0] == poses[1]
 
 
 @pytest.mark.sim

@@ -8,6 +8,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tyro
 
@@ -122,3 +123,26 @@ def words(page: Path) -> int:
 def test_words_by_hand_stay_few():
     assert words(ROOT / "README.md") <= 400
     assert sum(words(page) for page in PAGES if DOCS / "results" not in page.parents) <= 20_000
+
+
+def test_the_tutorials_files_are_made(monkeypatch, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    monkeypatch.chdir(tmp_path)
+    code = [text for language, text in blocks(DOCS / "tutorial" / "first-hour.md") if language == "python"]
+    for text in code[1:]:
+        exec(text, {})
+    points = np.loadtxt("touches.csv", delimiter=",") - [0.4, 0.1, 0.0]
+    mesh = trimesh.load("bracket.stl").apply_scale(0.001)
+    _, off, _ = trimesh.proximity.closest_point_naive(mesh, points)
+    assert points.shape == (20, 3) and off.max() < 2e-5
+
+
+@pytest.mark.sim
+@pytest.mark.slow
+def test_the_tutorials_run(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    code = next(text for language, text in blocks(DOCS / "tutorial" / "first-hour.md") if language == "python")
+    preset = rumi.preset
+    monkeypatch.setattr(rumi, "preset", lambda *names, **values: preset("fast", **values, steps=1))
+    exec(code, {})
+    assert (tmp_path / "runs/from-python/result.json").is_file()

@@ -1,6 +1,7 @@
 """Kernels: the same for any number of threads, and announced while they are compiled for the first time."""
 
 import importlib
+import math
 import sys
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from rumi.robot import tool_numba
 from sdf import compiled
 from sdf.part_numba import indices
 
@@ -80,3 +82,12 @@ def test_no_kernel_under_a_transform_of_torch_func():
     torch.func.vmap(lambda x: seen.append(compiled.supports(x)) or x)(torch.zeros(3))
     assert seen == [False]
     assert compiled.supports(torch.zeros(3)) == compiled.available()
+
+
+def test_a_function_of_kernels_refuses_python_which_may_have_it_interpreted():
+    with pytest.raises(TypeError, match="kernel"):
+        tool_numba.residual(0.0, 0.0, 0.0, 0.0, np.zeros((2, 2)), np.zeros(3), np.zeros(6))
+    residual = compiled.interpreted(tool_numba.residual)
+    table, far = np.zeros((3, 5)), math.hypot(0.3, 0.4) - 0.2
+    found = residual(0.3, 0.4, 0.0, 0.0, table, [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.1, math.pi])
+    assert found == pytest.approx(far)

@@ -39,11 +39,11 @@ def test_a_recording_holds_scene_curves_and_reasons(folder, monkeypatch, capsys)
     assert {one.name for one in folder.iterdir()} >= {"run.rrd"} and not list(folder.glob(".*"))
 
 
-def test_a_log_is_no_run(tmp_path, capsys):
+def test_a_file_that_is_no_log_is_refused(tmp_path, capsys):
     log = tmp_path / "log.h5"
     log.touch()
     assert main(["view", str(log)]) == 2
-    assert "`rumi replay" in capsys.readouterr().err
+    assert "log.h5" in capsys.readouterr().err
 
 
 def test_a_fresh_recording_is_not_written_again(folder, monkeypatch):
@@ -59,10 +59,10 @@ class Process:
     """A viewer that listens to nobody."""
 
     def __init__(self, words, **more):
-        self.words, self.ended = words, False
+        self.words, self.ended, self.pid = words, False, -7
 
-    def terminate(self):
-        self.ended = True
+    def end(self, pid, signal):
+        self.ended = pid == self.pid
 
     def wait(self):
         assert self.ended
@@ -73,6 +73,7 @@ def test_a_live_view_shows_what_a_recording_holds(display, tmp_path, monkeypatch
     made, opened = make_up(5, particles=10), []
     monkeypatch.setattr(live, "has_display", lambda: display)
     monkeypatch.setattr(live.subprocess, "Popen", lambda *words, **more: opened.append(Process(*words)) or opened[0])
+    monkeypatch.setattr(live.os, "killpg", lambda *given: opened[0].end(*given))
     stream = rerun.RecordingStream
     to_file = lambda self, url, default_blueprint: stream.save(self, tmp_path / "run.rrd", default_blueprint)  # noqa: E731
     monkeypatch.setattr(stream, "connect_grpc", to_file)

@@ -11,17 +11,21 @@ from rumi.bench.cases import (  # noqa: I001  (the order of the table)
     sampling,
     planning,
     actions,
+    readings,
     loading,
+    cold_start,
 )
 
 __all__ = [
     "actions",
+    "cold_start",
     "discrepancy",
     "fields",
     "loading",
     "lookup",
     "planning",
     "reach",
+    "readings",
     "rollouts",
     "sampling",
     "trajectory",

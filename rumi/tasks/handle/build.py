@@ -1,9 +1,11 @@
 """What a fused run is made of."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rumi.agent import Parts
 from rumi.robot.tool import Tool
+from rumi.sim.faults import Fault
 from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.handle.agent import HandleAgent, build_agent
 from rumi.tasks.handle.grasp import handle_table
@@ -18,6 +20,7 @@ def build_handle(
     cache_dir: Path | None = None,
     tool: Tool | None = None,
     table: GraspTable | None = None,
+    faults: Sequence[Fault] = (),
 ) -> Parts[HandleTask, HandleAgent]:
     """Make the parts of a run.
 
@@ -26,9 +29,10 @@ def build_handle(
         cache_dir: folder that keeps the arm's reach and the table of grasps; None works them out each time (a minute).
         tool: made before by `make_tool`; None makes one.
         table: made before by `handle_table`; None makes one.
+        faults: what goes wrong.
     """
     spec = task_of(settings)
     tool, model = tool or make_tool(spec, cache_dir=cache_dir), spec.object_factory()
-    task = HandleTask(settings, tool, model, cache_dir=cache_dir)
+    task = HandleTask(settings, tool, model, cache_dir=cache_dir, faults=faults)
     table = table or handle_table(task.gripper, cache_dir=cache_dir)
     return Parts(task, build_agent(settings, tool=tool, model=model, table=table))

@@ -13,6 +13,7 @@ from rumi.registration.pose_summary import PoseSummary
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
 from rumi.runs.progress import stages
+from rumi.sim.faults import FAULTS, Fault, Faults, chosen_faults
 from rumi.tasks.handle.agent import HandleAgent, HandleResult, build_agent
 from rumi.tasks.handle.settings import SENSORS, HandleSettings
 from rumi.tasks.handle.simulated import HandleTask
@@ -38,10 +39,12 @@ class HandleRunSettings:
     Attributes:
         settings: of belief, sensors and time.
         seed: of where the mug stands, of the noise and of the choices.
+        fault: what goes wrong, KIND[:SIZE][@STEP], once for each: any of `rumi.sim.faults.FAULTS` but stale.
     """
 
     settings: Annotated[HandleSettings, tyro.conf.arg(name="")] = field(default_factory=HandleSettings)
     seed: int = 0
+    fault: Faults = ()
 
 
 class _Handle:
@@ -64,6 +67,7 @@ class _Handle:
     def check(self, settings: HandleRunSettings) -> Sequence[str]:
         """Say what takes long at first, and where the time is up before the first look and the grasp are done."""
         check_seed(settings.seed)
+        self._faults(settings)
         note = short_of(settings.settings)
         return ("grasps are simulated once and kept (a minute at first)", *([] if note is None else [note]))
 
@@ -75,7 +79,12 @@ class _Handle:
         """The simulated arm with its sensors, and what finds and grasps the mug."""
         from rumi.tasks.handle.build import build_handle
 
-        return build_handle(settings.settings, cache_dir=cache_dir)
+        return build_handle(settings.settings, cache_dir=cache_dir, faults=self._faults(settings))
+
+    def _faults(self, settings: HandleRunSettings) -> tuple[Fault, ...]:
+        """What goes wrong."""
+        kinds = [name for name in FAULTS if name != "stale"]  # the camera looks once
+        return chosen_faults(settings.fault, kinds, task="handle", steps=settings.settings.steps, seed=settings.seed)
 
     def recorder(
         self, folder: Path, settings: HandleRunSettings, parts: Parts[Any, HandleAgent], *, log: bool
@@ -93,12 +102,14 @@ class _Handle:
 
     def as_dict(self, settings: HandleRunSettings) -> dict[str, Any]:
         """Settings as settings.json has them."""
-        return {"task": "handle", "seed": settings.seed, "handle": asdict(settings.settings)}
+        own = asdict(settings.settings)
+        return {"task": "handle", "seed": settings.seed, "handle": own, "fault": list(settings.fault)}
 
     def from_dict(self, values: Mapping[str, Any]) -> HandleRunSettings:
         """The settings of a settings.json, also of one of before, when the task was called "fused"."""
         own = values["handle"] if "handle" in values else values["fused"]
-        return HandleRunSettings(dataclass_of(HandleSettings, own), values["seed"])
+        fault = tuple(values.get("fault", ()))
+        return HandleRunSettings(dataclass_of(HandleSettings, own), values["seed"], fault)
 
     def agent(self, settings: HandleRunSettings, *, cache_dir: Path | None = None) -> HandleAgent:
         """What finds the mug, and grasps nothing."""

@@ -1,6 +1,7 @@
 """A movable mug before four kinds of sensors: a camera's first view, soft bubbles, a wrench, and joint torques."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -12,6 +13,7 @@ from torch import Tensor
 from rumi.robot.gripper import gripper_parts
 from rumi.robot.tool import Tool
 from rumi.seeding import split
+from rumi.sim.faults import Fault
 from rumi.sim.force_sensing_world import ForceSensingWorld, WrenchTrace
 from rumi.sim.joint_torques import JointFeeler
 from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
@@ -49,19 +51,27 @@ class HandleTask(SensedTask):
         tool: the gripper with the reach of its arm.
         model: the mug.
         cache_dir: folder that keeps what takes long.
+        faults: what goes wrong.
     """
 
     def __init__(
-        self, settings: HandleSettings, tool: Tool, model: ObjectModel, *, cache_dir: Path | None = None
+        self,
+        settings: HandleSettings,
+        tool: Tool,
+        model: ObjectModel,
+        *,
+        cache_dir: Path | None = None,
+        faults: Sequence[Fault] = (),
     ) -> None:
         own = settings.sensors
         spec = task_of(settings)
         kind: SensorKind = "bubbles" if "bubbles" in own else "camera"
         sensors = SensorSettings(kind) if settings.noise_free else degraded(kind)
         simulator = SimSettings(sensors=sensors, free_region_m=settings.free_region_m)
-        super().__init__(spec, simulator, tool, model, cache_dir=cache_dir)
+        super().__init__(spec, simulator, tool, model, cache_dir=cache_dir, faults=faults)
         self.fused = settings
         self._drawn = spec
+        self._kind = ForceSensingWorld
         self.world: ForceSensingWorld = ForceSensingWorld(
             self.world.body, self.shape, spec.height_m, simulator.time_step_s, spec.physics
         )
@@ -73,7 +83,7 @@ class HandleTask(SensedTask):
         self._joints = JointFeeler(spec.base, spec.height_m, joints) if "torques" in own else None
         self._wrist_noise, self._joint_noise, self._from = torch.Generator(), torch.Generator(), torch.zeros(3)
         self._wrist_off = se3.identity().double()
-        self.gripper = HandleGripper(model.exact, self.world.body, spec.physics)
+        self.gripper = HandleGripper(self.model.exact, self.world.body, spec.physics)
 
     def reset(self, seed: int) -> StepResult:
         """Put the mug where the seed has it and return the first look; without a camera it shows nothing."""

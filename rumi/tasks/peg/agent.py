@@ -1,6 +1,6 @@
 """The peg task's agent: lanes until the first touch, then touches that tell most, until the holes are known."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -15,6 +15,7 @@ from rumi.clock import Clock, SimulatedClock
 from rumi.information.contact_gain import ContactKind
 from rumi.information.stopping import TargetEstimate
 from rumi.seeding import split
+from rumi.sim.faults import Fault
 from rumi.task import StepResult
 from rumi.tasks.peg.cell import Felt, TimedPath
 from rumi.tasks.peg.records import RELIES_ON, PegRun, PegStep
@@ -159,9 +160,9 @@ class PegAgent:
         return PegRun(self.settings, state.history, state.decisions, stopped_by, outcome, total_s)
 
 
-def build_peg(settings: PegSettings) -> Parts[PegTask, PegAgent]:
+def build_peg(settings: PegSettings, faults: Sequence[Fault] = ()) -> Parts[PegTask, PegAgent]:
     """The cell and its agent."""
-    return Parts(PegTask(settings), PegAgent(settings))
+    return Parts(PegTask(settings, faults), PegAgent(settings))
 
 
 def _away(felt: Felt) -> Float[Tensor, "2"] | None:

@@ -11,7 +11,9 @@ from rumi.agent import Parts
 from rumi.registration.pose_summary import PoseSummary, answer_lines
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
+from rumi.sim.faults import Fault, Faults, chosen_faults
 from rumi.tasks.peg.agent import PegAgent, build_peg
+from rumi.tasks.peg.faulty import KINDS
 from rumi.tasks.peg.records import PARTS, PegRun, PegStep
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.peg.simulated import PegTask
@@ -28,10 +30,13 @@ class PegRunSettings:
     Attributes:
         settings: of the task and the robot.
         seed: of the block's pose, the noise and the choices.
+        fault: what goes wrong, KIND[:SIZE][@STEP], once for each: knock, hand or false-contact, STEP the motion from
+            which on it holds.
     """
 
     settings: Annotated[PegSettings, tyro.conf.arg(name="")] = field(default_factory=PegSettings)
     seed: int = 0
+    fault: Faults = ()
 
 
 class _Peg:
@@ -51,16 +56,22 @@ class _Peg:
         return f"peg-t{settings.settings.action_budget_s:g}-{settings.settings.stop}-s{settings.seed}"
 
     def check(self, settings: PegRunSettings) -> Sequence[str]:
-        """Refuse a seed that is none."""
+        """Refuse a seed that is none, and faults that cannot be."""
         check_seed(settings.seed)
+        self._faults(settings)
         return ()
+
+    def _faults(self, settings: PegRunSettings) -> tuple[Fault, ...]:
+        """What goes wrong."""
+        own = settings.settings
+        return chosen_faults(settings.fault, KINDS, task="peg", steps=own.most_actions, seed=settings.seed)
 
     def steps(self, settings: PegRunSettings) -> None:
         """The agent decides: it counts no lanes."""
 
     def build(self, settings: PegRunSettings, *, cache_dir: Path | None = None) -> Parts[PegTask, PegAgent]:
         """The cell and what finds the block."""
-        return build_peg(settings.settings)
+        return build_peg(settings.settings, self._faults(settings))
 
     def recorder(self, folder: Path, settings: PegRunSettings, parts: Parts[Any, Any], *, log: bool) -> RunRecorder:
         """Writes the run's folder."""
@@ -76,11 +87,11 @@ class _Peg:
 
     def as_dict(self, settings: PegRunSettings) -> dict[str, Any]:
         """Settings as settings.json has them."""
-        return {"task": "peg", "seed": settings.seed, "peg": asdict(settings.settings)}
+        return {"task": "peg", "seed": settings.seed, "peg": asdict(settings.settings), "fault": list(settings.fault)}
 
     def from_dict(self, values: Mapping[str, Any]) -> PegRunSettings:
         """The settings of a settings.json."""
-        return PegRunSettings(dataclass_of(PegSettings, values["peg"]), values["seed"])
+        return PegRunSettings(dataclass_of(PegSettings, values["peg"]), values["seed"], tuple(values.get("fault", ())))
 
     def agent(self, settings: PegRunSettings, *, cache_dir: Path | None = None) -> PegAgent:
         """What finds the block."""

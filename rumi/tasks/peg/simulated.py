@@ -1,5 +1,6 @@
 """The peg task: a block somewhere on a table, and a ball on a force-torque sensor that is then put into a hole."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -10,8 +11,10 @@ from rumi.clock import SimulatedClock
 from rumi.errors import UsageError
 from rumi.information.contact_gain import ContactKind
 from rumi.seeding import split
+from rumi.sim.faults import Fault
 from rumi.task import StepResult
 from rumi.tasks.peg.cell import Felt, TimedPath, TouchCell
+from rumi.tasks.peg.faulty import followed, strike
 from rumi.tasks.peg.search import lanes
 from rumi.tasks.peg.settings import PegSettings
 
@@ -37,10 +40,11 @@ class PegTask:
 
     Args:
         settings: of the task and the robot.
+        faults: what goes wrong.
     """
 
-    def __init__(self, settings: PegSettings) -> None:
-        self.settings = settings
+    def __init__(self, settings: PegSettings, faults: Sequence[Fault] = ()) -> None:
+        self.settings, self.faults, self._motions = settings, tuple(faults), 0
         self._cell: TouchCell | None = None
 
     @property
@@ -56,7 +60,7 @@ class PegTask:
 
     def reset(self, seed: int) -> StepResult:
         """Put the block where the seed has it, and the ball beside the table's part."""
-        own = self.settings
+        own, self._motions = self.settings, 0
         truth = random_pose(own, generator=split(seed, "pose"))
         tip = torch.cat((lanes(own)[0], torch.tensor([own.low_m], dtype=torch.float64)))
         clock, noise = SimulatedClock(), split(seed, "sensor")
@@ -70,12 +74,15 @@ class PegTask:
     def step(self, action: TimedPath) -> StepResult:
         """Go along a path until something is felt."""
         self.cell.clock = SimulatedClock(action.begins_s)
-        return StepResult(self.cell.follow(action.points), self.cell.truth)
+        self._motions += 1
+        strike(self.cell, self.faults, self._motions)
+        return StepResult(followed(self.cell, action.points, self.faults, self._motions), self.cell.truth)
 
     def finish(self, action: TimedPath) -> Insertion:
         """Go over a place and lower the peg there."""
         own, place = self.settings, action.points[-1, :2]
         self.step(action)
+        place = self.cell.tip[:2] if self.faults else place
         in_hole, off_m = self.cell.insert(place, own.height_m + own.radius_m, own.tolerance_m)
         return Insertion(place, in_hole, off_m, self.cell.clock())
 

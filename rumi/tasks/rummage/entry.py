@@ -13,9 +13,10 @@ from rumi.columns import folded
 from rumi.errors import UsageError
 from rumi.records import RunResult, StepRecord
 from rumi.registration.pose_summary import PoseSummary, answer_lines
-from rumi.runs.folder import Run, RunRecorder, provenance, write_json
+from rumi.runs.folder import Run, RunRecorder, write_json
 from rumi.runs.logbook import LOG, LogRecorder
 from rumi.runs.progress import say, stages
+from rumi.runs.provenance import provenance
 from rumi.sim.sensor_settings import SensorSettings
 from rumi.task import Task
 from rumi.tasks.registry import Role, check_seed

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from rumi.belief import trajectory_faults
 from rumi.belief.change_test import ChangeEvidence, ChangeTest
+from rumi.belief.knocked_trajectories import begun_again
 from rumi.belief.misfit import MISFITS, MisfitSettings, knocked, log_ratios
 from rumi.belief.motion import Motion
 from rumi.belief.particles import PoseBelief
@@ -158,6 +159,8 @@ def watch(
     names, test = list(shares), ChangeTest(tuple(shares.values()), own.alpha)
     evidence = test.begin() if before.evidence is None else before.evidence
     ratios = _ratios(last, record, pose_filter, model, own, generator)
+    if before.named is not None:  # a search is about what it touched, whatever hand and view are off by
+        ratios = ratios.where(torch.tensor([name not in _OFF for name in names]), -torch.inf)
     evidence = test.update(evidence, ratios)
     weighed = torch.logsumexp(ratios + ratios.new_tensor(test.weights).log(), -1)
     chances = dict(zip(["no fault", *names], _chances(test, evidence), strict=True))
@@ -273,10 +276,17 @@ def searched_again(
     here = record.belief
     if named in _OFF:
         own = replace(own, knock_m=_OFF[named], knock_rad=_STRAIGHT_RAD)
+    anew: PoseBelief | None = None
+    if isinstance(pose_filter, PoseTrajectoryFilter) and _follows(pose_filter):
+        before = last.belief
+        assert isinstance(before, PoseTrajectoryBelief) and isinstance(here, PoseTrajectoryBelief)
+        anew = begun_again(pose_filter, before, here, own, generator=generator)
     told = sensed_now(record, pose_filter.settings.motion)
     points = replace(told, points=se3.apply(here.world_T_attached, told.points))
     none = Observation.empty(dtype=points.points.dtype, device=points.points.device)
     memory, _ = merge(none, points, pose_filter.lattice)
+    if anew is not None:
+        return anew, memory
     count = here.log_weights.shape[-1]
     poses = here.world_T_attached @ knocked(here, own, _DRAWS * count)
     belief = PoseBelief.uniform(poses)

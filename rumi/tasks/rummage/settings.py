@@ -20,6 +20,7 @@ from rumi.planning.slide import SlideSettings
 from rumi.registration.descent import DescentSettings
 from rumi.runs.json_settings import changed, dataclass_of, not_numbers
 from rumi.runs.plain import plain
+from rumi.sim.faults import Faults
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.objects import ObjectSettings
 
@@ -78,7 +79,7 @@ class Settings:
     misfit: MisfitSettings = field(default_factory=MisfitSettings)
     simulator: SimSettings = field(default_factory=SimSettings)
     object: Annotated[ObjectSettings, tyro.conf.arg(name="")] = field(default_factory=ObjectSettings)
-    fault: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KIND[:SIZE][@STEP]")] = ()
+    fault: Faults = ()
 
     def __post_init__(self) -> None:
         for name, valid in (("method", tuple(POLICIES)), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):

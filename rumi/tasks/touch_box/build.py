@@ -1,6 +1,7 @@
 """Puts a run of touch alone together: robot, table of grasps, push model, by name."""
 
 import importlib
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal, get_args
@@ -9,10 +10,12 @@ from rumi.agent import Parts
 from rumi.dynamics.along_path import PathPush
 from rumi.dynamics.registry import push_model
 from rumi.errors import UsageError
+from rumi.sim.faults import Fault
 from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.touch_box.agent import Toucher
+from rumi.tasks.touch_box.faulty import FaultyRobot
 from rumi.tasks.touch_box.mujoco_scene import path_scene
-from rumi.tasks.touch_box.robot import TouchBox, TouchRobot
+from rumi.tasks.touch_box.robot import SimulatedBox, TouchBox, TouchRobot
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
 
@@ -23,7 +26,12 @@ _ARM = "rumi.tasks.touch_box.arm_robot"
 
 
 def build_touch_box(
-    task: TouchTask, settings: TouchSettings, robot: Robot = "gripper", *, cache_dir: Path | None = None
+    task: TouchTask,
+    settings: TouchSettings,
+    robot: Robot = "gripper",
+    *,
+    cache_dir: Path | None = None,
+    faults: Sequence[Fault] = (),
 ) -> Parts[TouchBox, Toucher]:
     """All that a run needs; needs MuJoCo.
 
@@ -33,6 +41,7 @@ def build_touch_box(
         robot: "gripper" flies freely and feels at stated rates; "arm" feels by its joints' torques; "planar" is no
             simulation but the quasi-static model itself.
         cache_dir: folder that keeps the grasps' success; None simulates it each time (a minute).
+        faults: what goes wrong.
 
     Raises:
         UsageError: an unknown robot, or one that is not there; rates of readings for one that has its own.
@@ -42,6 +51,12 @@ def build_touch_box(
     check_robot(task, robot)
     table = grasp_table(task, cache_dir=cache_dir)
     made = make_robot(task, robot, table, cache_dir=cache_dir)
+    if faults:
+        if not isinstance(made, SimulatedBox):
+            raise UsageError(
+                f"Expected --robot gripper or planar with --fault, got {robot}: nothing goes wrong with it"
+            )
+        made = FaultyRobot(made, faults)
     agent = Toucher(task, settings, made, table, make_path_push(settings.push_model, task))
     return Parts(TouchBox(task, made), agent)
 

@@ -13,9 +13,11 @@ from rumi.errors import UsageError
 from rumi.registration.pose_summary import PoseSummary, answer_lines
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
+from rumi.sim.faults import Fault, Faults, chosen_faults
 from rumi.tasks.registry import Role, check_preset, check_seed
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.build import Robot, check_robot
+from rumi.tasks.touch_box.faulty import KINDS
 from rumi.tasks.touch_box.records import PARTS, TouchRun, TouchStep
 from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
@@ -34,6 +36,8 @@ class TouchBoxSettings:
         seed: of where the box stands and of all randomness.
         plan_budget_s: seconds for the choice of each poke: of the candidates as many are weighed as there is time for;
             None for as long as it needs.
+        fault: what goes wrong, KIND[:SIZE][@STEP], once for each: knock, absent, hand, dead or false-contact, STEP the
+            poke from which on it holds.
     """
 
     settings: Annotated[TouchSettings, tyro.conf.arg(name="")] = field(default_factory=TouchSettings)
@@ -41,6 +45,7 @@ class TouchBoxSettings:
     robot: Robot = "gripper"
     seed: int = 0
     plan_budget_s: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
+    fault: Faults = ()
 
 
 class _TouchBox:
@@ -65,6 +70,7 @@ class _TouchBox:
         check_robot(settings.task, settings.robot)
         if settings.plan_budget_s is not None and not 0 < settings.plan_budget_s < math.inf:
             raise UsageError(f"Expected --plan-budget-s above 0 s and finite, got {settings.plan_budget_s}")
+        self._faults(settings)
         return ("grasps are simulated once and kept (a minute at first)",)
 
     def steps(self, settings: TouchBoxSettings) -> int:
@@ -76,10 +82,19 @@ class _TouchBox:
         from rumi.tasks.touch_box.budget import BudgetedChoice
         from rumi.tasks.touch_box.build import build_touch_box
 
-        parts = build_touch_box(settings.task, settings.settings, settings.robot, cache_dir=cache_dir)
+        faults = self._faults(settings)
+        parts = build_touch_box(settings.task, settings.settings, settings.robot, cache_dir=cache_dir, faults=faults)
         if settings.plan_budget_s is not None:
             parts.agent.chooser = BudgetedChoice(parts.agent, settings.plan_budget_s)
         return parts
+
+    def _faults(self, settings: TouchBoxSettings) -> tuple[Fault, ...]:
+        """What goes wrong."""
+        if settings.fault and settings.robot == "arm":
+            raise UsageError("Expected --robot gripper or planar with --fault, got arm: nothing goes wrong with it")
+        return chosen_faults(
+            settings.fault, KINDS, task="touch-box", steps=settings.settings.actions, seed=settings.seed
+        )
 
     def recorder(self, folder: Path, settings: TouchBoxSettings, parts: Parts[Any, Any], *, log: bool) -> RunRecorder:
         """Writes the run's folder."""
@@ -87,7 +102,7 @@ class _TouchBox:
 
     def role(self, name: str) -> Role:
         """What a setting is to a replay."""
-        if name.partition(".")[0] in ("task", "robot"):
+        if name.partition(".")[0] in ("task", "robot", "fault"):
             return "sensed"
         return (
             "counted"

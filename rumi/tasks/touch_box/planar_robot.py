@@ -87,5 +87,9 @@ class PlanarRobot:
         """(x, y, yaw) of the box."""
         return self._pose.clone()
 
+    def put_box(self, pose: Float[Tensor, "3"]) -> None:
+        """Stand the box at (x, y, yaw)."""
+        self._pose = pose.double()
+
     def close(self) -> None:
         """Nothing is held."""

@@ -80,6 +80,15 @@ class TouchRobot(Protocol):
         ...
 
 
+@runtime_checkable
+class SimulatedBox(TouchRobot, Protocol):
+    """A robot before a simulated box, which can be put elsewhere."""
+
+    def put_box(self, pose: Float[Tensor, "3"]) -> None:
+        """Stand the box at (x, y, yaw)."""
+        ...
+
+
 class TouchBox:
     """The task: a robot before a box whose place is drawn by the seed.
 

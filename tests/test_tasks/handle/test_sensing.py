@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from rumi.robot.gripper import gripper_links
+from rumi.sim.faults import parse_fault
 from rumi.sim.force_sensing_world import ForceSensingWorld
 from rumi.sim.joint_torques import JointFeeler, JointSettings, LevelKinematics
 from rumi.sim.world import World
@@ -71,6 +72,20 @@ def pushed(mug, tool):
         task._from = task.world.configuration()
         found.append((task.step(AHEAD), task.world.trace, task.wrist_contacts(task.world.trace)))
     return found
+
+
+def test_a_hand_that_is_dead_and_off_reports_no_force_and_another_place(mug, tool, pushed):
+    faults = [parse_fault(text, steps=5, seed=2) for text in ("dead@1", "hand:6@1")]
+    task = HandleTask(HandleSettings(), tool, mug, faults=faults)
+    task.reset(1000)
+    assert isinstance(task.world, ForceSensingWorld)
+    x, y, _ = task.spec.start
+    task.world.reset(torch.tensor([x - 0.09, y + 0.01, 0.0]), torch.tensor(task.spec.start))
+    reading, usual = task.step(AHEAD).reading, pushed[0][0].reading
+    assert len(usual.wrench.points) and bool(usual.signals.any())
+    assert not len(reading.wrench.points) and not bool(reading.signals.any()) and not bool(reading.in_contact.any())
+    apart = (reading.tool_pose - usual.tool_pose)[:, :3, 3].norm(dim=-1)
+    torch.testing.assert_close(apart, torch.full_like(apart, 0.006), atol=1e-5, rtol=0)
 
 
 def test_touches_by_the_wrench_lie_on_the_mug(pushed, mug):

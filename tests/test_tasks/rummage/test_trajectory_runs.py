@@ -27,11 +27,11 @@ def settings(**changes):
 
 @pytest.mark.sim
 @pytest.mark.parametrize("task", ["drill-0", "drawn-shelf-box"])
-def test_objects_in_space_are_followed_from_their_prior(task, cache):
+def test_objects_in_space_are_followed_from_their_prior(task, all_in_reach):
     own = settings()
     own = replace(own, task=task, simulator=replace(own.simulator, measures_motion=False))
     few = replace(own.filter.trajectories, unseen_particles=20)
-    with build(replace(own, filter=replace(own.filter, trajectories=few)), cache_dir=cache) as (sim, agent):
+    with build(replace(own, filter=replace(own.filter, trajectories=few)), cache_dir=all_in_reach) as (sim, agent):
         result = rumi.run(sim, agent, seed=0)
     assert result.stopped_by == "steps" and result.final_nll is not None
 

@@ -1,0 +1,70 @@
+"""Trajectories begun anew after a knock: what was believed, moved about, under all that one action brought.
+
+Importance sampling of where the object was when the action began, from the belief before it moved by a knock, then
+moves under the action's readings. What came before is forgotten: it told where the object was before the knock.
+"""
+
+from dataclasses import replace
+
+import torch
+
+from rumi.belief.misfit import MisfitSettings
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, PoseTrajectoryBelief, Trajectories
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, check_finite, power_of
+from rumi.belief.trajectory_faults import new_segments
+from rumi.belief.trajectory_moves import Moves
+from rumi.resampling import resample_systematic
+from rumi.seeding import normal
+from rumi.weights import normalise
+from sdf import se3
+
+_DRAWS, _STARTS, _SWEEPS = 4000, 300, 8
+
+
+@torch.no_grad()
+def begun_again(
+    pose_filter: PoseTrajectoryFilter,
+    before: PoseTrajectoryBelief,
+    after: PoseTrajectoryBelief,
+    own: MisfitSettings,
+    *,
+    generator: torch.Generator,
+) -> PoseTrajectoryBelief | None:
+    """The belief after a knock before the last action, in a frame of its own that rests in the world's.
+
+    Args:
+        pose_filter: that the beliefs are of.
+        before: the belief before the action.
+        after: the belief that has taken it in, whose history holds the action.
+        own: how far a knock moves and turns.
+        generator: of the draws.
+
+    Returns:
+        the belief; None where the action added no reading.
+    """
+    last, now = before.trajectories, after.trajectories
+    if last is None or now is None or not (new := new_segments(last, now)):
+        return None
+    sensed, model, history = pose_filter.own, pose_filter.model, now.history.since(len(now.history) - new)
+    rows = resample_systematic(before.log_weights.double(), _DRAWS, generator=generator)
+    start = last.pose[rows].clone()
+    scale = start.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
+    start[:, :3] += scale * normal((_DRAWS, 3), generator=generator, dtype=torch.float64)
+    drawn = Trajectories(
+        normal((_DRAWS, PHYSICS), generator=generator, dtype=torch.float64),
+        normal((_DRAWS, new, NOISE), generator=generator, dtype=torch.float64),
+        start[:, None].repeat(1, new + 1, 1),
+        start.new_zeros(_DRAWS, new),
+        history,
+        start[:0],
+    ).replayed(model, sensed, history, torch.zeros(_DRAWS, dtype=torch.long))
+    gained = drawn.log_likelihood.sum(-1)
+    check_finite(gained)
+    power = power_of(torch.zeros_like(gained), gained, 0.0, float(_STARTS))  # starts are proposals: they may be wide
+    starts = start[resample_systematic(power * gained, _STARTS, generator=generator)]
+    drawn = replace(drawn.at(resample_systematic(gained, sensed.particles, generator=generator)), starts=starts)
+    moves = Moves(model, sensed, generator)
+    for _ in range(_SWEEPS):
+        drawn = moves.sweep(drawn, history, whole=True)
+    flat = normalise(torch.zeros(len(drawn), dtype=torch.float64))
+    return pose_filter.belief_of(drawn, flat, se3.identity().to(after.world_T_attached), after.log_weights)

@@ -1,0 +1,83 @@
+"""What goes wrong in the peg task: the block is moved, the ball is off or feels what is not there."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.information.contact_gain import ContactKind
+from rumi.sim.faults import FalseContact, Fault, HandOff, Knock
+from rumi.tasks.peg.cell import Felt, TouchCell
+
+KINDS = ("knock", "hand", "false-contact")
+"""The faults of this task."""
+
+
+def strike(cell: TouchCell, faults: Sequence[Fault], step: int) -> None:
+    """Move the block where that is due before a motion."""
+    for fault in faults:
+        if isinstance(fault, Knock) and fault.step == step:
+            turn = 2.0 * float(torch.rand(2, generator=fault.drawn())[1]) - 1.0
+            moved = cell.truth.clone()
+            moved[:2] += fault.aside()[:2].to(moved)
+            moved[2] += torch.deg2rad(torch.tensor(fault.size * turn)).to(moved)
+            cell.truth = moved
+
+
+def followed(cell: TouchCell, points: Float[Tensor, "K 3"], faults: Sequence[Fault], step: int) -> Felt:
+    """A motion as the robot takes it to be, and what it reports of it.
+
+    Args:
+        cell: table, block and ball.
+        points: of the ball's centre, as the robot takes it to be.
+        faults: of `KINDS`.
+        step: number of the motion, from 1 on.
+    """
+    off, cut = torch.zeros(3, dtype=torch.float64), None
+    for fault in faults:
+        if fault.step <= step and isinstance(fault, HandOff):
+            off += fault.aside().double()
+        if fault.step <= step and isinstance(fault, FalseContact):
+            chance, share, angle = torch.rand(3, generator=fault.drawn(step)).tolist()
+            cut = (share, 2.0 * torch.pi * angle) if chance < fault.size else cut
+    if off.any():
+        points = _from(cell.tip, points[1:] - off)
+    low = cell.block.height_m + cell.radius
+    if cut is None or not bool((points[:, 2] < low).any()):
+        felt = cell.follow(points)
+    else:
+        felt = cell.follow(_shortened(points, cut[0], low))
+        if felt.kind == ContactKind.NOTHING:
+            away = torch.tensor([cut[1]], dtype=torch.float64)
+            normal = torch.cat((away.cos(), away.sin()))
+            felt = replace(felt, kind=ContactKind.TOUCH, point=felt.tip[:2] - cell.radius * normal, normal=normal)
+    return _told(felt, off)
+
+
+def _from(tip: Float[Tensor, "3"], points: Float[Tensor, "K 3"]) -> Float[Tensor, "K1 3"]:
+    """A way from where the ball is, level or straight up and down throughout."""
+    ways = [tip]
+    for point in points:
+        if float((point - ways[-1])[:2].norm()) > 0 and float((point - ways[-1])[2].abs()) > 0:
+            ways.append(torch.cat((ways[-1][:2], point[2:])))
+        ways.append(point)
+    return torch.stack(ways)
+
+
+def _shortened(points: Float[Tensor, "K 3"], share: float, low: float) -> Float[Tensor, "k 3"]:
+    """A way up to a share of its first level part near the table."""
+    kept = [points[0]]
+    for start, end in pairwise(points):
+        if float(start[2]) < low and float((end - start)[:2].norm()) > 0:
+            return torch.stack([*kept, start + share * (end - start)])
+        kept.append(end)
+    return torch.stack(kept)
+
+
+def _told(felt: Felt, off: Float[Tensor, "3"]) -> Felt:
+    if not off.any():
+        return felt
+    return replace(felt, tip=felt.tip + off, point=felt.point + off[:2], free=felt.free + off[:2], path=felt.path + off)

@@ -1,0 +1,65 @@
+"""Drawn faults: each kind as often, each one that a run takes, and a table that tells what was found."""
+
+from collections import Counter
+from typing import Any
+
+import pytest
+
+from rumi.cli import main
+from rumi.sim.faults import parse_fault
+from rumi.tasks.rummage.build import faults_of
+from rumi.tasks.rummage.drawn_scenes import DRAWN
+from scripts import drawn_faults
+from scripts.drawn_faults import STEPS, drawn_fault, far, flagged, kinds_of, right, settings_of, show
+
+
+def ended(**changes: Any) -> dict[str, Any]:
+    found = {"stopped_by": "sure", "right": True, "lost": False, "mm": 1.0, "deg": 2.0, "alarms": [], "odd": []}
+    return found | {"steps": 7, "least_p": 0.5, "cpu_s": 3.0, "changed": 4} | changes
+
+
+def line(fault: str, faulted: dict[str, Any], faultless: dict[str, Any] | None = None) -> dict[str, Any]:
+    return {"task": "mug", "seed": 1, "fault": fault, "faulted": faulted, "faultless": faultless or ended()}
+
+
+@pytest.mark.parametrize("task", DRAWN)
+def test_every_kind_comes_as_often_and_can_be(task):
+    drawn = [drawn_fault(task, seed) for seed in range(100)]
+    kinds = Counter(text.partition("@")[0].partition(":")[0] for text in drawn)
+    assert kinds.keys() == set(kinds_of(task)) and min(kinds.values()) >= 100 // len(kinds)
+    assert len(set(drawn)) > 50 and drawn == [drawn_fault(task, seed) for seed in range(100)]
+    for text in drawn:
+        parse_fault(text, steps=STEPS)
+        assert faults_of(DRAWN[task], settings_of(task, 1, text))
+
+
+def test_what_counts_as_far_flagged_and_right():
+    assert far(ended(mm=21.0)) and far(ended(deg=21.0)) and far(ended(mm=None)) and not far(ended())
+    assert flagged(ended(lost=True)) and flagged(ended(stopped_by="steps"))
+    assert not flagged(ended(alarms=[[4, "knocked"]]))  # it searched again, and says that it is sure
+    assert right(ended()) and not right(ended(lost=True)) and not right(ended(right=False))
+
+
+def test_the_table_tells_each_kind_and_the_runs_without():
+    lines = [
+        line("knock:30@3", ended(alarms=[[5, "knocked"]])),
+        line("knock:25@3", ended(alarms=[[2, "absent"], [4, "hand off"]], right=False, mm=30.0)),
+        line("mass:3@1", ended(changed=None), ended(alarms=[[3, "knocked"]])),
+    ]
+    text = show(lines, {})
+    knock, mass, some = (row.split(" | ") for row in text.splitlines()[2:5])
+    assert knock[0] == "| knock" and knock[1].startswith("1/2") and knock[2].startswith("1/2")
+    assert knock[3].startswith("1 [") and knock[4].startswith("1/2")
+    assert mass[0] == "| mass" and mass[2] == "-"
+    assert some[0] == "| any" and some[1].startswith("1/3")
+    assert "false alarms 1/3" in text
+    assert show([], {}) == ""
+
+
+def test_the_stress_command_tells_what_went_wrong(monkeypatch, capsys):
+    found = {1000: line("knock:30@3", ended()), 1001: line("absent@2", ended(mm=500.0))}
+    monkeypatch.setattr(drawn_faults, "measure", lambda task, seed: found[seed] | {"seed": seed})
+    assert main(["stress", "--only", "faults", "--seed", "1000", "--rounds", "1"]) == 0
+    assert main(["stress", "--only", "faults", "--seed", "1000", "--rounds", "2"]) == 1
+    assert "far off, not flagged: seed 1001, absent@2" in capsys.readouterr().out
+    assert main(["stress", "--only", "faults", "--rounds", "0"]) == 2
