@@ -6,7 +6,7 @@ python -m scripts.real_pushes show
 Priors of a shape, and all that is chosen, are fitted to the other six on both surfaces; "after n" learns from n random
 pushes of the set, 20 times (5 for 1 and 3), and is scored on all others of it (its regions on every second, after n on
 every eighth of those).
-`--models fit`, `choices` and `coverage` come first, in this order: the others read them.
+`--models fit` and `coverage` come first, in this order: the others read them.
 """
 
 from collections.abc import Mapping
@@ -24,18 +24,7 @@ from rumi.dynamics.push_density import PushPrediction
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
-from scripts.bench.push_priors import (
-    FACTORS,
-    POWERS,
-    Choice,
-    chosen_factor,
-    chosen_power,
-    fit,
-    for_other_tools,
-    label,
-    prior_of,
-    without,
-)
+from scripts.bench.push_priors import FACTORS, chosen_factor, fit, for_other_tools, prior_of, without
 from scripts.bench.real_pushes import (
     SETS,
     SHAPES,
@@ -52,7 +41,7 @@ from scripts.reproduce.cells import table
 from scripts.store import Store
 
 FILE = "real_pushes.jsonl"
-FIT, CHOSEN, HELD = "fit", "choices", "coverage"
+FIT, HELD = "fit", "coverage"
 FIXED = {
     "lever 1.5 friction 0.5": (0.5, 1.5),
     "lever 1.5 friction 0.3": (0.3, 1.5),
@@ -70,7 +59,6 @@ WRENCHES = {"10 pushes": False, "10 pushes and wrenches": True}
 """Learnt alike by weights alone, with and without 10 measured pairs of wrench and twist of the same set."""
 MODELS = (
     FIT,
-    CHOSEN,
     HELD,
     "stays",
     "displacement",
@@ -84,8 +72,8 @@ MODELS = (
 )
 DRAWS, FEWER = {0: 1, 1: 5, 3: 5, 10: 20}, {0: 1, 10: 3}
 """Times that so many pushes are drawn to learn from; of what is no part of the protocol's table."""
-PARTICLES, SHOWN = 128, 48
-"""Particles that learn; draws of them that predict."""
+PARTICLES = 128
+"""Particles that learn and predict."""
 SHARES = (0.5, 0.9, 0.95)
 
 
@@ -108,8 +96,6 @@ def measure(model: str, set: str) -> dict[str, Any]:
         return _with_wrenches(set, known=WRENCHES[model])
     if model in FIXED:
         return _summary([scores(predicted(fixed(*FIXED[model]), own, rows).mean(), own.end, own.path)])
-    if model == CHOSEN:
-        return {"densities": _densities(set)}
     if model == HELD:
         return {"held": _held(set)}
     surface, shape = set.split()
@@ -126,7 +112,7 @@ def prior_without(
     shapes: tuple[str, ...], surface: str = "", *, library: bool = True, count: int = PARTICLES
 ) -> PushPosterior:
     """By the fits of all other shapes (on all other surfaces), with what they choose."""
-    prior = prior_of(without(fits(), shapes, surface), choice_without(shapes), count)
+    prior = prior_of(without(fits(), shapes, surface), factor_without(shapes), count)
     return for_other_tools(prior) if library else prior
 
 
@@ -138,7 +124,7 @@ def _believed(name: str, prior: PushPosterior, count: int, draws: int) -> dict[s
         order = torch.randperm(len(own.start), generator=generator)
         learnt, rest = order[:count], order[count:]
         posterior = prior.update(own.observed(learnt), own.body, generator)
-        shown = predicted(posterior.thinned(SHOWN) if count else posterior, own, rest)
+        shown = predicted(posterior.thinned(PARTICLES), own, rest)
         end = own.end[rest]
         found.append(scores(shown.mean(), end, own.path[rest]))
         densities.append(float(shown.log_density(end).mean()))
@@ -156,27 +142,14 @@ def _averaged(found: list[dict[str, Any]]) -> dict[str, Any]:
     return {name: np.mean([one[name] for one in found], axis=0).tolist() for name in found[0]}
 
 
-def _densities(name: str) -> dict[str, dict[str, float]]:
-    """Of each choice, without a set's shape and one other: mean log density after 0, 3 and 10 pushes.
+def _held(name: str) -> dict[str, dict[str, float]]:
+    """Of each factor, without a set's shape and one other: share of pushes, after 0, 3 and 10, that 90 % regions hold.
 
     Factors change what is predicted alone, not what is learnt: that saves most of the time.
     """
     found: dict[str, dict[str, float]] = {}
     for other in _others(name):
-        found[other] = {}
-        for power in POWERS:
-            shown = _inner(name, other, power, 4)
-            for factor in FACTORS:
-                terms = [_wider(each, factor).log_density(end).mean() for each, end in shown]
-                found[other][label(Choice(power, factor))] = float(torch.stack(terms).mean())
-    return found
-
-
-def _held(name: str) -> dict[str, dict[str, float]]:
-    """Of each factor, without a set's shape and one other: share of pushes that regions of 90 % hold; likewise."""
-    found: dict[str, dict[str, float]] = {}
-    for other in _others(name):
-        shown, generator = _inner(name, other, power_without((other,)), 16), split(1000, f"levels {name}")
+        shown, generator = _inner(name, other, 16), split(1000, f"levels {name}")
         found[other] = {}
         for factor in FACTORS:
             levels = [_wider(each, factor).level(end, generator, draws=200) for each, end in shown]
@@ -184,14 +157,14 @@ def _held(name: str) -> dict[str, dict[str, float]]:
     return found
 
 
-def _inner(name: str, other: str, power: float, every: int) -> list[tuple[PushPrediction, Tensor]]:
+def _inner(name: str, other: str, every: int) -> list[tuple[PushPrediction, Tensor]]:
     """Some pushes of a set as they are predicted without its shape and one other, after 0, 3 and 10; their ends."""
     own, generator = push_set(name), split(1000, f"real pushes {name}")
     order = torch.randperm(len(own.start), generator=generator)
     rest = order[10:][::every]
-    prior = prior_of(without(fits(), (name.split()[1], other)), Choice(power, 1.0), PARTICLES)
+    prior = prior_of(without(fits(), (name.split()[1], other)), 1.0, PARTICLES)
     learnt = [prior.update(own.observed(order[:some]), own.body, generator) for some in (0, 3, 10)]
-    return [(predicted(posterior.thinned(SHOWN), own, rest), own.end[rest]) for posterior in learnt]
+    return [(predicted(posterior.thinned(PARTICLES), own, rest), own.end[rest]) for posterior in learnt]
 
 
 def _wider(shown: PushPrediction, factor: float) -> PushPrediction:
@@ -215,7 +188,7 @@ def _with_wrenches(name: str, *, known: bool) -> dict[str, Any]:
         if known:
             weighed = weighed + prior.residual.power * wrench_log_likelihood(prior.parameters, rows, pairs, own.body)
         posterior = replace(prior, log_weights=weighed.log_softmax(-1))
-        found.append(scores(predicted(posterior.thinned(SHOWN), own, rest).mean(), own.end[rest], own.path[rest]))
+        found.append(scores(predicted(posterior.thinned(PARTICLES), own, rest).mean(), own.end[rest], own.path[rest]))
     return _summary(found)
 
 
@@ -232,14 +205,9 @@ def fits() -> dict[str, tuple[float, ...]]:
     return lines
 
 
-def choice_without(shapes: tuple[str, ...]) -> Choice:
-    """What the other shapes choose, on record."""
-    return Choice(power_without(shapes), chosen_factor(_recorded(HELD, "held"), shapes))
-
-
-def power_without(shapes: tuple[str, ...]) -> float:
-    """The power that the other shapes choose, on record."""
-    return chosen_power(_recorded(CHOSEN, "densities"), shapes)
+def factor_without(shapes: tuple[str, ...]) -> float:
+    """The factor that the other shapes choose, on record."""
+    return chosen_factor(_recorded(HELD, "held"), shapes)
 
 
 @cache
@@ -289,9 +257,7 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
     rows, covered = [], []
     for model in chosen.get("model", MODELS):
         own = [line for line in lines if line["model"] == model]
-        if model in (FIT, CHOSEN, HELD) or len({line["set"] for line in own}) < (
-            12 if model in WRENCHES else len(SETS)
-        ):
+        if model in (FIT, HELD) or len({line["set"] for line in own}) < (12 if model in WRENCHES else len(SETS)):
             continue
         density = f"{over_sets(own, 'log_density'):.2f}" if "log_density" in own[0] else "-"
         cells = [f"{over_sets(own, name):.2f}" for name in ("mm_median", "mm_90", "along_mm", "across_mm")]

@@ -1,15 +1,15 @@
 """Priors over push parameters by the real pushes of some shapes, as they would be without the others.
 
 All that a prior has is found from the shapes that it is made of: each set's own fit (of that set alone), the scatter
-of the fits, the residual they leave, the scales of the shifts between tracked tool and object, and how much an object's
-own pushes weigh. The last, and the residual's factor, are chosen by leaving out each of these shapes in turn.
+of the fits, the residual they leave, and the scales of the shifts between tracked tool and object. The residual's
+factor is chosen by leaving out each of these shapes in turn. How much an object's own pushes weigh is the library's own
+number, chosen on the long ways of another object (`scripts.long_pushes`).
 """
 
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,20 +33,9 @@ _OTHER_TOOLS = (0.6, 2.5)
 """Greatest friction of a tool in the simulator, and the deviations of the library's prior at which it lies."""
 
 
-class Choice(NamedTuple):
-    """What no fit tells.
-
-    Attributes:
-        power: of the likelihood of an object's own pushes.
-        factor: of the residual's scales, which the sets' own fits leave: particles that differ are doubt too.
-    """
-
-    power: float
-    factor: float
-
-
 _HELD = (0.9, 0.82)  # of regions of 90 %: what they are to hold of all shapes, and of the least
-POWERS, FACTORS = (0.15, 0.3, 0.5), (0.7, 0.8, 0.9, 1.0, 1.1)
+FACTORS = (0.7, 0.8, 0.9, 1.0, 1.1)
+"""Of the residual's scales, which the sets' own fits leave: particles that differ are doubt too."""
 
 
 def fit(own: PushSet, *, evaluations: int = 500) -> Parameters:
@@ -71,7 +60,7 @@ def fit(own: PushSet, *, evaluations: int = 500) -> Parameters:
     return tuple(float(part) for part in found.x)
 
 
-def prior_of(fits: Mapping[str, Parameters], choice: Choice, count: int = 256) -> PushPosterior:
+def prior_of(fits: Mapping[str, Parameters], factor: float, count: int = 256) -> PushPosterior:
     """Prior, residual and registration by the fits of some sets; what has a sign that a mirror changes is about 0.
 
     How elongation shapes the limit surface is weighed by how elongated the shapes are. Deviations are those that the
@@ -90,9 +79,9 @@ def prior_of(fits: Mapping[str, Parameters], choice: Choice, count: int = 256) -
     next_off[4:] = 1.0  # about a mean that is known
     deviation = next_off * (weights * (rows - mean).square()).sum(0).sqrt()
     left = residual_of(tuple(fits.items()))
-    (a, b, c), (d, e, f), by = left.floor_m, left.share, choice.factor
+    (a, b, c), (d, e, f), by = left.floor_m, left.share, factor
     residual = PushResidual(
-        (by * a, by * b, by * c), (by * d, by * e, by * f), left.tails, choice.power, scale_spread(tuple(fits.items()))
+        (by * a, by * b, by * c), (by * d, by * e, by * f), left.tails, spread=scale_spread(tuple(fits.items()))
     )
     return PushPosterior.prior(
         count,
@@ -122,22 +111,11 @@ def for_other_tools(prior: PushPosterior) -> PushPosterior:
     )
 
 
-def chosen_power(densities: Mapping[str, Mapping[str, Mapping[str, float]]], shapes: Collection[str]) -> float:
-    """The power of greatest mean log density on sets of other shapes, each predicted without its own shape as well.
-
-    Args:
-        densities: by set, by the shape that was left out with its own, by choice, as `label` writes it.
-        shapes: that are not looked at.
-    """
-    means = _over_others(densities, shapes)
-    return max(POWERS, key=lambda power: means[label(Choice(power, 1.0))])
-
-
 def chosen_factor(held: Mapping[str, Mapping[str, Mapping[str, float]]], shapes: Collection[str]) -> float:
     """The least factor with which regions of 90 % hold 90 % of the pushes of other shapes, and 82 % of each shape's.
 
     Args:
-        held: shares, as the densities above, by factor.
+        held: shares, by set, by the shape that was left out with its own, by factor.
         shapes: that are not looked at.
     """
     each = [
@@ -166,11 +144,6 @@ def _over_others(found: Mapping[str, Mapping[str, Mapping[str, float]]], shapes:
         for left in (shapes or line)  # without any left out: over all pairs
     ]
     return {name: float(np.mean([line[name] for line in lines])) for name in lines[0]}
-
-
-def label(choice: Choice) -> str:
-    """Name of a choice in a file of results."""
-    return f"power {choice.power:g} factor {choice.factor:g}"
 
 
 @cache
