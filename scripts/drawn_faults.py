@@ -10,7 +10,6 @@ of the same seed without it.
 """
 
 import hashlib
-import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -178,9 +177,9 @@ def _row(kind: str, lines: Sequence[Line]) -> list[str]:
 
 
 def _named(fault: str, run: Mapping[str, Any]) -> bool:
-    """Whether the first alarm after the fault was taken for it."""
+    """Whether the first alarm from the first changed reading on, which may be the view, was taken for the fault."""
     kind = fault.partition("@")[0].partition(":")[0]
-    after = [name for step, name in run["alarms"] if step >= (run["changed"] or math.inf)]
+    after = [name for step, name in run["alarms"] if step >= run["changed"]]
     return bool(after) and after[0] == NAMED.get(kind, "none of these")
 
 

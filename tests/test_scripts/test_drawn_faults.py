@@ -56,6 +56,15 @@ def test_the_table_tells_each_kind_and_the_runs_without():
     assert show([], {}) == ""
 
 
+def test_a_fault_of_the_first_view_is_named_by_the_first_alarm_of_all():
+    lines = [
+        line("camera:12@0", ended(changed=0, alarms=[[2, "camera off"]])),
+        line("camera:9@0", ended(changed=0, alarms=[[2, "knocked"], [4, "camera off"]])),
+    ]
+    row = show(lines, {}).splitlines()[2].split(" | ")
+    assert row[0] == "| camera" and row[2].startswith("1/2") and row[3].startswith("2 [")
+
+
 def test_the_stress_command_tells_what_went_wrong(monkeypatch, capsys):
     found = {1000: line("knock:30@3", ended()), 1001: line("absent@2", ended(mm=500.0))}
     monkeypatch.setattr(drawn_faults, "measure", lambda task, seed: found[seed] | {"seed": seed})
