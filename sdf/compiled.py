@@ -141,7 +141,11 @@ class Kernel:
 
 
 def _stamp(function: FunctionType) -> str:
-    """Digest of a function's file, of those of its building blocks and of this one: what its compiled code hangs on."""
+    """Digest of what a function's compiled code hangs on.
+
+    The function's file, those of its building blocks and this one; and the numbers that these import from other files,
+    which compiling freezes.
+    """
     met = {function.__module__}
     waiting = [function.__module__]
     while waiting:
@@ -153,6 +157,8 @@ def _stamp(function: FunctionType) -> str:
     digest = hashlib.sha256()
     for module in sorted({*met, __name__}):
         digest.update(Path(str(sys.modules[module].__file__)).read_bytes())
+        numbers = {name: value for name, value in vars(sys.modules[module]).items() if isinstance(value, int | float)}
+        digest.update(repr(sorted(numbers.items())).encode())
     return digest.hexdigest()[:16]
 
 

@@ -94,8 +94,9 @@ class KernelCache(FunctionCache):
             self._release()
         with suppress(OSError):
             for path in Path(self.cache_path).iterdir():
-                if time.time() - path.stat().st_mtime > SEASON_S:
-                    path.unlink()
+                with suppress(FileNotFoundError):  # another process cleans up too
+                    if time.time() - path.stat().st_mtime > SEASON_S:
+                        path.unlink()
 
     def _files(self) -> list[Path]:
         return list(Path(self.cache_path).glob(f"{self._impl.filename_base}*.nb[ic]"))
@@ -106,18 +107,24 @@ class KernelCache(FunctionCache):
             return False
         import fcntl
 
-        with suppress(OSError):
-            handle = os.open(Path(self.cache_path) / f"{self._impl.filename_base}.lock", os.O_CREAT | os.O_RDWR)
-            until = time.monotonic() + LONGEST_S
-            while time.monotonic() < until:
-                try:
-                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    time.sleep(0.02)
-                    continue
-                KernelCache._held = handle
-                return True
-            os.close(handle)
+        path = Path(self.cache_path) / f"{self._impl.filename_base}.lock"
+        try:
+            handle = os.open(path, os.O_CREAT | os.O_RDWR)
+        except OSError:
+            return False
+        until = time.monotonic() + LONGEST_S
+        while time.monotonic() < until:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                os.utime(handle)  # so that nobody removes it as old while it is held
+            except BlockingIOError:
+                time.sleep(0.02)
+                continue
+            except OSError:  # a file system without locks
+                break
+            KernelCache._held = handle
+            return True
+        os.close(handle)
         return False
 
     @staticmethod

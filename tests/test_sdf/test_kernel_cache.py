@@ -55,6 +55,23 @@ def test_checkouts_share_what_is_the_same_and_keep_what_is_not(tmp_path, cache, 
     assert len(list(cache.rglob("*.nbi"))) == 2
 
 
+def test_checkouts_whose_kernels_import_other_numbers_share_nothing(tmp_path, monkeypatch):
+    found = []
+    for value in (1.0, 2.0):
+        (tmp_path / "plain.py").write_text(f"NUMBER = {value}\n")
+        (tmp_path / "checkout_numba.py").write_text("from plain import NUMBER\n" + SOURCE.format(value="NUMBER"))
+        importlib.invalidate_caches()
+        result = np.zeros(1)
+        with monkeypatch.context() as patch:
+            patch.syspath_prepend(tmp_path)
+            patch.setattr(sys, "dont_write_bytecode", True)
+            importlib.import_module("checkout_numba").fill(result)
+        for name in ("checkout_numba", "plain"):
+            del sys.modules[name]
+        found.append(result[0])
+    assert found == [1.0, 2.0]
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no such locks")
 def test_what_another_process_compiles_is_waited_for(tmp_path, cache, monkeypatch):
     import fcntl
@@ -79,6 +96,25 @@ def test_what_another_process_compiles_is_waited_for(tmp_path, cache, monkeypatc
     kernel = compiled.Kernel(_twice)
     kernel(np.ones(1))
     assert len(waited) == 1 and misses(kernel) == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such locks")
+def test_where_files_cannot_be_locked_each_compiles_and_leaves_nothing_open(monkeypatch):
+    import errno
+    import fcntl
+
+    opened, closed = [], []
+
+    def no_locks(handle, operation):
+        opened.append(handle)
+        raise OSError(errno.ENOLCK, "no locks")
+
+    close = os.close
+    monkeypatch.setattr(fcntl, "flock", no_locks)
+    monkeypatch.setattr(kernel_cache.os, "close", lambda handle: (closed.append(handle), close(handle)))
+    values = np.ones(1)
+    compiled.Kernel(_twice)(values)
+    assert values[0] == 2.0 and opened and set(opened) <= set(closed)
 
 
 def _twice(values, part):
