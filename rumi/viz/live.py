@@ -20,7 +20,7 @@ from rumi.viz.viewer import ViewerRecording, layout
 from sdf.extras import optional
 
 _HOST = "127.0.0.1"  # by itself the viewer would listen to the whole network
-_PATIENCE_S = 5.0  # for a viewer that does not take the last steps
+_PATIENCE_S = 5.0  # for a viewer that does not take the last steps, or does not end
 
 
 class LiveView:
@@ -51,12 +51,16 @@ class LiveView:
         self._process = subprocess.Popen(
             words, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
-        url = f"rerun+http://{_HOST}:{port}/proxy"
-        if not self._window:
-            say(f"no display: see the run in a browser here, http://{_HOST}:{web}?url={url.replace('+', '%2B')}")
-        self._stream = rerun.RecordingStream("rumi", recording_id=self._name)
-        self._stream.connect_grpc(url, default_blueprint=layout(self._geometry, following=True))
-        self._recording = ViewerRecording(self._stream, self._geometry)
+        try:
+            url = f"rerun+http://{_HOST}:{port}/proxy"
+            if not self._window:
+                say(f"no display: see the run in a browser here, http://{_HOST}:{web}?url={url.replace('+', '%2B')}")
+            self._stream = rerun.RecordingStream("rumi", recording_id=self._name)
+            self._stream.connect_grpc(url, default_blueprint=layout(self._geometry, following=True))
+            self._recording = ViewerRecording(self._stream, self._geometry)
+        except BaseException:  # of what is not entered nobody leaves
+            self._stop()
+            raise
         return self
 
     def __call__(self, record: Any) -> None:  # noqa: ANN401  (of the task's own kind)
@@ -75,11 +79,19 @@ class LiveView:
         with contextlib.suppress(Exception):
             self._stream.disconnect()
         if not self._window:
-            if hasattr(os, "killpg"):  # the viewer is started by a process of Python, which leads its group
-                os.killpg(self._process.pid, signal.SIGTERM)
-            else:
-                self._process.terminate()
-            self._process.wait()
+            self._stop()
+
+    def _stop(self) -> None:
+        """End the viewer, by force where it does not end by itself."""
+        for end in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
+            with contextlib.suppress(OSError):  # it is gone already
+                if hasattr(os, "killpg"):  # the viewer is started by a process of Python, which leads its group
+                    os.killpg(self._process.pid, end)
+                else:
+                    self._process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_PATIENCE_S)
+                return
 
 
 def _free_ports() -> tuple[int, int]:

@@ -1,4 +1,6 @@
 import os
+import signal
+import subprocess
 import sys
 
 import pytest
@@ -58,14 +60,19 @@ def test_a_fresh_recording_is_not_written_again(folder, monkeypatch):
 class Process:
     """A viewer that listens to nobody."""
 
-    def __init__(self, words, **more):
+    def __init__(self, words, *, stubborn=False, gone=False):
         self.words, self.ended, self.pid = words, False, -7
+        self.stubborn, self.gone, self.waited = stubborn, gone, 0
 
-    def end(self, pid, signal):
-        self.ended = pid == self.pid
+    def end(self, pid, number):
+        if self.gone:
+            raise PermissionError
+        self.ended = pid == self.pid and (number == signal.SIGKILL or not self.stubborn)
 
-    def wait(self):
-        assert self.ended
+    def wait(self, timeout):
+        self.waited += 1
+        if not (self.ended or self.gone):
+            raise subprocess.TimeoutExpired("viewer", timeout)
 
 
 @pytest.mark.parametrize("display", [False, True])
@@ -94,6 +101,39 @@ def test_a_live_view_shows_what_a_recording_holds(display, tmp_path, monkeypatch
     assert ("--serve-web" in words, opened[0].ended, "http://127.0.0.1:" in capsys.readouterr().err) == (
         not display,
     ) * 3
+
+
+@pytest.fixture
+def served(monkeypatch):
+    """A live view without a display, of the viewer process that it is given."""
+    monkeypatch.setattr(live, "has_display", lambda: False)
+
+    def view(process):
+        monkeypatch.setattr(live.subprocess, "Popen", lambda *words, **more: process)
+        monkeypatch.setattr(live.os, "killpg", process.end)
+        return live.LiveView("run", None, lambda steps: None)
+
+    return view
+
+
+@pytest.mark.parametrize(("kind", "waited"), [({"stubborn": True}, 2), ({"gone": True}, 1)])
+def test_a_viewer_that_will_not_end_or_is_gone_does_the_run_no_harm(kind, waited, served, monkeypatch):
+    process = Process([], **kind)
+    monkeypatch.setattr(rerun.RecordingStream, "connect_grpc", lambda *given, **more: None)
+    with served(process):
+        pass
+    assert process.waited == waited and (process.ended or process.gone)
+
+
+def test_a_view_that_cannot_begin_leaves_no_viewer_behind(served, monkeypatch):
+    def no_connection(*given, **more):
+        raise RuntimeError("no connection")
+
+    process = Process([])
+    monkeypatch.setattr(rerun.RecordingStream, "connect_grpc", no_connection)
+    with pytest.raises(RuntimeError, match="no connection"), served(process):
+        pass
+    assert process.ended and process.waited == 1
 
 
 def test_a_run_without_the_viewer_says_what_to_install(tmp_path, monkeypatch, capsys):
