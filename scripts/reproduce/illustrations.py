@@ -26,6 +26,7 @@ from rumi.runs.scene_geometry import SceneGeometry
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.geometry import scene_geometry
+from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import Settings, preset
 from rumi.viz import scene, style
 from rumi.viz.outlines import bounding_box, object_outline
@@ -77,7 +78,11 @@ def draw_sensor_model(task: str, seed: int, cache_dir: Path, path: Path) -> str:
         ax.set(xlabel="signed distance [mm]", ylabel="probability", title="Sensor model")
         ax.legend()
         style.save(figure, path)
-    return "Within 3 mm a point counts as surface for sure; farther off that falls by a factor of e in 10 mm."
+    own = InformationSettings()
+    return (
+        f"Within {1e3 * own.surface_tolerance:g} mm a point counts as surface for sure; farther off that falls by a "
+        f"factor of e in {1e3 / own.sharpness:g} mm."
+    )
 
 
 def draw_first_view(task: str, seed: int, cache_dir: Path, path: Path) -> str:
@@ -130,11 +135,12 @@ def draw_reach(task: str, seed: int, cache_dir: Path, path: Path) -> str:
         _map(ax, seen, reach, "Reachability r(x)")
         scene.draw_truth(seen.steps[0], seen.geometry, ax)
         style.save(figure, path)
-    return f"{task}; the arm's base is at x = -0.45 m, the object's true outline is dashed."
+    base = find_task(task).base[0]
+    return f"{task}; the arm's base is at x = {base:g} m, the object's true outline is dashed."
 
 
 def draw_process(task: str, seed: int, cache_dir: Path, path: Path) -> str:
-    """Figure 14: mean and variance of GPVR's process at the first view, with its level 0.5."""
+    """Figure 14: mean and variance of GPVR's process at the first view, with its level 0, the surface."""
     seen = begin(preset("paper", task=task, seed=seed, method="gpvr"), 1, cache_dir)
     data, found = process(seen)
     points, workspace = seen.rummager.workspace.points, seen.rummager.workspace
