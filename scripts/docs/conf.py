@@ -1,4 +1,4 @@
-"""Sphinx: how the pages of this folder become a site; `how-to/build-pages.md` has the command."""
+"""Sphinx: how the pages of this folder become a site; `how-to/release.md` has the command."""
 
 import sys
 from pathlib import Path
