@@ -17,7 +17,6 @@ from rumi.dynamics.along_path import unwrapped
 from rumi.dynamics.resting import RestingPoses
 from rumi.dynamics.sliding import Sliding, rotated
 from rumi.dynamics.toppling import Leaning, push_in_space
-from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
@@ -190,8 +189,8 @@ class ToppledObject:
         poses: Float[Tensor, "N S1 6"],
         history: History,
     ) -> Float[Tensor, "N S"]:
-        """Refused: an object that may lean or fall goes where its edges let it, not as friction alone has it."""
-        raise UsageError("Expected an upright object where the tool's force is felt: in space it tells nothing")
+        """Zero: an object that may lean or fall goes where its edges let it, not as friction alone has it."""
+        return poses.new_zeros(len(poses), len(history))
 
 
 backend.register("replay_in_space")(replay_plain)

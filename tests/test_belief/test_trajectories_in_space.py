@@ -18,7 +18,7 @@ from sdf import se3
 from sdf.object_model import ObjectModel, box_model
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation, concatenate
-from sensors.reading import Reading
+from sensors.reading import FORCE, Reading
 from sensors.semantics import Semantics
 
 SHAPE, SPACING, AHEAD = GripperShape(), 0.006, 0.0015
@@ -103,6 +103,17 @@ def test_a_touch_finds_a_box_of_which_only_a_prior_was_known(box, prior):
     whole = now.replayed(followed.model, followed.own, now.history, torch.zeros(len(now), dtype=torch.long))
     torch.testing.assert_close(whole.poses, now.poses, atol=1e-12, rtol=0)
     torch.testing.assert_close(whole.log_likelihood, now.log_likelihood, atol=1e-5, rtol=0)
+
+
+def test_a_recorded_force_tells_nothing_in_space(box, prior):
+    followed = follow(box, prior, unseen_particles=20)
+    truth = se3.from_planar(torch.tensor([0.01, 0.005, 0.0])) @ prior.ways[1]
+    reading = felt_by(box, truth, towards(-0.055))
+    felt = replace(reading, measurements={FORCE: torch.tensor([-3.0, 0.5, 0.0]).expand(len(reading.tool_pose), 3)})
+    belief, memory = begin(followed, prior)
+    alone, with_force = (followed(belief, memory, own, generator=generator(2))[0] for own in (reading, felt))
+    assert float(with_force.trajectories.history.force[:, 2].sum()) > 0
+    assert torch.equal(alone.world_T_object, with_force.world_T_object)
 
 
 @pytest.mark.parametrize("particles", [1, 30])
