@@ -18,7 +18,7 @@ class PushResidual:
     """Student-t residual of a predicted push: along the tool's way, across it, and of the turn times the base's radius.
 
     The scale of each grows with the way that the object is predicted to go (its centre's, and the turn's at the base's
-    mean radius). Scales are 0.89 of what the sets' own fits leave: particles that differ are doubt too.
+    mean radius). Scales are 0.9 of what the sets' own fits leave: particles that differ are doubt too.
 
     Attributes:
         floor_m: scales of a push that moves nothing.
@@ -30,8 +30,8 @@ class PushResidual:
     """
 
     floor_m: tuple[float, float, float] = (1.1e-4, 0.9e-4, 1.1e-4)
-    share: tuple[float, float, float] = (0.0445, 0.0331, 0.0499)
-    tails: float = 1.54
+    share: tuple[float, float, float] = (0.045, 0.0334, 0.0504)
+    tails: float = 1.53
     power: float = 0.3
     spread: float = 0.25
 

@@ -120,9 +120,10 @@ def test_the_density_integrates_to_one_and_regions_hold_their_share():
     other = -0.5 * off.square().sum(-1) - 1.5 * math.log(2 * math.pi) - scale.log().sum()
     whole = (other - shown.log_density(drawn)).exp().mean(-1)  # of another density over this one, drawn from this one
     torch.testing.assert_close(whole, torch.ones(3, dtype=torch.float64), atol=0.08, rtol=0)
-    held = [shown.level(drawn[:, i], generator(), draws=200) for i in range(0, 400)]
+    anew = generator()  # each level is by draws of its own, whose errors average out
+    held = [shown.level(drawn[:, i], anew, draws=200) for i in range(0, 400)]
     for share in (0.5, 0.9):
-        assert float((torch.stack(held) <= share).double().mean()) == pytest.approx(share, abs=0.03)
+        assert float((torch.stack(held) <= share).double().mean()) == pytest.approx(share, abs=0.05)
 
 
 def test_a_turned_scene_has_the_same_density():
