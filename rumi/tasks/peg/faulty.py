@@ -17,7 +17,7 @@ KINDS = ("knock", "hand", "false-contact")
 
 
 def strike(cell: TouchCell, faults: Sequence[Fault], step: int) -> None:
-    """Move the block where that is due before a motion."""
+    """Move the block before the motion at which a knock is due."""
     for fault in faults:
         if isinstance(fault, Knock) and fault.step == step:
             turn = 2.0 * float(torch.rand(2, generator=fault.drawn())[1]) - 1.0
@@ -27,8 +27,8 @@ def strike(cell: TouchCell, faults: Sequence[Fault], step: int) -> None:
             cell.truth = moved
 
 
-def followed(cell: TouchCell, points: Float[Tensor, "K 3"], faults: Sequence[Fault], step: int) -> Felt:
-    """A motion as the robot takes it to be, and what it reports of it.
+def follow(cell: TouchCell, points: Float[Tensor, "K 3"], faults: Sequence[Fault], step: int) -> Felt:
+    """Carry out a motion as the robot takes it to be; what it reports of it.
 
     Args:
         cell: table, block and ball.
@@ -44,7 +44,7 @@ def followed(cell: TouchCell, points: Float[Tensor, "K 3"], faults: Sequence[Fau
             chance, share, angle = torch.rand(3, generator=fault.drawn(step)).tolist()
             cut = (share, 2.0 * torch.pi * angle) if chance < fault.size else cut
     if off.any():
-        points = _from(cell.tip, points[1:] - off)
+        points = _path_from(cell.tip, points[1:] - off)
     low = cell.block.height_m + cell.radius
     if cut is None or not bool((points[:, 2] < low).any()):
         felt = cell.follow(points)
@@ -54,10 +54,10 @@ def followed(cell: TouchCell, points: Float[Tensor, "K 3"], faults: Sequence[Fau
             away = torch.tensor([cut[1]], dtype=torch.float64)
             normal = torch.cat((away.cos(), away.sin()))
             felt = replace(felt, kind=ContactKind.TOUCH, point=felt.tip[:2] - cell.radius * normal, normal=normal)
-    return _told(felt, off)
+    return _reported(felt, off)
 
 
-def _from(tip: Float[Tensor, "3"], points: Float[Tensor, "K 3"]) -> Float[Tensor, "K1 3"]:
+def _path_from(tip: Float[Tensor, "3"], points: Float[Tensor, "K 3"]) -> Float[Tensor, "K1 3"]:
     """A way from where the ball is, level or straight up and down throughout."""
     ways = [tip]
     for point in points:
@@ -77,7 +77,8 @@ def _shortened(points: Float[Tensor, "K 3"], share: float, low: float) -> Float[
     return torch.stack(kept)
 
 
-def _told(felt: Felt, off: Float[Tensor, "3"]) -> Felt:
+def _reported(felt: Felt, off: Float[Tensor, "3"]) -> Felt:
+    """What a ball that takes itself to be off reports."""
     if not off.any():
         return felt
     return replace(felt, tip=felt.tip + off, point=felt.point + off[:2], free=felt.free + off[:2], path=felt.path + off)

@@ -14,7 +14,7 @@ from rumi.seeding import split
 from rumi.sim.faults import Fault
 from rumi.task import StepResult
 from rumi.tasks.peg.cell import Felt, TimedPath, TouchCell
-from rumi.tasks.peg.faulty import followed, strike
+from rumi.tasks.peg.faulty import follow, strike
 from rumi.tasks.peg.search import lanes
 from rumi.tasks.peg.settings import PegSettings
 
@@ -76,7 +76,7 @@ class PegTask:
         self.cell.clock = SimulatedClock(action.begins_s)
         self._motions += 1
         strike(self.cell, self.faults, self._motions)
-        return StepResult(followed(self.cell, action.points, self.faults, self._motions), self.cell.truth)
+        return StepResult(follow(self.cell, action.points, self.faults, self._motions), self.cell.truth)
 
     def finish(self, action: TimedPath) -> Insertion:
         """Go over a place and lower the peg there."""

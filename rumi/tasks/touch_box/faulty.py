@@ -14,7 +14,8 @@ from rumi.tasks.touch_box.scene import BoxTruth
 KINDS = ("knock", "absent", "hand", "dead", "false-contact")
 """The faults of this task."""
 
-_AWAY_M = 5.0
+_AWAY_M = 5.0  # from the table: out of reach
+_READINGS = 10  # the first of a poke, one of which a false contact is
 
 
 class FaultyRobot:
@@ -96,6 +97,3 @@ class FaultyRobot:
                 if chance < fault.size and at < len(contact):
                     contact[at] = True
         return touched._replace(path=touched.path + self._off().to(touched.path), contact=contact)
-
-
-_READINGS = 10  # of a poke, one of which is false
