@@ -196,7 +196,14 @@ class Rummager:
         if alarm is not None and not now.lost:
             with clock("belief"):
                 belief, memory = searched_again(
-                    last, record, memory, self.filter, self.misfit, now.named, generator=random["lost"]
+                    last,
+                    record,
+                    memory,
+                    self.filter,
+                    self.misfit,
+                    now.named,
+                    before=state.memory,
+                    generator=random["lost"],
                 )
             again = evaluate_step(self, clock, state.history, result, belief, info.added, *done)
             timings = {stage: record.timings_s.get(stage, 0.0) + s for stage, s in again.timings_s.items()}

@@ -250,6 +250,7 @@ def searched_again(
     own: MisfitSettings,
     named: str | None,
     *,
+    before: Observation,
     generator: torch.Generator,
 ) -> tuple[PoseBelief, Observation]:
     """The belief and the memory of a search that begins anew about what was believed, from one reading alone.
@@ -257,7 +258,7 @@ def searched_again(
     As far about it as the fault asks for: a knock moves and turns it, a hand or a view that is off only moves it.
 
     Observations before it that ride with the object are dropped: they told where it was. What was felt where nothing is
-    is dropped itself, and the belief before it goes on.
+    is dropped itself: belief and memory before it go on.
 
     Args:
         last: the step before.
@@ -266,10 +267,11 @@ def searched_again(
         pose_filter: that the belief is of.
         own: settings.
         named: what the alarm was taken for.
+        before: points before the step.
         generator: of draws.
     """
     if named == "false contacts":
-        return last.belief, memory
+        return last.belief, before
     if isinstance(pose_filter, UnseenTrajectoryFilter) and isinstance(record.belief, PoseTrajectoryBelief):
         begun = pose_filter.begun_again(record.belief, record.reading, generator=generator)
         return begun, memory[(~memory.attached).nonzero()[:, 0]]
@@ -278,9 +280,8 @@ def searched_again(
         own = replace(own, knock_m=_OFF[named], knock_rad=_STRAIGHT_RAD)
     anew: PoseBelief | None = None
     if isinstance(pose_filter, PoseTrajectoryFilter) and _follows(pose_filter):
-        before = last.belief
-        assert isinstance(before, PoseTrajectoryBelief) and isinstance(here, PoseTrajectoryBelief)
-        anew = begun_again(pose_filter, before, here, own, generator=generator)
+        assert isinstance(last.belief, PoseTrajectoryBelief) and isinstance(here, PoseTrajectoryBelief)
+        anew = begun_again(pose_filter, last.belief, here, own, generator=generator)
     told = sensed_now(record, pose_filter.settings.motion)
     points = replace(told, points=se3.apply(here.world_T_attached, told.points))
     none = Observation.empty(dtype=points.points.dtype, device=points.points.device)

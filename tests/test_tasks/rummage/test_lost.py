@@ -89,8 +89,11 @@ def test_what_is_told_of_a_step_is_the_reading_s_p_value_and_the_chance_of_each_
 def test_of_a_touch_that_was_none_the_belief_before_goes_on(model, pose_filter):
     before, record = step(model, 2, 0.0), step(model, 3, -0.3, spread=2e-3)
     generator = torch.Generator().manual_seed(0)
-    belief, _ = searched_again(before, record, record.added, pose_filter, OWN, "false contacts", generator=generator)
-    assert belief is before.belief
+    known, after = before.added, concatenate([before.added, record.added])
+    belief, memory = searched_again(
+        before, record, after, pose_filter, OWN, "false contacts", before=known, generator=generator
+    )
+    assert belief is before.belief and memory is known
 
 
 def test_an_absent_object_leaves_the_run_lost(model, pose_filter):
@@ -131,7 +134,9 @@ def test_what_may_have_tipped_is_doubted_and_odd_heights_until_a_touch_says_othe
 def test_a_search_finds_the_object_by_the_reading_alone(model, pose_filter):
     record = step(model, 3, -0.03)
     generator = torch.Generator().manual_seed(0)
-    belief, memory = searched_again(record, record, record.added, pose_filter, OWN, "knocked", generator=generator)
+    belief, memory = searched_again(
+        record, record, record.added, pose_filter, OWN, "knocked", before=Observation.empty(), generator=generator
+    )
     assert belief.log_weights.shape == record.belief.log_weights.shape
     assert len(memory.points[memory.valid]) == 3
     felt = face(model, -0.03)
