@@ -41,10 +41,10 @@ class _Locator(_CacheLocator):
 
     @classmethod
     def from_function(cls, py_func: FunctionType, _: str) -> "_Locator | None":
-        found = cls(py_func)
         try:
+            found = cls(py_func)
             found.ensure_cache_path()
-        except OSError:
+        except (OSError, RuntimeError):  # as where there is no home
             return None
         return found
 

@@ -23,7 +23,7 @@ from torch import Tensor
 from rumi.dynamics.outline import Support
 from rumi.dynamics.push_density import PushPrediction, PushResidual
 from rumi.dynamics.push_parameters import PARAMETERS, sliding_of
-from rumi.dynamics.push_registration import SHIFTS, Registration
+from rumi.dynamics.push_registration import SHIFTS, Registration, normal_of_4
 from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.dynamics.sliding import Sliding
 from rumi.dynamics.tracked_push import tracked_ends
@@ -276,8 +276,8 @@ class PushPosterior:
                 name: torch.tensor(data[name], dtype=torch.float64) for name in ("parameters", "log_weights", "white")
             }
             check_shape("parameters", double["parameters"], "(N, 8)", last=(len(PARAMETERS),))
-            if data["format"] == _FORMATS[0]:  # of one scale for all objects
-                double["white"] = torch.nn.functional.pad(double["white"], (0, 1))
+            if data["format"] == _FORMATS[0]:  # of one scale for all objects, and of shifts that are normal
+                double["white"] = torch.nn.functional.pad(normal_of_4(double["white"]), (0, 1))
             check_shape("white", double["white"], "(N, 6)", last=(_WHITE,))
             if not all(bool(part.isfinite().all()) for part in double.values()):
                 raise ValueError("numbers that are not finite")

@@ -87,6 +87,13 @@ def student_4(white: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     return 2.0 * white.sign() * ((root.arccos() / 3.0).cos() / root - 1.0).clamp_min(0.0).sqrt()
 
 
+def normal_of_4(student: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Standard normal numbers at the quantiles of Student-t ones with 4 degrees of freedom: undoes `student_4`."""
+    beyond = student.abs() / (4.0 + student.square()).sqrt()  # sine of an angle: 1 at infinity
+    tail = 0.25 * (1.0 - beyond).square() * (2.0 + beyond)
+    return -student.sign() * torch.special.ndtri(tail)
+
+
 def touches(
     poses: Float[Tensor, "n 3"],
     tools: Float[Tensor, "n 3"],

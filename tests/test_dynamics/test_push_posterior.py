@@ -12,7 +12,7 @@ from rumi.dynamics.outline import RectangleOutline, Support
 from rumi.dynamics.push_density import PushResidual
 from rumi.dynamics.push_parameters import sliding_of
 from rumi.dynamics.push_posterior import PushPosterior
-from rumi.dynamics.push_registration import Registration
+from rumi.dynamics.push_registration import Registration, student_4
 from rumi.dynamics.pushed_body import ObservedPush, PushedBody
 from rumi.dynamics.sliding import contact_twist, quartic_twist, rotated, turned_quartic
 from rumi.errors import UsageError
@@ -181,19 +181,21 @@ def test_it_is_saved_and_read_again(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["mug.json"]
 
 
-def test_a_file_without_an_objects_own_scale_is_read(tmp_path):
+def test_a_file_of_normal_shifts_and_one_scale_for_all_objects_is_read(tmp_path):
     prior = PushPosterior.prior(4)
     prior.save(tmp_path / "new.json")
     data = json.loads((tmp_path / "new.json").read_text())
-    data |= {"format": "rumi push parameters 2", "white": [row[:5] for row in data["white"]]}
+    normal = student_4(prior.white[:, :5])
+    data |= {"format": "rumi push parameters 2", "white": normal.tolist()}
     del data["residual"]["spread"]
     (tmp_path / "old.json").write_text(json.dumps(data))
     old = PushPosterior.load(tmp_path / "old.json")
     assert old.residual == replace(prior.residual, spread=0.0)
-    assert torch.equal(old.white[:, :5], prior.white[:, :5]) and not old.white[:, 5].any()
+    torch.testing.assert_close(old.white[:, :5], prior.white[:, :5], atol=1e-9, rtol=0)
+    assert not old.white[:, 5].any()
     start, path = pushes(2)
     same = replace(prior, residual=old.residual)
-    assert torch.equal(old.predict(start, path, body()).scale, same.predict(start, path, body()).scale)
+    torch.testing.assert_close(old.predict(start, path, body()).scale, same.predict(start, path, body()).scale)
 
 
 @pytest.mark.parametrize("times", [0.4, 2.5])
