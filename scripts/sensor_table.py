@@ -150,10 +150,14 @@ def _off(line: Line) -> str:
     return f"{line['position_error_mm']:.1f}, {line['rotation_error_deg']:.1f}"
 
 
+_LATER = ("further", "wrist_force", "wrist_noise_n")
+
+
 def stamp(name: str) -> str:
     """Of the sensors' settings."""
-    # results on record are kept without the setting that came later
-    values = {key: value for key, value in asdict(SENSORS[name]).items() if key != "further" or value}
+    values, usual = asdict(SENSORS[name]), asdict(SensorSettings())
+    # results on record are kept without the settings that came later
+    values = {key: value for key, value in values.items() if key not in _LATER or value != usual[key]}
     return hashlib.sha256(repr(sorted(values.items())).encode()).hexdigest()[:8]
 
 

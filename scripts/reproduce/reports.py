@@ -89,16 +89,17 @@ def reports(
 
 
 def so_far(jobs: Sequence[Job], records: Sequence[Record]) -> str:
-    """How much of the work is done, by column, where not all of it is; empty where all is."""
+    """How much of the work is done where not all of it is, and which columns are begun; empty where all is."""
     done = {record.key for record in records}
     columns: dict[str, list[bool]] = {}
     for job in jobs:
         columns.setdefault(job.column, []).append(key_of(job) in done)
     if all(map(all, columns.values())):
         return ""
-    parts = ", ".join(f"{name} {sum(own)} of {len(own)}" for name, own in columns.items())
+    begun = [f"{name} {sum(own)} of {len(own)}" for name, own in columns.items() if any(own) and not all(own)]
     every = [flag for own in columns.values() for flag in own]
-    return f"So far {sum(every)} of {len(every)} runs are done: {parts}.\n"
+    parts = f" (of columns that are begun: {', '.join(begun)})" if begun else ""
+    return f"So far {sum(every)} of {len(every)} runs are done{parts}.\n"
 
 
 def of_experiment(name: str, selection: Selection, records: Sequence[Record]) -> list[Record]:

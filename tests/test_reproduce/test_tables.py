@@ -109,7 +109,7 @@ def test_work_that_is_not_all_done_is_counted(runs):
     jobs = Selection(tasks=("mug-0",), methods=("rumi",), presets=("default",), seeds=(0, 1)).runs((), ())
     assert so_far(jobs, runs) == ""
     more = [*jobs, *Selection(tasks=("mug-0",), methods=("slide",), presets=("paper",), seeds=(0, 1)).runs((), ())]
-    assert so_far(more, runs).startswith("So far 2 of 4 runs are done: rumi/default 2 of 2, slide/paper 0 of 2.")
+    assert so_far(more, runs) == "So far 2 of 4 runs are done.\n"
 
 
 def test_nothing_gives_no_table():
