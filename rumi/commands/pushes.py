@@ -30,14 +30,14 @@ class PushesOptions:
     --out writes is what `rumi run --planner.push-parameters FILE` plans with, and --pushes goes on from.
 
     Attributes:
-        run: folder of a rummaging run; of a log the one that `rumi replay LOG --out RUN` leaves.
+        run: folder of a rummaging run; or a log, which is replayed.
         pushes: file of what was learnt before; by default the prior, from real objects.
         out: file for what is believed then.
         figure: picture for it.
         seed: of the draws.
     """
 
-    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|LOG")]
     pushes: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     figure: Annotated[Path | None, tyro.conf.arg(metavar="PNG")] = None
@@ -83,12 +83,14 @@ def level_rummager(agent: object, task: str) -> "Rummager":
 def pushes(arguments: Sequence[str]) -> int:
     """`rumi pushes`: 0 if something was learnt, 2 for bad input."""
     options = tyro.cli(PushesOptions, prog="rumi pushes", args=arguments)
+    from rumi.commands.replayed import run_folder
     from rumi.dynamics.push_limits import held_twice
     from rumi.dynamics.push_posterior import PushPosterior
     from rumi.runs.folder import load_run
 
     before = PushPosterior.prior() if options.pushes is None else PushPosterior.load(options.pushes)
-    found, body, after = learnt(load_run(options.run), before, seed=options.seed)
+    with run_folder(options.run) as folder:
+        found, body, after = learnt(load_run(folder), before, seed=options.seed)
     write = sys.stdout.write
     write(f"{len(found)} pushes; median [5 %, 95 %]\n")
     for name, own in (("before", before), ("after", after)):

@@ -194,6 +194,8 @@ def test_a_log_of_before_with_readings_replays_bit_for_bit(recorded, capsys, tmp
         assert capsys.readouterr().out == f"{tmp_path / 'pose.json'}\n"
         poses.append([step["pose"] for step in json.loads((tmp_path / "pose.json").read_text())["steps"]])
     assert len(poses[0]) == STEPS + 1 and poses[0] == poses[1]
+    said = [(main(["pushes", str(path)]), capsys.readouterr().out) for path in (recorded, tmp_path / "log.h5")]
+    assert said[0] == said[1] and said[0][0] == exit_codes.DONE
 
 
 @pytest.mark.sim
