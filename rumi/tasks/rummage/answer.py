@@ -31,7 +31,7 @@ _RECORD: dict[Motion, str] = {
     "pushed": ": 8 of 8 such runs on record ended sure and 8 to 31 mm off",
     "estimated": ": 4 of 4 such runs on record ended 8 to 102 mm off",
     "corrected": ": 16 of 30 drawn mugs on record did",
-    "trajectory": ": 2 of 100 drawn mugs on record did, 6 of 36 other objects",
+    "trajectory": ": 2 of 100 drawn mugs on record did, 4 of 36 other objects",
 }
 """What such runs came to; scripts/docs/results/push_models.md, mugs without a slip sensor."""
 
