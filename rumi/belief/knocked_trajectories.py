@@ -9,7 +9,7 @@ from dataclasses import replace
 import torch
 
 from rumi.belief.misfit import MisfitSettings
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, PoseTrajectoryBelief, Trajectories
+from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, check_finite, power_of
 from rumi.belief.trajectory_faults import new_segments
 from rumi.belief.trajectory_moves import Moves
@@ -50,14 +50,8 @@ def begun_again(
     start = last.pose[rows].clone()
     scale = start.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
     start[:, :3] += scale * normal((_DRAWS, 3), generator=generator, dtype=torch.float64)
-    drawn = Trajectories(
-        normal((_DRAWS, PHYSICS), generator=generator, dtype=torch.float64),
-        normal((_DRAWS, new, NOISE), generator=generator, dtype=torch.float64),
-        start[:, None].repeat(1, new + 1, 1),
-        start.new_zeros(_DRAWS, new),
-        history,
-        start[:0],
-    ).replayed(model, sensed, history, torch.zeros(_DRAWS, dtype=torch.long))
+    drawn = Trajectories.drawn(start, history, generator)
+    drawn = drawn.replayed(model, sensed, history, torch.zeros(_DRAWS, dtype=torch.long))
     gained = drawn.log_likelihood.sum(-1)
     check_finite(gained)
     power = power_of(torch.zeros_like(gained), gained, 0.0, float(_STARTS))  # starts are proposals: they may be wide

@@ -11,6 +11,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.seeding import normal
 from sdf import backend
 
 PHYSICS, NOISE, OWN = 5, 11, 5
@@ -45,6 +46,23 @@ class Trajectories:
     anywhere: bool = False
     log_evidence: float = 0.0
     forgotten: int = 0
+
+    @classmethod
+    def drawn(
+        cls,
+        start: Float[Tensor, "N D"],
+        history: History,
+        generator: torch.Generator,
+        starts: Float[Tensor, "Q D"] | None = None,
+    ) -> Self:
+        """Start poses with physics and noise of the prior, not replayed yet."""
+        count, segments = len(start), len(history)
+        physics = normal((count, PHYSICS), generator=generator, dtype=torch.float64)
+        noise = normal((count, segments, NOISE), generator=generator, dtype=torch.float64)
+        poses = start[:, None].repeat(1, segments + 1, 1)
+        return cls(
+            physics, noise, poses, start.new_zeros(count, segments), history, start[:0] if starts is None else starts
+        )
 
     def __len__(self) -> int:
         """Number of particles."""

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings, PoseFilter
-from rumi.belief.pose_trajectories import NOISE, OWN, PHYSICS, PoseTrajectoryBelief, Trajectories
+from rumi.belief.pose_trajectories import NOISE, OWN, PoseTrajectoryBelief, Trajectories
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
@@ -79,7 +79,7 @@ class PoseTrajectoryFilter(PoseFilter):
         start = fitted.repeat(draws, 1) + scale * normal(scale.shape, generator=random, dtype=torch.float64)
         view = standing(memory, fitted, self.model, own)
         history = History.empty() if view is None else History.empty().appended(view)
-        drawn = self._fresh(start, history, start[:0], random)
+        drawn = Trajectories.drawn(start, history, random)
         drawn = drawn.replayed(self.model, own, history, torch.zeros(len(start), dtype=torch.long))
         proposal = torch.stack([start_density(start, fitted, s) for s in spread]).logsumexp(0)
         log_weights = drawn.log_likelihood.sum(-1) - proposal
@@ -132,14 +132,6 @@ class PoseTrajectoryFilter(PoseFilter):
         if not isinstance(belief, PoseTrajectoryBelief) or belief.trajectories is None:
             return 0.0
         return log_chance(belief.trajectories, belief.log_weights, self.own)
-
-    def _fresh(self, start: Tensor, history: History, starts: Tensor, random: torch.Generator) -> Trajectories:
-        """Start poses with physics and noise of the prior, not replayed yet."""
-        count, segments = len(start), len(history)
-        shapes = (count, PHYSICS), (count, segments, NOISE)
-        draw = [normal(shape, generator=random, dtype=torch.float64) for shape in shapes]
-        poses = start[:, None].repeat(1, segments + 1, 1)
-        return Trajectories(draw[0], draw[1], poses, start.new_zeros(count, segments), history, starts)
 
     def _pushes(self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor) -> bool:
         """Whether the tool may have moved the object: where the pads felt it, or else met it beside the pads."""

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.misfit import MisfitSettings
-from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
+from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -152,16 +152,8 @@ def _replayed(
     generator: torch.Generator,
 ) -> Float[Tensor, "M"]:
     """Log-likelihood of a reading where the object began at each pose, physics and noise drawn from the prior."""
-    count, segments = len(start), len(history)
-    drawn = Trajectories(
-        normal((count, PHYSICS), generator=generator, dtype=torch.float64),
-        normal((count, segments, NOISE), generator=generator, dtype=torch.float64),
-        start[:, None].repeat(1, segments + 1, 1),
-        start.new_zeros(count, segments),
-        history,
-        start[:0],
-    )
-    return drawn.replayed(model, sensed, history, torch.zeros(count, dtype=torch.long)).log_likelihood.sum(-1)
+    drawn = Trajectories.drawn(start, history, generator)
+    return drawn.replayed(model, sensed, history, torch.zeros(len(start), dtype=torch.long)).log_likelihood.sum(-1)
 
 
 def _moves(

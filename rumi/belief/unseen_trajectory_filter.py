@@ -66,7 +66,7 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
         """Draws of the prior."""
         random = one(generator)
         start, starts = (from_prior(self.prior, count, random) for count in (self.own.unseen_particles, _STARTS))
-        drawn = self._fresh(start, History.empty(4), starts, random)
+        drawn = Trajectories.drawn(start, History.empty(4), random, starts)
         even = normalise(torch.zeros(len(start), dtype=torch.float64))
         return self.belief_of(drawn, even, belief.world_T_attached, belief.log_weights)
 
@@ -131,7 +131,7 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
                 some = torch.arange(_UNMET) % 4 > 0
                 chosen = torch.randint(len(felt), (int(some.sum()),), generator=random)
                 start[some] = brought_to(self.model, start[some], felt[chosen], self.own.felt_m)
-        drawn = replace(self._fresh(start, still, now.starts, random), anywhere=now.anywhere)
+        drawn = replace(Trajectories.drawn(start, still, random, now.starts), anywhere=now.anywhere)
         drawn = drawn.replayed(self.model, self.own, still, torch.zeros(_UNMET, dtype=torch.long))
         log_weights = drawn.log_likelihood.sum(-1)
         check_finite(log_weights)
@@ -139,7 +139,7 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
         kept = resample_systematic(power * log_weights, _MET, generator=random)
         known = now.history
         drawn = replace(
-            self._fresh(start[kept], known, now.starts, random),
+            Trajectories.drawn(start[kept], known, random, now.starts),
             anywhere=now.anywhere,
             log_likelihood=drawn.log_likelihood[kept, : len(known)],
         )
@@ -169,7 +169,7 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
             some = torch.arange(len(start)) % 4 > 0
             chosen = torch.randint(len(there), (int(some.sum()),), generator=random)
             start[some] = brought_to(self.model, start[some], there[chosen], own.felt_m)
-        drawn = self._fresh(start, history, start[:0], random)
+        drawn = Trajectories.drawn(start, history, random)
         drawn = drawn.replayed(self.model, own, history, torch.zeros(len(start), dtype=torch.long))
         gained = drawn.log_likelihood[:, 0]
         check_finite(gained)
