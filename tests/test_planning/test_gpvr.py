@@ -74,6 +74,19 @@ def act(scene: Scene, gp: GPVRSettings | None = None, previous: Plan | None = No
     return policy.act(PlanRequest(believed(), scene, previous, executed=1, generator=random))
 
 
+@pytest.fixture(scope="module")
+def planned() -> Callable[[Scene, str], Plan]:
+    """A plan by a version, made once."""
+    made: dict[str, Plan] = {}
+
+    def plan(scene: Scene, version: str) -> Plan:
+        if version not in made:
+            made[version] = act(scene)
+        return made[version]
+
+    return plan
+
+
 def random_rollouts(generator: torch.Generator, samples: int = 6, count: int = 3, horizon: int = 4) -> PushRollouts:
     shape = (samples, count, horizon + 1, 3)
     q = torch.randn(shape, generator=generator) * torch.tensor([0.3, 0.3, 2.0])
@@ -138,8 +151,10 @@ def test_data_are_what_was_observed_and_what_is_free_for_sure(scene: Scene) -> N
     assert float(torch.cdist(own, doubtful).min()) > 0.01
 
 
-def test_variance_is_normalised_and_least_where_much_is_known(scene: Scene) -> None:
-    plan = act(scene)
+def test_variance_is_normalised_and_least_where_much_is_known(
+    scene: Scene, version: str, planned: Callable[[Scene, str], Plan]
+) -> None:
+    plan = planned(scene, version)
     variance = plan.fields["variance"]
     assert float(variance.max()) == pytest.approx(1.0)
     assert float(variance.min()) >= 0.0
@@ -163,9 +178,11 @@ def met(plan: Plan, scene: Scene) -> Tensor:
     return -cost.of_paths(plan.path[:, None], torch.zeros(len(plan.path), 1, 3))
 
 
-def test_plans_meet_more_variance_than_others(scene: Scene) -> None:
+def test_plans_meet_more_variance_than_others(
+    scene: Scene, version: str, planned: Callable[[Scene, str], Plan]
+) -> None:
     """More than standing still, and than most of some hundred random plans, in free motion."""
-    plan = act(scene)
+    plan = planned(scene, version)
     values = met(plan, scene)
     assert float(values[1:].mean()) > float(values[0])
     others = 2.0 * torch.rand(300, 6, 3, generator=torch.Generator().manual_seed(5)) - 1.0
@@ -264,6 +281,7 @@ def test_a_stall_of_a_fit_is_forgotten(scene: Scene, clock: SimulatedClock) -> N
     assert any(fitted)
 
 
+@in_time
 def test_what_a_fit_needs_is_loaded_before_the_first_plan() -> None:
     code = (
         "import sys; from rumi.planning.gpvr import GPVRPolicy; GPVRPolicy(); before = set(sys.modules)\n"
