@@ -3,7 +3,7 @@
 python -m scripts.slack_curve run --seeds 1000-1004    # tuning; the same command goes on
 python -m scripts.slack_curve run                      # the record: seeds 0-19
 python -m scripts.slack_curve show
-python -m scripts.slack_curve figure --out scripts/docs/figures/slack.png
+python -m scripts.slack_curve figure --out slack.png
 
 The knob turns two things at once that make a mug hard to find, evenly from easy to hard. Its slack: the mug stands 160,
 120, 80, 40 or 0 mm nearer to the base than 1.05 m, from where on under a tenth of what is to be learnt can be touched
