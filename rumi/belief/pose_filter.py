@@ -43,8 +43,9 @@ class FilterSettings(Checked):
         motion: "measured" by a slip sensor, "sticking" to the tool, "pushed" as a quasi-static model has it,
             "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way; with
             "trajectory" every particle has its own (`PoseTrajectoryFilter`).
-        unmeasured: what "measured" becomes on a task that has no slip sensor; "pushed" and "corrected" are for
-            upright objects and a level tool, and "estimated" elsewhere.
+        unmeasured: what "measured" becomes where nothing measures the motion; "pushed" and "corrected" are for upright
+            objects and a level tool, and "estimated" elsewhere. None for what suits: of these "trajectory" where a view
+            is followed by touches alone, else "corrected".
         translation_noise_m, rotation_noise_rad: standard deviations of the process noise, drawn on every move
             and after every resampling (Alg 3); in SE(2) along x, y and yaw. By default the 1 mm and 1 degree of a
             usual slip sensor: 3 mm throws particles across a 4 mm wall, to where the seen side fits the inner one.
@@ -72,7 +73,7 @@ class FilterSettings(Checked):
     free_spacing_m: Positive = 0.005
     surface_spacing_m: Positive = 0.002
     motion: Motion = "measured"
-    unmeasured: Motion = "corrected"
+    unmeasured: Motion | None = None
     translation_noise_m: TrainedNotNegative = 0.001
     rotation_noise_rad: TrainedNotNegative = 0.0175
     trigger: float = 5.0

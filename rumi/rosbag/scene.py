@@ -30,7 +30,7 @@ def settings_of(mapping: BagMap) -> Settings:
     """The settings that a mapping asks for, on top of those of its preset.
 
     A recording's readings have no measured motion of the object: where the mapping names none, it is that of
-    `filter.unmeasured`, or in space "estimated".
+    `filter.unmeasured`, else "corrected", or in space "estimated".
 
     Raises:
         UsageError: it has some that there are not, or that a recording has no use for.
@@ -42,7 +42,7 @@ def settings_of(mapping: BagMap) -> Settings:
     start = to_dict(preset(str(asked.get("preset", "default"))))
     settings = from_dict({**_merged(start, asked), "task": "recording"})
     if "motion" not in asked.get("filter", {}):
-        unmeasured = settings.filter.unmeasured if mapping.scene.search == "SE(2)" else "estimated"
+        unmeasured = (settings.filter.unmeasured or "corrected") if mapping.scene.search == "SE(2)" else "estimated"
         settings = replace(settings, filter=replace(settings.filter, motion=unmeasured))
     return replace(settings, object=mapping.object)
 

@@ -123,7 +123,7 @@ def build_rummager(
         model.sdf, model.radius, free_scale=settings.filter.free_scale, tolerance=settings.filter.tolerance_m
     )
     prior = prior_of(spec, model)
-    following, stop = followed(spec, settings.filter), settings.stop
+    following, stop = followed(spec, settings), settings.stop
     if spec.apc_ratio is not None:
         stop = replace(stop, apc_ratio=spec.apc_ratio)
     if settings.simulator.sensors.kind == "camera":  # which feels nothing

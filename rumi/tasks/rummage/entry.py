@@ -145,7 +145,7 @@ class RummageTask:
         spec = at_tool_height(spec, model.sdf, model.exact, settings.tool_height_m)
         tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
         # what plans is not used, and may need packages that are not there; but a motion may be the push model's
-        if not predicts_motion(followed(spec, settings.filter)):
+        if not predicts_motion(followed(spec, settings)):
             settings = replace(settings, planner=replace(settings.planner, push_model="displacement"))
         return build_rummager(spec, replace(settings, method="rumi"), model, tool)
 

@@ -26,12 +26,18 @@ _PLANAR = ("pushed", "corrected", "trajectory")  # motions of upright objects an
 _SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
 
 
-def followed(spec: TaskSpec, following: FilterSettings) -> FilterSettings:
-    """The filter's settings with the motion that the task has a sensor for, or what takes its place."""
-    if following.motion != "measured" or spec.measures_motion:
+def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
+    """The filter's settings with the motion that something measures, or what takes its place."""
+    following = settings.filter
+    if following.motion != "measured" or (spec.measures_motion and settings.simulator.measures_motion):
         return following
-    needs_plane = following.unmeasured in _PLANAR and not is_planar(spec)
-    return replace(following, motion="estimated" if needs_plane else following.unmeasured)
+    motion = following.unmeasured
+    if not is_planar(spec):
+        motion = "estimated" if motion is None or motion in _PLANAR else motion
+    elif motion is None:
+        touches_alone = spec.camera is not None and spec.prior is None and not spec.looks_again
+        motion = "trajectory" if touches_alone and not _no_trajectory(settings) else "corrected"
+    return replace(following, motion=motion)
 
 
 def predicts_motion(following: FilterSettings) -> bool:
@@ -126,7 +132,7 @@ def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
     push_posterior_of(settings.planner)  # a file that is none is told before anything is done
     if settings.simulator.sensors.wrist_force and not (
-        is_planar(spec) and followed(spec, settings.filter).motion == "trajectory"
+        is_planar(spec) and followed(spec, settings).motion == "trajectory"
     ):
         raise UsageError(
             "Expected --filter.motion trajectory, an upright object and a level tool with "
@@ -151,13 +157,20 @@ def check_pushing(spec: TaskSpec, settings: Settings) -> None:
 
 def check_trajectory(settings: Settings) -> None:
     """Refuse what trajectories do not take in."""
+    if (why := _no_trajectory(settings)) is not None:
+        raise UsageError(why)
+
+
+def _no_trajectory(settings: Settings) -> str | None:
+    """What trajectories do not take in; None for nothing."""
     for flag, odd, fits in (
         ("simulator.sensors.kind", settings.simulator.sensors.kind != "points", "points"),
         ("filter.evidence", bool(settings.filter.evidence), "none"),
         ("device", settings.device != "cpu", "cpu"),
     ):
         if odd:
-            raise UsageError(f"Expected --{flag} {fits} with --filter.motion trajectory, which takes in no other")
+            return f"Expected --{flag} {fits} with --filter.motion trajectory, which takes in no other"
+    return None
 
 
 def _other_task(spec: TaskSpec, flag: str, fits: str) -> str:

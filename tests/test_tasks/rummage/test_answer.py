@@ -94,7 +94,8 @@ def test_a_rule_holds_where_nothing_is_short_of_it(rule):
     ("motion", "changes", "words", "warned"),
     [
         ("measured", {}, "motion: measured; reach: none; push model: quasi-static; sensors: a first view", False),
-        ("measured", {"measures_motion": False}, "not measured, taken from the push model and corrected", True),
+        ("measured", {"measures_motion": False}, "not measured, each particle's own, by a push model with noise", True),
+        ("corrected", {}, "not measured, taken from the push model and corrected", True),
         ("sticking", {}, "not measured, taken to stick to the tool", True),
         ("pushed", {}, "not measured, taken from the push model; reach", True),
         ("corrected", {"looks_again": True}, "a camera that looks after every action", False),

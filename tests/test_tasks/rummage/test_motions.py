@@ -1,0 +1,54 @@
+"""What follows the object where nothing measures its motion."""
+
+from dataclasses import replace
+
+import pytest
+
+from rumi.tasks.rummage.build import build
+from rumi.tasks.rummage.drawn_scenes import DRAWN
+from rumi.tasks.rummage.motions import followed
+from rumi.tasks.rummage.scenes import SCENES, find_task
+from rumi.tasks.rummage.settings import Settings, preset
+
+
+def without_sensor(task: str, name: str = "default") -> Settings:
+    settings = preset(name, task=task)
+    return replace(settings, simulator=replace(settings.simulator, measures_motion=False))
+
+
+@pytest.mark.parametrize("task", [*SCENES, *DRAWN])
+def test_what_is_measured_is_taken_where_it_is_measured(task):
+    expected = "measured" if find_task(task).measures_motion else "corrected"
+    assert followed(find_task(task), preset(task=task)).motion == expected
+
+
+@pytest.mark.parametrize(
+    ("task", "motion"),
+    [
+        ("mug-0", "trajectory"),
+        ("mug", "trajectory"),
+        ("shelf-mug", "corrected"),  # a camera looks again
+        ("drill", "estimated"),
+        ("drawn-shelf-box", "estimated"),
+    ],
+)
+def test_without_a_slip_sensor_the_motion_that_suits_takes_its_place(task, motion):
+    settings = without_sensor(task)
+    assert followed(find_task(task), settings).motion == motion
+    asked = replace(settings, filter=replace(settings.filter, unmeasured="sticking"))
+    assert followed(find_task(task), asked).motion == "sticking"
+    assert followed(find_task(task), without_sensor(task, "paper")).motion == "estimated"
+
+
+def test_what_no_trajectory_takes_in_is_corrected():
+    settings = without_sensor("mug")
+    sensed = replace(settings.simulator, sensors=replace(settings.simulator.sensors, kind="bubbles"))
+    for other in (replace(settings, simulator=sensed), replace(settings, device="cuda")):
+        assert followed(find_task("mug"), other).motion == "corrected"
+
+
+@pytest.mark.sim
+def test_a_simulator_without_the_sensor_is_followed_without_it(all_in_reach):
+    with build(without_sensor("mug-0"), cache_dir=all_in_reach) as (task, agent):
+        assert agent.filter.settings.motion == "trajectory"
+        assert task.reset(0).reading.object_motion is None
