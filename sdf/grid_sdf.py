@@ -164,6 +164,29 @@ class GridSDF(Sized):
         cells = rate * self.spacing * (offset == 0)
         return torch.lerp(low, high, share)[..., 0], (high - low)[..., 0], torch.stack((offset, cells))
 
+    def box_of(self) -> Float[Tensor, "2 3"]:
+        """Lower and upper corner, object frame, of the box that the table bounds its values by; float64.
+
+        Within the lattice no point is deeper than it is behind any of the faces, in front of which that is negative:
+        nodes make it so, and interpolation between them keeps it so. Beyond the lattice none is deeper than at its end.
+        """
+        low, high = (corner.tolist() for corner in self.bounds.double())
+        values, corners = self.values.detach().double(), []
+        for axis in range(3):
+            others = [other for other in range(3) if other != axis]
+            least = values.amin(others)
+            nodes = self._nodes(axis).to(least)
+            up, down = float((nodes - least).amax()), float((nodes + least).amin())
+            corners.append((min(low[axis], down), max(high[axis], up)))
+        return torch.tensor(corners, dtype=torch.float64).T.contiguous()
+
+    def _nodes(self, axis: int) -> Float[Tensor, "n"]:
+        """Coordinates of an axis's nodes, metres."""
+        count = self.values.shape[axis]
+        place = torch.arange(count, dtype=torch.float64) - self.outer
+        fine = place.clamp(0, count - 1 - 2 * self.outer)
+        return self.origin[axis] + fine * self.spacing + (place - fine) * self.outer_spacing
+
     def _cells(self, points: Tensor, z: float | Tensor | None = None) -> tuple[list[Tensor], list[Tensor | None]]:
         """By axis: lattice coordinates, and offsets beyond the lattice, None where no point is beyond it.
 

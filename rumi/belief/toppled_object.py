@@ -1,6 +1,7 @@
 """Object that slides and topples, and a level tool that moves in space, as trajectories need them."""
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Self
 
@@ -16,13 +17,11 @@ from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import unwrapped
 from rumi.dynamics.resting import RestingPoses
 from rumi.dynamics.sliding import Sliding, rotated
-from rumi.dynamics.toppling import Leaning, push_in_space
+from rumi.dynamics.toppling import GROUP, Leaning, push_in_space
 from rumi.robot.gripper import GripperShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
 from sdf.symmetry import Symmetries
-
-_PART_M, _GROUP_M = 0.05, 0.024  # sides of the cells by which the tool's points are grouped
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,13 +35,9 @@ class ToppledObject:
         sdf: of the object.
         rests: its resting poses; the first are those that it may start in.
         ways: number of these.
-        tool: (n, 3), points of the tool's surface, tool frame.
+        tool: (n, 3), points of the tool's surface, tool frame; GROUP at a time lie near each other.
         pads: (m, 3), points of its pads.
         reported: (m, 3), where what they feel is reported.
-        group_starts: (G + 1), where groups of the tool's points that lie near each other begin.
-        groups: (G, 4), (x, y, z) and radius of a sphere about each.
-        part_starts: (H + 1), where parts of the tool begin in the groups.
-        parts: (H, 4), spheres about them.
         reach_m: distance between tool and object, sideways, beyond which nothing is touched.
         wide: how much wider than the settings have it the noise of its motion is.
     """
@@ -51,10 +46,6 @@ class ToppledObject:
     rests: RestingPoses
     ways: int
     tool: Float[Tensor, "n 3"]
-    group_starts: Int[Tensor, "G1"]
-    groups: Float[Tensor, "G 4"]
-    part_starts: Int[Tensor, "H1"]
-    parts: Float[Tensor, "H 4"]
     pads: Float[Tensor, "m 3"]
     reported: Float[Tensor, "m 3"]
     reach_m: float
@@ -93,13 +84,19 @@ class ToppledObject:
         radius = float(sdf.bounds.double().abs().amax(0).norm())
         reach = radius + float(tool[:, :2].norm(dim=-1).max())
         rests = RestingPoses.of(sdf, ways, symmetries)
-        return cls(sdf, rests, len(ways), *_grouped(tool), pads, reported, reach, wide)
+        return cls(sdf, rests, len(ways), _grouped(tool), pads, reported, reach, wide)
 
     @functools.cached_property
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        """Tool as the compiled version takes it: points by coordinate, and spheres, float32."""
-        parts = self.tool.T.float().flatten(), self.group_starts, self.groups.float()
-        return arrays_of((*parts, self.part_starts, self.parts.float()))
+    def arrays(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+        """Tool and a tabulated object's box as the compiled version takes them, float32.
+
+        Points by coordinate, and extents of their groups by number; the box's corners.
+        """
+        from sdf.grid_sdf import GridSDF
+
+        assert isinstance(self.sdf, GridSDF)
+        tool = arrays_of((self.tool.T.float().flatten(), _extents(self.tool).float().flatten()))
+        return tool, self.sdf.box_of().float().flatten().numpy()
 
     @property
     def extent_m(self) -> tuple[float, float, float]:
@@ -216,51 +213,34 @@ def _replay_numba(
     rests, edges = model.rests, model.rests.edges
     prior, priced = tables(own)
     scales = torch.cat((prior, prior.new_tensor((own.fall_m, own.firm_change / model.wide))))
+    numbers = prior.new_tensor((model.reach_m, model.wide, float(model.tool[:, :2].norm(dim=-1).max())))
     done, sensed = history.arrays
     turned = rests.turn, rests.height_m, rests.centre, rests.spread_m
     kernel(
         arrays_of((first, least, poses, logs, given.physics, given.noise)),
         done,
         sensed,
-        model.arrays,
+        *model.arrays,
         arrays_of((*turned, edges.point, edges.normal, edges.tip_rad, edges.next, edges.change)),
-        *arrays_of((scales.new_tensor((model.reach_m, model.wide)), scales, priced)),
+        *arrays_of((numbers, scales, priced)),
         grid_arguments(model.sdf, torch.float32),
     )
     return poses, logs
 
 
-def _grouped(points: Float[Tensor, "n 3"]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Points in groups that lie near each other, and these in parts of the tool.
-
-    The points in their order; where each group begins, and its sphere (x, y, z, radius); the same of the parts.
-    """
-    near = points - points.amin(0)
-    coarse, fine = _cell(near, _PART_M), _cell(near, _GROUP_M)
-    key = (coarse << 24) + fine
-    order = key.argsort(stable=True)
-    ordered, key = points[order], key[order]
-    starts, part_starts = _begins(key), _begins(key >> 24)
-    spheres, parts = _spheres(ordered, starts), _spheres(ordered, part_starts)
-    return ordered, starts, spheres, torch.searchsorted(starts, part_starts), parts
+def _grouped(points: Float[Tensor, "n 3"]) -> Float[Tensor, "m 3"]:
+    """Points in groups of so many that lie near each other, by halves along the longest side; the last is filled up."""
+    if len(points) <= GROUP:
+        return torch.cat((points, points[-1:].expand(GROUP - len(points), 3)))
+    axis = int((points.amax(0) - points.amin(0)).argmax())
+    ordered = points[points[:, axis].argsort(stable=True)]
+    half = GROUP * math.ceil(len(points) / (2 * GROUP))
+    return torch.cat((_grouped(ordered[:half]), _grouped(ordered[half:])))
 
 
-def _cell(points: Float[Tensor, "n 3"], side: float) -> Int[Tensor, "n"]:
-    """Number of the cell of a lattice that each point is in."""
-    x, y, z = (points / side).floor().long().unbind(-1)
-    return (((x << 8) + y) << 8) + z
-
-
-def _begins(key: Int[Tensor, "n"]) -> Int[Tensor, "G1"]:
-    """Where runs of equal keys begin, and the end."""
-    counts = key.unique_consecutive(return_counts=True)[1]
-    return torch.cat((counts.new_zeros(1), counts.cumsum(0)))
-
-
-def _spheres(points: Float[Tensor, "n 3"], starts: Int[Tensor, "G1"]) -> Float[Tensor, "G 4"]:
-    """Spheres (x, y, z, radius) about runs of points."""
-    spheres = []
-    for begin, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
-        middle = 0.5 * (points[begin:end].amin(0) + points[begin:end].amax(0))
-        spheres.append(torch.cat((middle, (points[begin:end] - middle).norm(dim=-1).max()[None])))
-    return torch.stack(spheres)
+def _extents(points: Float[Tensor, "m 3"]) -> Float[Tensor, "7 G"]:
+    """Middle and half sides of a box about each group, and radius of a sphere about that middle."""
+    groups = points.view(-1, GROUP, 3)
+    middle = 0.5 * (groups.amin(1) + groups.amax(1))
+    apart = (groups - middle[:, None]).norm(dim=-1).amax(1)
+    return torch.cat((middle, groups.amax(1) - middle, apart[:, None]), -1).T

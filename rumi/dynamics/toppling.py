@@ -21,18 +21,20 @@ from rumi.dynamics.sliding import Sliding, Touch, pushed_out, rotated
 from sdf import se3
 from sdf.base import SDF
 
-_MOST_M = 0.012  # that one contact moves an object, at most
-_LEVEL = 0.5  # share of a contact's normal that has to be level for it to push
-_LEAST_M = 0.01  # lever of a lean, at least
-_OFF_M = 0.001  # distance of an edge from below the centre of mass, at least
-_PASSES, _TILTS, _HALVES = 2, 2, 5
-_ACROSS = 0.3  # cosine to the edge's normal below which a push does not lean on it
-_GRAZE_M = 0.001  # distance from the tool up to which what it presses on from above is dragged along
-_INSTANT_S = 0.05  # duration of a motion
-_RATE = 0.5  # rad/s at which a fall begins: a tool that goes 8 cm in a second, 16 cm above the floor
-_LANDS_RAD = 0.35  # into a fall, from when on it is as it comes to rest
-_SWINGS = 0.75 * 9.81  # m/s^2 over the distance of mass from edge: square of a thin rod's rate of falling
-_SHARE = 0.5  # lever of a steep contact about an edge, of the weight's, at least: a tool presses with twice the weight
+MOST_M = 0.012  # that one contact moves an object, at most
+LEVEL = 0.5  # share of a contact's normal that has to be level for it to push
+LEAST_M = 0.01  # lever of a lean, at least
+OFF_M = 0.001  # distance of an edge from below the centre of mass, at least
+PASSES, TILTS, HALVES = 2, 2, 5
+ACROSS = 0.3  # cosine to the edge's normal below which a push does not lean on it
+GRAZE_M = 0.001  # distance from the tool up to which what it presses on from above is dragged along
+INSTANT_S = 0.05  # duration of a motion
+RATE = 0.5  # rad/s at which a fall begins: a tool that goes 8 cm in a second, 16 cm above the floor
+LANDS_RAD = 0.35  # into a fall, from when on it is as it comes to rest
+SWINGS = 0.75 * 9.81  # m/s^2 over the distance of mass from edge: square of a thin rod's rate of falling
+SHARE = 0.5  # lever of a steep contact about an edge, of the weight's, at least: a tool presses with twice the weight
+
+GROUP = 16  # points of the tool that lie near each other, as many as the compiled version takes at a time
 
 
 class Leaning(NamedTuple):
@@ -110,16 +112,16 @@ def push_in_space(
         ahead[found] = inward
         about, off, rate = _edge_ahead(rests, planar[found], lying[found], inward)
         friction = body.friction[found]
-        leans = (rate > _ACROSS) & (place[:, 2] > off * (1.0 / friction + friction))
+        leans = (rate > ACROSS) & (place[:, 2] > off * (1.0 / friction + friction))
         tips = found[leans]
-        tilt = depth[leans] / (place[leans, 2] * rate[leans]).clamp_min(_LEAST_M)
+        tilt = depth[leans] / (place[leans, 2] * rate[leans]).clamp_min(LEAST_M)
         lying[tips] = torch.stack((lying[tips, 0], about[leans].to(lying), tilt), -1)
         lying[tips], _ = _leant(scene, planar[tips], lying[tips], body.friction[tips], way)
         slides, now = found[~leans], planar[found[~leans]]
         slid[slides] = True
         start, own, some = now, body.at(slides), torch.arange(len(slides))
         touch = depth[~leans], inward[~leans], place[~leans]
-        for turn in range(_PASSES):
+        for turn in range(PASSES):
             if turn:
                 met = _met(scene, now, lying[slides])
                 some = (met.depth > 0).nonzero()[:, 0]
@@ -127,13 +129,13 @@ def push_in_space(
             many = len(some)
             if not many:
                 break
-            met_at = Touch(touch[2][:, :2], touch[1], touch[0].clamp_max(_MOST_M))
+            met_at = Touch(touch[2][:, :2], touch[1], touch[0].clamp_max(MOST_M))
             tools = before[:3].expand(many, 3), after[:3].expand(many, 3)
             out = pushed_out(now[some], start[some], *tools, met_at, own.at(some))
             now = now.index_copy(0, some, out)
         planar = planar.index_copy(0, slides, now)
     edges, rest, edge = rests.edges, lying[:, 0].long(), lying[:, 1].long()
-    down = (lying[:, 2] >= _limit(rests, lying, firm) + _LANDS_RAD).nonzero()[:, 0]
+    down = (lying[:, 2] >= _limit(rests, lying, firm) + LANDS_RAD).nonzero()[:, 0]
     if len(down):
         rest, edge = rest[down], edge[down]
         change = edges.change[rest, edge]
@@ -157,10 +159,10 @@ def _fallen(
     """What falls, a motion later, and the direction over its edge: a thin rod near the top of its swing."""
     edges, rest, edge = rests.edges, lying[:, 0].long(), lying[:, 1].long()
     normal, tip = edges.normal[rest, edge], edges.tip_rad[rest, edge]
-    off = ((edges.point[rest, edge] - rests.centre[rest]) * normal).sum(-1).clamp_min(_OFF_M)
-    rate = (_SWINGS * tip.sin().clamp_min(_LEAST_M) / off).sqrt()
-    into, turn = lying[:, 2] - limit, rate * _INSTANT_S
-    into = into * turn.cosh() + torch.hypot(into, _RATE / rate) * turn.sinh()
+    off = ((edges.point[rest, edge] - rests.centre[rest]) * normal).sum(-1).clamp_min(OFF_M)
+    rate = (SWINGS * tip.sin().clamp_min(LEAST_M) / off).sqrt()
+    into, turn = lying[:, 2] - limit, rate * INSTANT_S
+    into = into * turn.cosh() + torch.hypot(into, RATE / rate) * turn.sinh()
     return torch.cat((lying[:, :2], (limit + into)[:, None]), -1), rotated(normal, planar[:, 2])
 
 
@@ -212,7 +214,7 @@ def _levers(
 ) -> _Levers:
     edges, rest = rests.edges, lying[:, 0].long()
     normal, point = edges.normal[rest], edges.point[rest]
-    off = ((point - rests.centre[rest][:, None]) * normal).sum(-1).clamp_min(_OFF_M)
+    off = ((point - rests.centre[rest][:, None]) * normal).sum(-1).clamp_min(OFF_M)
     outward = rotated(normal, planar[:, None, 2])
     corner = planar[:, None, :2] + rotated(point, planar[:, None, 2])
     beyond = ((met.at[:, None, :2] - corner) * outward).sum(-1)
@@ -234,14 +236,12 @@ def _levered(
 ) -> tuple[Int[Tensor, "E"], Float[Tensor, "E"], Float[Tensor, "E 2"]]:
     """Edge about which a steep contact turns objects at rest (-1: none), the tilt, and the way over it."""
     lifts, arm, drag, outward = _levers(rests, planar, lying, met, friction, way)
-    steep, high = met.steep[:, None], met.at[:, 2:].clamp_min(_LEAST_M)
-    lifted = (lifts > _LEAST_M) & (steep > met.depth[:, None])
-    dragged = (
-        (lifts <= _LEAST_M) & (steep > -_GRAZE_M) & (met.depth[:, None] <= 0) & (met.normal[:, 2:] < 0) & (drag > 0)
-    )
-    can = (lifted | dragged) & (arm > _SHARE) & rests.edges.tip_rad[lying[:, 0].long()].isfinite()
+    steep, high = met.steep[:, None], met.at[:, 2:].clamp_min(LEAST_M)
+    lifted = (lifts > LEAST_M) & (steep > met.depth[:, None])
+    dragged = (lifts <= LEAST_M) & (steep > -GRAZE_M) & (met.depth[:, None] <= 0) & (met.normal[:, 2:] < 0) & (drag > 0)
+    can = (lifted | dragged) & (arm > SHARE) & rests.edges.tip_rad[lying[:, 0].long()].isfinite()
     most, edge = torch.where(can, arm, torch.full_like(arm, -torch.inf)).max(-1)
-    tilt = torch.where(lifted, steep.clamp_min(0.0) / lifts.clamp_min(_LEAST_M), drag / high)
+    tilt = torch.where(lifted, steep.clamp_min(0.0) / lifts.clamp_min(LEAST_M), drag / high)
     rows = torch.arange(len(edge))
     return torch.where(most > 0, edge, -1), tilt[rows, edge], outward[rows, edge]
 
@@ -260,18 +260,18 @@ def _leant(
     lying, rows, edge = lying.clone(), torch.arange(len(planar)), lying[:, 1].long()
     touched = torch.zeros(len(planar), dtype=torch.bool)
     outward = planar[:, :2]
-    for turn in range(_TILTS):
+    for turn in range(TILTS):
         met = _met(scene, planar, lying)
         levers = _levers(scene.rests, planar, lying, met, friction, way)
         lifts, arm, drag, outward = (part[rows, edge] for part in levers)
         inside = (met.depth > 0) | (met.steep > 0)
-        along, high = (met.inward * outward).sum(-1), met.at[:, 2].clamp_min(_LEAST_M)
-        more = torch.where(along > _ACROSS, met.depth / (met.place[:, 2] * along).clamp_min(_LEAST_M), 0.0 * along)
-        lifted = (lifts > _LEAST_M) & (met.steep > met.depth)
-        more = torch.where(lifted, met.steep / lifts.clamp_min(_LEAST_M), more)
+        along, high = (met.inward * outward).sum(-1), met.at[:, 2].clamp_min(LEAST_M)
+        more = torch.where(along > ACROSS, met.depth / (met.place[:, 2] * along).clamp_min(LEAST_M), 0.0 * along)
+        lifted = (lifts > LEAST_M) & (met.steep > met.depth)
+        more = torch.where(lifted, met.steep / lifts.clamp_min(LEAST_M), more)
         if turn == 0:
-            dragged = (lifts <= _LEAST_M) & (met.steep > -_GRAZE_M) & (met.depth <= 0) & (met.normal[:, 2] < 0)
-            dragged &= (drag > 0) & (arm > _SHARE)
+            dragged = (lifts <= LEAST_M) & (met.steep > -GRAZE_M) & (met.depth <= 0) & (met.normal[:, 2] < 0)
+            dragged &= (drag > 0) & (arm > SHARE)
             more, inside = torch.where(dragged, drag / high, more), inside | dragged
         going = inside if turn == 0 else inside & touched
         lying[going, 2] += more[going]
@@ -279,7 +279,7 @@ def _leant(
     left = (~touched).nonzero()[:, 0]
     if len(left):
         low, high = torch.zeros_like(lying[left, 2]), lying[left, 2]
-        for turn in range(_HALVES):
+        for turn in range(HALVES):
             middle = low if turn == 0 else 0.5 * (low + high)
             tried = torch.cat((lying[left, :2], middle[:, None]), -1)
             met = _met(scene, planar[left], tried)
@@ -298,7 +298,7 @@ class _Met(NamedTuple):
         depth: (E), of the point that is deepest in it sideways, metres; 0 for none.
         inward: (E, 2), level normal into it there.
         place: (E, 3), of that point.
-        steep: (E), depth of the deepest point from above or below, down to -_GRAZE_M, which is none.
+        steep: (E), depth of the deepest point from above or below, down to -GRAZE_M, which is none.
         normal: (E, 3), into it there.
         at: (E, 3), of that point.
     """
@@ -318,12 +318,12 @@ def _met(scene: _Scene, planar: Float[Tensor, "E 3"], lying: Float[Tensor, "E 3"
     with torch.no_grad():
         local = se3.apply(back, points.expand(len(poses), -1, 3)).to(sdf.bounds)
         distance = sdf.distance(local)
-        row, which = (distance < _GRAZE_M).nonzero(as_tuple=True)
+        row, which = (distance < GRAZE_M).nonzero(as_tuple=True)
         gradient = sdf(local[row, which]).gradient.to(poses)
     gradient = gradient / gradient.norm(dim=-1, keepdim=True).clamp_min(1e-9)
     inward, depth = -(gradient[:, None] @ back[row, :3, :3])[:, 0], -distance[row, which].to(poses)
-    level, found = inward[:, :2].norm(dim=-1) > _LEVEL, []
-    for kept, least in ((level, 0.0), (~level, -_GRAZE_M)):
+    level, found = inward[:, :2].norm(dim=-1) > LEVEL, []
+    for kept, least in ((level, 0.0), (~level, -GRAZE_M)):
         some = kept & (depth > least)
         deep = poses.new_full(distance.shape, least)
         deep[row[some], which[some]] = depth[some]

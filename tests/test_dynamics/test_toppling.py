@@ -183,10 +183,18 @@ def history(points=40) -> History:
     return found
 
 
-def test_the_compiled_replay_in_space_is_the_plain_one(toppled):
-    random, told, count = generator(1), history(), 45
+@pytest.fixture(scope="module")
+def drill() -> ToppledObject:
+    model = drill_model()
+    ways = lying(model.exact.bounds)[None]
+    return ToppledObject.of(model.sdf, GripperShape(), ways, model.symmetries, spacing_m=0.008, pad_spacing_m=0.006)
+
+
+@pytest.mark.parametrize("which", ["toppled", "drill"])
+def test_the_compiled_replay_in_space_is_the_plain_one(which, request):
+    toppled, random, told, count = request.getfixturevalue(which), generator(1), history(), 45
     start = torch.randn(count, 6, generator=random, **DOUBLE) * torch.tensor([0.04, 0.04, 2.0, 0, 0, 0], **DOUBLE)
-    start[:, 3], start[:, 4] = torch.arange(count) % 3, -1.0
+    start[:, 3], start[:, 4] = torch.arange(count) % min(3, len(toppled.rests)), -1.0
     physics = torch.randn(count, PHYSICS, generator=random, **DOUBLE)
     noise = torch.randn(count, 3, NOISE, generator=random, **DOUBLE)
     given = Trajectories(physics, noise, start[:, None].repeat(1, 4, 1), start.new_zeros(count, 3), told, start)

@@ -45,6 +45,16 @@ def test_accuracy_near_the_object_and_in_the_wide_cells(mug, grid, generator):
     assert error.mean() < 0.2e-3 and error.max() < 2.5e-3
 
 
+def test_no_point_is_deeper_than_the_box_of_the_table_has_it(mug, grid, generator):
+    low, high = grid.box_of()
+    torch.testing.assert_close(low, mug.bounds[0].double(), atol=1e-4, rtol=0)
+    torch.testing.assert_close(high, mug.bounds[1].double(), atol=1e-4, rtol=0)
+    for margin in (0.0, 0.02, 0.25, 1.0):
+        points = around(mug, margin, 5000, generator)
+        deepest = torch.minimum(points - low, high - points).amin(-1)
+        assert (-grid.distance(points) <= deepest.clamp_min(-0.25) + 1e-6).all()
+
+
 def test_beyond_the_lattice_a_lower_bound_that_grows_with_the_distance(mug, grid, generator):
     far = around(mug, 3.0, 20000, generator)
     far = far[mug.distance(far) > 0.3]

@@ -1,0 +1,243 @@
+"""Building blocks of compiled toppling: what of a level tool an object meets; `toppling.py` has the definition.
+
+The tool comes as four arrays: its points by coordinate, GROUP of them to a group that lie near each other; the groups'
+middles, half sides and radii, by coordinate; and room for a number of each group and of each of a group's points. The
+object comes with a box (`GridSDF.box_of`) that tells how deep a point can be in it at most: groups that cannot be
+deeper than what is found are left out.
+"""
+
+import math
+
+import numpy as np
+
+from rumi.dynamics.toppling import GRAZE_M, GROUP, LEVEL
+from sdf.compiled import bare
+from sdf.grid_numba import at, fast, put, value, value_and_gradient
+
+_ROUNDED_M = 1e-6  # that single precision may take from a distance
+
+
+@bare
+def placed(x, y, yaw, rest, edge, tilt, rests):
+    """Rotation, row by row, and place of an object."""
+    turn, height, point, normal = rests[0], rests[1], rests[4], rests[5]
+    a00, a01, a02 = turn[rest, 0, 0], turn[rest, 0, 1], turn[rest, 0, 2]
+    a10, a11, a12 = turn[rest, 1, 0], turn[rest, 1, 1], turn[rest, 1, 2]
+    a20, a21, a22 = turn[rest, 2, 0], turn[rest, 2, 1], turn[rest, 2, 2]
+    tx, ty, tz = 0.0, 0.0, height[rest]
+    if edge >= 0:
+        mx, my, px, py = normal[rest, edge, 0], normal[rest, edge, 1], point[rest, edge, 0], point[rest, edge, 1]
+        c, s = math.cos(tilt), math.sin(tilt)
+        r00, r01, r11 = c + (1.0 - c) * my * my, -(1.0 - c) * mx * my, c + (1.0 - c) * mx * mx
+        r02, r12 = s * mx, s * my
+        b00, b01, b02 = (
+            r00 * a00 + r01 * a10 + r02 * a20,
+            r00 * a01 + r01 * a11 + r02 * a21,
+            r00 * a02 + r01 * a12 + r02 * a22,
+        )
+        b10, b11, b12 = (
+            r01 * a00 + r11 * a10 + r12 * a20,
+            r01 * a01 + r11 * a11 + r12 * a21,
+            r01 * a02 + r11 * a12 + r12 * a22,
+        )
+        a20, a21, a22 = (
+            c * a20 - r02 * a00 - r12 * a10,
+            c * a21 - r02 * a01 - r12 * a11,
+            c * a22 - r02 * a02 - r12 * a12,
+        )
+        a00, a01, a02, a10, a11, a12 = b00, b01, b02, b10, b11, b12
+        dx, dy, dz = -px, -py, tz
+        tx, ty, tz = (
+            px + r00 * dx + r01 * dy + r02 * dz,
+            py + r01 * dx + r11 * dy + r12 * dz,
+            c * dz - r02 * dx - r12 * dy,
+        )
+    c, s = math.cos(yaw), math.sin(yaw)
+    return (
+        c * a00 - s * a10,
+        c * a01 - s * a11,
+        c * a02 - s * a12,
+        s * a00 + c * a10,
+        s * a01 + c * a11,
+        s * a02 + c * a12,
+        a20,
+        a21,
+        a22,
+        x + c * tx - s * ty,
+        y + s * tx + c * ty,
+        tz,
+    )
+
+
+@bare
+def float32(frame):
+    """Twelve numbers in single precision."""
+    return (
+        np.float32(frame[0]),
+        np.float32(frame[1]),
+        np.float32(frame[2]),
+        np.float32(frame[3]),
+        np.float32(frame[4]),
+        np.float32(frame[5]),
+        np.float32(frame[6]),
+        np.float32(frame[7]),
+        np.float32(frame[8]),
+        np.float32(frame[9]),
+        np.float32(frame[10]),
+        np.float32(frame[11]),
+    )
+
+
+@bare
+def tool_in(frame, after, cos, sin):
+    """Rotation, row by row, and place of the tool in an object's frame, single precision."""
+    dx, dy, dz = after[0] - frame[9], after[1] - frame[10], after[3] - frame[11]
+    return float32(
+        (
+            frame[0] * cos + frame[3] * sin,
+            frame[3] * cos - frame[0] * sin,
+            frame[6],
+            frame[1] * cos + frame[4] * sin,
+            frame[4] * cos - frame[1] * sin,
+            frame[7],
+            frame[2] * cos + frame[5] * sin,
+            frame[5] * cos - frame[2] * sin,
+            frame[8],
+            frame[0] * dx + frame[3] * dy + frame[6] * dz,
+            frame[1] * dx + frame[4] * dy + frame[7] * dz,
+            frame[2] * dx + frame[5] * dy + frame[8] * dz,
+        )
+    )
+
+
+@fast
+def _bound(there, groups, box, most):
+    """How deep points of each of the tool's groups can be in the object at most; single precision."""
+    m00, m01, m02, m10, m11, m12, m20, m21, m22, x, y, z = there
+    a00, a01, a02, a10, a11, a12 = abs(m00), abs(m01), abs(m02), abs(m10), abs(m11), abs(m12)
+    a20, a21, a22 = abs(m20), abs(m21), abs(m22)
+    low_x, low_y, low_z, high_x, high_y, high_z = box
+    count = len(most)
+    for g in range(count):
+        px, py, pz = at(groups, g), at(groups, count + g), at(groups, 2 * count + g)
+        hx, hy, hz = at(groups, 3 * count + g), at(groups, 4 * count + g), at(groups, 5 * count + g)
+        at_x, far_x = m00 * px + m01 * py + m02 * pz + x, a00 * hx + a01 * hy + a02 * hz
+        at_y, far_y = m10 * px + m11 * py + m12 * pz + y, a10 * hx + a11 * hy + a12 * hz
+        at_z, far_z = m20 * px + m21 * py + m22 * pz + z, a20 * hx + a21 * hy + a22 * hz
+        deep_x = min(at_x - low_x, high_x - at_x) + far_x
+        deep_y = min(at_y - low_y, high_y - at_y) + far_y
+        deep_z = min(at_z - low_z, high_z - at_z) + far_z
+        put(most, g, min(min(deep_x, deep_y), deep_z))
+
+
+@fast
+def _depths(first, there, points, found, flat, lattice):
+    """How deep each of the points of a group of the tool is in an object; single precision."""
+    m00, m01, m02, m10, m11, m12, m20, m21, m22, x, y, z = there
+    count = len(points) // 3
+    for k in range(GROUP):
+        px, py, pz = at(points, first + k), at(points, count + first + k), at(points, 2 * count + first + k)
+        distance = value(
+            m00 * px + m01 * py + m02 * pz + x,
+            m10 * px + m11 * py + m12 * pz + y,
+            m20 * px + m21 * py + m22 * pz + z,
+            flat,
+            lattice,
+        )
+        put(found, k, -distance)
+
+
+@bare
+def clear_of(frame, after, tool, box):
+    """How far at least the tool is from where it meets the object; 0 or less where it may."""
+    groups, most = tool[1], tool[2]
+    _bound(tool_in(frame, after, math.cos(after[2]), math.sin(after[2])), groups, box, most)
+    deep = most[0]
+    for group in range(len(most)):
+        deep = max(deep, most[group])
+    return -deep - GRAZE_M - _ROUNDED_M
+
+
+@bare
+def _apart(there, group, groups, count, flat, lattice):
+    """Distance of the sphere about a group from the surface, negative where it may be within the object."""
+    px, py, pz = groups[group], groups[count + group], groups[2 * count + group]
+    found = value(
+        there[0] * px + there[1] * py + there[2] * pz + there[9],
+        there[3] * px + there[4] * py + there[5] * pz + there[10],
+        there[6] * px + there[7] * py + there[8] * pz + there[11],
+        flat,
+        lattice,
+    )
+    return found - groups[6 * count + group]
+
+
+@bare
+def met(frame, after, tool, box, flat, lattice):
+    """What of the tool an object meets: sideways, and from above or below.
+
+    Depth sideways, the level normal into the object, and the point of the tool in the world; the same of the steep one,
+    whose normal has three parts. A steep one that is less deep than a level one does nothing, and may be left out.
+    The group that can be deepest in it comes first, so that few of the others are left that could be deeper.
+    """
+    groups, most = tool[1], tool[2]
+    cos, sin = math.cos(after[2]), math.sin(after[2])
+    there = tool_in(frame, after, cos, sin)
+    level, steep = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (-GRAZE_M, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    best, first, count = (-1, -1), 0, len(most)
+    _bound(there, groups, box, most)
+    for group in range(count):
+        first = group if most[group] > most[first] else first
+    for turn in range(-1, count):
+        group, counts = first if turn < 0 else turn, _counts(level, steep)
+        if turn == first or most[group] + _ROUNDED_M < counts:
+            continue
+        if not _apart(there, group, groups, count, flat, lattice) > -counts:
+            level, steep, best = _deepest(
+                group, level, steep, best, frame, there, (after, cos, sin), tool, flat, lattice
+            )
+    return level, steep
+
+
+@bare
+def _counts(level, steep):
+    """Depth below which a point does nothing."""
+    return level[0] if level[0] > 0.0 else min(0.0, steep[0])
+
+
+@bare
+def _deepest(group, level, steep, best, frame, there, placed_at, tool, flat, lattice):
+    """Contacts, and their points, with those of one more group; of two points as deep it is the first."""
+    points, found = tool[0], tool[3]
+    after, cos, sin = placed_at
+    begin, count = GROUP * group, len(points) // 3
+    _depths(begin, there, points, found, flat, lattice)
+    for _ in range(GROUP):
+        most = 0
+        for k in range(1, GROUP):
+            most = k if found[k] > found[most] else most
+        depth, k = found[most], begin + most
+        if not depth >= _counts(level, steep):
+            break
+        found[most] = -math.inf
+        px, py, pz = points[k], points[count + k], points[2 * count + k]
+        x = there[0] * px + there[1] * py + there[2] * pz + there[9]
+        y = there[3] * px + there[4] * py + there[5] * pz + there[10]
+        z = there[6] * px + there[7] * py + there[8] * pz + there[11]
+        depth, gx, gy, gz = value_and_gradient(x, y, z, flat, lattice)
+        depth = -depth
+        size = max(math.sqrt(gx * gx + gy * gy + gz * gz), 1e-9)
+        out_x = (frame[0] * gx + frame[1] * gy + frame[2] * gz) / size
+        out_y = (frame[3] * gx + frame[4] * gy + frame[5] * gz) / size
+        sideways = math.sqrt(out_x * out_x + out_y * out_y)
+        if sideways > LEVEL:
+            if depth > level[0] or (depth == level[0] and k < best[0]):
+                at_x, at_y = after[0] + cos * px - sin * py, after[1] + sin * px + cos * py
+                level = (float(depth), -out_x / sideways, -out_y / sideways, at_x, at_y, float(after[3] + pz))
+                best = (k, best[1])
+        elif depth > steep[0] or (depth == steep[0] and k < best[1]):
+            down = -(frame[6] * gx + frame[7] * gy + frame[8] * gz) / size
+            at_x, at_y = after[0] + cos * px - sin * py, after[1] + sin * px + cos * py
+            steep = (float(depth), float(-out_x), float(-out_y), float(down), at_x, at_y, float(after[3] + pz))
+            best = (best[0], k)
+    return level, steep, best

@@ -1,0 +1,235 @@
+"""Building blocks of compiled toppling: one small motion of a tool; `toppling.py` has the definition."""
+
+import math
+
+from rumi.dynamics.sliding_numba import settled
+from rumi.dynamics.tool_contact_numba import met, placed
+from rumi.dynamics.toppling import (
+    ACROSS,
+    GRAZE_M,
+    HALVES,
+    INSTANT_S,
+    LANDS_RAD,
+    LEAST_M,
+    MOST_M,
+    OFF_M,
+    PASSES,
+    RATE,
+    SHARE,
+    SWINGS,
+    TILTS,
+)
+from sdf.compiled import bare
+
+
+@bare
+def _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests):
+    """What a steep contact does about an edge.
+
+    Metres that it goes inward for each radian of tilt, lever of its force with friction over the weight's, metres that
+    the tool goes outward, and the way over the edge.
+    """
+    centre, point, normal = rests[2], rests[4], rests[5]
+    c, s = math.cos(yaw), math.sin(yaw)
+    out_x = c * normal[rest, edge, 0] - s * normal[rest, edge, 1]
+    out_y = s * normal[rest, edge, 0] + c * normal[rest, edge, 1]
+    off = (point[rest, edge, 0] - centre[rest, 0]) * normal[rest, edge, 0]
+    off = max(off + (point[rest, edge, 1] - centre[rest, 1]) * normal[rest, edge, 1], OFF_M)
+    corner_x = x + c * point[rest, edge, 0] - s * point[rest, edge, 1]
+    corner_y = y + s * point[rest, edge, 0] + c * point[rest, edge, 1]
+    beyond = (steep[4] - corner_x) * out_x + (steep[5] - corner_y) * out_y
+    drag = out_x * way_x + out_y * way_y
+    lifts = steep[6] * (out_x * steep[1] + out_y * steep[2]) - beyond * steep[3]
+    rubs = friction * drag / max(math.sqrt(way_x * way_x + way_y * way_y), 1e-12)
+    return lifts, (lifts + steep[6] * rubs) / off, drag, out_x, out_y
+
+
+@bare
+def _levered(x, y, yaw, rest, most, steep, friction, way_x, way_y, rests):
+    """Edge about which a steep contact turns an object at rest (-1: none), the tilt, and the way over it."""
+    chosen, tilt, way_out_x, way_out_y, best = -1, 0.0, 0.0, 0.0, SHARE
+    if not (steep[0] > most or (steep[0] > -GRAZE_M and not most > 0.0)):
+        return chosen, tilt, way_out_x, way_out_y
+    tip = rests[6]
+    high = max(steep[6], LEAST_M)
+    for edge in range(tip.shape[1]):
+        if not tip[rest, edge] < math.inf:
+            continue
+        lifts, arm, drag, out_x, out_y = _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
+        lifted = lifts > LEAST_M and steep[0] > most
+        dragged = not lifts > LEAST_M and steep[0] > -GRAZE_M and not most > 0.0 and steep[3] < 0 and drag > 0
+        if (lifted or dragged) and arm > best:
+            chosen, best, way_out_x, way_out_y = edge, arm, out_x, out_y
+            tilt = max(steep[0], 0.0) / lifts if lifted else drag / high
+    return chosen, tilt, way_out_x, way_out_y
+
+
+@bare
+def _ahead(yaw, rest, in_x, in_y, rests):
+    """Edge ahead of a push from below the centre of mass, how far it is off, and the cosine to its normal."""
+    centre, point, normal, tip = rests[2], rests[4], rests[5], rests[6]
+    c, s = math.cos(yaw), math.sin(yaw)
+    way_x, way_y = c * in_x + s * in_y, c * in_y - s * in_x
+    chosen, least, cosine = -1, math.inf, 0.0
+    for edge in range(tip.shape[1]):
+        rate = normal[rest, edge, 0] * way_x + normal[rest, edge, 1] * way_y
+        if not (tip[rest, edge] < math.inf and rate > 1e-3):
+            continue
+        off = (point[rest, edge, 0] - centre[rest, 0]) * normal[rest, edge, 0]
+        off += (point[rest, edge, 1] - centre[rest, 1]) * normal[rest, edge, 1]
+        if off / rate < least:
+            chosen, least, cosine = edge, off / rate, rate
+    return chosen, least, cosine
+
+
+@bare
+def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, scene):
+    """Edge and tilt of an object that leans on the tool where it is now."""
+    tool, box, rests, flat, lattice = scene
+    way_x, way_y = after[0] - before[0], after[1] - before[1]
+    touched = False
+    for turn in range(TILTS):
+        frame = placed(x, y, yaw, rest, edge, tilt, rests)
+        level, steep = met(frame, after, tool, box, flat, lattice)
+        depth = level[0]
+        inside = depth > 0.0 or steep[0] > 0.0
+        lifts, arm, drag, out_x, out_y = _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
+        dragged = not lifts > LEAST_M and steep[0] > -GRAZE_M and not depth > 0.0 and steep[3] < 0
+        dragged = turn == 0 and dragged and drag > 0 and arm > SHARE
+        if not (inside or dragged):
+            break
+        touched = True
+        along = level[1] * out_x + level[2] * out_y
+        if dragged:
+            tilt += drag / max(steep[6], LEAST_M)
+        elif lifts > LEAST_M and steep[0] > depth:
+            tilt += steep[0] / lifts
+        elif along > ACROSS:
+            tilt += depth / max(level[5] * along, LEAST_M)
+    if touched:
+        return edge, tilt
+    low, high = 0.0, tilt
+    for turn in range(HALVES):
+        middle = low if turn == 0 else 0.5 * (low + high)
+        frame = placed(x, y, yaw, rest, edge, middle, rests)
+        level, steep = met(frame, after, tool, box, flat, lattice)
+        if level[0] > 0.0 or steep[0] > 0.0:
+            low = middle
+        else:
+            high = middle
+    if high <= 0.0:
+        return -1, 0.0
+    return edge, high
+
+
+@bare
+def _fallen(rest, edge, tilt, limit, rests):
+    """Tilt of what falls from a limit on, a motion later."""
+    centre, point, normal, tip = rests[2], rests[4], rests[5], rests[6]
+    off = (point[rest, edge, 0] - centre[rest, 0]) * normal[rest, edge, 0]
+    off = max(off + (point[rest, edge, 1] - centre[rest, 1]) * normal[rest, edge, 1], OFF_M)
+    rate = math.sqrt(SWINGS * max(math.sin(tip[rest, edge]), LEAST_M) / off)
+    into, turn = tilt - limit, rate * INSTANT_S
+    begun = RATE / rate
+    return limit + into * math.cosh(turn) + math.sqrt(into * into + begun * begun) * math.sinh(turn)
+
+
+@bare
+def _slid(x, y, yaw, rest, level, before, after, body, scene):
+    """Pose of what a level contact pushes along the floor."""
+    tool, box, rests, flat, lattice = scene
+    depth, in_x, in_y, at_x, at_y, _ = level
+    first = (x, y, yaw)
+    way = (after[0] - before[0], after[1] - before[1], after[2] - before[2])
+    length = max(math.sqrt(way[0] * way[0] + way[1] * way[1]), 1e-12)
+    c, s = math.cos(yaw), math.sin(yaw)
+    centre, spread = rests[2], rests[3]
+    ahead = after[3] * body[2]
+    centre_x = centre[rest, 0] + body[0] + ahead * (c * way[0] + s * way[1]) / length
+    centre_y = centre[rest, 1] + body[1] + ahead * (c * way[1] - s * way[0]) / length
+    sliding = (centre_x, centre_y, body[3] * spread[rest], body[4], 0.0, 0.0, 0.0, 0.0, 0.0)
+    for turn in range(PASSES):
+        if turn > 0:
+            frame = placed(x, y, yaw, rest, -1, 0.0, rests)
+            (depth, in_x, in_y, at_x, at_y, _), _ = met(frame, after, tool, box, flat, lattice)
+            if not depth > 0.0:
+                break
+        c, s = math.cos(yaw), math.sin(yaw)
+        x, y, yaw = settled(
+            x,
+            y,
+            yaw,
+            first,
+            (after[0], after[1]),
+            way,
+            at_x - after[0],
+            at_y - after[1],
+            -(c * in_x + s * in_y),
+            -(c * in_y - s * in_x),
+            min(depth, MOST_M),
+            0.0,
+            sliding,
+        )
+    return x, y, yaw
+
+
+@bare
+def pushed(state, before, after, body, firm, sizes, scene):
+    """Object after one small motion of the tool, the size of it that its noise goes by, and its direction.
+
+    `state` is (x, y, yaw, resting pose, edge, tilt); `body` centre of friction, pressure ahead, lever and friction;
+    `firm` the tilt at which it falls over, as a share; `sizes` what a radian and a fall count as, metres; `scene` tool,
+    box of its contacts, resting poses and table of distances.
+    """
+    x, y, yaw, rest, edge, tilt = state
+    tool, box, rests, flat, lattice = scene
+    normal, tip = rests[5], rests[6]
+    unit_x, unit_y, size = 0.0, 0.0, 0.0
+    if edge >= 0:
+        c, s = math.cos(yaw), math.sin(yaw)
+        unit_x = c * normal[rest, edge, 0] - s * normal[rest, edge, 1]
+        unit_y = s * normal[rest, edge, 0] + c * normal[rest, edge, 1]
+        if tilt >= tip[rest, edge] * firm:
+            tilt = _fallen(rest, edge, tilt, tip[rest, edge] * firm, rests)
+        else:
+            edge, tilt = _leant(x, y, yaw, rest, edge, tilt, before, after, body[4], scene)
+    if edge < 0:
+        frame = placed(x, y, yaw, rest, -1, 0.0, rests)
+        level, steep = met(frame, after, tool, box, flat, lattice)
+        if not (level[0] > 0.0 or steep[0] > -GRAZE_M):
+            return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
+        way_x, way_y = after[0] - before[0], after[1] - before[1]
+        edge, tilt, unit_x, unit_y = _levered(x, y, yaw, rest, level[0], steep, body[4], way_x, way_y, rests)
+        if edge < 0 and not level[0] > 0.0:
+            return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
+        about, off, rate = _ahead(yaw, rest, level[1], level[2], rests)
+        if edge >= 0:
+            pass
+        elif about >= 0 and rate > ACROSS and level[5] > off * (1.0 / body[4] + body[4]):
+            unit_x, unit_y = level[1], level[2]
+            tilt = level[0] / max(level[5] * rate, LEAST_M)
+            edge, tilt = _leant(x, y, yaw, rest, about, tilt, before, after, body[4], scene)
+            if edge < 0:
+                return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
+        else:
+            from_x, from_y, from_yaw = x, y, yaw
+            x, y, yaw = _slid(x, y, yaw, rest, level, before, after, body, scene)
+            dx, dy, turned = x - from_x, y - from_y, yaw - from_yaw
+            length = math.sqrt(dx * dx + dy * dy)
+            size = length + sizes[0] * abs(turned)
+            if length > 1e-9:
+                unit_x, unit_y = dx / length, dy / length
+            else:
+                unit_x, unit_y = level[1], level[2]
+    if edge >= 0:
+        if tilt < tip[rest, edge] * firm + LANDS_RAD:
+            size = math.sqrt((after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2)
+        else:
+            following, change = rests[7], rests[8]
+            c, s = math.cos(yaw), math.sin(yaw)
+            x += c * change[rest, edge, 0] - s * change[rest, edge, 1]
+            y += s * change[rest, edge, 0] + c * change[rest, edge, 1]
+            yaw += change[rest, edge, 2]
+            rest, edge, tilt = following[rest, edge], -1, 0.0
+            size = sizes[1]
+    return (x, y, yaw, rest, edge, tilt), size, unit_x, unit_y
