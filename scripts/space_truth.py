@@ -9,6 +9,7 @@ the readings so far are worth at the true poses and at the particles, and what t
 in --folder, figures in --results, one line an episode; what is there is not done again.
 """
 
+import hashlib
 import sys
 import time
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_likelihood import log_likelihood_of
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.cli import script
 from rumi.loop import run
@@ -35,12 +37,13 @@ from rumi.tasks.rummage.agent import Rummager, first_belief
 from rumi.tasks.rummage.build import build
 from scripts.reproduce.seeds import seeds_of
 from scripts.store import Figures, Store
-from scripts.trajectory_runs import DEFAULTS, settings_of
 from scripts.trajectory_runs import Options as RunOptions
+from scripts.trajectory_runs import settings_of
 from sdf import se3
 
 RESULTS = Path(__file__).parent / "results" / "space_truth.jsonl"
 _NEAR_M, _NEAR_RAD = 0.02, 0.3
+_DEFAULTS = hashlib.sha256(repr(PoseTrajectorySettings()).encode()).hexdigest()[:8]
 
 
 @dataclass(frozen=True)
@@ -232,7 +235,7 @@ def main() -> None:
     for seed in seeds if options.command != "show" else ():
         work = recorded if options.command == "record" else replayed
         settings = {"part": options.task, "command": options.command, "seed": seed, "set": list(options.set)}
-        settings |= {"steps": options.steps, "again": options.again, "defaults": DEFAULTS}
+        settings |= {"steps": options.steps, "again": options.again, "defaults": _DEFAULTS}
         store.measure(settings, lambda work=work, seed=seed: work(options, seed))
     lines = [line for line in store.of(options.task) if line["seed"] in seeds]
     sys.stdout.write("".join(_words(line) for line in lines))

@@ -33,9 +33,9 @@ from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
 from scripts.store import Store
 
 RESULTS = Path(__file__).parent / "results" / "trajectories.jsonl"
-# without what counts for a wrist force sensor alone, so that runs without one stay what they are
-_WRIST_ALONE = re.compile(r", force_(n|per_m)=[^,)]*")
-DEFAULTS = hashlib.sha256(_WRIST_ALONE.sub("", repr(PoseTrajectorySettings())).encode()).hexdigest()[:8]
+# without what counts for a wrist force sensor or in space alone, so that runs of neither stay what they are
+_NOT_HERE = re.compile(r", (force_n|force_per_m|lean|soft|grip)=(\([^)]*\)|[^,)]*)")
+DEFAULTS = hashlib.sha256(_NOT_HERE.sub("", repr(PoseTrajectorySettings())).encode()).hexdigest()[:8]
 Motion = Literal["trajectory", "corrected", "estimated", "pushed", "measured"]
 
 

@@ -162,7 +162,9 @@ class ToppledObject:
         sliding = Sliding(centre, body.lever[near] * self.rests.spread_m[rest], body.friction[near])
         state = Leaning(start[:, :3], start[:, 3:])
         firm = (own.firm_change / self.wide * noise[near, 2]).exp()
-        done = push_in_space(self.sdf, self.rests, self.tool, state, before, after, sliding, firm)
+        soft = own.soft[0] * (own.soft[1] / self.wide * noise[near, 1]).exp()
+        grip = (own.grip[0] + own.grip[1] / self.wide * noise[near, 0]).clamp(0.0, 1.0)
+        done = push_in_space(self.sdf, self.rests, self.tool, state, before, after, sliding, firm, soft, grip)
         moved = done.state.planar
         step = moved - start[:, :3]
         length = step[:, :2].norm(dim=-1)
@@ -170,7 +172,7 @@ class ToppledObject:
         # a fall leaves it somewhere about where it would lie
         size = torch.where(done.fell, size.new_tensor(own.fall_m), size) * (done.slid | done.fell)
         # what leans on the tool slips about as the tool moves it
-        size = torch.where(done.state.lying[:, 1] >= 0, way.norm(), size)
+        size = torch.where(done.state.lying[:, 1] >= 0, own.lean * way.norm(), size)
         along = torch.where((length[:, None] > 1e-9) & ~done.fell[:, None], step[:, :2], done.ahead)
         along = along / along.norm(dim=-1, keepdim=True).clamp_min(1e-9)
         across = torch.stack((-along[:, 1], along[:, 0]), -1)
@@ -212,7 +214,8 @@ def _replay_numba(
     poses, logs = given.poses.clone(), given.log_likelihood.clone()
     rests, edges = model.rests, model.rests.edges
     prior, priced = tables(own)
-    scales = torch.cat((prior, prior.new_tensor((own.fall_m, own.firm_change / model.wide))))
+    topples = own.fall_m, own.firm_change / model.wide, own.lean, own.soft[0], own.soft[1] / model.wide
+    scales = torch.cat((prior, prior.new_tensor((*topples, own.grip[0], own.grip[1] / model.wide))))
     numbers = prior.new_tensor((model.reach_m, model.wide, float(model.tool[:, :2].norm(dim=-1).max())))
     done, sensed = history.arrays
     turned = rests.turn, rests.height_m, rests.centre, rests.spread_m

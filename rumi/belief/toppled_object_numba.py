@@ -80,7 +80,7 @@ def _one(n, particles, done, sensed, scene, numbers, scales, logs_of):
     )
     frame = placed(state[0], state[1], state[2], state[3], state[4], state[5], rests)
     apart, last = 0.0, (0.0, 0.0, 0.0, 0.0)
-    sizes = (scales[12], scales[16])
+    sizes = (scales[12], scales[16], scales[18])
     ahead = scales[4] + scales[5] * physics[n, 4]
     centre_x, centre_y = scales[6] * physics[n, 2], scales[6] * physics[n, 3]
     own, together = math.sqrt(1.0 - scales[14]), math.sqrt(scales[14])
@@ -88,14 +88,15 @@ def _one(n, particles, done, sensed, scene, numbers, scales, logs_of):
         shared, log = action[segment], 0.0
         friction = scales[0] * math.exp(scales[1] * physics[n, 0] + scales[7] * noises[n, segment, 0])
         lever = scales[2] * math.exp(scales[3] * physics[n, 1] + scales[8] * noises[n, segment, 1])
-        body = (centre_x, centre_y, ahead, lever, friction)
         size = numbers[1] * math.exp(0.5 * scales[13] * noises[n, shared, 8] * noises[n, shared, 8])
         noise = (
             size * (own * noises[n, segment, 2] + together * noises[n, shared, 5]),
             size * (own * noises[n, segment, 3] + together * noises[n, shared, 6]),
             size * (own * noises[n, segment, 4] + together * noises[n, shared, 7]),
         )
-        firm = math.exp(scales[17] * noise[2])
+        firm, soft = math.exp(scales[17] * noise[2]), scales[19] * math.exp(scales[20] * noise[1])
+        grip = min(max(scales[21] + scales[22] * noise[0], 0.0), 1.0)
+        body = (centre_x, centre_y, ahead, lever, friction, soft, grip)
         for instant in range(ends[segment - 1] if segment > 0 else 0, ends[segment]):
             if pushes[instant]:
                 before = (path[instant, 0, 0], path[instant, 0, 1], path[instant, 0, 2], path[instant, 0, 3])

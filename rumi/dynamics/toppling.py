@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.dynamics.resting import RestingPoses
-from rumi.dynamics.sliding import Sliding, Touch, pushed_out, rotated
+from rumi.dynamics.sliding import Sliding, Touch, contact_twist, moved_by, pushed_out, rotated
 from sdf import se3
 from sdf.base import SDF
 
@@ -32,6 +32,7 @@ INSTANT_S = 0.05  # duration of a motion
 RATE = 0.5  # rad/s at which a fall begins: a tool that goes 8 cm in a second, 16 cm above the floor
 LANDS_RAD = 0.35  # into a fall, from when on it is as it comes to rest
 SWINGS = 0.75 * 9.81  # m/s^2 over the distance of mass from edge: square of a thin rod's rate of falling
+STICKS = 10.0  # friction of a contact that sticks
 SHARE = 0.5  # lever of a steep contact about an edge, of the weight's, at least: a tool presses with twice the weight
 
 GROUP = 16  # points of the tool that lie near each other, as many as the compiled version takes at a time
@@ -69,6 +70,8 @@ def push_in_space(
     after: Float[Tensor, "4"],
     body: Sliding,
     firm: Float[Tensor, "E"],
+    soft: Float[Tensor, "E"],
+    grip: Float[Tensor, "E"],
 ) -> Push:
     """Objects after one small motion of a tool that stays level.
 
@@ -81,6 +84,8 @@ def push_in_space(
         after: the same, after the motion.
         body: friction and sliding of each; `centre` in the resting frame.
         firm: tilt at which each falls over, as a share of that at which its centre of mass is above the edge.
+        soft: how far the tool goes into each from above before that keeps it from rising, metres.
+        grip: share of the tool's way that the top of each goes along where it is pressed on and cannot turn over.
     """
     planar, lying = state[0], state[1].clone()
     count = len(planar)
@@ -96,16 +101,24 @@ def push_in_space(
     if len(falling):
         lying[falling], ahead[falling] = _fallen(rests, planar[falling], lying[falling], limit[falling])
     if len(leaning):
-        rubs = body.friction[leaning]
-        lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning], rubs, way)
+        rubs = body.friction[leaning], soft[leaning]
+        lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning], *rubs, way)
     free = (lying[:, 1] < 0).nonzero()[:, 0]
     met = _met(scene, planar[free], lying[free])
     edge, tilt, outward = _levered(rests, planar[free], lying[free], met, body.friction[free], way)
     turns = edge >= 0
     some = free[turns]
     lying[some] = torch.stack((lying[some, 0], edge[turns].to(lying), tilt[turns]), -1)
+    lying[some] = _held_down(scene, planar[some], lying[some], body.friction[some], soft[some], way)
     ahead[some] = outward[turns]
     pushes = ~turns & (met.depth > 0)
+    dragged = ~turns & ~pushes & (met.steep > -GRAZE_M) & (met.normal[:, 2] < 0) & (grip[free] > 0)
+    some = free[dragged]
+    if len(some):
+        planar = planar.index_copy(
+            0, some, _dragged(planar[some], met.at[dragged, :2], grip[some], before, after, body.at(some))
+        )
+        slid[some] = True
     depth, inward, place = met.depth[pushes], met.inward[pushes], met.place[pushes]
     found = free[pushes]
     if len(found):
@@ -116,7 +129,7 @@ def push_in_space(
         tips = found[leans]
         tilt = depth[leans] / (place[leans, 2] * rate[leans]).clamp_min(LEAST_M)
         lying[tips] = torch.stack((lying[tips, 0], about[leans].to(lying), tilt), -1)
-        lying[tips], _ = _leant(scene, planar[tips], lying[tips], body.friction[tips], way)
+        lying[tips], _ = _leant(scene, planar[tips], lying[tips], body.friction[tips], soft[tips], way)
         slides, now = found[~leans], planar[found[~leans]]
         slid[slides] = True
         start, own, some = now, body.at(slides), torch.arange(len(slides))
@@ -251,6 +264,7 @@ def _leant(
     planar: Float[Tensor, "E 3"],
     lying: Float[Tensor, "E 3"],
     friction: Float[Tensor, "E"],
+    soft: Float[Tensor, "E"],
     way: Float[Tensor, "2"],
 ) -> tuple[Float[Tensor, "E 3"], Float[Tensor, "E 2"]]:
     """Tilts of objects that lean on the tool where it is now, and the direction over their edges; rests where it left.
@@ -269,6 +283,7 @@ def _leant(
         more = torch.where(along > ACROSS, met.depth / (met.place[:, 2] * along).clamp_min(LEAST_M), 0.0 * along)
         lifted = (lifts > LEAST_M) & (met.steep > met.depth)
         more = torch.where(lifted, met.steep / lifts.clamp_min(LEAST_M), more)
+        more = _back(met, lifts, soft, more)
         if turn == 0:
             dragged = (lifts <= LEAST_M) & (met.steep > -GRAZE_M) & (met.depth <= 0) & (met.normal[:, 2] < 0)
             dragged &= (drag > 0) & (arm > SHARE)
@@ -276,6 +291,7 @@ def _leant(
         going = inside if turn == 0 else inside & touched
         lying[going, 2] += more[going]
         touched |= inside
+    lying = _upright(lying)
     left = (~touched).nonzero()[:, 0]
     if len(left):
         low, high = torch.zeros_like(lying[left, 2]), lying[left, 2]
@@ -289,6 +305,56 @@ def _leant(
         lies = torch.where(gone, -torch.ones_like(high), lying[left, 1])
         lying[left] = torch.stack((lying[left, 0], lies, high), -1)
     return lying, outward
+
+
+def _dragged(
+    planar: Float[Tensor, "E 3"],
+    at: Float[Tensor, "E 2"],
+    grip: Float[Tensor, "E"],
+    before: Float[Tensor, "4"],
+    after: Float[Tensor, "4"],
+    body: Sliding,
+) -> Float[Tensor, "E 3"]:
+    """Objects of which a point of the top goes a share of the tool's way there."""
+    off = at - after[:2]
+    way = at - before[:2] - rotated(off, (before[2] - after[2]).expand(len(at)))
+    wanted = grip[:, None] * way
+    inward = wanted / wanted.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+    arm = at - planar[:, :2] - rotated(body.centre, planar[:, 2])
+    twist = contact_twist(arm, inward, wanted, body.lever, torch.full_like(grip, STICKS))
+    return moved_by(planar, twist, body.centre)
+
+
+def _back(
+    met: "_Met", lifts: Float[Tensor, "E"], soft: Float[Tensor, "E"], tilt: Float[Tensor, "E"]
+) -> Float[Tensor, "E"]:
+    """Changes of tilts, less than 0 where the tool stands in the way from above: that much it lets rise."""
+    deep = met.steep - soft
+    pressed = (lifts < -LEAST_M) & (deep > 0) & (met.steep > met.depth)
+    return torch.where(pressed, deep / lifts.clamp_max(-LEAST_M), tilt)
+
+
+def _held_down(
+    scene: _Scene,
+    planar: Float[Tensor, "E 3"],
+    lying: Float[Tensor, "E 3"],
+    friction: Float[Tensor, "E"],
+    soft: Float[Tensor, "E"],
+    way: Float[Tensor, "2"],
+) -> Float[Tensor, "E 3"]:
+    """Tilts as far as the tool above lets objects rise; rests where it does not."""
+    lying = lying.clone()
+    met = _met(scene, planar, lying)
+    lifts = _levers(scene.rests, planar, lying, met, friction, way).lifts
+    lifts = lifts[torch.arange(len(planar)), lying[:, 1].long()]
+    lying[:, 2] += _back(met, lifts, soft, torch.zeros_like(lifts))
+    return _upright(lying)
+
+
+def _upright(lying: Float[Tensor, "E 3"]) -> Float[Tensor, "E 3"]:
+    """At rest where no tilt is left."""
+    rests = torch.stack((lying[:, 0], -torch.ones_like(lying[:, 1]), torch.zeros_like(lying[:, 2])), -1)
+    return torch.where((lying[:, 2] > 0)[:, None], lying, rests)
 
 
 class _Met(NamedTuple):

@@ -2,7 +2,7 @@
 
 import math
 
-from rumi.dynamics.sliding_numba import settled
+from rumi.dynamics.sliding_numba import settled, twist
 from rumi.dynamics.tool_contact_numba import met, placed
 from rumi.dynamics.toppling import (
     ACROSS,
@@ -16,6 +16,7 @@ from rumi.dynamics.toppling import (
     PASSES,
     RATE,
     SHARE,
+    STICKS,
     SWINGS,
     TILTS,
 )
@@ -83,7 +84,25 @@ def _ahead(yaw, rest, in_x, in_y, rests):
 
 
 @bare
-def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, scene):
+def _presses(lifts, steep, depth, soft):
+    """Whether the tool stands in the way of a tilt from above."""
+    return lifts < -LEAST_M and steep[0] > soft and steep[0] > depth
+
+
+@bare
+def _held_down(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
+    """Edge and tilt as far as the tool above lets an object rise."""
+    tool, box, rests, flat, lattice = scene
+    way_x, way_y = after[0] - before[0], after[1] - before[1]
+    level, steep = met(placed(x, y, yaw, rest, edge, tilt, rests), after, tool, box, flat, lattice)
+    lifts, _, _, _, _ = _lever(x, y, yaw, rest, edge, steep, friction, way_x, way_y, rests)
+    if _presses(lifts, steep, level[0], soft):
+        tilt += (steep[0] - soft) / lifts
+    return (edge, tilt) if tilt > 0.0 else (-1, 0.0)
+
+
+@bare
+def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, soft, scene):
     """Edge and tilt of an object that leans on the tool where it is now."""
     tool, box, rests, flat, lattice = scene
     way_x, way_y = after[0] - before[0], after[1] - before[1]
@@ -102,12 +121,14 @@ def _leant(x, y, yaw, rest, edge, tilt, before, after, friction, scene):
         along = level[1] * out_x + level[2] * out_y
         if dragged:
             tilt += drag / max(steep[6], LEAST_M)
+        elif _presses(lifts, steep, depth, soft):
+            tilt += (steep[0] - soft) / lifts
         elif lifts > LEAST_M and steep[0] > depth:
             tilt += steep[0] / lifts
         elif along > ACROSS:
             tilt += depth / max(level[5] * along, LEAST_M)
     if touched:
-        return edge, tilt
+        return (edge, tilt) if tilt > 0.0 else (-1, 0.0)
     low, high = 0.0, tilt
     for turn in range(HALVES):
         middle = low if turn == 0 else 0.5 * (low + high)
@@ -174,12 +195,46 @@ def _slid(x, y, yaw, rest, level, before, after, body, scene):
 
 
 @bare
+def _dragged(x, y, yaw, rest, steep, before, after, body, rests):
+    """Pose of what the tool drags along by its top, a share of the way."""
+    at_x, at_y, centre = steep[4], steep[5], rests[2]
+    c, s = math.cos(before[2] - after[2]), math.sin(before[2] - after[2])
+    off_x, off_y = at_x - after[0], at_y - after[1]
+    wx, wy = body[6] * (at_x - before[0] - c * off_x + s * off_y), body[6] * (at_y - before[1] - s * off_x - c * off_y)
+    centre_x, centre_y = centre[rest, 0] + body[0], centre[rest, 1] + body[1]
+    ahead, way_x, way_y = after[3] * body[2], after[0] - before[0], after[1] - before[1]
+    length = max(math.sqrt(way_x * way_x + way_y * way_y), 1e-12)
+    c, s = math.cos(yaw), math.sin(yaw)
+    centre_x += ahead * (c * way_x + s * way_y) / length
+    centre_y += ahead * (c * way_y - s * way_x) / length
+    arm_x, arm_y = c * centre_x - s * centre_y, s * centre_x + c * centre_y
+    far = max(math.sqrt(wx * wx + wy * wy), 1e-12)
+    lever = body[3] * rests[3][rest]
+    fx, fy, turn = twist(at_x - x - arm_x, at_y - y - arm_y, wx / far, wy / far, wx, wy, lever, STICKS)
+    c, s = math.cos(0.5 * turn), math.sin(0.5 * turn)
+    x, y, yaw = x + arm_x + c * fx - s * fy, y + arm_y + s * fx + c * fy, yaw + turn
+    c, s = math.cos(yaw), math.sin(yaw)
+    return x - (c * centre_x - s * centre_y), y - (s * centre_x + c * centre_y), yaw
+
+
+@bare
+def _gone(dx, dy, turned, m_per_rad):
+    """Size of a motion along the floor, and its direction; 0 where it went nowhere."""
+    length = math.sqrt(dx * dx + dy * dy)
+    size = length + m_per_rad * abs(turned)
+    if length > 1e-9:
+        return size, dx / length, dy / length
+    return size, 0.0, 0.0
+
+
+@bare
 def pushed(state, before, after, body, firm, sizes, scene):
     """Object after one small motion of the tool, the size of it that its noise goes by, and its direction.
 
-    `state` is (x, y, yaw, resting pose, edge, tilt); `body` centre of friction, pressure ahead, lever and friction;
-    `firm` the tilt at which it falls over, as a share; `sizes` what a radian and a fall count as, metres; `scene` tool,
-    box of its contacts, resting poses and table of distances.
+    `state` is (x, y, yaw, resting pose, edge, tilt); `body` centre of friction, pressure ahead, lever, friction, how
+    far the tool goes into it from above, and the share of its way that it drags the top along; `firm` the tilt at which
+    it falls over, as a share; `sizes` what a radian, a fall and a tilted instant's way count as; `scene` tool, box of
+    its contacts, resting poses and table of distances.
     """
     x, y, yaw, rest, edge, tilt = state
     tool, box, rests, flat, lattice = scene
@@ -192,7 +247,7 @@ def pushed(state, before, after, body, firm, sizes, scene):
         if tilt >= tip[rest, edge] * firm:
             tilt = _fallen(rest, edge, tilt, tip[rest, edge] * firm, rests)
         else:
-            edge, tilt = _leant(x, y, yaw, rest, edge, tilt, before, after, body[4], scene)
+            edge, tilt = _leant(x, y, yaw, rest, edge, tilt, before, after, body[4], body[5], scene)
     if edge < 0:
         frame = placed(x, y, yaw, rest, -1, 0.0, rests)
         level, steep = met(frame, after, tool, box, flat, lattice)
@@ -201,29 +256,31 @@ def pushed(state, before, after, body, firm, sizes, scene):
         way_x, way_y = after[0] - before[0], after[1] - before[1]
         edge, tilt, unit_x, unit_y = _levered(x, y, yaw, rest, level[0], steep, body[4], way_x, way_y, rests)
         if edge < 0 and not level[0] > 0.0:
-            return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
+            from_x, from_y, from_yaw = x, y, yaw
+            if body[6] > 0.0 and steep[3] < 0.0:
+                x, y, yaw = _dragged(x, y, yaw, rest, steep, before, after, body, rests)
+            size, unit_x, unit_y = _gone(x - from_x, y - from_y, yaw - from_yaw, sizes[0])
+            return (x, y, yaw, rest, -1, 0.0), size, unit_x, unit_y
         about, off, rate = _ahead(yaw, rest, level[1], level[2], rests)
         if edge >= 0:
-            pass
+            edge, tilt = _held_down(x, y, yaw, rest, edge, tilt, before, after, body[4], body[5], scene)
+            if edge < 0:
+                return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
         elif about >= 0 and rate > ACROSS and level[5] > off * (1.0 / body[4] + body[4]):
             unit_x, unit_y = level[1], level[2]
             tilt = level[0] / max(level[5] * rate, LEAST_M)
-            edge, tilt = _leant(x, y, yaw, rest, about, tilt, before, after, body[4], scene)
+            edge, tilt = _leant(x, y, yaw, rest, about, tilt, before, after, body[4], body[5], scene)
             if edge < 0:
                 return (x, y, yaw, rest, -1, 0.0), 0.0, 0.0, 0.0
         else:
             from_x, from_y, from_yaw = x, y, yaw
             x, y, yaw = _slid(x, y, yaw, rest, level, before, after, body, scene)
-            dx, dy, turned = x - from_x, y - from_y, yaw - from_yaw
-            length = math.sqrt(dx * dx + dy * dy)
-            size = length + sizes[0] * abs(turned)
-            if length > 1e-9:
-                unit_x, unit_y = dx / length, dy / length
-            else:
+            size, unit_x, unit_y = _gone(x - from_x, y - from_y, yaw - from_yaw, sizes[0])
+            if unit_x == 0.0 and unit_y == 0.0:
                 unit_x, unit_y = level[1], level[2]
     if edge >= 0:
         if tilt < tip[rest, edge] * firm + LANDS_RAD:
-            size = math.sqrt((after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2)
+            size = sizes[2] * math.sqrt((after[0] - before[0]) ** 2 + (after[1] - before[1]) ** 2)
         else:
             following, change = rests[7], rests[8]
             c, s = math.cos(yaw), math.sin(yaw)

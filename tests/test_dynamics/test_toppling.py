@@ -24,6 +24,7 @@ from sdf.object_model import ObjectModel, box_model
 DOUBLE = {"dtype": torch.float64}
 OWN = PoseTrajectorySettings()
 HALF = (0.030, 0.079, 0.105)
+SOFT = 0.001
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +105,9 @@ def pushed(toppled, rest, yaw, height, way=0.05, friction=0.5):
     fell = False
     for step in range(int(way / 0.002)):
         before, after = (torch.tensor([begin + 0.002 * (step + k), 0.0, 0.0, height], **DOUBLE) for k in (0, 1))
-        done = push_in_space(toppled.sdf, toppled.rests, toppled.tool, state, before, after, body, one)
+        done = push_in_space(
+            toppled.sdf, toppled.rests, toppled.tool, state, before, after, body, one, SOFT * one, 0.0 * one
+        )
         state, fell = done.state, fell or bool(done.fell.any())
     return state, fell
 
@@ -124,14 +127,15 @@ def test_a_low_push_slides_a_high_one_leans_and_a_long_one_topples(toppled):
     assert not fell and int(flat.lying[0, 0]) == 0 and float(flat.planar[0, 0]) > 0.02
 
 
-def gone_over(toppled, rest, path, friction=0.5):
+def gone_over(toppled, rest, path, friction=0.5, grip=0.0):
     """States of an object at rest after each motion of a tool, along x at a height each: (x, z)."""
     state = Leaning(torch.zeros(1, 3, **DOUBLE), torch.tensor([[rest, -1.0, 0.0]], **DOUBLE))
     one, states = torch.ones(1, **DOUBLE), []
     tools = torch.tensor([(x, 0.0, 0.0, z) for x, z in path], **DOUBLE)
     for before, after in itertools.pairwise(tools):
         body = Sliding(torch.zeros(1, 2, **DOUBLE), 0.05 * one, friction * one)
-        state = push_in_space(toppled.sdf, toppled.rests, toppled.tool, state, before, after, body, one).state
+        own = body, one, SOFT * one, grip * one
+        state = push_in_space(toppled.sdf, toppled.rests, toppled.tool, state, before, after, *own).state
         states.append(state)
     return states
 
@@ -139,13 +143,25 @@ def gone_over(toppled, rest, path, friction=0.5):
 def test_a_tool_that_goes_on_over_the_top_of_a_tall_box_tips_it_and_a_flat_one_stays(toppled):
     # it rubs along the top, 22 mm below its middle, near the edge ahead
     ends = {}
-    for rest, up in ((0, HALF[0]), (2, HALF[2])):
-        ends[rest] = gone_over(toppled, rest, [(0.003 * k, 2.0 * up + 0.0215) for k in range(8)])[-1]
-    assert float(ends[0].lying[0, 1]) < 0 and float(ends[0].planar.abs().max()) == 0
-    assert float(ends[2].lying[0, 1]) >= 0
-    assert float(ends[2].lying[0, 2]) == pytest.approx(7 * 0.003 / 0.21, rel=0.35)
-    slippery = gone_over(toppled, 2, [(0.003 * k, 2.0 * HALF[2] + 0.0215) for k in range(8)], friction=0.05)[-1]
-    assert float(slippery.lying[0, 1]) < 0
+    for rest, up, rise in ((0, HALF[0], 0.0), (2, HALF[2], 0.0005), (2, HALF[2], 0.0)):
+        path = [(0.003 * k, 2.0 * up + 0.0215 + rise * k) for k in range(8)]
+        ends[rest, rise] = gone_over(toppled, rest, path)[-1]
+    flat, tall, held = ends.values()
+    assert float(flat.lying[0, 1]) < 0 and float(flat.planar.abs().max()) == 0
+    assert float(tall.lying[0, 1]) >= 0
+    assert float(tall.lying[0, 2]) == pytest.approx(7 * 0.003 / 0.21, rel=0.1)
+    # it rises behind the edge, as far as the tool above lets it
+    assert 0.0 < float(held.lying[0, 2]) < 0.5 * float(tall.lying[0, 2])
+
+
+def test_a_flat_box_goes_along_with_a_tool_that_grips_its_top(toppled):
+    path = [(0.003 * k, 2.0 * HALF[0] + 0.0215) for k in range(8)]
+    free, some, whole = (gone_over(toppled, 0, path, grip=grip)[-1] for grip in (0.0, 0.5, 1.0))
+    assert float(free.planar.abs().max()) == 0
+    gone = float(whole.planar[0, 0])  # it turns a little, as it is held beside its middle
+    assert 0.8 * 7 * 0.003 < gone <= 7 * 0.003
+    assert float(some.planar[0, 0]) == pytest.approx(0.5 * gone, rel=0.1)
+    assert some.lying.tolist() == whole.lying.tolist() == [[0.0, -1.0, 0.0]]
 
 
 def test_a_fall_begins_slowly_goes_on_without_the_tool_and_ends(toppled):
@@ -155,7 +171,9 @@ def test_a_fall_begins_slowly_goes_on_without_the_tool_and_ends(toppled):
     away, one, tilts = torch.tensor([5.0, 0.0, 0.0, 0.1], **DOUBLE), torch.ones(1, **DOUBLE), []
     body = Sliding(torch.zeros(1, 2, **DOUBLE), 0.05 * one, 0.5 * one)
     for _ in range(12):
-        done = push_in_space(toppled.sdf, toppled.rests, toppled.tool, state, away, away, body, one)
+        done = push_in_space(
+            toppled.sdf, toppled.rests, toppled.tool, state, away, away, body, one, SOFT * one, 0.0 * one
+        )
         state = done.state
         if bool(done.fell):
             break
