@@ -137,13 +137,17 @@ class PoseTrajectoryFilter(PoseFilter):
         """Whether the tool may have moved the object: where the pads felt it, or else met it beside the pads."""
         if bool(reading.in_contact.any()):
             return True
-        if float(self.model.unsettled(now.pose).double() @ log_weights.exp()) > _UNSETTLED:
+        if self._leans(now, log_weights):
             return True
         looked = systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))
         if float(torch.cdist(path[:, 1, :2], now.pose[looked, :2]).min()) >= self.model.reach_m:
             return False
         moved = (self._tracks(now, log_weights, path)[:, -1] - now.pose[looked])[:, :2].norm(dim=-1) > _MOVED_M
         return float(moved.double().mean()) >= _MOVED
+
+    def _leans(self, now: Trajectories, log_weights: Tensor) -> bool:
+        """Whether more of the belief than counts for nothing leans on the tool."""
+        return float(self.model.unsettled(now.pose).double() @ log_weights.exp()) > _UNSETTLED
 
     def _touched(
         self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor, random: torch.Generator

@@ -21,7 +21,7 @@ from sdf import se3
 KNOCKS = ((0.004, 0.06), (0.015, 0.25), (0.04, 0.8))
 """Deviations of a jump, one of which it has: metres along each level axis, radians of the turn."""
 
-_FALLS, _GOES = 0.5, 0.7  # shares that fall over an edge, and that go with the tool
+_FALLS, _GOES, _LEANS = 0.5, 0.7, 0.4  # shares that fall over an edge, that go with the tool, and that lean on it
 _NATS, _NATS_AN_INSTANT = (
     8.0,
     1.6,
@@ -44,6 +44,7 @@ def jumped(
     way: Float[Tensor, "2"],
     *,
     generator: torch.Generator,
+    held: bool = False,
 ) -> Float[Tensor, "N 6"]:
     """Poses after a jump each.
 
@@ -52,6 +53,7 @@ def jumped(
         poses: (x, y, yaw, resting pose, edge it leans about, tilt) before it.
         way: of the tool while it touched, metres.
         generator: of the draws.
+        held: whether the tool touches still, so that some lean on it.
     """
     count, edges = len(poses), rests.edges
     share = uniform((4, count), generator=generator, dtype=torch.float64)
@@ -65,7 +67,15 @@ def jumped(
     planar[:, :2] += torch.where(share[2] < _GOES, share[2] / _GOES, 0.0)[:, None] * way
     scale = planar.new_tensor([(m, m, rad) for m, rad in KNOCKS])[(share[3] * len(KNOCKS)).long()]
     planar += scale * normal(scale.shape, generator=generator, dtype=torch.float64)
-    return at_rest(planar, rest)
+    lying = at_rest(planar, rest)
+    if held:
+        share = uniform((3, count), generator=generator, dtype=torch.float64)
+        tip = edges.tip_rad[rest]
+        edge = _edge(tip, share[1])
+        leans = (share[0] < _LEANS) & (edge >= 0)
+        tilt = share[2] * tip.gather(-1, edge.clamp_min(0)[:, None])[:, 0]
+        lying[:, 4:] = torch.where(leans[:, None], torch.stack((edge.to(tilt), tilt), -1), lying[:, 4:])
+    return lying
 
 
 def jittered(poses: Float[Tensor, "N 6"], *, generator: torch.Generator) -> Float[Tensor, "N 6"]:

@@ -87,7 +87,7 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
 
     def _pushes(self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor) -> bool:
         if not len(now.history.moving()):
-            return bool(reading.in_contact.any())
+            return bool(reading.in_contact.any()) or self._leans(now, log_weights)
         return super()._pushes(now, log_weights, reading, path)
 
     def _touched(
@@ -159,7 +159,8 @@ class UnseenTrajectoryFilter(PoseTrajectoryFilter):
         touched = reading.in_contact.nonzero()[:, 0]
         way = path[touched[-1], 1, :2] - path[touched[0], 0, :2] if len(touched) else path[-1, 1, :2] - path[0, 0, :2]
         rows = resample_systematic(log_weights, _MET - _MET // 10, generator=random)
-        start = jumped(self.model.rests, last.pose[rows], way, generator=random)
+        held = bool(reading.in_contact[-1].any())
+        start = jumped(self.model.rests, last.pose[rows], way, generator=random, held=held)
         start = torch.cat((start, from_prior(self.prior, _MET - len(start), random)))
         end, every = torch.tensor([len(path) - 1]), torch.arange(0, len(start), len(start) // _LOOKED_AT)
         end_of = pushed(reading, end, path, felt, start[every, None], self.model, own)._replace(pushes=False)

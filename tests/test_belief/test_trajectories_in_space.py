@@ -158,6 +158,10 @@ def test_a_jump_that_no_push_explains_makes_the_belief_wide_and_touches_find_it_
     assert now.anywhere and not len(now.history.moving())
     assert bool(torch.isfinite(again.world_T_object).all())
     assert float(now.pose[:, :2].std(0).max()) > float(narrow)
+    # the tool touches to the end, so that some lean on it: not once it is gone
+    assert bool((now.pose[:, 4] >= 0).any())
+    gone, _, _ = followed(again, memory, felt_by(box, dragged, towards(-0.3)), generator=generator(3))
+    assert bool((gone.trajectories.pose[:, 4] < 0).all())
     found, _, info = followed(again, memory, felt_by(box, dragged, towards(-0.075)), generator=generator(4))
     assert bool(info.moved) and found.trajectories.anywhere
     whole = found.trajectories.replayed(

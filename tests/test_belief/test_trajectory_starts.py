@@ -41,11 +41,21 @@ def test_jumps_go_with_the_tool_or_fall_and_rest_again(model):
     assert torch.equal(after, jumped(model.rests, poses(4000), way, generator=generator(0)))
 
 
+def test_some_lean_after_a_jump_where_the_tool_still_touches(model):
+    none = torch.zeros(2, dtype=torch.float64)
+    after = jumped(model.rests, poses(2000), none, generator=generator(0), held=True)
+    leans = after[after[:, 4] >= 0]
+    assert 0.3 < len(leans) / len(after) < 0.5
+    tip = model.rests.edges.tip_rad[leans[:, 3].long(), leans[:, 4].long()]
+    assert bool((leans[:, 5] >= 0).all()) and bool((leans[:, 5] < tip).all())
+    assert bool((after[after[:, 4] < 0][:, 5] == 0).all())
+
+
 def test_what_cannot_fall_stays_up(model):
     flat = model.rests.edges._replace(tip_rad=torch.full_like(model.rests.edges.tip_rad, torch.inf))
     ball = type(model.rests)(model.rests.turn, model.rests.height_m, model.rests.centre, model.rests.spread_m, flat)
-    after = jumped(ball, poses(50), torch.zeros(2, dtype=torch.float64), generator=generator(0))
-    assert bool((after[:, 3] == 0).all()) and bool(torch.isfinite(after).all())
+    after = jumped(ball, poses(50), torch.zeros(2, dtype=torch.float64), generator=generator(0), held=True)
+    assert bool((after[:, 4] == -1).all()) and bool((after[:, 3] == 0).all()) and bool(torch.isfinite(after).all())
     assert len(jumped(ball, poses(0), torch.zeros(2, dtype=torch.float64), generator=generator(0))) == 0
 
 
