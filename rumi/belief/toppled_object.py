@@ -17,7 +17,8 @@ from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.along_path import unwrapped
 from rumi.dynamics.resting import RestingPoses
 from rumi.dynamics.sliding import Sliding, rotated
-from rumi.dynamics.toppling import GROUP, Leaning, push_in_space
+from rumi.dynamics.tool_contact import GROUP
+from rumi.dynamics.toppling import Leaning, push_in_space
 from rumi.robot.gripper import GripperShape
 from sdf import backend, compiled, se3
 from sdf.base import SDF
@@ -163,7 +164,7 @@ class ToppledObject:
         state = Leaning(start[:, :3], start[:, 3:])
         firm = (own.firm_change / self.wide * noise[near, 2]).exp()
         soft = own.soft[0] * (own.soft[1] / self.wide * noise[near, 1]).exp()
-        grip = (own.grip[0] + own.grip[1] / self.wide * noise[near, 0]).clamp(0.0, 1.0)
+        grip = (own.grip[1] * (noise[near, 0] / self.wide - own.grip[0])).clamp(0.0, 1.0)
         done = push_in_space(self.sdf, self.rests, self.tool, state, before, after, sliding, firm, soft, grip)
         moved = done.state.planar
         step = moved - start[:, :3]
@@ -215,7 +216,7 @@ def _replay_numba(
     rests, edges = model.rests, model.rests.edges
     prior, priced = tables(own)
     topples = own.fall_m, own.firm_change / model.wide, own.lean, own.soft[0], own.soft[1] / model.wide
-    scales = torch.cat((prior, prior.new_tensor((*topples, own.grip[0], own.grip[1] / model.wide))))
+    scales = torch.cat((prior, prior.new_tensor((*topples, *own.grip))))
     numbers = prior.new_tensor((model.reach_m, model.wide, float(model.tool[:, :2].norm(dim=-1).max())))
     done, sensed = history.arrays
     turned = rests.turn, rests.height_m, rests.centre, rests.spread_m

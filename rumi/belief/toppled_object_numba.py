@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from rumi.dynamics.tool_contact import GROUP
 from rumi.dynamics.tool_contact_numba import clear_of, float32, placed
-from rumi.dynamics.toppling import GROUP
 from rumi.dynamics.toppling_numba import pushed
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, between, fast, lattice_of, value
@@ -95,7 +95,7 @@ def _one(n, particles, done, sensed, scene, numbers, scales, logs_of):
             size * (own * noises[n, segment, 4] + together * noises[n, shared, 7]),
         )
         firm, soft = math.exp(scales[17] * noise[2]), scales[19] * math.exp(scales[20] * noise[1])
-        grip = min(max(scales[21] + scales[22] * noise[0], 0.0), 1.0)
+        grip = min(max(scales[22] * (noise[0] / numbers[1] - scales[21]), 0.0), 1.0)
         body = (centre_x, centre_y, ahead, lever, friction, soft, grip)
         for instant in range(ends[segment - 1] if segment > 0 else 0, ends[segment]):
             if pushes[instant]:

@@ -57,8 +57,8 @@ class PoseTrajectorySettings:
         lean: part of the tool's way by which what leans on it may slip.
         soft: median, metres, and log-deviation of how far the tool goes into an object, and it into the floor, when
             pressed on from above.
-        grip: mean and deviation of the share of the tool's way, from 0 to 1, by which it drags an object along that it
-            presses on from above.
+        grip: deviations of the noise along the way beyond which the tool drags along what it presses on from above, and
+            the share of its own way, up to 1, for each deviation more.
         unfitted: how much wider the noise of motion is in space, where it is not fitted.
         tails: h of the size of an action's noise, exp(h z^2 / 2) of a standard normal z: once in a while all of it is
             large.
@@ -103,7 +103,7 @@ class PoseTrajectorySettings:
     firm_change: float = 0.2
     lean: float = 0.2
     soft: tuple[float, float] = (0.001, 1.0)
-    grip: tuple[float, float] = (-0.75, 1.5)
+    grip: tuple[float, float] = (0.5, 1.5)
     unfitted: float = 5.0
     tails: float = 0.5
     shared: float = 0.5
@@ -138,7 +138,7 @@ class PoseTrajectorySettings:
         for part in fields(self):
             value = getattr(self, part.name)
             for number in value if isinstance(value, tuple) else (value,):
-                if not (0 <= number < math.inf or (part.name == "grip" and -math.inf < number < 0)):
+                if not 0 <= number < math.inf:
                     raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")
         whole = ("particles", "unseen_particles", "branches", "instants", "lag", "memory", "rounds")
         positive = (

@@ -1,4 +1,4 @@
-"""Building blocks of compiled toppling: what of a level tool an object meets; `toppling.py` has the definition.
+"""Building blocks of compiled toppling: what of a level tool an object meets; `tool_contact.py` has the definition.
 
 The tool comes as four arrays: its points by coordinate, GROUP of them to a group that lie near each other; the groups'
 middles, half sides and radii, by coordinate; and room for a number of each group and of each of a group's points. The
@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from rumi.dynamics.toppling import GRAZE_M, GROUP, LEVEL
+from rumi.dynamics.tool_contact import GRAZE_M, GROUP, LEVEL
 from sdf.compiled import bare
 from sdf.grid_numba import at, fast, put, value, value_and_gradient
 

@@ -7,7 +7,8 @@ centre of mass beyond the edge it falls as a pendulum does, slowly at first, and
 
 A *steep* contact, the tool on top of it or below a part that juts out, turns it about the edge for which that takes
 the least force, where that is little more than its weight: pressed down beyond the edge, lifted within it, or dragged
-along by friction near it. What is pressed down elsewhere stays.
+along by friction near it; behind the edge it rises as far as the tool above lets it. What is pressed down elsewhere
+stays, or goes along with the tool.
 """
 
 from typing import NamedTuple
@@ -18,24 +19,20 @@ from torch import Tensor
 
 from rumi.dynamics.resting import RestingPoses
 from rumi.dynamics.sliding import Sliding, Touch, contact_twist, moved_by, pushed_out, rotated
-from sdf import se3
+from rumi.dynamics.tool_contact import GRAZE_M, Met, Scene, met_by
 from sdf.base import SDF
 
 MOST_M = 0.012  # that one contact moves an object, at most
-LEVEL = 0.5  # share of a contact's normal that has to be level for it to push
 LEAST_M = 0.01  # lever of a lean, at least
 OFF_M = 0.001  # distance of an edge from below the centre of mass, at least
 PASSES, TILTS, HALVES = 2, 2, 5
 ACROSS = 0.3  # cosine to the edge's normal below which a push does not lean on it
-GRAZE_M = 0.001  # distance from the tool up to which what it presses on from above is dragged along
 INSTANT_S = 0.05  # duration of a motion
 RATE = 0.5  # rad/s at which a fall begins: a tool that goes 8 cm in a second, 16 cm above the floor
 LANDS_RAD = 0.35  # into a fall, from when on it is as it comes to rest
 SWINGS = 0.75 * 9.81  # m/s^2 over the distance of mass from edge: square of a thin rod's rate of falling
 STICKS = 10.0  # friction of a contact that sticks
 SHARE = 0.5  # lever of a steep contact about an edge, of the weight's, at least: a tool presses with twice the weight
-
-GROUP = 16  # points of the tool that lie near each other, as many as the compiled version takes at a time
 
 
 class Leaning(NamedTuple):
@@ -92,7 +89,7 @@ def push_in_space(
     points = torch.cat((rotated(tool[:, :2], after[2].expand(len(tool))) + after[:2], tool[:, 2:] + after[3]), -1)
     slid, fell = (torch.zeros(count, dtype=torch.bool) for _ in range(2))
     ahead = planar.new_zeros(count, 2)
-    scene = _Scene(sdf, rests, points)
+    scene = Scene(sdf, rests, points)
     # what leans on the tool goes with it; what that leaves is as it rests
     limit = _limit(rests, lying, firm)
     falls = lying[:, 2] >= limit
@@ -104,7 +101,7 @@ def push_in_space(
         rubs = body.friction[leaning], soft[leaning]
         lying[leaning], ahead[leaning] = _leant(scene, planar[leaning], lying[leaning], *rubs, way)
     free = (lying[:, 1] < 0).nonzero()[:, 0]
-    met = _met(scene, planar[free], lying[free])
+    met = met_by(scene, planar[free], lying[free])
     edge, tilt, outward = _levered(rests, planar[free], lying[free], met, body.friction[free], way)
     turns = edge >= 0
     some = free[turns]
@@ -136,7 +133,7 @@ def push_in_space(
         touch = depth[~leans], inward[~leans], place[~leans]
         for turn in range(PASSES):
             if turn:
-                met = _met(scene, now, lying[slides])
+                met = met_by(scene, now, lying[slides])
                 some = (met.depth > 0).nonzero()[:, 0]
                 touch = met.depth[some], met.inward[some], met.place[some]
             many = len(some)
@@ -179,14 +176,6 @@ def _fallen(
     return torch.cat((lying[:, :2], (limit + into)[:, None]), -1), rotated(normal, planar[:, 2])
 
 
-class _Scene(NamedTuple):
-    """Object's signed distances and resting poses, and points of the tool in the world."""
-
-    sdf: SDF
-    rests: RestingPoses
-    points: Float[Tensor, "n 3"]
-
-
 def _edge_ahead(
     rests: RestingPoses, planar: Float[Tensor, "E 3"], lying: Float[Tensor, "E 3"], inward: Float[Tensor, "E 2"]
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -221,7 +210,7 @@ def _levers(
     rests: RestingPoses,
     planar: Float[Tensor, "E 3"],
     lying: Float[Tensor, "E 3"],
-    met: "_Met",
+    met: Met,
     friction: Float[Tensor, "E"],
     way: Float[Tensor, "2"],
 ) -> _Levers:
@@ -243,7 +232,7 @@ def _levered(
     rests: RestingPoses,
     planar: Float[Tensor, "E 3"],
     lying: Float[Tensor, "E 3"],
-    met: "_Met",
+    met: Met,
     friction: Float[Tensor, "E"],
     way: Float[Tensor, "2"],
 ) -> tuple[Int[Tensor, "E"], Float[Tensor, "E"], Float[Tensor, "E 2"]]:
@@ -260,7 +249,7 @@ def _levered(
 
 
 def _leant(
-    scene: _Scene,
+    scene: Scene,
     planar: Float[Tensor, "E 3"],
     lying: Float[Tensor, "E 3"],
     friction: Float[Tensor, "E"],
@@ -275,7 +264,7 @@ def _leant(
     touched = torch.zeros(len(planar), dtype=torch.bool)
     outward = planar[:, :2]
     for turn in range(TILTS):
-        met = _met(scene, planar, lying)
+        met = met_by(scene, planar, lying)
         levers = _levers(scene.rests, planar, lying, met, friction, way)
         lifts, arm, drag, outward = (part[rows, edge] for part in levers)
         inside = (met.depth > 0) | (met.steep > 0)
@@ -298,7 +287,7 @@ def _leant(
         for turn in range(HALVES):
             middle = low if turn == 0 else 0.5 * (low + high)
             tried = torch.cat((lying[left, :2], middle[:, None]), -1)
-            met = _met(scene, planar[left], tried)
+            met = met_by(scene, planar[left], tried)
             held = (met.depth > 0) | (met.steep > 0)
             low, high = torch.where(held, middle, low), torch.where(held, high, middle)
         gone = high <= 0.0
@@ -326,7 +315,7 @@ def _dragged(
 
 
 def _back(
-    met: "_Met", lifts: Float[Tensor, "E"], soft: Float[Tensor, "E"], tilt: Float[Tensor, "E"]
+    met: Met, lifts: Float[Tensor, "E"], soft: Float[Tensor, "E"], tilt: Float[Tensor, "E"]
 ) -> Float[Tensor, "E"]:
     """Changes of tilts, less than 0 where the tool stands in the way from above: that much it lets rise."""
     deep = met.steep - soft
@@ -335,7 +324,7 @@ def _back(
 
 
 def _held_down(
-    scene: _Scene,
+    scene: Scene,
     planar: Float[Tensor, "E 3"],
     lying: Float[Tensor, "E 3"],
     friction: Float[Tensor, "E"],
@@ -344,7 +333,7 @@ def _held_down(
 ) -> Float[Tensor, "E 3"]:
     """Tilts as far as the tool above lets objects rise; rests where it does not."""
     lying = lying.clone()
-    met = _met(scene, planar, lying)
+    met = met_by(scene, planar, lying)
     lifts = _levers(scene.rests, planar, lying, met, friction, way).lifts
     lifts = lifts[torch.arange(len(planar)), lying[:, 1].long()]
     lying[:, 2] += _back(met, lifts, soft, torch.zeros_like(lifts))
@@ -355,47 +344,3 @@ def _upright(lying: Float[Tensor, "E 3"]) -> Float[Tensor, "E 3"]:
     """At rest where no tilt is left."""
     rests = torch.stack((lying[:, 0], -torch.ones_like(lying[:, 1]), torch.zeros_like(lying[:, 2])), -1)
     return torch.where((lying[:, 2] > 0)[:, None], lying, rests)
-
-
-class _Met(NamedTuple):
-    """What of the tool each of E objects meets.
-
-    Attributes:
-        depth: (E), of the point that is deepest in it sideways, metres; 0 for none.
-        inward: (E, 2), level normal into it there.
-        place: (E, 3), of that point.
-        steep: (E), depth of the deepest point from above or below, down to -GRAZE_M, which is none.
-        normal: (E, 3), into it there.
-        at: (E, 3), of that point.
-    """
-
-    depth: Float[Tensor, "E"]
-    inward: Float[Tensor, "E 2"]
-    place: Float[Tensor, "E 3"]
-    steep: Float[Tensor, "E"]
-    normal: Float[Tensor, "E 3"]
-    at: Float[Tensor, "E 3"]
-
-
-def _met(scene: _Scene, planar: Float[Tensor, "E 3"], lying: Float[Tensor, "E 3"]) -> _Met:
-    sdf, rests, points = scene
-    poses = rests.world_T_object(planar, lying)
-    back = se3.inverse(poses)
-    with torch.no_grad():
-        local = se3.apply(back, points.expand(len(poses), -1, 3)).to(sdf.bounds)
-        distance = sdf.distance(local)
-        row, which = (distance < GRAZE_M).nonzero(as_tuple=True)
-        gradient = sdf(local[row, which]).gradient.to(poses)
-    gradient = gradient / gradient.norm(dim=-1, keepdim=True).clamp_min(1e-9)
-    inward, depth = -(gradient[:, None] @ back[row, :3, :3])[:, 0], -distance[row, which].to(poses)
-    level, found = inward[:, :2].norm(dim=-1) > LEVEL, []
-    for kept, least in ((level, 0.0), (~level, -GRAZE_M)):
-        some = kept & (depth > least)
-        deep = poses.new_full(distance.shape, least)
-        deep[row[some], which[some]] = depth[some]
-        most, index = deep.max(-1)
-        normals = poses.new_zeros(*distance.shape, 3)
-        normals[row[some], which[some]] = inward[some]
-        found += [most, normals[torch.arange(len(poses)), index], points[index]]
-    most, normal, place = found[:3]
-    return _Met(most, normal[:, :2] / normal[:, :2].norm(dim=-1, keepdim=True).clamp_min(1e-9), place, *found[3:])

@@ -3,10 +3,10 @@
 import math
 
 from rumi.dynamics.sliding_numba import settled, twist
+from rumi.dynamics.tool_contact import GRAZE_M
 from rumi.dynamics.tool_contact_numba import met, placed
 from rumi.dynamics.toppling import (
     ACROSS,
-    GRAZE_M,
     HALVES,
     INSTANT_S,
     LANDS_RAD,
