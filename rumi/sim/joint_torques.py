@@ -20,7 +20,7 @@ from rumi.errors import UsageError
 from rumi.robot.reach_table import STARTS
 from rumi.sim.arm_kinematics import ArmKinematics
 from rumi.sim.arm_motion import joint_path
-from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, _arm, _hand
+from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, links_xml
 from rumi.sim.force_sensing_world import WrenchTrace
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.world import _import_mujoco
@@ -220,5 +220,5 @@ def level_xml(physics: ArmPhysics, mass_factors: tuple[float, ...] = (1.0,) * 7)
         f'<body name="tool" pos="0 0 {shape.flange_m + shape.tool_m}" quat="{math.cos(half)} 0 {math.sin(half)} 0">'
         '<geom type="box" size="0.045 0.05 0.02" pos="-0.07 0 0" mass="0.5"/><site name="tool"/></body>'
     )
-    arm = _arm(physics, mass_factors, 0.0).replace(_hand(physics), tool)
+    arm = links_xml(physics, mass_factors, tool=tool)
     return f'<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody>{arm}</worldbody></mujoco>'

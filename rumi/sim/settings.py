@@ -2,7 +2,9 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from rumi.errors import UsageError
 from rumi.sim.sensor_settings import SensorSettings
@@ -31,6 +33,8 @@ class SimSettings(Checked, refusal=UsageError):
             much, which rides with the object as its motion is measured; farther points refute no pose that the
             view leaves open.
         measures_motion: whether a slip sensor reports the object's motion.
+        robot: what moves the gripper: nothing ("gripper", which flies), or the "arm" that its reach is of, by inverse
+            kinematics and computed torque, whose links touch too.
         sensors: through which the task reports; those of kind "points" know where the pads are near the true surface.
     """
 
@@ -48,6 +52,7 @@ class SimSettings(Checked, refusal=UsageError):
     free_fraction: float | None = None
     free_region_m: float = 0.10
     measures_motion: bool = True
+    robot: Annotated[Literal["gripper", "arm"], tyro.conf.arg(name="robot", prefix_name=False)] = "gripper"
     sensors: SensorSettings = field(default_factory=SensorSettings)
 
     def __post_init__(self) -> None:

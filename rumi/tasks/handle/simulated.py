@@ -13,11 +13,12 @@ from torch import Tensor
 from rumi.robot.gripper import gripper_parts
 from rumi.robot.tool import Tool
 from rumi.seeding import split
+from rumi.sim.bodies import Body
 from rumi.sim.faults import Fault
 from rumi.sim.force_sensing_world import ForceSensingWorld, WrenchTrace
 from rumi.sim.joint_torques import JointFeeler
 from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
-from rumi.sim.settings import SimSettings
+from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.world import Track
 from rumi.task import StepResult
@@ -54,6 +55,8 @@ class HandleTask(SensedTask):
         faults: what goes wrong.
     """
 
+    world: ForceSensingWorld
+
     def __init__(
         self,
         settings: HandleSettings,
@@ -71,10 +74,6 @@ class HandleTask(SensedTask):
         super().__init__(spec, simulator, tool, model, cache_dir=cache_dir, faults=faults)
         self.fused = settings
         self._drawn = spec
-        self._kind = ForceSensingWorld
-        self.world: ForceSensingWorld = ForceSensingWorld(
-            self.world.body, self.shape, spec.height_m, simulator.time_step_s, spec.physics
-        )
         shape, wrist = self.shape, settings.wrist
         ahead = torch.tensor([wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
         self._parts = gripper_parts(shape, ahead)
@@ -84,6 +83,9 @@ class HandleTask(SensedTask):
         self._wrist_noise, self._joint_noise, self._from = torch.Generator(), torch.Generator(), torch.zeros(3)
         self._wrist_off = se3.identity().double()
         self.gripper = HandleGripper(self.model.exact, self.world.body, spec.physics)
+
+    def _world(self, body: Body, physics: PhysicsSettings) -> ForceSensingWorld:
+        return ForceSensingWorld(body, self.shape, self.spec.height_m, self.settings.time_step_s, physics)
 
     def reset(self, seed: int) -> StepResult:
         """Put the mug where the seed has it and return the first look; without a camera it shows nothing."""

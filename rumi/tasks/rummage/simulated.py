@@ -15,9 +15,11 @@ from rumi.errors import UsageError
 from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
 from rumi.seeding import split
-from rumi.sim.bodies import body_of
+from rumi.sim.arm_world import ArmWorld
+from rumi.sim.bodies import Body, body_of
 from rumi.sim.faults import Fault, Hand
 from rumi.sim.force_sensing_world import ForceSensingWorld
+from rumi.sim.robot_arm import RobotArm
 from rumi.sim.sensors import measure
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
@@ -28,7 +30,7 @@ from rumi.tasks.rummage.scenes import TaskSpec
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, concatenate
-from sensors.reading import FORCE, Reading
+from sensors.reading import FORCE, TORQUE_CONTACT, Reading
 from sensors.semantics import Semantics
 from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
 from sensors.vision.camera import depth_observation, look_at, pinhole, pixel_rays
@@ -51,6 +53,7 @@ class SimTask:
         physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes; None keeps nothing.
         faults: what goes wrong.
+        arm: that carries the gripper; None for that of `settings.robot`.
 
     Raises:
         UsageError: the simulator cannot build the object, or it does not stand by itself.
@@ -66,16 +69,18 @@ class SimTask:
         *,
         cache_dir: Path | None = None,
         faults: Sequence[Fault] = (),
+        arm: RobotArm | None = None,
     ) -> None:
         for fault in faults:
             model = fault.shaped(model)
         self.spec, self.settings, self.tool, self.model, self.faults = spec, settings, tool, model, tuple(faults)
         physics = physics or spec.physics
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
-        height = None if spec.spatial else spec.height_m
         self.shape = shape = gripper_of(tool.shape)
-        self._kind: type[World] = ForceSensingWorld if settings.sensors.wrist_force else World
-        self.world = self._kind(body, shape, height, settings.time_step_s, physics)
+        self._arm = arm
+        if settings.robot == "arm" and arm is None:
+            self._arm = RobotArm.standard(spec.base, spec.base_below_m)
+        self.world = self._world(body, physics)
         self._scene = spec
         # what cannot stand is refused before anything begins
         self.world.reset(torch.tensor(spec.tool_start), self._start())
@@ -103,8 +108,8 @@ class SimTask:
             if self.spec.draw is not None:
                 own = self._scene.physics
                 physics = replace(physics, mass_kg=own.mass_kg, friction=own.friction)
-            height = None if self.spec.spatial else self.spec.height_m
-            self.world = self._kind(self.world.body, self.shape, height, self.settings.time_step_s, physics)
+            self.world = self._world(self.world.body, physics)
+        self.world.seed(seed)
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
         self._views = []
@@ -121,6 +126,19 @@ class SimTask:
             torch.zeros(()),
         )
         return StepResult(reading, self.world.world_T_object().float())
+
+    def _world(self, body: Body, physics: PhysicsSettings) -> World:
+        """The scene with the robot of the settings."""
+        spec, settings = self.spec, self.settings
+        height = None if spec.spatial else spec.height_m
+        if self._arm is None:
+            kind = ForceSensingWorld if settings.sensors.wrist_force else World
+            return kind(body, self.shape, height, settings.time_step_s, physics)
+        if settings.sensors.wrist_force:
+            raise UsageError("Expected --robot gripper with a wrist's force sensor, which the arm does not carry")
+        world = ArmWorld(body, self.shape, height, settings.time_step_s, physics, arm=self._arm)
+        world.pads_touch = lambda object_T_tool: bool(self._felt(object_T_tool[None].float()).any())
+        return world
 
     def _start(self) -> Tensor:
         """Where the object starts, as `World.reset` takes it."""
@@ -149,15 +167,17 @@ class SimTask:
                 fault.strike(self.world, self.model.exact, self._hand())
         before = self.world.world_T_object()
         track = self.world.move(path, self.settings.action_s, self.settings.hold_s)
-        reading = self._sense(before, track, refused)
+        reading = self._sense(before, track, refused + track.refused_m)
         for fault in self.faults:
             if fault.step <= self._steps:
                 reading = fault.felt(reading, self._hand(), self._steps)
         sensors = self.settings.sensors
-        if sensors.further or sensors.wrist_force:
+        if sensors.further or sensors.wrist_force or self._arm is not None:
             measured = measure(sensors.further, self.world, track, reading.tool_pose, self._further_noise)
             if isinstance(self.world, ForceSensingWorld) and self.world.trace is not None:
                 measured[FORCE] = wrist_force(self.world.trace, sensors.wrist_noise_n, self._further_noise)
+            if isinstance(self.world, ArmWorld):
+                measured[TORQUE_CONTACT] = self.world.signals.float()[:, None]
             reading = replace(reading, measurements=measured)
         if self._looks_again:
             reading = self._seen_again(reading)
@@ -263,7 +283,7 @@ class SimTask:
         )
         measured = measured_motion(before, motion, noise).float() if self._measures else None
         configuration = track.configuration.float()
-        tool_pose = self.tool.pose(configuration)
+        tool_pose = self.tool.pose(configuration) if track.world_T_tool is None else track.world_T_tool.float()
         object_T_tool = (se3.inverse(track.world_T_object) @ tool_pose.double()).float()
         touched = self._felt(object_T_tool)
         in_contact = touched.any(-1)
