@@ -19,6 +19,7 @@ from rumi.sim.joint_torques import JointFeeler
 from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
 from rumi.sim.settings import SimSettings
 from rumi.sim.slip import measured_motion
+from rumi.sim.view_faults import miscalibration
 from rumi.sim.world import Track
 from rumi.task import StepResult
 from rumi.tasks.grasp_table import Grasp
@@ -92,7 +93,7 @@ class HandleTask(SensedTask):
         if self._joints is not None:
             self._joints.seed(split(seed, "joints"))
         result = super().reset(seed)
-        self._wrist_off = self._miscalibration(split(seed, "wrist calibration")).double()
+        self._wrist_off = miscalibration(self.sensors, split(seed, "wrist calibration")).double()
         return result
 
     def drawn(self, seed: int) -> tuple[float, float, float]:
