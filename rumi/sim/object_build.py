@@ -48,6 +48,11 @@ class Build:
             spread.worn_m * wear,
         )
 
+    @classmethod
+    def thinnest(cls, spread: BuildSpread) -> "Build":
+        """The smallest and most worn one, which a model has to bear."""
+        return cls(1.0, 1.0, torch.zeros(3, dtype=torch.float64), 1.0 - spread.scale, spread.worn_m)
+
     def physics(self, physics: PhysicsSettings) -> PhysicsSettings:
         """The physics of the object."""
         x, y, z = self.com_m.tolist()

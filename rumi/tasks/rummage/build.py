@@ -23,6 +23,7 @@ from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
+from rumi.sim.conditions import words as conditions_of
 from rumi.sim.faults import Fault, Stale, parse_fault
 from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
@@ -73,7 +74,8 @@ def build(
     task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model, faults=faults)
     if device.type != "cpu" or dtype != torch.float32:
         task = TaskOnDevice(task, device, dtype)
-    return Parts(task, replace(build_rummager(spec, settings, model, tool), steps=spec.steps))
+    said = conditions_of(settings.simulator, settings.conditions)
+    return Parts(task, replace(build_rummager(spec, settings, model, tool), steps=spec.steps, conditions=said))
 
 
 def make_task(

@@ -85,6 +85,7 @@ class SimTask:
         self.world = self._kind(body, shape, height, settings.time_step_s, physics)
         self._plain, self._true = (body, physics), model.exact
         self._cache_dir = cache_dir
+        Build.thinnest(settings.build).shape(model.exact)
         self._scene = spec
         # what cannot stand is refused before anything begins
         self.world.reset(torch.tensor(spec.tool_start), self._start())
