@@ -89,9 +89,7 @@ def _row(runs: dict[int, Line], lab: dict[int, Line]) -> list[str]:
         rate([sure(x) and not x["right"] for x in found]),
         str(sum(not sure(x) for x in found)),
         middle([float(x["steps"]) for x in found if x["steps"] is not None]),
-        "; ".join(", ".join(f"{at(values):.1f}" for values in off) for at in (statistics.median, _most))
-        if known
-        else "-",
+        "; ".join(f"{at(mm):.1f}, {at(deg):.1f}" for at in (statistics.median, _most)) if mm else NOTHING,
         "" if runs is lab else f"{won}; {lost} ({mcnemar(mine, other):.2g})",
     ]
 
