@@ -62,9 +62,6 @@ class World:
         self._object_speed = int(self.model.joint("object").dofadr[0])
         self._gripper = [int(self.model.joint(name).qposadr[0]) for name in self._axes(height_m)]
         self._object_body = int(self.model.body("object").id)
-        if any(self.physics.com_m):
-            self.model.body_ipos[self._object_body] += np.array(self.physics.com_m)
-            self._mujoco.mj_setConst(self.model, self.data)
         self._rest: np.ndarray | None = None
         self._apart: Any = None
 

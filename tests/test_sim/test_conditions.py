@@ -15,9 +15,10 @@ from rumi.sim.object_build import Build
 from rumi.sim.pad_faults import PadFaults
 from rumi.sim.reshaped import worn
 from rumi.sim.sensor_settings import SensorSettings
-from rumi.sim.settings import SimSettings
+from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.tool_offset import ToolOffset
 from rumi.sim.view_faults import ViewFaults, grown
+from rumi.sim.world import World
 from rumi.tasks.rummage.build import make_task
 from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.scenes import SCENES, large_handled_mug, make_tool
@@ -208,25 +209,32 @@ def pushed(task):
 @sim
 def test_the_object_that_is_there_is_the_one_that_was_drawn(arm_tool, mug):
     task = task_of(arm_tool, mug, build=BuildSpread(0.2, 0.2, 0.005, 0.01, 0.001))
-    plain = task.world.model.body("object")
-    at, mass = plain.ipos.copy(), float(plain.mass[0])
+    mass = float(task.world.model.body("object").mass[0])
     task.reset(7)
     build, body = Build.drawn(task.settings.build, 7), task.world.model.body("object")
     assert float(body.mass[0]) == pytest.approx(mass * build.mass)
     assert task.world.physics.friction == pytest.approx(SPEC.physics.friction * build.friction)
-    uneven = make_task(
-        SPEC, replace(task.settings, build=replace(task.settings.build, com_m=0.0)), tool=arm_tool, model=mug
-    )
-    uneven.reset(7)
-    off = body.ipos - uneven.world.model.body("object").ipos
-    np.testing.assert_allclose(off, build.com_m.numpy(), atol=1e-9)
-    assert float(np.abs(at - body.ipos).max()) > 0
     reading = pushed(task)
     felt = reading.observation.of_class(Semantics.SURFACE)
     poses = se3.inverse(task.world.world_T_object()).float()[None].expand(int(felt.sum()), 4, 4)
     last = reading.instant[felt] == 19
     points = se3.apply(poses[0], reading.observation.points[felt][last])
     assert int(last.sum()) > 3 and float(build.shape(mug.exact).distance(points).abs().max()) < 0.0032
+
+
+@sim
+@pytest.mark.parametrize(
+    "shape", [Box([0.03, 0.08, 0.1]), large_handled_mug().exact, Drill()], ids=["box", "mug", "drill"]
+)
+def test_a_centre_of_mass_off_its_place_leaves_mass_and_inertia(shape):
+    plain, off = (
+        World(shape, GripperShape(), 0.045, 0.004, PhysicsSettings(com_m=com)).model.body("object")
+        for com in ((0.0, 0.0, 0.0), (0.004, -0.002, 0.001))
+    )
+    np.testing.assert_allclose(off.ipos - plain.ipos, (0.004, -0.002, 0.001), atol=1e-12)
+    np.testing.assert_allclose(off.iquat, plain.iquat, atol=1e-12)
+    np.testing.assert_allclose(off.inertia, plain.inertia, rtol=1e-12)
+    assert float(off.mass[0]) == float(plain.mass[0])
 
 
 @sim
