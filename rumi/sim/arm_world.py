@@ -18,7 +18,7 @@ from rumi.sim.arm_path import ToolPath
 from rumi.sim.bodies import Body
 from rumi.sim.robot_arm import RobotArm
 from rumi.sim.robot_dynamics import MujocoDynamics
-from rumi.sim.scene import scene_spec
+from rumi.sim.scene import compiled, scene_spec
 from rumi.sim.settings import PhysicsSettings
 from rumi.sim.world import _LEVER_M, Track, World
 from sdf import se3
@@ -134,10 +134,10 @@ class ArmWorld(World):
         self._residual = torch.zeros(len(self.arm.joints), dtype=torch.float64)
         self._last: list[Sample] = []
 
-    def _scene(self, gripper: GripperShape, height_m: float | None, time_step_s: float) -> Any:  # noqa: ANN401
+    def _compiled(self, gripper: GripperShape, height_m: float | None, time_step_s: float) -> Any:  # noqa: ANN401
         spec = scene_spec(self._mujoco, self.body, time_step_s, self.physics)
         self.arm.attach(spec, gripper, self.physics.friction)
-        return spec.compile()
+        return compiled(spec, self.physics)
 
     def _axes(self, height_m: float | None) -> tuple[str, ...]:  # type: ignore[override]
         return self.arm.names

@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -42,7 +43,25 @@ def scene_model(
         physics: masses, friction, drive.
     """
     drive = _drive_xml(physics, spatial=height_m is None)
-    return scene_spec(mujoco, body, time_step_s, physics, _gripper_xml(gripper, height_m, physics), drive).compile()
+    return compiled(
+        scene_spec(mujoco, body, time_step_s, physics, _gripper_xml(gripper, height_m, physics), drive), physics
+    )
+
+
+def compiled(spec: Any, physics: PhysicsSettings) -> Any:  # noqa: ANN401
+    """A scene's specification as a model, the object's centre of mass where the settings have it."""
+    model = spec.compile()
+    return _off_centre(spec, model, physics.com_m) if any(physics.com_m) else model
+
+
+def _off_centre(spec: Any, model: Any, com_m: tuple[float, float, float]) -> Any:  # noqa: ANN401
+    """The model compiled once more, with the object's centre of mass elsewhere and its inertia about that the same."""
+    own, body = spec.body("object"), model.body("object")
+    own.explicitinertial = True
+    own.mass, own.inertia, own.iquat = float(body.mass[0]), body.inertia.copy(), body.iquat.copy()
+    own.ipos = body.ipos + com_m
+    own.fullinertia = np.full(6, np.nan)  # given in place of the above where the solid is summed up
+    return spec.compile()
 
 
 def scene_spec(

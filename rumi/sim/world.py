@@ -60,7 +60,7 @@ class World:
         self._mujoco = _import_mujoco()
         self.physics = physics or PhysicsSettings()
         self.body = shape if isinstance(shape, Body) else body_of(shape, self.physics)
-        self.model: Any = self._scene(gripper, height_m, time_step_s)
+        self.model: Any = self._compiled(gripper, height_m, time_step_s)
         self.data: Any = self._mujoco.MjData(self.model)
         self._object = int(self.model.joint("object").qposadr[0])
         self._object_speed = int(self.model.joint("object").dofadr[0])
@@ -68,7 +68,7 @@ class World:
         self._object_body = int(self.model.body("object").id)
         self._apart: Any = None
 
-    def _scene(self, gripper: GripperShape, height_m: float | None, time_step_s: float) -> Any:  # noqa: ANN401
+    def _compiled(self, gripper: GripperShape, height_m: float | None, time_step_s: float) -> Any:  # noqa: ANN401
         """The scene as a MuJoCo model."""
         return scene_model(self._mujoco, self.body, gripper, height_m, time_step_s, self.physics)
 

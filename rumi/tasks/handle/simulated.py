@@ -14,12 +14,14 @@ from rumi.robot.gripper import gripper_parts
 from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.bodies import Body
+from rumi.sim.conditions import image_errors
 from rumi.sim.faults import Fault
 from rumi.sim.force_sensing_world import ForceSensingWorld, WrenchTrace
 from rumi.sim.joint_torques import JointFeeler
-from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
+from rumi.sim.sensor_settings import SensorKind, SensorSettings
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
+from rumi.sim.view_faults import miscalibration
 from rumi.sim.world import Track
 from rumi.task import StepResult
 from rumi.tasks.grasp_table import Grasp
@@ -42,7 +44,7 @@ _GUARD = 2  # mini steps of silence before a contact, and at an action's end, th
 class HandleTask(SensedTask):
     """The scene, with those of the sensors that are switched on.
 
-    All images have the noise of `degraded` sensors, lost ones included, unless the settings ask for none. In every
+    All images have the errors of the conditions `lab`, lost ones included, unless the settings ask for none. In every
     variant the object's motion is measured, with noise, and where the rigid gripper has been is free: that takes no
     more than joint positions. Where the wrench or the joints say that nothing is touched, the gripper's skin is free
     too.
@@ -69,7 +71,7 @@ class HandleTask(SensedTask):
         own = settings.sensors
         spec = task_of(settings)
         kind: SensorKind = "bubbles" if "bubbles" in own else "camera"
-        sensors = SensorSettings(kind) if settings.noise_free else degraded(kind)
+        sensors = SensorSettings(kind) if settings.noise_free else image_errors(kind)
         simulator = SimSettings(sensors=sensors, free_region_m=settings.free_region_m)
         super().__init__(spec, simulator, tool, model, cache_dir=cache_dir, faults=faults)
         self.fused = settings
@@ -94,7 +96,7 @@ class HandleTask(SensedTask):
         if self._joints is not None:
             self._joints.seed(split(seed, "joints"))
         result = super().reset(seed)
-        self._wrist_off = self._miscalibration(split(seed, "wrist calibration")).double()
+        self._wrist_off = miscalibration(self.sensors, split(seed, "wrist calibration")).double()
         return result
 
     def drawn(self, seed: int) -> tuple[float, float, float]:
