@@ -5,7 +5,8 @@ python -m scripts.conditions run                                     # the recor
 python -m scripts.conditions show
 
 All runs of a seed have the same scene. Under `lab` and `harsh` nothing measures the object's motion; `lab without X` is
-`lab` with the group X of `rumi.sim.conditions.MEMBERS` as under `ideal`, which tells what X costs.
+`lab` with the group X of `rumi.sim.conditions.MEMBERS` as under `ideal`, which tells what X costs; in `lab, arm` an arm
+carries the gripper, which flies in all others.
 """
 
 import hashlib
@@ -27,12 +28,15 @@ from scripts.reproduce.cells import NOTHING, middle, rate, table
 from scripts.reproduce.intervals import mcnemar
 
 WITHOUT = {f"lab without {group}": group for group in GROUPS if group not in ("bubbles", "images")}
-CONDITIONS = ("ideal", "lab", "harsh", *WITHOUT)
+ARM = "lab, arm"
+CONDITIONS = ("ideal", "lab", "harsh", ARM, *WITHOUT)
 
 
 def settings_of(task: str, conditions: str, seed: int) -> Settings:
     """Settings of a run."""
-    own = preset(task=task, seed=seed, conditions=conditions.partition(" ")[0])
+    own = preset(task=task, seed=seed, conditions=conditions.partition(" ")[0].rstrip(","))
+    if conditions == ARM:
+        own = replace(own, simulator=replace(own.simulator, robot="arm"))
     if conditions in WITHOUT:
         own = replace(own, simulator=put_back(own.simulator, WITHOUT[conditions]))
     return own

@@ -11,7 +11,8 @@ from scripts import conditions as module
 def test_a_variant_is_a_condition_with_one_group_as_in_ideal(name):
     settings = module.settings_of("mug", name, 1000)
     assert (settings.task, settings.seed) == ("mug", 1000)
-    assert settings.conditions == name.partition(" ")[0]
+    assert settings.conditions == name.partition(" ")[0].rstrip(",")
+    assert settings.simulator.robot == ("arm" if name == module.ARM else "gripper")
     assert bool(departures(settings.simulator, settings.conditions)) == (name in module.WITHOUT)
     assert name not in module.WITHOUT or module.WITHOUT[name] in GROUPS
 
