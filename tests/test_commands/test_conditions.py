@@ -11,7 +11,9 @@ from rumi.commands.run import parse
 from rumi.sim.conditions import put_back, under
 from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
-from rumi.tasks.rummage.settings import from_dict, preset, to_dict
+from rumi.tasks.rummage.drawn_scenes import DRAWN
+from rumi.tasks.rummage.scenes import SCENES
+from rumi.tasks.rummage.settings import DRAWN_CONDITIONS, Settings, from_dict, preset, to_dict
 
 pytestmark = pytest.mark.usefixtures("at_home")
 
@@ -40,6 +42,14 @@ def test_conditions_are_what_the_simulators_settings_start_from():
     assert settings_of("mug", "--conditions", "ideal").simulator == preset().simulator
     back = put_back(put_back(lab.simulator, "images"), "bubbles")
     assert (back.sensors.lost, back.sensors.bubble_noise_m, back.view) == (0.0, 0.0, lab.simulator.view)
+
+
+def test_tasks_that_draw_their_scene_have_conditions_of_their_own():
+    assert {settings_of(name).conditions for name in DRAWN} == {DRAWN_CONDITIONS}
+    assert {settings_of(name).conditions for name in SCENES} == {Settings().conditions} == {"ideal"}
+    for name in ("mug", "drill"):
+        assert settings_of(name) == preset(task=name) == rumi_preset(task=name)
+        assert settings_of(name).simulator == under(Settings().simulator, DRAWN_CONDITIONS)
 
 
 def test_conditions_are_said_and_kept():

@@ -10,8 +10,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "scripts" / "docs" / "reference" / "conditions.md"
 SENSING = (
     *sorted((ROOT / "rumi" / "sim").glob("*.py")),
-    ROOT / "rumi" / "tasks" / "rummage" / "simulated.py",
-    ROOT / "rumi" / "tasks" / "rummage" / "sensed.py",
+    *(ROOT / "rumi" / "tasks" / "rummage" / f"{name}.py" for name in ("simulated", "sensed", "free_region")),
 )
 TRUTH = {"world_T_object", "_true", "exact", "cast", "_scene", "trace", "configuration"}
 """Attributes by which the simulator tells where and what object and tool truly are."""

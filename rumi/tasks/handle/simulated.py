@@ -27,6 +27,7 @@ from rumi.task import StepResult
 from rumi.tasks.grasp_table import Grasp
 from rumi.tasks.handle.gripper import HandleGripper
 from rumi.tasks.handle.settings import HandleSettings, task_of
+from rumi.tasks.rummage.free_region import region_of_prior
 from rumi.tasks.rummage.sensed import SensedTask
 from sdf import se3
 from sdf.object_model import ObjectModel
@@ -130,7 +131,7 @@ class HandleTask(SensedTask):
     def _view(self) -> Observation:
         if "camera" in self.fused.sensors:
             return super()._view()
-        self._region = self._region_of_prior()
+        self._region = region_of_prior(self.spec, self.model)
         return Observation.empty()
 
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> ContactReading:

@@ -19,6 +19,7 @@ from rumi.sim.slip import measured_motion
 from rumi.sim.view_faults import holed, miscalibration, taken_pose
 from rumi.sim.world import Track
 from rumi.task import StepResult
+from rumi.tasks.rummage.free_region import region_about, region_unseen
 from rumi.tasks.rummage.raw_streams import RawStreams
 from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
 from rumi.tasks.rummage.simulated import SimTask
@@ -110,7 +111,11 @@ class SensedTask(SimTask):
         seen = self._looked()
         surface = seen.points[seen.of_class(Semantics.SURFACE)]
         if self._steps == 0:
-            self._region = self._region_about(surface) if len(surface) else self._region_unseen()
+            self._region = (
+                region_about(surface, self.spec, self.settings)
+                if len(surface)
+                else region_unseen(self.spec, self.model)
+            )
             self.raw.about(self._region)
         return seen
 
@@ -139,7 +144,7 @@ class SensedTask(SimTask):
                 continue
             if index >= count - 2:
                 # the lasting points of these frames say where free ones matter
-                bounds = self._region_about(last.points) if len(last) else None
+                bounds = region_about(last.points, self.spec, self.settings) if len(last) else None
             view = view_observation(
                 Image(image, intrinsics, color, stamp=index / self.sensors.frame_rate_hz),
                 taken,

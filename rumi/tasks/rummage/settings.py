@@ -28,7 +28,7 @@ from rumi.tasks.rummage.objects import ObjectSettings
 
 Preset = Literal["default", "fast", "paper"]
 
-DRAWN_CONDITIONS: Conditions = "ideal"
+DRAWN_CONDITIONS: Conditions = "lab"
 """The conditions of the tasks whose scene the seed draws, where none are asked for; of all others they are ideal."""
 
 

@@ -31,18 +31,16 @@ from rumi.sim.view_faults import ViewFaults, taken_pose
 from rumi.sim.world import Track, World
 from rumi.sim.wrist_force import wrist_force
 from rumi.task import StepResult
+from rumi.tasks.rummage.free_region import floor_points, region_about, region_of_prior, region_unseen
 from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, concatenate
 from sensors.reading import FORCE, TORQUE_CONTACT, Reading
-from sensors.semantics import Semantics
 from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
 from sensors.vision.camera import depth_observation, look_at, pinhole, pixel_points, pixel_rays
 from sensors.vision.robot_body import RobotBody
 
-# standard deviations of the prior up to which free points are reported
-_SPREADS = 4.0
 _CUT_M = 0.010  # about the floor and the gripper, within which what a wrong mask shows is not taken for the object
 
 
@@ -253,8 +251,8 @@ class SimTask:
         """What the camera sees now: surface points of the object and free points about it."""
         camera = self._camera()
         if camera is None:
-            self._region = self._region_of_prior()
-            return Observation.empty() if self.spec.search == "SE(2)" else self._floor()
+            self._region = region_of_prior(self.spec, self.model)
+            return Observation.empty() if self.spec.search == "SE(2)" else floor_points(self._region, self.spec)
         intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad)
         world_T_camera = look_at(torch.tensor(camera.position), torch.tensor(camera.target))
         sensors = self.settings.sensors
@@ -267,9 +265,9 @@ class SimTask:
         surface = depth_observation(depth, intrinsics, world_T_camera, is_object).points
         if len(surface) == 0:
             if self._steps == 0:
-                self._region = self._region_unseen()
+                self._region = region_unseen(self.spec, self.model)
             return Observation.empty()
-        self._region = self._region_about(surface)
+        self._region = region_about(surface, self.spec, self.settings)
         return depth_observation(
             depth,
             intrinsics,
@@ -455,36 +453,3 @@ class SimTask:
             with torch.no_grad():
                 found[near] = is_there(self._true.distance(places[near]), reach)
         return found
-
-    def _floor(self) -> Observation:
-        """Free points where the floor is, fixed in the world (RUMI, V.B)."""
-        step = self.spec.field_spacing_m
-        low, high = self._region[:, :2]
-        ends = [(float(low[axis]), float(high[axis]) + 0.5 * step) for axis in (0, 1)]
-        x, y = (torch.arange(*pair, step, dtype=torch.float32) for pair in ends)
-        points = torch.stack(torch.meshgrid(x, y, x.new_zeros(1), indexing="ij"), -1).reshape(-1, 3)
-        return Observation.of(points, Semantics.FREE, attached=False)
-
-    def _region_of_prior(self) -> Float[Tensor, "2 3"]:
-        """The box that holds the object wherever it may well be."""
-        prior, bounds = self.spec.prior, self.model.exact.bounds.float()
-        if prior is None:
-            raise UsageError(f"Expected {self.spec.name} to have a camera or a prior, got neither")
-        mean, reach = torch.tensor(prior.mean_m), _SPREADS * prior.spread_m + self.model.radius
-        top = max(float((bounds[1] - bounds[0])["xyz".index(up)]) for up in self.spec.up)
-        return torch.tensor([[*(mean - reach).tolist(), 0.0], [*(mean + reach).tolist(), top]])
-
-    def _region_unseen(self) -> Float[Tensor, "2 3"]:
-        """Where the object may be if the first view does not show it: nowhere in particular without a prior."""
-        return torch.zeros(2, 3) if self.spec.prior is None else self._region_of_prior()
-
-    def _region_about(self, surface: Float[Tensor, "M 3"]) -> Float[Tensor, "2 3"]:
-        """The box in which free points can refute a pose that the view leaves open."""
-        grow = self.settings.free_region_m
-        low, high = surface.amin(0) - grow, surface.amax(0) + grow
-        if self.spec.search == "SE(2)":
-            # an upright object is no taller than what is seen of it
-            high[2] -= grow
-            high[2] = math.ceil(float(high[2]) / self.settings.free_spacing_m) * self.settings.free_spacing_m
-        low[2] = 0.0
-        return torch.stack((low, high))
