@@ -82,7 +82,8 @@ def drawn_fault(task: str, seed: int) -> str:
 
 def settings_of(task: str, seed: int, fault: str | None) -> Settings:
     """Settings of a run in which nothing measures the object's motion."""
-    own = preset(task=task, seed=seed, steps=min(STEPS, DRAWN[task].steps), **{"filter.motion": "trajectory"})
+    steps = min(STEPS, DRAWN[task].steps)
+    own = preset(task=task, seed=seed, steps=steps, conditions="ideal", **{"filter.motion": "trajectory"})
     unmeasured = replace(own.simulator, measures_motion=False)
     own = replace(own, simulator=unmeasured, stop=replace(own.stop, rule="probability"))
     return own if fault is None else replace(own, fault=(fault,))

@@ -28,7 +28,7 @@ STEPS, FROM = 25, 3
 
 def settings_of(fault: str, motion: str, seed: int) -> Settings:
     """Settings of a run."""
-    own = preset(task="mug", seed=seed, steps=STEPS, **{"filter.motion": motion})
+    own = preset(task="mug", seed=seed, steps=STEPS, conditions="ideal", **{"filter.motion": motion})
     if (text := FAULTS[fault]) is not None:
         own = replace(own, fault=(text.format(size=20 + seed % 21),))
     if motion == "measured":

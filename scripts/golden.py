@@ -37,7 +37,7 @@ from rumi.runs.folder import RunRecorder
 from rumi.runs.recorded import RunLog
 from rumi.runs.replay import replay
 from rumi.seeding import generator
-from rumi.sim.sensor_settings import degraded
+from rumi.sim.conditions import image_errors
 from rumi.tasks.handle.build import build_handle
 from rumi.tasks.handle.settings import SENSORS, HandleSettings, SensorName
 from rumi.tasks.peg import agent as peg_agent
@@ -199,7 +199,7 @@ RUNS: dict[str, Callable[[Trace], Record]] = {
     "mug-0-info-only": rummaging(9, method="info-only", seed=2),
     "mug-0-slide": rummaging(6, method="slide"),
     "mug-0-gpvr": rummaging(3, method="gpvr"),
-    "mug-0-degraded": rummaging(7, seed=3, simulator=replace(preset().simulator, sensors=degraded("both"))),
+    "mug-0-degraded": rummaging(7, seed=3, simulator=replace(preset().simulator, sensors=image_errors("both"))),
     "mug-0-corrected": moved("corrected"),
     "mug-0-pushed": moved("pushed"),
     "mug-0-estimated": moved("estimated"),

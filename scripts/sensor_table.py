@@ -20,7 +20,8 @@ from rumi.agent import stop_reason
 from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.errors import DegenerateBeliefError
-from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
+from rumi.sim.conditions import image_errors
+from rumi.sim.sensor_settings import SensorKind, SensorSettings
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import preset
@@ -31,9 +32,9 @@ from scripts.store import Store
 TASKS = ("mug-0", "mug-1", "mug-2")
 SENSORS: dict[str, SensorSettings] = {
     **{kind: SensorSettings(kind) for kind in ("points", "camera", "bubbles", "both")},
-    **{f"{kind}, degraded": degraded(kind) for kind in ("camera", "bubbles", "both")},
-    "camera, degraded, turned about itself": replace(degraded("camera"), turned_about="sensor"),
-    "both, degraded, turned about itself": replace(degraded("both"), turned_about="sensor"),
+    **{f"{kind}, degraded": image_errors(kind) for kind in ("camera", "bubbles", "both")},
+    "camera, degraded, turned about itself": replace(image_errors("camera"), turned_about="sensor"),
+    "both, degraded, turned about itself": replace(image_errors("both"), turned_about="sensor"),
 }
 
 KINDS: tuple[SensorKind, ...] = ("camera", "bubbles", "both")
@@ -44,7 +45,7 @@ PARTS: dict[str, dict[str, float]] = {
 }
 """Parts of the degradation that can be left out, by what is left out."""
 SENSORS |= {
-    f"{kind}, degraded, {part}": replace(degraded(kind), **changes)  # type: ignore[arg-type]
+    f"{kind}, degraded, {part}": replace(image_errors(kind), **changes)  # type: ignore[arg-type]
     for part, changes in PARTS.items()
     for kind in KINDS
 }

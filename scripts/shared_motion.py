@@ -42,7 +42,7 @@ class Options:
 
 def settings_of(motion: str, seed: int) -> Settings:
     """Settings of a run in which nothing measures the object's motion."""
-    own = preset(task="mug", seed=seed, steps=STEPS, **{"filter.motion": motion})
+    own = preset(task="mug", seed=seed, steps=STEPS, conditions="ideal", **{"filter.motion": motion})
     own = replace(own, simulator=replace(own.simulator, measures_motion=False))
     return replace(own, stop=replace(own.stop, rule="probability")) if motion == OWN else own
 

@@ -65,7 +65,7 @@ class Options:
 def settings_of(options: Options, motion: str, seed: int) -> Settings:
     """Of one run."""
     most = min(options.steps, find_task(options.task).steps)  # as on the shelf, where 15 are allowed
-    settings = preset("default", task=options.task, seed=seed, steps=most)
+    settings = preset("default", task=options.task, seed=seed, steps=most, conditions="ideal")
     values = to_dict(settings)
     for assignment in options.set:
         name, _, number = assignment.partition("=")

@@ -16,6 +16,9 @@ from sensors.observation import Observation
 FORCE = "tool_force"
 """Name of the measurements (*b, K, 3) of a wrist: mean force on the tool on the way to each instant, N, world axes."""
 
+TORQUE_CONTACT = "torque_contact"
+"""Name of the measurements (*b, K, 1) of an arm's joints: 1 where their torques tell of a contact, else 0."""
+
 # of a reading padded in its instants the last one counts on
 RAGGED = {
     "instant": Ragged(-1),

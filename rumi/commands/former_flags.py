@@ -1,25 +1,16 @@
 """Flags of `rumi run` that have another name now: one table, which keeps commands on record working."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 
 from rumi.errors import UsageError
 from rumi.runs.progress import say
-from rumi.sim.sensor_settings import SensorSettings, degraded
-
-_SENSORS = "--simulator.sensors."
 
 FORMER_FLAGS: dict[str, dict[str, str]] = {
     "Settings": {
         "--budget": "--plan-budget-s",
         "--motion": "--filter.motion",
         "--push-model": "--planner.push-model",
-        "--sensor": f"{_SENSORS}kind",
-        "--degraded": " ".join(
-            f"{_SENSORS}{name.replace('_', '-')} {value}"
-            for name, value in asdict(degraded("camera")).items()
-            if value != getattr(SensorSettings("camera"), name)
-        ),
+        "--sensor": "--simulator.sensors.kind",
     },
     "TouchBoxSettings": {"--budget": "--plan-budget-s"},
     "PegRunSettings": {"--t-max": "--action-budget-s", "--evaluation": "--evaluation-s"},
@@ -38,7 +29,7 @@ def renamed(settings: type, arguments: Sequence[str]) -> list[str]:
         arguments: of the command line, after the task's name.
 
     Raises:
-        UsageError: `--set NAME=VALUE`, which has no one name; the message says what to write.
+        UsageError: a flag that has no one name now; the message says what to write.
     """
     former = FORMER_FLAGS.get(settings.__name__, {})
     found: list[str] = []
@@ -46,6 +37,11 @@ def renamed(settings: type, arguments: Sequence[str]) -> list[str]:
         flag, equals, value = argument.partition("=")
         if flag == "--set":
             raise UsageError("--set NAME=VALUE is --NAME VALUE now, such as --point-m 0.001 for --set point_m=0.001")
+        if flag == "--degraded" and former:
+            raise UsageError(
+                "--degraded is --conditions lab now, which has more than errors of images; those alone are its values "
+                "below --simulator.sensors, such as --simulator.sensors.calibration-m 0.002"
+            )
         if flag in former:
             say(f"{flag} is {former[flag]} now")
             *first, last = former[flag].split()

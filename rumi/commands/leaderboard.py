@@ -22,6 +22,7 @@ class LeaderboardOptions:
 
     A policy is a Python file with a function act(observation) that gives the control, each number in [-1, 1]; VIEW in
     it names what it sees: "particles" (default), "image" or "reading"; start(seed) is called before each run.
+    Conditions are ideal, as those of the boards of before.
 
     Attributes:
         policy: file of the policy, or `rumi` for the own planner.
@@ -55,7 +56,7 @@ def leaderboard(arguments: Sequence[str]) -> int:
     if path is not None:
         load_policy(path)  # what is none is refused before anything is built
     find_task(options.task)
-    settings = preset(options.preset, task=options.task)
+    settings = preset(options.preset, task=options.task, conditions="ideal")
     with build(settings, cache_dir=cache_folder()) as parts:
         new = score(
             parts.task,

@@ -23,6 +23,7 @@ from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.runs.folder import free_folder, load_run, prepare_folder, remove_if_empty_on_error
 from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
+from rumi.tasks.rummage.settings import Settings, under_conditions
 from sdf import skipped_work
 from sdf.extras import optional
 
@@ -157,16 +158,17 @@ def parse(
         name = FORMER_NAMES[name]
     entry = TASKS[name]
     flags = renamed(entry.settings, arguments[1:])
-    # the settings start from a preset, which has to be known before their flags are read
-    asked, _ = tyro.cli(
-        _Preset, args=flags, default=_Preset(entry.presets[0]), add_help=False, return_unknown_args=True
-    )
+    # the settings start from a preset and conditions, which have to be known before their flags are read
+    asked, _ = tyro.cli(_Start, args=flags, default=_Start(entry.presets[0]), add_help=False, return_unknown_args=True)
+    start = entry.preset(asked.preset)
+    if asked.conditions is not None and isinstance(start, Settings):
+        start = under_conditions(start, asked.conditions)
     options = tyro.cli(
         kind[entry.settings],
         prog=f"rumi {command} {name}",
         description=f"{entry.description}. The presets are {', '.join(entry.presets)}.",
         args=flags,
-        default=kind(entry.preset(asked.preset), asked.preset),
+        default=kind(start, asked.preset),
         registry=FLAGS,
     )
     return name, entry, options
@@ -197,7 +199,8 @@ def keep_learnt(folder: Path, file: Path, seed: int) -> None:
 
 
 @dataclass(frozen=True)
-class _Preset:
-    """The one option that decides what the others start from."""
+class _Start:
+    """The options that decide what the others start from."""
 
     preset: str
+    conditions: str | None = None

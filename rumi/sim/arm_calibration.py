@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rumi.sim.arm_motion import ArmKinematics, JointPath, joint_path
+from rumi.sim.arm_motion import HandDownKinematics, JointPath, joint_path
 from rumi.sim.robot_dynamics import MujocoDynamics
 
 _CLEAR_M = 0.2  # of the tool above the floor in all of the motion
@@ -55,7 +55,7 @@ class Correction(NamedTuple):
     rest_nm: np.ndarray
 
 
-def free_motion(kinematics: ArmKinematics) -> JointPath:
+def free_motion(kinematics: HandDownKinematics) -> JointPath:
     """There and back through configurations that tell masses apart, well above all that stands on the floor.
 
     Raises:

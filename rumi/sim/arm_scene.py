@@ -58,7 +58,7 @@ def arm_xml(physics: ArmPhysics, *, mass_factors: tuple[float, ...] = (1.0,) * 7
         mass_factors: of the links' masses: what a model has wrong.
         friction_nm: dry friction of every joint.
     """
-    return _document(physics, _arm(physics, mass_factors, friction_nm), "")
+    return _document(physics, links_xml(physics, mass_factors, friction_nm, _hand(physics)), "")
 
 
 def scene_xml(physics: ArmPhysics, half: tuple[float, float], height_m: float, friction_nm: float = 0.0) -> str:
@@ -73,7 +73,7 @@ def scene_xml(physics: ArmPhysics, half: tuple[float, float], height_m: float, f
     world = f"""<geom name="floor" type="plane" size="3 3 0.1" contype="0" conaffinity="0"/>
     <body name="box" pos="0 0 {0.5 * height_m}"><freejoint name="box"/>
       <geom name="box" type="box" size="{size}" mass="0.5" contype="0" conaffinity="0"/></body>
-    {_arm(physics, (1.0,) * 7, friction_nm)}"""
+    {links_xml(physics, friction_nm=friction_nm, tool=_hand(physics))}"""
     pairs = "".join(f'<pair name="{name}" geom1="{name}" geom2="box" {contact}/>' for name in ("floor", *FINGERS))
     return _document(physics, world, f"<contact>{pairs}</contact>")
 
@@ -99,7 +99,17 @@ def _document(physics: ArmPhysics, world: str, contact: str) -> str:
 </mujoco>"""
 
 
-def _arm(physics: ArmPhysics, mass_factors: tuple[float, ...], friction_nm: float) -> str:
+def links_xml(
+    physics: ArmPhysics, mass_factors: tuple[float, ...] = (1.0,) * 7, friction_nm: float = 0.0, tool: str = ""
+) -> str:
+    """Base and links of the arm as an MJCF body, with joints of the names `ARM_JOINTS`.
+
+    Args:
+        physics: the arm.
+        mass_factors: of the links' masses.
+        friction_nm: dry friction of every joint.
+        tool: MJCF of what the last link carries.
+    """
     own, shape = physics, physics.geometry
     x, y, yaw = own.base
     lengths = (*shape.offsets_m[1:], shape.flange_m)
@@ -112,7 +122,7 @@ def _arm(physics: ArmPhysics, mass_factors: tuple[float, ...], friction_nm: floa
             f'<joint name="{name}" axis="{shape.axes[index]}" armature="{own.armature[index]}"{loss}/>'
             f'<geom type="capsule" size="{own.radii_m[index]}" fromto="0 0 0 0 0 {lengths[index]}" mass="{mass:.9g}"/>'
         )
-    return text + _hand(own) + "</body>" * (len(ARM_JOINTS) + 1)
+    return text + tool + "</body>" * (len(ARM_JOINTS) + 1)
 
 
 def _hand(physics: ArmPhysics) -> str:

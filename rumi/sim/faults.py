@@ -3,7 +3,6 @@
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import singledispatch
 from typing import Annotated, ClassVar, NamedTuple
 
 import torch
@@ -14,13 +13,11 @@ from torch import Tensor
 from rumi.errors import UsageError
 from rumi.registry import Table
 from rumi.seeding import split
+from rumi.sim.reshaped import resized
 from rumi.sim.world import World
 from sdf import se3
 from sdf.base import SDF
-from sdf.drill import Drill
-from sdf.mesh.mesh_sdf import MeshSDF
 from sdf.object_model import ObjectModel
-from sdf.primitives import Box, Mug
 from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
@@ -342,44 +339,3 @@ def _number(text: str, part: str, what: str) -> float:
     if not math.isfinite(value):
         raise UsageError(f"Expected {what} as a number, got {text!r}")
     return value
-
-
-@singledispatch
-def resized(shape: SDF, factor: float) -> SDF:
-    """A shape in another size.
-
-    Raises:
-        UsageError: of a kind that has none.
-    """
-    raise UsageError(f"Expected an object that comes in other sizes (a box, a mug, a drill, a mesh), got {shape}")
-
-
-@resized.register
-def _(shape: Box, factor: float) -> SDF:
-    return Box([factor * half for half in shape.half_extents])
-
-
-@resized.register
-def _(shape: Mug, factor: float) -> SDF:
-    own = (shape.outer_radius, shape.height, shape.wall, shape.base, shape.tube_radius, shape.ring_radius)
-    return Mug(*(factor * length for length in own))
-
-
-@resized.register
-def _(shape: Drill, factor: float) -> SDF:
-    first, second = shape.capsules[1], shape.capsules[2]
-    return Drill(
-        tuple(factor * side for side in shape.base),  # type: ignore[arg-type]
-        factor * shape.capsules[0][2],
-        factor * shape.body_radius,
-        factor * (first[1][0] - first[0][0]),
-        factor * first[0][2],
-        factor * 0.5 * (first[1][0] + first[0][0]),
-        factor * second[2],
-        factor * (second[1][0] - second[0][0]),
-    )
-
-
-@resized.register
-def _(shape: MeshSDF, factor: float) -> SDF:
-    return MeshSDF(shape.mesh.scaled(factor))

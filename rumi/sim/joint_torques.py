@@ -9,7 +9,7 @@ friction in the joints is simulated: torques are taken to be measured behind the
 import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import torch
@@ -18,8 +18,9 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.robot.reach_table import STARTS
-from rumi.sim.arm_motion import ArmKinematics, joint_path
-from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, _arm, _hand
+from rumi.sim.arm_kinematics import ArmKinematics
+from rumi.sim.arm_motion import joint_path
+from rumi.sim.arm_scene import ARM_JOINTS, ArmPhysics, links_xml
 from rumi.sim.force_sensing_world import WrenchTrace
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.world import _import_mujoco
@@ -64,15 +65,9 @@ class LevelKinematics(ArmKinematics):
     """The arm with its tool bent forward, so that it is level where the planner's tool is."""
 
     def __init__(self, physics: ArmPhysics) -> None:
-        self._mujoco = _import_mujoco()
         self.physics = physics
-        self.model: Any = self._mujoco.MjModel.from_xml_string(level_xml(physics))
-        self.data: Any = self._mujoco.MjData(self.model)
-        self._place = [int(self.model.joint(name).qposadr[0]) for name in ARM_JOINTS]
-        self._dof = [int(self.model.joint(name).dofadr[0]) for name in ARM_JOINTS]
-        self._site = int(self.model.site("tool").id)
-        self._move, self._turn = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
-        self.limits = np.array(physics.geometry.limits_rad)
+        high = np.array(physics.geometry.limits_rad)
+        super().__init__(_import_mujoco().MjModel.from_xml_string(level_xml(physics)), ARM_JOINTS, -high, high)
 
     def track(self, poses: np.ndarray, begin: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Joints (n, 7) along (x, y, z, yaw) of the tool (n, 4), and the errors left (n), as those of `solve`.
@@ -225,5 +220,5 @@ def level_xml(physics: ArmPhysics, mass_factors: tuple[float, ...] = (1.0,) * 7)
         f'<body name="tool" pos="0 0 {shape.flange_m + shape.tool_m}" quat="{math.cos(half)} 0 {math.sin(half)} 0">'
         '<geom type="box" size="0.045 0.05 0.02" pos="-0.07 0 0" mass="0.5"/><site name="tool"/></body>'
     )
-    arm = _arm(physics, mass_factors, 0.0).replace(_hand(physics), tool)
+    arm = links_xml(physics, mass_factors, tool=tool)
     return f'<mujoco><default><geom contype="0" conaffinity="0"/></default><worldbody>{arm}</worldbody></mujoco>'

@@ -28,6 +28,7 @@ from rumi.robot.gripper import GripperShape, gripper_of
 from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
 from rumi.sim.path_push import MujocoPathPush
+from rumi.sim.rollout_world import RolloutWorld
 from rumi.sim.settings import PhysicsSettings
 from rumi.sim.world import World
 from sdf import se3
@@ -83,7 +84,7 @@ class MujocoRollouts:
             # pressed down with more, objects sink into the floor
             physics = replace(physics, max_force_n=25.0, max_lift_n=15.0, max_torque_nm=4.0)
         height = None if tool.spatial else tool.height_m
-        self.world = World(model.exact, gripper_of(tool.shape), height, own.time_step_s, physics)
+        self.world = RolloutWorld(model.exact, gripper_of(tool.shape), height, own.time_step_s, physics)
         corners = model.exact.bounds[:, :2].abs().amax(0)
         outline = tool.shape.outline(0.005)
         self.reach = float(corners.norm()) + float(outline.norm(dim=-1).max()) + _MARGIN_M

@@ -1,6 +1,5 @@
 """Settings of the simulated sensors: which there are, and their errors."""
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -61,18 +60,3 @@ class SensorSettings(Checked, refusal=UsageError):
     def feels(self) -> bool:
         """Whether there are bubbles."""
         return self.kind in ("bubbles", "both")
-
-
-def degraded(kind: SensorKind) -> SensorSettings:
-    """Sensors with noise, a tenth of the images lost, 50 ms late, and calibrated to 2 mm and 1 degree."""
-    return SensorSettings(
-        kind=kind,
-        depth_noise_m=0.002,
-        bubble_noise_m=0.0005,
-        motion_noise_m=0.0005,
-        motion_noise_rad=math.radians(0.5),
-        lost=0.1,
-        late_s=0.05,
-        calibration_m=0.002,
-        calibration_rad=math.radians(1.0),
-    )

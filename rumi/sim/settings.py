@@ -2,11 +2,14 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from rumi.errors import UsageError
+from rumi.sim.error_settings import BuildSpread, PadErrors, ViewErrors
 from rumi.sim.sensor_settings import SensorSettings
-from sdf.bounds import Checked, Count, Positive
+from sdf.bounds import Checked, Count, Finite, NotNegative, Positive
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,16 @@ class SimSettings(Checked, refusal=UsageError):
             much, which rides with the object as its motion is measured; farther points refute no pose that the
             view leaves open.
         measures_motion: whether a slip sensor reports the object's motion.
+        robot: what moves the gripper: nothing ("gripper", which flies), or the "arm" that its reach is of, by inverse
+            kinematics and computed torque, whose links touch too.
+        cleared_by: what swept points are reported free: by the "truth" those of the whole gripper that lie farther
+            than `contact_m` outside of the true surface; by a "margin" those that lie deeper than that in the gripper.
+        stops_late_s: how much longer than `action_s` an action goes on at its speed.
+        tool_off_m: error of where the tool is taken to be, in a random direction, constant for a run.
+        tool_off_rad: error of its yaw.
+        view: what is wrong with the camera's views.
+        pads: what is wrong with pads that feel points.
+        build: how the object differs from what is known of it.
         sensors: through which the task reports; those of kind "points" know where the pads are near the true surface.
     """
 
@@ -48,6 +61,14 @@ class SimSettings(Checked, refusal=UsageError):
     free_fraction: float | None = None
     free_region_m: float = 0.10
     measures_motion: bool = True
+    robot: Annotated[Literal["gripper", "arm"], tyro.conf.arg(name="robot", prefix_name=False)] = "gripper"
+    cleared_by: Literal["truth", "margin"] = "truth"
+    stops_late_s: NotNegative = 0.0
+    tool_off_m: NotNegative = 0.0
+    tool_off_rad: NotNegative = 0.0
+    view: ViewErrors = field(default_factory=ViewErrors)
+    pads: PadErrors = field(default_factory=PadErrors)
+    build: BuildSpread = field(default_factory=BuildSpread)
     sensors: SensorSettings = field(default_factory=SensorSettings)
 
     def __post_init__(self) -> None:
@@ -66,6 +87,7 @@ class PhysicsSettings(Checked, refusal=UsageError):
     Attributes:
         mass_kg: of the object.
         friction: sliding friction of everything.
+        com_m: by which the object's centre of mass is off that of its even material, its own frame.
         gripper_mass_kg: inertia of the drive along x and y.
         gripper_inertia: inertia of the drive about z, kg m^2.
         bandwidth_hz: of the critically damped position servos.
@@ -82,6 +104,7 @@ class PhysicsSettings(Checked, refusal=UsageError):
 
     mass_kg: Positive = 0.35
     friction: Positive = 0.5
+    com_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     gripper_mass_kg: float = 10.0
     gripper_inertia: float = 0.1
     bandwidth_hz: float = 20.0

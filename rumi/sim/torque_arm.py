@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.sim.arm_calibration import Correction, Window, correction, free_motion, scale_masses
-from rumi.sim.arm_motion import ArmKinematics, JointPath
+from rumi.sim.arm_motion import HandDownKinematics, JointPath
 from rumi.sim.arm_scene import ARM_JOINTS, FINGERS, ArmPhysics, arm_xml, scene_xml
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.world import _import_mujoco
@@ -123,7 +123,7 @@ class TorqueArm:
         text = scene_xml(self.physics, half, height_m, self.settings.friction_nm)
         self.model: Any = self.mujoco.MjModel.from_xml_string(text)
         self.data: Any = self.mujoco.MjData(self.model)
-        self.kinematics = ArmKinematics(self.physics)
+        self.kinematics = HandDownKinematics(self.physics)
         self._place, self._dof = self._addresses(ARM_JOINTS)
         self._finger, self._finger_dof = self._addresses(FINGERS)
         self._box = int(self.model.joint("box").qposadr[0])

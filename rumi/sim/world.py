@@ -28,10 +28,14 @@ class Track(NamedTuple):
     Attributes:
         configuration: (K, Q), measured x, y, in space z, and yaw of the gripper.
         world_T_object: (K, 4, 4).
+        world_T_tool: (K, 4, 4), of a tool that a robot carries as well as it can; None where it is level.
+        refused_m: part of the way, metres, that the robot did not begin.
     """
 
     configuration: Float[Tensor, "K Q"]
     world_T_object: Float[Tensor, "K 4 4"]
+    world_T_tool: Float[Tensor, "K 4 4"] | None = None
+    refused_m: float = 0.0
 
 
 class World:
@@ -56,18 +60,24 @@ class World:
         self._mujoco = _import_mujoco()
         self.physics = physics or PhysicsSettings()
         self.body = shape if isinstance(shape, Body) else body_of(shape, self.physics)
-        self.model: Any = scene_model(self._mujoco, self.body, gripper, height_m, time_step_s, self.physics)
+        self.model: Any = self._compiled(gripper, height_m, time_step_s)
         self.data: Any = self._mujoco.MjData(self.model)
         self._object = int(self.model.joint("object").qposadr[0])
         self._object_speed = int(self.model.joint("object").dofadr[0])
         self._gripper = [int(self.model.joint(name).qposadr[0]) for name in self._axes(height_m)]
         self._object_body = int(self.model.body("object").id)
-        self._rest: np.ndarray | None = None
         self._apart: Any = None
+
+    def _compiled(self, gripper: GripperShape, height_m: float | None, time_step_s: float) -> Any:  # noqa: ANN401
+        """The scene as a MuJoCo model."""
+        return scene_model(self._mujoco, self.body, gripper, height_m, time_step_s, self.physics)
 
     @staticmethod
     def _axes(height_m: float | None) -> tuple[str, ...]:
         return ("x", "y", "z", "yaw") if height_m is None else ("x", "y", "yaw")
+
+    def seed(self, seed: int) -> None:
+        """Draw what the robot's own model and sensors have wrong; of a gripper that flies, nothing."""
 
     def reset(self, configuration: Float[Tensor, "Q"], object_pose: Float[Tensor, "*p"]) -> None:
         """Put the gripper and the object where they start, and let both settle.
@@ -81,7 +91,7 @@ class World:
             UsageError: the object tips over.
         """
         self._mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[self._gripper] = configuration.double().numpy()
+        self._stand(configuration)
         start = self._object
         if object_pose.ndim == 1:
             x, y, yaw = object_pose.tolist()
@@ -91,9 +101,8 @@ class World:
             quaternion = np.empty(4)
             self._mujoco.mju_mat2Quat(quaternion, object_pose[:3, :3].double().reshape(-1).numpy())
             self.data.qpos[start : start + 7] = (*object_pose[:3, 3].tolist(), *quaternion)
-        self.data.ctrl[:] = configuration.double().numpy()
         standing = self.world_T_object()[2, :3].clone()
-        self._mujoco.mj_step(self.model, self.data, nstep=round(_SETTLE_S / float(self.model.opt.timestep)))
+        self._hold(round(_SETTLE_S / float(self.model.opt.timestep)))
         self.data.qvel[:] = 0.0
         self.data.time = 0.0
         self._mujoco.mj_forward(self.model, self.data)
@@ -104,6 +113,15 @@ class World:
                 f"Expected the object to stand by itself, but it tipped by {tilt:.0f} degrees: say how it stands "
                 "(--upright ROLL PITCH YAW)"
             )
+
+    def _stand(self, configuration: Float[Tensor, "Q"]) -> None:
+        """Put the gripper somewhere, at rest."""
+        self.data.qpos[self._gripper] = configuration.double().numpy()
+        self.data.ctrl[:] = configuration.double().numpy()
+
+    def _hold(self, steps: int) -> None:
+        """Let time pass while the gripper stays where it is."""
+        self._mujoco.mj_step(self.model, self.data, nstep=steps)
 
     def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float) -> Track:
         """Drive the gripper through targets spread evenly over `action_s`, then hold; the last entry is after that."""
@@ -131,53 +149,6 @@ class World:
             self._mujoco.mj_step(self.model, self.data, nstep=max(1, round(hold_s / step_s)))
             states[-1] = position
         return Track(torch.from_numpy(states[:, self._gripper]), self._object_poses(states))
-
-    def states(self, configuration: Float[Tensor, "R Q"], object_pose: Float[Tensor, "R 3"]) -> np.ndarray:
-        """Physics states (R, S) with gripper and object at rest, the object at (x, y, yaw), settled into the floor."""
-        if self._rest is None:
-            away = torch.zeros(len(self._gripper))
-            away[0] = -3.0
-            self.reset(away, torch.zeros(3))
-            size = int(self._mujoco.mj_stateSize(self.model, self._mujoco.mjtState.mjSTATE_FULLPHYSICS))
-            rest = np.empty(size)
-            self._mujoco.mj_getState(self.model, self.data, rest, self._mujoco.mjtState.mjSTATE_FULLPHYSICS)
-            self._rest = rest
-        states = np.repeat(self._rest[None], len(object_pose), 0)
-        pose, place = object_pose.double().numpy(), 1 + self._object  # time comes first
-        states[:, place : place + 2] = pose[:, :2]
-        # upright but for what settling tilted it
-        states[:, place + 3], states[:, place + 6] = np.cos(0.5 * pose[:, 2]), np.sin(0.5 * pose[:, 2])
-        states[:, place + 4 : place + 6] = 0.0
-        states[:, [1 + index for index in self._gripper]] = configuration.double().numpy()
-        return states
-
-    def act(
-        self, states: np.ndarray, ways: np.ndarray, action_s: float, hold_s: float, threads: int
-    ) -> tuple[np.ndarray, Float[Tensor, "R 3"]]:
-        """Drive the gripper of every state along its own straight way, then hold.
-
-        Args:
-            states: (R, S), as `states` gives them.
-            ways: (R, 2, Q), configurations from where to where.
-            action_s: duration of the motion.
-            hold_s: of standing still after it.
-            threads: that step at once; the states are the same to the bit.
-
-        Returns:
-            states after, and the object's (x, y, yaw).
-        """
-        from mujoco import rollout
-
-        step_s = float(self.model.opt.timestep)
-        moving = round(action_s / step_s)
-        share = np.minimum(np.arange(1, moving + round(hold_s / step_s) + 1) / moving, 1.0)[None, :, None]
-        commands = ways[:, :1] + share * (ways[:, 1:] - ways[:, :1])
-        with rollout.Rollout(nthread=threads if threads > 1 else 0) as engine:
-            data = [self._mujoco.MjData(self.model) for _ in range(max(1, threads))]
-            found, _ = engine.rollout(self.model, data, states, commands)
-        last = found[:, -1].copy()
-        poses = self._object_poses(last[:, 1 : 1 + self.model.nq])
-        return last, se3.to_planar(poses)
 
     def place(self, world_T_object: Float[Tensor, "4 4"]) -> None:
         """Put the object somewhere else, at rest."""
@@ -245,10 +216,14 @@ class World:
         position = self._apart.qpos
         quaternion = np.empty(4)
         self._mujoco.mju_mat2Quat(quaternion, world_T_object[:3, :3].double().reshape(-1).numpy())
-        position[self._gripper] = configuration.double().numpy()
+        position[self._gripper] = self._joints(configuration)
         start = self._object
         position[start : start + 7] = (*world_T_object[:3, 3].tolist(), *quaternion)
         return self._apart
+
+    def _joints(self, configuration: Float[Tensor, "Q"]) -> np.ndarray:
+        """Positions of the robot's joints at a configuration of the tool."""
+        return configuration.double().numpy()
 
     def _object_poses(self, states: np.ndarray) -> Float[Tensor, "K 4 4"]:
         pose = torch.from_numpy(states[:, self._object : self._object + 7].copy())

@@ -19,7 +19,6 @@ from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.runs.folder import RunRecorder, load_run
 from rumi.runs.plain import plain
 from rumi.runs.progress import Progress
-from rumi.sim.sensor_settings import degraded
 from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.drawn_scenes import DRAWN
@@ -309,11 +308,6 @@ def test_flags_reach_the_settings():
 def test_former_names_are_told_and_taken(former, now, capsys):
     assert settings_of(*now.split()) == settings_of(*former.split())
     assert "now" in capsys.readouterr().err
-
-
-def test_degraded_stands_for_the_settings_of_the_sensors():
-    found = settings_of("mug-0", "--degraded", "--sensor", "both").simulator.sensors
-    assert found == degraded("both")
 
 
 def test_what_no_flag_stands_for_any_more_is_refused_with_what_to_write(capsys):

@@ -35,7 +35,7 @@ def made_up(policy, right, wrong, actions, count=10):
 @pytest.mark.usefixtures("at_home")
 def test_a_policy_is_ranked_beside_those_before(tmp_path, capsys, monkeypatch):
     short = {"steps": 3, "initialise.particles": 12, "initialise.starts": 40, "initialise.polished": 12}
-    monkeypatch.setattr(settings, "preset", lambda name, *, task: preset(name, task=task, **short))
+    monkeypatch.setattr(settings, "preset", lambda name, **asked: preset(name, **asked, **short))
     policy, board = tmp_path / "ahead.py", tmp_path / "board.jsonl"
     policy.write_text(AHEAD)
     before = Score("best", "", "mug-0", "default", [3], 1, 0, 4.0, 1.0)

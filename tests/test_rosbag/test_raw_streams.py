@@ -46,10 +46,10 @@ def pushed(sensors, path, lost=0):
 
 @pytest.mark.parametrize("degraded", [False, True])
 def test_bubbles_read_again_feel_the_same(degraded, tmp_path):
+    from rumi.sim.conditions import image_errors
     from rumi.sim.sensor_settings import SensorSettings
-    from rumi.sim.sensor_settings import degraded as worse
 
-    sensors = worse("bubbles") if degraded else SensorSettings("bubbles")
+    sensors = image_errors("bubbles") if degraded else SensorSettings("bubbles")
     live, _, mapping, _ = pushed(sensors, tmp_path / "log.h5")
     with Log(tmp_path / "log.h5") as log:
         made = make_readings(log, mapping)

@@ -10,7 +10,8 @@ from rumi import exit_codes
 from rumi.cli import main
 from rumi.errors import UsageError
 from rumi.runs.folder import load_run
-from rumi.sim.faults import FAULTS, parse_fault, resized
+from rumi.sim.faults import FAULTS, parse_fault
+from rumi.sim.reshaped import resized
 from rumi.tasks.rummage.build import faults_of, make_task
 from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset

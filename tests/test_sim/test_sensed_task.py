@@ -12,8 +12,10 @@ from rumi.commands.run import parse
 from rumi.errors import UsageError
 from rumi.robot.gripper import Ellipsoid, GripperShape, gripper_links
 from rumi.sim.bubble_camera import BubbleCamera
-from rumi.sim.sensor_settings import SensorSettings, degraded
+from rumi.sim.conditions import image_errors
+from rumi.sim.sensor_settings import SensorSettings
 from rumi.sim.settings import SimSettings
+from rumi.sim.view_faults import taken_pose
 from rumi.tasks.rummage.build import build_rummager, make_task
 from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import from_dict, preset, to_dict
@@ -66,7 +68,7 @@ def test_the_gripper_before_the_mug_is_not_taken_for_it(arm_tool, mug):
 def test_degraded_images_are_off_by_as_much_as_they_should_be(arm_tool, mug):
     off = {"camera": [], "bubbles": []}
     for kind, found in off.items():
-        task = task_with(arm_tool, mug, degraded(kind))
+        task = task_with(arm_tool, mug, image_errors(kind))
         for seed in (1000, 1001):
             task.reset(seed)
             found.append(distances(task.step(AHEAD), mug, Semantics.SURFACE))
@@ -93,7 +95,7 @@ def test_wrong_calibration_stays_for_a_run_and_is_as_large_as_said(arm_tool, mug
     pose = look_at(torch.tensor(camera.position).double(), target)
     for about, low, high in (("workspace", 0.0, 0.0021), ("sensor", 0.003, 0.016)):
         task.sensors = replace(sensors, turned_about=about)
-        taken = task._taken_pose(camera, pose)
+        taken = taken_pose(pose, first, task.sensors, camera.target)
         moved = se3.apply(taken @ se3.inverse(pose), target[None])[0]
         assert low <= float((moved - target).norm()) <= high
 
@@ -148,7 +150,7 @@ def test_a_run_does_not_know_of_the_run_before(arm_tool, mug, monkeypatch):
 
 
 def test_same_seed_same_bytes_and_another_seed_other_noise(arm_tool, mug):
-    task = task_with(arm_tool, mug, degraded("both"))
+    task = task_with(arm_tool, mug, image_errors("both"))
     runs = []
     for seed in (1000, 1000, 1001):
         first = task.reset(seed).reading.observation.points
@@ -198,7 +200,7 @@ def test_the_grippers_links_are_its_shape():
 
 
 def test_settings_and_flags():
-    faulty = preset(simulator=SimSettings(sensors=degraded("both")))
+    faulty = preset(simulator=SimSettings(sensors=image_errors("both")))
     assert from_dict(to_dict(faulty)) == faulty
     plain = parse(["mug-0", "--simulator.sensors.kind", "camera", "--simulator.sensors.lost", "0.2"])[2].settings
     assert plain.simulator.sensors == SensorSettings("camera", lost=0.2)

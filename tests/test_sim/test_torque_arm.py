@@ -11,7 +11,7 @@ pytestmark = pytest.mark.sim
 pytest.importorskip("mujoco")
 from rumi.errors import UsageError  # noqa: E402
 from rumi.robot.arm import Arm, ArmGeometry  # noqa: E402
-from rumi.sim.arm_motion import ArmKinematics, joint_path  # noqa: E402
+from rumi.sim.arm_motion import HandDownKinematics, joint_path  # noqa: E402
 from rumi.sim.arm_scene import ArmPhysics  # noqa: E402
 from rumi.sim.torque_arm import TorqueArm, TorqueSettings  # noqa: E402
 
@@ -47,7 +47,7 @@ def ready(settings: TorqueSettings, start: np.ndarray, friction: float = 0.4) ->
 def test_the_hand_is_where_the_urdf_of_the_arm_says() -> None:
     pytest.importorskip("pytorch_kinematics")
     physics = ArmPhysics(base=(0.2, -0.3, 0.7))
-    kinematics = ArmKinematics(physics)
+    kinematics = HandDownKinematics(physics)
     chain = Arm(ArmGeometry(tool_m=physics.hand_m).urdf())
     joints = np.random.default_rng(0).uniform(-1.5, 1.5, (5, 7))
     for row, base_T_tool in zip(joints, chain.forward(torch.from_numpy(joints)), strict=True):
@@ -57,7 +57,7 @@ def test_the_hand_is_where_the_urdf_of_the_arm_says() -> None:
 
 
 def test_the_jacobian_is_the_derivative_of_the_place() -> None:
-    kinematics = ArmKinematics(ArmPhysics())
+    kinematics = HandDownKinematics(ArmPhysics())
     joints = np.random.default_rng(1).uniform(-1.0, 1.0, 7)
     jacobian = kinematics.jacobian(joints)
     for index in range(7):
@@ -67,7 +67,7 @@ def test_the_jacobian_is_the_derivative_of_the_place() -> None:
 
 
 def test_inverse_kinematics_reaches_what_can_be_reached() -> None:
-    kinematics = ArmKinematics(ArmPhysics())
+    kinematics = HandDownKinematics(ArmPhysics())
     path = line((0.35, 0.2, 0.0), (0.55, 0.1, 0.0), 0.4, 9)
     joints = kinematics.follow(path)
     assert np.abs(joints).max() < max(ArmGeometry().limits_rad)

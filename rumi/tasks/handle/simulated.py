@@ -13,17 +13,21 @@ from torch import Tensor
 from rumi.robot.gripper import gripper_parts
 from rumi.robot.tool import Tool
 from rumi.seeding import split
+from rumi.sim.bodies import Body
+from rumi.sim.conditions import image_errors
 from rumi.sim.faults import Fault
 from rumi.sim.force_sensing_world import ForceSensingWorld, WrenchTrace
 from rumi.sim.joint_torques import JointFeeler
-from rumi.sim.sensor_settings import SensorKind, SensorSettings, degraded
-from rumi.sim.settings import SimSettings
+from rumi.sim.sensor_settings import SensorKind, SensorSettings
+from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
+from rumi.sim.view_faults import miscalibration
 from rumi.sim.world import Track
 from rumi.task import StepResult
 from rumi.tasks.grasp_table import Grasp
 from rumi.tasks.handle.gripper import HandleGripper
 from rumi.tasks.handle.settings import HandleSettings, task_of
+from rumi.tasks.rummage.free_region import region_of_prior
 from rumi.tasks.rummage.sensed import SensedTask
 from sdf import se3
 from sdf.object_model import ObjectModel
@@ -41,7 +45,7 @@ _GUARD = 2  # mini steps of silence before a contact, and at an action's end, th
 class HandleTask(SensedTask):
     """The scene, with those of the sensors that are switched on.
 
-    All images have the noise of `degraded` sensors, lost ones included, unless the settings ask for none. In every
+    All images have the errors of the conditions `lab`, lost ones included, unless the settings ask for none. In every
     variant the object's motion is measured, with noise, and where the rigid gripper has been is free: that takes no
     more than joint positions. Where the wrench or the joints say that nothing is touched, the gripper's skin is free
     too.
@@ -53,6 +57,8 @@ class HandleTask(SensedTask):
         cache_dir: folder that keeps what takes long.
         faults: what goes wrong.
     """
+
+    world: ForceSensingWorld
 
     def __init__(
         self,
@@ -66,15 +72,11 @@ class HandleTask(SensedTask):
         own = settings.sensors
         spec = task_of(settings)
         kind: SensorKind = "bubbles" if "bubbles" in own else "camera"
-        sensors = SensorSettings(kind) if settings.noise_free else degraded(kind)
+        sensors = SensorSettings(kind) if settings.noise_free else image_errors(kind)
         simulator = SimSettings(sensors=sensors, free_region_m=settings.free_region_m)
         super().__init__(spec, simulator, tool, model, cache_dir=cache_dir, faults=faults)
         self.fused = settings
         self._drawn = spec
-        self._kind = ForceSensingWorld
-        self.world: ForceSensingWorld = ForceSensingWorld(
-            self.world.body, self.shape, spec.height_m, simulator.time_step_s, spec.physics
-        )
         shape, wrist = self.shape, settings.wrist
         ahead = torch.tensor([wrist.behind_m, 0.0, 0.0], dtype=torch.float64)
         self._parts = gripper_parts(shape, ahead)
@@ -85,6 +87,9 @@ class HandleTask(SensedTask):
         self._wrist_off = se3.identity().double()
         self.gripper = HandleGripper(self.model.exact, self.world.body, spec.physics)
 
+    def _world(self, body: Body, physics: PhysicsSettings) -> ForceSensingWorld:
+        return ForceSensingWorld(body, self.shape, self.spec.height_m, self.settings.time_step_s, physics)
+
     def reset(self, seed: int) -> StepResult:
         """Put the mug where the seed has it and return the first look; without a camera it shows nothing."""
         self.spec = replace(self._drawn, start=self.drawn(seed))
@@ -92,7 +97,7 @@ class HandleTask(SensedTask):
         if self._joints is not None:
             self._joints.seed(split(seed, "joints"))
         result = super().reset(seed)
-        self._wrist_off = self._miscalibration(split(seed, "wrist calibration")).double()
+        self._wrist_off = miscalibration(self.sensors, split(seed, "wrist calibration")).double()
         return result
 
     def drawn(self, seed: int) -> tuple[float, float, float]:
@@ -126,7 +131,7 @@ class HandleTask(SensedTask):
     def _view(self) -> Observation:
         if "camera" in self.fused.sensors:
             return super()._view()
-        self._region = self._region_of_prior()
+        self._region = region_of_prior(self.spec, self.model)
         return Observation.empty()
 
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> ContactReading:

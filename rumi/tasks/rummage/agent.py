@@ -95,6 +95,7 @@ class Rummager:
         upright: whether the object is expected to stand as it did at first.
         looks_again: whether a camera sees the object after every action too.
         sensors: what the robot senses by, for people.
+        conditions: what a simulated robot lacks, for people; empty for another.
         remarks: whether steps are remarked on.
         pushes: prior over push parameters, which plans draw and measured motions teach; None where they are fixed.
         about: what a run's folder tells of the settings.
@@ -120,6 +121,7 @@ class Rummager:
     upright: bool = True
     looks_again: bool = False
     sensors: str = "a first view, felt points"
+    conditions: str = ""
     remarks: bool = True
     pushes: PushPosterior | None = None
     about: Mapping[str, Any] = field(default_factory=dict, compare=False)

@@ -62,6 +62,8 @@ class Answerer(Protocol):
     @property
     def sensors(self) -> str: ...  # noqa: D102
     @property
+    def conditions(self) -> str: ...  # noqa: D102
+    @property
     def looks_again(self) -> bool: ...  # noqa: D102
 
 
@@ -70,7 +72,8 @@ def relies_on(rummager: Answerer) -> str:
     motion = rummager.filter.settings.motion
     moved = "measured" if motion == "measured" else f"not measured, {_TAKEN[motion]}"
     reach = "none" if rummager.tool.reach is None else rummager.tool.reach.words
-    return f"motion: {moved}; reach: {reach}; push model: {_pushed_by(rummager)}; sensors: {rummager.sensors}"
+    known = f"motion: {moved}; reach: {reach}; push model: {_pushed_by(rummager)}; sensors: {rummager.sensors}"
+    return known + (f"; conditions: {rummager.conditions}" if rummager.conditions else "")
 
 
 def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[str, ...]:

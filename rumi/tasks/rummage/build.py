@@ -23,7 +23,9 @@ from rumi.planning.policy import Policy
 from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
+from rumi.sim.conditions import words as conditions_of
 from rumi.sim.faults import Fault, Stale, parse_fault
+from rumi.sim.robot_arm import RobotArm
 from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager
@@ -73,7 +75,8 @@ def build(
     task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model, faults=faults)
     if device.type != "cpu" or dtype != torch.float32:
         task = TaskOnDevice(task, device, dtype)
-    return Parts(task, replace(build_rummager(spec, settings, model, tool), steps=spec.steps))
+    said = conditions_of(settings.simulator, settings.conditions)
+    return Parts(task, replace(build_rummager(spec, settings, model, tool), steps=spec.steps, conditions=said))
 
 
 def make_task(
@@ -84,6 +87,7 @@ def make_task(
     tool: Tool | None = None,
     model: ObjectModel | None = None,
     faults: Sequence[Fault] = (),
+    arm: RobotArm | None = None,
 ) -> SimTask:
     """Simulate a task; needs MuJoCo.
 
@@ -94,14 +98,15 @@ def make_task(
         tool: made before by `make_tool`; None makes one.
         model: made before by the task's `object_factory`; None makes one.
         faults: what goes wrong.
+        arm: that carries the gripper; None for that of `settings.robot`.
     """
     spec = find_task(spec) if isinstance(spec, str) else spec
     settings = settings or SimSettings()
     tool = tool if tool is not None else make_tool(spec, settings, cache_dir=cache_dir)
     model = model if model is not None else spec.object_factory()
     if settings.sensors.kind != "points":
-        return SensedTask(spec, settings, tool, model, cache_dir=cache_dir, faults=faults)
-    return SimTask(spec, settings, tool, model, cache_dir=cache_dir, faults=faults)
+        return SensedTask(spec, settings, tool, model, cache_dir=cache_dir, faults=faults, arm=arm)
+    return SimTask(spec, settings, tool, model, cache_dir=cache_dir, faults=faults, arm=arm)
 
 
 def build_rummager(

@@ -17,11 +17,11 @@ from rumi.runs.folder import Run, RunRecorder, write_json
 from rumi.runs.logbook import LOG, LogRecorder
 from rumi.runs.progress import say, stages
 from rumi.runs.provenance import provenance
-from rumi.sim.sensor_settings import SensorSettings
 from rumi.task import Task
 from rumi.tasks.registry import Role, check_seed
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.drawn_scenes import DRAWN
+from rumi.tasks.rummage.idle_errors import check_errors
 from rumi.tasks.rummage.objects import record
 from rumi.tasks.rummage.raw_streams import RawStreams
 from rumi.tasks.rummage.scenes import SCENES, TaskSpec
@@ -49,9 +49,10 @@ class RummageTask:
         return preset(name, task=self.spec.name)
 
     def label(self, settings: Settings) -> str:
-        """Task, object, method, preset and seed."""
+        """Task, object, method, preset, conditions other than ideal, and seed."""
         own = "" if settings.object.mesh is None else f"-{Path(settings.object.mesh).stem}"
-        return f"{settings.task}{own}-{settings.method}-{settings.preset}-s{settings.seed}"
+        under = "" if settings.conditions == "ideal" else f"-{settings.conditions}"
+        return f"{settings.task}{own}-{settings.method}-{settings.preset}{under}-s{settings.seed}"
 
     def check(self, settings: Settings) -> Sequence[str]:
         """Refuse more actions than the scene allows, and a device that is not there."""
@@ -60,14 +61,7 @@ class RummageTask:
             raise UsageError(
                 f"Expected steps to be at most the {self.spec.steps} of {self.spec.name}, got {settings.steps}"
             )
-        sensors = settings.simulator.sensors
-        if sensors.kind == "points" and sensors != SensorSettings(
-            further=sensors.further, wrist_force=sensors.wrist_force, wrist_noise_n=sensors.wrist_noise_n
-        ):
-            raise UsageError(
-                "Expected --simulator.sensors.kind camera, bubbles or both with other settings of the sensors, "
-                "got points"
-            )
+        check_errors(self.spec, settings)
         _ = settings.torch_device
         if settings.fault:
             from rumi.tasks.rummage.build import faults_of
@@ -75,7 +69,10 @@ class RummageTask:
             faults_of(self.spec, settings)
         if settings.object.mesh is None:
             return ()
-        return (f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)",)
+        notes = [f"reading {settings.object.mesh} (a minute or two at first; what was worked out is kept)"]
+        if settings.simulator.build.scale or settings.simulator.build.worn_m:
+            notes.append("a mesh is simulated as it is given: neither its scale nor wear is drawn")
+        return notes
 
     def steps(self, settings: Settings) -> int:
         """Actions at most."""
@@ -120,7 +117,7 @@ class RummageTask:
     def role(self, name: str) -> Role:
         """What a setting is to a replay."""
         first = name.partition(".")[0]
-        if first in ("task", "simulator", "tool_height_m", "fault"):
+        if first in ("task", "conditions", "simulator", "tool_height_m", "fault"):
             return "sensed"
         idle = ("method", "preset", "replan_every", "plan_budget_s", "planner", "slide", "gpvr")
         return "idle" if first in idle else "counted"

@@ -10,14 +10,16 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from rumi.errors import UsageError
-from rumi.robot.gripper import gripper_links
 from rumi.robot.tool import Tool
 from rumi.sim.bubble_camera import BubbleCamera
 from rumi.sim.faults import Fault
+from rumi.sim.robot_arm import RobotArm
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
+from rumi.sim.view_faults import holed, miscalibration, taken_pose
 from rumi.sim.world import Track
 from rumi.task import StepResult
+from rumi.tasks.rummage.free_region import region_about, region_unseen
 from rumi.tasks.rummage.raw_streams import RawStreams
 from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
 from rumi.tasks.rummage.simulated import SimTask
@@ -28,7 +30,6 @@ from sensors.reading import Reading
 from sensors.semantics import Semantics
 from sensors.touch.bubble import Bubble, bubble_patch
 from sensors.vision.camera import look_at, pinhole, pixel_rays
-from sensors.vision.robot_body import RobotBody
 from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
 
 _LOOK_S = 0.4
@@ -56,6 +57,7 @@ class SensedTask(SimTask):
         physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes.
         faults: what goes wrong.
+        arm: that carries the gripper; None for that of `settings.robot`.
 
     Raises:
         UsageError: the task has no camera.
@@ -71,15 +73,12 @@ class SensedTask(SimTask):
         *,
         cache_dir: Path | None = None,
         faults: Sequence[Fault] = (),
+        arm: RobotArm | None = None,
     ) -> None:
         if spec.camera is None:
             raise UsageError(f"{spec.name} has no camera: only tasks with one report through other sensors than points")
-        super().__init__(spec, settings, tool, model, physics, cache_dir=cache_dir, faults=faults)
+        super().__init__(spec, settings, tool, model, physics, cache_dir=cache_dir, faults=faults, arm=arm)
         self.sensors = sensors = settings.sensors
-        links = gripper_links(self.shape)
-        self._links = RobotBody(links)
-        deep = torch.stack([link.distance(self._body) for link in links]).amin(0) < -settings.contact_m
-        self._inner = self._body[deep]
         self._bubbles = [BubbleCamera(self.shape, pad, sensors.membrane_m) for pad in range(2) if sensors.feels]
         self._believed: list[Bubble] = []
         self._off = se3.identity()
@@ -90,12 +89,12 @@ class SensedTask(SimTask):
     def reset(self, seed: int) -> StepResult:
         """Put everything at its start and return the first look; the seed draws noise and errors of calibration."""
         self._generator.manual_seed(seed)
-        self._off = self._miscalibration(self._generator)
+        self._off = miscalibration(self.sensors, self._generator)
         self._believed = [
             Bubble.of(
                 _seen(bubble.rest, 0.0, self._generator).float(),
                 bubble.intrinsics.float(),
-                bubble.tool_T_camera.float() @ self._miscalibration(self._generator),
+                bubble.tool_T_camera.float() @ miscalibration(self.sensors, self._generator),
             )
             for bubble in self._bubbles
         ]
@@ -107,30 +106,28 @@ class SensedTask(SimTask):
     def _looks_again(self) -> bool:
         return self.sensors.looks or super()._looks_again
 
-    def _miscalibration(self, generator: torch.Generator) -> Float[Tensor, "4 4"]:
-        """taken_T_true of a sensor's frame."""
-        place, axis = torch.randn(2, 3, generator=generator)
-        place, axis = (torch.nn.functional.normalize(part, dim=0) for part in (place, axis))
-        return se3.exp(torch.cat((self.sensors.calibration_m * place, self.sensors.calibration_rad * axis)))
-
     def _view(self) -> Observation:
         """What the camera sees while nothing moves; the first look sets the region of free points for touch."""
         seen = self._looked()
         surface = seen.points[seen.of_class(Semantics.SURFACE)]
         if self._steps == 0:
-            self._region = self._region_about(surface) if len(surface) else self._region_unseen()
+            self._region = (
+                region_about(surface, self.spec, self.settings)
+                if len(surface)
+                else region_unseen(self.spec, self.model)
+            )
             self.raw.about(self._region)
         return seen
 
     def _looked(self) -> Observation:
-        camera = self.spec.camera
+        camera = self._camera()
         assert camera is not None
         intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad)
         pose = look_at(torch.tensor(camera.position).double(), torch.tensor(camera.target).double())
         depth, color = self._frame(camera, pose)
-        taken = self._taken_pose(camera, pose).float()
-        body = self.tool.pose(self.world.configuration().float()[None]).expand(len(self._links.links), 4, 4)
-        count, tool_pose = self._look_frames, self.tool.pose(self.world.configuration().float())
+        taken = taken_pose(pose, self._off, self.sensors, camera.target).float()
+        count, tool_pose = self._look_frames, self.tool.pose(self._configuration())
+        body = tool_pose.expand(len(self._links.links), 4, 4)
         most = count * (_LOOKS if self._steps == 0 else 1)
         if self._steps == 0:
             rest, mounts = ([getattr(b, name) for b in self._believed] for name in ("rest", "tool_T_camera"))
@@ -140,13 +137,14 @@ class SensedTask(SimTask):
             index += 1
             noise = math.hypot(self.sensors.depth_noise_m, self.spec.depth_noise_m)
             image = _seen(depth, noise, self._generator).float()
+            image = holed(image, self.settings.view, self._view_faults.generator)
             lost = self._lost()
             self.raw.frame(index, None if lost else image, color, tool_pose)
             if lost:
                 continue
             if index >= count - 2:
                 # the lasting points of these frames say where free ones matter
-                bounds = self._region_about(last.points) if len(last) else None
+                bounds = region_about(last.points, self.spec, self.settings) if len(last) else None
             view = view_observation(
                 Image(image, intrinsics, color, stamp=index / self.sensors.frame_rate_hz),
                 taken,
@@ -177,14 +175,6 @@ class SensedTask(SimTask):
         shape = (camera.height, camera.width)
         return depth.reshape(shape), color.reshape(*shape, 3)
 
-    def _taken_pose(self, camera: CameraSpec, pose: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
-        """Where the camera is taken to be."""
-        off = self._off.double()
-        if self.sensors.turned_about == "sensor":
-            return pose @ off
-        about = se3.make(torch.eye(3, dtype=torch.float64), torch.tensor(camera.target).double())
-        return about @ off @ se3.inverse(about) @ pose
-
     def _lost(self) -> bool:
         return float(torch.rand((), generator=self._generator)) < self.sensors.lost
 
@@ -196,7 +186,7 @@ class SensedTask(SimTask):
         noise = torch.randn(3, generator=self._generator, dtype=torch.float64)
         noise = noise * torch.tensor((shift, shift, turn), dtype=torch.float64)
         measured = measured_motion(before, motion, noise).float() if self._measures else None
-        configuration = track.configuration.float()
+        configuration = self._offset.taken(track.configuration).float()
         tool_pose = self.tool.pose(configuration)
         parts, instants, in_contact = self._felt_by_bubbles(track, tool_pose)
         self.raw.moved(tool_pose)
@@ -221,11 +211,12 @@ class SensedTask(SimTask):
         parts: list[Observation] = []
         instants: list[Tensor] = []
         in_contact = torch.zeros(len(tool_pose), dtype=torch.bool)
-        near = self._near(track, tool_pose) if self._bubbles else []
+        true_pose = self._true_pose(track)
+        near = self._near(track, true_pose) if self._bubbles else []
         for index in range(len(tool_pose)):
             taken = max(0, index - self._late)  # the image that arrives now
             for which in range(len(self._bubbles)):
-                image = self._image(self._bubbles[which], track, tool_pose, taken, near[taken])
+                image = self._image(self._bubbles[which], track, true_pose, taken, near[taken])
                 if image is not None:
                     self.raw.bubble(which, index, image)
                     patch = bubble_patch(self._believed[which], image, tool_pose[index])
@@ -239,7 +230,7 @@ class SensedTask(SimTask):
         pads = torch.tensor(self.shape.pad_centers).double()
         there = se3.apply(se3.inverse(track.world_T_object) @ tool_pose.double(), pads.expand(len(tool_pose), -1, 3))
         with torch.no_grad():
-            away = self.model.exact.distance(there.float()).amin(-1)
+            away = self._true.distance(there.float()).amin(-1)
         near: list[bool] = (away < max(self.shape.pad_m) + self.sensors.membrane_m + _NEAR_M).tolist()
         return near
 

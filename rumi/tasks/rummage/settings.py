@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import torch
 import tyro
@@ -20,11 +20,16 @@ from rumi.planning.slide import SlideSettings
 from rumi.registration.descent import DescentSettings
 from rumi.runs.json_settings import changed, dataclass_of, not_numbers
 from rumi.runs.plain import plain
+from rumi.sim.conditions import Conditions, bundle, under
 from rumi.sim.faults import Faults
 from rumi.sim.settings import SimSettings
+from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.objects import ObjectSettings
 
 Preset = Literal["default", "fast", "paper"]
+
+DRAWN_CONDITIONS: Conditions = "lab"
+"""The conditions of the tasks whose scene the seed draws, where none are asked for; of all others they are ideal."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,9 @@ class Settings:
         gpvr: the process of the methods gpvr and gpvr-greedy, which plan by `planner`.
         stop: when the belief is sure enough.
         misfit: when a reading fits no pose that is believed, and what is done then.
+        conditions: bundle of what sensors lack and of how far the scene is off what is known of it, from which the
+            settings of the simulator start: "ideal" lacks nothing. `rumi.sim.conditions.MEMBERS` has its numbers, each
+            of which is a setting of its own too.
         simulator: how the simulator steps and what its sensors report.
         object: the object to find, where that is not the task's own.
         fault: what goes wrong in simulation, KIND[:SIZE][@STEP], once for each: the kinds are rows of
@@ -77,6 +85,7 @@ class Settings:
     gpvr: GPVRSettings = field(default_factory=GPVRSettings)
     stop: StopSettings = field(default_factory=StopSettings)
     misfit: MisfitSettings = field(default_factory=MisfitSettings)
+    conditions: Conditions = "ideal"
     simulator: SimSettings = field(default_factory=SimSettings)
     object: Annotated[ObjectSettings, tyro.conf.arg(name="")] = field(default_factory=ObjectSettings)
     fault: Faults = ()
@@ -85,6 +94,7 @@ class Settings:
         for name, valid in (("method", tuple(POLICIES)), ("preset", tuple(PRESETS)), ("device", ("cpu", "cuda"))):
             if getattr(self, name) not in valid:
                 raise UsageError(f"There is no {name} {getattr(self, name)!r}; there are {', '.join(valid)}")
+        bundle(self.conditions)
         if self.seed < 0:
             raise UsageError(f"Expected seed to be 0 or more, got {self.seed}")
         if self.steps is not None and self.steps < 0:
@@ -120,14 +130,26 @@ def preset(name: str = "default", **changes: Any) -> Settings:  # noqa: ANN401  
 
     Args:
         name: of the preset.
-        changes: settings to give another value (`rumi.runs.json_settings.changed`), such as `task` and `seed`.
+        changes: settings to give another value (`rumi.runs.json_settings.changed`), such as `task` and `seed`;
+            `conditions` before all others.
 
     Raises:
         UsageError: there is no such preset or setting; the message lists them.
     """
     if name not in PRESETS:
         raise UsageError(f"There is no preset {name!r}; the presets are {', '.join(PRESETS)}")
-    return changed(PRESETS[name](), changes)
+    start = PRESETS[name]()
+    usual = DRAWN_CONDITIONS if changes.get("task", start.task) in DRAWN else "ideal"
+    return changed(under_conditions(start, changes.get("conditions", usual)), changes)
+
+
+def under_conditions(settings: Settings, conditions: str) -> Settings:
+    """Settings with all members of a condition in place of their own.
+
+    Raises:
+        UsageError: there is no such condition.
+    """
+    return replace(settings, conditions=cast(Conditions, conditions), simulator=under(settings.simulator, conditions))
 
 
 def to_dict(settings: Settings) -> dict[str, Any]:

@@ -12,29 +12,36 @@ from torch import Tensor
 
 from rumi.belief.prior import lying
 from rumi.errors import UsageError
-from rumi.robot.gripper import gripper_of
+from rumi.robot.gripper import gripper_links, gripper_of
 from rumi.robot.tool import Tool
 from rumi.seeding import split
-from rumi.sim.bodies import body_of
+from rumi.sim.arm_world import ArmWorld
+from rumi.sim.bodies import Body, body_of
+from rumi.sim.error_settings import BuildSpread, PadErrors
 from rumi.sim.faults import Fault, Hand
 from rumi.sim.force_sensing_world import ForceSensingWorld
+from rumi.sim.object_build import Build
+from rumi.sim.pad_faults import PadFaults
+from rumi.sim.robot_arm import RobotArm
 from rumi.sim.sensors import measure
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
+from rumi.sim.tool_offset import ToolOffset
+from rumi.sim.view_faults import ViewFaults, taken_pose
 from rumi.sim.world import Track, World
 from rumi.sim.wrist_force import wrist_force
 from rumi.task import StepResult
-from rumi.tasks.rummage.scenes import TaskSpec
+from rumi.tasks.rummage.free_region import floor_points, region_about, region_of_prior, region_unseen
+from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, concatenate
-from sensors.reading import FORCE, Reading
-from sensors.semantics import Semantics
+from sensors.reading import FORCE, TORQUE_CONTACT, Reading
 from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
-from sensors.vision.camera import depth_observation, look_at, pinhole, pixel_rays
+from sensors.vision.camera import depth_observation, look_at, pinhole, pixel_points, pixel_rays
+from sensors.vision.robot_body import RobotBody
 
-# standard deviations of the prior up to which free points are reported
-_SPREADS = 4.0
+_CUT_M = 0.010  # about the floor and the gripper, within which what a wrong mask shows is not taken for the object
 
 
 class SimTask:
@@ -51,6 +58,7 @@ class SimTask:
         physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes; None keeps nothing.
         faults: what goes wrong.
+        arm: that carries the gripper; None for that of `settings.robot`.
 
     Raises:
         UsageError: the simulator cannot build the object, or it does not stand by itself.
@@ -66,22 +74,31 @@ class SimTask:
         *,
         cache_dir: Path | None = None,
         faults: Sequence[Fault] = (),
+        arm: RobotArm | None = None,
     ) -> None:
         for fault in faults:
             model = fault.shaped(model)
         self.spec, self.settings, self.tool, self.model, self.faults = spec, settings, tool, model, tuple(faults)
         physics = physics or spec.physics
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
-        height = None if spec.spatial else spec.height_m
         self.shape = shape = gripper_of(tool.shape)
-        self._kind: type[World] = ForceSensingWorld if settings.sensors.wrist_force else World
-        self.world = self._kind(body, shape, height, settings.time_step_s, physics)
+        self._arm = arm
+        if settings.robot == "arm" and arm is None:
+            self._arm = RobotArm.standard(spec.base, spec.base_below_m)
+        self.world = self._world(body, physics)
+        self._plain, self._true = (body, physics), model.exact
+        self._cache_dir = cache_dir
+        Build.thinnest(settings.build).shape(model.exact)
         self._scene = spec
         # what cannot stand is refused before anything begins
         self.world.reset(torch.tensor(spec.tool_start), self._start())
         self._pads = shape.pad_shell(settings.pad_spacing_m).float()
         self._felt_at = self._pads + spec.felt_ahead_m * shape.pad_normals(self._pads)
         self._body = shape.volume(settings.body_spacing_m).float()
+        self._links = RobotBody(gripper_links(shape))
+        deep = torch.stack([link.distance(self._body) for link in self._links.links]).amin(0) < -settings.contact_m
+        self._inner = self._body[deep]
+        self._draw_errors(0)
         self._generator = torch.Generator()
         self._further_noise = split(0, "further sensors")
         self._region = torch.zeros(2, 3)
@@ -98,18 +115,15 @@ class SimTask:
         self._generator.manual_seed(seed)
         self._further_noise = split(seed, "further sensors")
         self._scene = self.spec.drawn(seed)
-        if self.spec.draw is not None or self.faults:
-            physics = self.world.physics
-            if self.spec.draw is not None:
-                own = self._scene.physics
-                physics = replace(physics, mass_kg=own.mass_kg, friction=own.friction)
-            height = None if self.spec.spatial else self.spec.height_m
-            self.world = self._kind(self.world.body, self.shape, height, self.settings.time_step_s, physics)
+        self._draw_errors(seed)
+        if self.spec.draw is not None or self.faults or self.settings.build != BuildSpread():
+            self.world = self._built(seed)
+        self.world.seed(seed)
         self.world.reset(torch.tensor(self.spec.tool_start), self._start())
         self._attached, self._steps = se3.identity(), 0
         self._views = []
         observation = self._looked_at()
-        configuration = self.world.configuration().float()
+        configuration = self._configuration()
         still = se3.identity((1,)) if self._measures else None
         reading = Reading(
             observation,
@@ -122,11 +136,47 @@ class SimTask:
         )
         return StepResult(reading, self.world.world_T_object().float())
 
+    def _world(self, body: Body, physics: PhysicsSettings) -> World:
+        """The scene with the robot of the settings."""
+        spec, settings = self.spec, self.settings
+        height = None if spec.spatial else spec.height_m
+        if self._arm is None:
+            kind = ForceSensingWorld if settings.sensors.wrist_force else World
+            return kind(body, self.shape, height, settings.time_step_s, physics)
+        if settings.sensors.wrist_force:
+            raise UsageError("Expected --robot gripper with a wrist's force sensor, which the arm does not carry")
+        world = ArmWorld(body, self.shape, height, settings.time_step_s, physics, arm=self._arm)
+        world.pads_touch = lambda object_T_tool: bool(self._felt(object_T_tool[None].float()).any())
+        return world
+
+    def _draw_errors(self, seed: int) -> None:
+        """Draw what is wrong with the robot of a run, each from a stream of its own."""
+        own = self.settings
+        self._offset = ToolOffset.drawn(own.tool_off_m, own.tool_off_rad, spatial=self.spec.spatial, seed=seed)
+        self._pad_faults = PadFaults(own.pads, self._pads, seed)
+        self._view_faults = ViewFaults.drawn(own.view, own.sensors, seed)
+
+    def _built(self, seed: int) -> World:
+        """The world with the object as the seed has it."""
+        body, physics = self._plain
+        if self.spec.draw is not None:
+            physics = replace(physics, mass_kg=self._scene.physics.mass_kg, friction=self._scene.physics.friction)
+        if self.settings.build != BuildSpread():
+            build = Build.drawn(self.settings.build, seed)
+            physics, self._true = build.physics(physics), build.shape(self.model.exact)
+            if self._true is not self.model.exact:
+                body = body_of(self._true, physics, cache_dir=self._cache_dir)
+        return self._world(body, physics)
+
+    def _configuration(self) -> Float[Tensor, "Q"]:
+        """Where the robot takes its tool to be."""
+        return self._offset.taken(self.world.configuration()).float()
+
     def _start(self) -> Tensor:
         """Where the object starts, as `World.reset` takes it."""
         start = torch.tensor(self._scene.start, dtype=torch.float32)
         if self._scene.start_up != "z" or self._scene.prior is not None:
-            return se3.from_planar(start) @ lying(self.model.exact.bounds.float(), self._scene.start_up)
+            return se3.from_planar(start) @ lying(self._true.bounds.float(), self._scene.start_up)
         return start
 
     def step(self, control: Float[Tensor, "A"]) -> StepResult:
@@ -139,25 +189,31 @@ class SimTask:
             UsageError: before `reset`, after the task's last step, or if the control is not as many finite numbers.
         """
         control = self._checked(control)
-        start = self.world.configuration().float()
+        start, late_s = self._configuration(), self.settings.stops_late_s
         path = self.tool.free_path(start, control[None], self.settings.mini_steps)
         refused = (start + control * self.tool.scale - path[-1])[:-1].norm()
         assert self._steps is not None
         self._steps += 1
         for fault in self.faults:
             if fault.step == self._steps:
-                fault.strike(self.world, self.model.exact, self._hand())
+                fault.strike(self.world, self._true, self._hand())
         before = self.world.world_T_object()
-        track = self.world.move(path, self.settings.action_s, self.settings.hold_s)
-        reading = self._sense(before, track, refused)
+        if late_s > 0:
+            farther = control[None] * (1.0 + late_s / self.settings.action_s)
+            path = self.tool.free_path(start, farther, self.settings.mini_steps)
+        track = self.world.move(self._offset.true(path), self.settings.action_s + late_s, self.settings.hold_s)
+        reading = self._sense(before, track, refused + track.refused_m)
         for fault in self.faults:
             if fault.step <= self._steps:
                 reading = fault.felt(reading, self._hand(), self._steps)
         sensors = self.settings.sensors
-        if sensors.further or sensors.wrist_force:
-            measured = measure(sensors.further, self.world, track, reading.tool_pose, self._further_noise)
+        if sensors.further or sensors.wrist_force or self._arm is not None:
+            where = reading.tool_pose if self._offset.none else self._true_pose(track)
+            measured = measure(sensors.further, self.world, track, where, self._further_noise)
             if isinstance(self.world, ForceSensingWorld) and self.world.trace is not None:
                 measured[FORCE] = wrist_force(self.world.trace, sensors.wrist_noise_n, self._further_noise)
+            if isinstance(self.world, ArmWorld):
+                measured[TORQUE_CONTACT] = self.world.signals.float()[:, None]
             reading = replace(reading, measurements=measured)
         if self._looks_again:
             reading = self._seen_again(reading)
@@ -193,19 +249,25 @@ class SimTask:
 
     def _view(self) -> Observation:
         """What the camera sees now: surface points of the object and free points about it."""
-        camera = self.spec.camera
+        camera = self._camera()
         if camera is None:
-            self._region = self._region_of_prior()
-            return Observation.empty() if self.spec.search == "SE(2)" else self._floor()
+            self._region = region_of_prior(self.spec, self.model)
+            return Observation.empty() if self.spec.search == "SE(2)" else floor_points(self._region, self.spec)
         intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad)
         world_T_camera = look_at(torch.tensor(camera.position), torch.tensor(camera.target))
+        sensors = self.settings.sensors
+        if sensors.calibration_m or sensors.calibration_rad:
+            true = world_T_camera.double()
+            world_T_camera = taken_pose(true, self._view_faults.off, sensors, camera.target).float()
         depth, is_object = self.depth_image()
+        if self.settings.view.mask_px:
+            is_object = self._cut(depth, is_object, intrinsics, world_T_camera)
         surface = depth_observation(depth, intrinsics, world_T_camera, is_object).points
         if len(surface) == 0:
             if self._steps == 0:
-                self._region = self._region_unseen()
+                self._region = region_unseen(self.spec, self.model)
             return Observation.empty()
-        self._region = self._region_about(surface)
+        self._region = region_about(surface, self.spec, self.settings)
         return depth_observation(
             depth,
             intrinsics,
@@ -217,9 +279,35 @@ class SimTask:
             free_fraction=self.settings.free_fraction,
         )
 
-    def depth_image(self) -> tuple[Float[Tensor, "H W"], Tensor]:
-        """Depth (H, W), metres, infinite where nothing is met; and where it shows the object (H, W)."""
+    def _camera(self) -> CameraSpec | None:
+        """The camera where it stands in this run, which is known."""
         camera = self.spec.camera
+        if camera is None or self.settings.view.eye_m == 0:
+            return camera
+        x, y, z = (torch.tensor(camera.position).double() + self._view_faults.eye_m).tolist()
+        return replace(camera, position=(x, y, z))
+
+    def _cut(
+        self,
+        depth: Float[Tensor, "H W"],
+        mask: Bool[Tensor, "H W"],
+        intrinsics: Float[Tensor, "3 3"],
+        world_T_camera: Float[Tensor, "4 4"],
+    ) -> Bool[Tensor, "H W"]:
+        """A mask without what shows the floor or the gripper, whose places the robot knows."""
+        shown = mask & torch.isfinite(depth) & (depth > 0)
+        points = se3.apply(world_T_camera, pixel_points(depth, shown, intrinsics))
+        tool = self.tool.pose(self._configuration()[None]).expand(len(self._links.links), 4, 4)
+        kept = mask.clone()
+        kept[shown] = (points[:, 2] > _CUT_M) & ~self._links.near(points, tool, _CUT_M)
+        return kept
+
+    def depth_image(self) -> tuple[Float[Tensor, "H W"], Bool[Tensor, "H W"]]:
+        """Depth (H, W), metres, infinite where nothing is met, 0 where nothing is known; and the object's mask (H, W).
+
+        Both with the errors of the camera.
+        """
+        camera = self._camera()
         if camera is None:
             raise UsageError(f"Expected a task with a camera, got {self.spec.name}")
         intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad, dtype=torch.float64)
@@ -231,7 +319,8 @@ class SimTask:
             noise = torch.randn(depth.shape, generator=self._generator, dtype=depth.dtype)
             depth = depth + self.spec.depth_noise_m * noise
         shape = (camera.height, camera.width)
-        return depth.reshape(shape).float(), is_object.reshape(shape)
+        depth = self._view_faults.noisy(depth.reshape(shape).float())
+        return depth, self._view_faults.masked(is_object.reshape(shape))
 
     def finish(self, action: Any) -> Any:  # noqa: ANN401  (a subclass's own)
         """Nothing is done at the end."""
@@ -258,18 +347,20 @@ class SimTask:
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> Reading:
         motion = track.world_T_object @ se3.inverse(before)
         # drawn whether or not the object moved, so that one action's noise does not depend on another's contact
+        shift = math.hypot(self.spec.motion_noise_m, self.settings.sensors.motion_noise_m)
+        turn = math.hypot(self.spec.motion_noise_rad, self.settings.sensors.motion_noise_rad)
         noise = torch.randn(3, generator=self._generator, dtype=torch.float64) * torch.tensor(
-            (self.spec.motion_noise_m, self.spec.motion_noise_m, self.spec.motion_noise_rad), dtype=torch.float64
+            (shift, shift, turn), dtype=torch.float64
         )
         measured = measured_motion(before, motion, noise).float() if self._measures else None
-        configuration = track.configuration.float()
-        tool_pose = self.tool.pose(configuration)
-        object_T_tool = (se3.inverse(track.world_T_object) @ tool_pose.double()).float()
+        configuration = self._offset.taken(track.configuration).float()
+        tool_pose = self._taken_pose(track)
+        object_T_tool = (se3.inverse(track.world_T_object) @ self._true_pose(track).double()).float()
         touched = self._felt(object_T_tool)
+        if self.settings.pads != PadErrors():
+            touched = self._pad_faults.felt(touched)
         in_contact = touched.any(-1)
-        swept, index = self._swept(tool_pose, self._body, measured, in_contact)
-        clear = self._clear(object_T_tool, self._body, swept.instant, index)
-        free = type(swept)(swept.points[clear], swept.instant[clear])
+        free = self._freed(tool_pose, object_T_tool, measured, in_contact)
         observation, instant = tactile_observation(touched_points(tool_pose, self._felt_at, touched), free)
         return Reading(
             observation,
@@ -281,6 +372,34 @@ class SimTask:
             refused,
             float(self.world.data.time),
         )
+
+    def _true_pose(self, track: Track) -> Float[Tensor, "K 4 4"]:
+        """Where the tool was."""
+        return self.tool.pose(track.configuration.float()) if track.world_T_tool is None else track.world_T_tool.float()
+
+    def _taken_pose(self, track: Track) -> Float[Tensor, "K 4 4"]:
+        """Where the robot takes its tool to have been."""
+        true = self._true_pose(track)
+        if self._offset.none:
+            return true
+        level = self.tool.pose(self._offset.taken(track.configuration).float())
+        if track.world_T_tool is None:
+            return level
+        return true @ se3.inverse(self.tool.pose(track.configuration.float())) @ level
+
+    def _freed(
+        self,
+        tool_pose: Float[Tensor, "K 4 4"],
+        object_T_tool: Float[Tensor, "K 4 4"],
+        measured: Tensor | None,
+        in_contact: Tensor,
+    ) -> InstantPoints:
+        """What is reported free of what the gripper went through."""
+        if self.settings.cleared_by == "margin":
+            return self._swept(tool_pose, self._inner, measured, in_contact)[0]
+        swept, index = self._swept(tool_pose, self._body, measured, in_contact)
+        clear = self._clear(object_T_tool, self._body, swept.instant, index)
+        return InstantPoints(swept.points[clear], swept.instant[clear])
 
     def _swept(
         self, tool_pose: Float[Tensor, "K 4 4"], body: Float[Tensor, "n 3"], measured: Tensor | None, in_contact: Tensor
@@ -325,45 +444,12 @@ class SimTask:
     def _within(self, places: Float[Tensor, "*b 3"], is_there: Callable[[Tensor, float], Tensor]) -> Bool[Tensor, "*b"]:
         """Where something holds of the distance to the object that only points close to it or in it can have."""
         reach = self.settings.contact_m
-        low, high = self.model.exact.bounds.to(places)
+        low, high = self._true.bounds.to(places)
         # such points are in the object's box, so that free motion costs next to nothing
         x, y, z = ((places >= low - reach) & (places <= high + reach)).unbind(-1)
         found = x & y & z  # `all` takes ten times as long
         near = found.nonzero(as_tuple=True)
         if len(near[0]):
             with torch.no_grad():
-                found[near] = is_there(self.model.exact.distance(places[near]), reach)
+                found[near] = is_there(self._true.distance(places[near]), reach)
         return found
-
-    def _floor(self) -> Observation:
-        """Free points where the floor is, fixed in the world (RUMI, V.B)."""
-        step = self.spec.field_spacing_m
-        low, high = self._region[:, :2]
-        ends = [(float(low[axis]), float(high[axis]) + 0.5 * step) for axis in (0, 1)]
-        x, y = (torch.arange(*pair, step, dtype=torch.float32) for pair in ends)
-        points = torch.stack(torch.meshgrid(x, y, x.new_zeros(1), indexing="ij"), -1).reshape(-1, 3)
-        return Observation.of(points, Semantics.FREE, attached=False)
-
-    def _region_of_prior(self) -> Float[Tensor, "2 3"]:
-        """The box that holds the object wherever it may well be."""
-        prior, bounds = self.spec.prior, self.model.exact.bounds.float()
-        if prior is None:
-            raise UsageError(f"Expected {self.spec.name} to have a camera or a prior, got neither")
-        mean, reach = torch.tensor(prior.mean_m), _SPREADS * prior.spread_m + self.model.radius
-        top = max(float((bounds[1] - bounds[0])["xyz".index(up)]) for up in self.spec.up)
-        return torch.tensor([[*(mean - reach).tolist(), 0.0], [*(mean + reach).tolist(), top]])
-
-    def _region_unseen(self) -> Float[Tensor, "2 3"]:
-        """Where the object may be if the first view does not show it: nowhere in particular without a prior."""
-        return torch.zeros(2, 3) if self.spec.prior is None else self._region_of_prior()
-
-    def _region_about(self, surface: Float[Tensor, "M 3"]) -> Float[Tensor, "2 3"]:
-        """The box in which free points can refute a pose that the view leaves open."""
-        grow = self.settings.free_region_m
-        low, high = surface.amin(0) - grow, surface.amax(0) + grow
-        if self.spec.search == "SE(2)":
-            # an upright object is no taller than what is seen of it
-            high[2] -= grow
-            high[2] = math.ceil(float(high[2]) / self.settings.free_spacing_m) * self.settings.free_spacing_m
-        low[2] = 0.0
-        return torch.stack((low, high))

@@ -19,7 +19,7 @@ def without_sensor(task: str, name: str = "default") -> Settings:
 @pytest.mark.parametrize("task", [*SCENES, *DRAWN])
 def test_what_is_measured_is_taken_where_it_is_measured(task):
     expected = "measured" if find_task(task).measures_motion else "corrected"
-    assert followed(find_task(task), preset(task=task)).motion == expected
+    assert followed(find_task(task), preset(task=task, conditions="ideal")).motion == expected
 
 
 @pytest.mark.parametrize(
