@@ -14,6 +14,7 @@ import tyro
 from rumi.cache import cache_folder
 from rumi.commands.flags import FLAGS
 from rumi.commands.replay_summary import differing, machines, summary
+from rumi.commands.view import keep
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.logbook import LOG
@@ -53,7 +54,7 @@ class ReplayOptions(Generic[S]):
         settings: of the replay.
         map: mapping file of an imported recording, in place of the one that it was imported with.
         out: folder for the replayed run, for `rumi plot`; none is written without.
-        figures: draw its figures.
+        figures: draw its figures, and write the viewer's recording where rerun-sdk is installed.
     """
 
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
@@ -233,6 +234,7 @@ def _replay(
             recorder.finish(done.result)
     if options.figures and options.out is not None:
         entry.draw(load_run(options.out), options.out / "figures")
+        keep(options.out)
     asked = [name for name in changed if name not in idle]
     lines = [line for line in entry.summary(settings, done.result) if line.split(" ", 1)[0] not in _OF_LIVE]
     sys.stdout.write(summary(done, label, lines, len(taken), asked, options.out))

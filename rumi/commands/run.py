@@ -18,6 +18,7 @@ from rumi.commands.glossary import FIGURE, GLOSSARY
 from rumi.commands.kernels_ahead import kernels_ahead
 from rumi.commands.pushes import learnt, level_rummager
 from rumi.commands.tasks import listing
+from rumi.commands.view import keep
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.runs.folder import free_folder, load_run, prepare_folder, remove_if_empty_on_error
@@ -48,7 +49,7 @@ class RunOptions(Generic[S]):
         settings: of the run.
         preset: where the settings start from.
         out: folder of the run; by default one in runs/, named after the settings, with a number where that is taken.
-        figures: draw figures at the end.
+        figures: draw figures at the end, and write the viewer's recording where rerun-sdk is installed.
         explain: say at the end what was skipped, since the scene did not need it, and what that saved.
         glossary: say at the end what the numbers mean, as on a terminal.
         pushes: file of how the object slides: planned with if it is there, and at the end written anew with what this
@@ -110,6 +111,7 @@ def run(arguments: Sequence[str]) -> int:
     if options.figures and not interrupted:
         say("drawing figures")
         entry.draw(load_run(folder), folder / "figures")
+        keep(folder)
     first, *lines = entry.summary(settings, result)
     sys.stdout.write("\n  ".join([f"{name}: {first}", *lines, f"folder   {folder}"]) + "\n")
     if (options.glossary or sys.stdout.isatty()) and not entry.records:  # of those that rummage

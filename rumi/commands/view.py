@@ -1,5 +1,6 @@
 """The command `rumi view`: a recorded run in the viewer Rerun."""
 
+import importlib.util
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -11,7 +12,13 @@ from typing import Annotated
 import tyro
 
 from rumi.environment import has_display
+from rumi.errors import UsageError
 from rumi.exit_codes import DONE
+
+RECORDING = "run.rrd"
+"""Name of the recording in a run's folder."""
+
+_WRITERS = [Path(__file__).parents[1] / "viz" / name for name in ("viewer.py", "viewer_layout.py", "reasons.py")]
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,7 @@ class ViewOptions:
 def view(arguments: Sequence[str]) -> int:
     """`rumi view`: 0 where the recording is written, 2 for bad input."""
     options = tyro.cli(ViewOptions, prog="rumi view", args=arguments)
-    path = options.out or (options.run.with_suffix(".rrd") if options.run.is_file() else options.run / "run.rrd")
+    path = options.out or (options.run.with_suffix(".rrd") if options.run.is_file() else options.run / RECORDING)
     if not is_fresh(path, options.run):
         from sdf.threads import chosen
 
@@ -45,16 +52,32 @@ def view(arguments: Sequence[str]) -> int:
     return DONE
 
 
+def keep(folder: Path) -> None:
+    """Write the recording of a run that has just ended, where the viewer is installed: `rumi view` opens it at once."""
+    if importlib.util.find_spec("rerun") is None:
+        return
+    from rumi.runs.progress import say
+
+    try:
+        write(folder, folder / RECORDING)
+    except (UsageError, ImportError, OSError) as error:  # the run itself is whole
+        say(f"no recording for `rumi view`: {error}")
+
+
 def write(run: Path, path: Path) -> None:
     """Write the recording of a run's folder, or of a log."""
-    from rumi.commands.replayed import run_folder
     from rumi.runs.export import estimates_of
     from rumi.runs.folder import load_run, make_folder
     from rumi.tasks.registry import entry_of
     from rumi.viz.viewer import write_recording
 
-    with run_folder(run) as folder:
-        read = load_run(folder)
+    if run.is_file():
+        from rumi.commands.replayed import run_folder
+
+        with run_folder(run) as folder:
+            read = load_run(folder)
+    else:
+        read = load_run(run)
     make_folder(path.parent)
     write_recording(read, estimates_of(read, entry_of(read).pose).steps, path)
 
@@ -63,7 +86,7 @@ def is_fresh(path: Path, run: Path) -> bool:
     """Whether a recording is there that is younger than all that it shows and all that writes it."""
     try:
         installed = metadata.version("rerun-sdk")
-        before = (*run.glob("*.json*"), run / "trace.npz", Path(__file__).parents[1] / "viz" / "viewer.py")
+        before = (*run.glob("*.json*"), run / "trace.npz", *_WRITERS)
         with path.open("rb") as file:
             same = tuple(file.read(8)[4:7]) == tuple(int(part) for part in installed.split(".")[:3])
         return same and all(path.stat().st_mtime > one.stat().st_mtime for one in before)

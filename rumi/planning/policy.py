@@ -42,6 +42,19 @@ class Scene:
 
 
 @dataclass(frozen=True)
+class SampledPaths:
+    """Paths of some of the samples that a plan was weighed from, in the order of their costs.
+
+    Attributes:
+        paths: (K, T+1, Q), configurations if nothing is in the way, the present one first.
+        costs: (K,), finite, the least first.
+    """
+
+    paths: Float[Tensor, "K T1 Q"]
+    costs: Float[Tensor, "K"]
+
+
+@dataclass(frozen=True)
 class Plan:
     """Plan of a policy: controls, the predicted path and a warm start for the next plan.
 
@@ -55,6 +68,7 @@ class Plan:
         info: plain values about the plan. Policies that predict say by `predicted_information` what each action is
             expected to gather anew (in the unit of the field that they plan on), and by `predicted_displacement` how
             far each is expected to move the object (metres, world axes), both for the likeliest rollout.
+        samples: paths of some samples, for figures; None where none were drawn, or nobody kept them.
     """
 
     controls: Float[Tensor, "T A"]
@@ -64,6 +78,7 @@ class Plan:
     skipped: dict[str, float] = field(default_factory=dict)
     timings_s: dict[str, float] = field(default_factory=dict)
     info: dict[str, Any] = field(default_factory=dict)
+    samples: SampledPaths | None = None
 
 
 @dataclass(frozen=True)

@@ -22,8 +22,9 @@ from rumi.fields.information import (
 )
 from rumi.planning.objective import Objective, TrajectoryCost, gathered_by_action, gathering
 from rumi.planning.plan_budget import PlanBudget
-from rumi.planning.policy import Plan, PlanRequest, Scene
+from rumi.planning.policy import Plan, PlanRequest, SampledPaths, Scene
 from rumi.planning.rummaging_settings import RummagingSettings
+from rumi.robot.tool import Tool
 from sdf import skipped_work
 
 __all__ = ["RummagingPolicy", "RummagingSettings"]
@@ -38,6 +39,8 @@ _FEW = 8
 _VIEW_SHARE = 0.4
 # particles that would take as long as what of them does not depend on the number of particles
 _VIEW_FIXED = 10
+# samples whose paths are kept with a plan
+_KEPT_PATHS = 16
 
 
 class RummagingPolicy:
@@ -123,7 +126,7 @@ class RummagingPolicy:
             )
             watch.lap("planner")
             ending = budget.now()
-            plan = self._plan(view, configuration, nominal, samples, watch)
+            plan = self._plan(view, scene.tool, configuration, nominal, samples, watch)
             budget.took("finish", 1.0, budget.now() - ending)
             if not budget.open:
                 made = {"pace": budget.pace, "particles": view.particles, "samples": budget.samples}
@@ -133,6 +136,7 @@ class RummagingPolicy:
     def _plan(
         self,
         view: "PlanningModel",
+        tool: Tool,
         configuration: Float[Tensor, "Q"],
         nominal: ControlPlan,
         samples: Rollouts,
@@ -157,6 +161,7 @@ class RummagingPolicy:
                 "predicted_displacement": torch.diff(moves, dim=0).tolist(),
             }
             | objective.info,
+            samples=_sampled_paths(tool, configuration, samples),
         )
 
     def _predicted(
@@ -300,6 +305,18 @@ class PlanningModel(NamedTuple):
     fields: WorkspaceFields
     model: RolloutModel
     objective: Objective
+
+
+def _sampled_paths(tool: Tool, configuration: Float[Tensor, "Q"], samples: Rollouts) -> SampledPaths:
+    """Paths of samples from the best to the worst, evenly through their ranks."""
+    finite = samples.costs.isfinite().nonzero()[:, 0]
+    ranked = finite[samples.costs[finite].argsort()]
+    ranks = torch.linspace(0, len(ranked) - 1, min(_KEPT_PATHS, len(ranked)), device=ranked.device).round().long()
+    kept = ranked[ranks]
+    controls = samples.controls[kept].to(configuration)
+    free = tool.free_path(configuration.expand(len(kept), -1), controls, 1)
+    paths = torch.cat((configuration.expand(len(kept), 1, -1), free), 1)
+    return SampledPaths(paths, samples.costs[kept])
 
 
 class _Stopwatch:

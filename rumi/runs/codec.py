@@ -13,7 +13,7 @@ from kmppi import ControlPlan
 from rumi.belief.particles import PoseBelief
 from rumi.belief.remarks import Remark
 from rumi.fields.workspace import Workspace
-from rumi.planning.policy import Plan
+from rumi.planning.policy import Plan, SampledPaths
 from rumi.records import StepRecord
 from rumi.runs.plain import plain
 from rumi.runs.scene_geometry import OutlineMap, SceneGeometry
@@ -77,6 +77,9 @@ def write_step(trace: TraceWriter, step: Any, previous: Any) -> None:  # noqa: A
             )
             # half precision: maps are for figures; what is decided from them is decided before
             _write(trace, f"{at}/plan/fields", {name: values.half() for name, values in plan.fields.items()})
+            if plan.samples is not None:
+                kept = {"paths": plan.samples.paths.float(), "costs": plan.samples.costs.float()}
+                _write(trace, f"{at}/plan/samples", kept)
     # written last: a step without it was cut short
     trace.json(f"{at}/numbers", numbers(step) | {"plan": plain(about)})
 
@@ -218,6 +221,7 @@ def _read_belief(members: Mapping[str, Any], at: str) -> PoseBelief:
 
 def _read_plan(members: Mapping[str, Any], at: str, about: Mapping[str, Any]) -> Plan:
     knots, warm = _get(members, f"{at}/knots"), _get(members, f"{at}/warm")
+    paths, costs = _get(members, f"{at}/samples/paths"), _get(members, f"{at}/samples/costs")
     return Plan(
         controls=_need(members, f"{at}/controls"),
         path=_need(members, f"{at}/path"),
@@ -225,6 +229,7 @@ def _read_plan(members: Mapping[str, Any], at: str, about: Mapping[str, Any]) ->
         fields={name: _need(members, f"{at}/fields/{name}").float() for name in about["fields"]},
         skipped=about["skipped"],
         info=about["info"],
+        samples=None if paths is None or costs is None else SampledPaths(paths, costs),  # older runs lack them
     )
 
 

@@ -16,7 +16,8 @@ from rumi.registration.pose_summary import PoseSummary
 from rumi.runs.export import StepEstimate
 from rumi.runs.progress import say
 from rumi.runs.scene_geometry import SceneGeometry
-from rumi.viz.viewer import ViewerRecording, layout
+from rumi.viz.viewer import ViewerRecording
+from rumi.viz.viewer_layout import layout
 from sdf.extras import optional
 
 _HOST = "127.0.0.1"  # by itself the viewer would listen to the whole network

@@ -21,7 +21,11 @@ from rumi.runs.plain import plain
 from rumi.runs.scene_geometry import SceneGeometry
 from rumi.viz import style
 from rumi.viz.outlines import heaviest, object_outline, placed
+from rumi.viz.reasons import reason_of
+from rumi.viz.viewer_layout import layout
 from sdf.extras import optional
+from sensors.contact_reading import ContactReading
+from sensors.reading import FORCE, Reading
 from sensors.semantics import Semantics
 
 _PARTICLES = 60  # that are drawn, the heaviest
@@ -33,13 +37,9 @@ _CLASSES = {
     "free": (Semantics.FREE, style.FREE, 0.0006),
     "occupied": (Semantics.OCCUPIED, style.INK, 0.002),
 }
-CURVES = {
-    "nll": "nats",
-    "entropy": "nats, of a normal belief over x, y and yaw",
-    "right": "P(right), by the belief",
-    "fault": "nats for a fault",
-}
-"""Curves by name, each in a plot of its own."""
+_REACHED = 0.99  # of r(x), from which on a place counts as within reach
+_FORCE_M = 0.01  # that an arrow is long for a newton
+_NORMAL_M = 0.02  # the same of a normal
 
 
 class ViewerRecording:
@@ -55,6 +55,8 @@ class ViewerRecording:
         self._stream, self._geometry = stream, geometry
         self._records: list[StepRecord] = []
         stream.log("world", self._rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        if geometry is not None and geometry.reachability is not None:
+            stream.log("world/out_of_reach", _out_of_reach(self._rerun, geometry), static=True)
 
     def add(self, record: Any, found: StepEstimate | None) -> None:  # noqa: ANN401  (of the task's own kind)
         """Add a step: what was believed and sensed, and where the step before stood, the plan that led here.
@@ -88,7 +90,7 @@ class ViewerRecording:
         chosen = heaviest(log_weights, _PARTICLES)
         some, share = poses[chosen].double(), (log_weights[chosen] - log_weights.max()).exp().double()
         ahead = torch.stack((some[:, :3, 3], some[:, :3, 3] + _HEADING_M * some[:, :3, 0]), 1)
-        colours = [(11, 65, 139, int(40 + 215 * weight)) for weight in share.tolist()]
+        colours = _shades(style.NLL, 0.2 + 0.8 * share)
         stream.log("world/particles", rerun.LineStrips3D(ahead.numpy(), colors=colours, radii=0.0012))
         best, floor = found.pose.world_T_object, 0.0
         stream.log("world/object", rerun.Transform3D(translation=best[:3, 3].numpy(), mat3x3=best[:3, :3].numpy()))
@@ -118,12 +120,32 @@ class ViewerRecording:
         if self._geometry is not None:
             outline = placed(self._geometry.tool, tool[-1])
             stream.log("world/tool/outline", _lines(rerun, outline, float(tool[-1, 2, 3]), style.TOOL))
+        self._forces(record.reading)
         known = {"nll/true": record.nll, "nll/expected": record.expected_nll, "fault/evidence": record.lost}
         for name, value in known.items():
             if value is not None and math.isfinite(value):
                 stream.log(f"curves/{name}", rerun.Scalars(value))
+        for name, share in record.explanations.items():
+            stream.log(f"curves/faults/{name.replace(' ', '_')}", rerun.Scalars(share))
         for remark in record.remarks:
             stream.log("remarks", rerun.TextLog(f"{remark.name}: {json.dumps(plain(remark))}", level="WARN"))
+
+    def _forces(self, reading: Reading) -> None:
+        """Forces on the tool at each instant, and touches that a wrench told with the normals there."""
+        rerun, stream = self._rerun, self._stream
+        force = reading.measurements.get(FORCE)
+        if force is not None:
+            known = force.isfinite().all(-1)
+            at, arrows = reading.tool_pose[known][:, :3, 3], _FORCE_M * force[known]
+            stream.log(
+                "world/wrench/force", rerun.Arrows3D(origins=at.numpy(), vectors=arrows.numpy(), colors=_rgb(style.INK))
+            )
+        if isinstance(reading, ContactReading):
+            touch = reading.wrench
+            arrows = rerun.Arrows3D(
+                origins=touch.points.numpy(), vectors=_NORMAL_M * touch.normals.numpy(), colors=_rgb(style.CONTACT)
+            )
+            stream.log("world/wrench/touches", arrows)
 
     def _plan(self, plan: Plan | None) -> None:
         """The plan that was followed from the last step on, the information that it went for, and its numbers."""
@@ -132,15 +154,23 @@ class ViewerRecording:
             self._stream.log("why", self._rerun.TextDocument("Nothing was planned any more."))
             return
         rerun, stream, tool = self._rerun, self._stream, self._records[-1].reading.tool_pose[-1]
-        ahead = plan.path
-        heights = ahead[:, 2:3] if ahead.shape[-1] == 4 else tool[2, 3].expand(len(ahead), 1)
-        way = torch.cat((ahead[:, :2], heights), -1).float().numpy()
+        heights = float(tool[2, 3])
+        way = _in_space(plan.path, heights)
         stream.log("world/plan/path", rerun.LineStrips3D([way], colors=_rgb(style.EXPECTED), radii=0.002))
+        if plan.samples is not None:
+            ways = [_in_space(path, heights) for path in plan.samples.paths]
+            samples = rerun.LineStrips3D(ways, colors=_by_cost(plan.samples.costs), radii=0.0006)
+            stream.log("world/plan/samples", samples)
+        else:
+            stream.log("world/plan/samples", rerun.Clear(recursive=False))
         if self._geometry is not None and "information" in plan.fields:
             information = _information(rerun, self._geometry, plan.fields["information"])
             stream.log("world/plan/information", information)
+        executed = sum(record.plan is plan for record in self._records)
+        reasons = [f"- {line}" for line in reason_of(plan, executed, self._geometry).lines()]
         told = [f"- {name}: {_rounded(value)}" for name, value in (plan.info | {"skipped": plan.skipped}).items()]
-        stream.log("why", rerun.TextDocument("\n".join(["**The next action**", "", *told]), media_type="text/markdown"))
+        text = "\n".join(["**The next action**", "", *reasons, "", "**The plan's numbers**", "", *told])
+        stream.log("why", rerun.TextDocument(text, media_type="text/markdown"))
 
 
 def write_recording(run: Run, estimates: Sequence[StepEstimate], path: Path) -> Path:
@@ -170,41 +200,42 @@ def _information(rerun: Any, geometry: SceneGeometry, field: Float[Tensor, "V"])
     """The places of most information, the brighter the more."""
     values = field.float() / field.float().max().clamp_min(1e-12)
     kept = values > _WORTH
-    colours = [(224, 130, 20, int(255 * value)) for value in values[kept].tolist()]
+    colours = _shades(style.EXPECTED, values[kept])
     return rerun.Points3D(geometry.workspace.points[kept].numpy(), colors=colours, radii=0.002)
+
+
+def _out_of_reach(rerun: Any, geometry: SceneGeometry) -> Any:  # noqa: ANN401
+    """The places that the robot does not reach, or only in part."""
+    reach = geometry.reachability
+    assert reach is not None
+    beyond = reach < _REACHED
+    colours = _shades(style.CONTACT, 0.35 * (1 - reach[beyond].clamp(0, 1)))
+    return rerun.Points3D(geometry.workspace.points[beyond].numpy(), colors=colours, radii=0.0015)
+
+
+def _in_space(path: Float[Tensor, "T Q"], z: float) -> np.ndarray:
+    """Places (T, 3) of a path: of a tool that moves in the plane at a height."""
+    heights = path[:, 2:3] if path.shape[-1] == 4 else path.new_full((len(path), 1), z)
+    return torch.cat((path[:, :2], heights), -1).float().numpy()
+
+
+def _by_cost(costs: Float[Tensor, "K"]) -> list[tuple[int, ...]]:
+    """Colours of rejected samples, the fainter the more they cost."""
+    beyond = (costs - costs.min()) / (costs.max() - costs.min()).clamp_min(1e-12)
+    return _shades(style.INK, 0.6 - 0.45 * beyond)
+
+
+def _shades(colour: str, strength: Float[Tensor, "N"]) -> list[tuple[int, ...]]:
+    """Colours from white (0) to the colour itself (1): the viewer does not blend what is see-through."""
+    full = torch.tensor(_rgb(colour), dtype=torch.float64)
+    mixed = 255 + strength.double()[:, None] * (full - 255)
+    return [tuple(int(part) for part in one) for one in mixed.round().tolist()]
 
 
 def _lines(rerun: Any, lines: list[np.ndarray], z: float, colour: str) -> Any:  # noqa: ANN401
     """Lines (M, 2) at a height."""
     return rerun.LineStrips3D(
         [np.column_stack((line, np.full(len(line), z))) for line in lines], colors=_rgb(colour), radii=0.0012
-    )
-
-
-def layout(geometry: SceneGeometry | None, following: bool = False) -> Any:  # noqa: ANN401
-    """The viewer's layout: space at the left, a plot for each curve and words at the right.
-
-    Args:
-        geometry: of the scene, at whose middle the view looks; None looks where the viewer likes.
-        following: show the newest step, as of a run that goes on, in place of the first.
-    """
-    blueprint = optional("rerun.blueprint", "The viewer")
-    plots = [blueprint.TimeSeriesView(origin=f"curves/{name}", name=f"{name}: {what}") for name, what in CURVES.items()]
-    words = [blueprint.TextDocumentView(origin="why", name="why"), blueprint.TextLogView(origin="remarks")]
-    eye = None
-    if geometry is not None:
-        places = geometry.workspace.points
-        middle, size = places.mean(0), float((places.amax(0) - places.amin(0)).norm())
-        place = middle + size * torch.tensor([-0.3, -0.4, 0.4])
-        eye = blueprint.EyeControls3D(position=place.tolist(), look_target=middle.tolist(), eye_up=(0, 0, 1))
-    space = blueprint.Spatial3DView(origin="world", name="scene", background=(255, 255, 255), eye_controls=eye)
-    right = blueprint.Vertical(*plots, blueprint.Tabs(*words, active_tab=0), row_shares=[2] * len(plots) + [3])
-    return blueprint.Blueprint(
-        blueprint.Horizontal(space, right, column_shares=[3, 2]),
-        blueprint.TimePanel(
-            state="collapsed", timeline="action", fps=2.0, play_state="following" if following else "paused"
-        ),
-        collapse_panels=True,
     )
 
 

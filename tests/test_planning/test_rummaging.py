@@ -75,6 +75,10 @@ def test_a_plan_has_all_that_it_should(scene: Scene) -> None:
     assert float(made.fields["information"].max()) > 0.3
     assert float(made.fields["p_free"].min()) < 0.1
     assert torch.equal(made.fields["reachability"], falling(scene))
+    assert torch.equal(made.samples.paths[:, 0], scene.configuration.expand(len(made.samples.costs), 3))
+    assert float(made.samples.costs[0]) == made.info["least_cost"]
+    assert bool((made.samples.costs.diff() >= 0).all())
+    assert len(made.samples.costs) == 16
     works = {"workspace_points", "normals", "contact_checks", "rollouts_valued", "reachability_sums"}
     assert set(made.skipped) == works | {"information_cost", "reachability_cost"}
     assert all(0 <= share <= 1 for share in made.skipped.values())

@@ -69,6 +69,7 @@ def test_what_is_written_is_read(tmp_path, run):
             continue
         assert_same(step.plan.path, again.plan.path)
         assert step.plan.info == again.plan.info
+        assert_same(step.plan.samples, again.plan.samples)
         for name, values in step.plan.fields.items():
             torch.testing.assert_close(values, again.plan.fields[name], rtol=1e-3, atol=1e-6)
     assert_same(run.geometry, read.geometry)

@@ -2,22 +2,49 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
+import torch
 
 from rumi.cli import main
 from rumi.commands import view as command
 from rumi.runs.folder import RunRecorder
 from rumi.viz import live
-from rumi.viz.viewer import CURVES
+from rumi.viz.viewer_layout import CURVES
+from sensors.contact_reading import ContactReading, WrenchTouch
+from sensors.reading import FORCE
 from tests.fixtures.made_up_run import make_up
 
 rerun = pytest.importorskip("rerun")
 
 
+SHOWN = (
+    *("world/particles", "world/object", "world/points/free", "world/points/surface", "world/out_of_reach"),
+    *("world/tool/outline", "world/contacts", "world/wrench/force", "world/wrench/touches"),
+    *("world/plan/path", "world/plan/samples", "world/plan/information", "why"),
+)
+
+
+def with_wrenches(made):
+    """The run, of a robot with a wrist that feels forces and a touch by them, and told of faults."""
+
+    def felt(step):
+        reading = step.reading
+        force = torch.full((len(reading.tool_pose), 3), 2.0)
+        force[0] = torch.nan  # at rest nobody knows it yet
+        contact = ContactReading.of(replace(reading, measurements={FORCE: force}))
+        at, one = reading.tool_pose[-1:, :3, 3], torch.ones(1)
+        touch = WrenchTouch(at, torch.eye(3)[:1], 0.001 * one, 0.1 * one, torch.zeros(1, dtype=torch.long))
+        told = {"no fault": 0.9, "dead hand": 0.1}
+        return replace(step, reading=replace(contact, wrench=touch), explanations=told)
+
+    return replace(made, steps=[felt(step) for step in made.steps])
+
+
 @pytest.fixture
 def folder(tmp_path):
-    made = make_up(5, particles=10)
+    made = with_wrenches(make_up(5, particles=10))
     with RunRecorder(tmp_path / "run", {"task": "mug-0", "seed": 3}, made.geometry) as recorder:
         for step in made.steps:
             recorder(step)
@@ -34,7 +61,7 @@ def test_a_recording_holds_scene_curves_and_reasons(folder, monkeypatch, capsys)
     assert opened[0][-1] == str(path) and str(path) in capsys.readouterr().out
     data = path.read_bytes()
     assert data[:4] in (b"RRF2", b"RRIO", b"RRF3") and len(data) > 10_000
-    for entity in ("world/particles", "world/object", "world/points/free", "world/contacts", "world/plan/path", "why"):
+    for entity in SHOWN:
         assert entity.encode() in data, entity
     for curve in CURVES:
         assert f"curves/{curve}".encode() in data, curve
@@ -57,6 +84,21 @@ def test_a_fresh_recording_is_not_written_again(folder, monkeypatch):
     assert not command.is_fresh(folder / "run.rrd", folder)
 
 
+def test_a_run_keeps_its_recording_where_the_viewer_is_installed(folder, monkeypatch, capsys):
+    command.keep(folder)
+    assert command.is_fresh(folder / "run.rrd", folder)
+    (folder / "run.rrd").unlink()
+    monkeypatch.setattr(command.importlib.util, "find_spec", lambda name: None)
+    command.keep(folder)
+    assert not (folder / "run.rrd").exists()
+
+
+def test_a_run_that_cannot_be_shown_ends_as_it_would(folder, monkeypatch, capsys):
+    (folder / "trace.npz").write_bytes(b"")
+    command.keep(folder)
+    assert "no recording" in capsys.readouterr().err and not (folder / "run.rrd").exists()
+
+
 class Process:
     """A viewer that listens to nobody."""
 
@@ -77,7 +119,7 @@ class Process:
 
 @pytest.mark.parametrize("display", [False, True])
 def test_a_live_view_shows_what_a_recording_holds(display, tmp_path, monkeypatch, capsys):
-    made, opened = make_up(5, particles=10), []
+    made, opened = with_wrenches(make_up(5, particles=10)), []
     monkeypatch.setattr(live, "has_display", lambda: display)
     monkeypatch.setattr(live.subprocess, "Popen", lambda *words, **more: opened.append(Process(*words)) or opened[0])
     monkeypatch.setattr(live.os, "killpg", lambda *given: opened[0].end(*given))
@@ -88,13 +130,7 @@ def test_a_live_view_shows_what_a_recording_holds(display, tmp_path, monkeypatch
         for step in made.steps:
             view(step)
     data = (tmp_path / "run.rrd").read_bytes()
-    for entity in (
-        "world/particles",
-        "world/contacts",
-        "world/plan/path",
-        "why",
-        *(f"curves/{name}" for name in CURVES),
-    ):
+    for entity in (*SHOWN, *(f"curves/{name}" for name in CURVES)):
         assert entity.encode() in data, entity
     words = opened[0].words
     assert words[words.index("--bind") + 1] == "127.0.0.1"
