@@ -19,7 +19,7 @@ from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.logbook import LOG
 from rumi.runs.progress import Progress, announce, both, say
-from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry, entry_of_record
+from rumi.tasks.registry import FORMER_NAMES, IMPORTED, TASKS, TaskEntry, entry_of_record
 
 if TYPE_CHECKING:
     from rumi.agent import Agent
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from sensors.log.reader import Log, Taken
 
 S = TypeVar("S")
+
+MAP = "map.toml"
+"""Name of the mapping in the folder of a log's replay."""
 
 _HELP = """Take in a recorded run or log as if its robot were there: the belief that the live run had, or, with other
 settings, the one that it would have had on the same readings.
@@ -75,7 +78,7 @@ def replay(arguments: Sequence[str]) -> int:
         mapping = mapping_of_log(log, asked.map)
         entry, recorded = recorded_settings(log, mapping)
         options = _parsed(arguments, log.path, entry, recorded)
-        return _replay(log, options, entry, recorded, mapping, cache_folder())
+        return _replay(log, options, entry, recorded, mapping, mapping or mapping_of_replay(log), cache_folder())
 
 
 @dataclass(frozen=True)
@@ -153,6 +156,26 @@ def mapping_of_log(log: "Log | RunLog", asked: Path | None) -> "BagMap | None":
     raise UsageError(f"{log.path} holds raw streams and no mapping: give one with --map FILE")
 
 
+def mapping_of_replay(log: "Log | RunLog") -> "BagMap | None":
+    """The mapping of the log whose replay wrote a folder; None of any other recording.
+
+    Raises:
+        UsageError: the folder has lost it, or it is wrong.
+    """
+    if not _is_of_log(log):
+        return None
+    from rumi.rosbag.mapping_file import read_mapping
+
+    if not (log.path / MAP).is_file():
+        raise UsageError(f"{log.path} was written by a log's replay and has no {MAP} any more: replay the log again")
+    return read_mapping(log.path / MAP)
+
+
+def _is_of_log(log: "Log | RunLog") -> bool:
+    """Whether readings were made by a mapping from a log's streams, by the replay that wrote them."""
+    return log.settings is not None and log.settings.get("task") == IMPORTED
+
+
 def recorded_settings(log: "Log | RunLog", mapping: "BagMap | None") -> tuple[TaskEntry[Any], Any]:
     """Task and settings of the run that was recorded; of an imported recording those of rummaging, by its mapping.
 
@@ -164,7 +187,7 @@ def recorded_settings(log: "Log | RunLog", mapping: "BagMap | None") -> tuple[Ta
 
         return entry_of_imported(), settings_of(mapping)
     values = log.settings or {}
-    entry = entry_of_record(values.get("task", ""))
+    entry = entry_of_imported() if _is_of_log(log) else entry_of_record(values.get("task", ""))
     return entry, entry.from_dict(values)
 
 
@@ -194,8 +217,10 @@ def _replay(
     entry: TaskEntry[Any],
     recorded: Any,  # noqa: ANN401  (settings of any task)
     mapping: "BagMap | None",
+    scene: "BagMap | None",
     cache_dir: Path,
 ) -> int:
+    """Replay readings, made by `mapping` from raw streams where it is given; `scene` is of those that were so made."""
     from rumi.runs.folder import RunRecorder, load_run, prepare_folder, write_json
     from rumi.runs.replay import replay as take_in
     from rumi.tasks.rummage.geometry import geometry_of
@@ -212,14 +237,14 @@ def _replay(
     taken = log.taken(entry.readings) if mapping is None else made_readings(log, mapping, settings)
     for problem in log.problems:
         say(problem)
-    if mapping is not None:
-        agent = agent_of_imported(mapping, settings, taken, cache_dir)
+    if scene is not None:
+        agent = agent_of_imported(scene, settings, taken, cache_dir)
     else:
         agent = entry.agent(settings, cache_dir=cache_dir)
     _check_object(log, agent)
     announce(agent)
-    label = getattr(settings, "task", entry.label(settings)) if mapping is not None else _name(log)
-    steps = entry.steps(settings) if mapping is None else settings.steps
+    label = getattr(settings, "task", entry.label(settings)) if scene is not None else _name(log)
+    steps = entry.steps(settings) if scene is None else settings.steps
     taken = taken if steps is None else taken[: steps + 1]
     with contextlib.ExitStack() as stack:
         on_step = stack.enter_context(Progress(label, len(taken) - 1, entry.describe))
@@ -231,6 +256,8 @@ def _replay(
         seen = on_step if recorder is None else both(recorder, on_step)
         done = take_in(taken, agent, seed=settings.seed, on_step=seen, wrap=_on_device(settings, taken))
         if recorder is not None:
+            if scene is not None:
+                (recorder.folder / MAP).write_text(scene.text, encoding="utf-8")
             recorder.finish(done.result)
     if options.figures and options.out is not None:
         entry.draw(load_run(options.out), options.out / "figures")

@@ -115,10 +115,12 @@ def _wrench_contacts(
     for name in WrenchStatus:
         counted[name.name.lower()] = counted.get(name.name.lower(), 0) + int((contact.status == int(name)).sum())
     kept = (contact.status == int(WrenchStatus.CONTACT)).nonzero()[:, 0]
+    possible = (contact.status <= int(WrenchStatus.CONTACT)).tolist()
     touches, place = WrenchTouch.of(contact, pose, kept), {k: n for n, k in enumerate(kept.tolist())}
 
     def sample(k: int, stamp_ns: int, touched: bool) -> ContactSample:
-        measured = {FORCE: forces[k]}
+        # of a wrench that no single touch of the tool explains nobody knows what it is the force of
+        measured = {FORCE: forces[k]} if possible[k] else {}
         if k not in place:
             return ContactSample(stamp_ns, no_points(), touched, measurements=measured)
         touch = touches.at(torch.tensor([place[k]]))

@@ -13,6 +13,7 @@ from rumi.belief.contact_evidence import ContactPointModel, ContactSignalModel, 
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
 from rumi.rosbag.mapping import BagMap
+from rumi.tasks.registry import IMPORTED
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings, own_model
 from rumi.tasks.rummage.own import rummager
@@ -40,7 +41,7 @@ def settings_of(mapping: BagMap) -> Settings:
         if name in asked:
             raise UsageError(f"Expected no {name} in the mapping's [settings], since {use}: leave it out")
     start = to_dict(preset(str(asked.get("preset", "default"))))
-    settings = from_dict({**_merged(start, asked), "task": "recording"})
+    settings = from_dict({**_merged(start, asked), "task": IMPORTED})
     if "motion" not in asked.get("filter", {}):
         unmeasured = (settings.filter.unmeasured or "corrected") if mapping.scene.search == "SE(2)" else "estimated"
         settings = replace(settings, filter=replace(settings.filter, motion=unmeasured))

@@ -155,6 +155,9 @@ FORMER_NAMES = {"fused": "handle"}
 OWN = "own"
 """What a run of a robot of one's own gives as its task."""
 
+IMPORTED = "recording"
+"""Task of a run that a log's replay wrote."""
+
 
 def entry_of(run: Run) -> TaskEntry[Any]:
     """The task that a run is of; a recording that was imported is drawn as the first rummaging scene is."""
@@ -165,8 +168,10 @@ def entry_of_record(name: str) -> TaskEntry[Any]:
     """The task that a recording names, also by a name that it had before.
 
     Raises:
-        UsageError: there is no such task, or it was a robot of one's own, of which a folder holds no model.
+        UsageError: there is no such task, or it was a robot of one's own, of which a folder holds no model, or a log.
     """
+    if name == IMPORTED:
+        raise UsageError("The run was made from a log, which no task here is: replay it by `rumi replay FOLDER`")
     if name == OWN:
         raise UsageError(
             "The run is of a robot of its own, whose model and tool no folder holds: replay it in Python by "

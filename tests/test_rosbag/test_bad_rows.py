@@ -167,3 +167,13 @@ def test_the_force_of_a_wrench_comes_along_without_its_bias(tmp_path):
     felt = found.nan_to_num().abs() > 1e-4
     assert found.shape[1] == 3 and int(felt.sum()) == 1
     assert float(found[felt]) == pytest.approx(2.0, abs=1e-4)
+
+
+def test_a_wrench_that_no_touch_of_the_tool_explains_gives_no_force(tmp_path):
+    """A moment that takes the line of force past the ball: something else was touched, or the shape is wrong."""
+    impossible = {"force": np.array([5.0, 0.0, 0.0]), "torque": np.array([0.0, 0.0, 1.0])}
+    made = made_of(written(tmp_path / "log.h5", [("wrench", START + SECOND + 7, impossible)]))
+    assert made.wrenches["miss"] == 1 and made.wrenches["none"] == 42
+    found = torch.cat([own.reading.measurements[FORCE] for own in made.taken[1:]])
+    assert float(found.nan_to_num().abs().max()) < 1e-4
+    assert sum(int(own.reading.in_contact.sum()) for own in made.taken) == 1, "that it touched is known all the same"

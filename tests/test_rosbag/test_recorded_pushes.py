@@ -10,11 +10,12 @@ import torch
 
 from rumi.cli import main
 from rumi.errors import UsageError
-from rumi.exit_codes import BAD_INPUT, DONE
+from rumi.exit_codes import BAD_INPUT, DONE, NOT_CONVERGED
 from rumi.rosbag.bag import check_frames, import_bag
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping_file import mapping_of, read_mapping
 from rumi.rosbag.recorded_pushes import read_pushes
+from scripts import recorded_bags
 from scripts.bench.vicon_pushes import MAP
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
@@ -171,29 +172,46 @@ def test_a_suggested_mapping_can_be_used(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "a.toml").read_text() == text
 
 
+def test_several_bags_come_in_by_one_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("lab.toml").write_text(MAP)
+    bags = [str(write(tmp_path / name)) for name in ("a.bag", "b.bag")]
+    assert main(["import", *bags, "--map", "lab.toml", "--out", "logs"]) == DONE
+    assert sorted(path.name for path in Path("logs").iterdir()) == ["a.h5", "b.h5"]
+    out = capsys.readouterr().out
+    assert "logs/a.h5: " in out and "logs/b.h5: " in out
+    (tmp_path / "other").mkdir()
+    same = str(write(tmp_path / "other" / "a.bag"))
+    assert main(["import", *bags, same, "--map", "lab.toml", "--out", "logs"]) == BAD_INPUT
+    assert "logs/a.h5: import them one by one" in capsys.readouterr().err
+    assert main(["import", *bags, "--suggest"]) == BAD_INPUT
+    assert main(["import", "--map", "lab.toml"]) == BAD_INPUT
+    assert "BAG" in capsys.readouterr().err
+
+
+def test_one_of_several_bags_that_lacks_something_is_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("lab.toml").write_text(MAP)
+    whole, without = write(tmp_path / "a.bag"), write(tmp_path / "b.bag", wrench=False)
+    assert main(["import", str(without), str(whole), "--map", "lab.toml"]) == NOT_CONVERGED
+    assert "no /netft_data" in capsys.readouterr().err
+    assert Path("a.h5").is_file() and Path("b.h5").is_file()
+
+
 @pytest.mark.parametrize("flags", [[], ["--suggest", "--map", "a.toml"]])
 def test_either_a_mapping_or_a_suggestion(tmp_path, capsys, flags):
     assert main(["import", str(write(tmp_path / "a.bag")), *flags]) == BAD_INPUT
     assert "--suggest" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-@pytest.mark.skipif("RUMI_DATA" not in os.environ, reason="recorded bags by RUMI_DATA")
-def test_recorded_bags_come_in_by_one_mapping(tmp_path):
-    mapping = mapping_of(MAP)
-    bags = sorted(Path(os.environ["RUMI_DATA"]).glob("vicon_bags/*/*.bag"))
-    assert bags
-    for bag in bags[::5]:
-        done = import_bag(bag, mapping, tmp_path / f"{bag.stem}.h5")
-        assert not done.problems
-        assert not done.lost
-        with Log(tmp_path / f"{bag.stem}.h5") as log:
-            tree = FrameTree.of_log(log, mapping)
-            (stream,) = (own for name, own in log.streams.items() if name.startswith("vicon/"))
-            stamps = torch.tensor([sample.stamp_ns for sample in stream.samples()])
-            block, known = tree.at("slider", stamps)
-        assert float(known.double().mean()) > 0.9
-        # pushes are told at some of these instants, in the same frame
-        recording = read_pushes(tmp_path / f"{bag.stem}.h5", mapping, block="slider")
-        off = (block[known][:, None, :3, 3] - recording.block[None, :, :3, 3]).norm(dim=-1).amin(0)
-        assert float(off.max()) < 1e-9
+@pytest.mark.data
+def test_a_recorded_bag_comes_in_as_it_is_and_replays_bit_for_bit(tmp_path, monkeypatch, cache):
+    """The smallest of the eleven; `python -m scripts.recorded_bags` does it with all of them."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("RUMI_CACHE", str(cache))
+    bag = min(recorded_bags.bags(), key=lambda one: one.stat().st_size)
+    recorded_bags.prepare()
+    assert main(["import", str(bag), "--map", "lab.toml"]) == DONE
+    for error in recorded_bags.errors(bag):
+        assert error.poses > 300 and error.mm < 0.1 and error.degrees < 0.05
+    assert recorded_bags.replay(bag, steps=2) == (3, 3)

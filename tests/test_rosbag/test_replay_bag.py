@@ -7,7 +7,7 @@ import torch
 
 from rumi.cli import main
 from rumi.errors import UsageError
-from rumi.exit_codes import NOT_CONVERGED
+from rumi.exit_codes import BAD_INPUT, NOT_CONVERGED
 from rumi.rosbag.bag import import_bag
 from rumi.rosbag.frames import Edge, FrameTree
 from rumi.rosbag.mapping_file import mapping_of
@@ -119,6 +119,11 @@ def test_the_command(log, tmp_path, monkeypatch, capsys, bags):
     run = load_run("run")
     assert len(run.steps) == 6
     assert run.settings["filter"]["motion"] == "sticking"
+    assert main(["replay", "run"]) == NOT_CONVERGED, "what a replay wrote replays to the same beliefs"
+    assert "bit for bit, after each of 6 readings" in capsys.readouterr().out
+    (tmp_path / "run" / "map.toml").unlink()
+    assert main(["replay", "run"]) == BAD_INPUT
+    assert "replay the log again" in capsys.readouterr().err
     (tmp_path / "short.toml").write_text(bags.MAP.replace("every_s = 1.1", "every_s = 2.2"))
     main(["replay", str(log), "--map", "short.toml", "--filter.motion", "estimated", "--out", "other"])
     assert len(load_run("other").steps) < 6

@@ -1,0 +1,216 @@
+"""The ROS 1 bags of `RUMI_DATA/vicon_bags`: imported by one command, held against the bags, and replayed twice.
+
+    python -m scripts.recorded_bags [FOLDER]      # a line a bag; FOLDER keeps logs, mapping, meshes and runs
+
+A fingertip of 4.75 mm radius pushes a block over a table. Heights of tip and block have no origin in common in these
+bags, so that both are taken to be tall: the belief is over x, y and yaw. The blocks' sides are those that
+`scripts.bench.vicon_pushes` finds from where the tip was.
+"""
+
+import contextlib
+import io
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from rumi.cli import main as rumi
+from rumi.errors import UsageError
+from rumi.rosbag.frames import FrameTree
+from rumi.rosbag.mapping_file import read_mapping
+from rumi.runs.folder import load_run
+from rumi.runs.replay import digest
+from scripts.bench.real_pushes import TIP_M
+from sdf.extras import optional
+from sensors.log.reader import Log
+
+MAP = """schema = 1
+
+[topics]
+"/tip_pose" = { role = "pose", frame = "map", child = "tip" }
+"/vicon/*/*" = { role = "pose", child = "slider" }
+"/netft_data" = "wrench"
+
+[frames]
+world = "map"
+tool = "tip"
+floor_z_m = -0.5
+
+[scene]
+within = [[0.2, -0.4, 0.0], [0.6, 0.3, 1.0]]
+prior_mean_m = [0.366, -0.24]
+prior_spread_m = 0.01
+
+[tool]
+mesh = "tip.stl"
+
+[wrench]
+mesh = "tip.stl"
+tare_s = 0.3
+least_force_n = 0.5
+friction = 1.0
+
+[actions]
+view_s = 0.3
+every_s = 0.5
+"""
+SIDES_M = {"Al_block": 0.103, "Plastic_block": 0.118, "St_block": 0.102}
+
+
+class Error(NamedTuple):
+    """Largest difference of poses.
+
+    Attributes:
+        mm: of places.
+        degrees: of turns.
+        poses: that were compared.
+    """
+
+    mm: float
+    degrees: float
+    poses: int
+
+
+def bags() -> list[Path]:
+    """The bags.
+
+    Raises:
+        UsageError: RUMI_DATA does not say where they are.
+    """
+    found = sorted((Path(os.environ.get("RUMI_DATA", "")) / "vicon_bags").glob("*/*.bag"))
+    if not os.environ.get("RUMI_DATA") or not found:
+        raise UsageError("Expected RUMI_DATA to name the folder of data sets, with vicon_bags in it")
+    return found
+
+
+def prepare() -> None:
+    """Write the mapping and the meshes into the current folder."""
+    trimesh = optional("trimesh", "A mesh")
+    Path("lab.toml").write_text(MAP)
+    for name, side in SIDES_M.items():
+        trimesh.creation.box((side, side, 1.0)).export(f"{name}.stl")
+    tip = trimesh.creation.cylinder(TIP_M, 0.25, sections=24)  # from the sensor's frame, whose z points down
+    tip.apply_translation((0.0, 0.0, 0.125))
+    tip.export("tip.stl")
+
+
+def replay(bag: Path, steps: int | None = None) -> tuple[int, int]:
+    """Replay the log of a bag twice, and the first replay's own folder.
+
+    Args:
+        bag: whose log there is.
+        steps: readings to take in after the first; None for all.
+
+    Returns:
+        number of beliefs, and how many of them are the same each time.
+    """
+    words = ["replay", f"{bag.stem}.h5", "--mesh", f"{bag.parent.name}.stl"]
+    words += [] if steps is None else ["--steps", str(steps)]
+    first, second = (_beliefs([*words, "--out", f"{bag.stem}-{which}"]) for which in "ab")
+    again = _said(["replay", f"{bag.stem}-a"])
+    if f"bit for bit, after each of {len(first)} readings" not in again:
+        return len(first), 0
+    return len(first), sum(one == other for one, other in zip(first, second, strict=True))
+
+
+def errors(bag: Path) -> tuple[Error, Error]:
+    """Tip and block at the stamps of their messages: what the log has less what the bag has."""
+    mapping = read_mapping("lab.toml")
+    tip, block, map_T_tracker = _of_bag(bag)
+    belief_T_map = np.eye(4)
+    belief_T_map[2, 3] = -mapping.frames.floor_z_m
+    with Log(Path(f"{bag.stem}.h5")) as log:
+        tree = FrameTree.of_log(log, mapping)
+        return _error(tree, "tip", tip, belief_T_map), _error(tree, "slider", block, belief_T_map @ map_T_tracker)
+
+
+def _error(tree: FrameTree, frame: str, rows: dict[int, np.ndarray], world: np.ndarray) -> Error:
+    found, known = tree.at(frame, torch.tensor(sorted(rows)))
+    expected = np.stack([world @ rows[stamp] for stamp in sorted(rows)])[known.numpy()]
+    told = found[known].numpy()
+    apart = 1e3 * np.linalg.norm(told[:, :3, 3] - expected[:, :3, 3], axis=-1)
+    # of a small angle the matrices' difference, not the cosine, which cannot tell it from none
+    turned = np.degrees(np.linalg.norm(told[:, :3, :3] - expected[:, :3, :3], axis=(-2, -1)) / np.sqrt(2.0))
+    return Error(float(apart.max()), float(turned.max()), int(known.sum()))
+
+
+def _of_bag(bag: Path) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray], np.ndarray]:
+    """Poses of tip and block by stamp as the bag's messages have them, and the tracker's frame in the tip's."""
+    optional("rosbags", "A bag")
+    from rosbags.highlevel import AnyReader
+
+    tip, block, ties, frame = {}, {}, {}, ""
+    with AnyReader([bag]) as reader:
+        for line, _, raw in reader.messages():
+            if line.topic == "/tip_pose":
+                message = reader.deserialize(raw, line.msgtype)
+                tip[_stamp(message)] = _pose(message.pose.position, message.pose.orientation)
+            elif line.topic.startswith("/vicon/") and line.msgtype.endswith("/TransformStamped"):
+                message = reader.deserialize(raw, line.msgtype)
+                frame = message.header.frame_id.strip("/")
+                block[_stamp(message)] = _pose(message.transform.translation, message.transform.rotation)
+            elif line.topic == "/tf":
+                for one in reader.deserialize(raw, line.msgtype).transforms:
+                    name = one.header.frame_id.strip("/"), one.child_frame_id.strip("/")
+                    ties.setdefault(name, _pose(one.transform.translation, one.transform.rotation))
+    return tip, block, ties["map", "viconworld"] @ ties["viconworld", frame]
+
+
+def _stamp(message: object) -> int:
+    stamp = message.header.stamp  # type: ignore[attr-defined]
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _pose(at: object, turn: object) -> np.ndarray:
+    x, y, z, w = (getattr(turn, name) for name in "xyzw")
+    x, y, z, w = np.array((x, y, z, w)) / np.sqrt(x * x + y * y + z * z + w * w)
+    made = np.eye(4)
+    made[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    made[:3, 3] = [getattr(at, name) for name in "xyz"]
+    return made
+
+
+def _beliefs(words: list[str]) -> list[bytes]:
+    """Digests of the beliefs of a replay that the command writes."""
+    _said(words)
+    return [digest(step.belief) for step in load_run(words[-1]).steps]
+
+
+def _said(words: list[str]) -> str:
+    """What a command of rumi says; exit code 1, of a belief that is not sure, is fine."""
+    with contextlib.redirect_stdout(io.StringIO()) as said, contextlib.redirect_stderr(io.StringIO()) as err:
+        if rumi(words) not in (0, 1):
+            raise UsageError(f"rumi {' '.join(words)} failed: {err.getvalue()}")
+    return said.getvalue()
+
+
+def main(arguments: Sequence[str]) -> int:
+    """All bags, a line each."""
+    found = bags()
+    with contextlib.ExitStack() as stack:
+        folder = Path(arguments[0]) if arguments else Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder.mkdir(parents=True, exist_ok=True)
+        stack.enter_context(contextlib.chdir(folder))
+        prepare()
+        _said(["import", *map(str, found), "--map", "lab.toml"])
+        print("| bag | tip: poses, mm, degrees | block: poses, mm, degrees | beliefs | the same |")
+        print("|---|---|---|---|---|")
+        for bag in found:
+            tip, block = errors(bag)
+            count, same = replay(bag)
+            cells = [f"{one.poses}, {one.mm:.1g}, {one.degrees:.1g}" for one in (tip, block)]
+            print(f"| {bag.parent.name} {bag.stem} | {' | '.join(cells)} | {count} | {same} |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
