@@ -17,6 +17,15 @@ _COLORS = ("rgb", "bgr", "mono8")
 _TOOL_WORDS = ("tool", "tip", "gripper", "hand", "ee", "finger", "tcp")
 
 
+_WRENCH = (
+    "# [wrench]  # TODO for a replay: the tool's surface in the sensor's frame",
+    '# radius_m = 0.01  # of a ball, or mesh = "tool.stl"',
+    "# center_m = [0.0, 0.0, 0.1]",
+    "# tare_s = 0.5  # seconds at the start in which nothing touches",
+    "",
+)
+
+
 @dataclass
 class _Found:
     """What a bag has.
@@ -79,6 +88,7 @@ def suggest_mapping(bag: Path) -> str:
         "[object]",
         '# mesh = "object.stl"  # TODO, or in [scene] builtin = "mug"',
         "",
+        *(_WRENCH if any(CONVERTERS[kind][0][0] == "wrench" for _, kind in found.count if kind in CONVERTERS) else ()),
     ]
     return "\n".join(lines)
 

@@ -30,7 +30,9 @@ from rumi.commands.serve import ServeOptions, made
 from rumi.fields.workspace import Workspace
 from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import Tool
+from rumi.runs.export import estimates_of
 from rumi.runs.folder import load_run
+from rumi.tasks.registry import entry_of
 from rumi.tasks.rummage.settings import preset
 from sdf import se3
 from sdf.symmetry import Symmetries
@@ -239,6 +241,26 @@ def test_the_example_client_pushes_a_box_and_leaves_a_run(tmp_path):
     assert [line.split()[0] for line in steps] == ["0", "1", "2"] and "'type': 'end'" in end
     last = [float(word) for word in steps[-1].split()[2:]]
     assert last == pytest.approx(run.steps[-1].belief.mode()[:3, 3].tolist(), abs=1e-6), "the pose that came over"
+
+
+def test_the_belief_that_comes_over_is_the_one_that_is_kept(tmp_path):
+    """Pose and covariance to the last digit that JSON has, as those of the run's folder."""
+    seen = [[0.52, 0.01 * y, 0.01 * z] for y in range(-7, 8) for z in range(21)]
+    heard = []
+    with serving(Served(small_agent(), WITHIN, tmp_path), 1) as port, Client(port) as client:
+        client.tell(type="start", tool=TOOL, surface=seen)
+        for _ in range(3):
+            heard.append(client.until("belief")["pose"])
+            if len(heard) < 3:
+                for pose in client.until("action")["path"]:
+                    client.tell(type="sample", tool=pose, motion=[0, 0, 0, 0, 0, 0, 1])
+                client.tell(type="done")
+        client.until("end")
+    run = load_run(tmp_path / "run")
+    kept = estimates_of(run, entry_of(run).pose).steps
+    for told, one in zip(heard, kept, strict=True):
+        assert torch.tensor(told["world_T_object"]).double() == pytest.approx(one.pose.world_T_object, abs=1e-6)
+        assert told["covariance"] == one.pose.as_dict()["covariance"]
 
 
 def test_a_view_without_the_object_ends_the_run_and_nothing_else(tmp_path):

@@ -159,6 +159,10 @@ def test_a_suggested_mapping_can_be_used(tmp_path, monkeypatch, capsys):
     assert main(["import", "a.bag", "--suggest"]) == DONE
     text = (tmp_path / "a.toml").read_text()
     assert "# geometry_msgs/msg/PoseStamped, 11 messages, without a frame of its own: TODO" in text
+    # what a replay needs beside it stands there as comments, which can be taken as they are
+    uncommented = text.replace("# [wrench]", "[wrench]").replace("# radius_m", "radius_m").replace("# tare", "tare")
+    wrench = mapping_of(uncommented.replace("# center_m", "center_m")).wrench
+    assert wrench.center_m == (0.0, 0.0, 0.1) and wrench.tare_s == 0.5
     mapping = read_mapping(tmp_path / "a.toml")
     assert mapping.frames.world == "map"
     assert mapping.frames.tool == "tip"

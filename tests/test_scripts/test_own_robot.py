@@ -75,8 +75,14 @@ def script():
 
 
 @pytest.fixture(scope="module")
-def robot(script):
-    return script.robot_for()
+def agent(script):
+    return script.robot_for().agent
+
+
+@pytest.fixture
+def robot(script, agent):
+    """A robot whose mug nobody has pushed yet."""
+    return script.Robot(agent, TRUTH.clone())
 
 
 @pytest.fixture(scope="module")
