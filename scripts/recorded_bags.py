@@ -12,7 +12,6 @@ import io
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +19,7 @@ import numpy as np
 import torch
 
 from rumi.cli import main as rumi
+from rumi.cli import script
 from rumi.errors import UsageError
 from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping_file import read_mapping
@@ -193,8 +193,9 @@ def _said(words: list[str]) -> str:
     return said.getvalue()
 
 
-def main(arguments: Sequence[str]) -> int:
+def main() -> None:
     """All bags, a line each."""
+    arguments = sys.argv[1:]
     found = bags()
     with contextlib.ExitStack() as stack:
         folder = Path(arguments[0]) if arguments else Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -209,8 +210,7 @@ def main(arguments: Sequence[str]) -> int:
             count, same = replay(bag)
             cells = [f"{one.poses}, {one.mm:.1g}, {one.degrees:.1g}" for one in (tip, block)]
             print(f"| {bag.parent.name} {bag.stem} | {' | '.join(cells)} | {count} | {same} |", flush=True)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    script(main)

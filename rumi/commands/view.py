@@ -54,7 +54,7 @@ def view(arguments: Sequence[str]) -> int:
 
 def keep(folder: Path) -> None:
     """Write the recording of a run that has just ended, where the viewer is installed: `rumi view` opens it at once."""
-    if importlib.util.find_spec("rerun") is None:
+    if not _installed():
         return
     from rumi.runs.progress import say
 
@@ -62,6 +62,13 @@ def keep(folder: Path) -> None:
         write(folder, folder / RECORDING)
     except (UsageError, ImportError, OSError) as error:  # the run itself is whole
         say(f"no recording for `rumi view`: {error}")
+
+
+def _installed() -> bool:
+    try:
+        return importlib.util.find_spec("rerun") is not None
+    except (ImportError, ValueError):  # hidden by hand
+        return False
 
 
 def write(run: Path, path: Path) -> None:
