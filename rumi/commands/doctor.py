@@ -19,6 +19,23 @@ _LOADED = 0.5  # of the cores that others use, from which on times are longer
 _LARGE = 5e9  # bytes of a cache that are worth a word
 
 
+_USES = {
+    "sim": "tasks in simulation",
+    "robot": "arms by their URDF or MJCF",
+    "mesh": "objects by their meshes",
+    "plot": "figures",
+    "vision": "depth images and bubbles",
+    "logs": "logs and ROS bags",
+    "serve": "robots in other processes, rumi serve",
+    "view": "the viewer, rumi view",
+    "baselines": "the method gpvr",
+    "cluster": "experiments on a SLURM cluster",
+    "gym": "environments of gymnasium",
+    "peers": "comparisons with other packages",
+    "stress": "rumi stress",
+}
+
+
 @dataclass(frozen=True)
 class DoctorOptions:
     """Look rumi's installation over: versions, extras, threads, caches, devices, and a self-test of a few seconds.
@@ -59,6 +76,8 @@ def doctor(arguments: Sequence[str]) -> int:
             sys.stdout.write(f"{finding.state:<6}{finding.name:<12}{finding.told}\n")
             if finding.remedy:
                 sys.stdout.write(f"{'':18}-> {finding.remedy}\n")
+        bad = ", ".join(finding.name for finding in found if finding.state == "wrong")
+        sys.stdout.write(f"{bad}: does not work, see above\n" if wrong else "All that is installed works.\n")
     return NOT_CONVERGED if wrong else DONE
 
 
@@ -105,9 +124,10 @@ def _extras() -> Iterator[Finding]:
     for extra, packages in EXTRAS.items():
         lacking = [name for name in packages.split() if find_spec(name) is None]
         if not lacking:
-            yield Finding(f"[{extra}]", "ok", "there")
+            yield Finding(f"[{extra}]", "ok", f"{_USES[extra]}: installed")
         else:
-            yield Finding(f"[{extra}]", "note", f"without {', '.join(lacking)}", remedy(extra))
+            told = f"{_USES[extra]}: not installed ({', '.join(lacking)})"
+            yield Finding(f"[{extra}]", "note", told, f"only if you want that: {remedy(extra)}")
 
 
 def _threads() -> Iterator[Finding]:

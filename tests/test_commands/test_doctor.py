@@ -11,6 +11,10 @@ from sdf.extras import EXTRAS
 pytestmark = pytest.mark.usefixtures("at_home")
 
 
+def test_every_extra_is_told_with_what_it_is_for():
+    assert set(command._USES) == set(EXTRAS)
+
+
 def test_it_looks_at_everything_and_all_of_it_works(capsys):
     assert main(["doctor", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -39,7 +43,8 @@ def test_what_is_wrong_is_said_with_what_to_do(capsys, monkeypatch):
     out = capsys.readouterr().out
     assert "broke off: RuntimeError: it is bent" in out
     assert "another project brings a package sdf" in out
-    assert "note  [sim]       without mujoco" in out and "pip install -e" in out
+    assert "note  [sim]       tasks in simulation: not installed (mujoco)" in out and "pip install -e" in out
+    assert out.splitlines()[-1] == "broken, sdf: does not work, see above"
 
 
 def test_a_cache_that_cannot_be_written(capsys, monkeypatch, tmp_path):
