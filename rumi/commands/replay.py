@@ -13,8 +13,8 @@ import tyro
 
 from rumi.cache import cache_folder
 from rumi.commands.flags import FLAGS
+from rumi.commands.recordings import keep
 from rumi.commands.replay_summary import differing, machines, summary
-from rumi.commands.view import keep
 from rumi.errors import UsageError
 from rumi.exit_codes import DONE, NOT_CONVERGED
 from rumi.runs.logbook import LOG

@@ -17,8 +17,8 @@ from rumi.commands.former_flags import renamed
 from rumi.commands.glossary import FIGURE, GLOSSARY
 from rumi.commands.kernels_ahead import kernels_ahead
 from rumi.commands.pushes import learnt, level_rummager
+from rumi.commands.recordings import keep
 from rumi.commands.tasks import listing
-from rumi.commands.view import keep
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
 from rumi.runs.folder import free_folder, load_run, prepare_folder, remove_if_empty_on_error

@@ -1,6 +1,5 @@
 """The command `rumi view`: a recorded run in the viewer Rerun."""
 
-import importlib.util
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -11,12 +10,9 @@ from typing import Annotated
 
 import tyro
 
+from rumi.commands.recordings import RECORDING, write_recording_of
 from rumi.environment import has_display
-from rumi.errors import UsageError
 from rumi.exit_codes import DONE
-
-RECORDING = "run.rrd"
-"""Name of the recording in a run's folder."""
 
 _WRITERS = [Path(__file__).parents[1] / "viz" / name for name in ("viewer.py", "viewer_layout.py", "reasons.py")]
 
@@ -52,41 +48,15 @@ def view(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def keep(folder: Path) -> None:
-    """Write the recording of a run that has just ended, where the viewer is installed: `rumi view` opens it at once."""
-    if not _installed():
-        return
-    from rumi.runs.progress import say
-
-    try:
-        write(folder, folder / RECORDING)
-    except (UsageError, ImportError, OSError) as error:  # the run itself is whole
-        say(f"no recording for `rumi view`: {error}")
-
-
-def _installed() -> bool:
-    try:
-        return importlib.util.find_spec("rerun") is not None
-    except (ImportError, ValueError):  # hidden by hand
-        return False
-
-
 def write(run: Path, path: Path) -> None:
     """Write the recording of a run's folder, or of a log."""
-    from rumi.runs.export import estimates_of
-    from rumi.runs.folder import load_run, make_folder
-    from rumi.tasks.registry import entry_of
-    from rumi.viz.viewer import write_recording
+    if not run.is_file():
+        write_recording_of(run, path)
+        return
+    from rumi.commands.replayed import run_folder
 
-    if run.is_file():
-        from rumi.commands.replayed import run_folder
-
-        with run_folder(run) as folder:
-            read = load_run(folder)
-    else:
-        read = load_run(run)
-    make_folder(path.parent)
-    write_recording(read, estimates_of(read, entry_of(read).pose).steps, path)
+    with run_folder(run) as folder:
+        write_recording_of(folder, path)
 
 
 def is_fresh(path: Path, run: Path) -> bool:

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from rumi.cli import main
+from rumi.commands import recordings
 from rumi.commands import view as command
 from rumi.runs.folder import RunRecorder
 from rumi.viz import live
@@ -85,17 +86,17 @@ def test_a_fresh_recording_is_not_written_again(folder, monkeypatch):
 
 
 def test_a_run_keeps_its_recording_where_the_viewer_is_installed(folder, monkeypatch, capsys):
-    command.keep(folder)
+    recordings.keep(folder)
     assert command.is_fresh(folder / "run.rrd", folder)
     (folder / "run.rrd").unlink()
-    monkeypatch.setattr(command.importlib.util, "find_spec", lambda name: None)
-    command.keep(folder)
+    monkeypatch.setattr(recordings.importlib.util, "find_spec", lambda name: None)
+    recordings.keep(folder)
     assert not (folder / "run.rrd").exists()
 
 
 def test_a_run_that_cannot_be_shown_ends_as_it_would(folder, monkeypatch, capsys):
     (folder / "trace.npz").write_bytes(b"")
-    command.keep(folder)
+    recordings.keep(folder)
     assert "no recording" in capsys.readouterr().err and not (folder / "run.rrd").exists()
 
 
