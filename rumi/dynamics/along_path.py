@@ -283,8 +283,11 @@ def _push_along_path_numba(
 
 def outline_table(
     outline: GridOutline | RectangleOutline, like: Tensor
-) -> tuple[Float[Tensor, "X Y"], tuple[float, float, float, float]]:
-    """An outline as the compiled versions take it: distances, and whether it is a rectangle, with halves or lattice."""
+) -> tuple[Float[Tensor, "X Y"], tuple[float, float, float, float, float]]:
+    """An outline as the compiled versions take it: distances, and whether it is a rectangle, with halves or lattice.
+
+    The last number is by how much distances outside change a metre, at most.
+    """
     if isinstance(outline, RectangleOutline):
-        return like.new_zeros(1, 1), (1.0, *outline.half, 0.0)
-    return outline.values, (0.0, *outline.origin.tolist(), outline.spacing)
+        return like.new_zeros(1, 1), (1.0, *outline.half, 0.0, 1.0)
+    return outline.values, (0.0, *outline.origin.tolist(), outline.spacing, outline.steepness)

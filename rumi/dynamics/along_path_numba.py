@@ -8,6 +8,8 @@ from rumi.dynamics.sliding_numba import settled, slope, value
 from sdf.compiled import Kernel, bare
 from sdf.part_numba import indices
 
+_ROUNDING_M = 1e-6  # by which a value may be off, of numbers of single precision
+
 
 @bare
 def _rectangle(x, y, half_x, half_y):
@@ -40,18 +42,38 @@ def gradient(x, y, table, shape):
 
 
 @bare
-def nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape):
-    """The tool's point that is nearest to the object, its distance, and its place in the object's frame."""
+def measure(points, shape, along):
+    """By how much the outline's values may differ from the tool's first point to each other one, along its border."""
+    total = 0.0
+    for k in range(len(points)):
+        if k > 0:
+            dx, dy = points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1]
+            total += shape[4] * math.sqrt(dx * dx + dy * dy)
+        along[k] = total
+
+
+@bare
+def nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape, below, along):
+    """The tool's first point that is nearest to the object, its distance, and its place in the object's frame.
+
+    Points are passed over that are farther than the nearest one so far: values outside the object change no more
+    than `along` does (`measure`). Where none is nearer than `below`, that is the distance.
+    """
     cos, sin = math.cos(yaw), math.sin(yaw)
     tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
-    least, best, at_x, at_y = math.inf, 0, 0.0, 0.0
-    for k in range(len(points)):
+    least, best, at_x, at_y = below, 0, 0.0, 0.0
+    k, count = 0, len(points)
+    while k < count:
         dx = tool_x + tool_cos * points[k, 0] - tool_sin * points[k, 1] - x
         dy = tool_y + tool_sin * points[k, 0] + tool_cos * points[k, 1] - y
         place_x, place_y = cos * dx + sin * dy, cos * dy - sin * dx
         found = _outline(place_x, place_y, table, shape)
         if found < least:
             least, best, at_x, at_y = found, k, place_x, place_y
+        passed = along[k] + found - max(least, 0.0) - _ROUNDING_M
+        k += 1
+        while k < count and along[k] <= passed:
+            k += 1
     return least, best, at_x, at_y
 
 
@@ -72,7 +94,7 @@ def sliding_at(e, centre, lever, friction, quartic):
 
 
 @bare
-def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body):
+def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body, along):
     """Pose of an object after the tool's way from one instant to the next."""
     thickness, reach, substeps, passes = sizes[0], sizes[1], counts[0], counts[1]
     from_x, from_y, from_yaw = (
@@ -91,7 +113,7 @@ def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts,
         tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
         first = (x, y, yaw)
         for _ in range(passes):
-            apart, k, at_x, at_y = nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape)
+            apart, k, at_x, at_y = nearest(x, y, yaw, tool_x, tool_y, tool_yaw, points, table, shape, thickness, along)
             depth = thickness - apart
             if not depth > 0.0:
                 break
@@ -115,12 +137,12 @@ def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts,
 
 
 @bare
-def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape, sizes, counts, track, distance):
+def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape, sizes, counts, along, track, distance):
     x, y, yaw = float(poses[e, 0]), float(poses[e, 1]), float(poses[e, 2])
     row = e if len(path) > 1 else 0
     body = sliding_at(e, centre, lever, friction, quartic)
     for instant in range(path.shape[1] - 1):
-        x, y, yaw = advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body)
+        x, y, yaw = advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts, body, along)
         track[e, instant, 0], track[e, instant, 1], track[e, instant, 2] = x, y, yaw
         if distance.shape[1] == 0:
             continue
@@ -135,6 +157,8 @@ def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape,
             points,
             table,
             shape,
+            math.inf,
+            along,
         )
         distance[e, instant] = apart - sizes[0]
 
@@ -142,6 +166,8 @@ def _one(e, poses, path, points, table, centre, lever, friction, quartic, shape,
 def _push_along_path(
     poses, path, points, table, centre, lever, friction, quartic, shape, sizes, counts, track, distance, part
 ):
+    along = np.empty(len(points))
+    measure(points, shape, along)
     for e in indices(part, len(poses)):
         # a signed index: a parallel loop's is unsigned, which with a signed one makes no index
         _one(
@@ -157,6 +183,7 @@ def _push_along_path(
             shape,
             sizes,
             counts,
+            along,
             track,
             distance,
         )

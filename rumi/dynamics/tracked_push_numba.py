@@ -4,18 +4,28 @@ import math
 
 import numpy as np
 
-from rumi.dynamics.along_path_numba import advanced, gradient, nearest, sliding_at
+from rumi.dynamics.along_path_numba import advanced, gradient, measure, nearest, sliding_at
 from sdf.compiled import Kernel, bare
 from sdf.part_numba import indices
 
 
 @bare
-def _separated(x, y, yaw, path, e, points, table, shape, thickness, most):
+def _separated(x, y, yaw, path, e, points, table, shape, thickness, most, along):
     """Place of an object off a tool that stands in it; see `separated`."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     for _ in range(most):
         apart, _, at_x, at_y = nearest(
-            x, y, yaw, float(path[e, 0, 0]), float(path[e, 0, 1]), float(path[e, 0, 2]), points, table, shape
+            x,
+            y,
+            yaw,
+            float(path[e, 0, 0]),
+            float(path[e, 0, 1]),
+            float(path[e, 0, 2]),
+            points,
+            table,
+            shape,
+            thickness,
+            along,
         )
         depth = thickness - apart
         if not depth > 0.0:
@@ -27,7 +37,7 @@ def _separated(x, y, yaw, path, e, points, table, shape, thickness, most):
 
 
 @bare
-def _pushed(e, n, start, path, shifts, points, table, centre, lever, friction, quartic, shape, sizes, counts):
+def _pushed(e, n, start, path, shifts, points, table, centre, lever, friction, quartic, shape, sizes, counts, along):
     """Where one push ends by one particle, as tracked."""
     tool_x, tool_y, own_x, own_y = float(shifts[n, 0]), float(shifts[n, 1]), float(shifts[n, 2]), float(shifts[n, 3])
     turn = float(shifts[n, 4])
@@ -35,9 +45,9 @@ def _pushed(e, n, start, path, shifts, points, table, centre, lever, friction, q
     cos, sin = math.cos(yaw), math.sin(yaw)
     x, y, yaw = x + cos * own_x - sin * own_y + tool_x, y + sin * own_x + cos * own_y + tool_y, yaw + turn
     body = sliding_at(n, centre, lever, friction, quartic)
-    x, y = _separated(x, y, yaw, path, e, points, table, shape, sizes[0], counts[2])
+    x, y = _separated(x, y, yaw, path, e, points, table, shape, sizes[0], counts[2], along)
     for instant in range(path.shape[1] - 1):
-        x, y, yaw = advanced(x, y, yaw, path, e, instant, points, table, shape, sizes, counts, body)
+        x, y, yaw = advanced(x, y, yaw, path, e, instant, points, table, shape, sizes, counts, body, along)
     yaw -= turn
     cos, sin = math.cos(yaw), math.sin(yaw)
     return x - tool_x - cos * own_x + sin * own_y, y - tool_y - sin * own_x - cos * own_y, yaw
@@ -61,12 +71,13 @@ def _tracked_ends(
     way,
     part,
 ):
-    count = len(shifts)
+    count, along = len(shifts), np.empty(len(points))
+    measure(points, shape, along)
     for k in indices(part, len(start) * count):
         # a signed index: a parallel loop's is unsigned, which with a signed one makes no index
         e, n = np.int64(k) // count, np.int64(k) % count
         x, y, yaw = _pushed(
-            e, n, start, path, shifts, points, table, centre, lever, friction, quartic, shape, sizes, counts
+            e, n, start, path, shifts, points, table, centre, lever, friction, quartic, shape, sizes, counts, along
         )
         ends[e, n, 0], ends[e, n, 1], ends[e, n, 2] = x, y, yaw
         first = float(start[e, 2])
