@@ -21,7 +21,8 @@ import numpy as np
 import torch
 import tyro
 
-from rumi.belief.pushed_pose import PushedPoseBelief, PushedPoseFilter, PushedPoseSettings
+from rumi.belief.pushed_pose import PushedPoseFilter, PushedPoseSettings
+from rumi.belief.pushed_pose_reading import PushedPoseBelief
 from rumi.cli import script
 from rumi.dynamics.along_path import push_along_path
 from rumi.dynamics.push_parameters import sliding_of
@@ -106,7 +107,7 @@ def simulated(seed: int, *, knocked: bool) -> Readings:
             spans.append(Knock(STEP_S * (k - 1), STEP_S * (k + 2)))
         path = torch.stack((before, tip)) + place
         moved = push_along_path(pose, path[None], body.pusher, body.outline, sliding, substeps=1).track[:, -1]
-        pose = moved + PushedPoseFilter(body).motion.variance(moved - pose).sqrt() * normal(1, 3)
+        pose = moved + PushedPoseFilter(body).model.motion.variance(moved - pose).sqrt() * normal(1, 3)
         if spans and STEP_S * k <= spans[-1].end:
             pose = pose + left
         read = pose[0] + torch.tensor(NOISE, dtype=torch.float64) * normal(3)

@@ -1,5 +1,7 @@
 """Validators of shapes and finite values."""
 
+from functools import cache
+
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
@@ -28,9 +30,7 @@ def check_shape(name: str, tensor: Tensor, text: str, last: tuple[int, ...] = ()
         raise ValueError(
             f"Expected {name} to be a tensor of shape {text}, got {type(tensor).__name__}: use torch.as_tensor"
         )
-    entries = [entry.strip() for entry in text.strip().strip("()").split(",") if entry.strip()]
-    named = [entry for entry in entries if not entry.startswith("*")]
-    starred = len(named) < len(entries)
+    named, starred = _axes(text)
     shape = tuple(tensor.shape)
     fits = len(shape) >= len(named) if starred else len(shape) == len(named)
     if fits and named:
@@ -42,6 +42,14 @@ def check_shape(name: str, tensor: Tensor, text: str, last: tuple[int, ...] = ()
         fits = shape[-len(last) :] == tuple(last)
     if not fits:
         raise ValueError(f"Expected {name} to have shape {text}, got {shape}")
+
+
+@cache
+def _axes(text: str) -> tuple[tuple[str, ...], bool]:
+    """Axes of a shape in words but for the starred one, and whether there is one: read once, met at every reading."""
+    entries = [entry.strip() for entry in text.strip().strip("()").split(",") if entry.strip()]
+    named = tuple(entry for entry in entries if not entry.startswith("*"))
+    return named, len(named) < len(entries)
 
 
 def check_finite(name: str, tensor: Tensor) -> None:

@@ -24,7 +24,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 Bound = Literal["run", "rate"]
-_MOST = 1e6  # nats of one ratio: a reading that p rules out; lowering a ratio keeps every bound
+MOST = 1e6
+"""Nats of one ratio, at most: a reading that p rules out; lowering a ratio keeps every bound."""
 
 
 class ChangeEvidence(NamedTuple):
@@ -95,7 +96,7 @@ class ChangeTest:
             raise ValueError(
                 "Expected log_ratios without NaN: where both densities are 0 a reading tells nothing, give 0"
             )
-        ratios = ratios.clamp_max(_MOST)
+        ratios = ratios.clamp_max(MOST)
         number = (evidence.readings + 1).double()[..., None]
         begun = torch.zeros_like(number) if self.bound == "rate" else -number.log() - (number + 1.0).log()
         return ChangeEvidence(
@@ -106,7 +107,7 @@ class ChangeTest:
 
     def log_evidence(self, evidence: ChangeEvidence) -> Float[Tensor, "*b"]:
         """Nats against "no fault so far"; an alarm is due from `threshold` on."""
-        terms = self._log_weights + evidence.log_sum
+        terms = self.log_weights + evidence.log_sum
         if self.bound == "rate":
             return torch.logsumexp(terms, -1)
         later = -(evidence.readings + 1.0).double().log()  # prior of an onset yet to come
@@ -124,7 +125,7 @@ class ChangeTest:
         none = torch.zeros_like(evidence.log_sum[..., :1])
         if self.bound == "run":
             none = none - (evidence.readings + 1.0).double().log()[..., None]
-        return torch.cat((none, self._log_weights + evidence.log_sum), -1).softmax(-1)
+        return torch.cat((none, self.log_weights + evidence.log_sum), -1).softmax(-1)
 
     def onset(self, evidence: ChangeEvidence) -> Float[Tensor, "*b K"]:
         """Posterior mean of the number of the first reading with a fault, from 1 on, were it each alternative.
@@ -137,7 +138,8 @@ class ChangeTest:
         return torch.where(ruled_out, last, off.exp())
 
     @cached_property
-    def _log_weights(self) -> Float[Tensor, "K"]:
+    def log_weights(self) -> Float[Tensor, "K"]:
+        """Of the alternatives, normalised."""
         return torch.tensor(self.weights, dtype=torch.float64).log().log_softmax(-1)
 
 
@@ -158,4 +160,4 @@ def log_e_value(p_value: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     wide = torch.where(near, 1.0, x)
     series = (0.5 + x / 6.0 + x.square() / 24.0).log()
     exact = wide + (-torch.expm1(-wide) - wide * (-wide).exp()).log() - 2.0 * wide.log()
-    return torch.where(p == 0, _MOST, torch.where(near, series, exact))
+    return torch.where(p == 0, MOST, torch.where(near, series, exact))

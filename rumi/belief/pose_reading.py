@@ -8,12 +8,10 @@ the reading had the object been knocked, or were the tracker's pose an old one.
 import math
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import backend, compiled
 from sdf.so3 import wrap
 
 _LOG_TAU = math.log(2.0 * math.pi)
@@ -105,23 +103,7 @@ def update_by_reading(
         reading: what was read.
         generator: of the random draws.
     """
-    normal = torch.randn(pushed.shape, generator=generator, dtype=pushed.dtype)
-    chance = torch.rand(log_weights.shape, generator=generator, dtype=pushed.dtype)
-    version = backend.dispatch("update_by_reading", before, pushed, log_weights, reading.value)
-    found: ReadingUpdate = version(before, pushed, log_weights, motion, reading, normal, chance)
-    return found
-
-
-@backend.register("update_by_reading")
-def _update(
-    before: Tensor,
-    pushed: Tensor,
-    log_weights: Tensor,
-    motion: MotionNoise,
-    reading: PoseReading,
-    normal: Tensor,
-    chance: Tensor,
-) -> ReadingUpdate:
+    normal, chance = reading_draws(len(pushed), generator)
     outlier, repeats = reading.rates
     variance, off = motion.variance(pushed - before), pose_difference(reading.value, pushed)
     added = torch.cat((torch.zeros_like(reading.others[:1]), reading.others))
@@ -150,26 +132,10 @@ def _update(
     )
 
 
-@backend.register("update_by_reading", "numba", compiled.supports)
-def _update_numba(
-    before: Tensor,
-    pushed: Tensor,
-    log_weights: Tensor,
-    motion: MotionNoise,
-    reading: PoseReading,
-    normal: Tensor,
-    chance: Tensor,
-) -> ReadingUpdate:
-    from rumi.belief.pose_reading_numba import update_by_reading as kernel
-
-    outlier, repeats = reading.rates
-    pose, after = torch.empty_like(pushed), torch.empty_like(log_weights)
-    others, old = reading.others.new_empty(len(reading.others)), reading.old.new_empty(len(reading.old))
-    mean, sums = pushed.new_empty(3), np.empty(4)
-    logs = (math.log1p(-outlier - repeats), math.log(0.5 * outlier), math.log(repeats))
-    tensors = (before, pushed, log_weights, normal, chance, *reading[:5], pose, after, mean, others, old)
-    kernel(*(part.detach().contiguous().numpy() for part in tensors), np.array((*motion, *logs)), sums)
-    return ReadingUpdate(pose, after, mean, float(sums[0]), others, old, float(sums[1]), float(sums[2]), float(sums[3]))
+def reading_draws(count: int, generator: torch.Generator) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N"]]:
+    """What a reading takes of chance: normal draws of the poses, and uniform ones of whether it tells of them."""
+    normal = torch.randn((count, 3), generator=generator, dtype=torch.float64)
+    return normal, torch.rand((count,), generator=generator, dtype=torch.float64)
 
 
 def pose_difference(first: Float[Tensor, "*#b 3"], second: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b 3"]:

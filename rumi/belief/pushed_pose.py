@@ -10,27 +10,24 @@ fault's onset on is undone, by going back to the belief before it and along the 
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Literal, NamedTuple, get_args
+from typing import Annotated, get_args
 
 import torch
 from annotated_types import Gt, Interval, Lt
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.change_test import ChangeEvidence, ChangeTest
-from rumi.belief.pose_reading import MotionNoise, PoseReading, pose_difference, update_by_reading
-from rumi.dynamics.along_path import push_along_path
+from rumi.belief.change_test import ChangeTest
+from rumi.belief.pose_reading import MotionNoise
+from rumi.belief.pushed_pose_reading import Fault, PushedPoseBelief, ReadingModel, pushed_by, take_reading
+from rumi.belief.pushed_pose_resampling import Drift, resampled
 from rumi.dynamics.push_parameters import sliding_of
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.pushed_body import PushedBody
-from rumi.dynamics.sliding import Sliding
-from rumi.resampling import resample_systematic
 from sdf.bounds import Checked, Count, Positive
-from sdf.check import check_shape
+from sdf.check import check_finite, check_shape
 
-Fault = Literal["knocked", "late", "stuck", "none of these"]
 FAULTS: tuple[Fault, ...] = get_args(Fault)
-"""The object was moved by something else; the tracker's pose is old; it repeats one number; nothing known fits."""
 
 _OF_TRACKER = ("late", "stuck")
 _LAGS = (3, 6, 12)  # readings by which a tracker is late, each as likely
@@ -83,48 +80,6 @@ class PushedPoseSettings(Checked):
     mean_run: Annotated[float, Gt(1.0), Lt(math.inf)] = 20_000.0
 
 
-class PushedPoseBelief(NamedTuple):
-    """Belief of an object's pose, and evidence that it is wrong.
-
-    Attributes:
-        pose: (N, 3), x, y, yaw, metres and radians.
-        log_weights: (N), normalised.
-        parameters: (N, 8) of how the object slides; see `rumi.dynamics.push_posterior.PARAMETERS`.
-        sliding: the same, for its support.
-        tool: (N, 3), of the tool's place against the tracker's, metres; its yaw is not off.
-        evidence: of faults.
-        trail: (T, 3), mean poses after the last readings, the latest first.
-        reading: the last one.
-        outliers: readings that told nothing, and readings, with what the prior counts as.
-        past: the last beliefs since the last alarm, the earliest first, each with the tool's path from there on.
-        fault: what the last alarm was taken for; None before the first, and once a tracker that failed fits again.
-        alarm: whether this reading raised one.
-    """
-
-    pose: Float[Tensor, "N 3"]
-    log_weights: Float[Tensor, "N"]
-    parameters: Float[Tensor, "N 8"]
-    sliding: Sliding
-    tool: Float[Tensor, "N 3"]
-    evidence: ChangeEvidence
-    trail: Float[Tensor, "T 3"]
-    reading: Float[Tensor, "3"]
-    outliers: tuple[float, float]
-    past: "tuple[tuple[PushedPoseBelief, Tensor], ...]" = ()
-    fault: Fault | None = None
-    alarm: bool = False
-
-    def mean(self) -> Float[Tensor, "3"]:
-        """Mean pose, of a belief that is near one place."""
-        first = self.pose[0]
-        return first + self.log_weights.exp() @ pose_difference(self.pose, first)
-
-    def covariance(self) -> Float[Tensor, "3 3"]:
-        """Of the pose."""
-        off = pose_difference(self.pose, self.mean())
-        return off.T @ (self.log_weights.exp()[:, None] * off)
-
-
 @dataclass(frozen=True)
 class PushedPoseFilter:
     """The filter; holds what does not change, never the belief.
@@ -145,33 +100,27 @@ class PushedPoseFilter:
         return ChangeTest(_SHARES, 1.0 / self.settings.mean_run, "rate")
 
     @cached_property
-    def _noise(self) -> Float[Tensor, "3"]:
-        """Variance of a reading."""
-        own = self.settings
-        return torch.tensor((own.reading_m, own.reading_m, own.reading_rad), dtype=torch.float64).square()
-
-    @cached_property
-    def _others(self) -> Float[Tensor, "4 3"]:
-        """Variance that is added to what is predicted: those of outliers, those of knocks."""
-        own = self.settings
-        deviations = (*zip(own.outlier_m, own.outlier_rad, strict=True), *_KNOCKS)
-        return torch.tensor([(m, m, rad) for m, rad in deviations], dtype=torch.float64).square()
-
-    @cached_property
     def _tool_m(self) -> Float[Tensor, "3"]:
         """Standard deviation of the tool's place."""
         return torch.tensor((self.settings.tool_m, self.settings.tool_m, 0.0), dtype=torch.float64)
 
     @cached_property
-    def motion(self) -> MotionNoise:
-        """Noise of the push model."""
-        own = self.settings
-        return MotionNoise(own.still, own.share**2 * own.share_way_m, self.body.support.spread)
+    def _drift(self) -> Drift:
+        """Of ways of sliding and of the tool's place."""
+        mean, deviation = (torch.tensor(part, dtype=torch.float64) for part in (self.prior.mean, self.prior.deviation))
+        return Drift(mean, deviation, self._tool_m, _FORGET, self.body.support)
 
     @cached_property
-    def _old(self) -> Float[Tensor, "4 3"]:
-        """Variance of a reading about old poses, and about the last reading, which is repeated but for digits."""
-        return self._noise * self._noise.new_tensor([2.0] * len(_LAGS) + [1e-4])[:, None]
+    def model(self) -> ReadingModel:
+        """Of readings and motions."""
+        own, support = self.settings, self.body.support
+        noise = torch.tensor((own.reading_m, own.reading_m, own.reading_rad), dtype=torch.float64).square()
+        deviations = (*zip(own.outlier_m, own.outlier_rad, strict=True), *_KNOCKS)
+        others = torch.tensor([(m, m, rad) for m, rad in deviations], dtype=torch.float64).square()
+        # about old poses, and about the last reading, which is repeated but for digits
+        old = noise * noise.new_tensor([2.0] * len(_LAGS) + [1e-4])[:, None]
+        motion = MotionNoise(own.still, own.share**2 * own.share_way_m, support.spread)
+        return ReadingModel(self.body, motion, noise, others, old, _LAGS, own.repeats, self.test)
 
     def initial(self, reading: Float[Tensor, "3"], *, generator: torch.Generator) -> PushedPoseBelief:
         """The belief after a first reading."""
@@ -210,62 +159,55 @@ class PushedPoseFilter:
         Raises:
             ValueError: a shape does not fit, or something is not finite.
         """
-        pushed = self._pushed(belief, path)
+        check_shape("path", path, "(K1, 3)", last=(3,))
+        check_finite("path", path)
+        path = path.double()
         past = (*belief.past, (belief._replace(past=()), path))[-_REMEMBERED:]
         if reading is None:
-            return self._unread(belief, pushed, generator)._replace(past=past)
+            return self._unread(belief, path, generator)._replace(past=past)
         check_shape("reading", reading, "(3,)", last=(3,))
-        reading = reading.double()
         if not bool(reading.isfinite().all()):
             raise ValueError(f"Expected a reading of finite numbers, or None where there is none, got {reading}")
-        return self._weighed(belief._replace(past=past), pushed, reading, generator)
+        return self._weighed(belief, path, reading.double(), past, generator)
 
-    def _pushed(self, belief: PushedPoseBelief, path: Tensor) -> Float[Tensor, "N 3"]:
-        """Poses after a path of the tool, by the push model."""
-        return push_along_path(
-            belief.pose,
-            path.double() + belief.tool[:, None],
-            self.body.pusher,
-            self.body.outline,
-            belief.sliding,
-            substeps=1,
-            distances=False,
-        ).track[:, -1]
-
-    def _unread(self, belief: PushedPoseBelief, pushed: Tensor, generator: torch.Generator) -> PushedPoseBelief:
+    def _unread(self, belief: PushedPoseBelief, path: Tensor, generator: torch.Generator) -> PushedPoseBelief:
         """The belief after a path without a reading."""
+        pushed = pushed_by(self.body, belief, path)
         normal = torch.randn(pushed.shape, generator=generator, dtype=pushed.dtype)
-        spread = self.motion.variance(pushed - belief.pose).sqrt()
+        spread = self.model.motion.variance(pushed - belief.pose).sqrt()
         after = belief._replace(pose=pushed + spread * normal, alarm=False)
         return _followed(after, after.mean())
 
     def _weighed(
-        self, belief: PushedPoseBelief, pushed: Tensor, reading: Tensor, generator: torch.Generator
+        self,
+        belief: PushedPoseBelief,
+        path: Tensor,
+        reading: Tensor,
+        past: tuple[tuple[PushedPoseBelief, Tensor], ...],
+        generator: torch.Generator,
     ) -> PushedPoseBelief:
         """The belief after a reading, and the evidence of faults in it."""
-        own, (lost, readings) = self.settings, belief.outliers
-        rate = min(lost / readings, 0.2)
-        back = torch.cat((belief.trail[list(_LAGS)], belief.reading[None]))
-        read = PoseReading(reading, self._noise, self._others, back, self._old, (rate, own.repeats))
-        found = update_by_reading(belief.pose, pushed, belief.log_weights, self.motion, read, generator=generator)
-        alternatives = torch.cat((found.others[2:], found.old, found.others[:1]))  # in the order of their names
-        test = self.test
-        evidence = test.update(belief.evidence, alternatives - found.log_density)
-        alarm = bool(test.alarm(evidence))
-        after = belief._replace(
-            pose=found.pose,
-            log_weights=found.log_weights,
-            evidence=evidence,
-            reading=reading,
-            outliers=(lost + found.untold, readings + 1.0),
-            alarm=alarm,
-            fault=None if found.told > 0.5 and belief.fault in _OF_TRACKER else belief.fault,
+        lost, readings = belief.outliers
+        found = take_reading(self.model, belief, path, reading, min(lost / readings, 0.2), generator=generator)
+        alarm = found.log_evidence >= self.test.threshold
+        after = PushedPoseBelief(
+            found.pose,
+            found.log_weights,
+            belief.parameters,
+            belief.sliding,
+            belief.tool,
+            found.evidence,
+            belief.trail if alarm else found.trail,
+            reading,
+            (lost + found.untold, readings + 1.0),
+            past,
+            None if found.told > 0.5 and belief.fault in _OF_TRACKER else belief.fault,
+            alarm,
         )
         if alarm:
             return self._recovered(after, generator)
-        after = _followed(after, found.mean)
         if found.effective < 0.5 * len(found.log_weights):
-            return self._resampled(after, generator)
+            return resampled(after, self._drift, generator=generator)
         return after
 
     def _recovered(self, belief: PushedPoseBelief, generator: torch.Generator) -> PushedPoseBelief:
@@ -292,7 +234,7 @@ class PushedPoseFilter:
         )
         if fault in _OF_TRACKER:
             return fresh  # whose poses were followed anew
-        kept = self._resampled(fresh, generator)
+        kept = resampled(fresh, self._drift, generator=generator)
         about = self._about(belief.reading, generator)
         some = (torch.arange(len(about)) % 2 == 0)[:, None]
         after = kept._replace(pose=torch.where(some, about, kept.pose))
@@ -304,29 +246,12 @@ class PushedPoseFilter:
         rest = belief.past[max(before, default=0) :]
         found = rest[0][0]
         for _, path in rest:
-            found = self._unread(found, self._pushed(found, path), generator)
+            found = self._unread(found, path, generator)
         return found._replace(reading=belief.reading)
-
-    def _resampled(self, belief: PushedPoseBelief, generator: torch.Generator) -> PushedPoseBelief:
-        """Equally weighted, with ways of sliding that drift."""
-        rows = resample_systematic(belief.log_weights, generator=generator)
-        mean, deviation = (belief.pose.new_tensor(part) for part in (self.prior.mean, self.prior.deviation))
-        normal = torch.randn(belief.parameters.shape, generator=generator, dtype=belief.pose.dtype)
-        left = math.sqrt(1.0 - _FORGET**2)
-        drift = left * deviation * normal
-        moved = torch.randn(belief.tool.shape, generator=generator, dtype=belief.tool.dtype)
-        parameters = mean + _FORGET * (belief.parameters[rows] - mean) + drift
-        return belief._replace(
-            pose=belief.pose[rows],
-            log_weights=torch.zeros_like(belief.log_weights).log_softmax(-1),
-            parameters=parameters,
-            sliding=sliding_of(parameters, self.body.support),
-            tool=_FORGET * belief.tool[rows] + left * self._tool_m * moved,
-        )
 
     def _about(self, reading: Tensor, generator: torch.Generator) -> Float[Tensor, "N 3"]:
         shape = (self.settings.particles, 3)
-        return reading + self._noise.sqrt() * torch.randn(shape, generator=generator, dtype=reading.dtype)
+        return reading + self.model.noise.sqrt() * torch.randn(shape, generator=generator, dtype=reading.dtype)
 
 
 def _followed(belief: PushedPoseBelief, mean: Tensor) -> PushedPoseBelief:

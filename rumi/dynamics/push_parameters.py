@@ -20,7 +20,8 @@ PARAMETERS = (
 """Of a particle: friction at the tool; lever as a multiple of even pressure's; quartic limit surface, its mean and what
 the support's elongation adds; log anisotropy; centre of friction off the centre of mass, in mean radii of the base."""
 
-_QUARTIC = (-1.5, 4.0)  # eigenvalues of a limit surface that is convex
+QUARTIC = (-1.5, 4.0)
+"""Eigenvalues of a limit surface that is convex, least and greatest."""
 
 
 def sliding_of(parameters: Float[Tensor, "N 8"], support: Support) -> Sliding:
@@ -29,8 +30,8 @@ def sliding_of(parameters: Float[Tensor, "N 8"], support: Support) -> Sliding:
     elongation = support.elongation.to(parameters)
     size = elongation.norm().clamp_min(1e-12)
     spread = slope * size
-    high = (mean + spread.abs()).clamp(*_QUARTIC)
-    low = (mean - spread.abs()).clamp(*_QUARTIC)
+    high = (mean + spread.abs()).clamp(*QUARTIC)
+    low = (mean - spread.abs()).clamp(*QUARTIC)
     deviator = (0.5 * (high - low) * spread.sign())[:, None] * (elongation / size)
     quartic = torch.cat((torch.stack(rest[:2], -1), 0.5 * (high + low)[:, None], deviator), -1)
     centre = support.centre.to(parameters) + support.spread * torch.stack(rest[2:], -1)

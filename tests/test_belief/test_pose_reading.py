@@ -1,4 +1,4 @@
-"""Updates by a pose reading: compiled equals plain, and both the closed form of normal motion and noise."""
+"""Updates by a pose reading are the closed form of normal motion and noise."""
 
 import math
 
@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from rumi.belief.pose_reading import MotionNoise, PoseReading, ReadingUpdate, pose_difference, update_by_reading
-from sdf import backend
 
 DOUBLE = {"dtype": torch.float64}
 MOTION = MotionNoise(1e-4, 2e-4, 0.03)
@@ -29,25 +28,14 @@ def particles(count: int, far: float = 0.0) -> tuple[Tensor, Tensor, Tensor]:
     return before, pushed, torch.randn(count, generator=generator, **DOUBLE).log_softmax(-1)
 
 
-def updated(version: str, reading: PoseReading, count: int, far: float = 0.0) -> ReadingUpdate:
-    with backend.force(version):
-        return update_by_reading(*particles(count, far), MOTION, reading, generator=torch.Generator().manual_seed(0))
+def updated(reading: PoseReading, count: int, far: float = 0.0) -> ReadingUpdate:
+    return update_by_reading(*particles(count, far), MOTION, reading, generator=torch.Generator().manual_seed(0))
 
 
-@pytest.mark.parametrize("count", [1, 7, 200])
-@pytest.mark.parametrize("value", [(1e-3, 0.0, 0.02), (1e-3, 0.0, 3.13), (5e-3, -1e-3, 3.1), (1e3, -1e3, 0.0)])
-def test_compiled_equals_plain(count: int, value: tuple[float, float, float]) -> None:
-    reading = reading_of(torch.tensor(value, **DOUBLE))
-    plain, compiled = updated("torch", reading, count), updated("numba", reading, count)
-    for name, one, other in zip(plain._fields, plain, compiled, strict=True):
-        np.testing.assert_allclose(np.asarray(other), np.asarray(one), rtol=1e-9, atol=1e-9, err_msg=name)
-
-
-@pytest.mark.parametrize("version", backend.versions("update_by_reading"))
-def test_weights_and_densities_are_those_of_normal_motion_and_noise(version: str) -> None:
+def test_weights_and_densities_are_those_of_normal_motion_and_noise() -> None:
     value, count = torch.tensor([1e-3, -2e-3, 0.03], **DOUBLE), 5
     rates = (1e-12, 1e-12)
-    found = updated(version, reading_of(value, rates=rates), count)
+    found = updated(reading_of(value, rates=rates), count)
     before, pushed, log_weights = particles(count)
     variance = MOTION.variance(pushed - before) + NOISE
     normal = torch.distributions.Normal(pushed, variance.sqrt()).log_prob(value).sum(-1)
@@ -59,21 +47,19 @@ def test_weights_and_densities_are_those_of_normal_motion_and_noise(version: str
     assert found.effective == pytest.approx(1.0 / float(found.log_weights.exp().square().sum()))
 
 
-@pytest.mark.parametrize("version", backend.versions("update_by_reading"))
-def test_draws_are_of_the_posterior_given_the_reading(version: str) -> None:
+def test_draws_are_of_the_posterior_given_the_reading() -> None:
     count = 100_000
     before, pushed = torch.zeros(1, 3, **DOUBLE), torch.tensor([[0.01, 0.0, 0.2]], **DOUBLE)
     value = torch.tensor([0.012, 1e-3, 0.17], **DOUBLE)
     even = torch.zeros(count, **DOUBLE).log_softmax(-1)
-    with backend.force(version):
-        found = update_by_reading(
-            before.expand(count, 3),
-            pushed.expand(count, 3),
-            even,
-            MOTION,
-            reading_of(value, rates=(1e-9, 1e-9)),
-            generator=torch.Generator().manual_seed(0),
-        )
+    found = update_by_reading(
+        before.expand(count, 3),
+        pushed.expand(count, 3),
+        even,
+        MOTION,
+        reading_of(value, rates=(1e-9, 1e-9)),
+        generator=torch.Generator().manual_seed(0),
+    )
     variance = MOTION.variance(pushed - before)[0]
     gain = variance / (variance + NOISE)
     mean, deviation = pushed[0] + gain * (value - pushed[0]), ((1.0 - gain) * variance).sqrt()
@@ -81,11 +67,10 @@ def test_draws_are_of_the_posterior_given_the_reading(version: str) -> None:
     np.testing.assert_allclose(found.pose.std(0), deviation, rtol=5.0 / math.sqrt(2.0 * count))
 
 
-@pytest.mark.parametrize("version", backend.versions("update_by_reading"))
 @pytest.mark.parametrize("far", [1e3, 1e150])
-def test_readings_and_poses_far_off_leave_numbers(version: str, far: float) -> None:
+def test_readings_and_poses_far_off_leave_numbers(far: float) -> None:
     for value in (torch.zeros(3, **DOUBLE), torch.full((3,), far, **DOUBLE)):
-        found = updated(version, reading_of(value, far=far), 4, far)
+        found = updated(reading_of(value, far=far), 4, far)
         assert bool(found.log_weights.isfinite().all())
         assert bool(found.pose.isfinite().all())
         assert math.isfinite(found.told)

@@ -9,7 +9,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.belief.pushed_pose import PushedPoseBelief, PushedPoseFilter, PushedPoseSettings
+from rumi.belief.pushed_pose import PushedPoseFilter, PushedPoseSettings
+from rumi.belief.pushed_pose_reading import PushedPoseBelief
 from rumi.dynamics.along_path import Pusher
 from rumi.dynamics.outline import RectangleOutline, Support
 from rumi.dynamics.pushed_body import PushedBody

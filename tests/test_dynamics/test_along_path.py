@@ -1,4 +1,4 @@
-"""Compiled pushes pass over points of the tool that cannot be the nearest, and find what a look at every point finds."""
+"""Compiled pushes pass over points of the tool that cannot be nearest, and find what a look at every point finds."""
 
 import pytest
 import torch
