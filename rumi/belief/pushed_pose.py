@@ -166,7 +166,7 @@ class PushedPoseFilter:
         if reading is None:
             return self._unread(belief, path, generator)._replace(past=past)
         check_shape("reading", reading, "(3,)", last=(3,))
-        if not bool(reading.isfinite().all()):
+        if not math.isfinite(float(reading.sum())):
             raise ValueError(f"Expected a reading of finite numbers, or None where there is none, got {reading}")
         return self._weighed(belief, path, reading.double(), past, generator)
 
