@@ -19,7 +19,7 @@ from torch import Tensor
 
 from rumi.belief.change_test import ChangeTest
 from rumi.belief.pose_reading import MotionNoise
-from rumi.belief.pushed_pose_reading import Fault, PushedPoseBelief, ReadingModel, pushed_by, take_reading
+from rumi.belief.pushed_pose_reading import Fault, PushedPoseBelief, ReadingModel, followed, moved_on, take_reading
 from rumi.belief.pushed_pose_resampling import Drift, resampled
 from rumi.dynamics.push_parameters import sliding_of
 from rumi.dynamics.push_posterior import PushPosterior
@@ -164,19 +164,11 @@ class PushedPoseFilter:
         path = path.double()
         past = (*belief.past, (belief._replace(past=()), path))[-_REMEMBERED:]
         if reading is None:
-            return self._unread(belief, path, generator)._replace(past=past)
+            return moved_on(self.model, belief, path, generator=generator)._replace(past=past)
         check_shape("reading", reading, "(3,)", last=(3,))
         if not math.isfinite(float(reading.sum())):
             raise ValueError(f"Expected a reading of finite numbers, or None where there is none, got {reading}")
         return self._weighed(belief, path, reading.double(), past, generator)
-
-    def _unread(self, belief: PushedPoseBelief, path: Tensor, generator: torch.Generator) -> PushedPoseBelief:
-        """The belief after a path without a reading."""
-        pushed = pushed_by(self.body, belief, path)
-        normal = torch.randn(pushed.shape, generator=generator, dtype=pushed.dtype)
-        spread = self.model.motion.variance(pushed - belief.pose).sqrt()
-        after = belief._replace(pose=pushed + spread * normal, alarm=False)
-        return _followed(after, after.mean())
 
     def _weighed(
         self,
@@ -238,7 +230,7 @@ class PushedPoseFilter:
         about = self._about(belief.reading, generator)
         some = (torch.arange(len(about)) % 2 == 0)[:, None]
         after = kept._replace(pose=torch.where(some, about, kept.pose))
-        return _followed(after, after.mean())
+        return followed(after)
 
     def _undone(self, belief: PushedPoseBelief, onset: int, generator: torch.Generator) -> PushedPoseBelief:
         """The belief without the readings from number `onset` since the last alarm on, as far as it remembers."""
@@ -246,16 +238,12 @@ class PushedPoseFilter:
         rest = belief.past[max(before, default=0) :]
         found = rest[0][0]
         for _, path in rest:
-            found = self._unread(found, path, generator)
+            found = moved_on(self.model, found, path, generator=generator)
         return found._replace(reading=belief.reading)
 
     def _about(self, reading: Tensor, generator: torch.Generator) -> Float[Tensor, "N 3"]:
         shape = (self.settings.particles, 3)
         return reading + self.model.noise.sqrt() * torch.randn(shape, generator=generator, dtype=reading.dtype)
-
-
-def _followed(belief: PushedPoseBelief, mean: Tensor) -> PushedPoseBelief:
-    return belief._replace(trail=torch.cat((mean[None], belief.trail[:-1])))
 
 
 def _parts(fault: Fault) -> list[int]:

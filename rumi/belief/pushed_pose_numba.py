@@ -54,16 +54,37 @@ def _log_old(reading, trail, last, lags, variance, old):
 
 
 @bare
+def _push(before, tool, centre, lever, friction, quartic, path, points, table, shape, sizes, counts, along, way, pose):
+    """Poses after a path of the tool, by each particle's place of it."""
+    for n in range(len(pose)):
+        for k in range(len(path)):
+            for axis in range(3):
+                way[0, k, axis] = path[k, axis] + tool[n, axis]
+        x, y, yaw = before[n, 0], before[n, 1], before[n, 2]
+        body = sliding_at(n, centre, lever, friction, quartic)
+        for instant in range(len(path) - 1):
+            x, y, yaw = advanced(x, y, yaw, way, 0, instant, points, table, shape, sizes, counts, body, along)
+        pose[n, 0], pose[n, 1], pose[n, 2] = x, y, yaw
+
+
+@bare
+def _variance(n, before, pose, numbers):
+    """Variance along an axis and of the yaw after a motion; see `MotionNoise`."""
+    still, way_variance, radius = numbers[0], numbers[1], numbers[2]
+    x, y = pose[n, 0] - before[n, 0], pose[n, 1] - before[n, 1]
+    way = math.sqrt(x * x + y * y) + radius * abs(pose[n, 2] - before[n, 2])
+    metres = still * still + way_variance * way
+    return metres, metres / (radius * radius)
+
+
+@bare
 def _weigh(
     before, pose, log_weights, normal, chance, reading, noise, others, numbers, repeated, terms, after, by_other, sums
 ):
     """Weights and poses of particles given a reading; `pose` is where they are pushed, see `update_by_reading`."""
-    still, way_variance, radius, log_told, log_outlier = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
+    log_told, log_outlier = numbers[3], numbers[4]
     for n in range(len(pose)):
-        x, y = pose[n, 0] - before[n, 0], pose[n, 1] - before[n, 1]
-        way = math.sqrt(x * x + y * y) + radius * abs(pose[n, 2] - before[n, 2])
-        metres = still * still + way_variance * way
-        turn = metres / (radius * radius)
+        metres, turn = _variance(n, before, pose, numbers)
         off_x, off_y, off_yaw = reading[0] - pose[n, 0], reading[1] - pose[n, 1], _wrapped(reading[2] - pose[n, 2])
         told = log_told + _log_normal(off_x, off_y, off_yaw, metres + noise[0], metres + noise[1], turn + noise[2])
         untold = -math.inf
@@ -100,19 +121,20 @@ def _weigh(
 
 
 @bare
-def _summarise(pose, after, mean, sums):
-    """Effective sample size of the weights, and the mean of poses that are near one place."""
-    squares = 0.0
-    mean[:] = 0.0
+def _follow(pose, after, trail, new_trail):
+    """Effective sample size of the weights; the mean of poses that are near one place goes before the last ones."""
+    for k in range(1, len(trail)):
+        for axis in range(3):
+            new_trail[k, axis] = trail[k - 1, axis]
+    squares, x, y, yaw = 0.0, 0.0, 0.0, 0.0
     for n in range(len(pose)):
         weight = math.exp(after[n])
         squares += weight * weight
-        mean[0] += weight * (pose[n, 0] - pose[0, 0])
-        mean[1] += weight * (pose[n, 1] - pose[0, 1])
-        mean[2] += weight * _wrapped(pose[n, 2] - pose[0, 2])
-    for axis in range(3):
-        mean[axis] += pose[0, axis]
-    sums[3] = 1.0 / squares
+        x += weight * (pose[n, 0] - pose[0, 0])
+        y += weight * (pose[n, 1] - pose[0, 1])
+        yaw += weight * _wrapped(pose[n, 2] - pose[0, 2])
+    new_trail[0, 0], new_trail[0, 1], new_trail[0, 2] = pose[0, 0] + x, pose[0, 1] + y, pose[0, 2] + yaw
+    return 1.0 / squares
 
 
 @bare
@@ -169,15 +191,9 @@ def _take_reading(
         terms = np.empty((3 + len(others), len(pose)))
         by_other, old = np.empty(len(others)), np.empty(len(old_variance))
         measure(points, shape, along)
-        for n in range(len(pose)):
-            for k in range(len(path)):
-                for axis in range(3):
-                    way[0, k, axis] = path[k, axis] + tool[n, axis]
-            x, y, yaw = before[n, 0], before[n, 1], before[n, 2]
-            body = sliding_at(n, centre, lever, friction, quartic)
-            for instant in range(len(path) - 1):
-                x, y, yaw = advanced(x, y, yaw, way, 0, instant, points, table, shape, sizes, counts, body, along)
-            pose[n, 0], pose[n, 1], pose[n, 2] = x, y, yaw
+        _push(
+            before, tool, centre, lever, friction, quartic, path, points, table, shape, sizes, counts, along, way, pose
+        )
         _log_old(reading, trail, last, lags, old_variance, old)
         repeated = numbers[5] + old[len(lags)]
         _weigh(
@@ -196,10 +212,7 @@ def _take_reading(
             by_other,
             sums,
         )
-        _summarise(pose, after, new_trail[0], sums)
-        for k in range(1, len(trail)):
-            for axis in range(3):
-                new_trail[k, axis] = trail[k - 1, axis]
+        sums[3] = _follow(pose, after, trail, new_trail)
         count, lost = len(others) - 2, len(old)
         for k in range(len(ratios)):  # knocks, what the tracker repeats, and what is far off
             density = by_other[2 + k] if k < count else old[k - count] if k < count + lost else by_other[0]
@@ -208,3 +221,40 @@ def _take_reading(
 
 
 take_reading = Kernel(_take_reading)
+
+
+def _move(
+    before,
+    tool,
+    log_weights,
+    centre,
+    lever,
+    friction,
+    quartic,
+    path,
+    trail,
+    normal,
+    points,
+    table,
+    shape,
+    sizes,
+    counts,
+    numbers,
+    pose,
+    new_trail,
+    part,
+):
+    for _ in indices(part, 1):
+        along, way = np.empty(len(points)), np.empty((1, len(path), 3))
+        measure(points, shape, along)
+        _push(
+            before, tool, centre, lever, friction, quartic, path, points, table, shape, sizes, counts, along, way, pose
+        )
+        for n in range(len(pose)):
+            metres, turn = _variance(n, before, pose, numbers)
+            for axis in range(3):
+                pose[n, axis] += math.sqrt(turn if axis == 2 else metres) * normal[n, axis]
+        _follow(pose, log_weights, trail, new_trail)
+
+
+move = Kernel(_move)

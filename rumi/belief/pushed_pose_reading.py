@@ -22,6 +22,7 @@ Fault = Literal["knocked", "late", "stuck", "none of these"]
 """The object was moved by something else; the tracker's pose is old; it repeats one number; nothing known fits."""
 
 _PASSES = 2  # contacts that are settled in a motion, at most
+_OF_PUSH = 5  # arrays of `ReadingModel.arrays` that tell of pushes
 
 
 class PushedPoseBelief(NamedTuple):
@@ -172,7 +173,7 @@ def _take_reading(
     outlier: float,
     generator: torch.Generator,
 ) -> ReadingTaken:
-    pushed = pushed_by(model.body, belief, path)
+    pushed = _pushed(model.body, belief, path)
     back = torch.cat((belief.trail[list(model.lags)], belief.reading[None]))
     read = PoseReading(reading, model.noise, model.others, back, model.old, (outlier, model.repeats))
     found = update_by_reading(belief.pose, pushed, belief.log_weights, model.motion, read, generator=generator)
@@ -181,7 +182,7 @@ def _take_reading(
     return ReadingTaken(
         found.pose,
         found.log_weights,
-        torch.cat((found.mean[None], belief.trail[:-1])),
+        followed(belief, found.mean).trail,
         evidence,
         float(model.test.log_evidence(evidence)),
         found.told,
@@ -221,7 +222,49 @@ def _take_reading_numba(
     return ReadingTaken(poses, weights, means, gathered, nats, told, untold, effective)
 
 
-def pushed_by(body: PushedBody, belief: PushedPoseBelief, path: Float[Tensor, "K1 3"]) -> Float[Tensor, "N 3"]:
+def moved_on(
+    model: ReadingModel, belief: PushedPoseBelief, path: Float[Tensor, "K1 3"], *, generator: torch.Generator
+) -> PushedPoseBelief:
+    """The belief after a path of the tool without a reading.
+
+    Args:
+        model: of motions.
+        belief: before it.
+        path: (x, y, yaw) of the tool.
+        generator: of the random draws.
+    """
+    normal = torch.randn(belief.pose.shape, generator=generator, dtype=torch.float64)
+    version = backend.dispatch("move_pushed", belief.pose, path)
+    pose, trail = version(model, belief, path, normal)
+    return belief._replace(pose=pose, trail=trail, alarm=False)
+
+
+@backend.register("move_pushed")
+def _moved(model: ReadingModel, belief: PushedPoseBelief, path: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+    pushed = _pushed(model.body, belief, path)
+    pose = pushed + model.motion.variance(pushed - belief.pose).sqrt() * normal
+    return pose, followed(belief._replace(pose=pose)).trail
+
+
+@backend.register("move_pushed", "numba", compiled.supports)
+def _moved_numba(model: ReadingModel, belief: PushedPoseBelief, path: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+    from rumi.belief.pushed_pose_numba import move as kernel
+
+    if model.arrays is None:
+        return _moved(model, belief, path, normal)
+    held: tuple[Any, ...] = (belief.pose, belief.tool, belief.log_weights, *belief.sliding, path, belief.trail, normal)
+    pose, trail = np.empty(belief.pose.shape), np.empty(belief.trail.shape)
+    kernel(*(part.numpy() for part in held), *model.arrays[:_OF_PUSH], np.array(model.motion), pose, trail)
+    return torch.from_numpy(pose), torch.from_numpy(trail)
+
+
+def followed(belief: PushedPoseBelief, mean: Float[Tensor, "3"] | None = None) -> PushedPoseBelief:
+    """The same with its mean pose, worked out where it is not given, before those after the last readings."""
+    mean = belief.mean() if mean is None else mean
+    return belief._replace(trail=torch.cat((mean[None], belief.trail[:-1])))
+
+
+def _pushed(body: PushedBody, belief: PushedPoseBelief, path: Tensor) -> Tensor:
     """Poses after a path of the tool, by the push model."""
     return push_along_path(
         belief.pose,
