@@ -164,7 +164,7 @@ class PushedPoseFilter:
         path = path.double()
         past = (*belief.past, (belief._replace(past=()), path))[-_REMEMBERED:]
         if reading is None:
-            return moved_on(self.model, belief, path, generator=generator)._replace(past=past)
+            return moved_on(self.model, belief, [path], generator=generator)._replace(past=past)
         check_shape("reading", reading, "(3,)", last=(3,))
         if not math.isfinite(float(reading.sum())):
             raise ValueError(f"Expected a reading of finite numbers, or None where there is none, got {reading}")
@@ -236,9 +236,7 @@ class PushedPoseFilter:
         """The belief without the readings from number `onset` since the last alarm on, as far as it remembers."""
         before = [number for number, (past, _) in enumerate(belief.past) if int(past.evidence.readings) < onset]
         rest = belief.past[max(before, default=0) :]
-        found = rest[0][0]
-        for _, path in rest:
-            found = moved_on(self.model, found, path, generator=generator)
+        found = moved_on(self.model, rest[0][0], [path for _, path in rest], generator=generator)
         return found._replace(reading=belief.reading)
 
     def _about(self, reading: Tensor, generator: torch.Generator) -> Float[Tensor, "N 3"]:

@@ -62,7 +62,7 @@ def _push(before, tool, centre, lever, friction, quartic, path, points, table, s
                 way[0, k, axis] = path[k, axis] + tool[n, axis]
         x, y, yaw = before[n, 0], before[n, 1], before[n, 2]
         body = sliding_at(n, centre, lever, friction, quartic)
-        for instant in range(len(path) - 1):
+        for instant in range(len(path) - 1):  # of a way that may have room for more
             x, y, yaw = advanced(x, y, yaw, way, 0, instant, points, table, shape, sizes, counts, body, along)
         pose[n, 0], pose[n, 1], pose[n, 2] = x, y, yaw
 
@@ -231,8 +231,9 @@ def _move(
     lever,
     friction,
     quartic,
-    path,
     trail,
+    path,
+    ends,
     normal,
     points,
     table,
@@ -246,15 +247,34 @@ def _move(
 ):
     for _ in indices(part, 1):
         along, way = np.empty(len(points)), np.empty((1, len(path), 3))
+        start, last = before.copy(), trail.copy()
         measure(points, shape, along)
-        _push(
-            before, tool, centre, lever, friction, quartic, path, points, table, shape, sizes, counts, along, way, pose
-        )
-        for n in range(len(pose)):
-            metres, turn = _variance(n, before, pose, numbers)
-            for axis in range(3):
-                pose[n, axis] += math.sqrt(turn if axis == 2 else metres) * normal[n, axis]
-        _follow(pose, log_weights, trail, new_trail)
+        for motion in range(len(normal)):
+            own = path[ends[motion] : ends[motion + 1]]
+            _push(
+                start,
+                tool,
+                centre,
+                lever,
+                friction,
+                quartic,
+                own,
+                points,
+                table,
+                shape,
+                sizes,
+                counts,
+                along,
+                way,
+                pose,
+            )
+            for n in range(len(pose)):
+                metres, turn = _variance(n, start, pose, numbers)
+                for axis in range(3):
+                    pose[n, axis] += math.sqrt(turn if axis == 2 else metres) * normal[motion, n, axis]
+            _follow(pose, log_weights, last, new_trail)
+            start[:, :] = pose
+            last[:, :] = new_trail
 
 
 move = Kernel(_move)

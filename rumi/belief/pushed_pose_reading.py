@@ -1,6 +1,7 @@
 """A reading's way into the belief of a pushed object's pose: push, weigh, gather evidence of faults; in one call."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
@@ -223,38 +224,51 @@ def _take_reading_numba(
 
 
 def moved_on(
-    model: ReadingModel, belief: PushedPoseBelief, path: Float[Tensor, "K1 3"], *, generator: torch.Generator
+    model: ReadingModel,
+    belief: PushedPoseBelief,
+    paths: Sequence[Float[Tensor, "_ 3"]],
+    *,
+    generator: torch.Generator,
 ) -> PushedPoseBelief:
-    """The belief after a path of the tool without a reading.
+    """The belief after motions of the tool, one or more, without a reading.
 
     Args:
         model: of motions.
-        belief: before it.
-        path: (x, y, yaw) of the tool.
+        belief: before them.
+        paths: (K1, 3) each, (x, y, yaw) of the tool; what is not known of a motion is added at its end.
         generator: of the random draws.
     """
-    normal = torch.randn(belief.pose.shape, generator=generator, dtype=torch.float64)
-    version = backend.dispatch("move_pushed", belief.pose, path)
-    pose, trail = version(model, belief, path, normal)
+    normal = [torch.randn(belief.pose.shape, generator=generator, dtype=torch.float64) for _ in paths]
+    version = backend.dispatch("move_pushed", belief.pose, *paths)
+    pose, trail = version(model, belief, paths, normal)
     return belief._replace(pose=pose, trail=trail, alarm=False)
 
 
 @backend.register("move_pushed")
-def _moved(model: ReadingModel, belief: PushedPoseBelief, path: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
-    pushed = _pushed(model.body, belief, path)
-    pose = pushed + model.motion.variance(pushed - belief.pose).sqrt() * normal
-    return pose, followed(belief._replace(pose=pose)).trail
+def _moved(
+    model: ReadingModel, belief: PushedPoseBelief, paths: Sequence[Tensor], normal: list[Tensor]
+) -> tuple[Tensor, Tensor]:
+    for path, drawn in zip(paths, normal, strict=True):
+        pushed = _pushed(model.body, belief, path)
+        pose = pushed + model.motion.variance(pushed - belief.pose).sqrt() * drawn
+        belief = followed(belief._replace(pose=pose))
+    return belief.pose, belief.trail
 
 
 @backend.register("move_pushed", "numba", compiled.supports)
-def _moved_numba(model: ReadingModel, belief: PushedPoseBelief, path: Tensor, normal: Tensor) -> tuple[Tensor, Tensor]:
+def _moved_numba(
+    model: ReadingModel, belief: PushedPoseBelief, paths: Sequence[Tensor], normal: list[Tensor]
+) -> tuple[Tensor, Tensor]:
     from rumi.belief.pushed_pose_numba import move as kernel
 
     if model.arrays is None:
-        return _moved(model, belief, path, normal)
-    held: tuple[Any, ...] = (belief.pose, belief.tool, belief.log_weights, *belief.sliding, path, belief.trail, normal)
+        return _moved(model, belief, paths, normal)
+    ends = np.cumsum([0, *(len(path) for path in paths)])
+    held: tuple[Any, ...] = (belief.pose, belief.tool, belief.log_weights, *belief.sliding, belief.trail)
+    before = [part.numpy() for part in (*held, torch.cat(list(paths)))]
     pose, trail = np.empty(belief.pose.shape), np.empty(belief.trail.shape)
-    kernel(*(part.numpy() for part in held), *model.arrays[:_OF_PUSH], np.array(model.motion), pose, trail)
+    numbers, drawn = np.array(model.motion), torch.stack(normal).numpy()
+    kernel(*before, ends, drawn, *model.arrays[:_OF_PUSH], numbers, pose, trail)
     return torch.from_numpy(pose), torch.from_numpy(trail)
 
 
