@@ -49,9 +49,9 @@ class PoseLoss:
             rng: not used.
         """
         guess = torch.as_tensor(prediction)
-        metres, radians = pose_error(
-            pose_of(guess.double()), pose_of(torch.as_tensor(target, dtype=torch.float64)), self.symmetries
-        )
+        goal = torch.as_tensor(target, dtype=torch.float64)
+        found, true = pose_of(torch.stack(torch.broadcast_tensors(guess.double(), goal)))
+        metres, radians = pose_error(found, true, self.symmetries)
         loss = (metres / 0.1 + radians / math.pi).to(guess.dtype)
         return loss if isinstance(prediction, Tensor) else loss.numpy()
 

@@ -64,7 +64,7 @@ def _carried_out(
         return end
     offset, target = halfway[:2] - base, wanted[:2] - base
     # lengths and angles by the library whose last digit counts
-    radius, length = (torch.from_numpy(part)[None].norm(dim=-1).numpy()[0] for part in (offset, target))
+    radius, length = torch.linalg.vector_norm(torch.from_numpy(np.stack((offset, target))), dim=-1).numpy()
     end[:2] = np.maximum(np.minimum(base + target * (radius / max(length, q.dtype.type(1e-9))), high[:2]), low[:2])
     if way == CARRIED:
         aside = offset[0] * target[1] - offset[1] * target[0]

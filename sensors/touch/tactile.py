@@ -66,25 +66,63 @@ def swept_points(
         the points and the index of each among `body_points`.
     """
     attached_T_tool = world_T_tool if attached_T_world is None else attached_T_world @ world_T_tool
-    places = se3.apply(attached_T_tool, body_points)
     low = torch.floor(region[0] / spacing)
     shape = (torch.ceil(region[1] / spacing) - low).long().clamp_min(1)
     if group is None:
-        group = torch.zeros(len(places), dtype=torch.long, device=places.device)
-    version = backend.dispatch("first_in_cells", places, low)
-    instant, index = version(places, spacing, low, shape, group)
+        group = torch.zeros(len(world_T_tool), dtype=torch.long, device=world_T_tool.device)
+    version = backend.dispatch("first_in_cells", attached_T_tool, body_points, low)
+    instant, index = version(attached_T_tool, body_points, spacing, low, shape, group)
     return InstantPoints(_place(world_T_tool, body_points, instant, index), instant), index
+
+
+def points_in_box(
+    box_T_tool: Float[Tensor, "K 4 4"], points: Float[Tensor, "n 3"], box: Float[Tensor, "2 3"]
+) -> tuple[InstantPoints, Int[Tensor, "M"]]:
+    """Points of a tool that are in a box, or on its border, and when.
+
+    Args:
+        box_T_tool: (K, 4, 4), the tool at each instant.
+        points: (n, 3), tool frame.
+        box: its lowest and its highest corner.
+
+    Returns:
+        their places in the box's frame, and the index of each among `points`; by instants, then by points.
+    """
+    version = backend.dispatch("points_in_box", box_T_tool, points, box)
+    found: tuple[InstantPoints, Tensor] = version(box_T_tool, points, box)
+    return found
+
+
+@backend.register("points_in_box")
+def _points_in_box(box_T_tool: Tensor, points: Tensor, box: Tensor) -> tuple[InstantPoints, Tensor]:
+    places = se3.apply(box_T_tool, points)
+    instant, index = ((places >= box[0]) & (places <= box[1])).all(-1).nonzero(as_tuple=True)
+    return InstantPoints(places[instant, index], instant), index
+
+
+@backend.register("points_in_box", "numba", compiled.supports)
+def _points_in_box_numba(box_T_tool: Tensor, points: Tensor, box: Tensor) -> tuple[InstantPoints, Tensor]:
+    from sensors.touch.tactile_numba import points_in_box as kernel
+
+    transforms, flat, ends = (part.detach().contiguous().numpy() for part in (box_T_tool, points, box))
+    most = len(transforms) * len(flat)
+    found, places, count = np.empty((2, most), np.int64), np.empty((most, 3), flat.dtype), np.zeros(1, np.int64)
+    kernel(transforms, flat, ends, found, places, count)
+    instant, index = torch.from_numpy(found[:, : int(count[0])].copy())
+    return InstantPoints(torch.from_numpy(places[: int(count[0])].copy()), instant), index
 
 
 @backend.register("first_in_cells")
 def _first_in_cells(
-    places: Float[Tensor, "K n 3"],
+    transforms: Float[Tensor, "K 4 4"],
+    points: Float[Tensor, "n 3"],
     spacing: float,
     low: Float[Tensor, "3"],
     shape: Int[Tensor, "3"],
     group: Int[Tensor, "K"],
 ) -> tuple[Int[Tensor, "M"], Int[Tensor, "M"]]:
     """Instant and index of the first place in each cell of each group, in the order of instants, then of points."""
+    places = se3.apply(transforms, points)
     count, each = places.shape[:2]
     cells = torch.floor(places / spacing) - low
     inside = ((cells >= 0) & (cells < shape)).all(-1)
@@ -102,17 +140,17 @@ def _first_in_cells(
 
 @backend.register("first_in_cells", "numba", compiled.supports)
 def _first_in_cells_numba(
-    places: Tensor, spacing: float, low: Tensor, shape: Tensor, group: Tensor
+    transforms: Tensor, points: Tensor, spacing: float, low: Tensor, shape: Tensor, group: Tensor
 ) -> tuple[Tensor, Tensor]:
     """The same point by point, each cell marked as it is met."""
     from sensors.touch.tactile_numba import first_in_cells
 
     groups = int(group.max()) + 1 if len(group) else 1
-    flat = places.detach().contiguous().numpy()
-    pitch, start = places.new_tensor(spacing).numpy(), low.detach().to(places).numpy()
+    own, flat = (part.detach().contiguous().numpy() for part in (transforms, points))
+    pitch, start = points.new_tensor(spacing).numpy(), low.detach().to(points).numpy()
     taken = np.zeros((groups, *shape.tolist()), np.bool_)
-    found, count = np.empty((2, flat.shape[0] * flat.shape[1]), np.int64), np.zeros(1, np.int64)
-    first_in_cells(flat, pitch[()], start, group.numpy(), taken, found, count)
+    found, count = np.empty((2, len(own) * len(flat)), np.int64), np.zeros(1, np.int64)
+    first_in_cells(own, flat, pitch[()], start, group.numpy(), taken, found, count)
     instant, index = torch.from_numpy(found[:, : int(count[0])].copy())
     return instant, index
 

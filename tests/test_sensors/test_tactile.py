@@ -7,7 +7,7 @@ import torch
 
 from sdf import backend, se3
 from sensors.semantics import Semantics
-from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
+from sensors.touch.tactile import InstantPoints, points_in_box, swept_points, tactile_observation, touched_points
 
 REGION = torch.tensor([[0.0, -0.1, 0.0], [0.2, 0.1, 0.08]], dtype=torch.float64)
 
@@ -89,6 +89,24 @@ def test_swept_points_of_both_versions_are_equal_also_on_the_borders_of_cells(dt
             found.append(swept_points(world_T_tool, points, 0.005, region=region)[1])
     assert len(found[0]) > 50
     torch.testing.assert_close(found[1], found[0], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("version", backend.versions("points_in_box"))
+@pytest.mark.parametrize("count", [1, 5])
+def test_points_in_a_box_are_those_of_a_loop(count, version):
+    transforms, points = poses(count), body(200)
+    box = torch.tensor([[0.09, -0.02, 0.0], [0.13, 0.02, 0.05]], dtype=torch.float64)
+    with backend.force(version):
+        found, index = points_in_box(transforms, points, box)
+    expected = []
+    for k in range(count):
+        for i, point in enumerate(points):
+            place = transforms[k][:3, :3] @ point + transforms[k][:3, 3]
+            if bool(((place >= box[0]) & (place <= box[1])).all()):
+                expected.append((k, i, place))
+    assert [(k, i) for k, i, _ in expected] == list(zip(found.instant.tolist(), index.tolist(), strict=True))
+    torch.testing.assert_close(found.points, torch.stack([place for _, _, place in expected]))
+    assert 10 < len(expected) < 100 * count
 
 
 def test_standing_still_adds_nothing():

@@ -1,7 +1,7 @@
 """A task carried out in MuJoCo: what the robot does and what it senses."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,7 +37,7 @@ from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, concatenate
 from sensors.reading import FORCE, TORQUE_CONTACT, Reading
-from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
+from sensors.touch.tactile import InstantPoints, points_in_box, swept_points, tactile_observation, touched_points
 from sensors.vision.camera import depth_observation, look_at, pinhole, pixel_points, pixel_rays
 from sensors.vision.robot_body import RobotBody
 
@@ -425,9 +425,15 @@ class SimTask:
             region=region,
         )
 
-    def _felt(self, object_T_tool: Float[Tensor, "K 4 4"]) -> Tensor:
+    def _felt(self, object_T_tool: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K n"]:
         """Which pad points are within `contact_m` of the object's true surface (RUMI, V.A)."""
-        return self._within(se3.apply(object_T_tool, self._pads), lambda distance, reach: distance.abs() <= reach)
+        touched = torch.zeros(len(object_T_tool), len(self._pads), dtype=torch.bool)
+        near, index = points_in_box(object_T_tool, self._pads, self._box(self._pads))
+        if len(index):
+            with torch.no_grad():
+                distance = self._true.distance(near.points)
+            touched[near.instant, index] = distance.abs() <= self.settings.contact_m
+        return touched
 
     def _clear(
         self,
@@ -439,17 +445,16 @@ class SimTask:
         """Which points of the tool are farther than `contact_m` outside the object's true surface."""
         own = object_T_tool[instant]
         places = (own[:, :3, :3] @ points[index][..., None])[..., 0] + own[:, :3, 3]
-        return ~self._within(places, lambda distance, reach: ~(distance > reach))
-
-    def _within(self, places: Float[Tensor, "*b 3"], is_there: Callable[[Tensor, float], Tensor]) -> Bool[Tensor, "*b"]:
-        """Where something holds of the distance to the object that only points close to it or in it can have."""
-        reach = self.settings.contact_m
-        low, high = self._true.bounds.to(places)
-        # such points are in the object's box, so that free motion costs next to nothing
-        x, y, z = ((places >= low - reach) & (places <= high + reach)).unbind(-1)
-        found = x & y & z  # `all` takes ten times as long
-        near = found.nonzero(as_tuple=True)
-        if len(near[0]):
+        low, high = self._box(places)
+        x, y, z = ((places >= low) & (places <= high)).unbind(-1)
+        clear = ~(x & y & z)  # `all` takes ten times as long
+        near = (~clear).nonzero()[:, 0]
+        if len(near):
             with torch.no_grad():
-                found[near] = is_there(self._true.distance(places[near]), reach)
-        return found
+                clear[near] = self._true.distance(places[near]) > self.settings.contact_m
+        return clear
+
+    def _box(self, like: Tensor) -> Float[Tensor, "2 3"]:
+        """Where alone points touch the object or are in it, so that free motion costs next to nothing."""
+        low, high = self._true.bounds.to(like)
+        return torch.stack((low - self.settings.contact_m, high + self.settings.contact_m))
