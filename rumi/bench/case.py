@@ -62,6 +62,7 @@ class Case:
         left_out: variants that are not there, and why.
         elsewhere: the work is done by other processes, whose time this one's processor clock does not see.
         rounds: at most, for work that takes seconds; None for as many as there is time for.
+        warm: whether it is done a few times before anything counts.
     """
 
     title: str
@@ -78,6 +79,7 @@ class Case:
     left_out: tuple[str, ...] = ()
     elsewhere: bool = False
     rounds: int | None = None
+    warm: bool = True
 
 
 @dataclass(frozen=True)

@@ -119,6 +119,9 @@ def carry_out(
     ran: dict[str, dict[str, str]] = {}
     left_out = list(case.left_out)
     for variant in case.variants:
+        if not case.warm:
+            found[variant.name], ran[variant.name] = None, {}
+            continue
         try:
             with backend.observed() as ran[variant.name]:
                 found[variant.name] = variant()
@@ -145,7 +148,12 @@ def carry_out(
 
     most = 100 if case.rounds is None else case.rounds
     timings = time_in_turn(
-        {v.name: waited(v) for v in variants}, budget_s=budget_s, least=min(least, most), most=most, clock=clock
+        {v.name: waited(v) for v in variants},
+        budget_s=budget_s,
+        least=min(least, most),
+        most=most,
+        clock=clock,
+        warm=case.warm,
     )
     rows = tuple(
         Row(v.name, v.by, timings[v.name].scaled(1.0 / v.share), errors[v.name], _note(v), ran[v.name])

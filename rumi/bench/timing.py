@@ -62,11 +62,13 @@ def time_in_turn(
     least: int = 3,
     most: int = 100,
     clock: Callable[[], float] = time.perf_counter,
+    warm: bool = True,
 ) -> dict[str, Timing]:
     """Time some calls in turn.
 
-    Each is called twice before anything counts, for caches and compilers. Then come rounds, in each of which every
-    call has its turn, the first one another in each round, so that a machine that slows down slows all of them.
+    Each is called twice before anything counts, for caches and compilers, unless told otherwise. Then come rounds, in
+    each of which every call has its turn, the first one another in each round, so that a machine that slows down slows
+    all of them.
 
     Args:
         calls: what to time, by name.
@@ -74,11 +76,12 @@ def time_in_turn(
         least: rounds at least.
         most: rounds at most.
         clock: gives seconds.
+        warm: whether calls are made before anything counts; without, a sample is one call, and `least` are taken.
     """
     if least < 1 or most < least:
         raise ValueError(f"Expected 1 <= least <= most rounds, got {least} and {most}")
-    loops, round_s = {}, 0.0
-    for name, call in calls.items():
+    loops, round_s = dict.fromkeys(calls, 1), 0.0 if warm else math.inf
+    for name, call in calls.items() if warm else ():
         call()
         once = _seconds(call, 1, clock)
         loops[name] = max(1, math.ceil(SHORTEST_S / max(once, 1e-9)))

@@ -19,3 +19,4 @@ def test_a_first_run_begins_without_compiled_kernels() -> None:
     case = CASES["cold-start"](Setup())
     assert [variant.name for variant in case.variants] == ["kernels kept", "nothing compiled"]
     assert case.elsewhere
+    assert not case.warm

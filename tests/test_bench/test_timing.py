@@ -56,3 +56,16 @@ def test_the_collector_runs_again_afterwards(clock):
     with pytest.raises(KeyboardInterrupt):
         time_in_turn({"it": fails}, budget_s=1.0, clock=clock)
     assert gc.isenabled()
+
+
+def test_what_is_not_warmed_is_called_once_a_round(clock):
+    calls = []
+    timings = time_in_turn(
+        {name: lambda name=name: calls.append(name) for name in ("first", "second")},
+        budget_s=100.0,
+        least=1,
+        clock=clock,
+        warm=False,
+    )
+    assert calls == ["first", "second"]
+    assert [len(timing.samples_s) for timing in timings.values()] == [1, 1]

@@ -40,4 +40,5 @@ def cold_start(setup: Setup) -> Case:
         later,
         elsewhere=True,
         rounds=1,
+        warm=False,
     )
