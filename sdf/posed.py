@@ -9,6 +9,7 @@ from torch import Tensor
 
 from sdf import backend, compiled, se3
 from sdf.base import SDF, SDFQuery
+from sdf.batch import broadcast_shapes
 from sdf.check import FAR, check_shape, is_eager
 from sdf.grid_sdf import GridSDF, takes
 from sdf.precision import full_precision
@@ -113,7 +114,7 @@ def _by_blocks(
     look_up: Callable[[Tensor], tuple[Tensor, ...]], world_T_object: Tensor, points_w: Tensor
 ) -> list[Tensor]:
     """Results (..., N, M) of a function of object-frame points, a block of poses and points at a time."""
-    batch = torch.broadcast_shapes(world_T_object.shape[:-3], points_w.shape[:-2])
+    batch = broadcast_shapes(world_T_object.shape[:-3], points_w.shape[:-2])
     poses, points = world_T_object.shape[-3], points_w.shape[-2]
     scenes = math.prod(batch)
     eager = is_eager()

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from sdf import se3
 from sdf.base import SDFQuery
+from sdf.batch import broadcast_shapes
 from sdf.compiled import Kernel
 from sdf.grid_numba import (
     Arrays,
@@ -206,7 +207,7 @@ def pose_planes(world_T_object: Tensor, *more: Tensor) -> tuple[Tensor, ...]:
 def _scene(world_T_object: Tensor, points_w: Tensor) -> tuple[torch.Size, Arrays]:
     """Shape of the result, and poses (scenes, N, 12), points (rows, 3, M) and the row of each scene."""
     given = points_w.shape[:-2]
-    batch = torch.broadcast_shapes(world_T_object.shape[:-3], given)
+    batch = broadcast_shapes(world_T_object.shape[:-3], given)
     poses, count = world_T_object.shape[-3], points_w.shape[-2]
     rows = se3.inverse(world_T_object.detach())[..., :3, :].expand(*batch, poses, 3, 4)
     places = points_w.detach().mT.reshape(-1, 3, count) if points_w.numel() else points_w.new_empty(0, 3, count)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sdf import so3
+from sdf.batch import broadcast_shapes
 from sdf.check import is_eager
 from sdf.precision import full_precision
 
@@ -26,8 +27,8 @@ def identity(
 def make(rotation: Float[Tensor, "*#b 3 3"], translation: Float[Tensor, "*#b 3"]) -> Float[Tensor, "... 4 4"]:
     """Transform of a rotation and a translation (metres), whose batch axes broadcast."""
     batch = rotation.shape[:-2]
-    if batch != translation.shape[:-1]:  # torch loads SymPy before it broadcasts shapes, half a second
-        batch = torch.broadcast_shapes(batch, translation.shape[:-1])
+    if batch != translation.shape[:-1]:
+        batch = broadcast_shapes(batch, translation.shape[:-1])
     top = torch.cat((rotation.expand(*batch, 3, 3), translation[..., None].expand(*batch, 3, 1)), dim=-1)
     bottom = torch.tensor((0.0, 0.0, 0.0, 1.0), dtype=top.dtype, device=top.device).expand(*batch, 1, 4)
     return torch.cat((top, bottom), dim=-2)

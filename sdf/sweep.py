@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from sdf.batch import broadcast_shapes
 from sdf.check import check_shape
 
 
@@ -50,7 +51,7 @@ def sweep_rectangle(
     way = (end - start).norm(dim=-1)
     along = (end - start) / way.clamp_min(torch.finfo(way.dtype).tiny)[..., None]
     ray = (turn @ along[..., None])[..., 0]
-    shape = torch.broadcast_shapes(begin.shape[:-1], ray.shape[:-1])
+    shape = broadcast_shapes(begin.shape[:-1], ray.shape[:-1])
     begin, ray, way = begin.expand(*shape, 2), ray.expand(*shape, 2), way.expand(shape)
     time, normal = _ray(begin, ray, half, radius)
     foot, out, gap = nearest_on_rectangle(begin, half)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.weights import effective_sample_size, resampled_weights
+from sdf.batch import broadcast_shapes
 from sdf.containers import container
 
 
@@ -88,8 +89,8 @@ def concatenate(history: Sequence[TouchAction]) -> TouchAction:
     """Actions one after the other, as one; each begins where the one before ended, and none came from above."""
     first = history[0]
     paths = [first.path, *(action.path[..., 1:, :] for action in history[1:])]
-    batch = torch.broadcast_shapes(*(path.shape[:-2] for path in paths))
+    batch = broadcast_shapes(*(path.shape[:-2] for path in paths))
     path = torch.cat([part.expand(*batch, *part.shape[-2:]) for part in paths], -2)
     signals = [action.contact for action in history]
-    batch = torch.broadcast_shapes(*(signal.shape[:-1] for signal in signals))
+    batch = broadcast_shapes(*(signal.shape[:-1] for signal in signals))
     return TouchAction(path, torch.cat([part.expand(*batch, part.shape[-1]) for part in signals], -1))

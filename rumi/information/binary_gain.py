@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from rumi.information.entropy import SharedSupport, weights_entropy
+from sdf.batch import broadcast_shapes
 from sdf.check import check_shape, is_eager
 
 
@@ -41,7 +42,7 @@ def binary_outcome(log_weights: Float[Tensor, "*#b N"], probability: Float[Tenso
     weights = log.exp()
     # the gain is the mean divergence of a state's outcome from the mean one: as a difference of the two entropies,
     # which are larger by far, it would be lost to rounding
-    shape = torch.broadcast_shapes(log.shape, probability.shape)
+    shape = broadcast_shapes(log.shape, probability.shape)
     weights, probability = weights.expand(shape), probability.expand(shape)
     contact = (weights * probability).sum(-1).clamp(0.0, 1.0)
     gain = torch.zeros_like(contact)
