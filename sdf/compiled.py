@@ -28,15 +28,15 @@ def available() -> bool:
 
 def supports(*tensors: Tensor) -> bool:
     """Whether a compiled CPU version can run on these tensors: on the CPU, float32 or float64, no graph to be kept."""
-    graph = torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
-    floats = [t.dtype for t in tensors if t.is_floating_point()]
-    return (
-        available()
-        and not graph
-        and all(t.device.type == "cpu" for t in tensors)
-        and all(dtype in _FLOATS for dtype in floats)
-        and is_eager()
-    )
+    if not available() or not is_eager():
+        return False
+    graph = torch.is_grad_enabled()
+    for tensor in tensors:  # one loop, since it is asked at every call of every operation
+        if tensor.device.type != "cpu" or (graph and tensor.requires_grad):
+            return False
+        if tensor.is_floating_point() and tensor.dtype not in _FLOATS:
+            return False
+    return True
 
 
 def bare(function: FunctionType) -> Any:  # noqa: ANN401  (numba comes without types)
