@@ -79,7 +79,22 @@ def _variance(n, before, pose, numbers):
 
 @bare
 def _weigh(
-    before, pose, log_weights, normal, chance, reading, noise, others, numbers, repeated, terms, after, by_other, sums
+    before,
+    pose,
+    log_weights,
+    normal,
+    chance,
+    reading,
+    noise,
+    others,
+    numbers,
+    repeated,
+    terms,
+    shares,
+    lost,
+    after,
+    by_other,
+    sums,
 ):
     """Weights and poses of particles given a reading; `pose` is where they are pushed, see `update_by_reading`."""
     log_told, log_outlier = numbers[3], numbers[4]
@@ -87,7 +102,7 @@ def _weigh(
         metres, turn = _variance(n, before, pose, numbers)
         off_x, off_y, off_yaw = reading[0] - pose[n, 0], reading[1] - pose[n, 1], _wrapped(reading[2] - pose[n, 2])
         told = log_told + _log_normal(off_x, off_y, off_yaw, metres + noise[0], metres + noise[1], turn + noise[2])
-        untold = -math.inf
+        most = max(told, repeated)
         for a in range(len(others)):
             other = _log_normal(
                 off_x,
@@ -97,27 +112,29 @@ def _weigh(
                 metres + noise[1] + others[a, 1],
                 turn + noise[2] + others[a, 2],
             )
-            terms[3 + a, n] = log_weights[n] + other
+            terms[1 + a, n] = log_weights[n] + other
             if a < 2:
-                untold = _log_add(untold, log_outlier + other)
-        both = _log_add(told, _log_add(untold, repeated))
-        terms[0, n], terms[1, n], terms[2, n] = (
-            log_weights[n] + both,
-            log_weights[n] + told,
-            log_weights[n] + untold,
-        )
-        takes = 1.0 if chance[n] < math.exp(told - both) else 0.0
+                lost[a] = log_outlier + other
+                most = max(most, lost[a])
+        tells, outlies = math.exp(told - most), math.exp(lost[0] - most) + math.exp(lost[1] - most)
+        whole = tells + outlies + math.exp(repeated - most)
+        terms[0, n] = log_weights[n] + most + math.log(whole)
+        shares[0, n], shares[1, n] = tells / whole, outlies / whole
+        takes = 1.0 if chance[n] < shares[0, n] else 0.0
         for axis in range(3):
             variance = turn if axis == 2 else metres
             off = off_x if axis == 0 else off_y if axis == 1 else off_yaw
             gain = takes * variance / (variance + noise[axis])
             pose[n, axis] = pose[n, axis] + gain * off + math.sqrt((1.0 - gain) * variance) * normal[n, axis]
-    total = _log_sum(terms[0])
+    total, told, untold = _log_sum(terms[0]), 0.0, 0.0
     for n in range(len(pose)):
         after[n] = terms[0, n] - total
+        weight = math.exp(after[n])
+        told += weight * shares[0, n]
+        untold += weight * shares[1, n]
     for a in range(len(others)):
-        by_other[a] = _log_sum(terms[3 + a])
-    sums[0], sums[1], sums[2] = total, math.exp(_log_sum(terms[1]) - total), math.exp(_log_sum(terms[2]) - total)
+        by_other[a] = _log_sum(terms[1 + a])
+    sums[0], sums[1], sums[2] = total, told, untold
 
 
 @bare
@@ -188,7 +205,7 @@ def _take_reading(
 ):
     for _ in indices(part, 1):
         along, way = np.empty(len(points)), np.empty((1, len(path), 3))
-        terms = np.empty((3 + len(others), len(pose)))
+        terms, shares, lost = np.empty((1 + len(others), len(pose))), np.empty((2, len(pose))), np.empty(2)
         by_other, old = np.empty(len(others)), np.empty(len(old_variance))
         measure(points, shape, along)
         _push(
@@ -208,6 +225,8 @@ def _take_reading(
             numbers,
             repeated,
             terms,
+            shares,
+            lost,
             after,
             by_other,
             sums,
