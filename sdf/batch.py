@@ -14,7 +14,7 @@ def broadcast_shapes(*shapes: Sequence[int]) -> torch.Size:
     Raises:
         RuntimeError: they do not broadcast.
     """
-    found = []
+    found: list[int] = []
     for sizes in zip_longest(*(tuple(shape)[::-1] for shape in shapes), fillvalue=1):
         wide = {size for size in sizes if size != 1} or {1}
         if len(wide) > 1:
