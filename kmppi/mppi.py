@@ -96,6 +96,7 @@ class MPPI:
         plan: ControlPlan,
         objective: Objective,
         *,
+        proposals: Float[Tensor, "P S A"] | None = None,
         iterations: int | None = None,
         should_stop: Callable[[], bool] | None = None,
         generator: torch.Generator,
@@ -105,6 +106,8 @@ class MPPI:
         Args:
             plan: what to sample around, from `initial`, `shift` or an earlier call.
             objective: costs (K,) of controls (K, H, A) within the limits; lower is better.
+            proposals: knots (P, S, A) of further nominal plans, such as a network's; of them and `plan` the one of
+                least cost is what is sampled around.
             iterations: how often to sample and update; `settings.iterations` unless given.
             should_stop: asked between iterations; on True the plan so far is returned. One iteration is always done.
             generator: all randomness of the samples; it may live on another device.
@@ -120,11 +123,21 @@ class MPPI:
         if iterations < 1:
             raise ValueError(f"Expected iterations to be 1 or more, got {iterations}")
         plan = self.from_knots(plan.knots)
+        if proposals is not None:
+            plan = self._cheapest(plan, proposals, objective)
         for done in range(1, iterations + 1):
             plan, rollouts = self._iterate(plan, objective, done, generator)
             if done < iterations and should_stop is not None and should_stop():
                 break
         return plan, rollouts
+
+    def _cheapest(self, plan: ControlPlan, proposals: Float[Tensor, "P S A"], objective: Objective) -> ControlPlan:
+        """The plan of least cost, the given one before proposals that cost as much."""
+        further = [self.from_knots(knots).knots for knots in proposals]
+        knots = torch.stack((plan.knots, *further))
+        costs = self._evaluate(objective, self.controls(knots))
+        least = torch.where(costs.isfinite(), costs, torch.inf).argmin()
+        return self.from_knots(knots[least])
 
     def _iterate(
         self, plan: ControlPlan, objective: Objective, done: int, generator: torch.Generator

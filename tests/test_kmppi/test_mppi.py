@@ -362,3 +362,35 @@ def test_knots_that_are_no_numbers_are_refused(bad):
         mppi.from_knots(knots)
     with pytest.raises(ValueError, match="Expected finite knots"):
         mppi.plan(ControlPlan(knots, torch.zeros(7, 3)), lambda c: torch.zeros(len(c)), generator=seeded())
+
+
+def test_the_cheapest_of_the_proposals_and_the_plan_is_sampled_around():
+    mppi, target = MPPI(settings(noise_variance=1e-6), 2, torch.float64), torch.tensor([0.5, -0.5])
+    start = mppi.from_knots(torch.zeros(4, 2))
+    near, far = torch.full((4, 2), 0.5), torch.full((4, 2), -1.0)
+    near[:, 1] = -0.5
+    plan, _ = mppi.plan(start, quadratic(target), proposals=torch.stack((far, near)), generator=seeded())
+    torch.testing.assert_close(plan.knots, near.double(), atol=0.01, rtol=0)
+    kept, _ = mppi.plan(start, quadratic(target), proposals=far[None], generator=seeded())
+    alone, _ = mppi.plan(start, quadratic(target), generator=seeded())
+    assert_same(kept.knots, alone.knots)
+
+
+def test_a_proposal_without_a_finite_cost_is_left_out():
+    mppi = MPPI(settings(), 2)
+    start, worst = mppi.from_knots(torch.zeros(4, 2)), torch.ones(1, 4, 2)
+
+    def objective(controls):
+        costs = controls.square().sum((1, 2))
+        return torch.where(controls.mean((1, 2)) > 0.9, torch.nan, costs)
+
+    alone, _ = mppi.plan(start, objective, generator=seeded())
+    kept, _ = mppi.plan(start, objective, proposals=worst, generator=seeded())
+    assert_same(kept.knots, alone.knots)
+
+
+@pytest.mark.parametrize("proposals", [torch.zeros(1, 5, 2), torch.full((1, 4, 2), torch.nan)])
+def test_proposals_of_another_shape_or_that_are_none_are_refused(proposals):
+    mppi = MPPI(settings(), 2)
+    with pytest.raises(ValueError, match="Expected"):
+        mppi.plan(mppi.initial(generator=seeded()), quadratic(0.0), proposals=proposals, generator=seeded())
