@@ -311,7 +311,7 @@ def test_wrong_shapes_are_named(dtype):
         mppi.plan(start, lambda u: u.sum((1, 2))[:, None], generator=seeded())
     with pytest.raises(ValueError, match=r"got shape .* of torch\.int64"):
         mppi.plan(start, lambda u: u.sum((1, 2)).long(), generator=seeded())
-    with pytest.raises(ValueError, match=r"knots to have shape \(S, A\) = \(4, 2\), got \(5, 2\)"):
+    with pytest.raises(ValueError, match=r"knots to have shape \(\*b, S, A\) with \(S, A\) = \(4, 2\), got \(5, 2\)"):
         mppi.from_knots(torch.zeros(5, 2, dtype=dtype))
     with pytest.raises(ValueError, match="iterations to be 1 or more, got 0"):
         mppi.plan(start, quadratic(0.0), iterations=0, generator=seeded())
