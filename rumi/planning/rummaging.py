@@ -29,7 +29,7 @@ from sdf import skipped_work
 __all__ = ["PlanProposals", "RummagingPolicy", "RummagingSettings"]
 
 PlanProposals = Callable[[PlanRequest, WorkspaceFields], Float[Tensor, "P S A"]]
-"""Knots of nominal plans to start from beside the previous plan, by the request and the fields of its belief."""
+"""Knots of nominal plans beside the previous one, by the request and the fields of its belief."""
 
 # control sequences that are rolled out at once: the memory for more is not needed
 _SAMPLES = 4096
