@@ -44,7 +44,7 @@ class Options:
     """
 
     episodes: int = 120
-    steps: int = 450
+    steps: int = 700
     beliefs: int = 100
     runs: int = 20
     samples: int = 500
@@ -64,30 +64,29 @@ def scenes_of(agent: Rummager, recorded: Sequence[Moment], random: torch.Generat
     return Scenes.of([one.belief for one in every], [one.configuration for one in every], agent, random)
 
 
-def train(agent: Rummager, scenes: Scenes, steps: int, random: torch.Generator, *, batch: int = 16) -> ProposalNetwork:
-    """Train by the soft cost, whose width shrinks; of a scene's plans the best of a drawn half learns."""
+def train(
+    agent: Rummager, scenes: Scenes, steps: int, random: torch.Generator, *, batch: int = 16, temperature: float = 0.05
+) -> ProposalNetwork:
+    """Train by the soft cost, whose width shrinks; of a scene's plans the best ones count (a soft minimum)."""
     network, cost = ProposalNetwork(policy_of(agent).settings.mppi), SoftCost(agent)
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
-    plans, late = network.shape[0], 0.0
+    late = 0.0
     for step in range(steps):
         some = scenes.at(torch.randint(len(scenes.configuration), (batch,), generator=random))
         poses = some.poses[:, torch.randint(some.poses.shape[1], (2,), generator=random)]
-        half = torch.randperm(plans, generator=random)[: max(1, plans // 2)]
-        width = max(0.01, 0.08 * 0.125 ** min(1.0, step / (0.6 * steps)))
-        controls = network.planner.controls(network(some.seen.image, some.seen.tool)[:, half])
-        with torch.no_grad():
-            best = cost(controls, some, poses[:, :1], width).argmin(-1)[:, None, None, None]
-        loss = cost(controls.take_along_dim(best, 1), some, poses, width).mean()
+        knots = network(some.seen.image, some.seen.tool)
+        width = max(0.008, 0.08 * 0.1 ** min(1.0, step / (0.7 * steps)))
+        costs = cost(network.planner.controls(knots), some, poses, width)
         optimiser.zero_grad()
-        loss.backward()
+        (-temperature * (-costs / temperature).logsumexp(-1)).mean().backward()
         norm = torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         if bool(norm.isfinite()):  # an object that is wedged has slopes without end
             optimiser.step()
         schedule.step()
-        late = float(loss.detach()) if step == 0 else 0.97 * late + 0.03 * float(loss.detach())
+        late = 0.95 * late + 0.05 * float(costs.detach().amin(-1).mean()) if step else float(costs.detach().mean())
         if step % 50 == 49:
-            print(f"step {step + 1}: soft cost {late:.3f}, width {1e3 * width:.0f} mm", flush=True)
+            print(f"step {step + 1}: soft cost of the best {late:.3f}, width {1e3 * width:.0f} mm", flush=True)
     return network
 
 

@@ -67,7 +67,7 @@ class ProposalNetwork(nn.Module):
         width: of the layers.
     """
 
-    def __init__(self, planner: MPPISettings, *, proposals: int = 16, width: int = 24) -> None:
+    def __init__(self, planner: MPPISettings, *, proposals: int = 4, width: int = 24) -> None:
         super().__init__()
         self.planner = MPPI(planner, 3)
         self.shape = (proposals, self.planner.parameterization.knots, 3)
