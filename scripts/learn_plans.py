@@ -46,7 +46,7 @@ class Options:
     episodes: int = 120
     steps: int = 700
     beliefs: int = 100
-    runs: int = 20
+    runs: int = 4
     samples: int = 500
     iterations: tuple[int, ...] = (1, 2, 3)
     work: Path = Path("build/plan_proposals")
@@ -163,30 +163,36 @@ def run_all(options: Options, network: ProposalNetwork, store: Store) -> None:
             )
 
 
-def differences(lines: Sequence[Line], ours: str, other: str) -> list[float]:
-    """By how much our plans cost less, belief by belief."""
-    return [line[other]["cost"] - line[ours]["cost"] for line in lines]
+def at_equal_time(lines: Sequence[Line], iterations: Sequence[int], seconds: float) -> list[float]:
+    """Cost of KMPPI alone by belief, linear in time between the numbers of iterations, whose times are means."""
+    alone = [Method(False, count).name for count in iterations]
+    times = [mean_of(lines, name, "seconds") for name in alone]
+    later = next((k for k, time in enumerate(times) if time >= seconds), len(times) - 1)
+    early = max(later - 1, 0)
+    whole = times[later] - times[early]
+    part = min(max((seconds - times[early]) / whole, 0.0), 1.0) if whole > 0 else 1.0
+    return [(1.0 - part) * line[alone[early]]["cost"] + part * line[alone[later]]["cost"] for line in lines]
+
+
+def mean_of(lines: Sequence[Line], name: str, of: str) -> float:
+    """Mean of a figure of a method over beliefs."""
+    return sum(line[name][of] for line in lines) / len(lines)
 
 
 def table(options: Options, lines: Sequence[Line]) -> str:
-    """Markdown: cost and time by method, and each network's against the next slower KMPPI alone."""
-    rows = ["| from | planner | cost | ms | cheaper than | by | p |", "|---|---|---|---|---|---|---|"]
+    """Markdown: cost and time by method, and by how much a network's plan is cheaper at equal time."""
+    heads = ("from", "beliefs", "planner", "cost", "ms", "cheaper than KMPPI at equal time by", "p")
+    rows = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for warm, start in ((False, "noise"), (True, "the plan before")):
         some = [line for line in lines if line["part"] == "belief" and line["warm"] == warm]
-        if not some:
-            continue
-        mean = {
-            one: tuple(sum(line[one.name][of] for line in some) / len(some) for of in ("cost", "seconds"))
-            for one in (Method(own, count) for own in (False, True) for count in options.iterations)
-        }
-        for one, (cost, seconds) in mean.items():
-            slower = [other for other in mean if not other.network and mean[other][1] >= seconds]
-            against = ["", "", ""]
-            if one.network and slower:
-                other = min(slower, key=lambda other: mean[other][1])
-                test = paired(differences(some, one.name, other.name))
-                against = [other.name, "{mean:.3f} [{low:.3f}, {high:.3f}]".format(**test), f"{test['p']:.4f}"]
-            rows.append("| " + " | ".join([start, one.name, f"{cost:.3f}", f"{1e3 * seconds:.0f}", *against]) + " |")
+        for one in [Method(own, count) for own in (False, True) for count in options.iterations] if some else ():
+            cost, seconds = (mean_of(some, one.name, of) for of in ("cost", "seconds"))
+            cells = [start, str(len(some)), one.name, f"{cost:.3f}", f"{1e3 * seconds:.0f}", "", ""]
+            if one.network:
+                other = at_equal_time(some, options.iterations, seconds)
+                test = paired([b - line[one.name]["cost"] for line, b in zip(some, other, strict=True)])
+                cells[5:] = ["{mean:.3f} [{low:.3f}, {high:.3f}]".format(**test), f"{test['p']:.2g}"]
+            rows.append("| " + " | ".join(cells) + " |")
     return "\n".join(rows)
 
 
@@ -216,9 +222,7 @@ def draw(options: Options, lines: Sequence[Line], file: Path) -> None:
         some = [line for line in lines if line["part"] == "belief" and line["warm"] == warm]
         for own, name in ((False, "KMPPI"), (True, "network and KMPPI")) if some else ():
             names = [Method(own, count).name for count in options.iterations]
-            cost, seconds = (
-                [sum(line[one][of] for line in some) / len(some) for one in names] for of in ("cost", "seconds")
-            )
+            cost, seconds = ([mean_of(some, one, of) for one in names] for of in ("cost", "seconds"))
             axis.plot([1e3 * value for value in seconds], cost, "o-", label=name)
         axis.set(title=title, xlabel="processor time of a plan, ms", xscale="log")
     axes[0].set_ylabel("cost of the plan")

@@ -66,3 +66,17 @@ def test_paired_differences() -> None:
     assert sure["low"] > 0.1 and sure["p"] < 0.001
     unsure = paired([(-1.0) ** k for k in range(20)])
     assert unsure["low"] < 0 < unsure["high"] and unsure["p"] > 0.5
+
+
+def test_equal_time_is_between_two_numbers_of_iterations() -> None:
+    lines = [{f"KMPPI x {k}": {"cost": -float(k), "seconds": 0.1 * k} for k in (1, 2, 4)}]
+    found = [example.at_equal_time(lines, (1, 2, 4), seconds)[0] for seconds in (0.05, 0.1, 0.15, 0.3, 0.4, 0.9)]
+    assert found == pytest.approx([-1.0, -1.0, -1.5, -3.0, -4.0, -4.0])
+
+
+def test_the_page_has_the_recorded_tables() -> None:
+    root = Path(__file__).resolve().parents[2] / "scripts"
+    lines = example.Store(root / "results" / "plan_proposals.jsonl").flat()
+    page = (root / "docs" / "how-to" / "learning.md").read_text()
+    for text in (example.table(example.Options(), lines), example.runs_table(lines)):
+        assert text in page, text
