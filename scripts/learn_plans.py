@@ -224,7 +224,7 @@ def draw(options: Options, lines: Sequence[Line], file: Path) -> None:
             names = [Method(own, count).name for count in options.iterations]
             cost, seconds = ([mean_of(some, one, of) for one in names] for of in ("cost", "seconds"))
             axis.plot([1e3 * value for value in seconds], cost, "o-", label=name)
-        axis.set(title=title, xlabel="processor time of a plan, ms", xscale="log")
+        axis.set(title=title, xlabel="processor time of a plan, ms")
     axes[0].set_ylabel("cost of the plan")
     axes[0].legend()
     figure.savefig(file, dpi=150)
