@@ -1,6 +1,6 @@
 """Model predictive path integral control: sample, bound, evaluate, weigh, update, repeat."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Float
@@ -10,13 +10,17 @@ from kmppi.parameterization import PerStep, make_parameterization
 from kmppi.types import ControlPlan, MPPISettings, Objective, Rollouts
 from kmppi.weights import perturbation_cost, sample_weights
 
+Generators = torch.Generator | Sequence[torch.Generator]
+"""One generator for a whole batch of scenes, or one for each scene."""
+
 
 class MPPI:
     """Sampling MPC over control points: MPPI with one a step, KMPPI with a few and a kernel between (RUMI, IV-I).
 
     SMPPI samples the changes from step to step instead.
 
-    Holds settings and matrices only; the plan goes in and comes out.
+    Holds settings and matrices only; the plan goes in and comes out. Plans of a batch of scenes go in as one; with a
+    generator each, a row is what the scene gives alone, up to the rounding of sums in another order.
 
     Args:
         settings: horizon, knots, noise, temperature, limits.
@@ -51,23 +55,30 @@ class MPPI:
         self._matrix = self.parameterization.matrix.to(self.device, dtype)
         self._shifts: dict[int, Tensor] = {}
 
-    def from_knots(self, knots: Float[Tensor, "S A"]) -> ControlPlan:
-        """The plan of given control points (S, A), bounded.
+    def from_knots(self, knots: Float[Tensor, "*b S A"]) -> ControlPlan:
+        """The plan of given control points (*b, S, A), bounded.
 
         Raises:
             ValueError: they have another shape, or are not finite.
         """
         expected = (self.parameterization.knots, self.control_dim)
-        if tuple(knots.shape) != expected:
-            raise ValueError(f"Expected knots to have shape (S, A) = {expected}, got {tuple(knots.shape)}")
+        if tuple(knots.shape[-2:]) != expected:
+            raise ValueError(
+                f"Expected knots to have shape (*b, S, A) with (S, A) = {expected}, got {tuple(knots.shape)}"
+            )
         if not bool(torch.isfinite(knots).all()):
             raise ValueError(f"Expected finite knots, got {knots[~torch.isfinite(knots)][0].item()} among them")
         bounded = self._bound_knots(knots.to(self.device, self.dtype))
         return ControlPlan(bounded, self.controls(bounded))
 
-    def initial(self, *, generator: torch.Generator) -> ControlPlan:
-        """A plan of bounded noise, to improve by `settings.warmup_iterations` before it is executed (RUMI, IV-G)."""
-        return self.from_knots(self._noise(1, generator)[0])
+    def initial(self, *, generator: Generators) -> ControlPlan:
+        """A plan of bounded noise, to improve by `settings.warmup_iterations` before it is executed (RUMI, IV-G).
+
+        Args:
+            generator: one for one scene, or as many as there are scenes.
+        """
+        batch = () if isinstance(generator, torch.Generator) else (len(generator),)
+        return self.from_knots(self._noise(batch, 1, generator)[..., 0, :, :])
 
     def controls(self, knots: Float[Tensor, "*k S A"]) -> Float[Tensor, "*k H A"]:
         """Controls (*k, H, A) of knots (*k, S, A), clipped: between knots within the limits a curve may leave them."""
@@ -96,66 +107,79 @@ class MPPI:
         plan: ControlPlan,
         objective: Objective,
         *,
+        proposals: Float[Tensor, "*b P S A"] | None = None,
         iterations: int | None = None,
         should_stop: Callable[[], bool] | None = None,
-        generator: torch.Generator,
+        generator: Generators,
     ) -> tuple[ControlPlan, Rollouts]:
         """Improve a plan.
 
         Args:
             plan: what to sample around, from `initial`, `shift` or an earlier call.
-            objective: costs (K,) of controls (K, H, A) within the limits; lower is better.
+            objective: costs (*b, K) of controls (*b, K, H, A) within the limits; lower is better.
+            proposals: knots (*b, P, S, A) of further nominal plans, such as a network's: samples of the first
+                iteration, in the place of as many drawn ones.
             iterations: how often to sample and update; `settings.iterations` unless given.
             should_stop: asked between iterations; on True the plan so far is returned. One iteration is always done.
-            generator: all randomness of the samples; it may live on another device.
+            generator: all randomness of the samples, of each scene where there are several; it may live on another
+                device.
 
         Returns:
             the new plan and the samples of the last iteration.
 
         Raises:
-            NonFiniteCostsError: no sample of an iteration has a finite cost.
+            NonFiniteCostsError: no sample of an iteration of a scene has a finite cost.
             ValueError: an argument or the objective's answer has the wrong shape.
         """
         iterations = self.settings.iterations if iterations is None else iterations
         if iterations < 1:
             raise ValueError(f"Expected iterations to be 1 or more, got {iterations}")
         plan = self.from_knots(plan.knots)
+        further = None if proposals is None else self.from_knots(proposals).knots
+        if further is not None and further.shape[-3] + self.settings.include_nominal > self.settings.samples:
+            raise ValueError(
+                f"Expected fewer proposals than the {self.settings.samples} samples, got {further.shape[-3]}"
+            )
         for done in range(1, iterations + 1):
-            plan, rollouts = self._iterate(plan, objective, done, generator)
+            plan, rollouts = self._iterate(plan, objective, done, generator, further if done == 1 else None)
             if done < iterations and should_stop is not None and should_stop():
                 break
         return plan, rollouts
 
     def _iterate(
-        self, plan: ControlPlan, objective: Objective, done: int, generator: torch.Generator
+        self, plan: ControlPlan, objective: Objective, done: int, generator: Generators, further: Tensor | None
     ) -> tuple[ControlPlan, Rollouts]:
         settings = self.settings
-        noise = self._noise(settings.samples, generator)
+        noise = self._noise(plan.knots.shape[:-2], settings.samples, generator)
         if settings.include_nominal:
-            noise[0] = 0.0
-        knots = self._bound_knots(plan.knots + noise)
+            noise[..., 0, :, :] = 0.0
+        nominal = plan.knots.unsqueeze(-3)
+        knots = self._bound_knots(nominal + noise)
+        first = int(settings.include_nominal)
+        placed = slice(first, first + (0 if further is None else further.shape[-3]))
+        if further is not None:
+            knots[..., placed, :, :] = further
         controls = self.controls(knots)
         costs = self._evaluate(objective, controls)
         weighed = costs
         if settings.change_cost > 0:
-            weighed = costs + settings.change_cost * controls.diff(dim=1).square().sum((1, 2))
-        # the noise that was left after clipping is the one that was rolled out
-        perturbation = (
-            perturbation_cost(plan.knots, knots - plan.knots, self.noise_variance, settings.temperature)
-            if settings.perturbation_cost
-            else None
-        )
+            weighed = costs + settings.change_cost * controls.diff(dim=-2).square().sum((-2, -1))
+        perturbation = None
+        if settings.perturbation_cost:
+            # the noise that was left after clipping is the one that was rolled out
+            perturbation = perturbation_cost(plan.knots, knots - nominal, self.noise_variance, settings.temperature)
+            perturbation[..., placed] = 0.0  # proposals were not drawn around the nominal
         weights = sample_weights(
             weighed, settings.temperature, cost_scale=settings.cost_scale, perturbation=perturbation
         )
-        ess = (1.0 / weights.square().sum()).to(self.dtype)
+        ess = (1.0 / weights.square().sum(-1)).to(self.dtype)
         weights = weights.to(self.dtype)
-        updated = (weights @ knots.flatten(1)).view_as(plan.knots)
+        updated = (weights.unsqueeze(-2) @ knots.flatten(-2)).view_as(plan.knots)
         return self.from_knots(updated), Rollouts(controls, costs, weights, ess, done)
 
-    def _evaluate(self, objective: Objective, controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K"]:
+    def _evaluate(self, objective: Objective, controls: Float[Tensor, "*b K H A"]) -> Float[Tensor, "*b K"]:
         costs = objective(controls)
-        expected = (controls.shape[0],)
+        expected = tuple(controls.shape[:-2])
         if tuple(costs.shape) != expected or not costs.is_floating_point():
             raise ValueError(
                 f"Expected the objective to return one floating cost a sample, shape {expected}, "
@@ -163,10 +187,20 @@ class MPPI:
             )
         return costs.to(self.device)
 
-    def _noise(self, count: int, generator: torch.Generator) -> Float[Tensor, "count S A"]:
+    def _noise(self, batch: Sequence[int], count: int, generator: Generators) -> Float[Tensor, "*b count S A"]:
         shape = (count, self.parameterization.knots, self.control_dim)
-        drawn = torch.randn(shape, generator=generator, dtype=self.dtype, device=generator.device)
+        if isinstance(generator, torch.Generator):
+            drawn = self._drawn((*batch, *shape), generator)
+        elif len(batch) == 1 and batch[0] == len(generator):
+            drawn = torch.stack([self._drawn(shape, one) for one in generator])
+        else:
+            raise ValueError(
+                f"Expected one generator, or one for each scene of a batch {tuple(batch)}, got {len(generator)}"
+            )
         return drawn.to(self.device) * self._noise_std
+
+    def _drawn(self, shape: Sequence[int], generator: torch.Generator) -> Tensor:
+        return torch.randn(tuple(shape), generator=generator, dtype=self.dtype, device=generator.device)
 
     def _bound(self, values: Float[Tensor, "*k A"]) -> Float[Tensor, "*k A"]:
         return torch.clamp(values, self.control_min, self.control_max)

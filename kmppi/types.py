@@ -12,8 +12,11 @@ from torch import Tensor
 KernelName = Literal["rbf", "matern32", "matern52", "bspline3"]
 CostScale = Literal["raw", "std"]
 
-Objective = Callable[[Float[Tensor, "K H A"]], Float[Tensor, "K"]]
-"""Costs (K,) of K control sequences (K, H, A); lower is better, one that is not finite is never followed."""
+Objective = Callable[[Float[Tensor, "*b K H A"]], Float[Tensor, "*b K"]]
+"""Costs (*b, K) of K control sequences (*b, K, H, A) of each scene; lower is better.
+
+One that is not finite is never followed.
+"""
 
 
 class NonFiniteCostsError(ValueError):
@@ -22,15 +25,15 @@ class NonFiniteCostsError(ValueError):
 
 @dataclass(frozen=True)
 class ControlPlan:
-    """A nominal control sequence: what the next planning starts from.
+    """A nominal control sequence, one or one a scene: what the next planning starts from.
 
     Attributes:
-        knots: (S, A), control points, within the limits.
-        controls: (H, A), the controls they stand for, clipped to the limits: what to execute.
+        knots: (*b, S, A), control points, within the limits.
+        controls: (*b, H, A), the controls they stand for, clipped to the limits: what to execute.
     """
 
-    knots: Float[Tensor, "S A"]
-    controls: Float[Tensor, "H A"]
+    knots: Float[Tensor, "*b S A"]
+    controls: Float[Tensor, "*b H A"]
 
     def to(self, *args: torch.device | torch.dtype | str) -> Self:
         """Move to a device or a floating dtype."""
@@ -42,23 +45,24 @@ class Rollouts:
     """The samples of the last iteration.
 
     Attributes:
-        controls: (K, H, A), as they were evaluated: clipped to the limits.
-        costs: (K,), as the objective gave them.
-        weights: (K,), summing to 1; 0 where the cost is not finite.
-        ess: effective sample size, 1 / sum of squared weights, between 1 and K. Near 1 the update is an arg-min.
+        controls: (*b, K, H, A), as they were evaluated: clipped to the limits.
+        costs: (*b, K), as the objective gave them.
+        weights: (*b, K), summing to 1; 0 where the cost is not finite.
+        ess: (*b), effective sample size, 1 / sum of squared weights, between 1 and K. Near 1 the update is an arg-min.
         iterations: how many iterations were done.
     """
 
-    controls: Float[Tensor, "K H A"]
-    costs: Float[Tensor, "K"]
-    weights: Float[Tensor, "K"]
-    ess: Float[Tensor, ""]
+    controls: Float[Tensor, "*b K H A"]
+    costs: Float[Tensor, "*b K"]
+    weights: Float[Tensor, "*b K"]
+    ess: Float[Tensor, "*b"]
     iterations: int
 
     @property
-    def best(self) -> Float[Tensor, "H A"]:
+    def best(self) -> Float[Tensor, "*b H A"]:
         """The controls of least finite cost."""
-        return self.controls[torch.where(self.costs.isfinite(), self.costs, torch.inf).argmin()]
+        least = torch.where(self.costs.isfinite(), self.costs, torch.inf).argmin(-1)
+        return self.controls.take_along_dim(least[..., None, None, None], -3).squeeze(-3)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from kmppi.types import CostScale, NonFiniteCostsError
 
 
 def perturbation_cost(
-    nominal: Float[Tensor, "S A"],
+    nominal: Float[Tensor, "*b S A"],
     noise: Float[Tensor, "*k S A"],
     noise_variance: Float[Tensor, "A"],
     temperature: float,
@@ -20,15 +20,18 @@ def perturbation_cost(
     are correlated.
 
     Args:
-        nominal: (S, A), knots that were sampled around.
-        noise: (*k, S, A), what was added to them.
+        nominal: (*b, S, A), knots that were sampled around.
+        noise: (*k, S, A), what was added to them; (*b, K, S, A) where there are several nominal ones.
         noise_variance: (A,), of each control dimension.
         temperature: lambda, in units of cost.
 
     Returns:
         (*k), units of cost.
     """
-    return temperature * (noise.flatten(-2) @ (nominal / noise_variance).flatten())
+    scaled = (nominal / noise_variance).flatten(-2)
+    if scaled.ndim == 1:
+        return temperature * (noise.flatten(-2) @ scaled)
+    return temperature * (noise.flatten(-2) @ scaled[..., None])[..., 0]
 
 
 def scale_costs(costs: Float[Tensor, "F"], cost_scale: CostScale) -> Float[Tensor, "F"]:
@@ -43,35 +46,37 @@ def scale_costs(costs: Float[Tensor, "F"], cost_scale: CostScale) -> Float[Tenso
 
 
 def sample_weights(
-    costs: Float[Tensor, "K"],
+    costs: Float[Tensor, "*b K"],
     temperature: float,
     *,
     cost_scale: CostScale = "raw",
-    perturbation: Float[Tensor, "K"] | None = None,
-) -> Float[Tensor, "K"]:
+    perturbation: Float[Tensor, "*b K"] | None = None,
+) -> Float[Tensor, "*b K"]:
     """`softmax(-(cost + perturbation) / temperature)` in float64, and 0 for every cost that is not finite.
 
     Args:
-        costs: (K,), of any scale.
+        costs: (*b, K), of any scale; each scene of a batch by itself.
         temperature: in units of the scaled cost.
         cost_scale: how the costs are scaled first, by the finite ones alone.
-        perturbation: (K,), added after the scaling.
+        perturbation: (*b, K), added after the scaling.
 
     Returns:
-        (K,), float64, summing to 1; the same when a constant is added to all costs.
+        (*b, K), float64, summing to 1; the same when a constant is added to all costs.
 
     Raises:
-        NonFiniteCostsError: no cost is finite; where it is traced all weights are NaN then.
+        NonFiniteCostsError: no cost of a scene is finite; where it is traced its weights are NaN then.
     """
     finite = costs.isfinite()
     if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
         return _masked_weights(costs.double(), finite, temperature, cost_scale, perturbation)
-    count = int(finite.sum())
-    if count == 0:
+    if not bool(finite.any(-1).all()):
         raise NonFiniteCostsError(
-            f"Expected at least one finite cost, got {costs.numel()} of nan or infinity: check the objective, "
+            f"Expected at least one finite cost, got {costs.shape[-1]} of nan or infinity: check the objective, "
             "whose samples start with the nominal controls"
         )
+    if costs.ndim > 1:
+        return _masked_weights(costs.double(), finite, temperature, cost_scale, perturbation)
+    count = int(finite.sum())
     # float64: costs far above the temperature must still be told apart where they differ little
     wide = costs.double()
     scaled = scale_costs(wide if count == costs.numel() else wide[finite], cost_scale)
@@ -84,15 +89,15 @@ def sample_weights(
 def _masked_weights(
     wide: Tensor, finite: Tensor, temperature: float, cost_scale: CostScale, perturbation: Tensor | None
 ) -> Tensor:
-    """The same without a look at how many costs are finite, as `torch.compile` and `torch.func` need it."""
+    """The same of each scene without a look at how many costs are finite, as tracing needs it."""
     scaled = wide.where(finite, torch.inf)
-    scaled = (scaled - scaled.amin()).where(finite, 0.0)
+    scaled = (scaled - scaled.amin(-1, keepdim=True)).where(finite, 0.0)
     if cost_scale == "std":
-        largest = scaled.amax()
+        largest = scaled.amax(-1, keepdim=True)
         unit = scaled / torch.where(largest > 0, largest, 1.0)
-        count = finite.sum()
-        variance = ((unit - unit.sum() / count).square() * finite).sum() / count
+        count = finite.sum(-1, keepdim=True)
+        variance = ((unit - unit.sum(-1, keepdim=True) / count).square() * finite).sum(-1, keepdim=True) / count
         scaled = unit / torch.where(variance > 0, variance, 1.0).sqrt()
     if perturbation is not None:
         scaled = scaled + perturbation
-    return torch.softmax((-scaled / temperature).where(finite, -torch.inf), 0)
+    return torch.softmax((-scaled / temperature).where(finite, -torch.inf), -1)

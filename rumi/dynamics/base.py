@@ -23,22 +23,22 @@ class Paths(NamedTuple):
         configurations: (*b, H, Q), where the robot is.
         displacements: (*b, H, 3), how far the object, or its point at the `pivot`, has been moved, metres, world axes.
         turns: (*b, H), how far it has been turned, radians; None if never.
-        pivot: (2,), where objects turn.
+        pivot: (*#b, 2), where objects turn.
     """
 
     configurations: Float[Tensor, "*b H Q"]
     displacements: Float[Tensor, "*b H 3"]
     turns: Float[Tensor, "*b H"] | None = None
-    pivot: Float[Tensor, "2"] | None = None
+    pivot: Float[Tensor, "*#b 2"] | None = None
 
     def in_object_frame(self) -> tuple[Float[Tensor, "*b H Q"], Float[Tensor, "*b H 3"]]:
         """Configurations and displacements that meet of a field at rest what these meet of one riding on the object."""
         if self.turns is None or self.pivot is None:
             return self.configurations, self.displacements
         # the field turns with the object: look from where it has not moved
-        cos, sin = self.turns.cos(), self.turns.sin()
-        x, y = (self.configurations[..., :2] - self.pivot - self.displacements[..., :2]).unbind(-1)
-        place = torch.stack((cos * x + sin * y, cos * y - sin * x), -1) + self.pivot
+        cos, sin, pivot = self.turns.cos(), self.turns.sin(), self.pivot.unsqueeze(-2)
+        x, y = (self.configurations[..., :2] - pivot - self.displacements[..., :2]).unbind(-1)
+        place = torch.stack((cos * x + sin * y, cos * y - sin * x), -1) + pivot
         height, yaw = self.configurations[..., 2:-1], self.configurations[..., -1] - self.turns
         seen = torch.cat((place, height, yaw[..., None]), -1)
         return seen, torch.zeros_like(self.displacements)
@@ -51,35 +51,39 @@ class Paths(NamedTuple):
 class PushRollouts(NamedTuple):
     """K control sequences of H steps, rolled out M times each; T = H + 1 instants, the present one first.
 
+    With a batch of scenes all have its axes in front.
+
     Attributes:
-        configurations: (K, M, T, Q), where the robot is.
-        displacements: (K, M, T, 3), how far the object (with a `pivot`, its point that is there at present) has been
-            moved since the present, metres, world axes.
-        contact: (K, M, H), whether the robot touched the object during a step.
+        configurations: (*b, K, M, T, Q), where the robot is.
+        displacements: (*b, K, M, T, 3), how far the object (with a `pivot`, its point that is there at present) has
+            been moved since the present, metres, world axes.
+        contact: (*b, K, M, H), whether the robot touched the object during a step.
         checked: share of the contact checks that were done point by point; the rest was settled by a bound, or by
             another rollout that had met the same so far.
-        duplicate_of: (K, M), the first rollout of the same sequence that is known to be equal; itself if none is.
-        turns: (K, M, T), how far the object has been turned since the present, radians; None if never.
-        pivot: (2,), the point whose displacements are told, where objects turn.
+        duplicate_of: (*b, K, M), the first rollout of the same sequence that is known to be equal; itself if none is.
+        turns: (*b, K, M, T), how far the object has been turned since the present, radians; None if never.
+        pivot: (*b, 2), the point whose displacements are told, where objects turn.
     """
 
-    configurations: Float[Tensor, "K M T Q"]
-    displacements: Float[Tensor, "K M T 3"]
-    contact: Bool[Tensor, "K M H"]
+    configurations: Float[Tensor, "*b K M T Q"]
+    displacements: Float[Tensor, "*b K M T 3"]
+    contact: Bool[Tensor, "*b K M H"]
     checked: float
-    duplicate_of: Int[Tensor, "K M"]
-    turns: Float[Tensor, "K M T"] | None = None
-    pivot: Float[Tensor, "2"] | None = None
+    duplicate_of: Int[Tensor, "*b K M"]
+    turns: Float[Tensor, "*b K M T"] | None = None
+    pivot: Float[Tensor, "*b 2"] | None = None
 
     @property
-    def touched(self) -> Bool[Tensor, "K M"]:
+    def touched(self) -> Bool[Tensor, "*b K M"]:
         """Whether a rollout touched the object at all; one that did not follows the free path."""
         return self.contact.any(-1)
 
-    def paths(self, which: Bool[Tensor, "K M"]) -> Paths:
+    def paths(self, which: Bool[Tensor, "*b K M"]) -> Paths:
         """Some of the rollouts, (R, H, ...), after each action."""
-        turns = None if self.turns is None else self.turns[:, :, 1:][which]
-        return Paths(self.configurations[:, :, 1:][which], self.displacements[:, :, 1:][which], turns, self.pivot)
+        turns, pivot = None if self.turns is None else self.turns[..., 1:][which], self.pivot
+        if pivot is not None and pivot.ndim > 1:
+            pivot = pivot[..., None, None, :].expand(*which.shape, 2)[which]
+        return Paths(self.configurations[..., 1:, :][which], self.displacements[..., 1:, :][which], turns, pivot)
 
 
 @runtime_checkable
@@ -213,7 +217,7 @@ class PushModel:
 def rigid_motions(
     start: Float[Tensor, "E 3"],
     track: Float[Tensor, "E T 3"],
-    pivot: Float[Tensor, "2"],
+    pivot: Float[Tensor, "*#E 2"],
     rows: Int[Tensor, "R"] | None = None,
 ) -> tuple[Float[Tensor, "E T 3"], Float[Tensor, "E T"]]:
     """Displacement of a point that rides with each object, and turn, from a start pose (x, y, yaw) to later ones.
@@ -223,15 +227,16 @@ def rigid_motions(
     Args:
         start: poses.
         track: poses at T instants.
-        pivot: the point at the start.
+        pivot: the point at the start, of all objects or of each.
         rows: objects that may have moved, if that is known; the others have not.
     """
     shift, turn = track.new_zeros(track.shape), track.new_zeros(track.shape[:-1])
     if rows is None:
         rows = (track != start[:, None]).flatten(1).any(-1).nonzero()[:, 0]
+    about = pivot.expand(len(start), 2)[rows][:, None]
     start, track = start[rows][:, None], track[rows]
     x, y, yaw = start.unbind(-1)
-    arm_x, arm_y = pivot[0] - x, pivot[1] - y
+    arm_x, arm_y = about[..., 0] - x, about[..., 1] - y
     turned = track[..., 2] - yaw
     cos, sin = turned.cos(), turned.sin()
     way_x = track[..., 0] - x + (cos * arm_x - sin * arm_y) - arm_x
@@ -252,21 +257,21 @@ def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count:
     return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(yaw) - 1)]
 
 
-def duplicates(contact: Tensor) -> Int[Tensor, "K M"]:
+def duplicates(contact: Tensor) -> Int[Tensor, "*b K M"]:
     """The first rollout that touches nothing for those that touch nothing, else the rollout itself."""
     untouched = ~contact.any(-1)
-    own = torch.arange(contact.shape[1], device=contact.device).expand(untouched.shape)
+    own = torch.arange(contact.shape[-2], device=contact.device).expand(untouched.shape)
     return torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
 
 
-def rests(world_T_object: Float[Tensor, "N 4 4"]) -> bool:
+def rests(world_T_object: Float[Tensor, "*b N 4 4"]) -> bool:
     """Whether particles are upright and at one height, so that one outline is that of all."""
-    heights = world_T_object[:, 2, 3]
-    tilted = bool((world_T_object[:, 2, 2] < 1.0 - LEVEL_M).any())
+    heights = world_T_object[..., 2, 3]
+    tilted = bool((world_T_object[..., 2, 2] < 1.0 - LEVEL_M).any())
     return not tilted and float(heights.max() - heights.min()) <= LEVEL_M
 
 
-def resting_height(world_T_object: Float[Tensor, "N 4 4"]) -> float:
+def resting_height(world_T_object: Float[Tensor, "*b N 4 4"]) -> float:
     """Z of the origin of particles that stand upright.
 
     Raises:
@@ -277,4 +282,4 @@ def resting_height(world_T_object: Float[Tensor, "N 4 4"]) -> float:
             "Expected upright particles at one height to push one by one, got others: choose the push model "
             "'displacement'"
         )
-    return float(world_T_object[:, 2, 3].mean())
+    return float(world_T_object[..., 2, 3].mean())

@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -31,6 +31,7 @@ from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.robot.tool import BORDER_GROUP, Tool
 from rumi.robot.tool_shape import ToolShape
+from rumi.seeding import Generators
 from sdf import backend, compiled, se3, skipped_work
 from sdf.base import SDF
 from sdf.bounds import Checked, Count, NotNegative, Positive
@@ -68,14 +69,17 @@ class QuasiStaticRollouts:
     rollouts' poses stand for equal shares of the belief in the order of their yaws, and are the same for every control
     sequence; nothing is random. Motions are told as those of the belief's mean position (`pivot`), and a turn.
 
+    Beliefs of several scenes that hold the object at one height are rolled out in one call; a row is what the scene
+    gives alone.
+
     Skipped, with the same result: mini steps in which the tool is too far off to touch.
 
     Args:
         outline: what the tool meets of the object.
         support: how the object rests on the floor.
         tool: points and free-space motion.
-        world_T_object: (N, 4, 4), upright poses.
-        log_weights: (N), of the poses.
+        world_T_object: (*b, N, 4, 4), upright poses.
+        log_weights: (*b, N), of the poses.
         settings: friction, limit surface and mini steps of a push.
         posterior: over friction and limit surface, of which each rollout has a draw; None for the settings' own.
     """
@@ -85,8 +89,8 @@ class QuasiStaticRollouts:
         outline: GridOutline,
         support: Support,
         tool: Tool,
-        world_T_object: Float[Tensor, "N 4 4"],
-        log_weights: Float[Tensor, "N"],
+        world_T_object: Float[Tensor, "*b N 4 4"],
+        log_weights: Float[Tensor, "*b N"],
         settings: QuasiStaticSettings | None = None,
         posterior: PushPosterior | None = None,
     ) -> None:
@@ -94,7 +98,7 @@ class QuasiStaticRollouts:
         self.tool = tool
         self.poses = se3.to_planar(world_T_object)
         self.weights = log_weights.softmax(-1)
-        self.pivot = self.weights @ self.poses[:, :2]
+        self.pivot = (self.weights.unsqueeze(-2) @ self.poses[..., :2]).squeeze(-2)
         points, self.groups = tool.border(self.settings.spacing_m, BORDER_GROUP)
         self.points = points.to(self.poses)
         self.outline = outline.to(self.poses)
@@ -125,19 +129,21 @@ class QuasiStaticRollouts:
         kernel: Callable[[Tensor, Tensor, Tensor, Sliding], PushRollouts] = CompiledRollouts(self)
         return kernel
 
-    def representatives(self, count: int) -> Float[Tensor, "count 3"]:
+    def representatives(self, count: int) -> Float[Tensor, "*b count 3"]:
         """Poses in the middles of `count` equal shares of the belief, in the order of their yaws."""
         if count not in self._representatives:
-            self._representatives[count] = self.poses[representatives(self.poses[:, 2], self.weights, count)]
+            scenes = self.poses.reshape(-1, *self.poses.shape[-2:]), self.weights.reshape(-1, self.weights.shape[-1])
+            drawn = [poses[representatives(poses[:, 2], own, count)] for poses, own in zip(*scenes, strict=True)]
+            self._representatives[count] = torch.stack(drawn).view(*self.poses.shape[:-2], count, 3)
         return self._representatives[count]
 
     def rollout(
         self,
-        configuration: Float[Tensor, "3"],
-        controls: Float[Tensor, "K H A"],
+        configuration: Float[Tensor, "*b 3"],
+        controls: Float[Tensor, "*b K H A"],
         *,
         rollouts: int,
-        generator: torch.Generator | None = None,
+        generator: Generators | None = None,
     ) -> PushRollouts:
         """Roll control sequences out from one configuration (x, y, yaw), once for each of `rollouts` poses."""
         return self.rollout_poses(configuration, controls, self.representatives(rollouts), self._drawn(rollouts))
@@ -148,47 +154,57 @@ class QuasiStaticRollouts:
             return None
         return sliding_of(self.posterior.draws(count), self.support).to(self.poses)
 
-    def nominal_rollout(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "H A"]) -> PushRollouts:
+    def nominal_rollout(self, configuration: Float[Tensor, "*b 3"], controls: Float[Tensor, "*b H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) of the likeliest pose."""
-        return self.rollout_poses(configuration, controls[None], self.poses[self.weights.argmax()][None])
+        likeliest = self.weights.argmax(-1)[..., None, None]
+        return self.rollout_poses(configuration, controls.unsqueeze(-3), self.poses.take_along_dim(likeliest, -2))
 
     @torch.no_grad()
     def rollout_poses(
         self,
-        configuration: Float[Tensor, "3"],
-        controls: Float[Tensor, "K H A"],
-        poses: Float[Tensor, "M 3"],
+        configuration: Float[Tensor, "*b 3"],
+        controls: Float[Tensor, "*b K H A"],
+        poses: Float[Tensor, "*b M 3"],
         sliding: Sliding | None = None,
     ) -> PushRollouts:
         """The rollouts in which the object starts at given poses (x, y, yaw), and slides as given, or as set."""
-        check_shape("configuration", configuration, "(3,)", last=(3,))
-        check_shape("controls", controls, "(K, H, A)")
-        version = backend.dispatch("quasi_static_rollouts", configuration, controls, poses, self.points)
-        with skipped_work.work("pushes") as work:
-            found: PushRollouts = version(
-                self, configuration, controls, poses, sliding or self.sliding.expand(len(poses))
+        check_shape("configuration", configuration, "(*b, 3)", last=(3,))
+        check_shape("controls", controls, "(*b, K, H, A)", last=(3,))
+        batch = self.poses.shape[:-2]
+        if {configuration.shape[:-1], controls.shape[:-3], poses.shape[:-2]} != {batch}:
+            raise ValueError(
+                f"Expected the batch of scenes {tuple(batch)} of the belief in front of configuration, controls and "
+                f"poses, got {tuple(configuration.shape)}, {tuple(controls.shape)} and {tuple(poses.shape)}"
             )
+        version = backend.dispatch("quasi_static_rollouts", configuration, controls, poses, self.points)
+        slides = sliding or self.sliding.expand(poses.shape[-2])
+        with skipped_work.work("pushes") as work:
+            found: PushRollouts = version(self, configuration, controls, poses, slides)
             whole = found.contact.numel() * self.settings.mini_steps
             work.count(found.checked * whole, whole)
         return found
 
-    def free_path(self, configuration: Float[Tensor, "3"], controls: Float[Tensor, "K H A"]) -> Float[Tensor, "K T 3"]:
+    def free_path(
+        self, configuration: Float[Tensor, "*b 3"], controls: Float[Tensor, "*b K H A"]
+    ) -> Float[Tensor, "*b K T 3"]:
         """Where the tool is after each action, the present configuration first; nothing holds it up."""
-        start = configuration.expand(len(controls), 1, 3)
-        return torch.cat((start, self.tool.free_path(start[:, 0], controls, 1)), 1)
+        start = configuration[..., None, None, :].expand(*controls.shape[:-2], 1, 3)
+        return torch.cat((start, self.tool.free_path(start[..., 0, :], controls, 1)), -2)
 
     def _rollouts(
         self,
-        configuration: Float[Tensor, "3"],
-        controls: Float[Tensor, "K H A"],
-        poses: Float[Tensor, "M 3"],
+        configuration: Float[Tensor, "*b 3"],
+        controls: Float[Tensor, "*b K H A"],
+        poses: Float[Tensor, "*b M 3"],
         sliding: Sliding,
     ) -> PushRollouts:
-        (samples, horizon, _), rollouts, mini = controls.shape, len(poses), self.settings.mini_steps
-        path = self.free_path(configuration, controls)[:, None].expand(samples, rollouts, horizon + 1, 3)
+        horizon, rollouts, mini = controls.shape[-2], poses.shape[-2], self.settings.mini_steps
+        shape = (*controls.shape[:-2], rollouts)
+        path = self.free_path(configuration, controls).unsqueeze(-3).expand(*shape, horizon + 1, 3)
         rows = path.reshape(-1, horizon + 1, 3)
-        now = poses.expand(samples, rollouts, 3).reshape(-1, 3)
-        start, sliding = now, sliding.map(lambda part: part.repeat(samples, *[1] * (part.ndim - 1)))
+        now = poses.unsqueeze(-3).expand(*shape, 3).reshape(-1, 3)
+        start, alike = now, math.prod(shape[:-1])
+        sliding = sliding.map(lambda part: part.repeat(alike, *[1] * (part.ndim - 1)))
         track, contact, checked = [now], torch.zeros(len(now), horizon, dtype=torch.bool, device=now.device), 0
         for action in range(horizon):
             way = (rows[:, action + 1] - rows[:, action]) / mini
@@ -211,18 +227,21 @@ class QuasiStaticRollouts:
                 now = now.index_copy(0, near, pushed)
                 contact[near, action] |= touched
             track.append(now)
-        shifts, turns = rigid_motions(start, torch.stack(track, 1), self.pivot)
-        shape = (samples, rollouts, horizon + 1)
-        contact = contact.view(samples, rollouts, horizon)
+        shifts, turns = rigid_motions(start, torch.stack(track, 1), self.pivots(shape))
+        contact = contact.view(*shape, horizon)
         return PushRollouts(
             path.clone(),
-            shifts.view(*shape, 3),
+            shifts.view(*shape, horizon + 1, 3),
             contact,
-            checked / max(1, samples * rollouts * horizon * mini),
+            checked / max(1, contact.numel() * mini),
             duplicates(contact),
-            turns.view(shape),
+            turns.view(*shape, horizon + 1),
             self.pivot,
         )
+
+    def pivots(self, shape: Sequence[int]) -> Float[Tensor, "E 2"]:
+        """The pivot of each of the rollouts of a shape (*b, K, M)."""
+        return self.pivot[..., None, None, :].expand(*shape, 2).reshape(-1, 2)
 
 
 backend.register("quasi_static_rollouts")(QuasiStaticRollouts._rollouts)
@@ -263,20 +282,20 @@ class QuasiStaticPush(PushModel):
         other.posterior = pushes
         return other
 
-    def fits(self, world_T_object: Float[Tensor, "N 4 4"], tool: Tool) -> bool:
+    def fits(self, world_T_object: Float[Tensor, "*b N 4 4"], tool: Tool) -> bool:
         """Whether the tool is level and all particles stand upright at one height."""
         return not tool.spatial and rests(world_T_object)
 
     def rollouts(
         self,
         model: ObjectModel,
-        world_T_object: Float[Tensor, "N 4 4"],
-        log_weights: Float[Tensor, "N"],
+        world_T_object: Float[Tensor, "*b N 4 4"],
+        log_weights: Float[Tensor, "*b N"],
         tool: Tool,
         workspace: Workspace,
         fields: WorkspaceFields,
     ) -> QuasiStaticRollouts:
-        """Rollouts under one belief.
+        """Rollouts under one belief, or those of several scenes.
 
         Raises:
             ValueError: particles do not stand upright at one height.

@@ -235,8 +235,23 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
 def _push_rollouts(
     controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out, part
 ):
+    alike = counts[2]  # control sequences of a scene
     for k in indices(part, len(path)):
-        _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, numbers, counts, scratch, out)
+        _sample(
+            k,
+            controls,
+            action_scale,
+            arm,
+            path,
+            poses[k // alike],
+            bodies,
+            body,
+            outline,
+            numbers,
+            counts,
+            scratch,
+            out,
+        )
 
 
 push_rollouts = Kernel(_push_rollouts)
@@ -264,41 +279,44 @@ class CompiledRollouts:
         self._outline = _arrays(outline.values, outline.values.flatten(), outline.origin.double())
         width = float(points.norm(dim=-1).max())
         self._numbers = np.array((outline.spacing, outline.steepness, model.reach, width))
-        self._counts = np.array((model.settings.mini_steps, model.settings.passes))
+        self._settings = model.settings
 
     def __call__(self, configuration, controls, poses, sliding):
         """The rollouts in which the object starts at given poses."""
-        (samples, horizon, _), rollouts = controls.shape, len(poses)
-        path = configuration.expand(samples, horizon + 1, 3).contiguous()
+        horizon, own = controls.shape[-2], self._settings
+        shape = (*controls.shape[:-2], poses.shape[-2])
+        samples, rollouts = math.prod(shape[:-1]), shape[-1]
+        path = configuration[..., None, None, :].expand(*shape[:-1], horizon + 1, 3).reshape(-1, horizon + 1, 3)
+        path, poses = path.contiguous(), poses.to(path)
         track = path.new_empty(samples, rollouts, horizon + 1, 3)
         contact = torch.zeros(samples, rollouts, horizon, dtype=torch.bool)
         checks = torch.zeros(samples, dtype=torch.long)
         push_rollouts(
-            *_arrays(controls, self._model.tool.scale),
+            *_arrays(controls.reshape(samples, horizon, controls.shape[-1]), self._model.tool.scale),
             self._model.tool.arm_arrays(),
-            *_arrays(path, poses.to(path)),
+            *_arrays(path, poses.reshape(math.prod(shape[:-2]), rollouts, 3)),
             _bodies(sliding),
             self._body,
             self._outline,
             self._numbers,
-            self._counts,
+            np.array((own.mini_steps, own.passes, max(1, shape[-2]))),
             tuple(np.empty((samples, size), self._body[0].dtype) for size in (BORDER_GROUP, len(self._body[3][2]))),
             tuple(part.numpy() for part in (track, contact, checks)),
         )
         shifts, turns = rigid_motions(
-            poses.to(path).repeat(samples, 1),
+            poses.unsqueeze(-3).expand(*shape, 3).reshape(-1, 3),
             track.view(samples * rollouts, horizon + 1, 3),
-            self._model.pivot,
+            self._model.pivots(shape),
             contact.any(-1).flatten().nonzero()[:, 0],
         )
-        whole = samples * rollouts * horizon * self._model.settings.mini_steps
+        contact = contact.view(*shape, horizon)
         return PushRollouts(
-            path[:, None].expand(track.shape).contiguous(),
-            shifts.view(track.shape),
+            path.view(*shape[:-1], 1, horizon + 1, 3).expand(*shape, horizon + 1, 3).contiguous(),
+            shifts.view(*shape, horizon + 1, 3),
             contact,
-            int(checks.sum()) / max(1, whole),
+            int(checks.sum()) / max(1, contact.numel() * own.mini_steps),
             duplicates(contact),
-            turns.view(track.shape[:3]),
+            turns.view(*shape, horizon + 1),
             self._model.pivot,
         )
 

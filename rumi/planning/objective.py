@@ -101,7 +101,9 @@ class TrajectoryCost:
         return total
 
 
-def mean_over_rollouts(rollouts: PushRollouts, of_paths: Callable[[Paths], Float[Tensor, "R"]]) -> Float[Tensor, "K"]:
+def mean_over_rollouts(
+    rollouts: PushRollouts, of_paths: Callable[[Paths], Float[Tensor, "R"]]
+) -> Float[Tensor, "*b K"]:
     """Mean cost of each control sequence over its rollouts, of which the same ones are worked out once.
 
     Args:
@@ -109,14 +111,13 @@ def mean_over_rollouts(rollouts: PushRollouts, of_paths: Callable[[Paths], Float
         of_paths: cost of R paths.
     """
     duplicate_of = rollouts.duplicate_of
-    samples, count = duplicate_of.shape
-    distinct = duplicate_of == torch.arange(count, device=duplicate_of.device)
-    cost = rollouts.configurations.new_zeros(samples, count)
+    distinct = duplicate_of == torch.arange(duplicate_of.shape[-1], device=duplicate_of.device)
+    cost = rollouts.configurations.new_zeros(duplicate_of.shape)
     with skipped_work.work("rollouts_valued") as work:
         if skipped_work.kept():
             work.count(int(distinct.sum()), distinct.numel())
         cost[distinct] = of_paths(rollouts.paths(distinct))
-    return cost.gather(1, duplicate_of).mean(-1)
+    return cost.gather(-1, duplicate_of).mean(-1)
 
 
 def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:

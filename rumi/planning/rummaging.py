@@ -27,7 +27,10 @@ from rumi.planning.rummaging_settings import RummagingSettings
 from rumi.robot.tool import Tool
 from sdf import skipped_work
 
-__all__ = ["RummagingPolicy", "RummagingSettings"]
+__all__ = ["PlanProposals", "RummagingPolicy", "RummagingSettings"]
+
+PlanProposals = Callable[[PlanRequest, WorkspaceFields], Float[Tensor, "P S A"]]
+"""Knots of nominal plans beside the previous one, by the request and the fields of its belief."""
 
 # control sequences that are rolled out at once: the memory for more is not needed
 _SAMPLES = 4096
@@ -49,6 +52,7 @@ class RummagingPolicy:
     Args:
         reachability: r(x) of every workspace point in [0, 1] (Eq 30); may be None where reachability_scale is 0.
         settings: of sampling, costs and the push model.
+        proposals: further nominal plans, such as a trained network's; None for none.
         now: the clock that budgets are held against.
     """
 
@@ -60,9 +64,11 @@ class RummagingPolicy:
         reachability: Float[Tensor, "V"] | None = None,
         settings: RummagingSettings | None = None,
         *,
+        proposals: PlanProposals | None = None,
         now: Now = time.perf_counter,
     ) -> None:
         self.now = now
+        self.proposals = proposals
         self.settings = settings or RummagingSettings()
         self.reachability = reachability
         self.push_models = PushModels(self.settings)
@@ -121,8 +127,9 @@ class RummagingPolicy:
                 return costs
 
             should_stop = None if budget.open else budget.no_more_samples
+            further = None if self.proposals is None else self.proposals(request, view.fields)
             nominal, samples = mppi.plan(
-                start, costs_of, iterations=iterations, should_stop=should_stop, generator=generator
+                start, costs_of, proposals=further, iterations=iterations, should_stop=should_stop, generator=generator
             )
             watch.lap("planner")
             ending = budget.now()

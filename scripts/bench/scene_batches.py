@@ -1,4 +1,4 @@
-"""Belief updates a second of a batch of scenes, alone and together: python -m scripts.bench.scene_batches."""
+"""Belief updates, push rollouts and plans of scenes, alone and together: python -m scripts.bench.scene_batches."""
 
 import json
 import time
@@ -7,9 +7,14 @@ from typing import Any
 
 import torch
 
+from kmppi import MPPI, MPPISettings
+from kmppi.types import Objective
 from rumi.belief.mixed_filter import MixedFilter
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
+from rumi.dynamics.outline import GridOutline, support_of
+from rumi.dynamics.quasi_static import QuasiStaticRollouts, QuasiStaticSettings
+from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.containers import index
 from sdf.grid_sdf import GridSDF
@@ -98,9 +103,61 @@ def case(filters: list[PoseFilter], count: int, particles: int, points: int) -> 
     }
 
 
+def compared(part: str, count: int, together: Callable[[], Any], alone: Callable[[int], Any]) -> dict[str, float | str]:
+    """Milliseconds of a scene in a batch, and how much longer one takes alone; the least of three rounds."""
+    batch = seconds(together) / count
+    single = seconds(lambda: [alone(row) for row in range(count)]) / count
+    return {"part": part, "scenes": count, "ms": round(1e3 * batch, 3), "times_alone": round(single / batch, 1)}
+
+
+def pushes(count: int, samples: int, horizon: int, rollouts: int, mini_steps: int) -> dict[str, float | str]:
+    """Quasi-static rollouts of mugs before a gripper."""
+    random, height = torch.Generator().manual_seed(0), 0.045
+    mug, tool = GridSDF.from_sdf(Mug(), 0.004), Tool(torch.tensor([[0.0, -0.4], [0.8, 0.4]]), height_m=height)
+    shape = GridOutline.of_slice(mug, height), support_of(mug)
+    settings = QuasiStaticSettings(mini_steps=mini_steps)
+    planar = torch.tensor([0.4, 0.0, 0.0]) + torch.tensor([0.02, 0.02, 1.0]) * torch.randn(
+        count, 100, 3, generator=random
+    )
+    poses, weights = se3.from_planar(planar), torch.zeros(count, 100).log_softmax(-1)
+    start = torch.tensor([0.25, 0.0, 0.0]).expand(count, 3)
+    controls = (torch.randn(count, samples, horizon, 3, generator=random) + torch.tensor([0.5, 0.0, 0.0])).clamp(-1, 1)
+
+    def whole(rows: slice | int) -> None:
+        model = QuasiStaticRollouts(*shape, tool, poses[rows], weights[rows], settings)
+        model.rollout(start[rows], controls[rows], rollouts=rollouts)
+
+    name = f"push rollouts, {samples} x {rollouts} of {horizon} actions"
+    return compared(name, count, lambda: whole(slice(None)), whole)
+
+
+def plans(count: int, samples: int) -> dict[str, float | str]:
+    """Two iterations of KMPPI, whose costs take next to no time."""
+    planner, targets = (
+        MPPI(MPPISettings(samples=samples, iterations=2), 3),
+        torch.linspace(-0.5, 0.5, 3 * count).view(-1, 3),
+    )
+    random = [torch.Generator().manual_seed(row) for row in range(count)]
+    start = planner.initial(generator=random)
+
+    def toward(targets: torch.Tensor) -> Objective:
+        return lambda controls: (controls - targets[..., None, None, :]).square().sum((-2, -1))
+
+    return compared(
+        f"KMPPI, 2 iterations of {samples} samples",
+        count,
+        lambda: planner.plan(start, toward(targets), generator=random),
+        lambda row: planner.plan(planner.from_knots(start.knots[row]), toward(targets[row]), generator=random[row]),
+    )
+
+
 def main() -> None:
     """Print a JSON line for each case."""
     torch.set_num_threads(1)
+    for samples in (32, 500):
+        print(json.dumps(plans(64, samples)), flush=True)
+    for sizes in ((2, 5, 2, 4), (62, 15, 8, 16)):
+        print(json.dumps(pushes(64, *sizes)), flush=True)
     settings = FilterSettings(trigger=0.3)
     filters = [
         PoseFilter(settings, [Discrepancy(GridSDF.from_sdf(shape, 0.004, outer=0.06), 0.1)], "SE(2)")

@@ -14,6 +14,7 @@ from rumi.dynamics.registry import PushModels, PushSettings
 from rumi.dynamics.sliding import push, rotated
 from rumi.fields.information import information_field
 from rumi.fields.workspace import Workspace
+from rumi.planning.objective import mean_over_rollouts
 from rumi.robot.reach import Reach
 from rumi.robot.reach_table import ReachTable
 from rumi.robot.tool import Tool
@@ -226,3 +227,26 @@ def test_the_outline_is_nowhere_steeper_than_it_says() -> None:
     assert int(apart.sum()) > 1000
     assert bool((here - there <= outline.steepness * way + 1e-6)[apart].all())
     assert outline.steepness < 1.5
+
+
+def test_scenes_in_one_call_are_each_what_they_are_alone(
+    shape: tuple[GridOutline, Support], generator: torch.Generator
+) -> None:
+    scenes = torch.stack([scattered(generator, 9) for _ in range(3)])
+    weights = torch.rand(3, 9, generator=generator, dtype=torch.float64)
+    controls = torch.stack([walks(generator, 6, 4) for _ in range(3)])
+    start = START + torch.tensor([[0.0, 0.0, 0.0], [0.02, 0.01, 0.3], [0.0, -0.03, 0.1]], dtype=torch.float64)
+    together = make(shape, scenes, weights, posterior=PushPosterior.prior(8))
+    found = together.rollout(start, controls, rollouts=3)
+    shown = together.nominal_rollout(start, controls[:, 0])
+    cost = mean_over_rollouts(found, lambda paths: paths.in_object_frame()[0].sum((-2, -1)))
+    assert found.contact.any() and found.contact.shape == (3, 6, 3, 4) and shown.contact.shape == (3, 1, 1, 4)
+    for row in range(3):
+        alone = make(shape, scenes[row], weights[row], posterior=PushPosterior.prior(8))
+        single = alone.rollout(start[row], controls[row], rollouts=3)
+        for name in ("configurations", "displacements", "contact", "duplicate_of", "turns", "pivot"):
+            torch.testing.assert_close(getattr(found, name)[row], getattr(single, name), rtol=0, atol=1e-10)
+        likely = alone.nominal_rollout(start[row], controls[row, 0])
+        torch.testing.assert_close(shown.displacements[row], likely.displacements, rtol=0, atol=1e-10)
+        own = mean_over_rollouts(single, lambda paths: paths.in_object_frame()[0].sum((-2, -1)))
+        torch.testing.assert_close(cost[row], own, rtol=0, atol=1e-10)

@@ -311,7 +311,7 @@ def test_wrong_shapes_are_named(dtype):
         mppi.plan(start, lambda u: u.sum((1, 2))[:, None], generator=seeded())
     with pytest.raises(ValueError, match=r"got shape .* of torch\.int64"):
         mppi.plan(start, lambda u: u.sum((1, 2)).long(), generator=seeded())
-    with pytest.raises(ValueError, match=r"knots to have shape \(S, A\) = \(4, 2\), got \(5, 2\)"):
+    with pytest.raises(ValueError, match=r"knots to have shape \(\*b, S, A\) with \(S, A\) = \(4, 2\), got \(5, 2\)"):
         mppi.from_knots(torch.zeros(5, 2, dtype=dtype))
     with pytest.raises(ValueError, match="iterations to be 1 or more, got 0"):
         mppi.plan(start, quadratic(0.0), iterations=0, generator=seeded())
@@ -362,3 +362,48 @@ def test_knots_that_are_no_numbers_are_refused(bad):
         mppi.from_knots(knots)
     with pytest.raises(ValueError, match="Expected finite knots"):
         mppi.plan(ControlPlan(knots, torch.zeros(7, 3)), lambda c: torch.zeros(len(c)), generator=seeded())
+
+
+def test_a_proposal_better_than_the_plan_is_followed():
+    mppi, target = MPPI(settings(noise_variance=1e-6), 2, torch.float64), torch.tensor([0.5, -0.5])
+    start = mppi.from_knots(torch.zeros(4, 2))
+    near, far = target.expand(4, 2), torch.full((4, 2), -1.0)
+    for iterations in (1, 3):
+        plan, found = mppi.plan(
+            start, quadratic(target), proposals=torch.stack((far, near)), iterations=iterations, generator=seeded()
+        )
+        torch.testing.assert_close(plan.knots, near.double(), atol=0.01, rtol=0)
+        at_first = torch.equal(found.controls[1:3], mppi.controls(torch.stack((far, near)).double()))
+        assert at_first == (iterations == 1), "they are samples of the first iteration alone"
+    kept, _ = mppi.plan(start, quadratic(target), proposals=far[None], generator=seeded())
+    torch.testing.assert_close(kept.knots, start.knots, atol=0.01, rtol=0)
+
+
+def test_a_proposal_is_weighed_by_its_cost_alone():
+    mppi = MPPI(settings(temperature=1.0), 2, torch.float64)
+    start, proposal = mppi.from_knots(torch.full((4, 2), 0.5)), torch.full((1, 4, 2), -0.5)
+    _, found = mppi.plan(start, lambda u: torch.zeros(len(u), dtype=u.dtype), proposals=proposal, generator=seeded())
+    torch.testing.assert_close(found.weights[1], found.weights[0])
+
+
+def test_a_proposal_without_a_finite_cost_is_not_followed():
+    mppi = MPPI(settings(), 2)
+    start, worst = mppi.from_knots(torch.zeros(4, 2)), torch.ones(1, 4, 2)
+
+    def objective(controls):
+        costs = controls.square().sum((1, 2))
+        return torch.where(controls.mean((1, 2)) > 0.9, torch.nan, costs)
+
+    _, found = mppi.plan(start, objective, proposals=worst, generator=seeded())
+    assert found.weights[1] == 0
+
+
+@pytest.mark.parametrize(
+    "proposals",
+    [torch.zeros(1, 5, 2), torch.full((1, 4, 2), torch.nan), torch.zeros(64, 4, 2)],
+    ids=["shape", "nan", "many"],
+)
+def test_proposals_of_another_shape_none_or_too_many_are_refused(proposals):
+    mppi = MPPI(settings(), 2)
+    with pytest.raises(ValueError, match="Expected"):
+        mppi.plan(mppi.initial(generator=seeded()), quadratic(0.0), proposals=proposals, generator=seeded())

@@ -11,7 +11,7 @@ from kmppi import MPPI, MPPISettings
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.quasi_static import QuasiStaticSettings
-from rumi.fields.information import InformationSettings
+from rumi.fields.information import InformationSettings, WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import Plan, PlanRequest, Scene
@@ -233,3 +233,21 @@ def test_few_samples_are_all_rolled_out_in_full(scene: Scene) -> None:
     screened = plan(RummagingPolicy(falling(scene), settings), scene, belief())
     whole = plan(RummagingPolicy(falling(scene), replace(settings, screen_kept=1.0)), scene, belief())
     assert torch.equal(screened.controls, whole.controls)
+
+
+def test_a_proposal_better_than_noise_is_what_a_plan_starts_from(scene: Scene) -> None:
+    thorough = replace(SMALL, mppi=replace(SMALL.mppi, warmup_iterations=30, samples=200))
+    best = plan(RummagingPolicy(falling(scene), thorough), scene, belief())
+    assert best.warm_start is not None
+    knots, asked = best.warm_start.knots, []
+
+    def proposals(request: PlanRequest, fields: WorkspaceFields) -> Tensor:
+        asked.append((request.belief, fields.information.shape))
+        return knots[None]
+
+    little = replace(SMALL, mppi=replace(SMALL.mppi, warmup_iterations=1))
+    believed = belief()
+    helped = plan(RummagingPolicy(falling(scene), little, proposals=proposals), scene, believed)
+    alone = plan(RummagingPolicy(falling(scene), little), scene, believed)
+    assert asked == [(believed, (len(scene.workspace),))]
+    assert helped.info["least_cost"] < alone.info["least_cost"] - 0.01
