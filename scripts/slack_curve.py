@@ -201,7 +201,7 @@ def figure(options: Figure) -> None:
         axes.invert_xaxis()
         axes.set(xlabel="slack to the edge of reach [mm]", ylabel=said)
         axes.grid(alpha=0.3)
-    share.legend()
+    made.legend(*share.get_legend_handles_labels(), loc="outside upper center", ncols=len(METHODS))
     made.savefig(options.out, dpi=120)
     pyplot.close(made)
 
