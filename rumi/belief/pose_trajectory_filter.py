@@ -6,6 +6,7 @@ costs its own points alone. Where weights degenerate, readings come in by and by
 resampled and moved under their whole history (Chopin's IBIS, 2002, with Del Moral's tempering, 2006).
 """
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -68,6 +69,12 @@ class PoseTrajectoryFilter(PoseFilter):
     def with_evidence(self, *models: EvidenceModel) -> Self:
         """Refused: trajectories take in points alone."""
         raise UsageError("Expected a motion other than 'trajectory' where further evidence counts: it takes in none")
+
+    def doubting(self) -> Self:
+        """The same filter where its prior of how the object is pushed is not believed."""
+        other = copy.copy(self)
+        other.own = self.own.doubted()
+        return other
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
         """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves."""
@@ -183,6 +190,23 @@ class PoseTrajectoryFilter(PoseFilter):
     def _moves(self, now: Trajectories, random: torch.Generator) -> Moves:
         """Moves under the history of some particles."""
         return Moves(self.model, self.own, random)
+
+    def with_segment(
+        self,
+        now: Trajectories,
+        log_weights: Float[Tensor, "N"],
+        segment: Segment,
+        random: torch.Generator,
+        *,
+        opens: bool,
+        closes: bool,
+    ) -> tuple[Trajectories, Float[Tensor, "N"]]:
+        """Particles and their log-weights after a segment, pushed or not."""
+        if segment.pushes:
+            now = self.absorbed(now, log_weights, segment, random, opens=opens, closes=closes)
+            return now, normalise(torch.zeros_like(log_weights))
+        now, log_weights, _ = self._weighed(now, log_weights, segment, random)
+        return now, log_weights
 
     def absorbed(
         self,

@@ -247,9 +247,7 @@ class Mass(Fault):
 
     def strike(self, world: World, shape: SDF, hand: Hand) -> None:
         """Change it, and its inertia with it."""
-        body = world.model.body("object").id
-        world.model.body_mass[body] *= self.size
-        world.model.body_inertia[body] *= self.size
+        world.make_heavier(self.size)
 
 
 Faults = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KIND[:SIZE][@STEP]")]

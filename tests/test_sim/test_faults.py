@@ -149,7 +149,10 @@ def test_friction_and_mass_change_at_their_action(follow):
     task, _ = follow("friction:2@2", "mass:4@2", actions=1)
     geom, body = task.world.model.geom_friction, task.world.model.body("object").id
     rough, heavy = float(geom[0, 0]), float(task.world.model.body_mass[body])
+    moved_by_force = task.world.model.body_invweight0[body].copy()
     task.step(AHEAD)
+    # what contacts are scaled by goes with it: else a heavy object is flung about
+    assert task.world.model.body_invweight0[body] == pytest.approx(moved_by_force / 4, rel=1e-6)
     assert float(geom[0, 0]) == pytest.approx(2 * rough)
     assert float(task.world.model.body_mass[body]) == pytest.approx(4 * heavy)
     task.reset(0)

@@ -1,8 +1,9 @@
-"""Whether a run is lost: a test of every reading against the belief, and the search that begins anew after an alarm."""
+"""Whether a run is lost: a test of every reading against the belief, and what an alarm is named."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeGuard
 
 import torch
 from jaxtyping import Float
@@ -10,45 +11,45 @@ from torch import Tensor
 
 from rumi.belief import trajectory_faults
 from rumi.belief.change_test import ChangeEvidence, ChangeTest
-from rumi.belief.knocked_trajectories import begun_again
-from rumi.belief.misfit import MISFITS, MisfitSettings, knocked, log_ratios
+from rumi.belief.misfit import MISFITS, MisfitSettings, log_ratios
 from rumi.belief.motion import Motion
-from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.remarks import Remark
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.records import StepRecord
-from rumi.resampling import resample_systematic
-from rumi.weights import boltzmann
-from sdf import se3
 from sdf.object_model import ObjectModel
-from sensors.observation import Observation, attach, merge
+from sensors.observation import Observation, attach
 
 PRIOR: dict[str, float] = {
-    "knocked": 0.3,
-    "absent": 0.15,
+    "knocked": 0.25,
+    "absent": 0.1,
     "dead hand": 0.1,
-    "false contacts": 0.2,
+    "false contacts": 0.15,
     "hand off": 0.1,
     "camera off": 0.1,
-    "none of these": 0.05,
+    "push model off": 0.1,
+    "stuck hand": 0.03,
+    "second object": 0.03,
+    "none of these": 0.04,
 }
 """What a run may be lost by, where particles have trajectories of their own, with the prior share of each."""
 
 _MISFITS = dict(zip(MISFITS, (0.6, 0.25, 0.15), strict=True))
-_UNSAID = {"absent": "; or the hand feels nothing: nothing here tells which", "dead hand": "; or the object is gone"}
+NOTHING_FELT = "absent or dead hand"
+"""What an alarm is named where the object's absence and a hand that feels nothing are as probable."""
+
+_TIE = 1e-6  # share by which probabilities of faults with the same densities may differ
 _FAULTY = 0.2  # share of runs with a fault, for what is told alone: no alarm hangs on it
-_OFF = {"hand off": 0.006, "camera off": 0.010}  # metres within which a search begins anew
-_STRAIGHT_RAD = 0.05  # and radians: an offset turns nothing
-_GONE = ("absent", "dead hand")  # faults after which a search would find nothing
+_OFF = ("hand off", "camera off")
+_GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand")  # faults after which a search would find nothing
 
 SLIDES: tuple[Motion, ...] = ("pushed", "corrected", "trajectory")
 """Motions by a push model, of an object that slides and stays as it stands."""
 
 _DOUBT = 1.0  # nats
-_DRAWS = 8  # poses to search among, for each particle
+_BESIDE_M = 0.002  # a last contact this far off says that something is wrong, though little of what
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,8 @@ class Watch:
         explanations: posterior of "no fault" and of each fault after the last reading that was asked about; after an
             alarm that of the alarm, until the next.
         named: the fault of the last alarm.
+        doubted: whether the prior of how the object is pushed is believed no more.
+        beside_m: how far what was felt last is from where any particle has it felt.
     """
 
     evidence: ChangeEvidence | None = None
@@ -76,6 +79,8 @@ class Watch:
     p_value: float = 1.0
     explanations: Mapping[str, float] = field(default_factory=dict)
     named: str | None = None
+    doubted: bool = False
+    beside_m: float = 0.0
 
     def doubt(self) -> str | None:
         """What speaks for a fault, though not enough for an alarm: no time to be sure."""
@@ -86,6 +91,8 @@ class Watch:
             )
         if self.evidence is not None and self.nats > _DOUBT:
             return "the last readings fit a fault better than the belief"
+        if self.beside_m > _BESIDE_M:
+            return f"what was felt last is {1e3 * self.beside_m:.0f} mm beside every pose that is believed"
         return None
 
 
@@ -122,7 +129,7 @@ def sensed_now(record: StepRecord, motion: str) -> Observation:
 
 def faults_of(pose_filter: PoseFilter) -> Mapping[str, float]:
     """What a run by a filter may be lost by, with prior shares."""
-    return PRIOR if _follows(pose_filter) else _MISFITS
+    return PRIOR if follows(pose_filter) else _MISFITS
 
 
 def watch(
@@ -159,8 +166,9 @@ def watch(
     names, test = list(shares), ChangeTest(tuple(shares.values()), own.alpha)
     evidence = test.begin() if before.evidence is None else before.evidence
     ratios = _ratios(last, record, pose_filter, model, own, generator)
-    if before.named is not None:  # a search is about what it touched, whatever hand and view are off by
-        ratios = ratios.where(torch.tensor([name not in _OFF for name in names]), -torch.inf)
+    over = {*(_OFF if before.named is not None else ()), *(("push model off",) if before.doubted else ())}
+    # a search is about what it touched, whatever hand and view are off by; no prior is wider than a wide one
+    ratios = ratios.where(torch.tensor([name not in over for name in names]), -torch.inf)
     evidence = test.update(evidence, ratios)
     weighed = torch.logsumexp(ratios + ratios.new_tensor(test.weights).log(), -1)
     chances = dict(zip(["no fault", *names], _chances(test, evidence), strict=True))
@@ -170,20 +178,41 @@ def watch(
         nats=float(test.log_evidence(evidence)),
         p_value=math.exp(min(0.0, -float(weighed))),  # Markov's inequality
         explanations=chances if before.named is None else before.explanations,
+        beside_m=_beside(last, record, pose_filter) if bool(record.reading.in_contact.any()) else before.beside_m,
     )
     if not bool(test.alarm(evidence)):
         return after, None
-    name = max(names, key=lambda one: chances[one])
-    since = before.begun + max(1, round(float(test.onset(evidence)[names.index(name)])))
+    name, chance = _named(chances)
+    likeliest = "absent" if name == NOTHING_FELT else name
+    since = before.begun + max(1, round(float(test.onset(evidence)[names.index(likeliest)])))
     remark = Remark(
         f"lost: {name}",
         record.step,
-        f"no pose that is believed fits since about action {since}; as if {name} "
-        f"(probability {chances[name]:.2f}){_UNSAID.get(name, '')}",
+        f"no pose that is believed fits since about action {since}; as if {name} (probability {chance:.2f})",
     )
     searches = own.recover and name not in _GONE
-    told_by = replace(after, evidence=None, begun=record.step, lost=not searches, named=name, explanations=chances)
+    told_by = replace(
+        after,
+        evidence=None,
+        begun=record.step,
+        lost=not searches,
+        named=name,
+        explanations=chances,
+        beside_m=0.0,
+        doubted=before.doubted or (searches and name == "push model off"),
+    )
     return told_by, remark
+
+
+def _named(chances: Mapping[str, float]) -> tuple[str, float]:
+    """What an alarm is named, and its probability: the likeliest fault, two that nothing told apart being one."""
+    each = {name: chance for name, chance in chances.items() if name != "no fault"}
+    gone, dead = (each.get(name, 0.0) for name in ("absent", "dead hand"))
+    if "dead hand" in each and abs(gone - dead) <= _TIE * max(gone, dead):
+        each = {name: chance for name, chance in each.items() if name not in ("absent", "dead hand")}
+        each[NOTHING_FELT] = gone + dead
+    name = max(each, key=lambda one: each[one])
+    return name, each[name]
 
 
 def _chances(test: ChangeTest, evidence: ChangeEvidence) -> list[float]:
@@ -205,9 +234,19 @@ def told(record: StepRecord, now: Watch, alarm: Remark | None = None) -> StepRec
     )
 
 
-def _follows(pose_filter: PoseFilter) -> bool:
+def follows(pose_filter: PoseFilter) -> TypeGuard[PoseTrajectoryFilter]:
     """Whether particles have trajectories of their own, of an upright object."""
     return isinstance(pose_filter, PoseTrajectoryFilter) and not isinstance(pose_filter, UnseenTrajectoryFilter)
+
+
+def _beside(last: StepRecord, record: StepRecord, pose_filter: PoseFilter) -> float:
+    """How far what a step felt last is from where any particle has it felt, metres; 0 where nothing tells."""
+    both = [step.belief for step in (last, record)]
+    if not follows(pose_filter) or not all(isinstance(belief, PoseTrajectoryBelief) for belief in both):
+        return 0.0
+    before, after = (belief.trajectories for belief in both if isinstance(belief, PoseTrajectoryBelief))
+    assert before is not None and after is not None
+    return trajectory_faults.last_contact_off(after, trajectory_faults.new_segments(before, after), pose_filter)
 
 
 def _ratios(
@@ -226,74 +265,16 @@ def _ratios(
     before, after = last.belief, record.belief
     if not (isinstance(before, PoseTrajectoryBelief) and isinstance(after, PoseTrajectoryBelief)):
         return found
-    if not (isinstance(pose_filter, PoseTrajectoryFilter) and _follows(pose_filter)):
+    if not follows(pose_filter):
         return found
     assert before.trajectories is not None and after.trajectories is not None
     told = trajectory_faults.log_ratios(
         before.trajectories,
         before.log_weights,
         after.trajectories,
-        pose_filter.model,
-        pose_filter.own,
+        pose_filter,
         own,
         untouched=last.contacts == 0,
         generator=generator,
     )
     return torch.cat((told, found[MISFITS.index("none of these") :]))
-
-
-def searched_again(
-    last: StepRecord,
-    record: StepRecord,
-    memory: Observation,
-    pose_filter: PoseFilter,
-    own: MisfitSettings,
-    named: str | None,
-    *,
-    before: Observation,
-    generator: torch.Generator,
-) -> tuple[PoseBelief, Observation]:
-    """The belief and the memory of a search that begins anew about what was believed, from one reading alone.
-
-    As far about it as the fault asks for: a knock moves and turns it, a hand or a view that is off only moves it.
-
-    Observations before it that ride with the object are dropped: they told where it was. What was felt where nothing is
-    is dropped itself: belief and memory before it go on.
-
-    Args:
-        last: the step before.
-        record: of the step whose reading raised the alarm.
-        memory: points so far.
-        pose_filter: that the belief is of.
-        own: settings.
-        named: what the alarm was taken for.
-        before: points before the step.
-        generator: of draws.
-    """
-    if named == "false contacts":
-        return last.belief, before
-    if isinstance(pose_filter, UnseenTrajectoryFilter) and isinstance(record.belief, PoseTrajectoryBelief):
-        begun = pose_filter.begun_again(record.belief, record.reading, generator=generator)
-        return begun, memory[(~memory.attached).nonzero()[:, 0]]
-    here = record.belief
-    if named in _OFF:
-        own = replace(own, knock_m=_OFF[named], knock_rad=_STRAIGHT_RAD)
-    anew: PoseBelief | None = None
-    if isinstance(pose_filter, PoseTrajectoryFilter) and _follows(pose_filter):
-        assert isinstance(last.belief, PoseTrajectoryBelief) and isinstance(here, PoseTrajectoryBelief)
-        anew = begun_again(pose_filter, last.belief, here, own, generator=generator)
-    told = sensed_now(record, pose_filter.settings.motion)
-    points = replace(told, points=se3.apply(here.world_T_attached, told.points))
-    none = Observation.empty(dtype=points.points.dtype, device=points.points.device)
-    memory, _ = merge(none, points, pose_filter.lattice)
-    if anew is not None:
-        return anew, memory
-    count = here.log_weights.shape[-1]
-    poses = here.world_T_attached @ knocked(here, own, _DRAWS * count)
-    belief = PoseBelief.uniform(poses)
-    weights = boltzmann(pose_filter.total(belief, memory), pose_filter.settings.peakiness)
-    rows: Float[Tensor, "N"] = resample_systematic(weights, count, generator=generator)
-    kept = PoseBelief.uniform(poses[rows])
-    kept = replace(kept, attached_T_object=pose_filter.descend(kept, memory, pose_filter.settings.descent))
-    kept = replace(kept, discrepancy=pose_filter.total(kept, memory))
-    return pose_filter.begin(kept, memory, generator=generator), memory

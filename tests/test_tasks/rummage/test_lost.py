@@ -9,8 +9,10 @@ from rumi.belief.misfit import MISFITS, MisfitSettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.remarks import Remark
+from rumi.tasks.rummage import lost
 from rumi.tasks.rummage.entry import ENTRIES, describe, ending
-from rumi.tasks.rummage.lost import Watch, searched_again, told, unseated, watch
+from rumi.tasks.rummage.lost import Watch, told, unseated, watch
+from rumi.tasks.rummage.recovery import searched_again
 from sdf import se3
 from sdf.object_model import box_model
 from sensors.discrepancy import Discrepancy
@@ -103,6 +105,13 @@ def test_an_absent_object_leaves_the_run_lost(model, pose_filter):
     assert found[-1][0].lost
 
 
+def test_faults_that_nothing_tells_apart_are_named_together():
+    even = {"no fault": 0.1, "knocked": 0.4, "absent": 0.25, "dead hand": 0.25}
+    assert lost._named(even) == (lost.NOTHING_FELT, 0.5)
+    assert lost._named(even | {"dead hand": 0.2}) == ("knocked", 0.4)
+    assert lost._named({"no fault": 0.5, "knocked": 0.2, "absent": 0.3}) == ("absent", 0.3)
+
+
 def test_without_recovery_an_alarm_leaves_the_run_lost_and_0_never_asks(model, pose_filter):
     steps = [step(model, number, -0.03) for number in range(1, 6)]
     assert followed(model, pose_filter, steps, replace(OWN, recover=False))[-1][0].lost
@@ -119,6 +128,11 @@ def test_a_reading_that_speaks_for_a_fault_is_no_time_to_be_sure(model, pose_fil
     doubts = [now.doubt() is not None for now, _, _ in followed(model, pose_filter, steps, own)]
     assert doubts[:2] == [False, True] and not doubts[-1]
     assert Watch().doubt() is None
+
+
+def test_a_last_touch_beside_every_pose_is_no_time_to_be_sure():
+    assert Watch(beside_m=0.001).doubt() is None
+    assert "3 mm beside every pose" in (Watch(beside_m=0.003).doubt() or "")
 
 
 def test_what_may_have_tipped_is_doubted_and_odd_heights_until_a_touch_says_otherwise():
