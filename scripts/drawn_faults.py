@@ -41,6 +41,7 @@ NAMED = {
     "camera": ("camera off",),
     "friction": ("push model off",),
     "mass": ("push model off",),
+    "scale": ("another size",),
 }
 """What a fault is called where it is named, two that nothing tells apart as one; any other is none of these."""
 

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.misfit import MisfitSettings
+from rumi.belief.offset_rings import CAMERA, HAND, Ring, displaced, log_density
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.predicted_action import log_evidence
@@ -45,7 +46,6 @@ else is felt where the object is not."""
 
 _DRAWS = 900  # poses to which something may have been moved
 _TELLS = 1.0  # nats that a reading is short of what fits best, from which on something can be told from it
-_HAND_M, _CAMERA_M, _STRAIGHT_RAD = (0.006, 0.0015), (0.010, 0.003), 0.01  # how far off: mean and deviation; turn
 _FALSE = 0.3  # share of the actions with a false contact, where there are such
 _BRIEF = 0.8, 0.1  # chance that a false contact, and a true one, lasts for two instants at most
 _UNMET_M = 0.012  # from the surface of every particle: what is felt there is felt by none
@@ -230,10 +230,10 @@ def _displaced(
     generator: torch.Generator,
 ) -> tuple[float, float, float]:
     """Log predictive densities of a reading where the object was knocked, and where hand or camera are off."""
-    rings = (_HAND_M, _CAMERA_M) if camera else (_HAND_M,)
+    rings = (HAND, CAMERA) if camera else (HAND,)
     shares = (0.5, 0.25, 0.25) if camera else (0.6, 0.4)
     moves = _moves(own, rings, [round(share * _DRAWS) for share in shares], generator)
-    each = torch.stack([_knock_density(moves, own), *(_ring_density(moves, ring) for ring in rings)])
+    each = torch.stack([_knock_density(moves, own), *(log_density(ring, moves) for ring in rings)])
     proposal = torch.logsumexp(each + each.new_tensor(shares).log()[:, None], 0)
     # parents in an order of their own: draws of one fault come one after the other
     parents = systematic(log_weights.double(), 0.5, len(moves))
@@ -257,17 +257,14 @@ def _replayed(
 
 
 def _moves(
-    own: MisfitSettings, rings: Sequence[tuple[float, float]], counts: Sequence[int], generator: torch.Generator
+    own: MisfitSettings, rings: Sequence[Ring], counts: Sequence[int], generator: torch.Generator
 ) -> Float[Tensor, "M 3"]:
     """Displacements (x, y, yaw): so many knocks, then so many of each ring."""
     drawn = normal((sum(counts), 3), generator=generator, dtype=torch.float64)
     parts = [drawn[: counts[0]] * drawn.new_tensor((own.knock_m, own.knock_m, own.knock_rad))]
     at = counts[0]
-    for (middle, spread), count in zip(rings, counts[1:], strict=True):
-        some = drawn[at : at + count]
-        angle = 2.0 * math.pi * torch.rand(count, generator=generator, dtype=torch.float64)
-        far = (middle + spread * some[:, 0]).abs()
-        parts.append(torch.stack((far * angle.cos(), far * angle.sin(), _STRAIGHT_RAD * some[:, 2]), -1))
+    for ring, count in zip(rings, counts[1:], strict=True):
+        parts.append(displaced(ring, drawn[at : at + count], generator))
         at += count
     return torch.cat(parts)
 
@@ -275,12 +272,3 @@ def _moves(
 def _knock_density(moves: Float[Tensor, "M 3"], own: MisfitSettings) -> Float[Tensor, "M"]:
     scale = moves.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
     return -0.5 * (moves / scale).square().sum(-1) - scale.log().sum() - 1.5 * math.log(2.0 * math.pi)
-
-
-def _ring_density(moves: Float[Tensor, "M 3"], ring: tuple[float, float]) -> Float[Tensor, "M"]:
-    """Log-density of a displacement of about so much in any direction."""
-    far = moves[:, :2].norm(dim=-1).clamp_min(1e-9)
-    middle, spread = ring
-    folded = torch.logaddexp(-0.5 * ((far - middle) / spread).square(), -0.5 * ((far + middle) / spread).square())
-    turn = -0.5 * (moves[:, 2] / _STRAIGHT_RAD).square() - math.log(_STRAIGHT_RAD)
-    return folded - math.log(spread) + turn - math.log(2.0 * math.pi) - (2.0 * math.pi * far).log()

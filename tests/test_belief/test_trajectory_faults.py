@@ -8,6 +8,7 @@ import torch
 
 from rumi.belief import trajectory_faults
 from rumi.belief.misfit import MisfitSettings
+from rumi.belief.offset_rings import CAMERA, HAND, log_density
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, log_mean
@@ -177,12 +178,12 @@ def test_densities_of_displacements_integrate_to_one():
     turn = torch.linspace(-0.05, 0.05, 41, **DOUBLE)
     grid = torch.cartesian_prod(far, far, turn)
     cell = float((far[1] - far[0]) ** 2 * (turn[1] - turn[0]))
-    for ring in ((0.006, 0.0015), (0.010, 0.003)):
-        assert cell * float(trajectory_faults._ring_density(grid, ring).exp().sum()) == pytest.approx(1.0, abs=0.05)
+    for ring in (HAND, CAMERA):
+        assert cell * float(log_density(ring, grid).exp().sum()) == pytest.approx(1.0, abs=0.05)
     wide = torch.cartesian_prod(4.0 * far, 4.0 * far, 60.0 * turn)
     knock = trajectory_faults._knock_density(wide, OWN).exp().sum()
     assert 16.0 * 60.0 * cell * float(knock) == pytest.approx(1.0, abs=0.05)
-    moves = trajectory_faults._moves(OWN, [(0.006, 0.0015)], [4000, 4000], generator(0))
+    moves = trajectory_faults._moves(OWN, [HAND], [4000, 4000], generator(0))
     assert float(moves[:4000, :2].std()) == pytest.approx(OWN.knock_m, rel=0.05)
     assert float(moves[4000:, :2].norm(dim=-1).mean()) == pytest.approx(0.006, rel=0.05)
     assert math.isclose(float(moves[4000:, 2].std()), 0.01, rel_tol=0.1)

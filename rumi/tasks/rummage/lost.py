@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TypeGuard
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief import trajectory_faults
+from rumi.belief import rival_filters, trajectory_faults
 from rumi.belief.change_test import ChangeEvidence, ChangeTest
 from rumi.belief.misfit import MISFITS, MisfitSettings, log_ratios
 from rumi.belief.motion import Motion
@@ -17,8 +17,10 @@ from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.remarks import Remark
+from rumi.belief.rival_filters import Rival
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.records import StepRecord
+from rumi.tasks.rummage.fault_state import Watch
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, attach
 
@@ -27,8 +29,8 @@ PRIOR: dict[str, float] = {
     "absent": 0.1,
     "dead hand": 0.1,
     "false contacts": 0.15,
-    "hand off": 0.1,
-    "camera off": 0.1,
+    "hand off": 0.05,
+    "camera off": 0.05,
     "push model off": 0.1,
     "stuck hand": 0.03,
     "second object": 0.03,
@@ -37,63 +39,21 @@ PRIOR: dict[str, float] = {
 """What a run may be lost by, where particles have trajectories of their own, with the prior share of each."""
 
 _MISFITS = dict(zip(MISFITS, (0.6, 0.25, 0.15), strict=True))
+STATIC = {"hand off": 0.05, "camera off": 0.05, "another size": 0.1}
+"""The same of faults that hold from the first view on."""
+
 NOTHING_FELT = "absent or dead hand"
 """What an alarm is named where the object's absence and a hand that feels nothing are as probable."""
 
 _TIE = 1e-6  # share by which probabilities of faults with the same densities may differ
 _FAULTY = 0.2  # share of runs with a fault, for what is told alone: no alarm hangs on it
-_OFF = ("hand off", "camera off")
-_GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand")  # faults after which a search would find nothing
+_AT_FIRST = ("hand off", "camera off", "another size")  # asked about up to the first alarm
+_GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand", "hand off")  # faults after which a search finds nothing
+_SURE = 0.8  # share of the camera in what hand and camera have, from which on touches are believed
+_STRAINED = -5.0  # nats of all readings so far, from which on faults from the first view on are asked about
 
 SLIDES: tuple[Motion, ...] = ("pushed", "corrected", "trajectory")
 """Motions by a push model, of an object that slides and stays as it stands."""
-
-_DOUBT = 1.0  # nats
-_BESIDE_M = 0.002  # a last contact this far off says that something is wrong, though little of what
-
-
-@dataclass(frozen=True)
-class Watch:
-    """What is known of faults so far.
-
-    Attributes:
-        evidence: since the belief was last begun; None before the first reading.
-        begun: number of the action after which that was.
-        lost: whether an alarm was raised that no search came after.
-        unseated: name of the remark by which an object that no belief has but upright may lie otherwise; None where
-            none says so.
-        nats: evidence against "no fault so far", after the last reading.
-        p_value: of the last reading under the belief, an upper bound.
-        explanations: posterior of "no fault" and of each fault after the last reading that was asked about; after an
-            alarm that of the alarm, until the next.
-        named: the fault of the last alarm.
-        doubted: whether the prior of how the object is pushed is believed no more.
-        beside_m: how far what was felt last is from where any particle has it felt.
-    """
-
-    evidence: ChangeEvidence | None = None
-    begun: int = 0
-    lost: bool = False
-    unseated: str | None = None
-    nats: float = 0.0
-    p_value: float = 1.0
-    explanations: Mapping[str, float] = field(default_factory=dict)
-    named: str | None = None
-    doubted: bool = False
-    beside_m: float = 0.0
-
-    def doubt(self) -> str | None:
-        """What speaks for a fault, though not enough for an alarm: no time to be sure."""
-        if self.unseated is not None:
-            return (
-                f"the object may lie otherwise than any pose believed ({self.unseated!r} was remarked), and nothing "
-                "measures how: look again, measure its motion, or push it lower (--tool-height)"
-            )
-        if self.evidence is not None and self.nats > _DOUBT:
-            return "the last readings fit a fault better than the belief"
-        if self.beside_m > _BESIDE_M:
-            return f"what was felt last is {1e3 * self.beside_m:.0f} mm beside every pose that is believed"
-        return None
 
 
 def unseated(before: str | None, odd: Sequence[Remark], touched: bool) -> str | None:
@@ -141,6 +101,7 @@ def watch(
     own: MisfitSettings,
     *,
     generator: torch.Generator,
+    history: Sequence[StepRecord] = (),
 ) -> tuple[Watch, Remark | None]:
     """Take a step's reading into the test.
 
@@ -156,22 +117,31 @@ def watch(
         model: the object.
         own: settings.
         generator: of draws.
+        history: the steps before it, the first view first; without them faults from there on are not asked about.
 
     Returns:
         what is known now, and a remark where an alarm is due.
     """
     if own.alpha == 0 or before.lost:
         return replace(before, nats=0.0, p_value=1.0), None
-    shares = faults_of(pose_filter)
-    names, test = list(shares), ChangeTest(tuple(shares.values()), own.alpha)
+    shares = [*faults_of(pose_filter).items(), *(STATIC.items() if follows(pose_filter) else ())]
+    names, test = [name for name, _ in shares], ChangeTest(tuple(share for _, share in shares), own.alpha)
     evidence = test.begin() if before.evidence is None else before.evidence
     ratios = _ratios(last, record, pose_filter, model, own, generator)
-    over = {*(_OFF if before.named is not None else ()), *(("push model off",) if before.doubted else ())}
+    rivals, static = before.rivals, before.static
+    if follows(pose_filter):
+        if before.named is None:
+            rivals, static = _rivals(before, record, history, pose_filter, generator)
+        further = [static[name] - before.static[name] if static[name] > -math.inf else -math.inf for name in STATIC]
+        ratios = torch.cat((ratios, ratios.new_tensor(further)))
+    over = {*(_AT_FIRST if before.named is not None else ()), *(("push model off",) if before.following else ())}
     # a search is about what it touched, whatever hand and view are off by; no prior is wider than a wide one
     ratios = ratios.where(torch.tensor([name not in over for name in names]), -torch.inf)
     evidence = test.update(evidence, ratios)
     weighed = torch.logsumexp(ratios + ratios.new_tensor(test.weights).log(), -1)
-    chances = dict(zip(["no fault", *names], _chances(test, evidence), strict=True))
+    chances = dict.fromkeys(["no fault", *names], 0.0)
+    for name, chance in zip(["no fault", *names], _chances(test, evidence), strict=True):
+        chances[name] += chance
     after = replace(
         before,
         evidence=evidence,
@@ -179,6 +149,8 @@ def watch(
         p_value=math.exp(min(0.0, -float(weighed))),  # Markov's inequality
         explanations=chances if before.named is None else before.explanations,
         beside_m=_beside(last, record, pose_filter) if bool(record.reading.in_contact.any()) else before.beside_m,
+        rivals=rivals,
+        static=static,
     )
     if not bool(test.alarm(evidence)):
         return after, None
@@ -190,18 +162,55 @@ def watch(
         record.step,
         f"no pose that is believed fits since about action {since}; as if {name} (probability {chance:.2f})",
     )
-    searches = own.recover and name not in _GONE
+    searches = own.recover and name not in _GONE and not (name == "camera off" and not _touches_hold(chances))
     told_by = replace(
-        after,
-        evidence=None,
-        begun=record.step,
-        lost=not searches,
-        named=name,
-        explanations=chances,
-        beside_m=0.0,
-        doubted=before.doubted or (searches and name == "push model off"),
+        after, evidence=None, begun=record.step, lost=not searches, named=name, explanations=chances, beside_m=0.0
     )
-    return told_by, remark
+    return (_going_on(told_by, pose_filter) if searches else told_by), remark
+
+
+def _rivals(
+    before: Watch,
+    record: StepRecord,
+    history: Sequence[StepRecord],
+    pose_filter: PoseTrajectoryFilter,
+    generator: torch.Generator,
+) -> tuple[tuple[Rival, ...] | None, Mapping[str, float]]:
+    """Rivals that have taken the reading in, and what they say; begun where the readings so far are unlikely enough."""
+    belief, rivals, readings = record.belief, before.rivals, [record.reading]
+    assert isinstance(belief, PoseTrajectoryBelief) and belief.trajectories is not None
+    none = belief.trajectories.log_evidence
+    if rivals is None:
+        first = history[0].belief if history else None
+        if none > _STRAINED or not isinstance(first, PoseTrajectoryBelief) or first.trajectories is None:
+            return None, before.static
+        rivals = rival_filters.begun(pose_filter, first.trajectories, generator)
+        readings = [*(step.reading for step in history[1:]), record.reading]
+    for reading in readings:
+        rivals = rival_filters.followed(rivals, reading, generator)
+    rivals = rival_filters.left(rivals, none)
+    return rivals, {name: each - none for name, each in rival_filters.log_evidence(rivals).items()}
+
+
+def _touches_hold(chances: Mapping[str, float]) -> bool:
+    """Whether it is the camera that is off, and hardly the hand."""
+    return chances["camera off"] >= _SURE * (chances["camera off"] + chances["hand off"])
+
+
+def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
+    """What is known after an alarm, with the filter and the belief that the run goes on by."""
+    if not follows(pose_filter):
+        return told_by
+    if told_by.named == "push model off":
+        return replace(told_by, following=pose_filter.doubting())
+    some = [rival for rival in told_by.rivals or () if rival.name == told_by.named]
+    if not some or told_by.named not in ("another size", "camera off"):
+        return replace(told_by, adopted=None)
+    best = max(some, key=lambda rival: rival.log_evidence)
+    following = told_by.following
+    if told_by.named == "another size":
+        following = best.pose_filter.supposing(own=pose_filter.own)
+    return replace(told_by, adopted=best, following=following, rivals=None)
 
 
 def _named(chances: Mapping[str, float]) -> tuple[str, float]:

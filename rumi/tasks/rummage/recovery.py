@@ -1,5 +1,6 @@
 """The search that begins anew after an alarm: what the fault makes false is dropped, not averaged."""
 
+import math
 from dataclasses import replace
 
 import torch
@@ -11,16 +12,19 @@ from rumi.belief.misfit import MisfitSettings, knocked
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.rival_filters import Rival, adopted
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.records import StepRecord
 from rumi.resampling import resample_systematic
+from rumi.tasks.rummage.fault_state import Watch
 from rumi.tasks.rummage.lost import follows, sensed_now
 from rumi.weights import boltzmann
 from sdf import se3
 from sensors.observation import Observation, merge
 
 _STRANGE = ("false contacts", "second object")  # what was felt was not the object
-_OFF = {"hand off": 0.006, "camera off": 0.010}  # metres within which a search begins anew
+_OFF = {"camera off": 0.010}  # metres within which a search begins anew
 _STRAIGHT_RAD = 0.05  # and radians: an offset turns nothing
 _DRAWS = 8  # poses to search among, for each particle
 
@@ -31,7 +35,7 @@ def searched_again(
     memory: Observation,
     pose_filter: PoseFilter,
     own: MisfitSettings,
-    named: str | None,
+    now: Watch,
     *,
     before: Observation,
     generator: torch.Generator,
@@ -49,10 +53,11 @@ def searched_again(
         memory: points so far.
         pose_filter: that the belief is of.
         own: settings.
-        named: what the alarm was taken for.
+        now: what the alarm was taken for, and what the run goes on by.
         before: points before the step.
         generator: of draws.
     """
+    named = now.named
     if named in _STRANGE:
         return last.belief, before
     if isinstance(pose_filter, UnseenTrajectoryFilter) and isinstance(record.belief, PoseTrajectoryBelief):
@@ -64,6 +69,8 @@ def searched_again(
     anew: PoseBelief | None = None
     if follows(pose_filter):
         assert isinstance(last.belief, PoseTrajectoryBelief) and isinstance(here, PoseTrajectoryBelief)
+        if now.adopted is not None:
+            return _adopted(now.adopted, now.following or pose_filter, here), memory
         if named == "push model off":
             return pushed_anew(pose_filter.doubting(), last.belief, record.reading, before, generator=generator)
         anew = begun_again(pose_filter, last.belief, here, own, generator=generator)
@@ -82,3 +89,10 @@ def searched_again(
     kept = replace(kept, attached_T_object=pose_filter.descend(kept, memory, pose_filter.settings.descent))
     kept = replace(kept, discrepancy=pose_filter.total(kept, memory))
     return pose_filter.begin(kept, memory, generator=generator), memory
+
+
+def _adopted(rival: Rival, pose_filter: PoseTrajectoryFilter, like: PoseTrajectoryBelief) -> PoseBelief:
+    """The belief of a rival, with as many particles as another and in its frame."""
+    count = len(like.log_weights)
+    even = torch.full((count,), -math.log(count), dtype=torch.float64)
+    return pose_filter.belief_of(adopted(rival, count), even, like.world_T_attached, like.log_weights)

@@ -11,7 +11,8 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.remarks import Remark
 from rumi.tasks.rummage import lost
 from rumi.tasks.rummage.entry import ENTRIES, describe, ending
-from rumi.tasks.rummage.lost import Watch, told, unseated, watch
+from rumi.tasks.rummage.fault_state import Watch
+from rumi.tasks.rummage.lost import told, unseated, watch
 from rumi.tasks.rummage.recovery import searched_again
 from sdf import se3
 from sdf.object_model import box_model
@@ -93,7 +94,7 @@ def test_of_a_touch_that_was_none_the_belief_before_goes_on(model, pose_filter):
     generator = torch.Generator().manual_seed(0)
     known, after = before.added, concatenate([before.added, record.added])
     belief, memory = searched_again(
-        before, record, after, pose_filter, OWN, "false contacts", before=known, generator=generator
+        before, record, after, pose_filter, OWN, Watch(named="false contacts"), before=known, generator=generator
     )
     assert belief is before.belief and memory is known
 
@@ -149,7 +150,14 @@ def test_a_search_finds_the_object_by_the_reading_alone(model, pose_filter):
     record = step(model, 3, -0.03)
     generator = torch.Generator().manual_seed(0)
     belief, memory = searched_again(
-        record, record, record.added, pose_filter, OWN, "knocked", before=Observation.empty(), generator=generator
+        record,
+        record,
+        record.added,
+        pose_filter,
+        OWN,
+        Watch(named="knocked"),
+        before=Observation.empty(),
+        generator=generator,
     )
     assert belief.log_weights.shape == record.belief.log_weights.shape
     assert len(memory.points[memory.valid]) == 3
