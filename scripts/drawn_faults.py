@@ -42,6 +42,8 @@ NAMED = {
     "friction": ("push model off",),
     "mass": ("push model off",),
     "scale": ("another size",),
+    "stuck": ("stuck hand",),
+    "second": ("second object",),
 }
 """What a fault is called where it is named, two that nothing tells apart as one; any other is none of these."""
 
@@ -52,6 +54,7 @@ SIZES = {
     "camera": (6.0, 15.0),
     "false-contact": (0.2, 0.6),
     "friction": (2.0, 4.0),
+    "second": (80.0, 140.0),
     "mass": (2.0, 4.0),
 }
 STEPS, LATEST = 25, 6  # actions of a run, and the last one that a fault begins with
