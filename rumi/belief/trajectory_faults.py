@@ -38,11 +38,12 @@ TRAJECTORY_FAULTS = (
     "push model off",
     "stuck hand",
     "second object",
+    "stale camera",
 )
 """The object is elsewhere near by; it is gone; the hand feels nothing; it feels what is not there, briefly; it is some
 millimetres beside where it is taken to be; the camera was, which the first action near the object tells; the object
 slides as no prior has it: friction or mass far from what is expected; the hand feels the same all the time; something
-else is felt where the object is not."""
+else is felt where the object is not; the camera repeats its last view to the digit."""
 
 _DRAWS = 900  # poses to which something may have been moved
 _TELLS = 1.0  # nats that a reading is short of what fits best, from which on something can be told from it
@@ -106,8 +107,16 @@ def log_ratios(
             beside = _beside(before, log_weights, history, unmet, pose_filter, generator)
             alike = math.log(_ALIKE) if told["stuck hand"] > -math.inf else 0.0
             told["second object"] = math.log(_FALSE) + alike + beside - none
+    repeated = _repeats(before, history)
+    if not repeated:
+        told["stale camera"] = -math.inf
     if none > -_TELLS:
         return _tensor(told).clamp_max(_TELLS)
+    if repeated:
+        blind = replace(history, weight=history.weight.masked_fill(history.kind == Kind.SEEN, 0.0))
+        misses = log_evidence(before, log_weights, blind, pose_filter, generator) - none
+        # a view that does not fit is no repetition by chance; one that does may well be, of what stands still
+        told["stale camera"] = misses - (math.log(own.outlier) if misses > _TELLS else 0.0)
     knock, hand, view = _displaced(before, log_weights, history, model, sensed, own, untouched, generator)
     told |= {"knocked": knock - none, "hand off": hand - none}
     if untouched:
@@ -128,6 +137,12 @@ def _false(unmet: int, own: MisfitSettings) -> float:
         return math.log1p(-_FALSE)
     lasts = math.log(_BRIEF[0] / _BRIEF[1] if unmet <= 2 else (1.0 - _BRIEF[0]) / (1.0 - _BRIEF[1]))
     return math.log(_FALSE / own.outlier) + lasts
+
+
+def _repeats(before: Trajectories, history: History) -> bool:
+    """Whether an action's view is the last one again."""
+    old, new = (one.points[one.kind == Kind.SEEN] for one in (before.history, history))
+    return 0 < len(new) <= len(old) and bool(old[-len(new) :].equal(new))
 
 
 def _stuck(history: History, sensed: PoseTrajectorySettings) -> float:

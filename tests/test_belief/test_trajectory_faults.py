@@ -145,6 +145,33 @@ def test_a_hand_that_feels_the_same_all_the_way_is_stuck(model):
     assert ratios(model, still)["stuck hand"] == -torch.inf
 
 
+def test_a_view_that_repeats_the_last_one_while_the_object_has_moved_is_stale(model):
+    view = Segment(
+        torch.zeros(1, 2, 3, **DOUBLE),
+        False,
+        FACE.clone(),
+        torch.zeros(len(FACE), dtype=torch.long),
+        torch.full((len(FACE),), int(Kind.SEEN)),
+        torch.full((len(FACE),), 2.0, **DOUBLE),
+    )
+    pose_filter = PoseTrajectoryFilter(FilterSettings(), Discrepancy(model.sdf, 0.1), model)
+    told = {}
+    for name, moved, seen in (
+        ("stale", 0.03, view),
+        ("still", 0.0, view),
+        ("new", 0.03, view._replace(points=FACE + 0.004)),
+    ):
+        before = taken_in(particles(), view, model)
+        ahead = torch.tensor([moved, 0.0, 0.0], **DOUBLE)  # by what was felt since
+        before = replace(before, poses=torch.cat((before.poses[:, :-1], before.poses[:, -1:] + ahead), 1))
+        even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
+        after = taken_in(before, seen, model)
+        found = log_ratios(before, even, after, pose_filter, OWN, untouched=False, generator=generator(2))
+        told[name] = dict(zip(TRAJECTORY_FAULTS, found.tolist(), strict=True))
+    assert max(told["stale"], key=told["stale"].__getitem__) == "stale camera" and told["stale"]["stale camera"] > 5.0
+    assert abs(told["still"]["stale camera"]) <= 1.0 and told["new"]["stale camera"] == -torch.inf
+
+
 def test_a_view_off_by_a_centimetre_is_told_by_the_first_touch_alone(model):
     found = ratios(model, reading(Kind.FELT, -0.010 - SENSED.felt_m), untouched=True)
     assert found["camera off"] > max(2.0, found["hand off"])

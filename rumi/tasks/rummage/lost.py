@@ -34,6 +34,7 @@ PRIOR: dict[str, float] = {
     "push model off": 0.1,
     "stuck hand": 0.03,
     "second object": 0.03,
+    "stale camera": 0.03,
     "none of these": 0.04,
 }
 """What a run may be lost by, where particles have trajectories of their own, with the prior share of each."""
@@ -48,7 +49,8 @@ NOTHING_FELT = "absent or dead hand"
 _TIE = 1e-6  # share by which probabilities of faults with the same densities may differ
 _FAULTY = 0.2  # share of runs with a fault, for what is told alone: no alarm hangs on it
 _AT_FIRST = ("hand off", "camera off", "another size")  # asked about up to the first alarm
-_GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand", "hand off")  # faults after which a search finds nothing
+# faults after which a search finds nothing
+_GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand", "hand off", "stale camera")
 _SURE = 0.8  # share of the camera in what hand and camera have, from which on touches are believed
 _STRAINED = -5.0  # nats of all readings so far, from which on faults from the first view on are asked about
 
@@ -199,13 +201,14 @@ def _touches_hold(chances: Mapping[str, float]) -> bool:
 
 def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
     """What is known after an alarm, with the filter and the belief that the run goes on by."""
+    told_by = replace(told_by, adopted=None)
     if not follows(pose_filter):
         return told_by
     if told_by.named == "push model off":
         return replace(told_by, following=pose_filter.doubting())
     some = [rival for rival in told_by.rivals or () if rival.name == told_by.named]
     if not some or told_by.named not in ("another size", "camera off"):
-        return replace(told_by, adopted=None)
+        return told_by
     best = max(some, key=lambda rival: rival.log_evidence)
     following = told_by.following
     if told_by.named == "another size":
