@@ -11,6 +11,7 @@ of the same seed without it.
 
 import hashlib
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -26,20 +27,27 @@ from rumi.seeding import split
 from rumi.sim.faults import FAULTS
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.drawn_scenes import DRAWN
+from rumi.tasks.rummage.lost import NOTHING_FELT
 from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import Experiment, Line
 from scripts.reproduce.cells import middle, rate, table
 from sensors.reading import Reading
 
 NAMED = {
-    "knock": "knocked",
-    "absent": "absent",
-    "dead": "dead hand",
-    "false-contact": "false contacts",
-    "hand": "hand off",
-    "camera": "camera off",
+    "knock": ("knocked",),
+    "absent": ("absent", NOTHING_FELT),
+    "dead": ("dead hand", NOTHING_FELT),
+    "false-contact": ("false contacts",),
+    "hand": ("hand off",),
+    "camera": ("camera off",),
+    "friction": ("push model off",),
+    "mass": ("push model off",),
+    "scale": ("another size",),
+    "stale": ("stale camera",),
+    "stuck": ("stuck hand",),
+    "second": ("second object",),
 }
-"""What a fault is called where it is named; any other is none of these."""
+"""What a fault is called where it is named, two that nothing tells apart as one; any other is none of these."""
 
 SIZES = {
     "knock": (20.0, 40.0),
@@ -48,6 +56,7 @@ SIZES = {
     "camera": (6.0, 15.0),
     "false-contact": (0.2, 0.6),
     "friction": (2.0, 4.0),
+    "second": (80.0, 140.0),
     "mass": (2.0, 4.0),
 }
 STEPS, LATEST = 25, 6  # actions of a run, and the last one that a fault begins with
@@ -60,7 +69,7 @@ def kinds_of(task: str) -> list[str]:
     without = set() if spec.looks_again else {"stale"}
     if spec.camera is None:
         without.add("camera")
-    return [kind for kind in FAULTS if kind in {*NAMED, *SIZES, "stale"} and kind not in without]
+    return [kind for kind in FAULTS if kind in {*NAMED, *SIZES} and kind not in without]
 
 
 def drawn_fault(task: str, seed: int) -> str:
@@ -149,7 +158,15 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
     rows = [_row(kind, [line for line in lines if line["fault"].startswith(kind)]) for kind in FAULTS if kind in kinds]
     if len(rows) > 1:
         rows.append(_row("any", lines))
-    heads = ("fault", "far off, not flagged", "named first", "actions to it", "ends right", "sure and wrong")
+    heads = (
+        "fault",
+        "far off, not flagged",
+        "named first",
+        "actions to it",
+        "ends right",
+        "sure and wrong",
+        "taken for",
+    )
     faultless = [line["faultless"] for line in lines]
     alarms, rights = rate([bool(run["alarms"]) for run in faultless]), rate([right(run) for run in faultless])
     wrong = rate([run["stopped_by"] == "sure" and not run["right"] for run in faultless])
@@ -174,14 +191,19 @@ def _row(kind: str, lines: Sequence[Line]) -> list[str]:
         middle(delays, 0),
         rate([right(run) for run in runs]),
         rate([run["stopped_by"] == "sure" and not run["lost"] and not run["right"] for run in runs]),
+        ", ".join(f"{name} {count}" for name, count in Counter(_first(run) for _, run in told).most_common()) or "-",
     ]
 
 
 def _named(fault: str, run: Mapping[str, Any]) -> bool:
     """Whether the first alarm from the first changed reading on, which may be the view, was taken for the fault."""
     kind = fault.partition("@")[0].partition(":")[0]
-    after = [name for step, name in run["alarms"] if step >= run["changed"]]
-    return bool(after) and after[0] == NAMED.get(kind, "none of these")
+    return _first(run) in NAMED.get(kind, ("none of these",))
+
+
+def _first(run: Mapping[str, Any]) -> str:
+    """What the first alarm from the first changed reading on was taken for."""
+    return next((name for step, name in run["alarms"] if step >= run["changed"]), "nothing")
 
 
 EXPERIMENT = Experiment(__doc__, "drawn_faults.jsonl", {"task": tuple(DRAWN)}, measure, show, seeds="0-99")

@@ -78,6 +78,15 @@ class GridSDF(Sized):
             )
         self.inset = max(min(insets), 0.0) + outer * self.outer_spacing
 
+    def resized(self, factor: float) -> Self:
+        """The same shape in another size, with as many nodes."""
+        wide = factor * self.outer_spacing
+        origin = tuple(factor * x for x in self.origin)
+        low = (origin[0], origin[1], origin[2])
+        return type(self)(
+            factor * self.values, low, factor * self.spacing, factor * self.bounds, outer=self.outer, outer_spacing=wide
+        )
+
     @classmethod
     def from_sdf(
         cls,

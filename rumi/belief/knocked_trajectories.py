@@ -1,4 +1,4 @@
-"""Trajectories begun anew after a knock: what was believed, moved about, under all that one action brought.
+"""Trajectories begun anew after an alarm: what was believed, moved about or not, under all that one action brought.
 
 Importance sampling of where the object was when the action began, from the belief before it moved by a knock, then
 moves under the action's readings. What came before is forgotten: it told where the object was before the knock.
@@ -9,14 +9,18 @@ from dataclasses import replace
 import torch
 
 from rumi.belief.misfit import MisfitSettings
+from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, check_finite, power_of
 from rumi.belief.trajectory_faults import new_segments
+from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_moves import Moves
 from rumi.resampling import resample_systematic
 from rumi.seeding import normal
 from rumi.weights import normalise
 from sdf import se3
+from sensors.observation import Observation
+from sensors.reading import Reading
 
 _DRAWS, _STARTS, _SWEEPS = 4000, 300, 8
 
@@ -62,3 +66,29 @@ def begun_again(
         drawn = moves.sweep(drawn, history, whole=True)
     flat = normalise(torch.zeros(len(drawn), dtype=torch.float64))
     return pose_filter.belief_of(drawn, flat, se3.identity().to(after.world_T_attached), after.log_weights)
+
+
+def pushed_anew(
+    pose_filter: PoseTrajectoryFilter,
+    before: PoseTrajectoryBelief,
+    reading: Reading,
+    memory: Observation,
+    *,
+    generator: torch.Generator,
+) -> tuple[PoseBelief, Observation]:
+    """The belief and the memory after an action under a filter of another motion prior.
+
+    Poses before the action are kept; how they came about, which the old prior had its part in, is forgotten.
+
+    Args:
+        pose_filter: with the new prior.
+        before: the belief before the action.
+        reading: of the action.
+        memory: points before it.
+        generator: of the draws.
+    """
+    last = before.trajectories
+    assert last is not None
+    fresh = Trajectories.drawn(last.pose.clone(), History.empty(), generator)
+    belief, memory, _ = pose_filter(replace(before, trajectories=fresh), memory, reading, generator=generator)
+    return belief, memory

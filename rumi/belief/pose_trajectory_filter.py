@@ -6,10 +6,11 @@ costs its own points alone. Where weights degenerate, readings come in by and by
 resampled and moved under their whole history (Chopin's IBIS, 2002, with Del Moral's tempering, 2006).
 """
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Self
+from typing import NamedTuple, Self
 
 import torch
 from jaxtyping import Float
@@ -24,6 +25,7 @@ from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, 
 from rumi.belief.trajectory_chance import log_chance
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_moves import Moves, start_density
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic, systematic
@@ -41,6 +43,28 @@ _MOVED_M, _MOVED = 0.001, 0.1  # an unfelt push: how far it moves which share of
 _UNSETTLED = 0.03  # share of the belief that leans on the tool, and so moves with it, felt or not
 _ALIVE = 0.4  # share of different poses before an action that needs no moves in the middle of it
 _LONG = 6  # pushed segments up to which moves from the start are tried after each, not after each action
+
+
+class Advanced(NamedTuple):
+    """Particles after an action.
+
+    Attributes:
+        now: particles.
+        log_weights: of them.
+        touched: whether the tool may have moved the object.
+        spans: how many instants each new pushed segment has; none where it was begun anew.
+        rides: (K, 4, 4), motion of a particle in the middle of the belief up to each instant.
+        resampled: whether particles were resampled.
+        changed: whether anything new was sensed.
+    """
+
+    now: Trajectories
+    log_weights: Float[Tensor, "N"]
+    touched: bool
+    spans: list[int]
+    rides: Float[Tensor, "K 4 4"]
+    resampled: bool
+    changed: bool
 
 
 class PoseTrajectoryFilter(PoseFilter):
@@ -68,6 +92,16 @@ class PoseTrajectoryFilter(PoseFilter):
     def with_evidence(self, *models: EvidenceModel) -> Self:
         """Refused: trajectories take in points alone."""
         raise UsageError("Expected a motion other than 'trajectory' where further evidence counts: it takes in none")
+
+    def doubting(self) -> Self:
+        """The same filter where its prior of how the object is pushed is not believed."""
+        return self.supposing(own=self.own.doubted())
+
+    def supposing(self, *, model: Pushed | None = None, own: PoseTrajectorySettings | None = None) -> Self:
+        """The same filter of another object, or with other priors and noise."""
+        other = copy.copy(self)
+        other.model, other.own = model or self.model, own or self.own
+        return other
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
         """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves."""
@@ -100,32 +134,40 @@ class PoseTrajectoryFilter(PoseFilter):
             raise TypeError("Expected a belief with trajectories, as `begin` gives it, got one of poses alone")
         if reading.tool_pose.ndim != 3:
             raise ValueError(f"Expected a reading of one scene, got tool_pose {tuple(reading.tool_pose.shape)}")
-        random, own = one(generator), self.own
-        now, log_weights, resampled = belief.trajectories, belief.log_weights.double(), False
+        own, frame = self.own, belief.world_T_attached
+        done = self.advanced(belief.trajectories, belief.log_weights.double(), reading, one(generator))
+        if done.touched and not done.spans:  # begun anew: what was sensed before told where it was
+            memory = memory[(~memory.attached).nonzero()[:, 0]]
+        frames = done.rides.to(frame) @ frame
+        if done.spans:
+            new = attach(reading.observation, reading.instant, frames)
+        else:  # one frame for all instants
+            new = in_world(reading.observation, se3.inverse(frames[0]))
+        memory, added = merge(memory, new, self.lattice)
+        if done.changed:
+            now = done.now.remembered(own.memory)
+            belief = self.belief_of(now, done.log_weights, frames[-1], belief.log_weights)
+        return belief, memory, FilterInfo(torch.tensor(done.touched), torch.tensor(done.resampled), added)
+
+    @torch.no_grad()
+    def advanced(
+        self, now: Trajectories, log_weights: Float[Tensor, "N"], reading: Reading, random: torch.Generator
+    ) -> "Advanced":
+        """Particles after an action, and how they came there."""
+        own, resampled = self.own, False
         path = path_of(reading, self.model)
         spans: list[int] = []
         touched = self._pushes(now, log_weights, reading, path)
         if touched:
             now, spans = self._touched(now, log_weights, reading, path, random)
             log_weights, resampled = normalise(log_weights.new_zeros(len(now))), True
-            if not spans:  # begun anew: what was sensed before told where it was
-                memory = memory[(~memory.attached).nonzero()[:, 0]]
         rides = self._ridden(now, spans, len(reading.in_contact))
         stood = reading.observation if not touched else seen_besides(reading, self.model, own)
         still = standing(stood, now.pose, self.model, own, now.history)
         if still is not None:
             now, log_weights, again = self._weighed(now, log_weights, still, random)
             resampled |= again
-        frames = rides.to(belief.world_T_attached) @ belief.world_T_attached
-        if spans:
-            new = attach(reading.observation, reading.instant, frames)
-        else:  # one frame for all instants
-            new = in_world(reading.observation, se3.inverse(frames[0]))
-        memory, added = merge(memory, new, self.lattice)
-        if touched or still is not None:
-            now = now.remembered(own.memory)
-            belief = self.belief_of(now, log_weights, frames[-1], belief.log_weights)
-        return belief, memory, FilterInfo(torch.tensor(touched), torch.tensor(resampled), added)
+        return Advanced(now, log_weights, touched, spans, rides, resampled, touched or still is not None)
 
     def log_chance(self, belief: PoseBelief) -> float:
         """Log of a bound on the p-value of all readings at the best particle."""
@@ -183,6 +225,23 @@ class PoseTrajectoryFilter(PoseFilter):
     def _moves(self, now: Trajectories, random: torch.Generator) -> Moves:
         """Moves under the history of some particles."""
         return Moves(self.model, self.own, random)
+
+    def with_segment(
+        self,
+        now: Trajectories,
+        log_weights: Float[Tensor, "N"],
+        segment: Segment,
+        random: torch.Generator,
+        *,
+        opens: bool,
+        closes: bool,
+    ) -> tuple[Trajectories, Float[Tensor, "N"]]:
+        """Particles and their log-weights after a segment, pushed or not."""
+        if segment.pushes:
+            now = self.absorbed(now, log_weights, segment, random, opens=opens, closes=closes)
+            return now, normalise(torch.zeros_like(log_weights))
+        now, log_weights, _ = self._weighed(now, log_weights, segment, random)
+        return now, log_weights
 
     def absorbed(
         self,

@@ -1,7 +1,7 @@
 """Upright object that a level tool pushes, as trajectories need it: quasi-static steps with noise of their own."""
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -70,6 +70,17 @@ class PushedObject:
         outline = GridOutline.of_slice(sdf, height_m - resting_m).to(like)
         tool, pads = shape.outline(spacing_m).to(like), shape.pad_shell(pad_spacing_m).to(like)
         return cls(sdf, resting_m, outline, support.centre.to(like), support.spread, tool, pads, height_m)
+
+    def resized(self, factor: float) -> Self:
+        """The same tool and an object in another size, of which distances are tabulated."""
+        from sdf.grid_sdf import GridSDF
+
+        if not isinstance(self.sdf, GridSDF):
+            raise TypeError(f"Expected an object whose distances are tabulated, got {type(self.sdf).__name__}")
+        sdf, resting_m = self.sdf.resized(factor), factor * self.resting_m
+        outline = GridOutline.of_slice(sdf, self.height_m - resting_m).to(self.centre)
+        centre, spread_m = factor * self.centre, factor * self.spread_m
+        return replace(self, sdf=sdf, resting_m=resting_m, outline=outline, centre=centre, spread_m=spread_m)
 
     @functools.cached_property
     def reach_m(self) -> float:

@@ -9,30 +9,52 @@ most where the filter's prediction is right.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.misfit import MisfitSettings
+from rumi.belief.offset_rings import CAMERA, HAND, Ring, displaced, log_density
 from rumi.belief.pose_trajectories import Trajectories
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.predicted_action import log_evidence
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.sliding import rotated
 from rumi.resampling import systematic
 from rumi.seeding import normal
 
-TRAJECTORY_FAULTS = ("knocked", "absent", "dead hand", "false contacts", "hand off", "camera off")
-"""The object is elsewhere near by; it is gone; the hand feels nothing; it feels what is not there; it is some
-millimetres beside where it is taken to be; the camera was, which the first touch tells."""
+TRAJECTORY_FAULTS = (
+    "knocked",
+    "absent",
+    "dead hand",
+    "false contacts",
+    "hand off",
+    "camera off",
+    "push model off",
+    "stuck hand",
+    "second object",
+    "stale camera",
+)
+"""The object is elsewhere near by; it is gone; the hand feels nothing; it feels what is not there, briefly; it is some
+millimetres beside where it is taken to be; the camera was, which the first action near the object tells; the object
+slides as no prior has it: friction or mass far from what is expected; the hand feels the same all the time; something
+else is felt where the object is not; the camera repeats its last view to the digit."""
 
 _DRAWS = 900  # poses to which something may have been moved
 _TELLS = 1.0  # nats that a reading is short of what fits best, from which on something can be told from it
-_HAND_M, _CAMERA_M, _STRAIGHT_RAD = (0.006, 0.0015), (0.010, 0.003), 0.01  # how far off: mean and deviation; turn
 _FALSE = 0.3  # share of the actions with a false contact, where there are such
 _BRIEF = 0.8, 0.1  # chance that a false contact, and a true one, lasts for two instants at most
 _UNMET_M = 0.012  # from the surface of every particle: what is felt there is felt by none
+_STRAINED = 15.0  # nats that an action is unlikely by, from which on the push model is asked about
+_USUAL = 0.5  # share of the actions of a wrong push model that look as usual
+_STUCK_M, _LONG = 0.002, 5  # how far what a stuck hand feels wanders on it, and for how many instants
+_PATTERNS = 100.0  # that a hand may be stuck in, as likely
+_ALIKE = 0.001  # chance that something that stands in the way is felt alike all the way
 
 
 def new_segments(before: Trajectories, after: Trajectories) -> int:
@@ -46,8 +68,7 @@ def log_ratios(
     before: Trajectories,
     log_weights: Float[Tensor, "N"],
     after: Trajectories,
-    model: Pushed,
-    sensed: PoseTrajectorySettings,
+    pose_filter: PoseTrajectoryFilter,
     own: MisfitSettings,
     *,
     untouched: bool,
@@ -59,35 +80,107 @@ def log_ratios(
         before: particles before the reading.
         log_weights: of them.
         after: particles that have taken it in.
-        model: object and tool.
-        sensed: of the motion prior and the sensors.
+        pose_filter: of both.
         own: how far a knock goes, and how often a contact means nothing even so.
         untouched: whether nothing had been felt before, so that the view alone says where the object is.
         generator: of the draws.
     """
-    ratios = torch.zeros(len(TRAJECTORY_FAULTS), dtype=torch.float64)
+    told = dict.fromkeys(TRAJECTORY_FAULTS, 0.0)
     new = new_segments(before, after)
     if not new:
-        return ratios
+        return _tensor(told)
+    model, sensed = pose_filter.model, pose_filter.own
     history = after.history.since(len(after.history) - new)
     none = after.log_evidence - before.log_evidence
     gone, dead = _without_feeling(history, sensed)
+    told |= {"absent": gone - none, "dead hand": dead - none}
     felt = bool((history.kind == Kind.FELT).any())
-    ratios[1:3] = torch.tensor((gone, dead), dtype=torch.float64) - none
     if felt:
-        unmet = _unmet(after, new, model)
-        lasts = math.log(_BRIEF[0] / _BRIEF[1] if unmet <= 2 else (1.0 - _BRIEF[0]) / (1.0 - _BRIEF[1]))
-        ratios[3] = math.log(_FALSE / own.outlier) + lasts if unmet else math.log1p(-_FALSE)
+        unmet = _unmet(after, history, model)
+        told |= {
+            "false contacts": _false(len(unmet), own),
+            "push model off": math.log(_USUAL),
+            "stuck hand": _stuck(history, sensed) - none,
+            "second object": math.log1p(-_FALSE),
+        }
+        if len(unmet) > 2:
+            beside = _beside(before, log_weights, history, unmet, pose_filter, generator)
+            alike = math.log(_ALIKE) if told["stuck hand"] > -math.inf else 0.0
+            told["second object"] = math.log(_FALSE) + alike + beside - none
+    repeated = _repeats(before, history)
+    if not repeated:
+        told["stale camera"] = -math.inf
     if none > -_TELLS:
-        return ratios.clamp_max(_TELLS)
-    camera = felt and untouched
-    knock, hand, view = _displaced(before, log_weights, history, model, sensed, own, camera, generator)
-    ratios[0] = knock - none
-    if felt:
-        ratios[4] = hand - none
-    if camera:
-        ratios[5] = view - none
-    return ratios
+        return _tensor(told).clamp_max(_TELLS)
+    if repeated:
+        blind = replace(history, weight=history.weight.masked_fill(history.kind == Kind.SEEN, 0.0))
+        misses = log_evidence(before, log_weights, blind, pose_filter, generator) - none
+        # a view that does not fit is no repetition by chance; one that does may well be, of what stands still
+        told["stale camera"] = misses - (math.log(own.outlier) if misses > _TELLS else 0.0)
+    knock, hand, view = _displaced(before, log_weights, history, model, sensed, own, untouched, generator)
+    told |= {"knocked": knock - none, "hand off": hand - none}
+    if untouched:
+        told["camera off"] = view - none
+    if felt and none < -_STRAINED:
+        doubting = pose_filter.doubting()
+        told["push model off"] = log_evidence(before, log_weights, history, doubting, generator) - none
+    return _tensor(told)
+
+
+def _tensor(told: Mapping[str, float]) -> Float[Tensor, "K"]:
+    return torch.tensor([told[name] for name in TRAJECTORY_FAULTS], dtype=torch.float64)
+
+
+def _false(unmet: int, own: MisfitSettings) -> float:
+    """Log-likelihood ratio of false contacts, by the instants at which something was felt where nothing is."""
+    if not unmet:
+        return math.log1p(-_FALSE)
+    lasts = math.log(_BRIEF[0] / _BRIEF[1] if unmet <= 2 else (1.0 - _BRIEF[0]) / (1.0 - _BRIEF[1]))
+    return math.log(_FALSE / own.outlier) + lasts
+
+
+def _repeats(before: Trajectories, history: History) -> bool:
+    """Whether an action's view is the last one again."""
+    old, new = (one.points[one.kind == Kind.SEEN] for one in (before.history, history))
+    return 0 < len(new) <= len(old) and bool(old[-len(new) :].equal(new))
+
+
+def _stuck(history: History, sensed: PoseTrajectorySettings) -> float:
+    """Log-likelihood of a reading by a hand that feels the same all the time; -inf where it does not."""
+    tool, pushed = history.tool[:, 1], history.pushes.nonzero()[:, 0]
+    places = []
+    for instant in pushed.tolist():
+        points = _felt_at(history, instant)[:, :2]
+        if not len(points):
+            return -math.inf
+        places.append(rotated(points.mean(0) - tool[instant, :2], -tool[instant, 2]))
+    if len(places) < _LONG:
+        return -math.inf
+    own = torch.stack(places)
+    if float((own - own.median(0).values).norm(dim=-1).max()) > _STUCK_M:
+        return -math.inf
+    worth = history.worth().sum(0)
+    bits = worth[Kind.PAD_FELT] + worth[Kind.PAD_CLEAR]
+    known = math.log1p(-sensed.outliers) * float(bits)
+    return known + math.log(sensed.outliers) * float(worth[Kind.FELT]) - math.log(_PATTERNS)
+
+
+def _beside(
+    before: Trajectories,
+    log_weights: Float[Tensor, "N"],
+    history: History,
+    unmet: Sequence[int],
+    pose_filter: PoseTrajectoryFilter,
+    generator: torch.Generator,
+) -> float:
+    """Log-likelihood of a reading where what was felt at some instants was something else than the object."""
+    at = torch.searchsorted(history.point_ends, torch.arange(len(history.points)), right=True)
+    others = torch.isin(at, torch.tensor(unmet))
+    strange = float(history.weight[others & (history.kind == Kind.FELT)].sum())
+    rest = replace(history, weight=history.weight.masked_fill(others, 0.0))
+    return log_evidence(before, log_weights, rest, pose_filter, generator) + strange * math.log(
+        pose_filter.own.outliers
+    )
 
 
 def _without_feeling(history: History, sensed: PoseTrajectorySettings) -> tuple[float, float]:
@@ -104,19 +197,41 @@ def _without_feeling(history: History, sensed: PoseTrajectorySettings) -> tuple[
     return dead + never * float(worth[Kind.SEEN]), dead
 
 
-def _unmet(after: Trajectories, new: int, model: Pushed) -> int:
+def _unmet(after: Trajectories, history: History, model: Pushed) -> list[int]:
     """Instants of the last segments at which the hand felt something where no particle has a surface."""
-    history, count = after.history, 0
-    for segment in range(len(history) - new, len(history)):
-        first, last = (int(history.ends[at]) if at >= 0 else 0 for at in (segment - 1, segment))
-        for instant in range(first, last):
-            low, high = (int(history.point_ends[at]) if at >= 0 else 0 for at in (instant - 1, instant))
-            points = history.points[low:high][history.kind[low:high] == Kind.FELT]
+    found, first = [], len(after.history) - len(history)
+    for segment in range(len(history)):
+        begin, end = (int(history.ends[at]) if at >= 0 else 0 for at in (segment - 1, segment))
+        poses = torch.cat((after.poses[:, first + segment], after.poses[:, first + segment + 1]))
+        for instant in range(begin, end):
+            points = _felt_at(history, instant)
+            if len(points):
+                off = model.sdf.distance(model.local(poses, points).to(model.sdf.bounds)).abs().median(-1).values
+                if float(off.min()) > _UNMET_M:
+                    found.append(instant)
+    return found
+
+
+def last_contact_off(after: Trajectories, new: int, pose_filter: PoseTrajectoryFilter) -> float:
+    """How far what the hand felt last, in so many new segments, is from where the nearest particle has it felt, metres.
+
+    The middle one of its points; 0 where nothing was felt.
+    """
+    history, model = after.history, pose_filter.model
+    for segment in reversed(range(len(history) - new, len(history))):
+        begin, end = (int(history.ends[at]) if at >= 0 else 0 for at in (segment - 1, segment))
+        for instant in reversed(range(begin, end)):
+            points = _felt_at(history, instant)
             if len(points):
                 poses = torch.cat((after.poses[:, segment], after.poses[:, segment + 1]))
-                off = model.sdf.distance(model.local(poses, points).to(model.sdf.bounds)).abs().median(-1).values
-                count += float(off.min()) > _UNMET_M
-    return count
+                off = model.sdf.distance(model.local(poses, points).to(model.sdf.bounds)) - pose_filter.own.felt_m
+                return float(off.abs().median(-1).values.min())
+    return 0.0
+
+
+def _felt_at(history: History, instant: int) -> Float[Tensor, "m 3"]:
+    low, high = (int(history.point_ends[at]) if at >= 0 else 0 for at in (instant - 1, instant))
+    return history.points[low:high][history.kind[low:high] == Kind.FELT]
 
 
 def _displaced(
@@ -130,10 +245,10 @@ def _displaced(
     generator: torch.Generator,
 ) -> tuple[float, float, float]:
     """Log predictive densities of a reading where the object was knocked, and where hand or camera are off."""
-    rings = (_HAND_M, _CAMERA_M) if camera else (_HAND_M,)
+    rings = (HAND, CAMERA) if camera else (HAND,)
     shares = (0.5, 0.25, 0.25) if camera else (0.6, 0.4)
     moves = _moves(own, rings, [round(share * _DRAWS) for share in shares], generator)
-    each = torch.stack([_knock_density(moves, own), *(_ring_density(moves, ring) for ring in rings)])
+    each = torch.stack([_knock_density(moves, own), *(log_density(ring, moves) for ring in rings)])
     proposal = torch.logsumexp(each + each.new_tensor(shares).log()[:, None], 0)
     # parents in an order of their own: draws of one fault come one after the other
     parents = systematic(log_weights.double(), 0.5, len(moves))
@@ -157,17 +272,14 @@ def _replayed(
 
 
 def _moves(
-    own: MisfitSettings, rings: Sequence[tuple[float, float]], counts: Sequence[int], generator: torch.Generator
+    own: MisfitSettings, rings: Sequence[Ring], counts: Sequence[int], generator: torch.Generator
 ) -> Float[Tensor, "M 3"]:
     """Displacements (x, y, yaw): so many knocks, then so many of each ring."""
     drawn = normal((sum(counts), 3), generator=generator, dtype=torch.float64)
     parts = [drawn[: counts[0]] * drawn.new_tensor((own.knock_m, own.knock_m, own.knock_rad))]
     at = counts[0]
-    for (middle, spread), count in zip(rings, counts[1:], strict=True):
-        some = drawn[at : at + count]
-        angle = 2.0 * math.pi * torch.rand(count, generator=generator, dtype=torch.float64)
-        far = (middle + spread * some[:, 0]).abs()
-        parts.append(torch.stack((far * angle.cos(), far * angle.sin(), _STRAIGHT_RAD * some[:, 2]), -1))
+    for ring, count in zip(rings, counts[1:], strict=True):
+        parts.append(displaced(ring, drawn[at : at + count], generator))
         at += count
     return torch.cat(parts)
 
@@ -175,12 +287,3 @@ def _moves(
 def _knock_density(moves: Float[Tensor, "M 3"], own: MisfitSettings) -> Float[Tensor, "M"]:
     scale = moves.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
     return -0.5 * (moves / scale).square().sum(-1) - scale.log().sum() - 1.5 * math.log(2.0 * math.pi)
-
-
-def _ring_density(moves: Float[Tensor, "M 3"], ring: tuple[float, float]) -> Float[Tensor, "M"]:
-    """Log-density of a displacement of about so much in any direction."""
-    far = moves[:, :2].norm(dim=-1).clamp_min(1e-9)
-    middle, spread = ring
-    folded = torch.logaddexp(-0.5 * ((far - middle) / spread).square(), -0.5 * ((far + middle) / spread).square())
-    turn = -0.5 * (moves[:, 2] / _STRAIGHT_RAD).square() - math.log(_STRAIGHT_RAD)
-    return folded - math.log(spread) + turn - math.log(2.0 * math.pi) - (2.0 * math.pi * far).log()

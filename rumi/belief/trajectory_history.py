@@ -146,6 +146,21 @@ class History:
             force=self.force[segment:],
         )
 
+    def segment(self, number: int) -> Segment:
+        """One of the segments, as it came."""
+        first, last = (int(self.ends[at]) if at >= 0 else 0 for at in (number - 1, number))
+        low, high = (int(self.point_ends[at - 1]) if at else 0 for at in (first, last))
+        counts = self.point_ends[first:last].diff(prepend=torch.tensor([low]))
+        return Segment(
+            self.tool[first:last],
+            bool(self.pushes[last - 1]),
+            self.points[low:high],
+            torch.arange(last - first).repeat_interleave(counts),
+            self.kind[low:high],
+            self.weight[low:high],
+            self.force[number],
+        )
+
     def moving(self) -> Int[Tensor, "s"]:
         """The segments in which the object may have been pushed."""
         return self.pushes[self.ends - 1].nonzero()[:, 0]

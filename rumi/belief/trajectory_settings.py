@@ -133,6 +133,23 @@ class PoseTrajectorySettings:
             self, **{name: own for name, own in _OTHERS.items() if getattr(self, name) == getattr(fitted, name)}
         )
 
+    def doubted(self) -> Self:
+        """The same where pushes go otherwise than any prior has it: rough or slippery, hardly predictable motion."""
+        friction, lever, ahead = self.friction, self.lever_ratio, self.ahead
+        return replace(
+            self,
+            friction=(friction[0], max(0.7, friction[1])),
+            lever_ratio=(lever[0], max(0.3, lever[1])),
+            ahead=(ahead[0], max(0.11, ahead[1])),
+            centre_m=max(0.004, self.centre_m),
+            friction_change=max(0.2, self.friction_change),
+            lever_change=max(0.1, self.lever_change),
+            along=3.0 * self.along,
+            across=3.0 * self.across,
+            turn_rad_per_m=3.0 * self.turn_rad_per_m,
+            pad_slope_m=2.0 * self.pad_slope_m,
+        )
+
     def __post_init__(self) -> None:
         """Refuse what has no meaning."""
         for part in fields(self):

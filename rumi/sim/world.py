@@ -157,6 +157,16 @@ class World:
         self.data.qvel[speed : speed + 6] = 0.0
         self._mujoco.mj_forward(self.model, self.data)
 
+    def make_heavier(self, factor: float) -> None:
+        """Scale the object's mass and inertia, with what the engine has worked out from them.
+
+        Contacts are scaled by inverse masses that are part of the model: with those of a light object a heavy one is
+        flung about.
+        """
+        self.model.body_mass[self._object_body] *= factor
+        self.model.body_inertia[self._object_body] *= factor
+        self._mujoco.mj_setConst(self.model, self._mujoco.MjData(self.model))  # of the reference pose, in a state apart
+
     def configuration(self) -> Float[Tensor, "Q"]:
         """Measured x, y, in space z, and yaw of the gripper."""
         return torch.from_numpy(np.array(self.data.qpos[self._gripper]))

@@ -8,8 +8,10 @@ import torch
 
 from rumi.belief import trajectory_faults
 from rumi.belief.misfit import MisfitSettings
+from rumi.belief.offset_rings import CAMERA, HAND, log_density
+from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import Trajectories
-from rumi.belief.pose_trajectory_filter import log_mean
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, log_mean
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_faults import TRAJECTORY_FAULTS, log_ratios, new_segments
 from rumi.belief.trajectory_history import History, Kind, Segment
@@ -18,6 +20,7 @@ from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf.grid_sdf import GridSDF
 from sdf.primitives import Box
+from sensors.discrepancy import Discrepancy
 
 DOUBLE = {"dtype": torch.float64}
 OWN, SENSED = MisfitSettings(), PoseTrajectorySettings()
@@ -49,6 +52,28 @@ def reading(kind: Kind, shift: float, instants: int = 5) -> Segment:
     return Segment(torch.zeros(instants, 2, 3, **DOUBLE), False, points.repeat_interleave(2, 0), when, kinds, weight)
 
 
+def pushed_face(turned: float) -> Segment:
+    """The block's face, felt while the tool's pads push it 20 mm ahead; by then it has turned so far, radians."""
+    steps = 10
+    way = torch.linspace(0.0, 0.02, steps + 1, **DOUBLE)
+    tool = torch.zeros(steps, 2, 3, **DOUBLE)
+    reach = 0.04 + GripperShape().outline(0.006)[:, 0].max().double()
+    tool[:, 0, 0], tool[:, 1, 0] = way[:-1] - reach, way[1:] - reach
+    parts = []
+    for step in range(1, steps + 1):
+        angle = torch.tensor(turned * step / steps, **DOUBLE)
+        turn = torch.stack((torch.stack((angle.cos(), -angle.sin())), torch.stack((angle.sin(), angle.cos()))))
+        face = FACE.clone()
+        face[:, 0] -= SENSED.felt_m
+        face[:, :2] = face[:, :2] @ turn.T
+        face[:, 0] += way[step]
+        parts.append(face)
+    points = torch.cat(parts)
+    when = torch.arange(steps).repeat_interleave(len(FACE))
+    kinds, weight = torch.full((len(points),), int(Kind.FELT)), torch.full((len(points),), SENSED.felt_weight / 3.0)
+    return Segment(tool, True, points, when, kinds, weight.double())
+
+
 def taken_in(before: Trajectories, segment: Segment, model) -> Trajectories:
     """What the filter would have after it: here nothing is resampled."""
     history = before.history.appended(segment)
@@ -62,8 +87,9 @@ def ratios(model, segment: Segment, untouched: bool = False) -> dict[str, float]
     before = particles()
     after = taken_in(before, segment._replace(weight=segment.weight.double()), model)
     even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
-    found = log_ratios(before, even, after, model, SENSED, OWN, untouched=untouched, generator=generator(2))
-    assert bool(torch.isfinite(found).all())
+    pose_filter = PoseTrajectoryFilter(FilterSettings(), Discrepancy(model.sdf, 0.1), model)
+    found = log_ratios(before, even, after, pose_filter, OWN, untouched=untouched, generator=generator(2))
+    assert not bool(found.isnan().any()) and float(found.max()) < torch.inf
     return dict(zip(TRAJECTORY_FAULTS, found.tolist(), strict=True))
 
 
@@ -90,6 +116,62 @@ def test_pads_that_pass_through_the_object_and_feel_nothing_say_that_it_is_gone_
     assert found["absent"] == found["dead hand"] > 5.0 > found["false contacts"]
 
 
+def test_a_touch_where_nothing_is_that_lasts_while_the_object_is_felt_too_is_a_second_object(model):
+    strange, own = reading(Kind.FELT, -0.3, instants=10), reading(Kind.FELT, -SENSED.felt_m, instants=10)
+    both = own._replace(  # the object itself first, then something else
+        tool=torch.zeros(20, 2, 3, **DOUBLE),
+        points=torch.cat((own.points, strange.points)),
+        instant=torch.cat((own.instant, strange.instant + 10)),
+        kind=torch.cat((own.kind, strange.kind)),
+        weight=torch.cat((own.weight, strange.weight)),
+    )
+    found = ratios(model, both)
+    assert max(found, key=found.__getitem__) == "second object" and found["second object"] > 5.0
+
+
+def test_a_hand_that_feels_the_same_all_the_way_is_stuck(model):
+    way = torch.linspace(0.0, 0.1, 10, **DOUBLE)
+    points = (FACE - torch.tensor([0.2, 0.0, 0.0], **DOUBLE)).repeat(10, 1)
+    when = torch.arange(10).repeat_interleave(len(FACE))
+    points[:, 0] += way[when]  # carried by the hand through free space
+    tool = torch.zeros(10, 2, 3, **DOUBLE)
+    tool[:, 1, 0] = way
+    kinds = torch.tensor([int(Kind.PAD_FELT), int(Kind.FELT)]).repeat(len(points))
+    weight = torch.where(kinds == Kind.PAD_FELT, 0.5, SENSED.felt_weight / len(FACE))
+    stuck = Segment(tool, True, points.repeat_interleave(2, 0), when.repeat_interleave(2, 0), kinds, weight)
+    found = ratios(model, stuck)
+    assert max(found, key=found.__getitem__) == "stuck hand" and found["stuck hand"] > 5.0
+    still = stuck._replace(tool=torch.zeros(10, 2, 3, **DOUBLE))  # what it feels then wanders over it
+    assert ratios(model, still)["stuck hand"] == -torch.inf
+
+
+def test_a_view_that_repeats_the_last_one_while_the_object_has_moved_is_stale(model):
+    view = Segment(
+        torch.zeros(1, 2, 3, **DOUBLE),
+        False,
+        FACE.clone(),
+        torch.zeros(len(FACE), dtype=torch.long),
+        torch.full((len(FACE),), int(Kind.SEEN)),
+        torch.full((len(FACE),), 2.0, **DOUBLE),
+    )
+    pose_filter = PoseTrajectoryFilter(FilterSettings(), Discrepancy(model.sdf, 0.1), model)
+    told = {}
+    for name, moved, seen in (
+        ("stale", 0.03, view),
+        ("still", 0.0, view),
+        ("new", 0.03, view._replace(points=FACE + 0.004)),
+    ):
+        before = taken_in(particles(), view, model)
+        ahead = torch.tensor([moved, 0.0, 0.0], **DOUBLE)  # by what was felt since
+        before = replace(before, poses=torch.cat((before.poses[:, :-1], before.poses[:, -1:] + ahead), 1))
+        even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
+        after = taken_in(before, seen, model)
+        found = log_ratios(before, even, after, pose_filter, OWN, untouched=False, generator=generator(2))
+        told[name] = dict(zip(TRAJECTORY_FAULTS, found.tolist(), strict=True))
+    assert max(told["stale"], key=told["stale"].__getitem__) == "stale camera" and told["stale"]["stale camera"] > 5.0
+    assert abs(told["still"]["stale camera"]) <= 1.0 and told["new"]["stale camera"] == -torch.inf
+
+
 def test_a_view_off_by_a_centimetre_is_told_by_the_first_touch_alone(model):
     found = ratios(model, reading(Kind.FELT, -0.010 - SENSED.felt_m), untouched=True)
     assert found["camera off"] > max(2.0, found["hand off"])
@@ -105,17 +187,30 @@ def test_a_reading_that_adds_nothing_or_begins_anew_tells_nothing(model):
     assert new_segments(longer, taken_in(longer, segment, model).remembered(2)) == 1
 
 
+def test_a_push_that_goes_as_no_prior_has_it_is_the_push_model_and_one_that_does_is_not(model):
+    pose_filter = PoseTrajectoryFilter(FilterSettings(), Discrepancy(model.sdf, 0.1), model)
+    expected, odd = ({}, {})
+    for turned, found in ((0.0, expected), (2.2, odd)):
+        before = particles()
+        even = torch.zeros(len(before), **DOUBLE).log_softmax(0)
+        segment = pushed_face(turned)
+        now = pose_filter.absorbed(before, even, segment, generator(3), opens=True, closes=True)
+        told = log_ratios(before, even, now, pose_filter, OWN, untouched=False, generator=generator(2))
+        found |= dict(zip(TRAJECTORY_FAULTS, told.tolist(), strict=True))
+    assert expected["push model off"] <= 0.0 < 5.0 < odd["push model off"]
+
+
 def test_densities_of_displacements_integrate_to_one():
     far = torch.linspace(-0.06, 0.06, 120, **DOUBLE)  # none at 0, where the rings' density has a pole
     turn = torch.linspace(-0.05, 0.05, 41, **DOUBLE)
     grid = torch.cartesian_prod(far, far, turn)
     cell = float((far[1] - far[0]) ** 2 * (turn[1] - turn[0]))
-    for ring in ((0.006, 0.0015), (0.010, 0.003)):
-        assert cell * float(trajectory_faults._ring_density(grid, ring).exp().sum()) == pytest.approx(1.0, abs=0.05)
+    for ring in (HAND, CAMERA):
+        assert cell * float(log_density(ring, grid).exp().sum()) == pytest.approx(1.0, abs=0.05)
     wide = torch.cartesian_prod(4.0 * far, 4.0 * far, 60.0 * turn)
     knock = trajectory_faults._knock_density(wide, OWN).exp().sum()
     assert 16.0 * 60.0 * cell * float(knock) == pytest.approx(1.0, abs=0.05)
-    moves = trajectory_faults._moves(OWN, [(0.006, 0.0015)], [4000, 4000], generator(0))
+    moves = trajectory_faults._moves(OWN, [HAND], [4000, 4000], generator(0))
     assert float(moves[:4000, :2].std()) == pytest.approx(OWN.knock_m, rel=0.05)
     assert float(moves[4000:, :2].norm(dim=-1).mean()) == pytest.approx(0.006, rel=0.05)
     assert math.isclose(float(moves[4000:, 2].std()), 0.01, rel_tol=0.1)

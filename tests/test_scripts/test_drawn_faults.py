@@ -50,7 +50,8 @@ def test_the_table_tells_each_kind_and_the_runs_without():
     knock, mass, some = (row.split(" | ") for row in text.splitlines()[2:5])
     assert knock[0] == "| knock" and knock[1].startswith("1/2") and knock[2].startswith("1/2")
     assert knock[3].startswith("1 [") and knock[4].startswith("1/2")
-    assert mass[0] == "| mass" and mass[2] == "-"
+    assert mass[0] == "| mass" and mass[2] == "-" and mass[-1] == "- |"
+    assert knock[-1] == "knocked 1, hand off 1 |"
     assert some[0] == "| any" and some[1].startswith("1/3")
     assert "false alarms 1/3" in text
     assert show([], {}) == ""

@@ -145,11 +145,35 @@ def test_false_contacts_come_at_their_rate_on_the_pads(follow):
     assert not any(bool(result.reading.in_contact.any()) for result in rare)
 
 
+def test_a_stuck_hand_feels_the_same_pads_at_every_instant(follow):
+    _, stuck = follow("stuck@2", control=-AHEAD)
+    assert not bool(stuck[1].reading.in_contact.any()) and bool(stuck[2].reading.in_contact.all())
+    reading, points = stuck[2].reading, surface(stuck[2])
+    own = se3.apply(se3.inverse(reading.tool_pose), points.view(len(reading.tool_pose), -1, 3))
+    torch.testing.assert_close(own, own[:1].expand_as(own), atol=1e-5, rtol=0)
+
+
+def test_a_second_object_is_felt_where_it_stands_and_moves_nothing(follow, usual):
+    met = []
+    for size in (60.0, 120.0):
+        _, beside = follow(f"second:{size:g}@1")
+        assert all(one.truth.equal(two.truth) for one, two in zip(usual, beside, strict=True))
+        for one, two in zip(usual, beside, strict=True):
+            more = surface(two)[: len(surface(two)) - len(surface(one))]
+            apart = (more[:, :2] - usual[0].truth[:2, 3]).norm(dim=-1)
+            assert bool((apart > 1e-3 * size - 0.025).all()) and bool((apart < 1e-3 * size + 0.025).all())
+            met.append(len(more))
+    assert sum(met) > 0
+
+
 def test_friction_and_mass_change_at_their_action(follow):
     task, _ = follow("friction:2@2", "mass:4@2", actions=1)
     geom, body = task.world.model.geom_friction, task.world.model.body("object").id
     rough, heavy = float(geom[0, 0]), float(task.world.model.body_mass[body])
+    moved_by_force = task.world.model.body_invweight0[body].copy()
     task.step(AHEAD)
+    # what contacts are scaled by goes with it: else a heavy object is flung about
+    assert task.world.model.body_invweight0[body] == pytest.approx(moved_by_force / 4, rel=1e-6)
     assert float(geom[0, 0]) == pytest.approx(2 * rough)
     assert float(task.world.model.body_mass[body]) == pytest.approx(4 * heavy)
     task.reset(0)

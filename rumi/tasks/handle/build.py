@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rumi.agent import Parts
 from rumi.robot.tool import Tool
-from rumi.sim.faults import Fault
+from rumi.sim.fault import Fault
 from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.handle.agent import HandleAgent, build_agent
 from rumi.tasks.handle.grasp import handle_table

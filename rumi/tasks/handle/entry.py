@@ -13,7 +13,8 @@ from rumi.registration.pose_summary import PoseSummary
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
 from rumi.runs.progress import stages
-from rumi.sim.faults import FAULTS, Fault, Faults, chosen_faults
+from rumi.sim.fault import Fault
+from rumi.sim.faults import FAULTS, Faults, chosen_faults
 from rumi.tasks.handle.agent import HandleAgent, HandleResult, build_agent
 from rumi.tasks.handle.settings import SENSORS, HandleSettings
 from rumi.tasks.handle.simulated import HandleTask

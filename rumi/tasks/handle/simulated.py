@@ -15,7 +15,7 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.bodies import Body
 from rumi.sim.conditions import image_errors
-from rumi.sim.faults import Fault
+from rumi.sim.fault import Fault
 from rumi.sim.force_sensing_world import ForceSensingWorld, WrenchTrace
 from rumi.sim.joint_torques import JointFeeler
 from rumi.sim.sensor_settings import SensorKind, SensorSettings

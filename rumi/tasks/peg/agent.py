@@ -15,7 +15,7 @@ from rumi.clock import Clock, SimulatedClock
 from rumi.information.contact_gain import ContactKind
 from rumi.information.stopping import TargetEstimate
 from rumi.seeding import split
-from rumi.sim.faults import Fault
+from rumi.sim.fault import Fault
 from rumi.task import StepResult
 from rumi.tasks.peg.cell import Felt, TimedPath
 from rumi.tasks.peg.records import RELIES_ON, PegRun, PegStep

@@ -11,7 +11,8 @@ from rumi.agent import Parts
 from rumi.registration.pose_summary import PoseSummary, answer_lines
 from rumi.runs.folder import Run, RunRecorder
 from rumi.runs.json_settings import dataclass_of
-from rumi.sim.faults import Fault, Faults, chosen_faults
+from rumi.sim.fault import Fault
+from rumi.sim.faults import Faults, chosen_faults
 from rumi.tasks.peg.agent import PegAgent, build_peg
 from rumi.tasks.peg.faulty import KINDS
 from rumi.tasks.peg.records import PARTS, PegRun, PegStep

@@ -9,7 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.information.contact_gain import ContactKind
-from rumi.sim.faults import FalseContact, Fault, HandOff, Knock
+from rumi.sim.fault import Fault
+from rumi.sim.object_faults import Knock
+from rumi.sim.sensor_faults import FalseContact, HandOff
 from rumi.tasks.peg.cell import Felt, TouchCell
 
 KINDS = ("knock", "hand", "false-contact")

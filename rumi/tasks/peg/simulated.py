@@ -11,7 +11,7 @@ from rumi.clock import SimulatedClock
 from rumi.errors import UsageError
 from rumi.information.contact_gain import ContactKind
 from rumi.seeding import split
-from rumi.sim.faults import Fault
+from rumi.sim.fault import Fault
 from rumi.task import StepResult
 from rumi.tasks.peg.cell import Felt, TimedPath, TouchCell
 from rumi.tasks.peg.faulty import follow, strike

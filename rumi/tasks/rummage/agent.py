@@ -30,8 +30,10 @@ from rumi.seeding import split
 from rumi.task import StepResult
 from rumi.tasks.rummage.answer import relies_on, warnings
 from rumi.tasks.rummage.evaluation import evaluate_step, summarise
+from rumi.tasks.rummage.fault_state import Watch
 from rumi.tasks.rummage.learnt_pushes import learnt_pushes
-from rumi.tasks.rummage.lost import SLIDES, Watch, searched_again, sensed_now, told, unseated, watch
+from rumi.tasks.rummage.lost import SLIDES, sensed_now, told, unseated, watch
+from rumi.tasks.rummage.recovery import searched_again
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, merge
 from sensors.reading import Reading
@@ -171,9 +173,9 @@ class Rummager:
         result = StepResult.of(result)
         last, clock, random = state.record, state.clock, state.random
         touched = bool(result.reading.in_contact.any())
-        unseen = self.filter.prior is not None
+        unseen, pose_filter = self.filter.prior is not None, state.watch.following or self.filter
         with clock("belief"):
-            belief, memory, info = self.filter(last.belief, state.memory, result.reading, generator=random["filter"])
+            belief, memory, info = pose_filter(last.belief, state.memory, result.reading, generator=random["filter"])
             if unseen and self.renewal.at_contact and last.contacts == 0 and touched:
                 belief = redraw(self.filter, belief, memory, self.renewal, generator=random["renewal"])
         done = (control, state.plan, bool(info.resampled))
@@ -189,7 +191,14 @@ class Rummager:
             odd = self._odd(state, control, record, said)
             record = replace(record, remarks=tuple(remark for remark in odd if remark.name not in said))
             now, alarm = watch(
-                state.watch, last, record, self.filter, self.model, self.misfit, generator=random["faults"]
+                state.watch,
+                last,
+                record,
+                pose_filter,
+                self.model,
+                self.misfit,
+                generator=random["faults"],
+                history=state.history,
             )
             unknown = result.reading.object_motion is None and not self.looks_again
             if self.upright and unknown and self.filter.settings.motion in SLIDES and self.misfit.alpha > 0:
@@ -201,9 +210,9 @@ class Rummager:
                     last,
                     record,
                     memory,
-                    self.filter,
+                    pose_filter,
                     self.misfit,
-                    now.named,
+                    now,
                     before=state.memory,
                     generator=random["lost"],
                 )

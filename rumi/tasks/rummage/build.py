@@ -24,8 +24,10 @@ from rumi.planning.registry import POLICIES
 from rumi.registration.descent import Search
 from rumi.robot.tool import Tool
 from rumi.sim.conditions import words as conditions_of
-from rumi.sim.faults import Fault, Stale, parse_fault
+from rumi.sim.fault import Fault
+from rumi.sim.faults import parse_fault
 from rumi.sim.robot_arm import RobotArm
+from rumi.sim.sensor_faults import Stale
 from rumi.sim.settings import SimSettings
 from rumi.task import Task, TaskOnDevice
 from rumi.tasks.rummage.agent import Rummager

@@ -1,92 +1,61 @@
-"""Whether a run is lost: a test of every reading against the belief, and the search that begins anew after an alarm."""
+"""Whether a run is lost: a test of every reading against the belief, and what an alarm is named."""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import TypeGuard
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief import trajectory_faults
+from rumi.belief import rival_filters, trajectory_faults
 from rumi.belief.change_test import ChangeEvidence, ChangeTest
-from rumi.belief.knocked_trajectories import begun_again
-from rumi.belief.misfit import MISFITS, MisfitSettings, knocked, log_ratios
+from rumi.belief.misfit import MISFITS, MisfitSettings, log_ratios
 from rumi.belief.motion import Motion
-from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.remarks import Remark
+from rumi.belief.rival_filters import Rival
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.records import StepRecord
-from rumi.resampling import resample_systematic
-from rumi.weights import boltzmann
-from sdf import se3
+from rumi.tasks.rummage.fault_state import Watch
 from sdf.object_model import ObjectModel
-from sensors.observation import Observation, attach, merge
+from sensors.observation import Observation, attach
 
 PRIOR: dict[str, float] = {
-    "knocked": 0.3,
-    "absent": 0.15,
+    "knocked": 0.25,
+    "absent": 0.1,
     "dead hand": 0.1,
-    "false contacts": 0.2,
-    "hand off": 0.1,
-    "camera off": 0.1,
-    "none of these": 0.05,
+    "false contacts": 0.15,
+    "hand off": 0.05,
+    "camera off": 0.05,
+    "push model off": 0.1,
+    "stuck hand": 0.03,
+    "second object": 0.03,
+    "stale camera": 0.03,
+    "none of these": 0.04,
 }
 """What a run may be lost by, where particles have trajectories of their own, with the prior share of each."""
 
 _MISFITS = dict(zip(MISFITS, (0.6, 0.25, 0.15), strict=True))
-_UNSAID = {"absent": "; or the hand feels nothing: nothing here tells which", "dead hand": "; or the object is gone"}
+STATIC = {"hand off": 0.05, "camera off": 0.05, "another size": 0.1}
+"""The same of faults that hold from the first view on."""
+
+NOTHING_FELT = "absent or dead hand"
+"""What an alarm is named where the object's absence and a hand that feels nothing are as probable."""
+
+_TIE = 1e-6  # share by which probabilities of faults with the same densities may differ
 _FAULTY = 0.2  # share of runs with a fault, for what is told alone: no alarm hangs on it
-_OFF = {"hand off": 0.006, "camera off": 0.010}  # metres within which a search begins anew
-_STRAIGHT_RAD = 0.05  # and radians: an offset turns nothing
-_GONE = ("absent", "dead hand")  # faults after which a search would find nothing
+_AT_FIRST = ("hand off", "camera off", "another size")  # asked about up to the first alarm
+# faults after which a search finds nothing
+_GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand", "hand off", "stale camera")
+_SURE = 0.8  # share of the camera in what hand and camera have, from which on touches are believed
+_STRAINED = -5.0  # nats of all readings so far, from which on faults from the first view on are asked about
 
 SLIDES: tuple[Motion, ...] = ("pushed", "corrected", "trajectory")
 """Motions by a push model, of an object that slides and stays as it stands."""
-
-_DOUBT = 1.0  # nats
-_DRAWS = 8  # poses to search among, for each particle
-
-
-@dataclass(frozen=True)
-class Watch:
-    """What is known of faults so far.
-
-    Attributes:
-        evidence: since the belief was last begun; None before the first reading.
-        begun: number of the action after which that was.
-        lost: whether an alarm was raised that no search came after.
-        unseated: name of the remark by which an object that no belief has but upright may lie otherwise; None where
-            none says so.
-        nats: evidence against "no fault so far", after the last reading.
-        p_value: of the last reading under the belief, an upper bound.
-        explanations: posterior of "no fault" and of each fault after the last reading that was asked about; after an
-            alarm that of the alarm, until the next.
-        named: the fault of the last alarm.
-    """
-
-    evidence: ChangeEvidence | None = None
-    begun: int = 0
-    lost: bool = False
-    unseated: str | None = None
-    nats: float = 0.0
-    p_value: float = 1.0
-    explanations: Mapping[str, float] = field(default_factory=dict)
-    named: str | None = None
-
-    def doubt(self) -> str | None:
-        """What speaks for a fault, though not enough for an alarm: no time to be sure."""
-        if self.unseated is not None:
-            return (
-                f"the object may lie otherwise than any pose believed ({self.unseated!r} was remarked), and nothing "
-                "measures how: look again, measure its motion, or push it lower (--tool-height)"
-            )
-        if self.evidence is not None and self.nats > _DOUBT:
-            return "the last readings fit a fault better than the belief"
-        return None
 
 
 def unseated(before: str | None, odd: Sequence[Remark], touched: bool) -> str | None:
@@ -122,7 +91,7 @@ def sensed_now(record: StepRecord, motion: str) -> Observation:
 
 def faults_of(pose_filter: PoseFilter) -> Mapping[str, float]:
     """What a run by a filter may be lost by, with prior shares."""
-    return PRIOR if _follows(pose_filter) else _MISFITS
+    return PRIOR if follows(pose_filter) else _MISFITS
 
 
 def watch(
@@ -134,6 +103,7 @@ def watch(
     own: MisfitSettings,
     *,
     generator: torch.Generator,
+    history: Sequence[StepRecord] = (),
 ) -> tuple[Watch, Remark | None]:
     """Take a step's reading into the test.
 
@@ -149,41 +119,112 @@ def watch(
         model: the object.
         own: settings.
         generator: of draws.
+        history: the steps before it, the first view first; without them faults from there on are not asked about.
 
     Returns:
         what is known now, and a remark where an alarm is due.
     """
     if own.alpha == 0 or before.lost:
         return replace(before, nats=0.0, p_value=1.0), None
-    shares = faults_of(pose_filter)
-    names, test = list(shares), ChangeTest(tuple(shares.values()), own.alpha)
+    shares = [*faults_of(pose_filter).items(), *(STATIC.items() if follows(pose_filter) else ())]
+    names, test = [name for name, _ in shares], ChangeTest(tuple(share for _, share in shares), own.alpha)
     evidence = test.begin() if before.evidence is None else before.evidence
     ratios = _ratios(last, record, pose_filter, model, own, generator)
-    if before.named is not None:  # a search is about what it touched, whatever hand and view are off by
-        ratios = ratios.where(torch.tensor([name not in _OFF for name in names]), -torch.inf)
+    rivals, static = before.rivals, before.static
+    if follows(pose_filter):
+        if before.named is None:
+            rivals, static = _rivals(before, record, history, pose_filter, generator)
+        further = [static[name] - before.static[name] if static[name] > -math.inf else -math.inf for name in STATIC]
+        ratios = torch.cat((ratios, ratios.new_tensor(further)))
+    over = {*(_AT_FIRST if before.named is not None else ()), *(("push model off",) if before.following else ())}
+    # a search is about what it touched, whatever hand and view are off by; no prior is wider than a wide one
+    ratios = ratios.where(torch.tensor([name not in over for name in names]), -torch.inf)
     evidence = test.update(evidence, ratios)
     weighed = torch.logsumexp(ratios + ratios.new_tensor(test.weights).log(), -1)
-    chances = dict(zip(["no fault", *names], _chances(test, evidence), strict=True))
+    chances = dict.fromkeys(["no fault", *names], 0.0)
+    for name, chance in zip(["no fault", *names], _chances(test, evidence), strict=True):
+        chances[name] += chance
     after = replace(
         before,
         evidence=evidence,
         nats=float(test.log_evidence(evidence)),
         p_value=math.exp(min(0.0, -float(weighed))),  # Markov's inequality
         explanations=chances if before.named is None else before.explanations,
+        beside_m=_beside(last, record, pose_filter) if bool(record.reading.in_contact.any()) else before.beside_m,
+        rivals=rivals,
+        static=static,
     )
     if not bool(test.alarm(evidence)):
         return after, None
-    name = max(names, key=lambda one: chances[one])
-    since = before.begun + max(1, round(float(test.onset(evidence)[names.index(name)])))
+    name, chance = _named(chances)
+    likeliest = "absent" if name == NOTHING_FELT else name
+    since = before.begun + max(1, round(float(test.onset(evidence)[names.index(likeliest)])))
     remark = Remark(
         f"lost: {name}",
         record.step,
-        f"no pose that is believed fits since about action {since}; as if {name} "
-        f"(probability {chances[name]:.2f}){_UNSAID.get(name, '')}",
+        f"no pose that is believed fits since about action {since}; as if {name} (probability {chance:.2f})",
     )
-    searches = own.recover and name not in _GONE
-    told_by = replace(after, evidence=None, begun=record.step, lost=not searches, named=name, explanations=chances)
-    return told_by, remark
+    searches = own.recover and name not in _GONE and not (name == "camera off" and not _touches_hold(chances))
+    told_by = replace(
+        after, evidence=None, begun=record.step, lost=not searches, named=name, explanations=chances, beside_m=0.0
+    )
+    return (_going_on(told_by, pose_filter) if searches else told_by), remark
+
+
+def _rivals(
+    before: Watch,
+    record: StepRecord,
+    history: Sequence[StepRecord],
+    pose_filter: PoseTrajectoryFilter,
+    generator: torch.Generator,
+) -> tuple[tuple[Rival, ...] | None, Mapping[str, float]]:
+    """Rivals that have taken the reading in, and what they say; begun where the readings so far are unlikely enough."""
+    belief, rivals, readings = record.belief, before.rivals, [record.reading]
+    assert isinstance(belief, PoseTrajectoryBelief) and belief.trajectories is not None
+    none = belief.trajectories.log_evidence
+    if rivals is None:
+        first = history[0].belief if history else None
+        if none > _STRAINED or not isinstance(first, PoseTrajectoryBelief) or first.trajectories is None:
+            return None, before.static
+        rivals = rival_filters.begun(pose_filter, first.trajectories, generator)
+        readings = [*(step.reading for step in history[1:]), record.reading]
+    for reading in readings:
+        rivals = rival_filters.followed(rivals, reading, generator)
+    rivals = rival_filters.left(rivals, none)
+    return rivals, {name: each - none for name, each in rival_filters.log_evidence(rivals).items()}
+
+
+def _touches_hold(chances: Mapping[str, float]) -> bool:
+    """Whether it is the camera that is off, and hardly the hand."""
+    return chances["camera off"] >= _SURE * (chances["camera off"] + chances["hand off"])
+
+
+def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
+    """What is known after an alarm, with the filter and the belief that the run goes on by."""
+    told_by = replace(told_by, adopted=None)
+    if not follows(pose_filter):
+        return told_by
+    if told_by.named == "push model off":
+        return replace(told_by, following=pose_filter.doubting())
+    some = [rival for rival in told_by.rivals or () if rival.name == told_by.named]
+    if not some or told_by.named not in ("another size", "camera off"):
+        return told_by
+    best = max(some, key=lambda rival: rival.log_evidence)
+    following = told_by.following
+    if told_by.named == "another size":
+        following = best.pose_filter.supposing(own=pose_filter.own)
+    return replace(told_by, adopted=best, following=following, rivals=None)
+
+
+def _named(chances: Mapping[str, float]) -> tuple[str, float]:
+    """What an alarm is named, and its probability: the likeliest fault, two that nothing told apart being one."""
+    each = {name: chance for name, chance in chances.items() if name != "no fault"}
+    gone, dead = (each.get(name, 0.0) for name in ("absent", "dead hand"))
+    if "dead hand" in each and abs(gone - dead) <= _TIE * max(gone, dead):
+        each = {name: chance for name, chance in each.items() if name not in ("absent", "dead hand")}
+        each[NOTHING_FELT] = gone + dead
+    name = max(each, key=lambda one: each[one])
+    return name, each[name]
 
 
 def _chances(test: ChangeTest, evidence: ChangeEvidence) -> list[float]:
@@ -205,9 +246,19 @@ def told(record: StepRecord, now: Watch, alarm: Remark | None = None) -> StepRec
     )
 
 
-def _follows(pose_filter: PoseFilter) -> bool:
+def follows(pose_filter: PoseFilter) -> TypeGuard[PoseTrajectoryFilter]:
     """Whether particles have trajectories of their own, of an upright object."""
     return isinstance(pose_filter, PoseTrajectoryFilter) and not isinstance(pose_filter, UnseenTrajectoryFilter)
+
+
+def _beside(last: StepRecord, record: StepRecord, pose_filter: PoseFilter) -> float:
+    """How far what a step felt last is from where any particle has it felt, metres; 0 where nothing tells."""
+    both = [step.belief for step in (last, record)]
+    if not follows(pose_filter) or not all(isinstance(belief, PoseTrajectoryBelief) for belief in both):
+        return 0.0
+    before, after = (belief.trajectories for belief in both if isinstance(belief, PoseTrajectoryBelief))
+    assert before is not None and after is not None
+    return trajectory_faults.last_contact_off(after, trajectory_faults.new_segments(before, after), pose_filter)
 
 
 def _ratios(
@@ -226,74 +277,16 @@ def _ratios(
     before, after = last.belief, record.belief
     if not (isinstance(before, PoseTrajectoryBelief) and isinstance(after, PoseTrajectoryBelief)):
         return found
-    if not (isinstance(pose_filter, PoseTrajectoryFilter) and _follows(pose_filter)):
+    if not follows(pose_filter):
         return found
     assert before.trajectories is not None and after.trajectories is not None
     told = trajectory_faults.log_ratios(
         before.trajectories,
         before.log_weights,
         after.trajectories,
-        pose_filter.model,
-        pose_filter.own,
+        pose_filter,
         own,
         untouched=last.contacts == 0,
         generator=generator,
     )
     return torch.cat((told, found[MISFITS.index("none of these") :]))
-
-
-def searched_again(
-    last: StepRecord,
-    record: StepRecord,
-    memory: Observation,
-    pose_filter: PoseFilter,
-    own: MisfitSettings,
-    named: str | None,
-    *,
-    before: Observation,
-    generator: torch.Generator,
-) -> tuple[PoseBelief, Observation]:
-    """The belief and the memory of a search that begins anew about what was believed, from one reading alone.
-
-    As far about it as the fault asks for: a knock moves and turns it, a hand or a view that is off only moves it.
-
-    Observations before it that ride with the object are dropped: they told where it was. What was felt where nothing is
-    is dropped itself: belief and memory before it go on.
-
-    Args:
-        last: the step before.
-        record: of the step whose reading raised the alarm.
-        memory: points so far.
-        pose_filter: that the belief is of.
-        own: settings.
-        named: what the alarm was taken for.
-        before: points before the step.
-        generator: of draws.
-    """
-    if named == "false contacts":
-        return last.belief, before
-    if isinstance(pose_filter, UnseenTrajectoryFilter) and isinstance(record.belief, PoseTrajectoryBelief):
-        begun = pose_filter.begun_again(record.belief, record.reading, generator=generator)
-        return begun, memory[(~memory.attached).nonzero()[:, 0]]
-    here = record.belief
-    if named in _OFF:
-        own = replace(own, knock_m=_OFF[named], knock_rad=_STRAIGHT_RAD)
-    anew: PoseBelief | None = None
-    if isinstance(pose_filter, PoseTrajectoryFilter) and _follows(pose_filter):
-        assert isinstance(last.belief, PoseTrajectoryBelief) and isinstance(here, PoseTrajectoryBelief)
-        anew = begun_again(pose_filter, last.belief, here, own, generator=generator)
-    told = sensed_now(record, pose_filter.settings.motion)
-    points = replace(told, points=se3.apply(here.world_T_attached, told.points))
-    none = Observation.empty(dtype=points.points.dtype, device=points.points.device)
-    memory, _ = merge(none, points, pose_filter.lattice)
-    if anew is not None:
-        return anew, memory
-    count = here.log_weights.shape[-1]
-    poses = here.world_T_attached @ knocked(here, own, _DRAWS * count)
-    belief = PoseBelief.uniform(poses)
-    weights = boltzmann(pose_filter.total(belief, memory), pose_filter.settings.peakiness)
-    rows: Float[Tensor, "N"] = resample_systematic(weights, count, generator=generator)
-    kept = PoseBelief.uniform(poses[rows])
-    kept = replace(kept, attached_T_object=pose_filter.descend(kept, memory, pose_filter.settings.descent))
-    kept = replace(kept, discrepancy=pose_filter.total(kept, memory))
-    return pose_filter.begin(kept, memory, generator=generator), memory

@@ -12,7 +12,7 @@ from torch import Tensor
 from rumi.errors import UsageError
 from rumi.robot.tool import Tool
 from rumi.sim.bubble_camera import BubbleCamera
-from rumi.sim.faults import Fault
+from rumi.sim.fault import Fault
 from rumi.sim.robot_arm import RobotArm
 from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion

@@ -18,7 +18,7 @@ from rumi.seeding import split
 from rumi.sim.arm_world import ArmWorld
 from rumi.sim.bodies import Body, body_of
 from rumi.sim.error_settings import BuildSpread, PadErrors
-from rumi.sim.faults import Fault, Hand
+from rumi.sim.fault import Fault, Hand
 from rumi.sim.force_sensing_world import ForceSensingWorld
 from rumi.sim.object_build import Build
 from rumi.sim.pad_faults import PadFaults

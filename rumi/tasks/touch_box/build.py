@@ -10,7 +10,7 @@ from rumi.agent import Parts
 from rumi.dynamics.along_path import PathPush
 from rumi.dynamics.registry import push_model
 from rumi.errors import UsageError
-from rumi.sim.faults import Fault
+from rumi.sim.fault import Fault
 from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.touch_box.agent import Toucher
 from rumi.tasks.touch_box.faulty import FaultyRobot

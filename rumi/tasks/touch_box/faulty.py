@@ -7,7 +7,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.dynamics.along_path import Pusher
-from rumi.sim.faults import Absent, Dead, FalseContact, Fault, HandOff, Knock
+from rumi.sim.fault import Fault
+from rumi.sim.object_faults import Absent, Knock
+from rumi.sim.sensor_faults import Dead, FalseContact, HandOff
 from rumi.tasks.touch_box.robot import GoOn, SimulatedBox, Touched
 from rumi.tasks.touch_box.scene import BoxTruth
 

@@ -9,8 +9,11 @@ from rumi.belief.misfit import MISFITS, MisfitSettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.remarks import Remark
+from rumi.tasks.rummage import lost
 from rumi.tasks.rummage.entry import ENTRIES, describe, ending
-from rumi.tasks.rummage.lost import Watch, searched_again, told, unseated, watch
+from rumi.tasks.rummage.fault_state import Watch
+from rumi.tasks.rummage.lost import told, unseated, watch
+from rumi.tasks.rummage.recovery import searched_again
 from sdf import se3
 from sdf.object_model import box_model
 from sensors.discrepancy import Discrepancy
@@ -91,7 +94,7 @@ def test_of_a_touch_that_was_none_the_belief_before_goes_on(model, pose_filter):
     generator = torch.Generator().manual_seed(0)
     known, after = before.added, concatenate([before.added, record.added])
     belief, memory = searched_again(
-        before, record, after, pose_filter, OWN, "false contacts", before=known, generator=generator
+        before, record, after, pose_filter, OWN, Watch(named="false contacts"), before=known, generator=generator
     )
     assert belief is before.belief and memory is known
 
@@ -101,6 +104,13 @@ def test_an_absent_object_leaves_the_run_lost(model, pose_filter):
     found = followed(model, pose_filter, steps)
     assert [remark.name for _, _, remark in found if remark is not None] == ["lost: absent"]
     assert found[-1][0].lost
+
+
+def test_faults_that_nothing_tells_apart_are_named_together():
+    even = {"no fault": 0.1, "knocked": 0.4, "absent": 0.25, "dead hand": 0.25}
+    assert lost._named(even) == (lost.NOTHING_FELT, 0.5)
+    assert lost._named(even | {"dead hand": 0.2}) == ("knocked", 0.4)
+    assert lost._named({"no fault": 0.5, "knocked": 0.2, "absent": 0.3}) == ("absent", 0.3)
 
 
 def test_without_recovery_an_alarm_leaves_the_run_lost_and_0_never_asks(model, pose_filter):
@@ -121,6 +131,11 @@ def test_a_reading_that_speaks_for_a_fault_is_no_time_to_be_sure(model, pose_fil
     assert Watch().doubt() is None
 
 
+def test_a_last_touch_beside_every_pose_is_no_time_to_be_sure():
+    assert Watch(beside_m=0.001).doubt() is None
+    assert "3 mm beside every pose" in (Watch(beside_m=0.003).doubt() or "")
+
+
 def test_what_may_have_tipped_is_doubted_and_odd_heights_until_a_touch_says_otherwise():
     tips, high, resists = (Remark(name, 3, "") for name in ("tips", "other height", "resists"))
     assert unseated(None, (resists, tips, high), True) == "tips" and unseated(None, (high,), True) == "other height"
@@ -135,7 +150,14 @@ def test_a_search_finds_the_object_by_the_reading_alone(model, pose_filter):
     record = step(model, 3, -0.03)
     generator = torch.Generator().manual_seed(0)
     belief, memory = searched_again(
-        record, record, record.added, pose_filter, OWN, "knocked", before=Observation.empty(), generator=generator
+        record,
+        record,
+        record.added,
+        pose_filter,
+        OWN,
+        Watch(named="knocked"),
+        before=Observation.empty(),
+        generator=generator,
     )
     assert belief.log_weights.shape == record.belief.log_weights.shape
     assert len(memory.points[memory.valid]) == 3

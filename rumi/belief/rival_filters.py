@@ -1,0 +1,159 @@
+"""Static multiple models: beliefs under faults that hold from the first view on, each by a filter of its own.
+
+Every rival takes one fault to be true, follows all readings, and adds up its marginal likelihood; what it says against
+"no fault" is the ratio of the two (Magill 1965, multiple model estimation). Single readings tell little of an object
+five per cent larger, or of a view some millimetres off: many that agree do. The rivals of a size have the object in
+another size, by the same view; those of a hand and of a view that are off begin where an offset has put the object, and
+keep nothing of the view.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.offset_rings import CAMERA, HAND, Ring, drawn
+from rumi.belief.pose_trajectories import Trajectories
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, log_mean
+from rumi.belief.pushed_object import PushedObject
+from rumi.belief.trajectory_history import History
+from rumi.belief.trajectory_moves import Moves, start_density
+from rumi.resampling import resample_systematic, systematic
+from rumi.seeding import normal
+from rumi.weights import normalise
+from sdf.grid_sdf import GridSDF
+from sensors.reading import Reading
+
+RIVALS = ("hand off", "camera off", "another size")
+"""Faults that rivals stand for."""
+
+_SIZES = (0.93, 0.965, 1.035, 1.07)  # times the object's own, each as likely
+_PARTICLES, _DRAWS, _STARTS, _SWEEPS = 75, 1500, 150, 2
+_SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of start poses about those of the first view: m, rad
+_HOPELESS = 8.0  # nats that a rival is less likely than no fault, from which on it is left out
+
+
+class Rival(NamedTuple):
+    """A belief under a fault.
+
+    Attributes:
+        name: of the fault.
+        log_share: log of its share among the rivals of that name.
+        pose_filter: that follows it.
+        now: particles.
+        log_weights: of them.
+        log_view: log-likelihood ratio of the first view against no fault.
+    """
+
+    name: str
+    log_share: float
+    pose_filter: PoseTrajectoryFilter
+    now: Trajectories
+    log_weights: Float[Tensor, "N"]
+    log_view: float
+
+    @property
+    def log_evidence(self) -> float:
+        """Of all readings, against no fault's of the first view alone."""
+        return self.log_share + self.log_view + self.now.log_evidence
+
+
+@torch.no_grad()
+def begun(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: torch.Generator) -> tuple[Rival, ...]:
+    """The rivals after the first view.
+
+    Args:
+        pose_filter: of no fault.
+        first: its particles after the view, equally weighted.
+        generator: of the draws.
+    """
+    own = replace(pose_filter.own, particles=_PARTICLES)
+    rivals = [
+        Rival(name, 0.0, pose_filter.supposing(own=own), _displaced(first, ring, generator), _even(_PARTICLES), 0.0)
+        for name, ring in (("hand off", HAND), ("camera off", CAMERA))
+    ]
+    return (*rivals, *_sizes(pose_filter.supposing(own=own), first, generator))
+
+
+@torch.no_grad()
+def followed(rivals: Sequence[Rival], reading: Reading, generator: torch.Generator) -> tuple[Rival, ...]:
+    """The rivals after an action."""
+    after = []
+    for rival in rivals:
+        done = rival.pose_filter.advanced(rival.now, rival.log_weights, reading, generator)
+        now = done.now.remembered(rival.pose_filter.own.memory)
+        after.append(rival._replace(now=now, log_weights=done.log_weights))
+    return tuple(after)
+
+
+def left(rivals: Sequence[Rival], none: float) -> tuple[Rival, ...]:
+    """The rivals that are not hopeless, with the log marginal likelihood of no fault."""
+    return tuple(rival for rival in rivals if rival.log_evidence > none - _HOPELESS)
+
+
+def log_evidence(rivals: Sequence[Rival]) -> Mapping[str, float]:
+    """Log marginal likelihood of all readings under each fault; -inf where every rival was given up."""
+    each = {name: [rival.log_evidence for rival in rivals if rival.name == name] for name in RIVALS}
+    return {name: float(torch.tensor(some).logsumexp(0)) if some else -math.inf for name, some in each.items()}
+
+
+def _displaced(first: Trajectories, ring: Ring, generator: torch.Generator) -> Trajectories:
+    """Particles that an offset has put elsewhere, with nothing of the view."""
+    rows = torch.randint(len(first), (_PARTICLES + _STARTS,), generator=generator)
+    start = first.pose[rows].clone()
+    start[:, :3] += drawn(ring, len(start), generator)
+    return Trajectories.drawn(start[:_PARTICLES], History.empty(), generator, start[_PARTICLES:])
+
+
+def _sizes(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: torch.Generator) -> tuple[Rival, ...]:
+    """Rivals in other sizes that the view leaves open."""
+    model = pose_filter.model
+    if not isinstance(model, PushedObject) or not isinstance(model.sdf, GridSDF) or not len(first.history):
+        return ()
+    usual, _ = _seen(pose_filter, first, 0.0, generator)
+    found = []
+    for factor in _SIZES:
+        other = pose_filter.supposing(model=model.resized(factor))
+        seen, now = _seen(other, first, model.resting_m - other.model.resting_m, generator)
+        found.append(Rival("another size", -math.log(len(_SIZES)), other, now, _even(_PARTICLES), seen - usual))
+    return left(found, 0.0)
+
+
+def _seen(
+    pose_filter: PoseTrajectoryFilter, first: Trajectories, raised_m: float, generator: torch.Generator
+) -> tuple[float, Trajectories]:
+    """Log-likelihood of the first view, up to a constant, and particles by it: importance sampling, then moves.
+
+    Heights of points count from the object's origin, which is lower by `raised_m`.
+    """
+    own, model = pose_filter.own, pose_filter.model
+    view = first.history.segment(0)
+    history = History.empty().appended(view._replace(points=view.points + view.points.new_tensor((0, 0, raised_m))))
+    about = first.poses[:, 0]
+    spread = about.new_tensor([(m, m, rad) for m, rad in _SPREADS])
+    scale = spread[torch.arange(_DRAWS) % len(spread)]
+    start = about[torch.randint(len(about), (_DRAWS,), generator=generator)]
+    start = start + scale * normal(scale.shape, generator=generator, dtype=torch.float64)
+    tried = Trajectories.drawn(start, history, generator)
+    tried = tried.replayed(model, own, history, torch.zeros(_DRAWS, dtype=torch.long))
+    proposal = torch.stack([start_density(start, about, one) for one in spread]).logsumexp(0)
+    log_weights = tried.log_likelihood.sum(-1) - proposal
+    starts = start[resample_systematic(log_weights, _STARTS, generator=generator)]
+    now = replace(tried.at(resample_systematic(log_weights, _PARTICLES, generator=generator)), starts=starts)
+    moves = Moves(model, own, generator)
+    for _ in range(_SWEEPS):
+        now = moves.sweep(now, history, whole=True)
+    return log_mean(torch.zeros_like(log_weights), log_weights), now
+
+
+def _even(count: int) -> Float[Tensor, "N"]:
+    return normalise(torch.zeros(count, dtype=torch.float64))
+
+
+def adopted(rival: Rival, count: int) -> Trajectories:
+    """So many particles of a rival, equally weighted."""
+    return rival.now.at(systematic(rival.log_weights, 0.5, count))

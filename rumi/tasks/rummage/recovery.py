@@ -1,0 +1,98 @@
+"""The search that begins anew after an alarm: what the fault makes false is dropped, not averaged."""
+
+import math
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.knocked_trajectories import begun_again, pushed_anew
+from rumi.belief.misfit import MisfitSettings, knocked
+from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import PoseFilter
+from rumi.belief.pose_trajectories import PoseTrajectoryBelief
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.rival_filters import Rival, adopted
+from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
+from rumi.records import StepRecord
+from rumi.resampling import resample_systematic
+from rumi.tasks.rummage.fault_state import Watch
+from rumi.tasks.rummage.lost import follows, sensed_now
+from rumi.weights import boltzmann
+from sdf import se3
+from sensors.observation import Observation, merge
+
+_STRANGE = ("false contacts", "second object")  # what was felt was not the object
+_OFF = {"camera off": 0.010}  # metres within which a search begins anew
+_STRAIGHT_RAD = 0.05  # and radians: an offset turns nothing
+_DRAWS = 8  # poses to search among, for each particle
+
+
+def searched_again(
+    last: StepRecord,
+    record: StepRecord,
+    memory: Observation,
+    pose_filter: PoseFilter,
+    own: MisfitSettings,
+    now: Watch,
+    *,
+    before: Observation,
+    generator: torch.Generator,
+) -> tuple[PoseBelief, Observation]:
+    """The belief and the memory of a search that begins anew about what was believed, from one reading alone.
+
+    As far about it as the fault asks for: a knock moves and turns it, a hand or a view that is off only moves it.
+
+    Observations before it that ride with the object are dropped: they told where it was. What was felt where nothing is
+    is dropped itself: belief and memory before it go on.
+
+    Args:
+        last: the step before.
+        record: of the step whose reading raised the alarm.
+        memory: points so far.
+        pose_filter: that the belief is of.
+        own: settings.
+        now: what the alarm was taken for, and what the run goes on by.
+        before: points before the step.
+        generator: of draws.
+    """
+    named = now.named
+    if named in _STRANGE:
+        return last.belief, before
+    if isinstance(pose_filter, UnseenTrajectoryFilter) and isinstance(record.belief, PoseTrajectoryBelief):
+        begun = pose_filter.begun_again(record.belief, record.reading, generator=generator)
+        return begun, memory[(~memory.attached).nonzero()[:, 0]]
+    here = record.belief
+    if named in _OFF:
+        own = replace(own, knock_m=_OFF[named], knock_rad=_STRAIGHT_RAD)
+    anew: PoseBelief | None = None
+    if follows(pose_filter):
+        assert isinstance(last.belief, PoseTrajectoryBelief) and isinstance(here, PoseTrajectoryBelief)
+        if now.adopted is not None:
+            return _adopted(now.adopted, now.following or pose_filter, here), memory
+        if named == "push model off":
+            return pushed_anew(pose_filter.doubting(), last.belief, record.reading, before, generator=generator)
+        anew = begun_again(pose_filter, last.belief, here, own, generator=generator)
+    told = sensed_now(record, pose_filter.settings.motion)
+    points = replace(told, points=se3.apply(here.world_T_attached, told.points))
+    none = Observation.empty(dtype=points.points.dtype, device=points.points.device)
+    memory, _ = merge(none, points, pose_filter.lattice)
+    if anew is not None:
+        return anew, memory
+    count = here.log_weights.shape[-1]
+    poses = here.world_T_attached @ knocked(here, own, _DRAWS * count)
+    belief = PoseBelief.uniform(poses)
+    weights = boltzmann(pose_filter.total(belief, memory), pose_filter.settings.peakiness)
+    rows: Float[Tensor, "N"] = resample_systematic(weights, count, generator=generator)
+    kept = PoseBelief.uniform(poses[rows])
+    kept = replace(kept, attached_T_object=pose_filter.descend(kept, memory, pose_filter.settings.descent))
+    kept = replace(kept, discrepancy=pose_filter.total(kept, memory))
+    return pose_filter.begin(kept, memory, generator=generator), memory
+
+
+def _adopted(rival: Rival, pose_filter: PoseTrajectoryFilter, like: PoseTrajectoryBelief) -> PoseBelief:
+    """The belief of a rival, with as many particles as another and in its frame."""
+    count = len(like.log_weights)
+    even = torch.full((count,), -math.log(count), dtype=torch.float64)
+    return pose_filter.belief_of(adopted(rival, count), even, like.world_T_attached, like.log_weights)

@@ -1,0 +1,105 @@
+"""Beliefs under faults that hold from the first view on: each is the likeliest where its fault is true."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief.offset_rings import HAND
+from rumi.belief.pose_filter import FilterSettings
+from rumi.belief.pose_trajectories import Trajectories
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pushed_object import PushedObject
+from rumi.belief.rival_filters import RIVALS, Rival, adopted, begun, followed, left, log_evidence
+from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.robot.gripper import GripperShape
+from rumi.seeding import generator
+from sdf import se3
+from sdf.grid_sdf import GridSDF
+from sdf.primitives import Box
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation
+from sensors.reading import Reading
+
+DOUBLE = {"dtype": torch.float64}
+SENSED = PoseTrajectorySettings(particles=60)
+HALF = (0.04, 0.06, 0.03)
+
+
+@pytest.fixture(scope="module")
+def pose_filter() -> PoseTrajectoryFilter:
+    block = GridSDF.from_sdf(Box(list(HALF)), 0.003)
+    model = PushedObject.of(
+        block, GripperShape(), height_m=0.03, resting_m=HALF[2], spacing_m=0.006, pad_spacing_m=0.006
+    )
+    return PoseTrajectoryFilter(FilterSettings(trajectories=SENSED), Discrepancy(block, 0.1), model)
+
+
+def seen(factor: float) -> Segment:
+    """A view of three sides of the block in another size, that stands at the origin; heights from its own."""
+    x, y, z = (factor * half for half in HALF)
+    u = torch.linspace(-0.8, 0.8, 9, **DOUBLE)
+    one, other = (part.flatten() for part in torch.meshgrid(u, u, indexing="ij"))
+    sides = (
+        torch.stack((torch.full_like(one, -x), y * one, z * other), -1),
+        torch.stack((x * one, torch.full_like(one, -y), z * other), -1),
+        torch.stack((x * one, y * other, torch.full_like(one, z)), -1),
+    )
+    points = torch.cat(sides) + torch.tensor([0.0, 0.0, z - HALF[2]], **DOUBLE)  # it rests on the same floor
+    weight = torch.full((len(points),), SENSED.seen_points / len(points), **DOUBLE)
+    kinds, still = torch.full((len(points),), int(Kind.SEEN)), torch.zeros(1, 2, 3, **DOUBLE)
+    return Segment(still, False, points, torch.zeros(len(points), dtype=torch.long), kinds, weight)
+
+
+def believed(factor: float) -> Trajectories:
+    """Particles about the pose that shows it, with the view."""
+    pose = 5e-4 * torch.randn(60, 3, generator=generator(1), **DOUBLE)
+    history = History.empty().appended(seen(factor))
+    return Trajectories.drawn(pose, history, generator(2))
+
+
+@pytest.mark.parametrize("factor", [0.93, 1.07])
+def test_a_view_of_another_size_speaks_for_it_and_of_its_own_against(pose_filter, factor):
+    other = log_evidence(begun(pose_filter, believed(factor), generator(3)))
+    same = log_evidence(begun(pose_filter, believed(1.0), generator(3)))
+    assert other["another size"] > 3.0 and same["another size"] < -1.0
+    assert other.keys() == set(RIVALS) and other["hand off"] == other["camera off"] == 0.0
+
+
+def test_an_object_in_another_size_has_its_distances_and_outline(pose_filter):
+    larger = pose_filter.model.resized(1.1)
+    places = 0.1 * torch.rand(50, 3, generator=generator(4)) - 0.05
+    torch.testing.assert_close(
+        larger.sdf.distance(1.1 * places), 1.1 * pose_filter.model.sdf.distance(places), atol=1e-5, rtol=0
+    )
+    assert larger.resting_m == pytest.approx(1.1 * HALF[2])
+    middle = larger.outline(torch.tensor([[0.0, 1.1 * HALF[1]]], **DOUBLE)).distance
+    assert abs(float(middle)) < 1e-3
+    with pytest.raises(TypeError, match="tabulated"):
+        replace(larger, sdf=Box(list(HALF))).resized(1.1)
+
+
+def test_what_an_offset_has_moved_begins_at_its_distance_and_keeps_nothing_of_the_view(pose_filter):
+    hand = begun(pose_filter, believed(1.0), generator(5))[0]
+    assert hand.name == "hand off" and not len(hand.now.history)
+    far = hand.now.pose[:, :2].norm(dim=-1)
+    assert float(far.median()) == pytest.approx(HAND.middle, abs=1e-3)
+
+
+def test_rivals_that_are_hopeless_are_left_out_and_those_of_a_name_share_their_evidence(pose_filter):
+    now = believed(1.0)
+    even = torch.zeros(60, **DOUBLE).log_softmax(-1)
+    some = [Rival("another size", -0.7, pose_filter, now, even, view) for view in (2.0, -20.0)]
+    assert left(some, 0.0) == (some[0],)
+    found = log_evidence(some[:1])
+    assert found["another size"] == pytest.approx(1.3) and found["hand off"] == -torch.inf
+    assert len(adopted(some[0], 17)) == 17
+
+
+def test_a_reading_far_from_the_object_tells_none_from_another(pose_filter):
+    away = se3.from_planar(torch.tensor([[1.0, 1.0, 0.0], [1.1, 1.0, 0.0]]))
+    none, places = torch.zeros(0, dtype=torch.long), Observation.empty()
+    reading = Reading(places, none, away, torch.zeros(2, dtype=torch.bool), None, torch.zeros(3), torch.zeros(()))
+    rivals = begun(pose_filter, believed(1.0), generator(6))
+    assert log_evidence(followed(rivals, reading, generator(7))) == log_evidence(rivals)

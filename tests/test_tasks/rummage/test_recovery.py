@@ -1,0 +1,74 @@
+"""What a run goes on by after an alarm: the belief of a rival, a filter of a wider prior, or nothing new."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief.misfit import MisfitSettings
+from rumi.belief.pose_filter import FilterSettings
+from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pushed_object import PushedObject
+from rumi.belief.rival_filters import Rival
+from rumi.belief.trajectory_history import History
+from rumi.robot.gripper import GripperShape
+from rumi.seeding import generator
+from rumi.tasks.rummage import lost
+from rumi.tasks.rummage.fault_state import Watch
+from rumi.tasks.rummage.recovery import searched_again
+from sdf.grid_sdf import GridSDF
+from sdf.primitives import Box
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation
+from tests.fixtures.made_up_run import make_up
+
+DOUBLE = {"dtype": torch.float64}
+
+
+@pytest.fixture(scope="module")
+def pose_filter() -> PoseTrajectoryFilter:
+    block = GridSDF.from_sdf(Box([0.04, 0.06, 0.03]), 0.003)
+    model = PushedObject.of(block, GripperShape(), height_m=0.03, resting_m=0.03, spacing_m=0.006, pad_spacing_m=0.006)
+    return PoseTrajectoryFilter(FilterSettings(motion="trajectory"), Discrepancy(block, 0.1), model)
+
+
+def belief_at(pose_filter: PoseTrajectoryFilter, x: float, count: int = 20) -> PoseTrajectoryBelief:
+    now = Trajectories.drawn(torch.tensor([[x, 0.0, 0.0]], **DOUBLE).repeat(count, 1), History.empty(), generator(1))
+    even = torch.zeros(count, **DOUBLE).log_softmax(-1)
+    return pose_filter.belief_of(now, even, torch.eye(4), even.float())
+
+
+def rival(pose_filter: PoseTrajectoryFilter, name: str, x: float, log_view: float) -> Rival:
+    now = Trajectories.drawn(torch.tensor([[x, 0.0, 0.0]], **DOUBLE).repeat(7, 1), History.empty(), generator(2))
+    own = replace(pose_filter.own, particles=7)
+    return Rival(name, 0.0, pose_filter.supposing(own=own), now, torch.zeros(7, **DOUBLE).log_softmax(-1), log_view)
+
+
+@pytest.mark.parametrize("name", ["another size", "camera off"])
+def test_the_likeliest_rival_of_the_fault_is_gone_on_by(pose_filter, name):
+    rivals = (rival(pose_filter, name, 0.1, 1.0), rival(pose_filter, name, 0.2, 2.0), rival(pose_filter, "x", 0.3, 9.0))
+    now = lost._going_on(Watch(named=name, rivals=rivals), pose_filter)
+    assert now.adopted is rivals[1] and (now.following is None) == (name == "camera off")
+    if now.following is not None:
+        assert now.following.own == pose_filter.own
+    record = replace(make_up(2, particles=2).steps[1], belief=belief_at(pose_filter, 0.0))
+    none, before = Observation.empty(), generator(3)
+    belief, memory = searched_again(
+        record, record, none, pose_filter, MisfitSettings(), now, before=none, generator=before
+    )
+    assert memory is none and isinstance(belief, PoseTrajectoryBelief) and belief.trajectories is not None
+    assert len(belief.log_weights) == len(belief.trajectories) == 20
+    torch.testing.assert_close(belief.trajectories.pose[:, 0], torch.full((20,), 0.2, **DOUBLE))
+
+
+def test_after_odd_pushes_the_prior_of_motion_is_wide_and_stays_so(pose_filter):
+    old = rival(pose_filter, "another size", 0.1, 1.0)  # of an alarm before
+    now = lost._going_on(Watch(named="push model off", adopted=old), pose_filter)
+    assert now.following is not None and now.following.own == pose_filter.own.doubted() != pose_filter.own
+    assert now.following.own.across > pose_filter.own.across and now.adopted is None
+
+
+def test_a_view_that_may_as_well_be_a_hand_is_not_gone_on_by():
+    assert lost._touches_hold({"camera off": 0.9, "hand off": 0.1})
+    assert not lost._touches_hold({"camera off": 0.6, "hand off": 0.4})
