@@ -133,6 +133,24 @@ class PoseTrajectorySettings:
             self, **{name: own for name, own in _OTHERS.items() if getattr(self, name) == getattr(fitted, name)}
         )
 
+    def wider(self, camera_m: float, tool_m: float) -> Self:
+        """The same where readings are off by more than their noise, by these standard deviations.
+
+        What a whole run is off by is no noise, but a likelihood of independent readings knows no other width.
+
+        Args:
+            camera_m: of where what is seen is taken to be, against the model's surface.
+            tool_m: of where the tool and what it feels are.
+        """
+        return replace(
+            self,
+            seen_sd_m=math.hypot(self.seen_sd_m, camera_m),
+            free_sd_m=math.hypot(self.free_sd_m, max(camera_m, tool_m)),
+            felt_sd_m=math.hypot(self.felt_sd_m, tool_m),
+            # the border is a logistic function, whose deviation is pi / sqrt(3) of its width
+            pad_slope_m=math.hypot(self.pad_slope_m, tool_m * math.sqrt(3.0) / math.pi),
+        )
+
     def doubted(self) -> Self:
         """The same where pushes go otherwise than any prior has it: rough or slippery, hardly predictable motion."""
         friction, lever, ahead = self.friction, self.lever_ratio, self.ahead

@@ -139,7 +139,9 @@ def build_rummager(
     renewal = settings.renewal
     if following.motion == "trajectory":
         check_trajectory(settings)
-        pose_filter: PoseFilter = trajectory_filter(spec, following, discrepancy, tool, model, standing)
+        pose_filter: PoseFilter = trajectory_filter(
+            spec, following, settings.simulator, discrepancy, tool, model, standing
+        )
         renewal = ReinitialiseSettings.never()  # its particles come from the prior, and are moved under all evidence
     else:
         pushed = None

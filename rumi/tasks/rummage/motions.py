@@ -1,5 +1,6 @@
 """Motion of the object in a task: which filter follows it, by which push model, and what suits the task."""
 
+import math
 from dataclasses import replace
 from typing import cast
 
@@ -9,6 +10,7 @@ from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.toppled_object import ToppledObject
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
@@ -16,6 +18,7 @@ from rumi.errors import UsageError
 from rumi.registration.descent import Search
 from rumi.robot.gripper import gripper_of
 from rumi.robot.tool import Tool
+from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.scenes import TaskSpec
 from rumi.tasks.rummage.settings import Settings
 from sdf.object_model import ObjectModel
@@ -50,9 +53,20 @@ def is_planar(spec: TaskSpec) -> bool:
     return spec.search == "SE(2)" and not spec.spatial
 
 
+def as_accurate(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTrajectorySettings:
+    """The widths of the sensors with what a robot's are stated to be off by: calibration, tool pose, the model's wear.
+
+    Each is drawn once a run: in a random direction, of which one axis counts, or evenly up to a depth.
+    """
+    worn = simulator.build.worn_m / math.sqrt(3.0)
+    camera = simulator.sensors.calibration_m / math.sqrt(3.0)
+    return own.wider(math.hypot(camera, worn), math.hypot(simulator.tool_off_m / math.sqrt(2.0), worn))
+
+
 def trajectory_filter(
     spec: TaskSpec,
     settings: FilterSettings,
+    simulator: SimSettings,
     discrepancy: Discrepancy,
     tool: Tool,
     model: ObjectModel,
@@ -63,6 +77,7 @@ def trajectory_filter(
     Args:
         spec: of the task.
         settings: of the filter.
+        simulator: which states how exact its sensors are; in the plane the filter's are as wide.
         discrepancy: of the object.
         tool: the gripper.
         model: the object.
@@ -72,6 +87,7 @@ def trajectory_filter(
     if is_planar(spec):
         if not isinstance(model.exact, Mug):
             settings = replace(settings, trajectories=settings.trajectories.for_others())
+        settings = replace(settings, trajectories=as_accurate(settings.trajectories, simulator))
         pushed = PushedObject.of(
             discrepancy.sdf,
             tool.shape,
