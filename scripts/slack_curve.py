@@ -101,7 +101,7 @@ class ToldPushes(PushModels):
 
 def settings_of(method: str, knob: int, seed: int) -> Settings:
     """Settings of a run in which nothing measures the object's motion."""
-    own = preset(task=scene(knob).name, seed=seed, steps=STEPS, **{"filter.motion": "trajectory"})
+    own = preset(task=scene(knob).name, seed=seed, steps=STEPS, conditions="ideal", **{"filter.motion": "trajectory"})
     own = replace(own, simulator=replace(own.simulator, measures_motion=False))
     return replace(own, method="rumi" if method == "told" else method, stop=replace(own.stop, rule="probability"))
 

@@ -33,7 +33,7 @@ def test_a_wrist_adds_its_force_and_changes_nothing_else(arm_tool, mug):
 
 
 def wristed(task: str, motion: str) -> Settings:
-    settings = preset("default", task=task)
+    settings = preset("default", task=task, conditions="ideal")
     sensors = replace(settings.simulator.sensors, wrist_force=True)
     return replace(
         settings,
