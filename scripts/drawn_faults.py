@@ -27,7 +27,7 @@ from rumi.seeding import split
 from rumi.sim.faults import FAULTS
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.drawn_scenes import DRAWN
-from rumi.tasks.rummage.lost import NOTHING_FELT
+from rumi.tasks.rummage.lost import HAND_OR_CAMERA, NOTHING_FELT
 from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import Experiment, Line
 from scripts.reproduce.cells import middle, rate, table
@@ -38,8 +38,8 @@ NAMED = {
     "absent": ("absent", NOTHING_FELT),
     "dead": ("dead hand", NOTHING_FELT),
     "false-contact": ("false contacts",),
-    "hand": ("hand off",),
-    "camera": ("camera off",),
+    "hand": ("hand off", HAND_OR_CAMERA),
+    "camera": ("camera off", HAND_OR_CAMERA),
     "friction": ("push model off",),
     "mass": ("push model off",),
     "scale": ("another size",),

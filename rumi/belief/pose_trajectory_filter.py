@@ -87,7 +87,7 @@ class PoseTrajectoryFilter(PoseFilter):
         search: Search = "SE(2)",
     ) -> None:
         super().__init__(settings, [discrepancy], search, prior)
-        self.model, self.own = model, settings.trajectories
+        self.model, self.own, self.moves = model, settings.trajectories, Moves
 
     def with_evidence(self, *models: EvidenceModel) -> Self:
         """Refused: trajectories take in points alone."""
@@ -97,10 +97,16 @@ class PoseTrajectoryFilter(PoseFilter):
         """The same filter where its prior of how the object is pushed is not believed."""
         return self.supposing(own=self.own.doubted())
 
-    def supposing(self, *, model: Pushed | None = None, own: PoseTrajectorySettings | None = None) -> Self:
-        """The same filter of another object, or with other priors and noise."""
+    def supposing(
+        self,
+        *,
+        model: Pushed | None = None,
+        own: PoseTrajectorySettings | None = None,
+        moves: type[Moves] | None = None,
+    ) -> Self:
+        """The same filter of another object, with other priors and noise, or with other moves."""
         other = copy.copy(self)
-        other.model, other.own = model or self.model, own or self.own
+        other.model, other.own, other.moves = model or self.model, own or self.own, moves or self.moves
         return other
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
@@ -224,7 +230,7 @@ class PoseTrajectoryFilter(PoseFilter):
 
     def _moves(self, now: Trajectories, random: torch.Generator) -> Moves:
         """Moves under the history of some particles."""
-        return Moves(self.model, self.own, random)
+        return self.moves(self.model, self.own, random)
 
     def with_segment(
         self,

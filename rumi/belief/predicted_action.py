@@ -34,10 +34,24 @@ def log_evidence(
         generator: of the draws.
     """
     start = before.pose[systematic(log_weights.double(), 0.5, len(before))].clone()
-    now, weights = Trajectories.drawn(start, History.empty(), generator), normalise(start.new_zeros(len(start)))
-    last = len(history) - 1
-    for number in range(len(history)):
+    now = Trajectories.drawn(start, History.empty(), generator)
+    return followed(now, history, pose_filter, generator).log_evidence
+
+
+def followed(
+    now: Trajectories, history: History, pose_filter: PoseTrajectoryFilter, generator: torch.Generator
+) -> Trajectories:
+    """Particles, equally weighted, that have some of an action's segments behind them, after the others.
+
+    Args:
+        now: particles, whose history is the first of these segments.
+        history: the action alone.
+        pose_filter: of whose prior the action is.
+        generator: of the draws.
+    """
+    weights, last = normalise(now.pose.new_zeros(len(now))), len(history) - 1
+    for number in range(len(now.history), len(history)):
         segment, opens = history.segment(number), int(history.action[number]) == number
         closes = number == last or int(history.action[number + 1]) == number + 1
         now, weights = pose_filter.with_segment(now, weights, segment, generator, opens=opens, closes=closes)
-    return now.log_evidence
+    return now

@@ -4,7 +4,10 @@ Every rival takes one fault to be true, follows all readings, and adds up its ma
 "no fault" is the ratio of the two (Magill 1965, multiple model estimation). Single readings tell little of an object
 five per cent larger, or of a view some millimetres off: many that agree do. The rivals of a size have the object in
 another size, by the same view; those of a hand and of a view that are off begin where an offset has put the object, and
-keep nothing of the view.
+keep nothing of the view; that of a push model which is off has a much wider prior of how the object slides.
+
+A marginal likelihood of sequential Monte Carlo errs by several nats after some pushes. Copies of each belief, that of
+no fault among them, are averaged: the mean of unbiased estimates is one (pseudo-marginal, Andrieu and Roberts 2009).
 """
 
 import math
@@ -28,21 +31,32 @@ from rumi.weights import normalise
 from sdf.grid_sdf import GridSDF
 from sensors.reading import Reading
 
-RIVALS = ("hand off", "camera off", "another size")
+RIVALS = ("hand off", "camera off", "another size", "push model off")
 """Faults that rivals stand for."""
+
+NO_FAULT = "no fault"
 
 _SIZES = (0.93, 0.965, 1.035, 1.07)  # times the object's own, each as likely
 _PARTICLES, _DRAWS, _STARTS, _SWEEPS = 75, 1500, 150, 2
+_PLACES = 400  # start poses that the prior of what was moved is the density of
+_COPIES = 3  # of each belief but those of a size
 _SPREADS = ((0.0005, 0.02), (0.0015, 0.05), (0.004, 0.15))  # of start poses about those of the first view: m, rad
 _HOPELESS = 8.0  # nats that a rival is less likely than no fault, from which on it is left out
+
+
+class _FromStarts(Moves):
+    """Moves under a prior of start poses that is the density of those that are left open: no view says where it is."""
+
+    def _start_prior(self, given: Trajectories) -> Float[Tensor, "N"]:
+        return start_density(given.poses[:, 0], given.starts, given.starts.new_tensor(self.about))
 
 
 class Rival(NamedTuple):
     """A belief under a fault.
 
     Attributes:
-        name: of the fault.
-        log_share: log of its share among the rivals of that name.
+        name: of the fault, or "no fault".
+        log_share: log of its share among the beliefs of that name.
         pose_filter: that follows it.
         now: particles.
         log_weights: of them.
@@ -71,12 +85,29 @@ def begun(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: tor
         first: its particles after the view, equally weighted.
         generator: of the draws.
     """
-    own = replace(pose_filter.own, particles=_PARTICLES)
-    rivals = [
-        Rival(name, 0.0, pose_filter.supposing(own=own), _displaced(first, ring, generator), _even(_PARTICLES), 0.0)
-        for name, ring in (("hand off", HAND), ("camera off", CAMERA))
-    ]
-    return (*rivals, *_sizes(pose_filter.supposing(own=own), first, generator))
+    usual, wide = (
+        each.supposing(own=replace(each.own, particles=_PARTICLES)) for each in (pose_filter, pose_filter.doubting())
+    )
+
+    def again() -> Trajectories:
+        return first.at(torch.randint(len(first), (_PARTICLES,), generator=generator))
+
+    rivals = []
+    for _ in range(_COPIES):
+        rivals += [
+            _rival(NO_FAULT, _COPIES + 1, usual, again()),  # the filter's own belief is one more
+            _rival("push model off", _COPIES, wide, again()),
+        ]
+        for name, ring in (("hand off", HAND), ("camera off", CAMERA)):
+            moved = _displaced(first, ring, generator)
+            rivals.append(_rival(name, _COPIES, usual.supposing(moves=_FromStarts), moved))
+    return (*rivals, *_sizes(usual, first, generator))
+
+
+def _rival(
+    name: str, beliefs: int, pose_filter: PoseTrajectoryFilter, now: Trajectories, log_view: float = 0.0
+) -> Rival:
+    return Rival(name, -math.log(beliefs), pose_filter, now, _even(len(now)), log_view)
 
 
 @torch.no_grad()
@@ -91,19 +122,31 @@ def followed(rivals: Sequence[Rival], reading: Reading, generator: torch.Generat
 
 
 def left(rivals: Sequence[Rival], none: float) -> tuple[Rival, ...]:
-    """The rivals that are not hopeless, with the log marginal likelihood of no fault."""
-    return tuple(rival for rival in rivals if rival.log_evidence > none - _HOPELESS)
+    """The rivals that are not hopeless, with the log marginal likelihood of no fault, and all copies of that."""
+    return tuple(rival for rival in rivals if rival.name == NO_FAULT or rival.log_evidence > none - _HOPELESS)
 
 
-def log_evidence(rivals: Sequence[Rival]) -> Mapping[str, float]:
-    """Log marginal likelihood of all readings under each fault; -inf where every rival was given up."""
-    each = {name: [rival.log_evidence for rival in rivals if rival.name == name] for name in RIVALS}
+def log_ratios(rivals: Sequence[Rival], own: float) -> Mapping[str, float]:
+    """Log-likelihood ratio of all readings, of each fault against no fault; -inf where every rival was given up.
+
+    Args:
+        rivals: after the readings.
+        own: log marginal likelihood of no fault by the belief that a run goes by.
+    """
+    none = log_none(rivals, own)
+    each = {name: [rival.log_evidence - none for rival in rivals if rival.name == name] for name in RIVALS}
     return {name: float(torch.tensor(some).logsumexp(0)) if some else -math.inf for name, some in each.items()}
 
 
+def log_none(rivals: Sequence[Rival], own: float) -> float:
+    """Log marginal likelihood of no fault: the mean over the belief that a run goes by and its copies."""
+    copies = [rival.log_evidence for rival in rivals if rival.name == NO_FAULT]
+    return float(torch.tensor([own - math.log(len(copies) + 1), *copies], dtype=torch.float64).logsumexp(0))
+
+
 def _displaced(first: Trajectories, ring: Ring, generator: torch.Generator) -> Trajectories:
-    """Particles that an offset has put elsewhere, with nothing of the view."""
-    rows = torch.randint(len(first), (_PARTICLES + _STARTS,), generator=generator)
+    """Particles that an offset has put elsewhere, and further start poses, with nothing of the view."""
+    rows = torch.randint(len(first), (_PARTICLES + _PLACES,), generator=generator)
     start = first.pose[rows].clone()
     start[:, :3] += drawn(ring, len(start), generator)
     return Trajectories.drawn(start[:_PARTICLES], History.empty(), generator, start[_PARTICLES:])
@@ -119,7 +162,7 @@ def _sizes(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: to
     for factor in _SIZES:
         other = pose_filter.supposing(model=model.resized(factor))
         seen, now = _seen(other, first, model.resting_m - other.model.resting_m, generator)
-        found.append(Rival("another size", -math.log(len(_SIZES)), other, now, _even(_PARTICLES), seen - usual))
+        found.append(_rival("another size", len(_SIZES), other, now, seen - usual))
     return left(found, 0.0)
 
 

@@ -12,20 +12,21 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.misfit import MisfitSettings
-from rumi.belief.offset_rings import CAMERA, HAND, Ring, displaced, log_density
+from rumi.belief.offset_rings import HAND, displaced, log_density
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
-from rumi.belief.predicted_action import log_evidence
+from rumi.belief.predicted_action import followed, log_evidence
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated
-from rumi.resampling import systematic
+from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import normal
 
 TRAJECTORY_FAULTS = (
@@ -34,18 +35,19 @@ TRAJECTORY_FAULTS = (
     "dead hand",
     "false contacts",
     "hand off",
-    "camera off",
     "push model off",
     "stuck hand",
     "second object",
     "stale camera",
 )
 """The object is elsewhere near by; it is gone; the hand feels nothing; it feels what is not there, briefly; it is some
-millimetres beside where it is taken to be; the camera was, which the first action near the object tells; the object
-slides as no prior has it: friction or mass far from what is expected; the hand feels the same all the time; something
-else is felt where the object is not; the camera repeats its last view to the digit."""
+millimetres beside where it is taken to be; the object slides as no prior has it: friction or mass far from what is
+expected; the hand feels the same all the time; something else is felt where the object is not; the camera repeats its
+last view to the digit."""
 
-_DRAWS = 900  # poses to which something may have been moved
+_DRAWS, _KNOCKS = 900, 0.6  # poses to which something may have been moved, and the share of them by a knock
+_UNLIKELY = 5.0  # nats that an action is unlikely by, from which on that is worked out twice
+_APART_M = 0.01  # between places of the hand that feel something at one instant and the next, where it is not the same
 _TELLS = 1.0  # nats that a reading is short of what fits best, from which on something can be told from it
 _FALSE = 0.3  # share of the actions with a false contact, where there are such
 _BRIEF = 0.8, 0.1  # chance that a false contact, and a true one, lasts for two instants at most
@@ -71,7 +73,6 @@ def log_ratios(
     pose_filter: PoseTrajectoryFilter,
     own: MisfitSettings,
     *,
-    untouched: bool,
     generator: torch.Generator,
 ) -> Float[Tensor, "K"]:
     """Log-likelihood ratio of each of `TRAJECTORY_FAULTS` against the belief, nats; 0 where a reading tells nothing.
@@ -82,7 +83,6 @@ def log_ratios(
         after: particles that have taken it in.
         pose_filter: of both.
         own: how far a knock goes, and how often a contact means nothing even so.
-        untouched: whether nothing had been felt before, so that the view alone says where the object is.
         generator: of the draws.
     """
     told = dict.fromkeys(TRAJECTORY_FAULTS, 0.0)
@@ -92,6 +92,9 @@ def log_ratios(
     model, sensed = pose_filter.model, pose_filter.own
     history = after.history.since(len(after.history) - new)
     none = after.log_evidence - before.log_evidence
+    if none < -_UNLIKELY:  # an estimate that errs by nats: the mean of two
+        again = log_evidence(before, log_weights, history, pose_filter, generator)
+        none = float(np.logaddexp(none, again)) - math.log(2.0)
     gone, dead = _without_feeling(history, sensed)
     told |= {"absent": gone - none, "dead hand": dead - none}
     felt = bool((history.kind == Kind.FELT).any())
@@ -117,10 +120,8 @@ def log_ratios(
         misses = log_evidence(before, log_weights, blind, pose_filter, generator) - none
         # a view that does not fit is no repetition by chance; one that does may well be, of what stands still
         told["stale camera"] = misses - (math.log(own.outlier) if misses > _TELLS else 0.0)
-    knock, hand, view = _displaced(before, log_weights, history, model, sensed, own, untouched, generator)
+    knock, hand = _displaced(before, log_weights, history, pose_filter, own, generator)
     told |= {"knocked": knock - none, "hand off": hand - none}
-    if untouched:
-        told["camera off"] = view - none
     if felt and none < -_STRAINED:
         doubting = pose_filter.doubting()
         told["push model off"] = log_evidence(before, log_weights, history, doubting, generator) - none
@@ -150,10 +151,10 @@ def _stuck(history: History, sensed: PoseTrajectorySettings) -> float:
     tool, pushed = history.tool[:, 1], history.pushes.nonzero()[:, 0]
     places = []
     for instant in pushed.tolist():
-        points = _felt_at(history, instant)[:, :2]
+        points = _felt_at(history, instant)
         if not len(points):
             return -math.inf
-        places.append(rotated(points.mean(0) - tool[instant, :2], -tool[instant, 2]))
+        places.append(_on_hand(points, tool[instant]))
     if len(places) < _LONG:
         return -math.inf
     own = torch.stack(places)
@@ -198,17 +199,28 @@ def _without_feeling(history: History, sensed: PoseTrajectorySettings) -> tuple[
 
 
 def _unmet(after: Trajectories, history: History, model: Pushed) -> list[int]:
-    """Instants of the last segments at which the hand felt something where no particle has a surface."""
+    """Instants of the last segments at which the hand felt something where no particle has a surface.
+
+    Not where it goes on feeling what it felt at a surface just before: that slid away.
+    """
     found, first = [], len(after.history) - len(history)
+    held: Tensor | None = None  # where on the hand a surface was felt, up to the instant before
     for segment in range(len(history)):
         begin, end = (int(history.ends[at]) if at >= 0 else 0 for at in (segment - 1, segment))
         poses = torch.cat((after.poses[:, first + segment], after.poses[:, first + segment + 1]))
         for instant in range(begin, end):
             points = _felt_at(history, instant)
-            if len(points):
-                off = model.sdf.distance(model.local(poses, points).to(model.sdf.bounds)).abs().median(-1).values
-                if float(off.min()) > _UNMET_M:
-                    found.append(instant)
+            if not len(points):
+                held = None
+                continue
+            off = model.sdf.distance(model.local(poses, points).to(model.sdf.bounds)).abs().median(-1).values
+            place = _on_hand(points, history.tool[instant, 1])
+            met = float(off.min()) <= _UNMET_M
+            if met or (held is not None and float((held - place).norm()) < _APART_M):
+                held = place
+            else:
+                held = None
+                found.append(instant)
     return found
 
 
@@ -234,54 +246,47 @@ def _felt_at(history: History, instant: int) -> Float[Tensor, "m 3"]:
     return history.points[low:high][history.kind[low:high] == Kind.FELT]
 
 
+def _on_hand(points: Float[Tensor, "m 3"], tool: Float[Tensor, "3"]) -> Float[Tensor, "2"]:
+    """Middle of points, seen from above in the hand's own frame."""
+    return rotated(points[:, :2].mean(0) - tool[:2], -tool[2])
+
+
 def _displaced(
     before: Trajectories,
     log_weights: Tensor,
     history: History,
-    model: Pushed,
-    sensed: PoseTrajectorySettings,
+    pose_filter: PoseTrajectoryFilter,
     own: MisfitSettings,
-    camera: bool,
     generator: torch.Generator,
-) -> tuple[float, float, float]:
-    """Log predictive densities of a reading where the object was knocked, and where hand or camera are off."""
-    rings = (HAND, CAMERA) if camera else (HAND,)
-    shares = (0.5, 0.25, 0.25) if camera else (0.6, 0.4)
-    moves = _moves(own, rings, [round(share * _DRAWS) for share in shares], generator)
-    each = torch.stack([_knock_density(moves, own), *(log_density(ring, moves) for ring in rings)])
-    proposal = torch.logsumexp(each + each.new_tensor(shares).log()[:, None], 0)
+) -> tuple[float, float]:
+    """Log predictive densities of a reading where the object was knocked, and where the hand is off.
+
+    Importance sampling of where it began, by the first segment; then sequential Monte Carlo of each fault.
+    """
+    moves = _moves(own, generator)
+    each = torch.stack([_knock_density(moves, own), log_density(HAND, moves)])
+    proposal = torch.logsumexp(each + each.new_tensor((_KNOCKS, 1.0 - _KNOCKS)).log()[:, None], 0)
     # parents in an order of their own: draws of one fault come one after the other
     parents = systematic(log_weights.double(), 0.5, len(moves))
     start = before.pose[parents[torch.randperm(len(moves), generator=generator)]].clone()
     start[:, :3] += moves
-    gained = _replayed(start, history, model, sensed, generator)
-    found = torch.logsumexp(each - proposal + gained, -1) - math.log(len(moves))
-    return float(found[0]), float(found[1]), float(found[2]) if camera else -math.inf
+    first = History.empty().appended(history.segment(0))
+    drawn = Trajectories.drawn(start, first, generator)
+    drawn = drawn.replayed(pose_filter.model, pose_filter.own, first, torch.zeros(len(start), dtype=torch.long))
+    found = []
+    for log_density_of in each:
+        heavier = log_density_of - proposal + drawn.log_likelihood[:, 0]
+        rows = resample_systematic(heavier, len(before), generator=generator)
+        begun = replace(drawn.at(rows), log_evidence=float(heavier.logsumexp(-1)) - math.log(len(moves)))
+        found.append(followed(begun, history, pose_filter, generator).log_evidence)
+    return found[0], found[1]
 
 
-def _replayed(
-    start: Float[Tensor, "M D"],
-    history: History,
-    model: Pushed,
-    sensed: PoseTrajectorySettings,
-    generator: torch.Generator,
-) -> Float[Tensor, "M"]:
-    """Log-likelihood of a reading where the object began at each pose, physics and noise drawn from the prior."""
-    drawn = Trajectories.drawn(start, history, generator)
-    return drawn.replayed(model, sensed, history, torch.zeros(len(start), dtype=torch.long)).log_likelihood.sum(-1)
-
-
-def _moves(
-    own: MisfitSettings, rings: Sequence[Ring], counts: Sequence[int], generator: torch.Generator
-) -> Float[Tensor, "M 3"]:
-    """Displacements (x, y, yaw): so many knocks, then so many of each ring."""
-    drawn = normal((sum(counts), 3), generator=generator, dtype=torch.float64)
-    parts = [drawn[: counts[0]] * drawn.new_tensor((own.knock_m, own.knock_m, own.knock_rad))]
-    at = counts[0]
-    for ring, count in zip(rings, counts[1:], strict=True):
-        parts.append(displaced(ring, drawn[at : at + count], generator))
-        at += count
-    return torch.cat(parts)
+def _moves(own: MisfitSettings, generator: torch.Generator) -> Float[Tensor, "M 3"]:
+    """Displacements (x, y, yaw): knocks, then offsets of a hand."""
+    drawn, knocks = normal((_DRAWS, 3), generator=generator, dtype=torch.float64), round(_KNOCKS * _DRAWS)
+    scale = drawn.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
+    return torch.cat((drawn[:knocks] * scale, displaced(HAND, drawn[knocks:], generator)))
 
 
 def _knock_density(moves: Float[Tensor, "M 3"], own: MisfitSettings) -> Float[Tensor, "M"]:

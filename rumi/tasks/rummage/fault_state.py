@@ -31,6 +31,7 @@ class Watch:
         rivals: beliefs under faults that hold from the first view on; None before they are asked.
         static: log-likelihood ratio of all readings so far of each such fault.
         beside_m: how far what was felt last is from where any particle has it felt.
+        waited: actions since an alarm was due whose fault is not clear yet.
     """
 
     evidence: ChangeEvidence | None = None
@@ -46,6 +47,7 @@ class Watch:
     rivals: tuple[Rival, ...] | None = None
     static: Mapping[str, float] = field(default_factory=lambda: dict.fromkeys(RIVALS, 0.0))
     beside_m: float = 0.0
+    waited: int = 0
 
     def doubt(self) -> str | None:
         """What speaks for a fault, though not enough for an alarm: no time to be sure."""

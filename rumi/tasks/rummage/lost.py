@@ -30,7 +30,6 @@ PRIOR: dict[str, float] = {
     "dead hand": 0.1,
     "false contacts": 0.15,
     "hand off": 0.05,
-    "camera off": 0.05,
     "push model off": 0.1,
     "stuck hand": 0.03,
     "second object": 0.03,
@@ -40,18 +39,24 @@ PRIOR: dict[str, float] = {
 """What a run may be lost by, where particles have trajectories of their own, with the prior share of each."""
 
 _MISFITS = dict(zip(MISFITS, (0.6, 0.25, 0.15), strict=True))
-STATIC = {"hand off": 0.05, "camera off": 0.05, "another size": 0.1}
+STATIC = {"hand off": 0.05, "camera off": 0.1, "another size": 0.1, "push model off": 0.05}
 """The same of faults that hold from the first view on."""
 
 NOTHING_FELT = "absent or dead hand"
 """What an alarm is named where the object's absence and a hand that feels nothing are as probable."""
 
+HAND_OR_CAMERA = "hand or camera off"
+"""What an alarm is named where touches are beside the view, and little tells which of the two is off."""
+
 _TIE = 1e-6  # share by which probabilities of faults with the same densities may differ
 _FAULTY = 0.2  # share of runs with a fault, for what is told alone: no alarm hangs on it
-_AT_FIRST = ("hand off", "camera off", "another size")  # asked about up to the first alarm
 # faults after which a search finds nothing
-_GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand", "hand off", "stale camera")
-_SURE = 0.8  # share of the camera in what hand and camera have, from which on touches are believed
+_GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand", "hand off", HAND_OR_CAMERA, "stale camera")
+_SEARCHED = ("knocked", "none of these")  # with the same search after them
+_UNFELT = ("absent", "dead hand", NOTHING_FELT)
+_SURE = 0.8  # share of one of hand and camera in what both have, from which on it is named alone
+_CLEAR, _WAITS = 0.7, 2  # probability from which on an alarm is named at once, and actions that it waits for it
+_TELLS = 1.0  # nats
 _STRAINED = -5.0  # nats of all readings so far, from which on faults from the first view on are asked about
 
 SLIDES: tuple[Motion, ...] = ("pushed", "corrected", "trajectory")
@@ -124,7 +129,8 @@ def watch(
     Returns:
         what is known now, and a remark where an alarm is due.
     """
-    if own.alpha == 0 or before.lost:
+    open_yet = before.named in (None, *_UNFELT)  # what was only not felt may be felt again
+    if own.alpha == 0 or (before.lost and not open_yet):
         return replace(before, nats=0.0, p_value=1.0), None
     shares = [*faults_of(pose_filter).items(), *(STATIC.items() if follows(pose_filter) else ())]
     names, test = [name for name, _ in shares], ChangeTest(tuple(share for _, share in shares), own.alpha)
@@ -132,11 +138,14 @@ def watch(
     ratios = _ratios(last, record, pose_filter, model, own, generator)
     rivals, static = before.rivals, before.static
     if follows(pose_filter):
-        if before.named is None:
+        if open_yet:
             rivals, static = _rivals(before, record, history, pose_filter, generator)
-        further = [static[name] - before.static[name] if static[name] > -math.inf else -math.inf for name in STATIC]
+        asked = [open_yet and static[name] > -math.inf for name in STATIC]
+        further = [
+            static[name] - before.static[name] if ask else -math.inf for name, ask in zip(STATIC, asked, strict=True)
+        ]
         ratios = torch.cat((ratios, ratios.new_tensor(further)))
-    over = {*(_AT_FIRST if before.named is not None else ()), *(("push model off",) if before.following else ())}
+    over = {*(() if open_yet else ("hand off",)), *(("push model off",) if before.following else ())}
     # a search is about what it touched, whatever hand and view are off by; no prior is wider than a wide one
     ratios = ratios.where(torch.tensor([name not in over for name in names]), -torch.inf)
     evidence = test.update(evidence, ratios)
@@ -149,7 +158,7 @@ def watch(
         evidence=evidence,
         nats=float(test.log_evidence(evidence)),
         p_value=math.exp(min(0.0, -float(weighed))),  # Markov's inequality
-        explanations=chances if before.named is None else before.explanations,
+        explanations=chances if open_yet else before.explanations,
         beside_m=_beside(last, record, pose_filter) if bool(record.reading.in_contact.any()) else before.beside_m,
         rivals=rivals,
         static=static,
@@ -157,16 +166,29 @@ def watch(
     if not bool(test.alarm(evidence)):
         return after, None
     name, chance = _named(chances)
-    likeliest = "absent" if name == NOTHING_FELT else name
+    clear = sum(chances[each] for each in _SEARCHED) if name in _SEARCHED else chance
+    if clear < _CLEAR and after.waited < _WAITS:  # one more action tells more than a wrong recovery undoes
+        tells = bool((ratios.abs() > _TELLS).logical_and(ratios.isfinite()).any())
+        return replace(after, waited=after.waited + tells), None
+    if before.lost and (name in _UNFELT or not bool(record.reading.in_contact.any())):
+        return after, None
+    likeliest = {NOTHING_FELT: "absent", HAND_OR_CAMERA: "hand off"}.get(name, name)
     since = before.begun + max(1, round(float(test.onset(evidence)[names.index(likeliest)])))
     remark = Remark(
         f"lost: {name}",
         record.step,
         f"no pose that is believed fits since about action {since}; as if {name} (probability {chance:.2f})",
     )
-    searches = own.recover and name not in _GONE and not (name == "camera off" and not _touches_hold(chances))
+    searches = own.recover and name not in _GONE
     told_by = replace(
-        after, evidence=None, begun=record.step, lost=not searches, named=name, explanations=chances, beside_m=0.0
+        after,
+        evidence=after.evidence if name in _UNFELT else None,
+        begun=before.begun if name in _UNFELT else record.step,
+        lost=not searches,
+        named=name,
+        explanations=chances,
+        beside_m=0.0,
+        waited=0,
     )
     return (_going_on(told_by, pose_filter) if searches else told_by), remark
 
@@ -190,13 +212,8 @@ def _rivals(
         readings = [*(step.reading for step in history[1:]), record.reading]
     for reading in readings:
         rivals = rival_filters.followed(rivals, reading, generator)
-    rivals = rival_filters.left(rivals, none)
-    return rivals, {name: each - none for name, each in rival_filters.log_evidence(rivals).items()}
-
-
-def _touches_hold(chances: Mapping[str, float]) -> bool:
-    """Whether it is the camera that is off, and hardly the hand."""
-    return chances["camera off"] >= _SURE * (chances["camera off"] + chances["hand off"])
+    rivals = rival_filters.left(rivals, rival_filters.log_none(rivals, none))
+    return rivals, rival_filters.log_ratios(rivals, none)
 
 
 def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
@@ -219,10 +236,13 @@ def _going_on(told_by: Watch, pose_filter: PoseFilter) -> Watch:
 def _named(chances: Mapping[str, float]) -> tuple[str, float]:
     """What an alarm is named, and its probability: the likeliest fault, two that nothing told apart being one."""
     each = {name: chance for name, chance in chances.items() if name != "no fault"}
-    gone, dead = (each.get(name, 0.0) for name in ("absent", "dead hand"))
+    gone, dead, hand, view = (each.get(name, 0.0) for name in ("absent", "dead hand", "hand off", "camera off"))
     if "dead hand" in each and abs(gone - dead) <= _TIE * max(gone, dead):
         each = {name: chance for name, chance in each.items() if name not in ("absent", "dead hand")}
         each[NOTHING_FELT] = gone + dead
+    if "hand off" in each and max(hand, view) < _SURE * (hand + view):
+        each = {name: chance for name, chance in each.items() if name not in ("hand off", "camera off")}
+        each[HAND_OR_CAMERA] = hand + view
     name = max(each, key=lambda one: each[one])
     return name, each[name]
 
@@ -286,7 +306,6 @@ def _ratios(
         after.trajectories,
         pose_filter,
         own,
-        untouched=last.contacts == 0,
         generator=generator,
     )
     return torch.cat((told, found[MISFITS.index("none of these") :]))

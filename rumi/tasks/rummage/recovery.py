@@ -24,8 +24,6 @@ from sdf import se3
 from sensors.observation import Observation, merge
 
 _STRANGE = ("false contacts", "second object")  # what was felt was not the object
-_OFF = {"camera off": 0.010}  # metres within which a search begins anew
-_STRAIGHT_RAD = 0.05  # and radians: an offset turns nothing
 _DRAWS = 8  # poses to search among, for each particle
 
 
@@ -41,8 +39,6 @@ def searched_again(
     generator: torch.Generator,
 ) -> tuple[PoseBelief, Observation]:
     """The belief and the memory of a search that begins anew about what was believed, from one reading alone.
-
-    As far about it as the fault asks for: a knock moves and turns it, a hand or a view that is off only moves it.
 
     Observations before it that ride with the object are dropped: they told where it was. What was felt where nothing is
     is dropped itself: belief and memory before it go on.
@@ -64,8 +60,6 @@ def searched_again(
         begun = pose_filter.begun_again(record.belief, record.reading, generator=generator)
         return begun, memory[(~memory.attached).nonzero()[:, 0]]
     here = record.belief
-    if named in _OFF:
-        own = replace(own, knock_m=_OFF[named], knock_rad=_STRAIGHT_RAD)
     anew: PoseBelief | None = None
     if follows(pose_filter):
         assert isinstance(last.belief, PoseTrajectoryBelief) and isinstance(here, PoseTrajectoryBelief)

@@ -111,6 +111,31 @@ def test_faults_that_nothing_tells_apart_are_named_together():
     assert lost._named(even) == (lost.NOTHING_FELT, 0.5)
     assert lost._named(even | {"dead hand": 0.2}) == ("knocked", 0.4)
     assert lost._named({"no fault": 0.5, "knocked": 0.2, "absent": 0.3}) == ("absent", 0.3)
+    beside = even | {"hand off": 0.5, "camera off": 0.25}
+    assert lost._named(beside) == (lost.HAND_OR_CAMERA, 0.75)
+    assert lost._named(beside | {"camera off": 0.01}) == ("hand off", 0.5)
+
+
+def test_an_alarm_waits_for_two_telling_actions_at_most_where_its_fault_is_not_clear(model, pose_filter, monkeypatch):
+    both = torch.tensor([9.0, 9.5, -9.0], dtype=torch.float64)  # knocked or absent
+    given = iter((both, 0.0 * both, both - both.mean(), torch.tensor([9.0, -9.0, -9.0], dtype=torch.float64)))
+    monkeypatch.setattr(lost, "_ratios", lambda *_: next(given))
+    steps = [step(model, number, 0.0) for number in range(1, 5)]
+    found = followed(model, pose_filter, steps)
+    assert [now.waited for now, _, _ in found[:3]] == [1, 1, 2]
+    assert [remark and remark.name for _, _, remark in found] == [None, None, None, "lost: knocked"]
+    assert all(now.doubt() is not None for now, _, _ in found[:3]) and found[-1][0].waited == 0
+
+
+def test_what_was_not_felt_and_is_felt_again_elsewhere_is_searched_for(model, pose_filter):
+    steps = [step(model, number, None, free_at=0.0) for number in range(1, 6)]
+    steps += [step(model, 6, -0.03)]
+    reading = steps[-1].reading
+    steps[-1] = replace(steps[-1], reading=replace(reading, in_contact=torch.ones_like(reading.in_contact)))
+    found = followed(model, pose_filter, steps)
+    names = [(remark.name, now.lost) for now, _, remark in found if remark is not None]
+    assert names[0] == ("lost: absent", True) and names[1][1] is False and len(names) == 2
+    assert names[1][0].removeprefix("lost: ") in lost._SEARCHED
 
 
 def test_without_recovery_an_alarm_leaves_the_run_lost_and_0_never_asks(model, pose_filter):

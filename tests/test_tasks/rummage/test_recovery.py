@@ -67,8 +67,3 @@ def test_after_odd_pushes_the_prior_of_motion_is_wide_and_stays_so(pose_filter):
     now = lost._going_on(Watch(named="push model off", adopted=old), pose_filter)
     assert now.following is not None and now.following.own == pose_filter.own.doubted() != pose_filter.own
     assert now.following.own.across > pose_filter.own.across and now.adopted is None
-
-
-def test_a_view_that_may_as_well_be_a_hand_is_not_gone_on_by():
-    assert lost._touches_hold({"camera off": 0.9, "hand off": 0.1})
-    assert not lost._touches_hold({"camera off": 0.6, "hand off": 0.4})
