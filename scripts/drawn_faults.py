@@ -2,6 +2,7 @@
 
 python -m scripts.drawn_faults run --seeds 1000-1019 --tasks mug    # tuning; the same command goes on
 python -m scripts.drawn_faults run                                  # the record: seeds 0-99 of the five drawn tasks
+python -m scripts.drawn_faults run --conditions lab --seeds 0-19 --tasks mug
 python -m scripts.drawn_faults show
 
 The kinds take turns by the seed, so that each comes about as often; size and step are drawn by it. Nothing measures the
@@ -14,7 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import torch
 
@@ -24,6 +25,7 @@ from rumi.cli import script
 from rumi.errors import DegenerateBeliefError
 from rumi.records import RunResult, StepRecord
 from rumi.seeding import split
+from rumi.sim.conditions import Conditions
 from rumi.sim.faults import FAULTS
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.drawn_scenes import DRAWN
@@ -89,20 +91,20 @@ def drawn_fault(task: str, seed: int) -> str:
     return f"{text}@{first + int(step * (last - first + 1))}"
 
 
-def settings_of(task: str, seed: int, fault: str | None) -> Settings:
+def settings_of(task: str, seed: int, fault: str | None, conditions: Conditions = "ideal") -> Settings:
     """Settings of a run in which nothing measures the object's motion."""
     steps = min(STEPS, DRAWN[task].steps)
-    own = preset(task=task, seed=seed, steps=steps, conditions="ideal", **{"filter.motion": "trajectory"})
+    own = preset(task=task, seed=seed, steps=steps, conditions=conditions, **{"filter.motion": "trajectory"})
     unmeasured = replace(own.simulator, measures_motion=False)
     own = replace(own, simulator=unmeasured, stop=replace(own.stop, rule="probability"))
     return own if fault is None else replace(own, fault=(fault,))
 
 
-def measure(task: str, seed: int) -> dict[str, Any]:
+def measure(task: str, seed: int, conditions: Conditions = "ideal") -> dict[str, Any]:
     """Both runs of a seed."""
     fault = drawn_fault(task, seed)
-    plain, readings = _run(settings_of(task, seed, None), seed)
-    faulted, changed = _run(settings_of(task, seed, fault), seed)
+    plain, readings = _run(settings_of(task, seed, None, conditions), seed)
+    faulted, changed = _run(settings_of(task, seed, fault, conditions), seed)
     differs = [k for k, (one, other) in enumerate(zip(readings, changed, strict=False)) if one != other]
     first = differs[0] if differs else None
     return {"fault": fault, "faultless": plain, "faulted": faulted | {"changed": first}}
@@ -153,9 +155,17 @@ def right(run: Mapping[str, Any]) -> bool:
 
 
 def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
+    """A table for each task and its conditions."""
+    groups: dict[tuple[str, str], list[Line]] = {}
+    for line in lines:
+        groups.setdefault((line["task"], line["conditions"]), []).append(line)
+    return "\n".join(f"{task}, {conditions}:\n\n{_table(some)}" for (task, conditions), some in groups.items())
+
+
+def _table(lines: Sequence[Line]) -> str:
     """A row for each kind of fault, one of all, and one of the runs without any."""
-    kinds = {line["fault"].partition("@")[0].partition(":")[0] for line in lines}
-    rows = [_row(kind, [line for line in lines if line["fault"].startswith(kind)]) for kind in FAULTS if kind in kinds]
+    kinds = {_kind(line) for line in lines}
+    rows = [_row(kind, [line for line in lines if _kind(line) == kind]) for kind in FAULTS if kind in kinds]
     if len(rows) > 1:
         rows.append(_row("any", lines))
     heads = (
@@ -172,13 +182,17 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
     wrong = rate([run["stopped_by"] == "sure" and not run["right"] for run in faultless])
     steps = middle([float(run["steps"]) for run in faultless])
     told = f"\nWithout a fault: false alarms {alarms}, ends right {rights}, sure and wrong {wrong}, {steps} actions.\n"
-    return table(heads, rows) + (told if lines else "")
+    return table(heads, rows) + told
+
+
+def _kind(line: Line) -> str:
+    return str(line["fault"]).partition("@")[0].partition(":")[0]
 
 
 def _row(kind: str, lines: Sequence[Line]) -> list[str]:
     runs = [line["faulted"] for line in lines]
     told = [(line, run) for line, run in zip(lines, runs, strict=True) if run["changed"] is not None]
-    named = [_named(line["fault"], run) for line, run in told]
+    named = [_first(run) in NAMED[_kind(line)] for line, run in told]
     delays = [
         float(run["alarms"][0][0] - run["changed"])
         for _, run in told
@@ -195,18 +209,20 @@ def _row(kind: str, lines: Sequence[Line]) -> list[str]:
     ]
 
 
-def _named(fault: str, run: Mapping[str, Any]) -> bool:
-    """Whether the first alarm from the first changed reading on, which may be the view, was taken for the fault."""
-    kind = fault.partition("@")[0].partition(":")[0]
-    return _first(run) in NAMED.get(kind, ("none of these",))
-
-
 def _first(run: Mapping[str, Any]) -> str:
     """What the first alarm from the first changed reading on was taken for."""
     return next((name for step, name in run["alarms"] if step >= run["changed"]), "nothing")
 
 
-EXPERIMENT = Experiment(__doc__, "drawn_faults.jsonl", {"task": tuple(DRAWN)}, measure, show, seeds="0-99")
+EXPERIMENT = Experiment(
+    __doc__,
+    "drawn_faults.jsonl",
+    {"task": tuple(DRAWN), "conditions": get_args(Conditions)},
+    measure,
+    show,
+    seeds="0-99",
+    usual={"conditions": ("ideal",)},
+)
 
 if __name__ == "__main__":
     script(EXPERIMENT.main)

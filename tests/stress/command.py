@@ -19,6 +19,7 @@ from rumi.exit_codes import DONE, INTERRUPTED
 from rumi.runs.folder import write_json
 from rumi.runs.jsonlines import check_writable
 from rumi.runs.progress import say
+from scripts.reproduce.intervals import wilson
 from scripts.store import commit, machine
 from sdf.extras import remedy
 from tests.stress import exact, subjects
@@ -210,7 +211,7 @@ def _faults(options: StressOptions) -> int:
         while len(lines) < (options.rounds or math.inf):
             if lines and options.rounds is None and time.perf_counter() > end:
                 break
-            lines.append({"task": "mug", "seed": seed, **drawn_faults.measure("mug", seed)})
+            lines.append({"task": "mug", "conditions": "ideal", "seed": seed, **drawn_faults.measure("mug", seed)})
             seed += 1
             _progress(len(lines), options.rounds or 0, FAULTS)
     except KeyboardInterrupt:
@@ -223,8 +224,9 @@ def _faults(options: StressOptions) -> int:
     for told, some in (("far off, not flagged", wrong), ("false alarm", alarmed)):
         sys.stdout.write("".join(f"    {told}: seed {line['seed']}, {line['fault']}\n" for line in some))
     _write(options, {"runs": lines})
-    beyond = len(wrong) > 0.01 * len(lines) or len(alarmed) > 0.02 * len(lines)
-    return ended or (WRONG if beyond else DONE)
+    # few runs say little of a rate: beyond its limit is what chance alone does not explain
+    beyond = wilson(len(wrong), len(lines))[0] > 0.01 or wilson(len(alarmed), len(lines))[0] > 0.02
+    return ended or (WRONG if lines and beyond else DONE)
 
 
 def _readings(options: StressOptions, count: int) -> int:
