@@ -2,10 +2,9 @@
 
 A fault is a predictive density of its own: where the object may be after what came before, and what the hand then
 feels. "No fault" is what the filter adds up itself while it takes the reading in (the marginal likelihood of sequential
-Monte Carlo); a displaced object or hand is importance sampling of the belief before the reading, moved about, with the
-balance heuristic where one draw serves several faults (Veach and Guibas 1995). All count a point as the independent
-readings that it is worth to the filter, so that a ratio is a product of powers of ratios, which have a mean of 1 at
-most where the filter's prediction is right.
+Monte Carlo); a knocked object is importance sampling of the belief before the reading, moved about. All count a point
+as the independent readings that it is worth to the filter, so that a ratio is a product of powers of ratios, which have
+a mean of 1 at most where the filter's prediction is right.
 """
 
 import math
@@ -18,9 +17,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief.misfit import MisfitSettings
-from rumi.belief.offset_rings import HAND, displaced, log_density
 from rumi.belief.pose_trajectories import Trajectories
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, log_mean
 from rumi.belief.predicted_action import followed, log_evidence
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import History, Kind
@@ -34,18 +32,16 @@ TRAJECTORY_FAULTS = (
     "absent",
     "dead hand",
     "false contacts",
-    "hand off",
     "push model off",
     "stuck hand",
     "second object",
     "stale camera",
 )
-"""The object is elsewhere near by; it is gone; the hand feels nothing; it feels what is not there, briefly; it is some
-millimetres beside where it is taken to be; the object slides as no prior has it: friction or mass far from what is
-expected; the hand feels the same all the time; something else is felt where the object is not; the camera repeats its
-last view to the digit."""
+"""The object is elsewhere near by; it is gone; the hand feels nothing; it feels what is not there, briefly; the object
+slides as no prior has it: friction or mass far from what is expected; the hand feels the same all the time; something
+else is felt where the object is not; the camera repeats its last view to the digit."""
 
-_DRAWS, _KNOCKS = 900, 0.6  # poses to which something may have been moved, and the share of them by a knock
+_DRAWS = 900  # poses to which a knock may have moved the object
 _UNLIKELY = 5.0  # nats that an action is unlikely by, from which on that is worked out twice
 _APART_M = 0.01  # between places of the hand that feel something at one instant and the next, where it is not the same
 _TELLS = 1.0  # nats that a reading is short of what fits best, from which on something can be told from it
@@ -92,12 +88,12 @@ def log_ratios(
     model, sensed = pose_filter.model, pose_filter.own
     history = after.history.since(len(after.history) - new)
     none = after.log_evidence - before.log_evidence
-    if none < -_UNLIKELY:  # an estimate that errs by nats: the mean of two
+    felt = bool((history.kind == Kind.FELT).any())
+    if felt and none < -_UNLIKELY:  # an estimate that errs by nats: the mean of two
         again = log_evidence(before, log_weights, history, pose_filter, generator)
         none = float(np.logaddexp(none, again)) - math.log(2.0)
     gone, dead = _without_feeling(history, sensed)
     told |= {"absent": gone - none, "dead hand": dead - none}
-    felt = bool((history.kind == Kind.FELT).any())
     if felt:
         unmet = _unmet(after, history, model)
         told |= {
@@ -120,8 +116,7 @@ def log_ratios(
         misses = log_evidence(before, log_weights, blind, pose_filter, generator) - none
         # a view that does not fit is no repetition by chance; one that does may well be, of what stands still
         told["stale camera"] = misses - (math.log(own.outlier) if misses > _TELLS else 0.0)
-    knock, hand = _displaced(before, log_weights, history, pose_filter, own, generator)
-    told |= {"knocked": knock - none, "hand off": hand - none}
+    told["knocked"] = _knocked(before, log_weights, history, pose_filter, own, generator) - none
     if felt and none < -_STRAINED:
         doubting = pose_filter.doubting()
         told["push model off"] = log_evidence(before, log_weights, history, doubting, generator) - none
@@ -251,44 +246,25 @@ def _on_hand(points: Float[Tensor, "m 3"], tool: Float[Tensor, "3"]) -> Float[Te
     return rotated(points[:, :2].mean(0) - tool[:2], -tool[2])
 
 
-def _displaced(
+def _knocked(
     before: Trajectories,
     log_weights: Tensor,
     history: History,
     pose_filter: PoseTrajectoryFilter,
     own: MisfitSettings,
     generator: torch.Generator,
-) -> tuple[float, float]:
-    """Log predictive densities of a reading where the object was knocked, and where the hand is off.
+) -> float:
+    """Log predictive density of a reading where the object was knocked before it.
 
-    Importance sampling of where it began, by the first segment; then sequential Monte Carlo of each fault.
+    Importance sampling of where it began, by the first segment; then sequential Monte Carlo.
     """
-    moves = _moves(own, generator)
-    each = torch.stack([_knock_density(moves, own), log_density(HAND, moves)])
-    proposal = torch.logsumexp(each + each.new_tensor((_KNOCKS, 1.0 - _KNOCKS)).log()[:, None], 0)
-    # parents in an order of their own: draws of one fault come one after the other
-    parents = systematic(log_weights.double(), 0.5, len(moves))
-    start = before.pose[parents[torch.randperm(len(moves), generator=generator)]].clone()
-    start[:, :3] += moves
+    moves = normal((_DRAWS, 3), generator=generator, dtype=torch.float64)
+    start = before.pose[systematic(log_weights.double(), 0.5, _DRAWS)].clone()
+    start[:, :3] += moves * moves.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
     first = History.empty().appended(history.segment(0))
     drawn = Trajectories.drawn(start, first, generator)
-    drawn = drawn.replayed(pose_filter.model, pose_filter.own, first, torch.zeros(len(start), dtype=torch.long))
-    found = []
-    for log_density_of in each:
-        heavier = log_density_of - proposal + drawn.log_likelihood[:, 0]
-        rows = resample_systematic(heavier, len(before), generator=generator)
-        begun = replace(drawn.at(rows), log_evidence=float(heavier.logsumexp(-1)) - math.log(len(moves)))
-        found.append(followed(begun, history, pose_filter, generator).log_evidence)
-    return found[0], found[1]
-
-
-def _moves(own: MisfitSettings, generator: torch.Generator) -> Float[Tensor, "M 3"]:
-    """Displacements (x, y, yaw): knocks, then offsets of a hand."""
-    drawn, knocks = normal((_DRAWS, 3), generator=generator, dtype=torch.float64), round(_KNOCKS * _DRAWS)
-    scale = drawn.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
-    return torch.cat((drawn[:knocks] * scale, displaced(HAND, drawn[knocks:], generator)))
-
-
-def _knock_density(moves: Float[Tensor, "M 3"], own: MisfitSettings) -> Float[Tensor, "M"]:
-    scale = moves.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
-    return -0.5 * (moves / scale).square().sum(-1) - scale.log().sum() - 1.5 * math.log(2.0 * math.pi)
+    drawn = drawn.replayed(pose_filter.model, pose_filter.own, first, torch.zeros(_DRAWS, dtype=torch.long))
+    gained = drawn.log_likelihood[:, 0]
+    begun = drawn.at(resample_systematic(gained, len(before), generator=generator))
+    begun = replace(begun, log_evidence=log_mean(torch.zeros_like(gained), gained))
+    return followed(begun, history, pose_filter, generator).log_evidence

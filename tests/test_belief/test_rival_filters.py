@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.belief.offset_rings import CAMERA, HAND
+from rumi.belief.offset_rings import CAMERA, HAND, STRAIGHT_RAD, drawn
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
@@ -128,3 +128,13 @@ def test_moves_leave_an_offset_its_prior(pose_filter):
     far = now.pose[:, :2].norm(dim=-1)
     assert float(far.mean()) == pytest.approx(HAND.middle, abs=1.5e-3) and float(far.max()) < 0.016
     assert not torch.equal(now.pose, hand.now.pose)
+
+
+@pytest.mark.parametrize("ring", [HAND, CAMERA])
+def test_offsets_are_about_so_far_any_way_and_hardly_turn(ring):
+    offsets = drawn(ring, 20000, generator(10))
+    far = offsets[:, :2].norm(dim=-1)
+    assert float(far.mean()) == pytest.approx(ring.middle, rel=0.02)
+    assert float(far.std()) == pytest.approx(ring.spread, rel=0.05)
+    assert float(offsets[:, :2].mean(0).norm()) < 0.02 * ring.middle
+    assert float(offsets[:, 2].std()) == pytest.approx(STRAIGHT_RAD, rel=0.05)

@@ -29,7 +29,6 @@ PRIOR: dict[str, float] = {
     "absent": 0.1,
     "dead hand": 0.1,
     "false contacts": 0.15,
-    "hand off": 0.05,
     "push model off": 0.1,
     "stuck hand": 0.03,
     "second object": 0.03,
@@ -39,7 +38,7 @@ PRIOR: dict[str, float] = {
 """What a run may be lost by, where particles have trajectories of their own, with the prior share of each."""
 
 _MISFITS = dict(zip(MISFITS, (0.6, 0.25, 0.15), strict=True))
-STATIC = {"hand off": 0.05, "camera off": 0.1, "another size": 0.1, "push model off": 0.05}
+STATIC = {"hand off": 0.1, "camera off": 0.1, "another size": 0.1, "push model off": 0.05}
 """The same of faults that hold from the first view on."""
 
 NOTHING_FELT = "absent or dead hand"
@@ -54,7 +53,7 @@ _FAULTY = 0.2  # share of runs with a fault, for what is told alone: no alarm ha
 _GONE = ("absent", "dead hand", NOTHING_FELT, "stuck hand", "hand off", HAND_OR_CAMERA, "stale camera")
 _SEARCHED = ("knocked", "none of these")  # with the same search after them
 _UNFELT = ("absent", "dead hand", NOTHING_FELT)
-_SURE = 0.8  # share of one of hand and camera in what both have, from which on it is named alone
+_SURE = 0.95  # share of one of hand and camera in what both have, from which on it is named alone
 _CLEAR, _WAITS = 0.7, 2  # probability from which on an alarm is named at once, and actions that it waits for it
 _TELLS = 1.0  # nats
 _STRAINED = -5.0  # nats of all readings so far, from which on faults from the first view on are asked about
@@ -145,9 +144,8 @@ def watch(
             static[name] - before.static[name] if ask else -math.inf for name, ask in zip(STATIC, asked, strict=True)
         ]
         ratios = torch.cat((ratios, ratios.new_tensor(further)))
-    over = {*(() if open_yet else ("hand off",)), *(("push model off",) if before.following else ())}
-    # a search is about what it touched, whatever hand and view are off by; no prior is wider than a wide one
-    ratios = ratios.where(torch.tensor([name not in over for name in names]), -torch.inf)
+    if before.following is not None:  # no prior is wider than a wide one
+        ratios = ratios.where(torch.tensor([name != "push model off" for name in names]), -torch.inf)
     evidence = test.update(evidence, ratios)
     weighed = torch.logsumexp(ratios + ratios.new_tensor(test.weights).log(), -1)
     chances = dict.fromkeys(["no fault", *names], 0.0)

@@ -111,8 +111,8 @@ def test_faults_that_nothing_tells_apart_are_named_together():
     assert lost._named(even) == (lost.NOTHING_FELT, 0.5)
     assert lost._named(even | {"dead hand": 0.2}) == ("knocked", 0.4)
     assert lost._named({"no fault": 0.5, "knocked": 0.2, "absent": 0.3}) == ("absent", 0.3)
-    beside = even | {"hand off": 0.5, "camera off": 0.25}
-    assert lost._named(beside) == (lost.HAND_OR_CAMERA, 0.75)
+    beside = even | {"hand off": 0.5, "camera off": 0.1}
+    assert lost._named(beside) == (lost.HAND_OR_CAMERA, 0.6)
     assert lost._named(beside | {"camera off": 0.01}) == ("hand off", 0.5)
 
 
