@@ -15,6 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any, get_args
 
 import torch
@@ -62,6 +63,7 @@ SIZES = {
     "mass": (2.0, 4.0),
 }
 STEPS, LATEST = 25, 6  # actions of a run, and the last one that a fault begins with
+TUNING = 1000  # seeds from here on are for tuning
 FAR_MM, FAR_DEG = 20.0, 20.0
 
 
@@ -155,11 +157,15 @@ def right(run: Mapping[str, Any]) -> bool:
 
 
 def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
-    """A table for each task and its conditions."""
-    groups: dict[tuple[str, str], list[Line]] = {}
-    for line in lines:
-        groups.setdefault((line["task"], line["conditions"]), []).append(line)
-    return "\n".join(f"{task}, {conditions}:\n\n{_table(some)}" for (task, conditions), some in groups.items())
+    """A table for each task and its conditions, seeds for tuning apart."""
+    groups: dict[tuple[str, str, bool], list[Line]] = {}
+    for line in sorted(lines, key=itemgetter("seed")):
+        groups.setdefault((line["task"], line["conditions"], line["seed"] >= TUNING), []).append(line)
+    parts = []
+    for (task, conditions, _), some in sorted(groups.items()):
+        seeds = f"seeds {some[0]['seed']} to {some[-1]['seed']}, {len(some)} of them"
+        parts.append(f"{task}, {conditions}, {seeds}:\n\n{_table(some)}")
+    return "\n".join(parts)
 
 
 def _table(lines: Sequence[Line]) -> str:

@@ -56,8 +56,9 @@ def test_the_table_tells_each_kind_and_the_runs_without():
     assert some[0] == "| any" and some[1].startswith("1/3")
     assert "false alarms 1/3" in text
     assert show([], {}) == ""
-    lab = show([*lines, lines[0] | {"conditions": "lab"}], {})
-    assert lab.startswith(text) and "mug, lab:" in lab and lab.count("| fault |") == 2
+    more = show([*lines, lines[0] | {"conditions": "lab"}, lines[0] | {"seed": 1003}], {})
+    assert more.startswith(text) and more.count("| fault |") == 3
+    assert "mug, lab, seeds 1 to 1, 1 of them:" in more and "mug, ideal, seeds 1003 to 1003, 1 of them:" in more
 
 
 def test_the_conditions_are_the_run_s():
