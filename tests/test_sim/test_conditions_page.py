@@ -8,9 +8,10 @@ from rumi.sim.conditions import MEMBERS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "scripts" / "docs" / "reference" / "conditions.md"
+_TASK = ("simulated", "depth_camera", "sensed", "free_region")
 SENSING = (
     *sorted((ROOT / "rumi" / "sim").glob("*.py")),
-    *(ROOT / "rumi" / "tasks" / "rummage" / f"{name}.py" for name in ("simulated", "sensed", "free_region")),
+    *(ROOT / "rumi" / "tasks" / "rummage" / f"{name}.py" for name in _TASK),
 )
 TRUTH = {"world_T_object", "_true", "exact", "cast", "_scene", "trace", "configuration"}
 """Attributes by which the simulator tells where and what object and tool truly are."""

@@ -20,7 +20,6 @@ from rumi.sim.force_sensing_world import ForceSensingWorld, WrenchTrace
 from rumi.sim.joint_torques import JointFeeler
 from rumi.sim.sensor_settings import SensorKind, SensorSettings
 from rumi.sim.settings import PhysicsSettings, SimSettings
-from rumi.sim.slip import measured_motion
 from rumi.sim.view_faults import miscalibration
 from rumi.sim.world import Track
 from rumi.task import StepResult
@@ -139,6 +138,7 @@ class HandleTask(SensedTask):
         felt, own = self.world.trace, self.fused.sensors
         assert felt is not None
         measured = self._measured(before, track)
+        assert measured is not None
         configuration = track.configuration.float()
         tool_pose = self.tool.pose(configuration)
         parts, instants, in_contact = self._felt_by_bubbles(track, tool_pose)
@@ -171,12 +171,6 @@ class HandleTask(SensedTask):
             wrench=touch,
             signals=signals,
         )
-
-    def _measured(self, before: Float[Tensor, "4 4"], track: Track) -> Float[Tensor, "K 4 4"]:
-        motion, sensors = track.world_T_object @ se3.inverse(before), self.sensors
-        noise = torch.randn(3, generator=self._generator, dtype=torch.float64)
-        spread = (sensors.motion_noise_m, sensors.motion_noise_m, sensors.motion_noise_rad)
-        return measured_motion(before, motion, noise * torch.tensor(spread, dtype=torch.float64)).float()
 
     def _arrived(self, count: int, generator: torch.Generator) -> Bool[Tensor, "K"]:
         """Which mini steps' readings are not lost."""

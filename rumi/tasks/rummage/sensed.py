@@ -15,10 +15,10 @@ from rumi.sim.bubble_camera import BubbleCamera
 from rumi.sim.fault import Fault
 from rumi.sim.robot_arm import RobotArm
 from rumi.sim.settings import PhysicsSettings, SimSettings
-from rumi.sim.slip import measured_motion
 from rumi.sim.view_faults import holed, miscalibration, taken_pose
 from rumi.sim.world import Track
 from rumi.task import StepResult
+from rumi.tasks.rummage.depth_camera import cast_pixels
 from rumi.tasks.rummage.free_region import region_about, region_unseen
 from rumi.tasks.rummage.raw_streams import RawStreams
 from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
@@ -29,7 +29,7 @@ from sensors.observation import Observation, concatenate
 from sensors.reading import Reading
 from sensors.semantics import Semantics
 from sensors.touch.bubble import Bubble, bubble_patch
-from sensors.vision.camera import look_at, pinhole, pixel_rays
+from sensors.vision.camera import look_at, pinhole
 from sensors.vision.view import Image, KnownScene, ViewSettings, view_observation
 
 _LOOK_S = 0.4
@@ -124,7 +124,7 @@ class SensedTask(SimTask):
         assert camera is not None
         intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad)
         pose = look_at(torch.tensor(camera.position).double(), torch.tensor(camera.target).double())
-        depth, color = self._frame(camera, pose)
+        depth, color = self._frame(camera)
         taken = taken_pose(pose, self._off, self.sensors, camera.target).float()
         count, tool_pose = self._look_frames, self.tool.pose(self._configuration())
         body = tool_pose.expand(len(self._links.links), 4, 4)
@@ -161,15 +161,10 @@ class SensedTask(SimTask):
             last = last[last.of_class(Semantics.SURFACE)]
         return last
 
-    def _frame(
-        self, camera: CameraSpec, pose: Float[Tensor, "4 4"]
-    ) -> tuple[Float[Tensor, "H W"], UInt8[Tensor, "H W 3"]]:
+    def _frame(self, camera: CameraSpec) -> tuple[Float[Tensor, "H W"], UInt8[Tensor, "H W 3"]]:
         """Depth without noise, and colours: everything above the floor is blue."""
-        intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad, dtype=torch.float64)
-        rays = pixel_rays(camera.height, camera.width, intrinsics).reshape(-1, 3) @ pose[:3, :3].mT
-        depth, _ = self.world.cast(pose[:3, 3], rays)
-        above = (pose[2, 3] + depth * rays[:, 2]).nan_to_num(nan=math.inf) > _FLOOR_M
-        above &= torch.isfinite(depth)
+        depth, _, height = cast_pixels(self.world, camera)
+        above = (height.nan_to_num(nan=math.inf) > _FLOOR_M) & torch.isfinite(depth)
         color = torch.tensor(_GREY, dtype=torch.uint8).expand(len(depth), 3).clone()
         color[above] = torch.tensor(_BLUE, dtype=torch.uint8)
         shape = (camera.height, camera.width)
@@ -180,12 +175,7 @@ class SensedTask(SimTask):
 
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> Reading:
         """What was felt and swept on the way."""
-        motion = track.world_T_object @ se3.inverse(before)
-        shift = math.hypot(self.sensors.motion_noise_m, self.spec.motion_noise_m)
-        turn = math.hypot(self.sensors.motion_noise_rad, self.spec.motion_noise_rad)
-        noise = torch.randn(3, generator=self._generator, dtype=torch.float64)
-        noise = noise * torch.tensor((shift, shift, turn), dtype=torch.float64)
-        measured = measured_motion(before, motion, noise).float() if self._measures else None
+        measured = self._measured(before, track)
         configuration = self._offset.taken(track.configuration).float()
         tool_pose = self.tool.pose(configuration)
         parts, instants, in_contact = self._felt_by_bubbles(track, tool_pose)

@@ -31,6 +31,7 @@ from rumi.sim.view_faults import ViewFaults, taken_pose
 from rumi.sim.world import Track, World
 from rumi.sim.wrist_force import wrist_force
 from rumi.task import StepResult
+from rumi.tasks.rummage.depth_camera import depth_image, moved, without_robot
 from rumi.tasks.rummage.free_region import floor_points, region_about, region_of_prior, region_unseen
 from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
 from sdf import se3
@@ -38,10 +39,8 @@ from sdf.object_model import ObjectModel
 from sensors.observation import Observation, concatenate
 from sensors.reading import FORCE, TORQUE_CONTACT, Reading
 from sensors.touch.tactile import InstantPoints, points_in_box, swept_points, tactile_observation, touched_points
-from sensors.vision.camera import depth_observation, look_at, pinhole, pixel_points, pixel_rays
+from sensors.vision.camera import depth_observation, look_at, pinhole
 from sensors.vision.robot_body import RobotBody
-
-_CUT_M = 0.010  # about the floor and the gripper, within which what a wrong mask shows is not taken for the object
 
 
 class SimTask:
@@ -261,7 +260,8 @@ class SimTask:
             world_T_camera = taken_pose(true, self._view_faults.off, sensors, camera.target).float()
         depth, is_object = self.depth_image()
         if self.settings.view.mask_px:
-            is_object = self._cut(depth, is_object, intrinsics, world_T_camera)
+            tool = self.tool.pose(self._configuration()[None])
+            is_object = without_robot(is_object, depth, intrinsics, world_T_camera, self._links, tool)
         surface = depth_observation(depth, intrinsics, world_T_camera, is_object).points
         if len(surface) == 0:
             if self._steps == 0:
@@ -281,46 +281,18 @@ class SimTask:
 
     def _camera(self) -> CameraSpec | None:
         """The camera where it stands in this run, which is known."""
-        camera = self.spec.camera
-        if camera is None or self.settings.view.eye_m == 0:
-            return camera
-        x, y, z = (torch.tensor(camera.position).double() + self._view_faults.eye_m).tolist()
-        return replace(camera, position=(x, y, z))
-
-    def _cut(
-        self,
-        depth: Float[Tensor, "H W"],
-        mask: Bool[Tensor, "H W"],
-        intrinsics: Float[Tensor, "3 3"],
-        world_T_camera: Float[Tensor, "4 4"],
-    ) -> Bool[Tensor, "H W"]:
-        """A mask without what shows the floor or the gripper, whose places the robot knows."""
-        shown = mask & torch.isfinite(depth) & (depth > 0)
-        points = se3.apply(world_T_camera, pixel_points(depth, shown, intrinsics))
-        tool = self.tool.pose(self._configuration()[None]).expand(len(self._links.links), 4, 4)
-        kept = mask.clone()
-        kept[shown] = (points[:, 2] > _CUT_M) & ~self._links.near(points, tool, _CUT_M)
-        return kept
+        return None if self.spec.camera is None else moved(self.spec.camera, self._view_faults)
 
     def depth_image(self) -> tuple[Float[Tensor, "H W"], Bool[Tensor, "H W"]]:
-        """Depth (H, W), metres, infinite where nothing is met, 0 where nothing is known; and the object's mask (H, W).
+        """Depth and the object's mask, as `rumi.tasks.rummage.depth_camera.depth_image` has them, of what is there now.
 
-        Both with the errors of the camera.
+        Raises:
+            UsageError: the task has no camera.
         """
         camera = self._camera()
         if camera is None:
             raise UsageError(f"Expected a task with a camera, got {self.spec.name}")
-        intrinsics = pinhole(camera.height, camera.width, camera.field_of_view_rad, dtype=torch.float64)
-        pose = look_at(torch.tensor(camera.position).double(), torch.tensor(camera.target).double())
-        rays = pixel_rays(camera.height, camera.width, intrinsics).reshape(-1, 3) @ pose[:3, :3].mT
-        # directions with a forward part of 1: the distance along them is the depth
-        depth, is_object = self.world.cast(pose[:3, 3], rays)
-        if self.spec.depth_noise_m > 0:
-            noise = torch.randn(depth.shape, generator=self._generator, dtype=depth.dtype)
-            depth = depth + self.spec.depth_noise_m * noise
-        shape = (camera.height, camera.width)
-        depth = self._view_faults.noisy(depth.reshape(shape).float())
-        return depth, self._view_faults.masked(is_object.reshape(shape))
+        return depth_image(self.world, camera, self._view_faults, self.spec.depth_noise_m, self._generator)
 
     def finish(self, action: Any) -> Any:  # noqa: ANN401  (a subclass's own)
         """Nothing is done at the end."""
@@ -345,14 +317,7 @@ class SimTask:
         return control.clamp(-1.0, 1.0)
 
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> Reading:
-        motion = track.world_T_object @ se3.inverse(before)
-        # drawn whether or not the object moved, so that one action's noise does not depend on another's contact
-        shift = math.hypot(self.spec.motion_noise_m, self.settings.sensors.motion_noise_m)
-        turn = math.hypot(self.spec.motion_noise_rad, self.settings.sensors.motion_noise_rad)
-        noise = torch.randn(3, generator=self._generator, dtype=torch.float64) * torch.tensor(
-            (shift, shift, turn), dtype=torch.float64
-        )
-        measured = measured_motion(before, motion, noise).float() if self._measures else None
+        measured = self._measured(before, track)
         configuration = self._offset.taken(track.configuration).float()
         tool_pose = self._taken_pose(track)
         object_T_tool = (se3.inverse(track.world_T_object) @ self._true_pose(track).double()).float()
@@ -372,6 +337,18 @@ class SimTask:
             refused,
             float(self.world.data.time),
         )
+
+    def _measured(self, before: Float[Tensor, "4 4"], track: Track) -> Float[Tensor, "K 4 4"] | None:
+        """The object's motion since the action's start, by a slip sensor; None where there is no such sensor."""
+        sensors = self.settings.sensors
+        shift = math.hypot(self.spec.motion_noise_m, sensors.motion_noise_m)
+        turn = math.hypot(self.spec.motion_noise_rad, sensors.motion_noise_rad)
+        # drawn whether or not the object moved, so that one action's noise does not depend on another's contact
+        noise = torch.randn(3, generator=self._generator, dtype=torch.float64)
+        noise = noise * torch.tensor((shift, shift, turn), dtype=torch.float64)
+        if not self._measures:
+            return None
+        return measured_motion(before, track.world_T_object @ se3.inverse(before), noise).float()
 
     def _true_pose(self, track: Track) -> Float[Tensor, "K 4 4"]:
         """Where the tool was."""
