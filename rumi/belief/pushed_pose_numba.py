@@ -78,66 +78,6 @@ def _variance(n, before, pose, numbers):
 
 
 @bare
-def _weigh(
-    before,
-    pose,
-    log_weights,
-    normal,
-    chance,
-    reading,
-    noise,
-    others,
-    numbers,
-    repeated,
-    terms,
-    shares,
-    lost,
-    after,
-    by_other,
-    sums,
-):
-    """Weights and poses of particles given a reading; `pose` is where they are pushed, see `update_by_reading`."""
-    log_told, log_outlier = numbers[3], numbers[4]
-    for n in range(len(pose)):
-        metres, turn = _variance(n, before, pose, numbers)
-        off_x, off_y, off_yaw = reading[0] - pose[n, 0], reading[1] - pose[n, 1], _wrapped(reading[2] - pose[n, 2])
-        told = log_told + _log_normal(off_x, off_y, off_yaw, metres + noise[0], metres + noise[1], turn + noise[2])
-        most = max(told, repeated)
-        for a in range(len(others)):
-            other = _log_normal(
-                off_x,
-                off_y,
-                off_yaw,
-                metres + noise[0] + others[a, 0],
-                metres + noise[1] + others[a, 1],
-                turn + noise[2] + others[a, 2],
-            )
-            terms[1 + a, n] = log_weights[n] + other
-            if a < 2:
-                lost[a] = log_outlier + other
-                most = max(most, lost[a])
-        tells, outlies = math.exp(told - most), math.exp(lost[0] - most) + math.exp(lost[1] - most)
-        whole = tells + outlies + math.exp(repeated - most)
-        terms[0, n] = log_weights[n] + most + math.log(whole)
-        shares[0, n], shares[1, n] = tells / whole, outlies / whole
-        takes = 1.0 if chance[n] < shares[0, n] else 0.0
-        for axis in range(3):
-            variance = turn if axis == 2 else metres
-            off = off_x if axis == 0 else off_y if axis == 1 else off_yaw
-            gain = takes * variance / (variance + noise[axis])
-            pose[n, axis] = pose[n, axis] + gain * off + math.sqrt((1.0 - gain) * variance) * normal[n, axis]
-    total, told, untold = _log_sum(terms[0]), 0.0, 0.0
-    for n in range(len(pose)):
-        after[n] = terms[0, n] - total
-        weight = math.exp(after[n])
-        told += weight * shares[0, n]
-        untold += weight * shares[1, n]
-    for a in range(len(others)):
-        by_other[a] = _log_sum(terms[1 + a])
-    sums[0], sums[1], sums[2] = total, told, untold
-
-
-@bare
 def _follow(pose, after, trail, new_trail):
     """Effective sample size of the weights; the mean of poses that are near one place goes before the last ones."""
     for k in range(1, len(trail)):
@@ -213,24 +153,45 @@ def _take_reading(
         )
         _log_old(reading, trail, last, lags, old_variance, old)
         repeated = numbers[5] + old[len(lags)]
-        _weigh(
-            before,
-            pose,
-            log_weights,
-            normal,
-            chance,
-            reading,
-            noise,
-            others,
-            numbers,
-            repeated,
-            terms,
-            shares,
-            lost,
-            after,
-            by_other,
-            sums,
-        )
+        # weights and poses given the reading; `pose` is where particles are pushed, see `update_by_reading`
+        log_told, log_outlier = numbers[3], numbers[4]
+        for n in range(len(pose)):
+            metres, turn = _variance(n, before, pose, numbers)
+            off_x, off_y, off_yaw = reading[0] - pose[n, 0], reading[1] - pose[n, 1], _wrapped(reading[2] - pose[n, 2])
+            told = log_told + _log_normal(off_x, off_y, off_yaw, metres + noise[0], metres + noise[1], turn + noise[2])
+            most = max(told, repeated)
+            for a in range(len(others)):
+                other = _log_normal(
+                    off_x,
+                    off_y,
+                    off_yaw,
+                    metres + noise[0] + others[a, 0],
+                    metres + noise[1] + others[a, 1],
+                    turn + noise[2] + others[a, 2],
+                )
+                terms[1 + a, n] = log_weights[n] + other
+                if a < 2:
+                    lost[a] = log_outlier + other
+                    most = max(most, lost[a])
+            tells, outlies = math.exp(told - most), math.exp(lost[0] - most) + math.exp(lost[1] - most)
+            whole = tells + outlies + math.exp(repeated - most)
+            terms[0, n] = log_weights[n] + most + math.log(whole)
+            shares[0, n], shares[1, n] = tells / whole, outlies / whole
+            takes = 1.0 if chance[n] < shares[0, n] else 0.0
+            for axis in range(3):
+                variance = turn if axis == 2 else metres
+                off = off_x if axis == 0 else off_y if axis == 1 else off_yaw
+                gain = takes * variance / (variance + noise[axis])
+                pose[n, axis] = pose[n, axis] + gain * off + math.sqrt((1.0 - gain) * variance) * normal[n, axis]
+        total, told, untold = _log_sum(terms[0]), 0.0, 0.0
+        for n in range(len(pose)):
+            after[n] = terms[0, n] - total
+            weight = math.exp(after[n])
+            told += weight * shares[0, n]
+            untold += weight * shares[1, n]
+        for a in range(len(others)):
+            by_other[a] = _log_sum(terms[1 + a])
+        sums[0], sums[1], sums[2] = total, told, untold
         sums[3] = _follow(pose, after, trail, new_trail)
         count, lost = len(others) - 2, len(old)
         for k in range(len(ratios)):  # knocks, what the tracker repeats, and what is far off
