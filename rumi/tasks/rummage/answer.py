@@ -33,7 +33,7 @@ _RECORD: dict[Motion, str] = {
     "corrected": ": 16 of 30 drawn mugs on record did",
     "trajectory": ": 2 of 100 drawn mugs on record did, 4 of 36 other objects",
 }
-"""What such runs came to; scripts/docs/results/push_models.md, mugs without a slip sensor."""
+"""What such runs came to in ideal conditions; scripts/docs/results/push_models.md, mugs without a slip sensor."""
 
 _ENDED: dict[StopReason, str] = {
     "steps": "all actions are used up",
@@ -82,9 +82,11 @@ def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[st
     if rummager.looks_again or _seen_again(history):
         return ()
     if motion != "measured":
+        ideal = not rummager.conditions or rummager.conditions.startswith("ideal")
+        record, page = (_RECORD.get(motion, ""), "push_models") if ideal else ("", "conditions")
         return (
             f"the object's motion is not measured, but {_TAKEN[motion]}, and no camera looks again: the belief may end "
-            f"sure and wrong{_RECORD.get(motion, '')} (scripts/docs/results/push_models.md)",
+            f"sure and wrong{record} (scripts/docs/results/{page}.md)",
         )
     missing = [str(record.step) for record in history[1:] if record.reading.object_motion is None]
     if not missing:

@@ -122,3 +122,12 @@ def test_it_says_what_it_relies_on(motion, changes, words, warned, capsys):
     unseen = replace(free, observation=free.observation[none], instant=none)
     assert warnings(agent, (record, replace(record, reading=VIEW))) == (), "a camera saw it again"
     assert bool(warnings(agent, (record, replace(record, reading=unseen)))) is bool(missing)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "told"), [("ideal", True), ("ideal, but measures_motion False", True), ("lab", False)]
+)
+def test_the_record_of_ideal_conditions_is_told_of_those_alone(conditions, told):
+    agent = replace(rummager(motion="trajectory"), conditions=conditions)
+    assert ("drawn mugs on record" in warnings(agent)[0]) is told
+    assert ("results/conditions.md" in warnings(agent)[0]) is not told
