@@ -21,6 +21,13 @@ _PARTS = 16
 _SLACK_M = 1e-6
 
 
+def level_pose(q: Float[Tensor, "*b Q"], height_m: float | None) -> Float[Tensor, "*b 4 4"]:
+    """world_T_tool of a level tool at configurations: x, y and yaw at a height, or x, y, z and yaw where it is None."""
+    if height_m is not None:
+        return se3.from_planar(q, height_m)
+    return se3.from_planar(torch.cat((q[..., :2], q[..., 3:]), -1), q[..., 2])
+
+
 class Tool(nn.Module):
     """A level gripper: it moves in a plane, configuration (x, y, yaw), or in space, (x, y, z, yaw); metres and radians.
 
@@ -71,9 +78,7 @@ class Tool(nn.Module):
 
     def pose(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b 4 4"]:
         """world_T_tool at configurations."""
-        if not self.spatial:
-            return se3.from_planar(q, self.height_m)
-        return se3.from_planar(torch.cat((q[..., :2], q[..., 3:]), -1), q[..., 2])
+        return level_pose(q, None if self.spatial else self.height_m)
 
     def points(self, q: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b n 3"]:
         """World points of the whole body at configurations, metres (RUMI's h)."""

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from torch import Tensor
 
 from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape
+from rumi.robot.tool import level_pose
 from rumi.sim.arm_kinematics import ArmKinematics
 from rumi.sim.arm_path import ToolPath
 from rumi.sim.bodies import Body
@@ -20,7 +20,7 @@ from rumi.sim.robot_arm import RobotArm
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.scene import compiled, scene_spec
 from rumi.sim.settings import PhysicsSettings
-from rumi.sim.world import _LEVER_M, Track, World
+from rumi.sim.world import LEVER_M, Track, World
 from sdf import se3
 from sdf.base import SDF
 from sdf.bounds import Checked, NotNegative, Positive
@@ -178,23 +178,30 @@ class ArmWorld(World):
         ends = np.maximum(1, np.round(way.ends / step_s).astype(int))
         ends[-1] += max(1, round(hold_s / step_s)) if hold_s > 0 else 0
         commands = way.sampled(step_s, int(ends[-1]))
-        states, tools = np.empty((len(ends), len(self.data.qpos))), np.empty((len(ends), 4, 4))
-        rest, signals, links = self._residual, [], []
+        tools, signals, links = [], [], []
+        rest, samples, touched = self._residual, self._last, False
         stopped_at: int | None = None
-        for index, (first, last) in enumerate(pairwise((0, *ends.tolist()))):
-            touched, samples = False, self._last
-            for step in range(first, last):
-                samples.append(self._step(*self._command(commands, step, stopped_at)))
-                touched = touched or self._link_touches()
-            felt, self._last = self._felt(samples, step_s), samples[-1:]
-            states[index], tools[index] = self.data.qpos, self._world_T_tool()
+
+        def drive(step: int) -> None:
+            nonlocal touched
+            samples.append(self._step(*self._command(commands, step, stopped_at)))
+            touched = touched or self._link_touches()
+
+        def ended(index: int, steps: int) -> None:
+            nonlocal samples, touched, stopped_at
+            felt, samples = self._felt(samples, step_s), samples[-1:]
+            tools.append(self._world_T_tool())
             signals.append(bool((felt.mean(0) - rest).norm() > self.control.threshold_nm))
             links.append(touched)
-            if stopped_at is None and all(signals[-2:]) and index and self._elsewhere(tools[index]):
-                stopped_at = last - 1
+            touched = False
+            if stopped_at is None and all(signals[-2:]) and index and self._elsewhere(tools[-1]):
+                stopped_at = steps - 1
+
+        states = self._through(ends.tolist(), drive, ended)
+        self._last = samples
         self._wanted = way.joints[-1] if stopped_at is None else commands[0][stopped_at]
         self.signals, self.links_touch = torch.tensor(signals), torch.tensor(links)
-        pose = torch.from_numpy(tools)
+        pose = torch.from_numpy(np.stack(tools))
         whole = way.arrived == len(ends) and stopped_at is None
         refused = 0.0 if whole else float((self._commanded() - poses[-1, :3, 3]).norm())
         return Track(self._configurations(pose), self._object_poses(states), pose, refused)
@@ -231,10 +238,7 @@ class ArmWorld(World):
 
     def _level(self, configuration: Float[Tensor, "*b Q"]) -> Float[Tensor, "*b 4 4"]:
         """world_T_tool of level tools."""
-        own = configuration.double()
-        if self.height_m is not None:
-            return se3.from_planar(own, self.height_m)
-        return se3.from_planar(torch.cat((own[..., :2], own[..., 3:]), -1), own[..., 2])
+        return level_pose(configuration.double(), self.height_m)
 
     def _step(self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> Sample:
         """One control step: measure, command, let the engine step."""
@@ -245,7 +249,7 @@ class ArmWorld(World):
         jacobian = self.kinematics.jacobian(joints)[list(_AXES)]
         error = position - joints
         if math.isfinite(self.physics.lead_m):
-            ahead = np.abs(jacobian @ error) / (self.physics.lead_m * np.array((1.0, 1.0, 1.0, 1.0 / _LEVER_M)))
+            ahead = np.abs(jacobian @ error) / (self.physics.lead_m * np.array((1.0, 1.0, 1.0, 1.0 / LEVER_M)))
             error = error / max(1.0, float(ahead.max()))
         w = own.bandwidth
         servo = mass @ (w * w * error + 2.0 * w * (velocity - speed))

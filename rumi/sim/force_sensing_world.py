@@ -1,14 +1,12 @@
 """Simulated world with the contact wrench at every step of the physics, for wrist and joint sensors."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.sim.world import _LEVER_M, Track, World
+from rumi.sim.world import Track, World
 
 
 class WrenchTrace(NamedTuple):
@@ -33,36 +31,23 @@ class ForceSensingWorld(World):
 
     trace: WrenchTrace | None = None
     _own: int | None = None
+    _steps: list[tuple[np.ndarray, np.ndarray]] | None = None
 
     def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float) -> Track:
         """Drive the gripper as `World.move` does."""
-        step_s = float(self.model.opt.timestep)
-        count, steps = len(targets), round(action_s / step_s)
-        held = max(1, round(hold_s / step_s)) if hold_s > 0 else 0
-        knots = np.concatenate((np.asarray(self.data.ctrl)[None], targets.double().numpy()))
-        phase = (np.arange(steps) + 1.0) * (count / steps)
-        commands = np.stack(
-            [np.interp(phase, np.arange(count + 1.0), knots[:, axis]) for axis in range(knots.shape[1])], -1
-        )
-        ends = [max(1, round((k + 1) * steps / count)) - 1 for k in range(count)]
-        ends[-1] += held
-        control, position, gripper = self.data.ctrl, self.data.qpos, self._gripper
-        ahead = np.array([self.physics.lead_m] * (len(gripper) - 1) + [self.physics.lead_m / _LEVER_M])
-        states = np.empty((steps + held, len(position)))
-        wrenches = np.empty((steps + held, 6))
-        began = float(self.data.time)
-        for index in range(steps + held):
-            if index < steps:
-                control[:] = commands[index]
-                if math.isfinite(self.physics.lead_m):
-                    np.clip(control, position[gripper] - ahead, position[gripper] + ahead, out=control)
-            self._mujoco.mj_step(self.model, self.data)
-            states[index] = position
-            wrenches[index] = self._wrench(position[gripper])
-        stamp = began + step_s * (1.0 + np.arange(steps + held))
-        self.trace = WrenchTrace(stamp, states[:, gripper], wrenches, np.array(ends))
-        kept = states[ends]
-        return Track(torch.from_numpy(kept[:, gripper]), self._object_poses(kept))
+        began, self._steps = float(self.data.time), []
+        track = super().move(targets, action_s, hold_s)
+        configuration, wrench = (np.stack(rows) for rows in zip(*self._steps, strict=True))
+        stamp = began + float(self.model.opt.timestep) * (1.0 + np.arange(len(wrench)))
+        ends = np.array(self._ends(len(targets), action_s, hold_s)) - 1
+        self.trace, self._steps = WrenchTrace(stamp, configuration, wrench, ends), None
+        return track
+
+    def _advance(self) -> None:
+        super()._advance()
+        if self._steps is not None:
+            configuration = np.array(self.data.qpos[self._gripper])
+            self._steps.append((configuration, self._wrench(configuration)))
 
     def _wrench(self, configuration: np.ndarray) -> np.ndarray:
         """Force of contact on the gripper and its moment about the tool frame's origin, in the last step."""

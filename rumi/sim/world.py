@@ -1,6 +1,8 @@
 """Simulated world: MuJoCo behind a few plain calls."""
 
 import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +21,8 @@ from sdf.extras import optional
 
 _SETTLE_S = 1.0
 _STANDS_DEG = 10.0
-_LEVER_M = 0.1  # of a turn of the gripper, by which angles are measured against lengths
+LEVER_M = 0.1
+"""Of a turn of the gripper, by which angles are measured against lengths."""
 
 
 class Track(NamedTuple):
@@ -125,30 +128,56 @@ class World:
 
     def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float) -> Track:
         """Drive the gripper through targets spread evenly over `action_s`, then hold; the last entry is after that."""
-        step_s = float(self.model.opt.timestep)
-        count, steps = len(targets), round(action_s / step_s)
+        count, steps = len(targets), round(action_s / float(self.model.opt.timestep))
         knots = np.concatenate((np.asarray(self.data.ctrl)[None], targets.double().numpy()))
         # the commands in between go along straight lines
         phase = (np.arange(steps) + 1.0) * (count / steps)
         commands = np.stack(
             [np.interp(phase, np.arange(count + 1.0), knots[:, axis]) for axis in range(knots.shape[1])], -1
         )
-        ends = {max(1, round((k + 1) * steps / count)): k for k in range(count)}
-        control, position, step = self.data.ctrl, self.data.qpos, self._mujoco.mj_step
-        states = np.empty((count, len(position)))
-        lead, gripper = self.physics.lead_m, self._gripper
-        ahead = np.array([lead] * (len(gripper) - 1) + [lead / _LEVER_M])
-        for index, command in enumerate(commands):
-            control[:] = command
-            if math.isfinite(lead):
-                np.clip(control, position[gripper] - ahead, position[gripper] + ahead, out=control)
-            step(self.model, self.data)
-            if index + 1 in ends:
-                states[ends[index + 1]] = position
-        if hold_s > 0:
-            self._mujoco.mj_step(self.model, self.data, nstep=max(1, round(hold_s / step_s)))
-            states[-1] = position
-        return Track(torch.from_numpy(states[:, self._gripper]), self._object_poses(states))
+        control, position, lead, gripper = self.data.ctrl, self.data.qpos, self.physics.lead_m, self._gripper
+        ahead = np.array([lead] * (len(gripper) - 1) + [lead / LEVER_M])
+
+        def drive(step: int) -> None:
+            if step < steps:
+                control[:] = commands[step]
+                if math.isfinite(lead):
+                    np.clip(control, position[gripper] - ahead, position[gripper] + ahead, out=control)
+            self._advance()
+
+        states = self._through(self._ends(count, action_s, hold_s), drive)
+        return Track(torch.from_numpy(states[:, gripper]), self._object_poses(states))
+
+    def _ends(self, count: int, action_s: float, hold_s: float) -> list[int]:
+        """How many steps of the physics have been taken at the end of each mini step; the last is after the hold."""
+        step_s = float(self.model.opt.timestep)
+        steps = round(action_s / step_s)
+        ends = [max(1, round((k + 1) * steps / count)) for k in range(count)]
+        ends[-1] += max(1, round(hold_s / step_s)) if hold_s > 0 else 0
+        return ends
+
+    def _through(
+        self, ends: Sequence[int], drive: Callable[[int], None], ended: Callable[[int, int], None] | None = None
+    ) -> np.ndarray:
+        """Go through mini steps; the state (K, N) at the end of each.
+
+        Args:
+            ends: how many steps of the physics have been taken at the end of each.
+            drive: commands and takes a step.
+            ended: told of each mini step's number and of the steps taken, once it is over.
+        """
+        states = np.empty((len(ends), len(self.data.qpos)))
+        for index, (first, last) in enumerate(pairwise((0, *ends))):
+            for step in range(first, last):
+                drive(step)
+            states[index] = self.data.qpos
+            if ended is not None:
+                ended(index, last)
+        return states
+
+    def _advance(self) -> None:
+        """Let the physics take a step."""
+        self._mujoco.mj_step(self.model, self.data)
 
     def place(self, world_T_object: Float[Tensor, "4 4"]) -> None:
         """Put the object somewhere else, at rest."""
