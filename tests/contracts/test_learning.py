@@ -13,6 +13,12 @@ import pytest
 from tests.fixtures.learning_checks import ALONE, QUICK, SLOW
 from tests.fixtures.learning_pieces import PIECES, Piece
 
+# of torch's own transforms: rules that are compiled by what it is about to give up, or not there yet
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated:DeprecationWarning"),
+    pytest.mark.filterwarnings("ignore:There is a performance drop because we have not yet implemented:UserWarning"),
+    pytest.mark.filterwarnings("ignore:.*input value tensor is non-contiguous:UserWarning"),
+]
 ROOT = Path(__file__).resolve().parents[2]
 FEW = ("Discrepancy", "ContactModel, proximity")
 

@@ -20,7 +20,7 @@ def box_prior(**changes):
     return PosePrior.of(values["mean"], values["spread_m"], values["bounds"], values["up"])
 
 
-@pytest.mark.parametrize(("up", "height"), zip("xyz", HALF, strict=True))
+@pytest.mark.parametrize(("up", "height"), list(zip("xyz", HALF, strict=True)))
 def test_lies_on_the_floor(up, height):
     pose = lying(BOUNDS, up)
     assert float(torch.linalg.det(pose[:3, :3])) == pytest.approx(1.0)

@@ -46,14 +46,19 @@ def made_up(clock):
     return make
 
 
+@pytest.fixture(scope="module")
+def machine():
+    """What a result says of this machine, which takes a third of a second to find out."""
+    return environment(torch.device("cpu"))
+
+
 @pytest.fixture
-def run(made_up, clock):
+def run(made_up, clock, machine):
     """A case carried out, as it is written down."""
 
     def record(quick=0.01, name="some", **more):
         result = carry_out(name, made_up(quick, **more), budget_s=1.0, clock=clock)
-        machine = environment(torch.device("cpu"))
-        return {"schema": 1, "machine": machine, "cases": [json.loads(json.dumps(result.as_dict()))]}
+        return {"schema": 1, "machine": machine.copy(), "cases": [json.loads(json.dumps(result.as_dict()))]}
 
     return record
 

@@ -175,6 +175,7 @@ def test_transforms_of_torch_func(grid, generator):
     torch.testing.assert_close(torch.func.vmap(torch.func.grad(grid.distance))(points), query.gradient)
 
 
+@pytest.mark.filterwarnings("ignore:Dynamo detected a call to a `functools.lru_cache`:UserWarning")
 def test_compiled_look_up_equals_eager(no_shape_check, grid, generator):
     points = around(grid, 0.4, 100, generator, torch.float32)
     compiled = torch.compile(grid.distance, fullgraph=True, backend="eager")
