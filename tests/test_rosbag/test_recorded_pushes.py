@@ -105,21 +105,28 @@ def test_another_file_is_refused(tmp_path):
 
 
 @pytest.mark.data
-def test_recorded_blocks_are_pushed_where_the_tip_is(tmp_path):
+@pytest.mark.parametrize(
+    "name",
+    [
+        "Al_block/Test_metal_1.bag",
+        pytest.param("Plastic_block/Test_changing_vel_1.bag", marks=pytest.mark.slow),
+        pytest.param("St_block/Test_st_3.bag", marks=pytest.mark.slow),
+    ],
+)
+def test_recorded_blocks_are_pushed_where_the_tip_is(tmp_path, name):
     folder = Path(os.environ.get("RUMI_DATA", "")) / "vicon_bags"
     if not os.environ.get("RUMI_DATA") or not folder.is_dir():
         pytest.skip("RUMI_DATA is not set")
-    for name in ("Al_block/Test_metal_1.bag", "Plastic_block/Test_changing_vel_1.bag", "St_block/Test_st_3.bag"):
-        found = pushes_of(folder / name, tmp_path / f"{Path(name).stem}.h5")
-        assert len(found.time_s) > 100 and all(bool(part.isfinite().all()) for part in found)
-        way = (found.block[:, :2, 3] - found.block[0, :2, 3]).norm(dim=-1)
-        assert float(way[-1]) > 0.1
-        # while the block moves, the tip is at its border: the distance from its middle is that of a block some cm wide
-        moving = np.gradient(way.numpy(), found.time_s.numpy()) > 0.02
-        apart = (found.tip[:, :2] - found.block[:, :2, 3]).norm(dim=-1)[torch.tensor(moving)]
-        assert 0.02 < float(apart.median()) < 0.10, (name, float(apart.median()))
-        force = found.wrench[torch.tensor(moving), :2].norm(dim=-1)
-        assert float(force.median()) > 0.5
+    found = pushes_of(folder / name, tmp_path / f"{Path(name).stem}.h5")
+    assert len(found.time_s) > 100 and all(bool(part.isfinite().all()) for part in found)
+    way = (found.block[:, :2, 3] - found.block[0, :2, 3]).norm(dim=-1)
+    assert float(way[-1]) > 0.1
+    # while the block moves, the tip is at its border: the distance from its middle is that of a block some cm wide
+    moving = np.gradient(way.numpy(), found.time_s.numpy()) > 0.02
+    apart = (found.tip[:, :2] - found.block[:, :2, 3]).norm(dim=-1)[torch.tensor(moving)]
+    assert 0.02 < float(apart.median()) < 0.10, (name, float(apart.median()))
+    force = found.wrench[torch.tensor(moving), :2].norm(dim=-1)
+    assert float(force.median()) > 0.5
 
 
 def test_poses_by_topics_are_frames_of_the_log(tmp_path):
