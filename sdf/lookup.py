@@ -9,57 +9,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import backend
-from sdf.base import SDFQuery
-from sdf.check import check_shape, keep_within_reach
-
-
-def trilinear(
-    values: Float[Tensor, "X Y Z"],
-    origin: Float[Tensor, "3"],
-    spacing: float,
-    points: Float[Tensor, "*b 3"],
-) -> SDFQuery:
-    """Value at some points and its gradient, both of the trilinear interpolant, clamped to the lattice's box.
-
-    The gradient is that of the interpolant itself: piecewise, of the cell that `floor` picks, 0 along an axis on
-    which the point was clamped or which has a single node. Autograd goes through value and gradient to points
-    and to values.
-
-    Args:
-        values: (X, Y, Z), at the nodes.
-        origin: (3,), metres, where node (0, 0, 0) is.
-        spacing: metres between nodes, the same on every axis.
-        points: (*b, 3), metres; a coordinate that is not finite counts as very far (`sdf.check.FAR`).
-
-    Raises:
-        ValueError: if a shape does not fit.
-    """
-    return backend.dispatch("trilinear", values, origin, points)(values, origin, spacing, points)
-
-
-def trilinear_value(
-    values: Float[Tensor, "X Y Z"],
-    origin: Float[Tensor, "3"],
-    spacing: float,
-    points: Float[Tensor, "*b 3"],
-) -> Float[Tensor, "*b"]:
-    """The value alone of `trilinear`, quicker; differentiable in the same way."""
-    return backend.dispatch("trilinear_value", values, origin, points)(values, origin, spacing, points)
-
-
-@backend.register("trilinear")
-def _trilinear(values: Tensor, origin: Tensor, spacing: float, points: Tensor) -> SDFQuery:
-    cells, inside = _cells(values, origin, spacing, points)
-    value, slopes = interpolate_with_slopes(values, cells)
-    gradient = [slope * mask for slope, mask in zip(slopes, inside, strict=True)]
-    return SDFQuery(value, torch.stack(gradient, dim=-1) / spacing)
-
-
-@backend.register("trilinear_value")
-def _trilinear_value(values: Tensor, origin: Tensor, spacing: float, points: Tensor) -> Tensor:
-    return interpolate(values, _cells(values, origin, spacing, points)[0])
-
 
 def interpolate(values: Float[Tensor, "X Y Z *C"], cells: list[Tensor]) -> Float[Tensor, "..."]:
     """Value (*b, *C) at lattice coordinates: three planes (*b), each within [0, n - 1] of its axis (not checked).
@@ -89,19 +38,6 @@ def interpolate_with_slopes(
     shape, rest = cells[0].shape, iter(slopes)
     zero = torch.zeros_like(cells[0])
     return value.reshape(shape), [next(rest).reshape(shape) if n > 1 else zero for n in values.shape]
-
-
-def _cells(values: Tensor, origin: Tensor, spacing: float, points: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-    """Lattice coordinates of points, clamped, and on which axes no clamping was needed."""
-    check_shape("values", values, "(X, Y, Z)")
-    check_shape("origin", origin, "(3,)")
-    check_shape("points", points, "(*b, 3)")
-    free = [
-        (keep_within_reach(plane) - start) / spacing
-        for plane, start in zip(points.unbind(-1), origin.unbind(-1), strict=True)
-    ]
-    cells = [plane.clamp(0.0, n - 1.0) for plane, n in zip(free, values.shape, strict=True)]
-    return cells, [cell == plane for cell, plane in zip(cells, free, strict=True)]
 
 
 def _locate(values: Tensor, cells: list[Tensor]) -> tuple[Tensor, Tensor, list[tuple[int, Tensor]], list[Tensor]]:

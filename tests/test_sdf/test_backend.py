@@ -53,7 +53,7 @@ def test_errors_list_what_is_valid(versions, monkeypatch):
 
 
 def test_hot_operations_are_registered():
-    for op in ("posed_distance", "posed_query", "trilinear", "trilinear_value"):
+    for op in ("posed_distance", "posed_query"):
         assert backend.versions(op)[0] == "torch"
     with backend.force("torch"):
         distance = posed_distance(Sphere(0.1), se3.identity((1,)), torch.ones(1, 3))

@@ -4,8 +4,7 @@ import math
 import pytest
 import torch
 
-from sdf.check import FAR
-from sdf.lookup import trilinear, trilinear_value
+from sdf.lookup import interpolate, interpolate_with_slopes
 
 SPACING = 0.5
 
@@ -18,6 +17,21 @@ def lattice(generator: torch.Generator, shape=(4, 5, 3), dtype=torch.float64) ->
 def inner_points(count: int, values: torch.Tensor, origin: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
     extent = SPACING * (torch.tensor(values.shape, dtype=origin.dtype) - 1)
     return origin + extent * torch.rand(count, 3, dtype=origin.dtype, generator=generator)
+
+
+def value_at(values: torch.Tensor, origin: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
+    return interpolate(values, cells(values, origin, points))
+
+
+def slopes_at(values: torch.Tensor, origin: torch.Tensor, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Value and gradient to the points, which are within the lattice."""
+    value, slopes = interpolate_with_slopes(values, cells(values, origin, points))
+    return value, torch.stack(slopes, -1) / SPACING
+
+
+def cells(values: torch.Tensor, origin: torch.Tensor, points: torch.Tensor) -> list[torch.Tensor]:
+    planes = ((points - origin) / SPACING).unbind(-1)
+    return [plane.clamp(0.0, n - 1.0) for plane, n in zip(planes, values.shape, strict=True)]
 
 
 def reference(values: torch.Tensor, origin: torch.Tensor, point: torch.Tensor) -> float:
@@ -43,8 +57,8 @@ def test_value_equals_the_definition(shape, generator):
     nodes = origin + SPACING * torch.tensor(list(itertools.product(*map(range, shape))), dtype=torch.float64)
     points = torch.cat((points, nodes))
     expected = torch.tensor([reference(values, origin, p) for p in points], dtype=torch.float64)
-    assert torch.allclose(trilinear_value(values, origin, SPACING, points), expected, atol=1e-12)
-    assert torch.allclose(trilinear(values, origin, SPACING, points).distance, expected, atol=1e-12)
+    assert torch.allclose(value_at(values, origin, points), expected, atol=1e-12)
+    assert torch.allclose(slopes_at(values, origin, points)[0], expected, atol=1e-12)
 
 
 def test_affine_fields_are_exact(generator):
@@ -54,18 +68,17 @@ def test_affine_fields_are_exact(generator):
     nodes = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1)
     values = nodes @ slope + 1.0
     points = inner_points(200, values, origin, generator)
-    query = trilinear(values, origin, SPACING, points)
-    assert torch.allclose(query.distance, points @ slope + 1.0, atol=1e-13)
-    assert torch.allclose(query.gradient, slope.expand(200, 3), atol=1e-12)
+    value, gradient = slopes_at(values, origin, points)
+    assert torch.allclose(value, points @ slope + 1.0, atol=1e-13)
+    assert torch.allclose(gradient, slope.expand(200, 3), atol=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(4, 5, 3), (4, 5, 1)])
 def test_gradient_is_that_of_the_value(shape, generator):
     values, origin = lattice(generator, shape)
-    points = torch.randn(300, 3, dtype=torch.float64, generator=generator) * 2 + origin  # most are outside
-    points.requires_grad_()
-    (expected,) = torch.autograd.grad(trilinear_value(values, origin, SPACING, points).sum(), points)
-    gradient = trilinear(values, origin, SPACING, points).gradient
+    points = inner_points(300, values, origin, generator).requires_grad_()
+    (expected,) = torch.autograd.grad(value_at(values, origin, points).sum(), points)
+    _, gradient = slopes_at(values, origin, points)
     assert torch.allclose(gradient, expected, atol=1e-12)
 
 
@@ -74,64 +87,27 @@ def test_autograd_to_points_and_values_twice(generator):
     values.requires_grad_()
     points = inner_points(6, values, origin, generator).requires_grad_()
 
-    def value(v, p):
-        return trilinear_value(v, origin, SPACING, p)
-
-    def query(v, p):
-        return tuple(trilinear(v, origin, SPACING, p))
-
-    for function in (value, query):
+    for look_up in (value_at, slopes_at):
+        function = lambda v, p, look_up=look_up: look_up(v, origin, p)  # noqa: E731
         assert torch.autograd.gradcheck(function, (values, points))
         assert torch.autograd.gradgradcheck(function, (values, points))
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_clamped_at_the_border_and_never_nan(dtype, generator):
-    values, origin = lattice(generator, dtype=dtype)
-    nan, inf = math.nan, math.inf
-    points = torch.tensor(
-        [[nan, nan, nan], [inf, 0, 0], [0, -inf, 0], [1e30, -1e30, 1e30], [-FAR, FAR, -FAR]], dtype=dtype
-    )
-    query = trilinear(values, origin, SPACING, points)
-    assert torch.isfinite(query.distance).all()
-    assert query.distance[0] == query.distance[0] == values[-1, -1, -1]
-    assert torch.equal(query.distance[3:], torch.stack((values[-1, 0, -1], values[0, -1, 0])))
-    assert (query.gradient[[0, 3, 4]] == 0).all()
-
-
-@pytest.mark.parametrize("batch", [(), (0,), (2, 3), (2, 0, 3)])
-def test_batch_axes_and_dtype(batch, generator):
-    values, origin = lattice(generator, dtype=torch.float32)
-    points = torch.randn(*batch, 3, dtype=torch.float64, generator=generator)
-    query = trilinear(values, origin, SPACING, points)
-    assert query.distance.shape == batch
-    assert query.gradient.shape == (*batch, 3)
-    assert query.distance.dtype == query.gradient.dtype == torch.float64
 
 
 def test_memory_layout_does_not_matter(generator):
     values, origin = lattice(generator)
     points = inner_points(50, values, origin, generator)
     planes = points.T.contiguous().T
-    for one, other in zip(*(trilinear(values, origin, SPACING, p) for p in (planes, points)), strict=True):
+    for one, other in zip(*(slopes_at(values, origin, p) for p in (planes, points)), strict=True):
         assert torch.equal(one, other)
 
 
 def test_function_transforms(no_shape_check, generator):
     values, origin = lattice(generator)
     points = inner_points(8, values, origin, generator)
-    query = trilinear(values, origin, SPACING, points)
+    value, gradient = slopes_at(values, origin, points)
 
     def single(p):
-        return trilinear_value(values, origin, SPACING, p)
+        return value_at(values, origin, p)
 
-    assert torch.allclose(torch.func.vmap(single)(points), query.distance)
-    assert torch.allclose(torch.func.vmap(torch.func.grad(single))(points), query.gradient)
-
-
-def test_shape_errors(no_shape_check, generator):
-    values, origin = lattice(generator)
-    with pytest.raises(ValueError, match=r"Expected points to have shape \(\*b, 3\), got \(4, 2\)"):
-        trilinear_value(values, origin, SPACING, torch.zeros(4, 2))
-    with pytest.raises(ValueError, match=r"Expected values to have shape \(X, Y, Z\), got \(4, 4\)"):
-        trilinear(torch.zeros(4, 4), origin, SPACING, torch.zeros(4, 3))
+    assert torch.allclose(torch.func.vmap(single)(points), value)
+    assert torch.allclose(torch.func.vmap(torch.func.grad(single))(points), gradient)
