@@ -141,23 +141,3 @@ class ChangeTest:
     def log_weights(self) -> Float[Tensor, "K"]:
         """Of the alternatives, normalised."""
         return torch.tensor(self.weights, dtype=torch.float64).log().log_softmax(-1)
-
-
-def log_e_value(p_value: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """Log e-value of a p-value: the mixture of the calibrators k p^(k - 1) over all k in (0, 1), nats.
-
-    (1 - p + p log p) / (p log^2 p) (Vovk and Wang 2021): its mean is at most 1 where p is uniform or greater. For
-    readings of which no alternative's density is known; a ratio is stronger where there is one.
-
-    Raises:
-        ValueError: a p-value is not in [0, 1].
-    """
-    p = torch.as_tensor(p_value).double()
-    if not bool(((p >= 0) & (p <= 1)).all()):
-        raise ValueError("Expected p-values in [0, 1]")
-    x = -p.clamp_min(1e-300).log()  # e = (e^x - 1 - x) / x^2; by its series near 0
-    near = x < 1e-2
-    wide = torch.where(near, 1.0, x)
-    series = (0.5 + x / 6.0 + x.square() / 24.0).log()
-    exact = wide + (-torch.expm1(-wide) - wide * (-wide).exp()).log() - 2.0 * wide.log()
-    return torch.where(p == 0, MOST, torch.where(near, series, exact))
