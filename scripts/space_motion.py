@@ -22,12 +22,12 @@ import tyro
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.belief.bootstrap_filter import BootstrapFilter
 from rumi.belief.pose_trajectories import NOISE, OWN, PHYSICS, Trajectories
 from rumi.belief.segments import cut, felt_pads, path_of, pushed
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
-from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.cli import script
 from rumi.metrics.pose_error import pose_error
 from rumi.resampling import resample_systematic
@@ -110,7 +110,7 @@ def measured(options: Options, seed: int) -> Figures:
     runs, actions = TruthOptions(command="replay", task=options.task).runs(), []
     with build(settings_of(runs, "trajectory", seed), cache_dir=Path("runs/cache")) as (_, agent):
         follow, symmetries = agent.filter, agent.model.symmetries
-        assert isinstance(follow, UnseenTrajectoryFilter)
+        assert isinstance(follow, BootstrapFilter)
         before = tracks[0][-1].double()
         for number, (reading, track) in enumerate(zip(readings[1:], tracks[1:], strict=True), 1):
             first, before = before, track[-1].double()

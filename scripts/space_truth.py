@@ -4,8 +4,8 @@ python -m scripts.space_truth record --task box --seeds 1000-1009      # closed 
 python -m scripts.space_truth replay --task box --seeds 1000-1009      # the filter alone on what was recorded
 python -m scripts.space_truth show --task box
 
-A step says how far the best pose is off, how much of the belief lies as the object does and how much is near it, what
-the readings so far are worth at the true poses and at the particles, and what the truth did. Recorded episodes are kept
+A step says how far the best pose is off, how much of the belief lies as the object does and how much is near it, and
+what the truth did. Recorded episodes are kept
 in --folder, figures in --results, one line an episode; what is there is not done again.
 """
 
@@ -21,11 +21,7 @@ import tyro
 from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
-from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories
-from rumi.belief.trajectory_history import History
-from rumi.belief.trajectory_likelihood import log_likelihood_of
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
-from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.cli import script
 from rumi.loop import run
 from rumi.metrics.calibration import checked
@@ -55,6 +51,7 @@ class Options:
         task: whose scenes the seeds draw.
         seeds: such as 1000-1009.
         set: settings, as name=number.
+        conditions: of the scenes, by name.
         steps: actions at most.
         results: file of the figures.
         folder: of the recorded episodes.
@@ -65,6 +62,7 @@ class Options:
     task: str = "box"
     seeds: str = "1000-1009"
     set: tuple[str, ...] = ()
+    conditions: str = "lab"
     steps: int = 15
     results: Path = RESULTS
     folder: Path = Path("runs/space_truth")
@@ -72,57 +70,12 @@ class Options:
 
     def runs(self) -> RunOptions:
         """As the closed loops take them."""
-        return RunOptions(task=self.task, steps=self.steps, set=self.set)
+        return RunOptions(task=self.task, steps=self.steps, set=self.set, conditions=self.conditions)
 
 
-class Truth:
-    """True poses at each instant of a history, as the filter's own comes to be."""
-
-    def __init__(self, first: Tensor) -> None:
-        self.poses, self.segments = first.double()[None][:0], 0
-
-    def grown(self, instants: int, track: Tensor) -> None:
-        """Up to so many instants in all, of an action whose true poses were these."""
-        more = instants - len(self.poses)
-        if more < 0:  # the filter forgot its older half, or began anew with what it felt at the end
-            own = torch.cat((self.poses, track))
-            self.poses = own[-1:].expand(instants, 4, 4) if instants <= 2 else own[-instants:]
-            return
-        if more:
-            moved = track if more >= len(track) else track[:0]
-            rest = track[-1:].expand(more - len(moved), 4, 4)
-            self.poses = torch.cat((self.poses, moved, rest))
-
-
-def truth_logs(follow: UnseenTrajectoryFilter, history: History, truth: Truth) -> Tensor:
-    """Log-likelihood of each segment at the true poses."""
-    model, own = follow.model, follow.own
-    logs, first = [], 0
-    for segment in range(len(history)):
-        total = 0.0
-        for instant in range(first, int(history.ends[segment])):
-            some = slice(int(history.point_ends[instant - 1]) if instant else 0, int(history.point_ends[instant]))
-            there = history.points[some]
-            if len(there):
-                local = se3.apply(se3.inverse(truth.poses[instant]), there)
-                distance = model.sdf.distance(local.to(model.sdf.bounds)).double()
-                total += float(log_likelihood_of(distance, history.kind[some], own) @ history.weight[some])
-        logs.append(total)
-        first = int(history.ends[segment])
-    return torch.tensor(logs, dtype=torch.float64)
-
-
-def trajectories_of(belief: PoseBelief) -> Trajectories:
-    """Of a belief that has them."""
-    assert isinstance(belief, PoseTrajectoryBelief) and belief.trajectories is not None
-    return belief.trajectories
-
-
-def figures(agent: Rummager, belief: PoseBelief, truth: Truth, now: Tensor, before: Tensor, seconds: float) -> Figures:
+def figures(agent: Rummager, belief: PoseBelief, now: Tensor, before: Tensor, seconds: float) -> Figures:
     """Of one step."""
-    follow, symmetries = agent.filter, agent.model.symmetries
-    assert isinstance(follow, UnseenTrajectoryFilter)
-    some_trajectories = trajectories_of(belief)
+    symmetries = agent.model.symmetries
     now = now.double()
     metres, radians = pose_error(belief.mode().double(), now, symmetries)
     tolerances = {"within_m": agent.position_tolerance_m, "within_rad": agent.rotation_tolerance_rad}
@@ -133,9 +86,6 @@ def figures(agent: Rummager, belief: PoseBelief, truth: Truth, now: Tensor, befo
     lies = (se3.inverse(poses)[:, :3, 2] * symmetries.nearest(now.expand_as(poses), poses)[:, 2, :3]).sum(-1) > 0.9
     moved, turned = pose_error(before[None], now[None], symmetries)
     tilt = torch.acos((before[2, :3] @ now[2, :3]).clamp(-1.0, 1.0))
-    logs = truth_logs(follow, some_trajectories.history, truth)
-    own = some_trajectories.log_likelihood
-    best = own[own.sum(-1).argmax()]
     return {
         "mm": round(1e3 * float(metres), 1),
         "deg": round(float(radians) * 57.2958, 1),
@@ -148,12 +98,6 @@ def figures(agent: Rummager, belief: PoseBelief, truth: Truth, now: Tensor, befo
         "moved": round(1e3 * float(moved), 1),
         "turned": round(57.3 * float(turned), 1),
         "tilt": round(57.3 * float(tilt), 1),
-        "truth": round(float(logs.sum()), 1),
-        "best": round(float(best.sum()), 1),
-        "mean": round(float(weights @ own.sum(-1)), 1),
-        "last_truth": [round(float(v), 1) for v in logs[-8:]],
-        "last_best": [round(float(v), 1) for v in best[-8:]],
-        "segments": len(logs),
         "cpu_s": round(seconds, 3),
     }
 
@@ -187,12 +131,11 @@ def recorded(options: Options, seed: int) -> Figures:
             assert step.truth is not None
             now = step.truth.double()
             if step.step == 0:
-                state["truth"], state["before"] = Truth(now), now
+                state["before"] = now
                 track = now[None]
             else:
                 track = state["track"]
-            state["truth"].grown(len(trajectories_of(step.belief).history.tool), track)
-            line = figures(agent, step.belief, state["truth"], now, state["before"], timer[1])
+            line = figures(agent, step.belief, now, state["before"], timer[1])
             line |= {"touched": bool(step.reading.in_contact.any()), "nll": round(float(step.nll or 0.0), 1)}
             line["contacts"] = step.contacts
             steps.append(line)
@@ -213,14 +156,12 @@ def replayed(options: Options, seed: int) -> Figures:
     with build(settings_of(options.runs(), "trajectory", seed), cache_dir=Path("runs/cache")) as (_, agent):
         random = split(seed, f"replay {options.again}")
         belief, memory = first_belief(agent, readings[0], generator=random)
-        truth, before, contacts = Truth(tracks[0][-1]), tracks[0][-1], 0
-        truth.grown(len(trajectories_of(belief).history.tool), tracks[0])
+        before, contacts = tracks[0][-1], 0
         for reading, track in zip(readings[1:], tracks[1:], strict=True):
             began = time.process_time()
             belief, memory, _ = agent.filter(belief, memory, reading, generator=random)
             seconds = time.process_time() - began
-            truth.grown(len(trajectories_of(belief).history.tool), track)
-            line = figures(agent, belief, truth, track[-1], before, seconds)
+            line = figures(agent, belief, track[-1], before, seconds)
             contacts += bool(reading.in_contact.any())
             line |= {"touched": bool(reading.in_contact.any()), "contacts": contacts}
             steps.append(line)
@@ -236,6 +177,7 @@ def main() -> None:
         work = recorded if options.command == "record" else replayed
         settings = {"part": options.task, "command": options.command, "seed": seed, "set": list(options.set)}
         settings |= {"steps": options.steps, "again": options.again, "defaults": _DEFAULTS}
+        settings["conditions"] = options.conditions
         store.measure(settings, lambda work=work, seed=seed: work(options, seed))
     lines = [line for line in store.of(options.task) if line["seed"] in seeds]
     sys.stdout.write("".join(_words(line) for line in lines))
@@ -248,8 +190,7 @@ def _words(line: Figures) -> str:
         out.append(
             f"{k:3d} touched {s['contacts']:2d}{' now' if s['touched'] else ''}, off {s['mm']:6.1f} mm {s['deg']:6.1f}"
             f" deg, P(right) {s['p']:.2f} level {s['level']:.2f} lies {s['lies']:.2f} near {s['near']:.2f}; moved "
-            f"{s['moved']:5.1f} mm {s['turned']:5.1f} deg, tilt {s['tilt']:5.1f}; nats at the truth {s['truth']:7.1f}, "
-            f"best {s['best']:7.1f}, mean {s['mean']:7.1f}; {s['cpu_s']:.2f} s"
+            f"{s['moved']:5.1f} mm {s['turned']:5.1f} deg, tilt {s['tilt']:5.1f}; {s['cpu_s']:.2f} s"
         )
     return "\n".join((*out, ""))
 

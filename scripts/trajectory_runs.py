@@ -48,6 +48,7 @@ class Options:
         seeds: first and last.
         motions: how the filter knows the motion.
         set: other settings, as name=number.
+        conditions: of the scenes, by name.
         steps: actions at most.
         results: file of the figures.
         only_print: run nothing.
@@ -57,6 +58,7 @@ class Options:
     seeds: str = "1000-1009"
     motions: tuple[Motion, ...] = ("trajectory", "corrected", "measured")
     set: tuple[str, ...] = ()
+    conditions: str = "ideal"
     steps: int = 25
     results: Path = RESULTS
     only_print: bool = False
@@ -65,7 +67,7 @@ class Options:
 def settings_of(options: Options, motion: str, seed: int) -> Settings:
     """Of one run."""
     most = min(options.steps, find_task(options.task).steps)  # as on the shelf, where 15 are allowed
-    settings = preset("default", task=options.task, seed=seed, steps=most, conditions="ideal")
+    settings = preset("default", task=options.task, seed=seed, steps=most, conditions=options.conditions)
     values = to_dict(settings)
     for assignment in options.set:
         name, _, number = assignment.partition("=")

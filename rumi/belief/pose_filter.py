@@ -44,8 +44,8 @@ class FilterSettings(Checked):
             "estimated" from sticking by what was sensed (Alg 5), or "corrected", from pushed in the same way; with
             "trajectory" every particle has its own (`PoseTrajectoryFilter`).
         unmeasured: what "measured" becomes where nothing measures the motion; "pushed" and "corrected" are for upright
-            objects and a level tool, and "estimated" elsewhere. None for what suits: of these "trajectory" where a view
-            is followed by touches alone, else "corrected".
+            objects and a level tool, and "estimated" elsewhere. None for what suits: "trajectory" where a view or a
+            prior is followed by touches alone, else "corrected", in space "estimated".
         translation_noise_m, rotation_noise_rad: standard deviations of the process noise, drawn on every move
             and after every resampling (Alg 3); in SE(2) along x, y and yaw. By default the 1 mm and 1 degree of a
             usual slip sensor: 3 mm throws particles across a 4 mm wall, to where the seen side fits the inner one.

@@ -32,7 +32,7 @@ class Trajectories:
         log_likelihood: (N, S), of each segment's readings.
         history: what was done and sensed.
         starts: (Q, 3 or 6), poses that the first view leaves open, about evenly likely; proposals are drawn about them.
-        anywhere: whether start poses are even, whatever was known of them at first: they are where a jump led.
+        apart: whether they stand too far apart for a touch: draws of a prior, or of where a jump may have led.
         log_evidence: estimate of the log marginal likelihood of the readings since the start, in the plane.
         forgotten: segments before the history's first.
     """
@@ -43,7 +43,7 @@ class Trajectories:
     log_likelihood: Float[Tensor, "N S"]
     history: History
     starts: Float[Tensor, "Q D"]
-    anywhere: bool = False
+    apart: bool = False
     log_evidence: float = 0.0
     forgotten: int = 0
 
@@ -54,15 +54,24 @@ class Trajectories:
         history: History,
         generator: torch.Generator,
         starts: Float[Tensor, "Q D"] | None = None,
+        *,
+        apart: bool = False,
     ) -> Self:
         """Start poses with physics and noise of the prior, not replayed yet."""
         count, segments = len(start), len(history)
         physics = normal((count, PHYSICS), generator=generator, dtype=torch.float64)
         noise = normal((count, segments, NOISE), generator=generator, dtype=torch.float64)
         poses = start[:, None].repeat(1, segments + 1, 1)
-        return cls(
-            physics, noise, poses, start.new_zeros(count, segments), history, start[:0] if starts is None else starts
-        )
+        logs, starts = start.new_zeros(count, segments), start[:0] if starts is None else starts
+        return cls(physics, noise, poses, logs, history, starts, apart)
+
+    @classmethod
+    def still(cls, start: Float[Tensor, "N D"], history: History) -> Self:
+        """Poses at the median of physics and noise, not replayed yet."""
+        count, segments = len(start), len(history)
+        physics, noise = start.new_zeros(count, PHYSICS), start.new_zeros(count, segments, NOISE)
+        poses = start[:, None].repeat(1, segments + 1, 1)
+        return cls(physics, noise, poses, start.new_zeros(count, segments), history, start[:0])
 
     def __len__(self) -> int:
         """Number of particles."""
@@ -101,6 +110,31 @@ class Trajectories:
             log_likelihood=torch.cat((self.log_likelihood, self.log_likelihood.new_zeros(len(self), 1)), 1),
             history=history,
         )
+
+    def stepped(
+        self, model: Pushed, settings: PoseTrajectorySettings, noise: Float[Tensor, "N 1 11"], history: History
+    ) -> Self:
+        """With one more segment, replayed from the present poses on."""
+        inner, action = noise.clone(), int(history.action[-1])
+        if action < len(self.history):  # alone, a segment's action is its own: what the action shares comes along
+            inner[:, 0, OWN:] = self.noise[:, action, OWN:]
+        alone = replace(
+            self,
+            noise=inner,
+            poses=self.pose[:, None].repeat(1, 2, 1),
+            log_likelihood=self.log_likelihood.new_zeros(len(self), 1),
+        )
+        alone = alone.replayed(model, settings, history.last(), torch.zeros(len(self), dtype=torch.long))
+        longer = self.lengthened(noise, history)
+        poses, logs = (
+            torch.cat((own, new), 1)
+            for own, new in ((self.poses, alone.poses[:, 1:]), (self.log_likelihood, alone.log_likelihood))
+        )
+        return replace(longer, poses=poses, log_likelihood=logs)
+
+    def joined(self, *others: Self) -> Self:
+        """These particles and others of the same history."""
+        return self._with([torch.cat([getattr(part, name) for part in (self, *others)]) for name in _PARTS])
 
     def remembered(self, most: int) -> Self:
         """The same without the older half of a history of more segments, cut where an action begins."""

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterInfo, FilterSettings, PoseFilter
-from rumi.belief.pose_trajectories import NOISE, OWN, PoseTrajectoryBelief, Trajectories
+from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajectories
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
@@ -136,12 +136,10 @@ class PoseTrajectoryFilter(PoseFilter):
         self, belief: PoseBelief, memory: Observation, reading: Reading, *, generator: Generators
     ) -> tuple[PoseBelief, Observation, FilterInfo]:
         """One whole filter step; arguments as of `PoseFilter`."""
-        if not isinstance(belief, PoseTrajectoryBelief) or belief.trajectories is None:
-            raise TypeError("Expected a belief with trajectories, as `begin` gives it, got one of poses alone")
         if reading.tool_pose.ndim != 3:
             raise ValueError(f"Expected a reading of one scene, got tool_pose {tuple(reading.tool_pose.shape)}")
         own, frame = self.own, belief.world_T_attached
-        done = self.advanced(belief.trajectories, belief.log_weights.double(), reading, one(generator))
+        done = self.advanced(*self.particles_of(belief), reading, one(generator))
         if done.touched and not done.spans:  # begun anew: what was sensed before told where it was
             memory = memory[(~memory.attached).nonzero()[:, 0]]
         frames = done.rides.to(frame) @ frame
@@ -155,6 +153,12 @@ class PoseTrajectoryFilter(PoseFilter):
             belief = self.belief_of(now, done.log_weights, frames[-1], belief.log_weights)
         return belief, memory, FilterInfo(torch.tensor(done.touched), torch.tensor(done.resampled), added)
 
+    def particles_of(self, belief: PoseBelief) -> tuple[Trajectories, Float[Tensor, "N"]]:
+        """Particles of a belief, and their log-weights."""
+        if not isinstance(belief, PoseTrajectoryBelief) or belief.trajectories is None:
+            raise TypeError("Expected a belief with trajectories, as `begin` gives it, got one of poses alone")
+        return belief.trajectories, belief.log_weights.double()
+
     @torch.no_grad()
     def advanced(
         self, now: Trajectories, log_weights: Float[Tensor, "N"], reading: Reading, random: torch.Generator
@@ -165,11 +169,11 @@ class PoseTrajectoryFilter(PoseFilter):
         spans: list[int] = []
         touched = self._pushes(now, log_weights, reading, path)
         if touched:
-            now, spans = self._touched(now, log_weights, reading, path, random)
+            now, spans = self._touched(now, log_weights, cut(reading, own), reading, path, random)
             log_weights, resampled = normalise(log_weights.new_zeros(len(now))), True
         rides = self._ridden(now, spans, len(reading.in_contact))
         stood = reading.observation if not touched else seen_besides(reading, self.model, own)
-        still = standing(stood, now.pose, self.model, own, now.history)
+        still = standing(stood, self._poses(now, log_weights), self.model, own, now.history)
         if still is not None:
             now, log_weights, again = self._weighed(now, log_weights, still, random)
             resampled |= again
@@ -198,12 +202,6 @@ class PoseTrajectoryFilter(PoseFilter):
         return float(self.model.unsettled(now.pose).double() @ log_weights.exp()) > _UNSETTLED
 
     def _touched(
-        self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor, random: torch.Generator
-    ) -> tuple[Trajectories, list[int]]:
-        """Particles, equally weighted, after an action with contact, and how long its segments are; none if anew."""
-        return self._through(now, log_weights, cut(reading, self.own), reading, path, random, [])
-
-    def _through(
         self,
         now: Trajectories,
         log_weights: Tensor,
@@ -211,10 +209,18 @@ class PoseTrajectoryFilter(PoseFilter):
         reading: Reading,
         path: Tensor,
         random: torch.Generator,
-        spans: list[int],
     ) -> tuple[Trajectories, list[int]]:
-        """The same, of an action of which segments of some lengths are taken in already."""
-        felt = felt_pads(reading, self.model, self.own)
+        """Particles, equally weighted, after an action with contact, and how long its segments are; none if anew.
+
+        Args:
+            now: the particles.
+            log_weights: of them.
+            parts: instants of each segment.
+            reading: of the action.
+            path: of the tool.
+            random: of the draws.
+        """
+        felt, spans = felt_pads(reading, self.model, self.own), list[int]()
         for place, instants in enumerate(parts):
             tracks = self._tracks(now, log_weights, path[instants])
             segment = pushed(reading, instants, path, felt, tracks, self.model, self.own)
@@ -223,14 +229,14 @@ class PoseTrajectoryFilter(PoseFilter):
             log_weights, spans = normalise(torch.zeros_like(log_weights)), [*spans, len(instants)]
         return now, spans
 
+    def _poses(self, now: Trajectories, log_weights: Tensor) -> Float[Tensor, "n D"]:
+        """Poses by which points are chosen that tell."""
+        return now.pose
+
     def _tracks(self, now: Trajectories, log_weights: Tensor, path: Tensor) -> Float[Tensor, "n k D"]:
         """Where some of the particles go by the median of the prior."""
         some = now.pose[systematic(log_weights, 0.5, min(_LOOKED_AT, len(now)))]
         return self.model.tracks(self.own, some, path)
-
-    def _moves(self, now: Trajectories, random: torch.Generator) -> Moves:
-        """Moves under the history of some particles."""
-        return self.moves(self.model, self.own, random)
 
     def with_segment(
         self,
@@ -264,33 +270,15 @@ class PoseTrajectoryFilter(PoseFilter):
         history = now.history.appended(segment, opens=opens)
         parents = torch.arange(count).repeat_interleave(own.branches)
         noise = normal((len(parents), 1, NOISE), generator=random, dtype=torch.float64)
-        # alone, a segment's action is its own: what the action shares comes along in its place
-        inner = noise.clone()
-        if not opens:
-            inner[:, 0, OWN:] = now.noise[parents, int(history.action[-1]), OWN:]
-        start = now.pose[parents]
-        tried = Trajectories(
-            now.physics[parents],
-            inner,
-            start[:, None].repeat(1, 2, 1),
-            start.new_zeros(len(parents), 1),
-            history,
-            start,
-        )
-        tried = tried.replayed(self.model, own, history.last(), torch.zeros(len(parents), dtype=torch.long))
-        base, gained = log_weights[parents], tried.log_likelihood[:, 0]
+        tried = now.at(parents).stepped(self.model, own, noise, history)
+        base, gained = log_weights[parents], tried.log_likelihood[:, -1]
         check_finite(gained)
         power = power_of(base, gained, 0.0, float(count))
-        kept = resample_systematic(base + power * gained, count, generator=random)
-        from_ = parents[kept]
-        now = replace(
-            now.at(from_),
-            noise=torch.cat((now.noise[from_], noise[kept]), 1),
-            poses=torch.cat((now.poses[from_], tried.poses[kept, 1:]), 1),
-            log_likelihood=torch.cat((now.log_likelihood[from_], power * gained[kept, None]), 1),
-            history=history,
-            log_evidence=now.log_evidence + log_mean(base, power * gained),
-        )
+        tried = tried.at(resample_systematic(base + power * gained, count, generator=random))
+        scaled = tried.log_likelihood.clone()
+        scaled[:, -1] *= power
+        told = log_mean(base, power * gained)
+        now = replace(tried, log_likelihood=scaled, log_evidence=now.log_evidence + told)
         # the action's motions are branched anew; those before it are what dies out
         alive = len(torch.unique(now.poses[:, int(history.action[-1]), 0]))
         if power == 1.0 and not closes and alive >= _ALIVE * count:
@@ -323,12 +311,12 @@ class PoseTrajectoryFilter(PoseFilter):
     def _tempered(self, now: Trajectories, power: float, random: torch.Generator, *, whole: bool) -> Trajectories:
         """Particles moved and resampled until the last segment's readings count in full, at last from the start."""
         history = now.history
-        moves, first = self._moves(now, random), self.prior is not None and len(history.moving()) <= 1
+        moves = self.moves(self.model, self.own, random)
         whole |= len(history.moving()) <= _LONG
         while True:
             # what comes before the last stage is moved on in any case
-            rounds = self.own.rounds if power == 1.0 and self.prior is None else 1
-            now = moves.sweep(now, history.tempered(power), whole=whole and (first or power == 1.0), rounds=rounds)
+            rounds = self.own.rounds if power == 1.0 else 1
+            now = moves.sweep(now, history.tempered(power), whole=whole and power == 1.0, rounds=rounds)
             if power == 1.0:
                 return now
             gained = now.log_likelihood[:, -1] / power

@@ -24,7 +24,7 @@ from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, log_mean
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.trajectory_history import History
-from rumi.belief.trajectory_moves import Moves, start_density
+from rumi.belief.trajectory_moves import KERNEL, Moves, start_density
 from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import normal
 from rumi.weights import normalise
@@ -48,7 +48,7 @@ class _FromStarts(Moves):
     """Moves under a prior of start poses that is the density of those that are left open: no view says where it is."""
 
     def _start_prior(self, given: Trajectories) -> Float[Tensor, "N"]:
-        return start_density(given.poses[:, 0], given.starts, given.starts.new_tensor(self.about))
+        return start_density(given.poses[:, 0], given.starts, given.starts.new_tensor(KERNEL))
 
 
 class Rival(NamedTuple):

@@ -15,13 +15,14 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.belief.pose_trajectories import OWN, Trajectories
-from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from sdf.so3 import wrap
 
-_KERNEL = (0.0015, 0.0015, math.radians(2.0))  # deviations about the starts that the view leaves open
+KERNEL = (0.0015, 0.0015, math.radians(2.0))
+"""Deviations of start poses drawn anew about those that are left open."""
+
 _AFRESH = 0.15
 _FAR = 1e4  # minus the log-density of what is never drawn: finite, since differences of it are taken
 
@@ -34,15 +35,11 @@ class Moves:
         model: object and tool.
         settings: of motion prior and sensors.
         generator: of the random draws.
-        prior: of the start poses; even where a view shows the object.
-        about: deviations of start poses drawn anew about those that are left open.
     """
 
     model: Pushed
     settings: PoseTrajectorySettings
     generator: torch.Generator
-    prior: PosePrior | None = None
-    about: tuple[float, float, float] = _KERNEL
 
     def sweep(self, given: Trajectories, history: History, *, whole: bool, rounds: int = 1) -> Trajectories:
         """Moves of all particles, late ones so many times; `whole` ones from the start, too."""
@@ -91,7 +88,7 @@ class Moves:
                 starts = given.poses[:, 0]
                 apart = (starts[one] - starts[other])[:, :3]
                 apart = torch.cat((apart[:, :2], wrap(apart[:, 2:])), -1)
-                jitter = 0.1 * self._normal(apart.shape) * apart.new_tensor(_KERNEL)
+                jitter = 0.1 * self._normal(apart.shape) * apart.new_tensor(KERNEL)
                 poses = some.poses.clone()
                 poses[:, 0, :3] += size[:, None] * apart + jitter
                 physics = some.physics + size[:, None] * (given.physics[one] - given.physics[other])
@@ -135,7 +132,7 @@ class Moves:
             return given
         some, many = given.at(rows), len(rows)
         chosen = (self._uniform(many) * len(given.starts)).long().clamp_max(len(given.starts) - 1)
-        scale = given.starts.new_tensor(self.about)
+        scale = given.starts.new_tensor(KERNEL)
         start = given.starts[chosen].clone()
         start[:, :3] += self._normal((many, 3)) * scale
         poses = some.poses.clone()
@@ -147,11 +144,8 @@ class Moves:
         return given.put(rows, self.accepted(some, proposed, history, first, odds))
 
     def _start_prior(self, given: Trajectories) -> Float[Tensor, "N"] | float:
-        """Log-density of the start poses, up to a constant."""
-        if self.prior is None:
-            return 0.0
-        off = (given.poses[:, 0, :2] - self.prior.mean.to(given.poses)) / self.prior.spread_m
-        return -0.5 * off.square().sum(-1)
+        """Log-density of the start poses, up to a constant: even."""
+        return 0.0
 
     def accepted(
         self,

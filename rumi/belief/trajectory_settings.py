@@ -30,14 +30,13 @@ class PoseTrajectorySettings:
 
     Attributes:
         particles: N, where a view shows the object.
-        unseen_particles: N, where only a prior tells of it at first: touches leave many ways open.
+        unseen_particles: N of the bootstrap filter, where only a prior tells of the object at first.
         branches: motions drawn for each particle when a segment comes in.
         instants: of contact that make a segment.
         lag: pushed segments, from the last on, whose noise is still moved by itself.
         memory: segments beyond which the older half is forgotten: the particles then stand for it as they are, and
             neither start poses nor physics move any more.
-        rounds: of Metropolis moves once readings count in full, where a view shows the object; one at every stage of
-            tempering before, and where only a prior tells of it.
+        rounds: of Metropolis moves once readings count in full; one at every stage of tempering before.
         tool_spacing_m: between the points of the tool's border that push an upright object: where they are far apart, a
             handle's bar sinks in between two, and is pushed along a wrong normal.
         friction: median and log-deviation of the coefficient between tool and object.
@@ -81,7 +80,7 @@ class PoseTrajectorySettings:
     """
 
     particles: int = 150
-    unseen_particles: int = 900
+    unseen_particles: int = 12000
     branches: int = 6
     instants: int = 5
     lag: int = 10

@@ -23,8 +23,8 @@ KNOCKS = ((0.004, 0.06), (0.015, 0.25), (0.04, 0.8))
 
 _FALLS, _GOES, _LEANS = 0.5, 0.7, 0.4  # shares that fall over an edge, that go with the tool, and that lean on it
 _NATS, _NATS_AN_INSTANT = (
-    8.0,
-    1.6,
+    12.0,
+    2.4,
 )  # by which readings of an action with contact are unlikely at the true poses, at most
 _STEPS, _FARTHEST_M, _LEVEL = 2, 0.08, 0.5  # of the way of a surface to a felt point
 

@@ -220,10 +220,11 @@ class StopSettings(Checked, refusal=UsageError):
     """The stopping rule; it never sees the truth.
 
     Attributes:
-        rule: "self" stops where the expected nll is below `expected_nll` and some particle fits all
-            observations (`fit`); "apc" is the paper's, APC below `apc_ratio` of the object's diagonal, which
-            a mug of unknown yaw meets at once, since its handle is 6 % of its surface; "probability" stops where the
-            best pose is right with a `probability`; "never" does not stop.
+        rule: "auto" is "probability" where objects are followed in space and nothing measures their motion, since
+            points then ride with no one motion, else "self"; "self" stops where the expected nll is below
+            `expected_nll` and some particle fits all observations (`fit`); "apc" is the paper's, APC below `apc_ratio`
+            of the object's diagonal, which a mug of unknown yaw meets at once, since its handle is 6 % of its surface;
+            "probability" stops where the best pose is right with a `probability`; "never" does not stop.
         expected_nll: nats over 500 points.
         fit: least discrepancy allowed, of the best particle.
         fit_a_contact: by which more is allowed for each action that touched the object: errors of its measured motion
@@ -235,7 +236,7 @@ class StopSettings(Checked, refusal=UsageError):
             "apc" stops; 0 asks for none.
     """
 
-    rule: Annotated[str, OneOf(STOP_RULES)] = "self"
+    rule: Annotated[str, OneOf(STOP_RULES)] = "auto"
     expected_nll: float = 5.0
     fit: float = 5.0
     fit_a_contact: float = 0.5
@@ -264,9 +265,9 @@ class Shortfall(NamedTuple):
 def shortfalls(settings: StopSettings, now: StopEvidence) -> tuple[Shortfall, ...]:
     """The parts of the rule of some settings that do not hold; none where it does."""
     unexplained = now.chance < settings.least_chance
-    if unexplained and settings.rule in ("self", "probability"):
+    if unexplained and settings.rule in ("auto", "self", "probability"):
         return (Shortfall("chance", now.chance, settings.least_chance),)
-    if settings.rule == "self":
+    if settings.rule in ("auto", "self"):
         allowed = settings.fit + settings.fit_a_contact * now.contacts
         parts = (
             (now.fit < allowed, Shortfall("fit", now.fit, allowed)),
@@ -289,6 +290,7 @@ def _self_consistent(settings: StopSettings, now: StopEvidence) -> bool:
     return not shortfalls(settings, now)
 
 
+STOP_RULES.add("auto", _self_consistent)
 STOP_RULES.add("self", _self_consistent)
 STOP_RULES.add("apc", lambda settings, now: now.apc < settings.apc_ratio * now.diagonal)
 STOP_RULES.add(

@@ -5,13 +5,14 @@ from dataclasses import replace
 import pytest
 import torch
 
+from rumi.belief.bootstrap_filter import BootstrapFilter, narrow
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.prior import PosePrior
 from rumi.belief.segments import felt_pads
 from rumi.belief.toppled_object import ToppledObject
+from rumi.belief.trajectory_history import Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
-from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf import se3
@@ -22,7 +23,7 @@ from sensors.reading import FORCE, Reading
 from sensors.semantics import Semantics
 
 SHAPE, SPACING, AHEAD = GripperShape(), 0.006, 0.0015
-OWN = PoseTrajectorySettings(unseen_particles=80, branches=3, rounds=1, pad_spacing_m=SPACING)
+OWN = PoseTrajectorySettings(unseen_particles=300, pad_spacing_m=SPACING)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,7 @@ def prior(box) -> PosePrior:
     return PosePrior.of((0.0, 0.0), 0.02, box.exact.bounds, ("x", "z"))
 
 
-def follow(box, prior, **changes) -> UnseenTrajectoryFilter:
+def follow(box, prior, **changes) -> BootstrapFilter:
     model = ToppledObject.of(
         box.sdf,
         SHAPE,
@@ -48,7 +49,7 @@ def follow(box, prior, **changes) -> UnseenTrajectoryFilter:
     )
     settings = replace(FilterSettings(motion="trajectory"), trajectories=replace(OWN, **changes))
     discrepancy = Discrepancy(box.sdf, box.radius, free_scale=80.0, tolerance=0.001)
-    return UnseenTrajectoryFilter(settings, discrepancy, model, prior, "SE(3)")
+    return BootstrapFilter(settings, discrepancy, model, prior, "SE(3)")
 
 
 def felt_by(box, world_T_object: torch.Tensor, path: torch.Tensor) -> Reading:
@@ -99,10 +100,12 @@ def test_a_touch_finds_a_box_of_which_only_a_prior_was_known(box, prior):
     there = reading.observation.points[reading.observation.of_class(Semantics.SURFACE)].mean(0, keepdim=True)
     local = se3.apply(se3.inverse(belief.world_T_object), there)
     assert float(box.exact.distance(local[:, 0]).abs().median()) < 0.006
-    now = belief.trajectories
-    whole = now.replayed(followed.model, followed.own, now.history, torch.zeros(len(now), dtype=torch.long))
-    torch.testing.assert_close(whole.poses, now.poses, atol=1e-12, rtol=0)
-    torch.testing.assert_close(whole.log_likelihood, now.log_likelihood, atol=1e-5, rtol=0)
+    # what is shown stands for all
+    assert len(belief.every) >= 100 and not belief.every.apart
+    shown = followed.model.world_T_object(belief.trajectories.pose)
+    torch.testing.assert_close(shown.float(), belief.world_T_object, atol=1e-6, rtol=0)
+    every = belief.every.pose[:, :2].T @ belief.every_log_weight.exp()
+    torch.testing.assert_close(belief.world_T_object[:, :2, 3].mean(0).double(), every, atol=0.003, rtol=0)
 
 
 def test_a_recorded_force_tells_nothing_in_space(box, prior):
@@ -122,7 +125,7 @@ def test_odd_beliefs_and_readings_give_no_nan(box, prior, particles):
     truth = se3.from_planar(torch.tensor([0.01, 0.005, 0.0])) @ prior.ways[0]
     belief, memory = begin(followed, prior)
     only = torch.full((particles,), -torch.inf).index_fill(0, torch.tensor(0), 0.0)
-    belief = replace(belief, log_weights=only)
+    belief = replace(belief, every_log_weight=only.double())
     apart = felt_by(box, truth, towards(-0.3))
     nothing = replace(apart, observation=Observation.empty(), instant=torch.zeros(0, dtype=torch.long))
     touch = felt_by(box, truth, towards(-0.10, 0.03))
@@ -143,7 +146,7 @@ def test_what_leans_on_the_tool_moves_with_it_felt_or_not(box, prior):
 
 
 def test_a_jump_that_no_push_explains_makes_the_belief_wide_and_touches_find_it_again(box, prior):
-    followed = follow(box, prior, unseen_particles=150)
+    followed = follow(box, prior)
     pose = se3.from_planar(torch.tensor([0.01, 0.005, 0.0])) @ prior.ways[1]
     belief, memory = begin(followed, prior)
     for way in (towards(-0.055), towards(-0.054)):
@@ -155,7 +158,7 @@ def test_a_jump_that_no_push_explains_makes_the_belief_wide_and_touches_find_it_
     assert bool(odd.in_contact.any())
     again = followed.begun_again(belief, odd, generator=generator(3))
     now = again.trajectories
-    assert now.anywhere and not len(now.history.moving())
+    assert again.every.apart and not len(now.history.moving())
     assert bool(torch.isfinite(again.world_T_object).all())
     assert float(now.pose[:, :2].std(0).max()) > float(narrow)
     # the tool touches to the end, so that some lean on it: not once it is gone
@@ -163,8 +166,48 @@ def test_a_jump_that_no_push_explains_makes_the_belief_wide_and_touches_find_it_
     gone, _, _ = followed(again, memory, felt_by(box, dragged, towards(-0.3)), generator=generator(3))
     assert bool((gone.trajectories.pose[:, 4] < 0).all())
     found, _, info = followed(again, memory, felt_by(box, dragged, towards(-0.075)), generator=generator(4))
-    assert bool(info.moved) and found.trajectories.anywhere
-    whole = found.trajectories.replayed(
-        followed.model, followed.own, found.trajectories.history, torch.zeros(150, dtype=torch.long)
+    assert bool(info.moved) and not found.every.apart
+
+
+def test_a_step_is_the_replay_of_its_segment(box, prior):
+    followed = follow(box, prior)
+    truth = se3.from_planar(torch.tensor([0.01, 0.005, 0.0])) @ prior.ways[1]
+    belief, memory = begin(followed, prior)
+    belief, memory, _ = followed(belief, memory, felt_by(box, truth, towards(-0.055)), generator=generator(2))
+    now, random = belief.every, generator(3)
+    segment = now.history.last()
+    history = now.history.appended(
+        Segment(
+            segment.tool,
+            True,
+            segment.points,
+            torch.zeros(len(segment.points), dtype=torch.long),
+            segment.kind,
+            segment.weight,
+        ),
+        opens=False,
     )
-    torch.testing.assert_close(whole.log_likelihood, found.trajectories.log_likelihood, atol=1e-5, rtol=0)
+    noise = torch.randn(len(now), 1, now.noise.shape[-1], generator=random, dtype=torch.float64)
+    stepped = now.stepped(followed.model, followed.own, noise, history)
+    last = torch.full((len(now),), len(history) - 1)
+    replayed = now.lengthened(noise, history).replayed(followed.model, followed.own, history, last)
+    torch.testing.assert_close(stepped.poses, replayed.poses, atol=1e-12, rtol=0)
+    torch.testing.assert_close(stepped.log_likelihood, replayed.log_likelihood, atol=1e-9, rtol=0)
+    both = now.joined(now)
+    assert len(both) == 2 * len(now) and torch.equal(both.pose[len(now) :], now.pose)
+
+
+def test_a_belief_that_is_narrow_has_fewer_particles(box, prior):
+    followed = follow(box, prior)
+    belief, _ = begin(followed, prior)
+    every, even = followed.particles_of(belief)
+    close = every.pose.clone()
+    close[:, :3] *= 0.01
+    close[:, 3] = 1.0
+    near = replace(every, poses=close[:, None], apart=False)
+    assert narrow(close) and not narrow(every.pose)
+    random = generator(3)
+    wide = (even + torch.linspace(0.0, -20.0, len(every), dtype=torch.float64)).log_softmax(-1)
+    assert [len(followed._thinned(now, wide, random)[0]) for now in (every, near)] == [300, 100]
+    kept, weights = followed._thinned(every, even, random)
+    assert kept is every and weights is even  # nothing is resampled where all count

@@ -11,11 +11,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.agent import Parts
+from rumi.belief.bootstrap_filter import BootstrapFilter
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import ReinitialiseSettings
-from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.dynamics.registry import AUTO, PushSettings
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
@@ -142,6 +142,8 @@ def build_rummager(
         pose_filter: PoseFilter = trajectory_filter(
             spec, following, settings.simulator, discrepancy, tool, model, standing
         )
+        if stop.rule == AUTO and isinstance(pose_filter, BootstrapFilter):
+            stop = replace(stop, rule="probability")
         renewal = ReinitialiseSettings.never()  # its particles come from the prior, and are moved under all evidence
     else:
         pushed = None
@@ -169,7 +171,7 @@ def build_rummager(
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
         # trajectories in space topple from one resting pose to the next, whatever the search for poses has
-        upright=spec.search == "SE(2)" and not isinstance(pose_filter, UnseenTrajectoryFilter),
+        upright=spec.search == "SE(2)" and not isinstance(pose_filter, BootstrapFilter),
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
         pushes=push_posterior_of(settings.planner) if _slides(spec, settings.planner) else None,

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief import rival_filters, trajectory_faults
+from rumi.belief.bootstrap_filter import BootstrapFilter
 from rumi.belief.change_test import ChangeEvidence, ChangeTest
 from rumi.belief.misfit import MISFITS, MisfitSettings, log_ratios
 from rumi.belief.motion import Motion
@@ -18,7 +19,6 @@ from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.remarks import Remark
 from rumi.belief.rival_filters import Rival
-from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.records import StepRecord
 from rumi.tasks.rummage.fault_state import Watch
 from sdf.object_model import ObjectModel
@@ -266,7 +266,7 @@ def told(record: StepRecord, now: Watch, alarm: Remark | None = None) -> StepRec
 
 def follows(pose_filter: PoseFilter) -> TypeGuard[PoseTrajectoryFilter]:
     """Whether particles have trajectories of their own, of an upright object."""
-    return isinstance(pose_filter, PoseTrajectoryFilter) and not isinstance(pose_filter, UnseenTrajectoryFilter)
+    return isinstance(pose_filter, PoseTrajectoryFilter) and not isinstance(pose_filter, BootstrapFilter)
 
 
 def _beside(last: StepRecord, record: StepRecord, pose_filter: PoseFilter) -> float:

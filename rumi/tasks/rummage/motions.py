@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from typing import cast
 
+from rumi.belief.bootstrap_filter import BootstrapFilter
 from rumi.belief.motion import PushedMotion
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
@@ -11,7 +12,6 @@ from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_object import PushedObject
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
-from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.registry import AUTO, PUSH_MODELS, PushSettings, push_model
 from rumi.errors import UsageError
@@ -36,7 +36,9 @@ def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
         return following
     motion = following.unmeasured
     if not is_planar(spec):
-        motion = "estimated" if motion is None or motion in _PLANAR else motion
+        follows = spec.prior is not None and not _no_trajectory(settings)
+        if motion is None or motion in _PLANAR:
+            motion = "trajectory" if follows and motion in (None, "trajectory") else "estimated"
     elif motion is None:
         touches_alone = spec.camera is not None and spec.prior is None and not spec.looks_again
         motion = "trajectory" if touches_alone and not _no_trajectory(settings) else "corrected"
@@ -77,17 +79,17 @@ def trajectory_filter(
     Args:
         spec: of the task.
         settings: of the filter.
-        simulator: which states how exact its sensors are; in the plane the filter's are as wide.
+        simulator: which states how exact its sensors are; the filter's are as wide.
         discrepancy: of the object.
         tool: the gripper.
         model: the object.
         resting_m: of an upright object's origin above the floor.
     """
     spacing = settings.trajectories.pad_spacing_m
+    if is_planar(spec) and not isinstance(model.exact, Mug):
+        settings = replace(settings, trajectories=settings.trajectories.for_others())
+    settings = replace(settings, trajectories=as_accurate(settings.trajectories, simulator))
     if is_planar(spec):
-        if not isinstance(model.exact, Mug):
-            settings = replace(settings, trajectories=settings.trajectories.for_others())
-        settings = replace(settings, trajectories=as_accurate(settings.trajectories, simulator))
         pushed = PushedObject.of(
             discrepancy.sdf,
             tool.shape,
@@ -110,7 +112,7 @@ def trajectory_filter(
         felt_ahead_m=spec.felt_ahead_m,
         wide=settings.trajectories.unfitted,
     )
-    return UnseenTrajectoryFilter(settings, discrepancy, toppled, prior, cast(Search, spec.search))
+    return BootstrapFilter(settings, discrepancy, toppled, prior, cast(Search, spec.search))
 
 
 def pushed_motion(

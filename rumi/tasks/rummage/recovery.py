@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from rumi.belief.bootstrap_filter import BootstrapBelief, BootstrapFilter
 from rumi.belief.knocked_trajectories import begun_again, pushed_anew
 from rumi.belief.misfit import MisfitSettings, knocked
 from rumi.belief.particles import PoseBelief
@@ -14,7 +15,6 @@ from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.rival_filters import Rival, adopted
-from rumi.belief.unseen_trajectory_filter import UnseenTrajectoryFilter
 from rumi.records import StepRecord
 from rumi.resampling import resample_systematic
 from rumi.tasks.rummage.fault_state import Watch
@@ -56,7 +56,7 @@ def searched_again(
     named = now.named
     if named in _STRANGE:
         return last.belief, before
-    if isinstance(pose_filter, UnseenTrajectoryFilter) and isinstance(record.belief, PoseTrajectoryBelief):
+    if isinstance(pose_filter, BootstrapFilter) and isinstance(record.belief, BootstrapBelief):
         begun = pose_filter.begun_again(record.belief, record.reading, generator=generator)
         return begun, memory[(~memory.attached).nonzero()[:, 0]]
     here = record.belief

@@ -77,7 +77,7 @@ def test_it_says_where_no_trajectory_explains_what_was_sensed(mug, monkeypatch):
         )
 
 
-@pytest.mark.parametrize("rule", ["self", "probability", "apc", "never"])
+@pytest.mark.parametrize("rule", ["auto", "self", "probability", "apc", "never"])
 def test_a_rule_holds_where_nothing_is_short_of_it(rule):
     assert rule in STOP_RULES
     for fit in (1.0, 5.4, 5.6, float("nan")):

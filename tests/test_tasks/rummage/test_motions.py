@@ -28,8 +28,8 @@ def test_what_is_measured_is_taken_where_it_is_measured(task):
         ("mug-0", "trajectory"),
         ("mug", "trajectory"),
         ("shelf-mug", "corrected"),  # a camera looks again
-        ("drill", "estimated"),
-        ("drawn-shelf-box", "estimated"),
+        ("drill", "trajectory"),
+        ("drawn-shelf-box", "trajectory"),
     ],
 )
 def test_without_a_slip_sensor_the_motion_that_suits_takes_its_place(task, motion):

@@ -33,7 +33,19 @@ def test_objects_in_space_are_followed_from_their_prior(task, all_in_reach):
     few = replace(own.filter.trajectories, unseen_particles=20)
     with build(replace(own, filter=replace(own.filter, trajectories=few)), cache_dir=all_in_reach) as (sim, agent):
         result = rumi.run(sim, agent, seed=0)
+        assert agent.stop_rule.rule == "probability"
     assert result.stopped_by == "steps" and result.final_nll is not None
+
+
+@pytest.mark.parametrize(
+    ("task", "measures", "rule", "taken"),
+    [("drill-0", False, "auto", "probability"), ("drill-0", True, "auto", "auto"), ("drill-0", False, "self", "self")],
+)
+def test_the_rule_that_suits_is_that_of_the_probability_in_space(task, measures, rule, taken, all_in_reach):
+    own = rumi.preset("fast", task=task, seed=1000, conditions="ideal")
+    own = replace(own, stop=replace(own.stop, rule=rule), simulator=replace(own.simulator, measures_motion=measures))
+    with build(own, cache_dir=all_in_reach) as (_, agent):
+        assert agent.stop_rule.rule == taken
 
 
 def test_other_sensors_and_evidence_are_refused():
