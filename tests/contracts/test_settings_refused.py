@@ -89,7 +89,7 @@ REFUSED = [
     Refused(InformationSettings, "surrogate, reverse_kl, forward_kl, sensor_mi", one("mode", "mi")),
     Refused(InformationSettings, "tolerance to be 0 or more", one("tolerance", -0.001)),
     Refused(InformationSettings, None, [{"sharpness": 0.0}, {"tail": 1.0}]),
-    Refused(StopSettings, "one of self, apc, probability, never.*, got 'sometimes'", one("rule", "sometimes")),
+    Refused(StopSettings, "one of auto, self, apc, probability, never.*, got 'sometimes'", one("rule", "sometimes")),
     Refused(GPVRSettings, None, [{"refit_steps": -1}, {"max_points": -1}, {"least_lengthscale": -0.5}]),
     Refused(GPVRSettings, None, [{"tolerance": -0.1}, {"learning_rate": 0.0}, {"free_spacing": 0.0}]),
     Refused(GPVRSettings, None, [{"free_probability": 1.1}, {"discount": -0.1}]),
