@@ -36,6 +36,7 @@ class ServeOptions:
         motion: how the object's motion is known; by default no sample tells it.
         prior_mean: x and y that the object is known to be about, where the robot does not look at it first.
         prior_spread: standard deviation of that, metres.
+        prior_up: axes of the object one of which points up, such as xyz where it may lie on any of its sides.
         action_m: metres that a control of 1 asks for.
         action_rad: radians that it asks for.
         preset: settings to start from: default, fast or paper.
@@ -54,6 +55,7 @@ class ServeOptions:
     motion: Motion | None = None
     prior_mean: tuple[float, float] | None = None
     prior_spread: float = 0.05
+    prior_up: str = "z"
     action_m: float = 0.08
     action_rad: float = 0.5
     preset: str = "default"
@@ -97,7 +99,7 @@ def made(options: ServeOptions) -> "Served":
     from rumi.fields.workspace import Workspace
     from rumi.runs.folder import make_folder
     from rumi.tasks.rummage.objects import OBJECTS, own_model
-    from rumi.tasks.rummage.own import rummager
+    from rumi.tasks.rummage.own import rummager, unmeasured
     from rumi.tasks.rummage.scenes import PriorSpec
     from rumi.tasks.rummage.settings import preset
 
@@ -120,15 +122,17 @@ def made(options: ServeOptions) -> "Served":
         model = own_model(options.object, cache_dir=cache_folder())
     planar = None if spatial else float(low[2])
     workspace = Workspace.from_bounds(torch.stack((low, high)), 0.02 if spatial else 0.01, planar_height=planar)
-    motion = options.motion or ("estimated" if spatial else "corrected" if options.prior_mean else "trajectory")
+    settings, tool = preset(options.preset, steps=options.steps), options.tool.shape()
+    prior = None if options.prior_mean is None else PriorSpec(options.prior_mean, options.prior_spread)
     agent = rummager(
         model,
         workspace,
-        tool=options.tool.shape(),
-        motion=motion,
-        prior=None if options.prior_mean is None else PriorSpec(options.prior_mean, options.prior_spread),
+        tool=tool,
+        motion=options.motion or unmeasured(settings, workspace, tool=tool, prior=prior),
+        prior=prior,
+        up=tuple(options.prior_up),
         action_m=options.action_m,
         action_rad=options.action_rad,
-        settings=preset(options.preset, steps=options.steps),
+        settings=settings,
     )
     return Served(agent, within, options.out, options.patience)

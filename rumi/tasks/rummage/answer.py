@@ -33,7 +33,9 @@ _RECORD: dict[Motion, str] = {
     "corrected": ": 16 of 30 drawn mugs on record did",
     "trajectory": ": 2 of 100 drawn mugs on record did, 4 of 36 other objects",
 }
-"""What such runs came to in ideal conditions; scripts/docs/results/push_models.md, mugs without a slip sensor."""
+"""What such runs came to in ideal conditions and in the plane; push_models.md, mugs without a slip sensor."""
+
+_IN_SPACE = "each particle's own, by draws of how objects slide and topple"
 
 _ENDED: dict[StopReason, str] = {
     "steps": "all actions are used up",
@@ -70,7 +72,7 @@ class Answerer(Protocol):
 def relies_on(rummager: Answerer) -> str:
     """What a run takes for granted, in a line."""
     motion = rummager.filter.settings.motion
-    moved = "measured" if motion == "measured" else f"not measured, {_TAKEN[motion]}"
+    moved = "measured" if motion == "measured" else f"not measured, {_taken(rummager)}"
     reach = "none" if rummager.tool.reach is None else rummager.tool.reach.words
     known = f"motion: {moved}; reach: {reach}; push model: {_pushed_by(rummager)}; sensors: {rummager.sensors}"
     return known + (f"; conditions: {rummager.conditions}" if rummager.conditions else "")
@@ -83,10 +85,11 @@ def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[st
         return ()
     if motion != "measured":
         ideal = not rummager.conditions or rummager.conditions.startswith("ideal")
-        record, page = (_RECORD.get(motion, ""), "push_models") if ideal else ("", "conditions")
+        drawn = motion == "trajectory" and rummager.tool.spatial  # on record under lab alone
+        record, page = (_RECORD.get(motion, ""), "push_models") if ideal and not drawn else ("", "conditions")
         return (
-            f"the object's motion is not measured, but {_TAKEN[motion]}, and no camera looks again: the belief may end "
-            f"sure and wrong{record} (scripts/docs/results/{page}.md)",
+            f"the object's motion is not measured, but {_taken(rummager)}, and no camera looks again: the belief may "
+            f"end sure and wrong{record} (scripts/docs/results/{page}.md)",
         )
     missing = [str(record.step) for record in history[1:] if record.reading.object_motion is None]
     if not missing:
@@ -96,6 +99,12 @@ def warnings(rummager: Answerer, history: Sequence[StepRecord] = ()) -> tuple[st
         f"the object's motion was not measured in action{plural} {', '.join(missing)}, and no camera looks again: the "
         "belief may end sure and wrong (scripts/docs/results/push_models.md)",
     )
+
+
+def _taken(rummager: Answerer) -> str:
+    """How the motion comes about that nothing measures."""
+    motion = rummager.filter.settings.motion
+    return _IN_SPACE if motion == "trajectory" and rummager.tool.spatial else _TAKEN[motion]
 
 
 def _seen_again(history: Sequence[StepRecord]) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import cast
 
 from rumi.belief.bootstrap_filter import BootstrapFilter
-from rumi.belief.motion import PushedMotion
+from rumi.belief.motion import Motion, PushedMotion
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.prior import PosePrior
@@ -34,15 +34,31 @@ def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
     following = settings.filter
     if following.motion != "measured" or (spec.measures_motion and settings.simulator.measures_motion):
         return following
-    motion = following.unmeasured
-    if not is_planar(spec):
-        follows = spec.prior is not None and not _no_trajectory(settings)
-        if motion is None or motion in _PLANAR:
-            motion = "trajectory" if follows and motion in (None, "trajectory") else "estimated"
-    elif motion is None:
-        touches_alone = spec.camera is not None and spec.prior is None and not spec.looks_again
-        motion = "trajectory" if touches_alone and not _no_trajectory(settings) else "corrected"
+    motion = untracked(
+        following.unmeasured,
+        planar=is_planar(spec),
+        seen=spec.camera is not None and spec.prior is None,
+        looks_again=spec.looks_again,
+        trajectories=_no_trajectory(settings) is None,
+    )
     return replace(following, motion=motion)
+
+
+def untracked(asked: Motion | None, *, planar: bool, seen: bool, looks_again: bool, trajectories: bool) -> Motion:
+    """The motion of an object that nothing measures: each particle's own, wherever these can start.
+
+    Args:
+        asked: by the settings; None for the most exact that there is.
+        planar: whether the object stays upright and the tool level.
+        seen: whether a camera sees the object at first; else a prior says where it is about.
+        looks_again: whether it sees the object after every action too.
+        trajectories: whether nothing is sensed that trajectories do not take in.
+    """
+    if planar:
+        return asked or ("trajectory" if seen and not looks_again and trajectories else "corrected")
+    if asked is not None and asked not in _PLANAR:
+        return asked
+    return "trajectory" if not seen and trajectories and asked in (None, "trajectory") else "estimated"
 
 
 def predicts_motion(following: FilterSettings) -> bool:

@@ -6,14 +6,15 @@ from rumi.belief.motion import Motion
 from rumi.errors import UsageError
 from rumi.fields.workspace import Workspace
 from rumi.registration.descent import Search
-from rumi.robot.gripper import gripper_of
+from rumi.robot.gripper import GripperShape, gripper_of
 from rumi.robot.reach import Reach
 from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
+from rumi.sim.conditions import under
 from rumi.tasks.registry import OWN
 from rumi.tasks.rummage.agent import Rummager
 from rumi.tasks.rummage.build import build_rummager
-from rumi.tasks.rummage.motions import check_pushing
+from rumi.tasks.rummage.motions import check_pushing, untracked
 from rumi.tasks.rummage.objects import ObjectSettings
 from rumi.tasks.rummage.scenes import PriorSpec, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, preset, to_dict
@@ -29,6 +30,7 @@ def rummager(
     arm: Reach | None = None,
     motion: Motion | None = None,
     prior: PriorSpec | None = None,
+    up: tuple[str, ...] = ("z",),
     search: Search | None = None,
     action_m: float = 0.08,
     action_rad: float = 0.5,
@@ -45,26 +47,28 @@ def rummager(
         tool: its shape; by default the gripper of the paper.
         arm: what the arm reaches, such as `rumi.ArmReach.of_urdf` makes it; None for a tool that gets everywhere.
         motion: how the object's motion is known. "measured": every reading must have `object_motion`, and one that
-            lacks it is refused. Otherwise nothing measures it: "trajectory" (each particle's own), "corrected" or
-            "pushed" (a push model; these three for upright objects and a tool in the plane), "estimated" or
-            "sticking". By default that of the settings, or without settings "trajectory" in the plane, "corrected"
-            where a camera looks again or nothing is seen at first, and "estimated" in space.
+            lacks it is refused. Otherwise nothing measures it: "trajectory" (each particle's own: in the plane after
+            a first view, in space from a prior and by the gripper), "corrected" or "pushed" (a push model, of upright
+            objects and a tool in the plane), "estimated" or "sticking". By default that of the settings, or without
+            settings `unmeasured`.
         prior: where the object is about, if the robot does not look at it first.
+        up: axes of the object one of which points up where it lies, if the robot does not look at it first.
         search: freedom of the object's pose; by default "SE(3)" for a tool that moves in space.
         action_m: metres that a control of 1 asks for; no more than the robot does in one action: its limit of speed
             times the seconds that an action lasts.
         action_rad: radians, likewise.
         looks_again: a camera sees the object after every action too.
         plans: False where a recording is followed: what only a plan needs is not asked for.
-        settings: by default those of the preset `default`.
+        settings: by default those of the preset `default`. How exact sensors, tool pose and mesh are said to be is
+            that of their `conditions`.
 
     Raises:
         UsageError: a setting that nothing here can follow, or that does not suit the workspace, arm or tool.
     """
     spatial = not workspace.planar
     if settings is None:
-        planar: Motion = "corrected" if looks_again or prior is not None else "trajectory"
-        settings, motion = preset("default"), motion or ("estimated" if spatial else planar)
+        settings = preset("default")
+        motion = motion or unmeasured(settings, workspace, tool=tool, prior=prior, looks_again=looks_again)
     _check_followed(settings)
     settings = replace(settings, filter=replace(settings.filter, motion=motion or settings.filter.motion))
     for name, value in (("action_m", action_m), ("action_rad", action_rad)):
@@ -79,6 +83,7 @@ def rummager(
         "an object before another robot",
         lambda: model,
         (0.0, 0.0, 0.0),
+        up=up,
         prior=prior,
         bounds=((left, bottom), (right, top)),
         height_m=low,
@@ -105,6 +110,28 @@ def rummager(
     return replace(found, steps=settings.steps, about={**to_dict(settings), "task": OWN})
 
 
+def unmeasured(
+    settings: Settings,
+    workspace: Workspace,
+    *,
+    tool: ToolShape | None = None,
+    prior: PriorSpec | None = None,
+    looks_again: bool = False,
+) -> Motion:
+    """The motion by which an object is followed that nothing measures, as `rummager` takes it; arguments as of it.
+
+    In the plane "trajectory", "corrected" where a camera looks again or nothing is seen at first; in space "trajectory"
+    from a prior and by the gripper, else "estimated". What the settings ask for instead comes first.
+    """
+    return untracked(
+        settings.filter.unmeasured,
+        planar=workspace.planar,
+        seen=prior is None,
+        looks_again=looks_again,
+        trajectories=workspace.planar or tool is None or isinstance(tool, GripperShape),
+    )
+
+
 def _check_plans(settings: Settings, tool: Tool, low: float) -> None:
     """Refuse a tool that would scrape the table, and one that the push model has not."""
     under = low + float(tool.shape.solid(0.01)[:, 2].min())
@@ -128,8 +155,8 @@ def _check_followed(settings: Settings) -> None:
         )
     if settings.tool_height_m is not None:
         raise UsageError("Expected no tool_height_m in the settings, since the workspace has the tool's height")
-    if settings.simulator != PRESETS[settings.preset]().simulator:
+    if settings.simulator != under(PRESETS[settings.preset]().simulator, settings.conditions):
         raise UsageError(
-            "Expected no settings of the simulator, since nothing is simulated: leave settings.simulator out, and give "
-            "the action scales as action_m and action_rad"
+            "Expected no settings of the simulator, since nothing is simulated: leave settings.simulator out, say how "
+            "exact the sensors are by `conditions`, and give the action scales as action_m and action_rad"
         )

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import torch
 
+import rumi
 from rumi.belief.particles import PoseBelief
 from rumi.information.stopping import STOP_RULES, StopEvidence, StopSettings, converged, shortfalls
 from rumi.records import StepRecord
@@ -17,6 +18,7 @@ from rumi.tasks.rummage.build import build_rummager
 from rumi.tasks.rummage.scenes import find_task, large_handled_mug, make_tool
 from rumi.tasks.rummage.settings import Settings
 from sdf import se3
+from sdf.object_model import box_model
 from tests.fixtures.made_up_run import make_up
 
 MADE_UP = make_up(2, particles=2).steps[1]
@@ -122,6 +124,14 @@ def test_it_says_what_it_relies_on(motion, changes, words, warned, capsys):
     unseen = replace(free, observation=free.observation[none], instant=none)
     assert warnings(agent, (record, replace(record, reading=VIEW))) == (), "a camera saw it again"
     assert bool(warnings(agent, (record, replace(record, reading=unseen)))) is bool(missing)
+
+
+def test_in_space_it_speaks_of_space():
+    agent = build_rummager(
+        find_task("box"), rumi.preset("default", task="box"), box_model(), make_tool(find_task("box"), free_flying=True)
+    )
+    assert "slide and topple" in relies_on(agent) and "slide and topple" in warnings(agent)[0]
+    assert "mugs" not in warnings(agent)[0] and "results/conditions.md" in warnings(agent)[0]
 
 
 @pytest.mark.parametrize(

@@ -22,16 +22,18 @@ def lattice(low=0.03, high=0.03):
     return rumi.Workspace.from_bounds(bounds, 0.05, planar_height=low if low == high else None)
 
 
+BALL = rumi.SolidTool([Sphere(0.01)])
+
+
 @pytest.fixture(scope="module")
 def model():
     return box_model()
 
 
 def test_what_is_said_is_what_it_has(model):
-    ball = rumi.SolidTool([Sphere(0.01)])
     settings = rumi.preset("fast", method="info-only", steps=5)
     agent = rumi.rummager(
-        model, lattice(), tool=ball, motion="measured", action_m=0.03, action_rad=0.2, settings=settings
+        model, lattice(), tool=BALL, motion="measured", action_m=0.03, action_rad=0.2, settings=settings
     )
     assert (
         isinstance(agent.tool.shape, rumi.SolidTool) and agent.steps == 5 and agent.filter.settings.motion == "measured"
@@ -47,6 +49,8 @@ def test_what_is_said_is_what_it_has(model):
         (lattice(), {"looks_again": True}, "corrected"),
         (lattice(), {"prior": PriorSpec((0.5, 0.0), 0.02)}, "corrected"),
         (lattice(0.03, 0.2), {}, "estimated"),
+        (lattice(0.03, 0.2), {"prior": PriorSpec((0.5, 0.0), 0.02), "up": ("x", "y", "z")}, "trajectory"),
+        (lattice(0.03, 0.2), {"prior": PriorSpec((0.5, 0.0), 0.02), "tool": BALL}, "estimated"),
     ],
 )
 def test_without_a_word_nothing_is_taken_for_measured(workspace, given, motion, model):
