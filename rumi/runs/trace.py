@@ -94,7 +94,8 @@ def _walk(data: bytes) -> dict[str, bytes]:
         fields = _HEADER.unpack_from(data, position)
         signature, method, crc, packed, _, name_length, extra_length = fields[0], fields[3], *fields[6:]
         start = position + _HEADER.size + name_length + extra_length
-        if signature != _SIGNATURE or start + packed > len(data):
+        # a header is written with sizes of 0 first and mended once its member is: no member of ours is empty
+        if signature != _SIGNATURE or packed == 0 or start + packed > len(data):
             break
         content = data[start : start + packed]
         try:
