@@ -1,6 +1,8 @@
 """Policy: the protocol of a planner, its request and its plan."""
 
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import torch
@@ -46,12 +48,17 @@ class SampledPaths:
     """Paths of some of the samples that a plan was weighed from, in the order of their costs.
 
     Attributes:
-        paths: (K, T+1, Q), configurations if nothing is in the way, the present one first.
+        found: works the paths out: it takes as long as a fifth of a plan, and most plans are never drawn.
         costs: (K,), finite, the least first.
     """
 
-    paths: Float[Tensor, "K T1 Q"]
+    found: Callable[[], Float[Tensor, "K T1 Q"]]
     costs: Float[Tensor, "K"]
+
+    @cached_property
+    def paths(self) -> Float[Tensor, "K T1 Q"]:
+        """Configurations (K, T+1, Q) if nothing is in the way, the present one first."""
+        return self.found()
 
 
 @dataclass(frozen=True)

@@ -321,9 +321,13 @@ def _sampled_paths(tool: Tool, configuration: Float[Tensor, "Q"], samples: Rollo
     ranks = torch.linspace(0, len(ranked) - 1, min(_KEPT_PATHS, len(ranked)), device=ranked.device).round().long()
     kept = ranked[ranks]
     controls = samples.controls[kept].to(configuration)
-    free = tool.free_path(configuration.expand(len(kept), -1), controls, 1)
-    paths = torch.cat((configuration.expand(len(kept), 1, -1), free), 1)
-    return SampledPaths(paths, samples.costs[kept])
+
+    @torch.no_grad()
+    def found() -> Float[Tensor, "K T1 Q"]:
+        free = tool.free_path(configuration.expand(len(kept), -1), controls, 1)
+        return torch.cat((configuration.expand(len(kept), 1, -1), free), 1)
+
+    return SampledPaths(found, samples.costs[kept])
 
 
 class _Stopwatch:

@@ -229,7 +229,7 @@ def _read_plan(members: Mapping[str, Any], at: str, about: Mapping[str, Any]) ->
         fields={name: _need(members, f"{at}/fields/{name}").float() for name in about["fields"]},
         skipped=about["skipped"],
         info=about["info"],
-        samples=None if paths is None or costs is None else SampledPaths(paths, costs),  # older runs lack them
+        samples=None if paths is None or costs is None else SampledPaths(lambda: paths, costs),  # older runs lack them
     )
 
 
