@@ -33,7 +33,9 @@ from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
 from sensors.reading import Reading
 
-_SHOWN = 400  # particles that stand for all where others ask
+SHOWN = 400
+"""Particles that stand for all where others ask."""
+
 _UNMET, _MET, _SPARED = 5, 2, 0.02  # draws for each particle at a first touch, those that are pushed, their least share
 _JUMPS, _MORE_JUMPS = 0.03, 0.15  # share of an action's draws that jump; where the first draws fit badly
 _TRIES, _FIT = 3, 40  # times that draws are made of a segment until one in so many particles counts
@@ -80,6 +82,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
         search: Search = "SE(2)",
     ) -> None:
         super().__init__(settings, discrepancy, model, prior, search)
+        self.shown = SHOWN
 
     def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> PoseBelief:
         """Draws of the prior."""
@@ -112,7 +115,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
     ) -> PoseTrajectoryBelief:
         """The belief of particles, of which some stand for all."""
         now = now.remembered(_REMEMBERED)
-        shown = now.at(systematic(log_weights, 0.5, min(_SHOWN, len(now))))
+        shown = now.at(systematic(log_weights, 0.5, min(self.shown, len(now))))
         few = super().belief_of(shown, _even(shown), world_T_attached, like)
         return BootstrapBelief(
             few.world_T_attached,
@@ -126,7 +129,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
         )
 
     def _poses(self, now: Trajectories, log_weights: Tensor) -> Float[Tensor, "n 6"]:
-        return now.pose[systematic(log_weights, 0.5, min(_SHOWN, len(now)))]
+        return now.pose[systematic(log_weights, 0.5, min(self.shown, len(now)))]
 
     def _pushes(self, now: Trajectories, log_weights: Tensor, reading: Reading, path: Tensor) -> bool:
         if now.apart:
@@ -256,7 +259,7 @@ class BootstrapFilter(PoseTrajectoryFilter):
         held = bool(reading.in_contact[-1].any())
         start = jumped(self.model.rests, last.pose[rows], way, generator=random, held=held)
         start = torch.cat((start, from_prior(self.prior, count - len(start), random)))
-        end, some = torch.tensor([len(path) - 1]), start[systematic(_flat(count), 0.5, min(_SHOWN, count))]
+        end, some = torch.tensor([len(path) - 1]), start[systematic(_flat(count), 0.5, min(self.shown, count))]
         ended = pushed(reading, end, path, felt, some[:, None], self.model, own)._replace(pushes=False)
         start = self._brought(start, ended, random)
         kept = resample_systematic(self._fit(start, ended), own.unseen_particles, generator=random)

@@ -31,6 +31,7 @@ class PoseTrajectorySettings:
     Attributes:
         particles: N, where a view shows the object.
         unseen_particles: N of the bootstrap filter, where only a prior tells of the object at first.
+        islands: populations that share these particles and never mix.
         branches: motions drawn for each particle when a segment comes in.
         instants: of contact that make a segment.
         lag: pushed segments, from the last on, whose noise is still moved by itself.
@@ -81,6 +82,7 @@ class PoseTrajectorySettings:
 
     particles: int = 150
     unseen_particles: int = 12000
+    islands: int = 3
     branches: int = 6
     instants: int = 5
     lag: int = 10
@@ -174,7 +176,7 @@ class PoseTrajectorySettings:
             for number in value if isinstance(value, tuple) else (value,):
                 if not 0 <= number < math.inf:
                     raise ValueError(f"Expected {part.name} to be 0 or more, got {value}")
-        whole = ("particles", "unseen_particles", "branches", "instants", "lag", "memory", "rounds")
+        whole = ("particles", "unseen_particles", "islands", "branches", "instants", "lag", "memory", "rounds")
         positive = (
             "seen_sd_m",
             "free_sd_m",

@@ -5,25 +5,17 @@ from dataclasses import replace
 import pytest
 import torch
 
-from rumi.belief.bootstrap_filter import BootstrapFilter, narrow
-from rumi.belief.particles import PoseBelief
-from rumi.belief.pose_filter import FilterSettings
+from rumi.belief.bootstrap_filter import narrow
 from rumi.belief.prior import PosePrior
 from rumi.belief.segments import felt_pads
-from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import Segment
-from rumi.belief.trajectory_settings import PoseTrajectorySettings
-from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf import se3
 from sdf.object_model import ObjectModel, box_model
-from sensors.discrepancy import Discrepancy
-from sensors.observation import Observation, concatenate
-from sensors.reading import FORCE, Reading
+from sensors.observation import Observation
+from sensors.reading import FORCE
 from sensors.semantics import Semantics
-
-SHAPE, SPACING, AHEAD = GripperShape(), 0.006, 0.0015
-OWN = PoseTrajectorySettings(unseen_particles=300, pad_spacing_m=SPACING)
+from tests.fixtures.box_in_space import OWN, begin, felt_by, follow, towards
 
 
 @pytest.fixture(scope="module")
@@ -34,48 +26,6 @@ def box() -> ObjectModel:
 @pytest.fixture(scope="module")
 def prior(box) -> PosePrior:
     return PosePrior.of((0.0, 0.0), 0.02, box.exact.bounds, ("x", "z"))
-
-
-def follow(box, prior, **changes) -> BootstrapFilter:
-    model = ToppledObject.of(
-        box.sdf,
-        SHAPE,
-        prior.ways,
-        box.symmetries,
-        spacing_m=0.012,
-        pad_spacing_m=SPACING,
-        felt_ahead_m=AHEAD,
-        wide=OWN.unfitted,
-    )
-    settings = replace(FilterSettings(motion="trajectory"), trajectories=replace(OWN, **changes))
-    discrepancy = Discrepancy(box.sdf, box.radius, free_scale=80.0, tolerance=0.001)
-    return BootstrapFilter(settings, discrepancy, model, prior, "SE(3)")
-
-
-def felt_by(box, world_T_object: torch.Tensor, path: torch.Tensor) -> Reading:
-    """What pads along (x, y, yaw, z) feel of a box that stays where it is."""
-    tool = se3.from_planar(path[:, :3])
-    tool[:, 2, 3] = path[:, 3]
-    pads = SHAPE.pad_shell(SPACING)
-    ahead = (pads + AHEAD * SHAPE.pad_normals(pads)).to(tool)
-    there = se3.apply(tool, pads.to(tool))
-    felt = box.exact.distance(se3.apply(se3.inverse(world_T_object).to(tool), there)).abs() <= 0.003
-    instant, index = felt.nonzero(as_tuple=True)
-    points = se3.apply(tool, ahead)[instant, index]
-    free = there[~felt.any(-1)][:, ::4].reshape(-1, 3)
-    when = torch.arange(len(tool))[~felt.any(-1)].repeat_interleave(len(pads[::4]))
-    observation = concatenate([Observation.of(points, Semantics.SURFACE), Observation.of(free, Semantics.FREE)])
-    return Reading(observation, torch.cat((instant, when)), tool, felt.any(-1), None, path[-1], torch.zeros(()))
-
-
-def towards(last_x: float, height: float = 0.05, count: int = 8) -> torch.Tensor:
-    x = torch.linspace(last_x - 0.03, last_x, count)
-    return torch.stack((x, 0 * x, 0 * x, 0 * x + height), -1)
-
-
-def begin(followed, prior, seed=0):
-    started = PoseBelief.uniform(prior.spread_poses(20, generator=generator(seed)))
-    return followed.begin(started, Observation.empty(), generator=generator(seed)), Observation.empty()
 
 
 def test_a_touch_finds_a_box_of_which_only_a_prior_was_known(box, prior):

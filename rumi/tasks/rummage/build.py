@@ -11,9 +11,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.agent import Parts
-from rumi.belief.bootstrap_filter import BootstrapFilter
 from rumi.belief.contact_evidence import SignalSettings
 from rumi.belief.evidence import make_evidence
+from rumi.belief.island_filter import IslandFilter
 from rumi.belief.pose_filter import PoseFilter
 from rumi.belief.reinitialise import ReinitialiseSettings
 from rumi.dynamics.registry import AUTO, PushSettings
@@ -142,7 +142,7 @@ def build_rummager(
         pose_filter: PoseFilter = trajectory_filter(
             spec, following, settings.simulator, discrepancy, tool, model, standing
         )
-        if stop.rule == AUTO and isinstance(pose_filter, BootstrapFilter):
+        if stop.rule == AUTO and isinstance(pose_filter, IslandFilter):
             stop = replace(stop, rule="probability")
         renewal = ReinitialiseSettings.never()  # its particles come from the prior, and are moved under all evidence
     else:
@@ -171,7 +171,7 @@ def build_rummager(
         position_tolerance_m=spec.position_tolerance_m,
         rotation_tolerance_rad=spec.rotation_tolerance_rad,
         # trajectories in space topple from one resting pose to the next, whatever the search for poses has
-        upright=spec.search == "SE(2)" and not isinstance(pose_filter, BootstrapFilter),
+        upright=spec.search == "SE(2)" and not isinstance(pose_filter, IslandFilter),
         looks_again=_looks_again(spec, settings),
         sensors=_sensors(spec, settings),
         pushes=push_posterior_of(settings.planner) if _slides(spec, settings.planner) else None,

@@ -10,8 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from rumi.belief import rival_filters, trajectory_faults
-from rumi.belief.bootstrap_filter import BootstrapFilter
 from rumi.belief.change_test import ChangeEvidence, ChangeTest
+from rumi.belief.island_filter import IslandFilter
 from rumi.belief.misfit import MISFITS, MisfitSettings, log_ratios
 from rumi.belief.motion import Motion
 from rumi.belief.pose_filter import PoseFilter
@@ -266,7 +266,7 @@ def told(record: StepRecord, now: Watch, alarm: Remark | None = None) -> StepRec
 
 def follows(pose_filter: PoseFilter) -> TypeGuard[PoseTrajectoryFilter]:
     """Whether particles have trajectories of their own, of an upright object."""
-    return isinstance(pose_filter, PoseTrajectoryFilter) and not isinstance(pose_filter, BootstrapFilter)
+    return isinstance(pose_filter, PoseTrajectoryFilter) and not isinstance(pose_filter, IslandFilter)
 
 
 def _beside(last: StepRecord, record: StepRecord, pose_filter: PoseFilter) -> float:

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 from typing import cast
 
-from rumi.belief.bootstrap_filter import BootstrapFilter
+from rumi.belief.island_filter import IslandFilter
 from rumi.belief.motion import Motion, PushedMotion
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
@@ -128,7 +128,7 @@ def trajectory_filter(
         felt_ahead_m=spec.felt_ahead_m,
         wide=settings.trajectories.unfitted,
     )
-    return BootstrapFilter(settings, discrepancy, toppled, prior, cast(Search, spec.search))
+    return IslandFilter(settings, discrepancy, toppled, prior, cast(Search, spec.search))
 
 
 def pushed_motion(

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.belief.bootstrap_filter import BootstrapBelief, BootstrapFilter
+from rumi.belief.island_filter import IslandFilter
 from rumi.belief.knocked_trajectories import begun_again, pushed_anew
 from rumi.belief.misfit import MisfitSettings, knocked
 from rumi.belief.particles import PoseBelief
@@ -56,7 +56,7 @@ def searched_again(
     named = now.named
     if named in _STRANGE:
         return last.belief, before
-    if isinstance(pose_filter, BootstrapFilter) and isinstance(record.belief, BootstrapBelief):
+    if isinstance(pose_filter, IslandFilter):
         begun = pose_filter.begun_again(record.belief, record.reading, generator=generator)
         return begun, memory[(~memory.attached).nonzero()[:, 0]]
     here = record.belief

@@ -1,0 +1,131 @@
+"""Islands of a bootstrap filter: populations that never mix, whose even mixture is the belief.
+
+After a touch that several ways of lying explain a population keeps those that its few good draws happen to have, and
+forgets the others: it is sure of what another draw of the same numbers denies. Their estimates of the evidence differ
+by 5 to 20 nats where nothing but the draws does, so that weights by them would be noise, too. Populations with nothing
+in common show what the draws have decided: what they disagree on is not known (island particles of Verge, Dubarry, Del
+Moral and Moulines 2015, without their interaction).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.bootstrap_filter import SHOWN, BootstrapBelief, BootstrapFilter
+from rumi.belief.particles import PoseBelief
+from rumi.belief.pose_filter import FilterInfo, FilterSettings
+from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajectories
+from rumi.belief.prior import PosePrior
+from rumi.belief.toppled_object import ToppledObject
+from rumi.belief.trajectory_history import History, Segment
+from rumi.registration.descent import Search
+from rumi.seeding import Generators
+from rumi.weights import normalise
+from sdf import se3
+from sensors.discrepancy import Discrepancy
+from sensors.observation import Observation
+from sensors.reading import Reading
+
+
+@dataclass(frozen=True)
+class IslandBelief(PoseTrajectoryBelief):
+    """Pose particles of several populations, as many of each; trajectories as of now, without what led there.
+
+    Attributes:
+        islands: the populations' own beliefs.
+    """
+
+    islands: tuple[BootstrapBelief, ...] = ()
+
+
+class IslandFilter(BootstrapFilter):
+    """Follows several populations of a bootstrap filter, which share its particles evenly; arguments as there."""
+
+    def __init__(
+        self,
+        settings: FilterSettings,
+        discrepancy: Discrepancy,
+        model: ToppledObject,
+        prior: PosePrior,
+        search: Search = "SE(2)",
+    ) -> None:
+        super().__init__(settings, discrepancy, model, prior, search)
+        count = self.own.islands
+        self.own = replace(self.own, unseen_particles=max(1, self.own.unseen_particles // count))
+        self.shown = max(1, SHOWN // count)
+
+    def begin(self, belief: PoseBelief, memory: Observation, *, generator: Generators) -> IslandBelief:
+        """Draws of the prior, of each population its own."""
+        begun = [super(IslandFilter, self).begin(belief, memory, generator=generator) for _ in range(self.own.islands)]
+        return mixture(begun)
+
+    @torch.no_grad()
+    def forward(
+        self, belief: PoseBelief, memory: Observation, reading: Reading, *, generator: Generators
+    ) -> tuple[IslandBelief, Observation, FilterInfo]:
+        """One whole filter step of each; the points for planners ride with the first. Arguments as of `PoseFilter`."""
+        after, infos = [], list[FilterInfo]()
+        none = memory[torch.zeros(0, dtype=torch.long)]
+        kept = none
+        for number, island in enumerate(islands_of(belief)):
+            found, points, info = super().forward(island, none if number else memory, reading, generator=generator)
+            kept = kept if number else points
+            after.append(found)
+            infos.append(info)
+        moved = torch.stack([info.moved for info in infos]).any(0)
+        resampled = torch.stack([info.resampled for info in infos]).any(0)
+        return mixture(after), kept, FilterInfo(moved, resampled, infos[0].added)
+
+    def begun_again(self, belief: PoseBelief, reading: Reading, *, generator: Generators) -> IslandBelief:
+        """The belief after a jump in the last action; see `BootstrapFilter.begun_again`."""
+        again = super().begun_again
+        return mixture([again(island, reading, generator=generator) for island in islands_of(belief)])
+
+    def log_chance(self, belief: PoseBelief) -> float:
+        """Log of a bound on the p-value of all readings at the best particle of any population."""
+        return max(super(IslandFilter, self).log_chance(island) for island in islands_of(belief))
+
+
+def islands_of(belief: PoseBelief) -> tuple[BootstrapBelief, ...]:
+    """The populations of a belief.
+
+    Raises:
+        TypeError: it has none.
+    """
+    if not isinstance(belief, IslandBelief):
+        raise TypeError("Expected a belief of an island filter, as `begin` gives it, got another one")
+    return belief.islands
+
+
+def mixture(islands: Sequence[PoseBelief]) -> IslandBelief:
+    """The even mixture of populations, in the frame of the first."""
+    parts = [island for island in islands if isinstance(island, BootstrapBelief)]
+    frame = parts[0].world_T_attached
+    back = se3.inverse(frame)
+    poses = torch.cat([parts[0].attached_T_object, *[back @ part.world_T_object for part in parts[1:]]])
+    share = [part.log_weights - torch.log(torch.tensor(float(len(parts)))) for part in parts]
+    now = _as_of_now([part.trajectories for part in parts if part.trajectories is not None])
+    flat = torch.cat([part.discrepancy for part in parts])
+    return IslandBelief(frame, poses, normalise(torch.cat(share)), flat, None, now, tuple(parts))
+
+
+def _as_of_now(parts: Sequence[Trajectories]) -> Trajectories:
+    """Particles of different histories: where they are, how they slid last, and one segment without readings."""
+    none = torch.zeros(0, dtype=torch.long)
+    points: Float[Tensor, "0 3"] = torch.zeros(0, 3, dtype=torch.float64)
+    still = torch.zeros(1, 2, 4, dtype=torch.float64)
+    history = History.empty(4).appended(Segment(still, False, points, none, none, points[:, 0]))
+    noise = [part.noise[:, -1:] if part.noise.shape[1] else part.noise.new_zeros(len(part), 1, NOISE) for part in parts]
+    pose = torch.cat([part.pose for part in parts])
+    return Trajectories(
+        torch.cat([part.physics for part in parts]),
+        torch.cat(noise),
+        pose[:, None].repeat(1, 2, 1),
+        pose.new_zeros(len(pose), 1),
+        history,
+        pose[:0],
+        apart=any(part.apart for part in parts),
+    )

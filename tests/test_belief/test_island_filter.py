@@ -1,0 +1,119 @@
+"""Islands: populations that go on by themselves, whose even mixture is the belief."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief.bootstrap_filter import SHOWN, BootstrapFilter
+from rumi.belief.frictions import frictions_of
+from rumi.belief.island_filter import IslandBelief, IslandFilter, islands_of, mixture
+from rumi.belief.particles import PoseBelief
+from rumi.belief.prior import PosePrior
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.seeding import generator
+from sdf import se3
+from sdf.object_model import ObjectModel, box_model
+from sensors.observation import Observation
+from tests.fixtures.box_in_space import begin, felt_by, follow, towards
+
+
+@pytest.fixture(scope="module")
+def box() -> ObjectModel:
+    return box_model(spacing=0.003)
+
+
+@pytest.fixture(scope="module")
+def prior(box) -> PosePrior:
+    return PosePrior.of((0.0, 0.0), 0.02, box.exact.bounds, ("x", "z"))
+
+
+def make(kind, box, prior, particles: int, islands: int):
+    return follow(box, prior, kind, unseen_particles=particles, islands=islands)
+
+
+def touches(box, prior):
+    truth = se3.from_planar(torch.tensor([0.01, 0.005, 0.0])) @ prior.ways[1]
+    return [felt_by(box, truth, towards(x)) for x in (-0.10, -0.055, -0.054)]
+
+
+def test_one_island_is_the_bootstrap_filter(box, prior):
+    alone, one = (make(kind, box, prior, 200, 1) for kind in (BootstrapFilter, IslandFilter))
+    found = []
+    for followed in (alone, one):
+        belief, memory = begin(followed, prior)
+        for number, reading in enumerate(touches(box, prior)):
+            belief, memory, _ = followed(belief, memory, reading, generator=generator(number))
+        found.append((belief, memory))
+    torch.testing.assert_close(found[1][0].world_T_object, found[0][0].world_T_object, atol=1e-6, rtol=0)
+    torch.testing.assert_close(found[1][0].log_weights, found[0][0].log_weights)
+    assert torch.equal(found[1][1].points, found[0][1].points)
+    assert one.log_chance(found[1][0]) == alone.log_chance(found[0][0])
+
+
+def test_islands_share_the_particles_and_stay_apart(box, prior):
+    followed = make(IslandFilter, box, prior, 600, 3)
+    belief, memory = begin(followed, prior)
+    assert [len(island.every) for island in islands_of(belief)] == [200, 200, 200]
+    lone = islands_of(belief)
+    for number, reading in enumerate(touches(box, prior)):
+        random = generator(number)
+        lone = [BootstrapFilter.forward(followed, own, memory, reading, generator=random)[0] for own in lone]
+        belief, memory, info = followed(belief, memory, reading, generator=generator(number))
+        assert bool(info.moved) == bool(reading.in_contact.any())
+    assert len(belief.world_T_object) <= SHOWN
+    for island, own in zip(islands_of(belief), lone, strict=True):
+        assert torch.equal(island.every.pose, own.every.pose)
+    # each has the same share of what is shown, where it has its own poses
+    sizes = [len(own.log_weights) for own in lone]
+    shares = [part.exp().sum() for part in belief.log_weights.split(sizes)]
+    torch.testing.assert_close(torch.stack(shares), torch.full((3,), 1.0 / 3.0))
+    together = torch.cat([own.world_T_object for own in lone])
+    torch.testing.assert_close(belief.world_T_object, together, atol=1e-6, rtol=0)
+
+
+def test_what_islands_disagree_on_is_not_known(box, prior):
+    """Two populations sure of different places: half of the belief is at each."""
+    followed = make(IslandFilter, box, prior, 80, 2)
+    belief, _ = begin(followed, prior)
+    parts = []
+    for island, x in zip(islands_of(belief), (0.0, 0.05), strict=True):
+        still = island.every.poses.clone()
+        still[:, -1, :2] = torch.tensor([x, 0.0])
+        now = replace(island.every, poses=still)
+        parts.append(followed.belief_of(now, island.every_log_weight, island.world_T_attached, island.log_weights))
+    mixed = mixture(parts)
+    near = (mixed.world_T_object[:, 0, 3] < 0.025).float() @ mixed.log_weights.exp()
+    torch.testing.assert_close(near, torch.tensor(0.5), atol=1e-5, rtol=0)
+
+
+def test_planners_are_told_how_particles_of_all_islands_slid(box, prior):
+    followed = make(IslandFilter, box, prior, 90, 3)
+    belief, memory = begin(followed, prior)
+    for number, reading in enumerate(touches(box, prior)):
+        belief, memory, _ = followed(belief, memory, reading, generator=generator(number))
+    told = frictions_of(belief, followed.own)
+    assert len(told.tool) == len(belief.log_weights) and bool(torch.isfinite(told.tool).all())
+    own = torch.cat([frictions_of(island, followed.own).tool for island in islands_of(belief)])
+    torch.testing.assert_close(told.tool, own)
+
+
+def test_a_jump_begins_every_island_anew(box, prior):
+    followed = make(IslandFilter, box, prior, 90, 3)
+    belief, memory = begin(followed, prior)
+    readings = touches(box, prior)
+    for number, reading in enumerate(readings):
+        belief, memory, _ = followed(belief, memory, reading, generator=generator(number))
+    again = followed.begun_again(belief, readings[-1], generator=generator(5))
+    assert isinstance(again, IslandBelief) and len(again.islands) == 3
+    assert all(island.every.apart for island in again.islands)
+    assert bool(torch.isfinite(again.world_T_object).all())
+
+
+def test_another_belief_is_refused(box, prior):
+    followed = make(IslandFilter, box, prior, 20, 2)
+    other = PoseBelief.uniform(prior.spread_poses(5, generator=generator(0)))
+    with pytest.raises(TypeError, match="belief of an island filter"):
+        followed(other, Observation.empty(), touches(box, prior)[0], generator=generator(0))
+    with pytest.raises(ValueError, match="islands above 0"):
+        PoseTrajectorySettings(islands=0)
