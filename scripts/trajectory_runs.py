@@ -33,8 +33,11 @@ from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
 from scripts.store import Store
 
 RESULTS = Path(__file__).parent / "results" / "trajectories.jsonl"
-# without what counts for a wrist force sensor or in space alone, so that runs of neither stay what they are
-_NOT_HERE = re.compile(r", (force_n|force_per_m|lean|soft|grip)=(\([^)]*\)|[^,)]*)")
+# without what counts for a wrist force sensor, in space or for an inexact robot alone, so that other runs stay
+_OTHERS = (
+    "force_n|force_per_m|lean|soft|grip|missed|dead|tool_off_m|tool_off_rad|worn|view_off_m|least_m|first_particles"
+)
+_NOT_HERE = re.compile(rf", ({_OTHERS})=(\([^)]*\)|[^,)]*)")
 DEFAULTS = hashlib.sha256(_NOT_HERE.sub("", repr(PoseTrajectorySettings())).encode()).hexdigest()[:8]
 Motion = Literal["trajectory", "corrected", "estimated", "pushed", "measured"]
 

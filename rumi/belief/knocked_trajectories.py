@@ -54,7 +54,7 @@ def begun_again(
     start = last.pose[rows].clone()
     scale = start.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
     start[:, :3] += scale * normal((_DRAWS, 3), generator=generator, dtype=torch.float64)
-    drawn = Trajectories.drawn(start, history, generator)
+    drawn = Trajectories.drawn(start, history, generator, systematic=last.systematic[rows])
     drawn = drawn.replayed(model, sensed, history, torch.zeros(_DRAWS, dtype=torch.long))
     gained = drawn.log_likelihood.sum(-1)
     check_finite(gained)
@@ -89,6 +89,6 @@ def pushed_anew(
     """
     last = before.trajectories
     assert last is not None
-    fresh = Trajectories.drawn(last.pose.clone(), History.empty(), generator)
+    fresh = Trajectories.drawn(last.pose.clone(), History.empty(), generator, systematic=last.systematic)
     belief, memory, _ = pose_filter(replace(before, trajectories=fresh), memory, reading, generator=generator)
     return belief, memory

@@ -23,7 +23,8 @@ class Trajectories:
     """N particles, each with a history of its own; float64.
 
     Attributes:
-        physics: (N, 5) standard normals: log-friction, log-lever, centre of friction (x, y), pressure ahead.
+        physics: (N, 5) standard normals: log-friction, log-lever, centre of friction (x, y), pressure ahead; behind
+            them, where the run has systematic errors, theirs (`rumi.belief.systematic_errors`).
         noise: (N, S, 11) standard normals of each segment: log-friction, log-lever, motion along, across and turn;
             and for the whole action, of which its first segment's count, the last three once more, the size of all
             these, and the shift (x, y) of the centre of friction.
@@ -37,7 +38,7 @@ class Trajectories:
         forgotten: segments before the history's first.
     """
 
-    physics: Float[Tensor, "N 5"]
+    physics: Float[Tensor, "N P"]
     noise: Float[Tensor, "N S 11"]
     poses: Float[Tensor, "N S1 D"]
     log_likelihood: Float[Tensor, "N S"]
@@ -56,10 +57,22 @@ class Trajectories:
         starts: Float[Tensor, "Q D"] | None = None,
         *,
         apart: bool = False,
+        systematic: Float[Tensor, "N E"] | None = None,
     ) -> Self:
-        """Start poses with physics and noise of the prior, not replayed yet."""
+        """Start poses with physics and noise of the prior, not replayed yet.
+
+        Args:
+            start: poses.
+            history: to be replayed.
+            generator: of the draws.
+            starts: poses that are left open.
+            apart: whether they stand too far apart for a touch.
+            systematic: standard normals of the run's systematic errors; None for none.
+        """
         count, segments = len(start), len(history)
         physics = normal((count, PHYSICS), generator=generator, dtype=torch.float64)
+        if systematic is not None:
+            physics = torch.cat((physics, systematic), -1)
         noise = normal((count, segments, NOISE), generator=generator, dtype=torch.float64)
         poses = start[:, None].repeat(1, segments + 1, 1)
         logs, starts = start.new_zeros(count, segments), start[:0] if starts is None else starts
@@ -85,6 +98,11 @@ class Trajectories:
     def at(self, rows: Tensor) -> Self:
         """Some particles."""
         return self._with([getattr(self, name)[rows] for name in _PARTS])
+
+    @property
+    def systematic(self) -> Float[Tensor, "N E"]:
+        """Standard normals of the systematic errors; none of them where there are none."""
+        return self.physics[:, PHYSICS:]
 
     def put(self, rows: Int[Tensor, "R"], other: Self) -> Self:
         """The same with another's particles in some rows."""

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from rumi.belief.silence_numba import SILENT, told_by_silence
 from rumi.dynamics.sliding_numba import settled, slope, value
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, between, fast, lattice_of
@@ -14,26 +15,29 @@ _SLACK = 1e-6  # nats by which sums in another order may differ
 
 
 @bare
-def _deepest(x, y, yaw, at_tool, tool, groups, table, numbers):
+def _deepest(x, y, yaw, at_tool, worn, tool, groups, table, numbers):
     """Least distance of the tool's border from the object, the point there, and its place in the object's frame.
 
-    A group of points is left out where its disc is too far for one of them to be in the object, or deeper than found.
+    A group of points is left out where its disc is too far for one of them to be in the object, or deeper than found;
+    a negative wear lets the object be that much larger.
     """
     tool_x, tool_y, tool_cos, tool_sin = at_tool
     cos, sin = math.cos(yaw), math.sin(yaw)
     off_x, off_y = tool_x - x, tool_y - y
     off_x, off_y = cos * off_x + sin * off_y, cos * off_y - sin * off_x
     cos, sin = tool_cos * cos + tool_sin * sin, tool_sin * cos - tool_cos * sin
-    square, slack = numbers[4] * numbers[4], 2.0 * numbers[2]
+    edge = max(0.0, -worn)
+    radius, slack = numbers[4] + edge, 2.0 * numbers[2]
+    square = radius * radius
     least, best, at_x, at_y = math.inf, 0, 0.0, 0.0
     for group in range(len(groups)):
         place_x = off_x + cos * groups[group, 0] - sin * groups[group, 1]
         place_y = off_y + sin * groups[group, 0] + cos * groups[group, 1]
         far = groups[group, 2]
-        if place_x * place_x + place_y * place_y > (numbers[4] + far) * (numbers[4] + far):
+        if place_x * place_x + place_y * place_y > (radius + far) * (radius + far):
             continue
         found = value(place_x, place_y, table, numbers[0], numbers[1], numbers[2])
-        if found - far - slack > min(least, 0.0):
+        if found - far - slack > min(least, edge):
             continue
         for k in range(int(groups[group, 3]), int(groups[group, 4])):
             place_x = off_x + cos * tool[k, 0] - sin * tool[k, 1]
@@ -47,12 +51,12 @@ def _deepest(x, y, yaw, at_tool, tool, groups, table, numbers):
 
 
 @fast
-def _readings(first, last, pose, points, weight, row, logs, inverse, flat, lattice):
+def _readings(first, last, pose, worn, points, weight, row, logs, inverse, flat, lattice):
     """Log-likelihood of the points from one to before another, of their distances from the surface by a table."""
     x, y, cos, sin = pose
     count, nodes = len(weight), logs.shape[1]
     priced = logs.reshape(-1)
-    half, top = np.float32(0.5 * (nodes - 1)), np.float32(nodes - 1.01)
+    half, top = np.float32(0.5 * (nodes - 1)) + worn * inverse, np.float32(nodes - 1.01)
     total = np.float32(0.0)
     for m in range(first, last):
         dx, dy = at(points, m) - x, at(points, count + m) - y
@@ -62,7 +66,7 @@ def _readings(first, last, pose, points, weight, row, logs, inverse, flat, latti
 
 
 @bare
-def _stepped(x, y, yaw, before, after, shape, scales, body, noise):
+def _stepped(x, y, yaw, before, after, worn, shape, scales, body, noise):
     """Pose after an instant's push and the noise of it."""
     tool, groups, table, numbers = shape
     from_x, from_y, tool_x, tool_y, tool_yaw = before[0], before[1], after[0], after[1], after[2]
@@ -70,8 +74,8 @@ def _stepped(x, y, yaw, before, after, shape, scales, body, noise):
         return x, y, yaw
     tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
     placed = (tool_x, tool_y, tool_cos, tool_sin)
-    apart, k, at_x, at_y = _deepest(x, y, yaw, placed, tool, groups, table, numbers)
-    if not apart < 0.0:
+    apart, k, at_x, at_y = _deepest(x, y, yaw, placed, worn, tool, groups, table, numbers)
+    if not apart + worn < 0.0:
         return x, y, yaw
     first = (x, y, yaw)
     way_x, way_y = tool_x - from_x, tool_y - from_y
@@ -83,8 +87,8 @@ def _stepped(x, y, yaw, before, after, shape, scales, body, noise):
     centre_y = body[1] + body[2] * (cos * unit_y - sin * unit_x)
     for again in range(2):
         if again:
-            apart, k, at_x, at_y = _deepest(x, y, yaw, placed, tool, groups, table, numbers)
-            if not apart < 0.0:
+            apart, k, at_x, at_y = _deepest(x, y, yaw, placed, worn, tool, groups, table, numbers)
+            if not apart + worn < 0.0:
                 break
         gx, gy = slope(at_x, at_y, table, numbers[0], numbers[1], numbers[2])
         x, y, yaw = settled(
@@ -98,13 +102,13 @@ def _stepped(x, y, yaw, before, after, shape, scales, body, noise):
             tool_sin * tool[k, 0] + tool_cos * tool[k, 1],
             gx,
             gy,
-            -apart,
-            0.0,
+            -worn - apart,
+            -worn,
             (centre_x, centre_y, body[3], body[4], 0.0, 0.0, 0.0, 0.0, 0.0),
         )
     dx, dy, turn = x - first[0], y - first[1], yaw - first[2]
     length = math.sqrt(dx * dx + dy * dy)
-    size = length + scales[12] * abs(turn)
+    size = length + scales[12] * abs(turn) + scales[17]
     if length > 1e-9:
         unit_x, unit_y = dx / length, dy / length
     along, across = noise[0] * size * scales[9], noise[1] * size * scales[10]
@@ -116,13 +120,35 @@ def _stepped(x, y, yaw, before, after, shape, scales, body, noise):
 
 
 @bare
-def _one(n, particles, done, sensed, shape, scales, logs, flat, lattice):
+def _tool(taken, errors):
+    """Where a tool is, (x, y, yaw), by where it is taken to be."""
+    yaw = taken[2] - errors[2]
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    x, y = taken[0] - cos * errors[0] + sin * errors[1], taken[1] - sin * errors[0] - cos * errors[1]
+    return x, y, yaw
+
+
+@bare
+def _sensed(x, y, yaw, taken, seen, errors):
+    """Where the object would be if camera and tool were where they are taken to be, and sensed the same."""
+    if seen:
+        return x + errors[4], y + errors[5], yaw
+    true = _tool(taken, errors)
+    cos, sin = math.cos(errors[2]), math.sin(errors[2])
+    x, y = x - true[0], y - true[1]
+    return taken[0] + cos * x - sin * y, taken[1] + sin * x + cos * y, yaw + errors[2]
+
+
+@bare
+def _one(n, particles, done, sensed, shape, scales, logs, errors, flat, lattice):
     """One particle, from its own segment on; what cannot reach its least log-likelihood any more is given up."""
     first, least, poses, found, physics, noises = particles
     path, pushes, ends, action, point_ends = done
     points, weight, row = sensed
     numbers = shape[3]
-    begin, total = first[n], 0.0
+    begin, total, exact = first[n], 0.0, len(errors) == 0
+    worn = 0.0 if exact else errors[n, 3]
+    thin = np.float32(worn)
     x, y, yaw = poses[n, begin, 0], poses[n, begin, 1], poses[n, begin, 2]
     ahead = numbers[8] * (scales[4] + scales[5] * physics[n, 4])
     centre_x, centre_y = numbers[6] + scales[6] * physics[n, 2], numbers[7] + scales[6] * physics[n, 3]
@@ -146,11 +172,23 @@ def _one(n, particles, done, sensed, shape, scales, logs, flat, lattice):
             if pushes[instant]:
                 before = (path[instant, 0, 0], path[instant, 0, 1], path[instant, 0, 2])
                 after = (path[instant, 1, 0], path[instant, 1, 1], path[instant, 1, 2])
-                x, y, yaw = _stepped(x, y, yaw, before, after, shape, scales, body, noise)
+                if not exact:
+                    before, after = _tool(before, errors[n]), _tool(after, errors[n])
+                x, y, yaw = _stepped(x, y, yaw, before, after, worn, shape, scales, body, noise)
             point, last = point_ends[instant - 1] if instant > 0 else 0, point_ends[instant]
             if point < last:
-                pose = np.float32(x), np.float32(y), np.float32(math.cos(yaw)), np.float32(math.sin(yaw))
-                log += _readings(point, last, pose, points, weight, row, logs, inverse, flat, lattice)
+                at_x, at_y, turned = x, y, yaw
+                if not exact:
+                    taken = (path[instant, 1, 0], path[instant, 1, 1], path[instant, 1, 2])
+                    at_x, at_y, turned = _sensed(x, y, yaw, taken, row[point] == 0, errors[n])
+                pose = np.float32(at_x), np.float32(at_y), np.float32(math.cos(turned)), np.float32(math.sin(turned))
+                behind = last
+                while behind > point and row[behind - 1] == SILENT:
+                    behind -= 1
+                log += _readings(point, behind, pose, thin, points, weight, row, logs, inverse, flat, lattice)
+                if behind < last:
+                    told = _readings(behind, last, pose, thin, points, weight, row, logs, inverse, flat, lattice)
+                    log += told_by_silence(told, scales[18], scales[19] if segment == len(ends) - 1 else 1.0)
             # no reading's log-likelihood is above 0: what is too little now stays so
             if total + log < least[n] - _SLACK:
                 found[n, segment] = -math.inf
@@ -160,10 +198,10 @@ def _one(n, particles, done, sensed, shape, scales, logs, flat, lattice):
         total += log
 
 
-def _replay(particles, done, sensed, shape, scales, logs, grid, part):
+def _replay(particles, done, sensed, shape, scales, logs, errors, grid, part):
     lattice = lattice_of(grid[1], grid[2])
     for n in indices(part, len(particles[0])):
-        _one(np.int64(n), particles, done, sensed, shape, scales, logs, grid[0], lattice)
+        _one(np.int64(n), particles, done, sensed, shape, scales, logs, errors, grid[0], lattice)
 
 
 replay = Kernel(_replay)

@@ -22,10 +22,12 @@ from rumi.belief.pose_trajectories import NOISE, PoseTrajectoryBelief, Trajector
 from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
+from rumi.belief.systematic_errors import NUMBERS
 from rumi.belief.trajectory_chance import log_chance
 from rumi.belief.trajectory_history import History, Segment
-from rumi.belief.trajectory_moves import Moves, start_density
+from rumi.belief.trajectory_moves import KERNEL, Moves, start_density
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.belief.yaw_search import all_round
 from rumi.errors import DegenerateBeliefError, UsageError
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic, systematic
@@ -113,13 +115,16 @@ class PoseTrajectoryFilter(PoseFilter):
         """Draws of the posterior of a first view, from poses that fit it: importance sampling, then moves."""
         random, own = one(generator), self.own
         fitted = se3.to_planar(belief.world_T_object.double())
+        view = standing(memory, fitted, self.model, own)
+        history = History.empty() if view is None else History.empty().appended(view)
+        if own.first_particles and view is not None:
+            fitted = torch.cat((fitted, all_round(fitted, history, self.model, own)))
         draws = max(_DRAWS // len(fitted), 1)
         spread = fitted.new_tensor([(m, m, rad) for m, rad in _SPREADS])
         scale = spread[torch.arange(draws * len(fitted)) % len(spread)]
         start = fitted.repeat(draws, 1) + scale * normal(scale.shape, generator=random, dtype=torch.float64)
-        view = standing(memory, fitted, self.model, own)
-        history = History.empty() if view is None else History.empty().appended(view)
-        drawn = Trajectories.drawn(start, history, random)
+        errors = normal((len(start), NUMBERS), generator=random, dtype=torch.float64) if own.systematic else None
+        drawn = Trajectories.drawn(start, history, random, systematic=errors)
         drawn = drawn.replayed(self.model, own, history, torch.zeros(len(start), dtype=torch.long))
         proposal = torch.stack([start_density(start, fitted, s) for s in spread]).logsumexp(0)
         log_weights = drawn.log_likelihood.sum(-1) - proposal
@@ -221,13 +226,30 @@ class PoseTrajectoryFilter(PoseFilter):
             random: of the draws.
         """
         felt, spans = felt_pads(reading, self.model, self.own), list[int]()
+        if self.own.first_particles > len(now) and not len(now.history.moving()):
+            now = self._drawn_again(now, random)
+            log_weights = normalise(now.pose.new_zeros(len(now)))
         for place, instants in enumerate(parts):
             tracks = self._tracks(now, log_weights, path[instants])
             segment = pushed(reading, instants, path, felt, tracks, self.model, self.own)
             closes = place == len(parts) - 1
             now = self.absorbed(now, log_weights, segment, random, opens=not spans, closes=closes)
-            log_weights, spans = normalise(torch.zeros_like(log_weights)), [*spans, len(instants)]
+            log_weights, spans = normalise(now.pose.new_zeros(len(now))), [*spans, len(instants)]
         return now, spans
+
+    def _drawn_again(self, now: Trajectories, random: torch.Generator) -> Trajectories:
+        """More particles, equally weighted, of an object that nothing has pushed yet: importance sampling."""
+        own = self.own
+        rows = torch.randint(len(now.starts), (_DRAWS,), generator=random)
+        start = now.starts[rows].clone()
+        scale = start.new_tensor(KERNEL)
+        start[:, :3] += scale * normal((_DRAWS, 3), generator=random, dtype=torch.float64)
+        errors = normal((_DRAWS, NUMBERS), generator=random, dtype=torch.float64) if own.systematic else None
+        drawn = Trajectories.drawn(start, now.history, random, now.starts, systematic=errors)
+        drawn = replace(drawn, log_evidence=now.log_evidence)
+        drawn = drawn.replayed(self.model, own, now.history, torch.zeros(_DRAWS, dtype=torch.long))
+        log_weights = drawn.log_likelihood.sum(-1) - start_density(start, now.starts, scale)
+        return drawn.at(resample_systematic(log_weights, own.first_particles, generator=random))
 
     def _poses(self, now: Trajectories, log_weights: Tensor) -> Float[Tensor, "n D"]:
         """Poses by which points are chosen that tell."""
@@ -268,12 +290,15 @@ class PoseTrajectoryFilter(PoseFilter):
         """Particles, equally weighted, after a segment with contact: motions branch, the likely ones are kept."""
         own, count = self.own, len(now)
         history = now.history.appended(segment, opens=opens)
-        parents = torch.arange(count).repeat_interleave(own.branches)
+        many = count > own.particles  # of a first touch: they branch enough, and wait for moves until they are few
+        parents = torch.arange(count).repeat_interleave(1 if many else own.branches)
         noise = normal((len(parents), 1, NOISE), generator=random, dtype=torch.float64)
         tried = now.at(parents).stepped(self.model, own, noise, history)
         base, gained = log_weights[parents], tried.log_likelihood[:, -1]
         check_finite(gained)
-        power = power_of(base, gained, 0.0, float(count))
+        power = power_of(base, gained, 0.0, float(min(count, own.particles)))
+        if many and (closes or power < 1.0):
+            count = own.particles
         tried = tried.at(resample_systematic(base + power * gained, count, generator=random))
         scaled = tried.log_likelihood.clone()
         scaled[:, -1] *= power
@@ -281,7 +306,7 @@ class PoseTrajectoryFilter(PoseFilter):
         now = replace(tried, log_likelihood=scaled, log_evidence=now.log_evidence + told)
         # the action's motions are branched anew; those before it are what dies out
         alive = len(torch.unique(now.poses[:, int(history.action[-1]), 0]))
-        if power == 1.0 and not closes and alive >= _ALIVE * count:
+        if power == 1.0 and not closes and (count > own.particles or alive >= _ALIVE * count):
             return now
         return self._tempered(now, power, random, whole=closes)
 

@@ -33,8 +33,9 @@ def log_evidence(
         pose_filter: of whose prior the action is.
         generator: of the draws.
     """
-    start = before.pose[systematic(log_weights.double(), 0.5, len(before))].clone()
-    now = Trajectories.drawn(start, History.empty(), generator)
+    rows = systematic(log_weights.double(), 0.5, len(before))
+    start, errors = before.pose[rows].clone(), before.systematic[rows]
+    now = Trajectories.drawn(start, History.empty(), generator, systematic=errors)
     return followed(now, history, pose_filter, generator).log_evidence
 
 

@@ -5,6 +5,7 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from rumi.belief.systematic_errors import SystematicErrors
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import Sliding
@@ -93,8 +94,19 @@ class Pushed(Protocol):
         after: Float[Tensor, "T"],
         body: Sliding,
         noise: Float[Tensor, "N 5"],
+        errors: SystematicErrors | None = None,
     ) -> Float[Tensor, "N D"]:
-        """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
+        """Poses after an instant's push, and the noise of it.
+
+        Args:
+            own: of the motion prior.
+            pose: before it.
+            before: where the tool is taken to be then.
+            after: the same after the instant.
+            body: how each slides; its centre holds standard normals (x, y, ahead).
+            noise: of the motion.
+            errors: systematic ones; None for none.
+        """
         ...
 
     def told_by_force(

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from rumi.belief.felt_force import log_likelihood_of_forces
 from rumi.belief.pose_trajectories import Trajectories
+from rumi.belief.systematic_errors import SystematicErrors
 from rumi.belief.trajectory_history import History, arrays_of
 from rumi.belief.trajectory_likelihood import replay_plain, tables
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -132,23 +133,29 @@ class PushedObject:
         after: Float[Tensor, "3"],
         body: Sliding,
         noise: Float[Tensor, "N 5"],
+        errors: SystematicErrors | None = None,
     ) -> Float[Tensor, "N 3"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
-        near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
+        tool = [each.expand(len(pose), 3) if errors is None else errors.tool(each) for each in (before, after)]
+        near = ((tool[1][:, :2] - pose[:, :2]).norm(dim=-1) < self.reach_m).nonzero()[:, 0]
         if not len(near):
             return pose
         start, many = pose[near], len(near)
-        way = after[:2] - before[:2]
-        direction = way / way.norm().clamp_min(1e-12)
+        before, after = (each[near] for each in tool)
+        way = after[:, :2] - before[:, :2]
+        direction = way / way.norm(dim=-1, keepdim=True).clamp_min(1e-12)
         ahead = self.height_m * (own.ahead[0] + own.ahead[1] * body.centre[near, 2])
         centre = self.centre + own.centre_m * body.centre[near, :2] + own.centre_change_m * noise[near, 3:]
-        centre = centre + ahead[:, None] * rotated(direction.expand(many, 2), -start[:, 2])
+        centre = centre + ahead[:, None] * rotated(direction, -start[:, 2])
         sliding = Sliding(centre, body.lever[near], body.friction[near])
-        both = before.expand(many, 3), after.expand(many, 3)
-        moved, _ = push(start, *both, self.tool, self.outline, sliding, passes=2)
+        # the tool of a worn object may be that much thicker before it touches it
+        thickness = start.new_zeros(many) if errors is None else -errors.worn_m[near]
+        moved, _ = push(start, before, after, self.tool, self.outline, sliding, thickness=thickness, passes=2)
         step = moved - start
         length = step[:, :2].norm(dim=-1)
-        size = length + own.m_per_rad * step[:, 2].abs()
+        turned = step[:, 2].abs()
+        moves = (length > 0) | (turned > 0)
+        size = length + own.m_per_rad * turned + torch.where(moves, own.least_m, 0.0)
         along = torch.where(length[:, None] > 1e-9, step[:, :2] / length[:, None].clamp_min(1e-9), direction)
         across = torch.stack((-along[:, 1], along[:, 0]), -1)
         own_noise = noise[near, :3] * size[:, None] * noise.new_tensor((own.along, own.across, own.turn_rad_per_m))
@@ -205,6 +212,7 @@ def _replay_numba(
     scales, logs = tables(own)
     particles = arrays_of((first, least, poses, found, given.physics, given.noise))
     grid = grid_arguments(model.sdf, torch.float32)
-    scales = torch.cat((scales, scales.new_tensor([own.centre_change_m])))
-    kernel(particles, *history.arrays, model.arrays, scales.numpy(), logs.numpy(), grid)
+    scales = torch.cat((scales, scales.new_tensor([own.centre_change_m, own.least_m, own.missed, history.power])))
+    errors = SystematicErrors.of(own, given.systematic).table if own.systematic else scales.new_zeros(0, 6)
+    kernel(particles, *history.arrays, model.arrays, scales.numpy(), logs.numpy(), errors.numpy(), grid)
     return poses, found

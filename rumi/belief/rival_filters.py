@@ -86,7 +86,8 @@ def begun(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: tor
         generator: of the draws.
     """
     usual, wide = (
-        each.supposing(own=replace(each.own, particles=_PARTICLES)) for each in (pose_filter, pose_filter.doubting())
+        each.supposing(own=replace(each.own, particles=_PARTICLES, first_particles=0))
+        for each in (pose_filter, pose_filter.doubting())
     )
 
     def again() -> Trajectories:
@@ -149,7 +150,8 @@ def _displaced(first: Trajectories, ring: Ring, generator: torch.Generator) -> T
     rows = torch.randint(len(first), (_PARTICLES + _PLACES,), generator=generator)
     start = first.pose[rows].clone()
     start[:, :3] += drawn(ring, len(start), generator)
-    return Trajectories.drawn(start[:_PARTICLES], History.empty(), generator, start[_PARTICLES:])
+    errors = first.systematic[rows[:_PARTICLES]]
+    return Trajectories.drawn(start[:_PARTICLES], History.empty(), generator, start[_PARTICLES:], systematic=errors)
 
 
 def _sizes(pose_filter: PoseTrajectoryFilter, first: Trajectories, generator: torch.Generator) -> tuple[Rival, ...]:
@@ -179,9 +181,9 @@ def _seen(
     about = first.poses[:, 0]
     spread = about.new_tensor([(m, m, rad) for m, rad in _SPREADS])
     scale = spread[torch.arange(_DRAWS) % len(spread)]
-    start = about[torch.randint(len(about), (_DRAWS,), generator=generator)]
-    start = start + scale * normal(scale.shape, generator=generator, dtype=torch.float64)
-    tried = Trajectories.drawn(start, history, generator)
+    rows = torch.randint(len(about), (_DRAWS,), generator=generator)
+    start = about[rows] + scale * normal(scale.shape, generator=generator, dtype=torch.float64)
+    tried = Trajectories.drawn(start, history, generator, systematic=first.systematic[rows])
     tried = tried.replayed(model, own, history, torch.zeros(_DRAWS, dtype=torch.long))
     proposal = torch.stack([start_density(start, about, one) for one in spread]).logsumexp(0)
     log_weights = tried.log_likelihood.sum(-1) - proposal

@@ -127,6 +127,10 @@ def pushed(
     kept, counts = _thinned(len(at), own.most[3])
     at, which = at[kept], which[kept]
     kind = torch.where(bits[at, which], int(Kind.PAD_FELT), int(Kind.PAD_CLEAR))
+    if own.missed > 0:
+        pad = (model.pads[:, 1] > 0).long()  # one lies on either side of the tool's middle
+        silent = torch.stack([~felt[instants][:, pad == side].any(-1) for side in (0, 1)], -1)
+        kind = torch.where(silent[at, pad[::stride][which]], int(Kind.PAD_SILENT), kind)
     pads = places[at, which], at, kind, torch.full((len(at),), own.pad_weight * stride * counts, dtype=torch.float64)
     at, which = felt[instants].nonzero(as_tuple=True)
     kept, counts = _thinned(len(at), own.most[2])
@@ -135,7 +139,7 @@ def pushed(
     there = se3.apply(reading.tool_pose[instants[at]].double(), model.pads[which][:, None])[:, 0]
     touched = _from_origin(there, model), at, torch.full((len(at),), int(Kind.FELT)), each[at]
     points, instant, kinds, weights = (torch.cat(part) for part in zip(pads, touched, strict=True))
-    order = instant.argsort(stable=True)
+    order = (2 * instant + (kinds == Kind.PAD_SILENT)).argsort(stable=True)  # what is silent comes last
     force = _mean_force(reading, instants, path, own)
     return Segment(path[instants], True, points[order], instant[order], kinds[order], weights[order], force)
 

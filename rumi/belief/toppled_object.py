@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
+from rumi.belief.systematic_errors import SystematicErrors
 from rumi.belief.trajectory_history import History, arrays_of
 from rumi.belief.trajectory_likelihood import replay_plain, tables
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
@@ -147,8 +148,11 @@ class ToppledObject:
         after: Float[Tensor, "4"],
         body: Sliding,
         noise: Float[Tensor, "N 5"],
+        errors: SystematicErrors | None = None,
     ) -> Float[Tensor, "N 6"]:
         """Poses after an instant's push, and the noise of it; `body.centre` holds standard normals (x, y, ahead)."""
+        if errors is not None:
+            raise ValueError("Expected no systematic errors in space: sensors are wider in their place")
         near = ((after[:2] - pose[:, :2]).norm(dim=-1) < self.reach_m) | (pose[:, 4] >= 0)
         near = near.nonzero()[:, 0]
         if not len(near):
@@ -216,7 +220,7 @@ def _replay_numba(
     rests, edges = model.rests, model.rests.edges
     prior, priced = tables(own)
     topples = own.fall_m, own.firm_change / model.wide, own.lean, own.soft[0], own.soft[1] / model.wide
-    scales = torch.cat((prior, prior.new_tensor((*topples, *own.grip))))
+    scales = torch.cat((prior, prior.new_tensor((*topples, *own.grip, own.missed, history.power))))
     numbers = prior.new_tensor((model.reach_m, model.wide, float(model.tool[:, :2].norm(dim=-1).max())))
     done, sensed = history.arrays
     turned = rests.turn, rests.height_m, rests.centre, rests.spread_m

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from rumi.belief.silence_numba import SILENT, told_by_silence
 from rumi.dynamics.tool_contact import GROUP
 from rumi.dynamics.tool_contact_numba import clear_of, float32, placed
 from rumi.dynamics.toppling_numba import pushed
@@ -108,10 +109,18 @@ def _one(n, particles, done, sensed, scene, numbers, scales, logs_of):
                         state = _noisy(state, went, unit_x, unit_y, noise, scales)
                         frame = placed(state[0], state[1], state[2], state[3], state[4], state[5], rests)
             low, high = point_ends[instant - 1] if instant > 0 else 0, point_ends[instant]
-            if low < high:
+            behind = high
+            while behind > low and row[behind - 1] == SILENT:
+                behind -= 1
+            if low < behind:
                 log += _readings(
-                    low, high, float32(frame), points, weight, row, priced, inverse, half, top, flat, lattice
+                    low, behind, float32(frame), points, weight, row, priced, inverse, half, top, flat, lattice
                 )
+            if behind < high:
+                told = _readings(
+                    behind, high, float32(frame), points, weight, row, priced, inverse, half, top, flat, lattice
+                )
+                log += told_by_silence(told, scales[23], scales[24] if segment == len(ends) - 1 else 1.0)
             # no reading's log-likelihood is above 0: what is too little now stays so
             if total + log < least[n] - _SLACK:
                 logs[n, segment] = -math.inf

@@ -156,7 +156,7 @@ def _stuck(history: History, sensed: PoseTrajectorySettings) -> float:
     if float((own - own.median(0).values).norm(dim=-1).max()) > _STUCK_M:
         return -math.inf
     worth = history.worth().sum(0)
-    bits = worth[Kind.PAD_FELT] + worth[Kind.PAD_CLEAR]
+    bits = worth[Kind.PAD_FELT :].sum()
     known = math.log1p(-sensed.outliers) * float(bits)
     return known + math.log(sensed.outliers) * float(worth[Kind.FELT]) - math.log(_PATTERNS)
 
@@ -188,7 +188,7 @@ def _without_feeling(history: History, sensed: PoseTrajectorySettings) -> tuple[
     worth = history.worth().sum(0)
     each = worth.new_zeros(len(Kind))
     each[Kind.FELT] = each[Kind.PAD_FELT] = never
-    each[Kind.PAD_CLEAR] = always
+    each[Kind.PAD_CLEAR] = each[Kind.PAD_SILENT] = always
     dead = float(worth @ each)
     return dead + never * float(worth[Kind.SEEN]), dead
 
@@ -259,10 +259,11 @@ def _knocked(
     Importance sampling of where it began, by the first segment; then sequential Monte Carlo.
     """
     moves = normal((_DRAWS, 3), generator=generator, dtype=torch.float64)
-    start = before.pose[systematic(log_weights.double(), 0.5, _DRAWS)].clone()
+    rows = systematic(log_weights.double(), 0.5, _DRAWS)
+    start = before.pose[rows].clone()
     start[:, :3] += moves * moves.new_tensor((own.knock_m, own.knock_m, own.knock_rad))
     first = History.empty().appended(history.segment(0))
-    drawn = Trajectories.drawn(start, first, generator)
+    drawn = Trajectories.drawn(start, first, generator, systematic=before.systematic[rows])
     drawn = drawn.replayed(pose_filter.model, pose_filter.own, first, torch.zeros(_DRAWS, dtype=torch.long))
     gained = drawn.log_likelihood[:, 0]
     begun = drawn.at(resample_systematic(gained, len(before), generator=generator))

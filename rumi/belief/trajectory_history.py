@@ -22,6 +22,7 @@ class Kind(IntEnum):
     FELT = 2
     PAD_FELT = 3
     PAD_CLEAR = 4
+    PAD_SILENT = 5  # clear, as all of its pad was at that instant
 
 
 class Segment(NamedTuple):
@@ -61,6 +62,7 @@ class History:
         weight: (M).
         point_ends: (T), point behind each instant's last.
         force: (S, 3), mean force of each segment and what it is worth; 0 where none was measured.
+        power: to which the last segment's readings are raised; weights have it in them.
     """
 
     tool: Float[Tensor, "T 2 C"]
@@ -72,6 +74,7 @@ class History:
     weight: Float[Tensor, "M"]
     point_ends: Int[Tensor, "T"]
     force: Float[Tensor, "S 3"]
+    power: float = 1.0
 
     @classmethod
     def empty(cls, numbers: int = 3) -> Self:
@@ -123,7 +126,7 @@ class History:
         weight, force = self.weight.clone(), self.force.clone()
         weight[self._points_before(len(self) - 1) :] *= power
         force[-1, 2] *= power
-        return replace(self, weight=weight, force=force)
+        return replace(self, weight=weight, force=force, power=power)
 
     def last(self) -> Self:
         """The last segment alone, as an action of its own."""

@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from rumi.belief.pose_trajectories import OWN, Trajectories
+from rumi.belief.pose_trajectories import OWN, PHYSICS, Trajectories
 from rumi.belief.pushed_model import Pushed
+from rumi.belief.systematic_errors import SystematicErrors
 from rumi.belief.trajectory_history import NODES, History, Kind
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import Sliding
@@ -26,9 +27,21 @@ def log_likelihood_of(
     free = (-distance - own.free_m).clamp_min(0.0) / own.free_sd_m
     off = torch.where(kind == Kind.SEEN, seen, torch.where(kind == Kind.FREE, free, felt))
     near = (own.outliers + (1.0 - own.outliers) * (-0.5 * off.square()).exp()).log()
-    feels = own.outliers + (1.0 - 2.0 * own.outliers) * torch.sigmoid((own.pad_m - distance) / own.pad_slope_m)
+    within = torch.sigmoid((own.pad_m - distance) / own.pad_slope_m)
+    feels = own.outliers + (1.0 - 2.0 * own.outliers - own.dead) * within
     bit = torch.where(kind == Kind.PAD_FELT, feels, 1.0 - feels).log()
     return torch.where(kind >= Kind.PAD_FELT, bit, near)
+
+
+def told_by_silence(points: Float[Tensor, "N"], own: PoseTrajectorySettings, power: float) -> Float[Tensor, "N"]:
+    """Log-likelihood of pads that felt nothing at an instant: that nothing was there, or that all of them missed it.
+
+    Args:
+        points: log-likelihood of their points where nothing was missed, times `power`.
+        own: of the sensors.
+        power: to which the reading is raised.
+    """
+    return power * (own.missed + (1.0 - own.missed) * (points / power).exp()).log() if own.missed else points
 
 
 @backend.register("replay_trajectories")
@@ -47,6 +60,7 @@ def replay_plain(
         if not len(rows):
             continue
         noise, physics = given.noise[rows, segment], given.physics[rows]
+        errors = SystematicErrors.of(own, given.systematic[rows]) if own.systematic else None
         together = given.noise[rows, int(history.action[segment]), OWN:]
         friction = own.friction[0] * (own.friction[1] * physics[:, 0] + own.friction_change * noise[:, 0]).exp()
         lever = own.lever_ratio[1] * physics[:, 1] + own.lever_change * noise[:, 1]
@@ -58,14 +72,23 @@ def replay_plain(
         for instant in range(int(history.ends[segment - 1]) if segment else 0, int(history.ends[segment])):
             if bool(history.pushes[instant]):
                 before, after = history.tool[instant]
-                pose = model.step(own, pose, before, after, Sliding(physics[:, 2:], lever, friction), mixed)
+                body = Sliding(physics[:, 2:PHYSICS], lever, friction)
+                pose = model.step(own, pose, before, after, body, mixed, errors)
             begin = int(history.point_ends[instant - 1]) if instant else 0
             some = slice(begin, int(history.point_ends[instant]))
             there = history.points[some]
             if not len(there):
                 continue
-            distance = model.sdf.distance(model.local(pose, there).to(model.sdf.bounds)).to(pose)
-            total = total + log_likelihood_of(distance, history.kind[some], own) @ history.weight[some]
+            taken = pose
+            if errors is not None:
+                seen = history.kind[begin] == Kind.SEEN
+                taken = errors.seen(pose) if seen else errors.felt(pose, history.tool[instant, 1])
+            distance = model.sdf.distance(model.local(taken, there).to(model.sdf.bounds)).to(pose)
+            if errors is not None:
+                distance = distance + errors.worn_m[:, None]
+            each = log_likelihood_of(distance, history.kind[some], own) * history.weight[some]
+            silent, power = history.kind[some] == Kind.PAD_SILENT, history.power if segment == len(history) - 1 else 1.0
+            total = total + each[:, ~silent].sum(-1) + told_by_silence(each[:, silent].sum(-1), own, power)
         poses[rows, segment + 1], logs[rows, segment] = pose, total
     return poses, logs
 

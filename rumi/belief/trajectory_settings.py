@@ -30,6 +30,8 @@ class PoseTrajectorySettings:
 
     Attributes:
         particles: N, where a view shows the object.
+        first_particles: N of the first touch, for which those of the view are drawn anew from start poses that were
+            searched all round; 0 for no more than there are.
         unseen_particles: N of the bootstrap filter, where only a prior tells of the object at first.
         islands: populations that share these particles and never mix.
         branches: motions drawn for each particle when a segment comes in.
@@ -52,6 +54,8 @@ class PoseTrajectorySettings:
         along, across: deviations of a step along itself and across it, as shares of its length.
         turn_rad_per_m: deviation of its turn.
         m_per_rad: length that a radian of a step counts as.
+        least_m: length that every instant in which the tool moves an upright object counts as at least, added to its
+            step's: contacts set in and let go otherwise than the model's by as much as it takes a small step to go.
         fall_m: length that a fall counts as.
         firm_change: log-deviation of the tilt at which an object falls over.
         lean: part of the tool's way by which what leans on it may slip.
@@ -77,10 +81,16 @@ class PoseTrajectorySettings:
         force_per_m: independent readings of its direction that a metre of the tool's way in contact is worth; 0 leaves
             measured forces out.
         outliers: share of readings that mean nothing.
+        missed: share of a pad's instants in which all of it feels nothing, whatever is there.
+        dead: share of the pads' points that never feel.
+        tool_off_m, tool_off_rad: deviations of where the tool is taken to be in a run, along each axis, and of its yaw.
+        worn: mean and deviation of how much deeper the object's surface lies than its model's, in metres.
+        view_off_m: deviation of where a camera has the object in a run, along each axis.
         most: points that are kept of a view, the free ones of it, and of a segment's felt points and pads.
     """
 
     particles: int = 150
+    first_particles: int = 0
     unseen_particles: int = 12000
     islands: int = 3
     branches: int = 6
@@ -100,6 +110,7 @@ class PoseTrajectorySettings:
     across: float = 0.045
     turn_rad_per_m: float = 1.0
     m_per_rad: float = 0.02
+    least_m: float = 0.0
     fall_m: float = 0.06
     firm_change: float = 0.2
     lean: float = 0.2
@@ -125,6 +136,12 @@ class PoseTrajectorySettings:
     force_n: float = 0.2
     force_per_m: float = 20.0
     outliers: float = 0.02
+    missed: float = 0.0
+    dead: float = 0.0
+    tool_off_m: float = 0.0
+    tool_off_rad: float = 0.0
+    worn: tuple[float, float] = (0.0, 0.0)
+    view_off_m: float = 0.0
     most: tuple[int, int, int, int] = (500, 250, 60, 120)
 
     def for_others(self) -> Self:
@@ -133,6 +150,11 @@ class PoseTrajectorySettings:
         return replace(
             self, **{name: own for name, own in _OTHERS.items() if getattr(self, name) == getattr(fitted, name)}
         )
+
+    @property
+    def systematic(self) -> bool:
+        """Whether anything is off by the same in a whole run."""
+        return any((self.tool_off_m, self.tool_off_rad, *self.worn, self.view_off_m))
 
     def wider(self, camera_m: float, tool_m: float) -> Self:
         """The same where readings are off by more than their noise, by these standard deviations.

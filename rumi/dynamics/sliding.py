@@ -219,7 +219,7 @@ def push(
     outline: Outline,
     sliding: Sliding,
     *,
-    thickness: float = 0.0,
+    thickness: float | Float[Tensor, "E"] = 0.0,
     passes: int = 3,
 ) -> tuple[Float[Tensor, "E 3"], Bool[Tensor, "E"]]:
     """Poses of objects after one small motion of a tool, and whether it met them.
@@ -235,16 +235,18 @@ def push(
         points_t: points of the tool, tool frame, metres.
         outline: of the objects.
         sliding: of each object.
-        thickness: radius of a disc about every point, metres: one point with a radius is a round finger.
+        thickness: radius of a disc about every point, metres: one point with a radius is a round finger; of each
+            object's tool, where these differ. A negative one is how deep its points go in before they touch.
         passes: contacts that are settled, at most.
     """
+    thick = torch.as_tensor(thickness).to(pose).expand(len(pose))
     start, touched = pose, torch.zeros(len(pose), dtype=torch.bool, device=pose.device)
     rows = torch.arange(len(pose), device=pose.device)
     placed = after[:, None, :2] + rotated(points_t, after[:, None, 2])
     for _ in range(passes):
         here, own = pose[rows], sliding.at(rows)
         local = rotated(placed[rows] - here[:, None, :2], -here[:, None, 2])
-        depth, index = (thickness - outline(local).distance).max(-1)
+        depth, index = (thick[rows, None] - outline(local).distance).max(-1)
         hit = (depth > 0).nonzero()[:, 0]
         if not len(hit):
             break
@@ -252,7 +254,7 @@ def push(
         touched[rows] = True
         gradient = outline(local[hit, index]).gradient
         inward = -rotated(gradient / gradient.norm(dim=-1, keepdim=True).clamp_min(1e-9), here[:, 2])
-        point = placed[rows, index] + thickness * inward
+        point = placed[rows, index] + thick[rows, None] * inward
         moved = pushed_out(here, start[rows], before[rows], after[rows], Touch(point, inward, depth), own)
         pose = pose.index_copy(0, rows, moved)
     return pose, touched

@@ -4,6 +4,9 @@ import math
 from dataclasses import replace
 from typing import cast
 
+from jaxtyping import Float
+from torch import Tensor
+
 from rumi.belief.island_filter import IslandFilter
 from rumi.belief.motion import Motion, PushedMotion
 from rumi.belief.pose_filter import FilterSettings
@@ -26,6 +29,12 @@ from sdf.primitives import Mug
 from sensors.discrepancy import Discrepancy
 
 _PLANAR = ("pushed", "corrected", "trajectory")  # motions of upright objects and a level tool; the last of others too
+_FROM_TARGET_M = 0.17  # of the point that a camera is calibrated by: how far the object may stand off it
+# noise of the motion where shape, balance or hand are not as known, fitted under `lab`: times that of exact ones, and
+# the length that each instant of a push counts as beside its step
+_WIDER, _LEAST_M = 1.5, 0.0015
+_FIRST = 3000  # particles of a first touch
+_NEARER = 0.9  # of a depth's noise: matched to the nearest surface, seen points draw a thin wall so far to the camera
 _SURFACE_SPACING = 0.008  # metres between the points of a tool in space that push
 
 
@@ -81,6 +90,44 @@ def as_accurate(own: PoseTrajectorySettings, simulator: SimSettings) -> PoseTraj
     return own.wider(math.hypot(camera, worn), math.hypot(simulator.tool_off_m / math.sqrt(2.0), worn))
 
 
+def as_inexact(
+    own: PoseTrajectorySettings, simulator: SimSettings, bounds: Float[Tensor, "2 3"]
+) -> PoseTrajectorySettings:
+    """The systematic errors of a run, and pads, motion and physics as uncertain, as they are stated to be.
+
+    Calibration and tool pose are off in a random direction, of which one axis counts; wear is even up to a depth; size,
+    friction and centre of mass are even about the model's.
+
+    Args:
+        own: of the belief.
+        simulator: what is stated.
+        bounds: of the object, of which half the mean width turns a share of its size into a length.
+    """
+    build, sensors, pads = simulator.build, simulator.sensors, simulator.pads
+    half_m = 0.25 * float((bounds[1] - bounds[0])[:2].sum())
+    calibration = math.hypot(sensors.calibration_m, _FROM_TARGET_M * sensors.calibration_rad) / math.sqrt(3.0)
+    drawn_near = _NEARER * sensors.depth_noise_m / math.sqrt(2.0)
+    worn = math.hypot(build.worn_m / math.sqrt(12.0), half_m * build.scale / math.sqrt(3.0))
+    known = not any((build.com_m, build.scale, build.worn_m, simulator.tool_off_m))
+    wider, least_m = (1.0, 0.0) if known else (_WIDER, _LEAST_M)
+    return replace(
+        own,
+        tool_off_m=math.hypot(own.tool_off_m, simulator.tool_off_m / math.sqrt(2.0)),
+        tool_off_rad=math.hypot(own.tool_off_rad, simulator.tool_off_rad),
+        worn=(own.worn[0] + 0.5 * build.worn_m, math.hypot(own.worn[1], worn)),
+        view_off_m=math.hypot(own.view_off_m, calibration, drawn_near),
+        first_particles=own.first_particles if known else max(own.first_particles, _FIRST),
+        missed=max(own.missed, pads.missed),
+        dead=max(own.dead, pads.dead),
+        friction=(own.friction[0], math.hypot(own.friction[1], build.friction / math.sqrt(3.0))),
+        centre_m=math.hypot(own.centre_m, build.com_m / math.sqrt(5.0)),
+        along=wider * own.along,
+        across=wider * own.across,
+        turn_rad_per_m=wider * own.turn_rad_per_m,
+        least_m=max(own.least_m, least_m),
+    )
+
+
 def trajectory_filter(
     spec: TaskSpec,
     settings: FilterSettings,
@@ -104,7 +151,13 @@ def trajectory_filter(
     spacing = settings.trajectories.pad_spacing_m
     if is_planar(spec) and not isinstance(model.exact, Mug):
         settings = replace(settings, trajectories=settings.trajectories.for_others())
-    settings = replace(settings, trajectories=as_accurate(settings.trajectories, simulator))
+    if settings.stated_errors == "noise":
+        settings = replace(settings, trajectories=as_accurate(settings.trajectories, simulator))
+    elif is_planar(spec):
+        own = as_inexact(settings.trajectories, simulator, model.sdf.bounds)
+        settings = replace(settings, trajectories=own)
+    else:
+        raise UsageError("Expected --filter.stated-errors noise in space, where no particle has errors of its own")
     if is_planar(spec):
         pushed = PushedObject.of(
             discrepancy.sdf,

@@ -1,21 +1,26 @@
-"""Widths of the sensors of trajectories, by what the robot is stated to be off by."""
+"""Widths and systematic errors of trajectories, by what robot and object are stated to be off by."""
 
 import math
 from dataclasses import replace
 
 import pytest
+import torch
 
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.errors import UsageError
+from rumi.sim.error_settings import PadErrors
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.build import build
-from rumi.tasks.rummage.motions import as_accurate
+from rumi.tasks.rummage.motions import as_accurate, as_inexact
 from rumi.tasks.rummage.settings import preset
 
 OWN = PoseTrajectorySettings()
+BOUNDS = torch.tensor([[-0.05, -0.03, 0.0], [0.05, 0.03, 0.1]])
 
 
 def test_an_exact_robot_changes_no_width():
     assert as_accurate(OWN, SimSettings()) == OWN
+    assert as_inexact(OWN, SimSettings(), BOUNDS) == OWN and not OWN.systematic
 
 
 def test_widths_add_in_quadrature():
@@ -36,8 +41,40 @@ def test_widths_add_in_quadrature():
 WIDTHS = ("seen_sd_m", "free_sd_m", "felt_sd_m", "pad_slope_m")
 
 
+def test_systematic_errors_have_the_deviations_of_what_is_drawn():
+    """An offset in a random direction of the plane, wear from none to the most, a size about the model's."""
+    simulator = SimSettings(tool_off_m=0.002, tool_off_rad=0.01)
+    simulator = replace(simulator, build=replace(simulator.build, worn_m=0.003, scale=0.02, com_m=0.01))
+    found = as_inexact(OWN, simulator, BOUNDS)
+    assert found.systematic and found.tool_off_rad == 0.01
+    assert found.tool_off_m == pytest.approx(0.002 * math.sqrt(0.5))
+    assert found.worn[0] == pytest.approx(0.0015)
+    assert found.worn[1] == pytest.approx(math.sqrt(0.003**2 / 12.0 + (0.04 * 0.02) ** 2 / 3.0))
+    assert found.centre_m == pytest.approx(math.hypot(OWN.centre_m, 0.01 / math.sqrt(5.0)))
+    assert found.view_off_m == 0.0 and found.seen_sd_m == OWN.seen_sd_m
+    assert found.across > OWN.across and found.least_m > OWN.least_m
+
+
+def test_pads_that_miss_are_believed_to():
+    simulator = SimSettings(pads=PadErrors(dead=0.1, missed=0.05))
+    found = as_inexact(OWN, simulator, BOUNDS)
+    assert (found.dead, found.missed) == (0.1, 0.05)
+
+
 @pytest.mark.usefixtures("at_home")
-def test_the_filter_of_a_run_is_as_wide(cache):
+def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
     settings = preset(task="mug", conditions="lab")
     with build(settings, cache_dir=cache) as (_, agent):
         assert agent.filter.settings.trajectories == as_accurate(OWN, settings.simulator) != OWN
+    settings = replace(settings, filter=replace(settings.filter, stated_errors="systematic"))
+    with build(settings, cache_dir=cache) as (_, agent):
+        found = as_inexact(OWN, settings.simulator, agent.model.sdf.bounds)
+        assert agent.filter.settings.trajectories == found and found.systematic
+
+
+@pytest.mark.usefixtures("at_home")
+def test_systematic_errors_are_refused_in_space(cache):
+    settings = preset(task="box", conditions="lab")
+    settings = replace(settings, filter=replace(settings.filter, stated_errors="systematic"))
+    with pytest.raises(UsageError, match=r"Expected --filter\.stated-errors noise in space"):
+        build(settings, cache_dir=cache)

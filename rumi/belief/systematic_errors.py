@@ -1,0 +1,65 @@
+"""Systematic errors of a run, as numbers of every particle: what is off by the same at all instants is no noise.
+
+A robot takes its tool to be where it is not, the object's surface lies deeper than its model's, and a camera's
+calibration is off: each of these is drawn once, and every reading of a run shares it. Independent readings whose noise
+is as wide would count each of them anew, and a belief grow sure of what they have in common.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.dynamics.sliding import rotated
+
+NUMBERS = 6
+"""Standard normals of a particle: where its tool is taken to be (x, y, yaw), its wear, and its view (x, y)."""
+
+
+@dataclass(frozen=True)
+class SystematicErrors:
+    """Systematic errors of N particles; float64.
+
+    Attributes:
+        tool_m: (N, 2), where the tool is taken to be, seen from where it is, along the axes of the true one.
+        tool_rad: (N), by which it is taken to be turned.
+        worn_m: (N), how much deeper the object's surface lies than its model's.
+        view_m: (N, 2), where what a camera saw is taken to be, seen from where it is, world axes.
+    """
+
+    tool_m: Float[Tensor, "N 2"]
+    tool_rad: Float[Tensor, "N"]
+    worn_m: Float[Tensor, "N"]
+    view_m: Float[Tensor, "N 2"]
+
+    @classmethod
+    def of(cls, own: PoseTrajectorySettings, numbers: Float[Tensor, "N 6"]) -> Self:
+        """Those of standard normals."""
+        return cls(
+            own.tool_off_m * numbers[:, :2],
+            own.tool_off_rad * numbers[:, 2],
+            own.worn[0] + own.worn[1] * numbers[:, 3],
+            own.view_off_m * numbers[:, 4:],
+        )
+
+    @property
+    def table(self) -> Float[Tensor, "N 6"]:
+        """All of them in the order of the normals, as the compiled version takes them."""
+        return torch.cat((self.tool_m, self.tool_rad[:, None], self.worn_m[:, None], self.view_m), -1)
+
+    def tool(self, taken: Float[Tensor, "3"]) -> Float[Tensor, "N 3"]:
+        """Where the tool is, (x, y, yaw), by where it is taken to be."""
+        yaw = taken[2] - self.tool_rad
+        return torch.cat((taken[:2] - rotated(self.tool_m, yaw), yaw[:, None]), -1)
+
+    def felt(self, pose: Float[Tensor, "N 3"], taken: Float[Tensor, "3"]) -> Float[Tensor, "N 3"]:
+        """Where the object would be if the tool were where it is taken to be, and felt the same."""
+        place = taken[:2] + rotated(pose[:, :2] - self.tool(taken)[:, :2], self.tool_rad)
+        return torch.cat((place, (pose[:, 2] + self.tool_rad)[:, None]), -1)
+
+    def seen(self, pose: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+        """Where a camera has the object."""
+        return torch.cat((pose[:, :2] + self.view_m, pose[:, 2:]), -1)

@@ -1,0 +1,192 @@
+"""Systematic errors of particles, pads that miss an instant, and the search of starts at every yaw."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import pytest
+import torch
+
+from rumi.belief.pose_trajectories import NOISE, PHYSICS, Trajectories
+from rumi.belief.pushed_object import PushedObject
+from rumi.belief.systematic_errors import NUMBERS, SystematicErrors
+from rumi.belief.trajectory_history import History, Kind, Segment
+from rumi.belief.trajectory_likelihood import told_by_silence
+from rumi.belief.trajectory_settings import PoseTrajectorySettings
+from rumi.belief.yaw_search import all_round
+from rumi.robot.gripper import GripperShape
+from rumi.seeding import generator
+from rumi.sim.tool_offset import ToolOffset
+from sdf import backend, se3
+from sdf.grid_sdf import GridSDF
+from sdf.primitives import Box
+from sdf.so3 import wrap
+
+DOUBLE = {"dtype": torch.float64}
+EXACT = PoseTrajectorySettings(particles=60)
+OWN = replace(
+    EXACT,
+    tool_off_m=0.002,
+    tool_off_rad=0.02,
+    worn=(0.001, 0.001),
+    view_off_m=0.003,
+    missed=0.05,
+    dead=0.1,
+    least_m=0.001,
+)
+
+
+@pytest.fixture(scope="module")
+def model() -> PushedObject:
+    block = GridSDF.from_sdf(Box([0.04, 0.06, 0.03]), 0.003)
+    return PushedObject.of(block, GripperShape(), height_m=0.03, resting_m=0.03, spacing_m=0.006, pad_spacing_m=0.006)
+
+
+@pytest.fixture(autouse=True)
+def compiled_versions() -> Iterator[None]:
+    with backend.force("numba"):
+        yield
+
+
+def numbers(count: int, seed: int = 3) -> torch.Tensor:
+    return torch.randn(count, NUMBERS, generator=generator(seed), **DOUBLE)
+
+
+def sensed(path: torch.Tensor, kinds: tuple[Kind, ...], *, pushes: bool, seed: int) -> Segment:
+    """Random points of some kinds at random instants; what is silent comes last of its instant."""
+    random, count = generator(seed), 24
+    points = 0.1 * (torch.rand(count, 3, generator=random, **DOUBLE) - 0.5)
+    kind = torch.tensor(kinds)[torch.randint(len(kinds), (count,), generator=random)]
+    instant = torch.randint(len(path), (count,), generator=random)
+    order = (2 * instant + (kind == Kind.PAD_SILENT)).argsort(stable=True)
+    weight = torch.rand(count, generator=random, **DOUBLE)
+    return Segment(path, pushes, points, instant[order], kind[order], weight)
+
+
+def history_of_a_push() -> History:
+    """A view, then a tool that comes along x and pushes the block's face."""
+    x = -0.11 + 0.006 * torch.arange(9, **DOUBLE)
+    tool = torch.stack((x, 0 * x + 0.01, 0.05 * torch.ones_like(x)), -1)
+    path = torch.stack((tool[:-1], tool[1:]), 1)
+    felt = (Kind.FELT, Kind.PAD_FELT, Kind.PAD_CLEAR, Kind.PAD_SILENT)
+    view = sensed(torch.zeros(1, 2, 3, **DOUBLE), (Kind.SEEN,), pushes=False, seed=1)
+    free = sensed(torch.zeros(1, 2, 3, **DOUBLE), (Kind.FREE,), pushes=False, seed=4)
+    history = History.empty().appended(view).appended(free)
+    return history.appended(sensed(path[:4], felt, pushes=True, seed=2)).appended(
+        sensed(path[4:], felt, pushes=True, seed=3), opens=False
+    )
+
+
+def particles(history: History, count: int, errors: torch.Tensor | None) -> Trajectories:
+    random = generator(9)
+    start = 0.004 * torch.randn(count, 3, generator=random, **DOUBLE)
+    return Trajectories.drawn(start, history, random, systematic=errors)
+
+
+def replayed(model: PushedObject, own: PoseTrajectorySettings, given: Trajectories) -> Trajectories:
+    return given.replayed(model, own, given.history, torch.zeros(len(given), dtype=torch.long))
+
+
+def test_a_tool_is_where_the_simulator_has_it_by_where_it_is_taken_to_be():
+    errors = SystematicErrors.of(OWN, numbers(5))
+    taken = torch.tensor([0.3, -0.1, 0.7], **DOUBLE)
+    for row in range(5):
+        offset = ToolOffset(errors.tool_m[row], float(errors.tool_rad[row]))
+        torch.testing.assert_close(errors.tool(taken)[row], offset.true(taken[None])[0], atol=1e-12, rtol=0)
+
+
+def test_what_is_felt_is_as_far_from_the_object_by_either_pose():
+    """A point of the tool is as far from the true pose, where it truly is, as from the felt one, where it is taken."""
+    errors, pose = SystematicErrors.of(OWN, numbers(4)), torch.randn(4, 3, generator=generator(5), **DOUBLE)
+    taken, point = torch.tensor([0.2, 0.1, -0.4], **DOUBLE), torch.tensor([[0.03, 0.02, 0.01]], **DOUBLE)
+    there = se3.apply(se3.from_planar(taken), point)
+    for row, tool in enumerate(errors.tool(taken)):
+        true = se3.apply(se3.inverse(se3.from_planar(pose[row])), se3.apply(se3.from_planar(tool), point))
+        felt = se3.apply(se3.inverse(se3.from_planar(errors.felt(pose, taken)[row])), there)
+        torch.testing.assert_close(true, felt, atol=1e-12, rtol=0)
+
+
+def test_the_compiled_replay_is_the_plain_one(model):
+    history = history_of_a_push()
+    given, found = particles(history, 40, numbers(40)), {}
+    for version in ("torch", "numba"):
+        with backend.force(version):
+            found[version] = replayed(model, OWN, given)
+    one, other = found["torch"], found["numba"]
+    assert float((one.poses[:, -1, :2] - one.poses[:, 0, :2]).norm(dim=-1).max()) > 0.01  # it was pushed
+    torch.testing.assert_close(one.poses, other.poses, atol=2e-7, rtol=0)
+    torch.testing.assert_close(one.log_likelihood, other.log_likelihood, atol=2e-3, rtol=2e-4)
+
+
+def test_no_error_is_the_exact_replay(model):
+    history = history_of_a_push()
+    none = replace(EXACT, tool_off_m=1e-12)
+    with_errors = replayed(model, none, particles(history, 20, numbers(20)))
+    without = replayed(model, EXACT, particles(history, 20, None))
+    torch.testing.assert_close(with_errors.poses, without.poses, atol=1e-9, rtol=0)
+    torch.testing.assert_close(with_errors.log_likelihood, without.log_likelihood, atol=1e-4, rtol=1e-5)
+
+
+@pytest.mark.parametrize("version", ["torch", "numba"])
+def test_a_worn_object_is_met_as_much_later_as_it_is_worn(model, version):
+    own = replace(EXACT, worn=(0.004, 0.0), ahead=(0.0, 0.0), centre_m=0.0)
+    tip = float(model.tool[:, 0].max())
+    x = torch.tensor([-0.04 - tip - 0.001, -0.04 - tip + 0.006], **DOUBLE)
+    path = torch.stack((x, 0 * x, 0 * x), -1)[None]
+    none = torch.zeros(0, dtype=torch.long)
+    flat = torch.zeros(0, **DOUBLE)
+    history = History.empty().appended(Segment(path, True, flat.view(0, 3), none, none, flat))
+    given = replace(
+        particles(history, 1, torch.zeros(1, NUMBERS, **DOUBLE)),
+        physics=torch.zeros(1, PHYSICS + NUMBERS, **DOUBLE),
+        noise=torch.zeros(1, 1, NOISE, **DOUBLE),
+        poses=torch.zeros(1, 2, 3, **DOUBLE),
+    )
+    with backend.force(version):
+        moved = replayed(model, own, given).pose[0, 0]
+        whole = replayed(model, replace(own, worn=(0.0, 0.0)), replace(given, physics=given.physics[:, :PHYSICS]))
+    assert float(whole.pose[0, 0]) > 0.005
+    assert float(whole.pose[0, 0] - moved) == pytest.approx(0.004, abs=8e-4)  # two fingers, settled one after the other
+
+
+def test_silence_is_never_less_likely_than_a_missed_touch():
+    logs = torch.tensor([0.0, -1.0, -30.0, -1e4], **DOUBLE)
+    told = told_by_silence(logs, replace(EXACT, missed=0.05), 1.0)
+    assert float(told[0]) == pytest.approx(0.0, abs=1e-12)
+    assert float(told[1]) == pytest.approx(math.log(0.05 + 0.95 * math.exp(-1.0)))
+    torch.testing.assert_close(told[2:], torch.full((2,), math.log(0.05), **DOUBLE), atol=1e-9, rtol=0)
+    assert torch.equal(told_by_silence(logs, EXACT, 1.0), logs)
+
+
+def test_tempered_readings_are_the_power_of_whole_ones(model):
+    """Also where pads were silent, whose likelihood is no product over points."""
+    history = history_of_a_push()
+    given = particles(history, 20, numbers(20))
+    whole = replayed(model, OWN, given)
+    part = given.replayed(model, OWN, history.tempered(0.3), torch.zeros(20, dtype=torch.long))
+    torch.testing.assert_close(part.log_likelihood[:, :-1], whole.log_likelihood[:, :-1], atol=1e-4, rtol=1e-5)
+    torch.testing.assert_close(part.log_likelihood[:, -1], 0.3 * whole.log_likelihood[:, -1], atol=1e-4, rtol=1e-4)
+
+
+def test_a_search_all_round_finds_the_yaw_that_registration_missed(model):
+    """Two sides of a block and a corner between them, seen where the block is turned by 65 degrees."""
+    side = torch.linspace(-0.9, 0.9, 15, **DOUBLE)
+    local = torch.cat(
+        (
+            torch.stack((0.04 + 0 * side, 0.06 * side, 0 * side), -1),
+            torch.stack((0.04 * side, 0.06 + 0 * side, 0 * side), -1),
+        )
+    )
+    true = torch.tensor([0.012, -0.009, math.radians(65.0)], **DOUBLE)
+    points = se3.apply(se3.from_planar(true), local)
+    count = len(points)
+    weight = torch.full((count,), EXACT.seen_points / count, **DOUBLE)
+    kind = torch.full((count,), int(Kind.SEEN))
+    view = Segment(torch.zeros(1, 2, 3, **DOUBLE), False, points, torch.zeros(count, dtype=torch.long), kind, weight)
+    history = History.empty().appended(view)
+    wrong = torch.zeros(3, 3, **DOUBLE)
+    found = all_round(wrong, history, model, OWN)
+    given = Trajectories.still(found, history)
+    best = found[replayed(model, EXACT, given).log_likelihood.sum(-1).argmax()]
+    assert float((best[:2] - true[:2]).norm()) < 0.002
+    assert abs(float(wrap(2.0 * (best[2] - true[2])[None]))) < math.radians(6.0)  # a block is the same turned by half
