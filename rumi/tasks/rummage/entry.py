@@ -26,6 +26,7 @@ from rumi.tasks.rummage.objects import record
 from rumi.tasks.rummage.raw_streams import RawStreams
 from rumi.tasks.rummage.scenes import SCENES, TaskSpec
 from rumi.tasks.rummage.settings import PRESETS, Settings, from_dict, preset, to_dict
+from rumi.viz.rummaging_view import RummagingView
 from sensors.reading import Reading
 
 
@@ -113,6 +114,10 @@ class RummageTask:
         from rumi.viz.figures import make_figures
 
         return make_figures(run, out, steps)
+
+    def view(self, run: Run) -> RummagingView:
+        """Points, tool, contacts and the plan with the information that it went for."""
+        return RummagingView(run.geometry)
 
     def role(self, name: str) -> Role:
         """What a setting is to a replay."""
