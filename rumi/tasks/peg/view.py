@@ -105,9 +105,11 @@ class PegView:
         if before.belief.states.shape[-1] == 2:
             lane = Lines([record.felt.path.double().numpy()], rgb(style.EXPECTED), 0.002)
             return DecisionView({"path": lane}, f"**Motion {record.step}**\n\n- a lane of the search: {_LANES}")
-        if record.thought is None or record.thought.selection.candidate is None:
+        if record.thought is None:
             return None
         selection = record.thought.selection
+        if selection.candidate is None:
+            return None
         chosen: Motion = selection.candidate.action
         at = max((place for place, row in enumerate(selection.history) if row.taken), default=None)
         rejected = [row for place, row in enumerate(selection.history) if place != at]
