@@ -166,6 +166,10 @@ class PushModel:
         """Whether it can push particles at these poses with this tool."""
         return True
 
+    def takes_scenes(self, world_T_object: Float[Tensor, "B N 4 4"]) -> bool:
+        """Whether `rollouts` takes the particles of these scenes in one call, each row as alone."""
+        return False
+
     def knowing(self, pushes: PushPosterior) -> Self:
         """The same model by what was learnt of how the object slides; itself, where that plays no part."""
         return self

@@ -286,6 +286,10 @@ class QuasiStaticPush(PushModel):
         """Whether the tool is level and all particles stand upright at one height."""
         return not tool.spatial and rests(world_T_object)
 
+    def takes_scenes(self, world_T_object: Float[Tensor, "B N 4 4"]) -> bool:
+        """Whether all scenes hold the object at one height, whose slice is that of each."""
+        return len({resting_height(poses) for poses in world_T_object}) == 1
+
     def rollouts(
         self,
         model: ObjectModel,

@@ -1,6 +1,6 @@
 """Objective of a policy: cost of predicted motions (RUMI, Eq 31), and the information that each action gathers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +14,7 @@ from rumi.planning.costs import InformationCost
 from rumi.planning.reach_cost import ReachabilityCost
 from rumi.robot.tool import Tool
 from sdf import skipped_work
+from sdf.containers import index
 from sdf.voxel_grid import VoxelGrid
 
 Gathered = Callable[[Float[Tensor, "R H Q"], Float[Tensor, "R H 3"]], Float[Tensor, "R"]]
@@ -118,6 +119,25 @@ def mean_over_rollouts(
             work.count(int(distinct.sum()), distinct.numel())
         cost[distinct] = of_paths(rollouts.paths(distinct))
     return cost.gather(-1, duplicate_of).mean(-1)
+
+
+def cost_of_scenes(
+    costs: Sequence[Callable[[PushRollouts], Float[Tensor, "K"]]], rollouts: PushRollouts
+) -> Float[Tensor, "B K"]:
+    """Costs of a batch of scenes, each by its own cost alone, so that a row is what the scene gives, to the bit.
+
+    One after the other: tables of reach and cells of information are a scene's own, and take their time there.
+
+    Args:
+        costs: of each scene, such as a `TrajectoryCost`.
+        rollouts: with the scenes' axis in front.
+
+    Raises:
+        ValueError: there are not as many costs as scenes.
+    """
+    if len(costs) != len(rollouts.configurations):
+        raise ValueError(f"Expected a cost for each of {len(rollouts.configurations)} scenes, got {len(costs)}")
+    return torch.stack([cost(index(rollouts, scene)) for scene, cost in enumerate(costs)])
 
 
 def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:

@@ -1,6 +1,7 @@
 """Laws of every push model in each of its uses: rollouts, pushes along a path, motion; also of one from outside."""
 
 import importlib.util
+from dataclasses import replace
 from typing import NamedTuple
 
 import pytest
@@ -175,6 +176,49 @@ def test_a_row_of_rollouts_is_as_alone(name: str, box: ObjectModel) -> None:
         alone = model.rollout(START, controls[row][None], **draw)
         assert torch.equal(alone.displacements[0], together.displacements[row])
         assert torch.equal(alone.contact[0], together.contact[row])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_scene_of_a_batch_is_rolled_out_as_alone(name: str, box: ObjectModel, dtype: torch.dtype) -> None:
+    """Beliefs of three scenes, one of a toppled box that only some members push, and a batch of one."""
+    random = torch.Generator().manual_seed(1)
+    planar = POSE + torch.tensor([0.01, 0.01, 0.3]) * torch.randn(3, 4, 3, generator=random)
+    poses = placed(planar.to(dtype))
+    toppled = se3.exp(poses.new_tensor([0.0, 0.0, 0.0, 1.5, 0.0, 0.0]))
+    mixed = torch.stack((poses[0], poses[1] @ toppled))
+    starts, controls = START.to(dtype).expand(3, 3), poses.new_tensor([[AHEAD] * 3, [ASIDE] * 3]).expand(3, 2, 3, 3)
+    settings = replace(SETTINGS, push_model=name)
+    for batch, own in ((poses, settings), (poses[:1], settings), (mixed, replace(settings, push_model=AUTO))):
+        count = len(batch)
+        together = rolled(own, box, batch, starts[:count], controls[:count])
+        assert together.contact.any()
+        for row in range(count):
+            alone = rolled(own, box, batch[row], starts[row], controls[row], row)
+            exact = {"atol": 1e-10 if dtype == torch.float64 else 1e-6, "rtol": 0.0}
+            torch.testing.assert_close(together.displacements[row], alone.displacements, **exact)
+            torch.testing.assert_close(together.configurations[row], alone.configurations, **exact)
+            assert torch.equal(together.contact[row], alone.contact)
+            assert torch.equal(together.duplicate_of[row], alone.duplicate_of)
+            if alone.turns is not None:
+                torch.testing.assert_close(together.turns[row], alone.turns, **exact)
+
+
+def rolled(
+    settings: PushSettings, box: ObjectModel, poses: Tensor, start: Tensor, controls: Tensor, seed: int = 0
+) -> PushRollouts:
+    """Rollouts of a scene, or of some whose generators have the seeds from 0 on."""
+    dtype, batch = poses.dtype, poses.shape[:-3]
+    area = torch.tensor([[0.2, -0.3, HEIGHT], [0.7, 0.3, HEIGHT]])
+    workspace, model = Workspace.from_bounds(area, 0.01, planar_height=HEIGHT).to(dtype), box.to(dtype)
+    even = poses.new_zeros(poses.shape[:-2]).log_softmax(-1)
+    fields = information_field(model.sdf, poses, even, workspace.points)
+    found = PushModels(settings).rollouts(model, poses, even, tool(dtype), workspace, fields)
+    assert isinstance(found, RolloutModel)
+    seeds = range(batch[0]) if batch else (seed,)
+    random = [torch.Generator().manual_seed(one) for one in seeds]
+    nominal = found.coarse().nominal_rollout(start, controls[..., 0, :, :])
+    assert nominal.configurations.shape == (*batch, 1, 1, 4, 3)
+    return found.rollout(start, controls, rollouts=2, generator=random if batch else random[0])
 
 
 def test_paths_out_of_reach_push_nothing(name: str) -> None:
