@@ -31,6 +31,7 @@ _USES = {
     "baselines": "the method gpvr",
     "cluster": "experiments on a SLURM cluster",
     "gym": "environments of gymnasium",
+    "gpu": "plans on a GPU, --device cuda",
     "peers": "comparisons with other packages",
     "stress": "rumi stress",
 }
