@@ -46,11 +46,6 @@ def suits(*tensors: Tensor) -> bool:
     return any(tensor.device.type == "cuda" for tensor in tensors) and available()
 
 
-def stays(tensor: Tensor) -> bool:
-    """Whether the host should not look into a tensor: to do so it would wait for the GPU."""
-    return tensor.device.type == "cuda"
-
-
 @dataclass(frozen=True)
 class Numbers:
     """Annotation of a kernel's argument that is a few reals, handed over by value.

@@ -311,7 +311,7 @@ def takes(sdf: SDF, *tensors: Tensor) -> TypeGuard[GridSDF]:
 
 
 def lattice_numbers(sdf: GridSDF) -> tuple[list[float], list[int]]:
-    """The numbers of a table's lattice as compiled look-ups take them, in the order of `grid_numba.lattice_of`; its sizes."""
+    """The numbers of a table's lattice, in the order of `grid_numba.lattice_of`, and its sizes."""
     scale = 1.0 / sdf.spacing
     ratio = sdf.spacing / sdf.outer_spacing if sdf.outer else 1.0
     sizes = list(sdf.values.shape)

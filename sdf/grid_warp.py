@@ -129,6 +129,22 @@ def placed(m: wp.array3d(dtype=Any), row: int, x: Any, y: Any, z: Any):
     )
 
 
+@wp.func
+def within(poses: wp.array3d(dtype=Any), row: int, x: Any, y: Any, z: Any):
+    """A world point in the frame of the object at a pose world_T_object, of a row of poses (N, 4, 4).
+
+    From the point's difference from the pose, which is exact or nearly so however far off both are.
+    """
+    x -= poses[row, 0, 3]
+    y -= poses[row, 1, 3]
+    z -= poses[row, 2, 3]
+    return wp.vector(
+        poses[row, 0, 0] * x + poses[row, 1, 0] * y + poses[row, 2, 0] * z,
+        poses[row, 0, 1] * x + poses[row, 1, 1] * y + poses[row, 2, 1] * z,
+        poses[row, 0, 2] * x + poses[row, 1, 2] * y + poses[row, 2, 2] * z,
+    )
+
+
 def grid_arguments(sdf: GridSDF, dtype: torch.dtype) -> tuple[Tensor, list[float]]:
     """Values (X * Y * Z) of `dtype`, and the numbers of the lattice: what look-ups take."""
     return sdf.values.detach().to(dtype).contiguous().view(-1), lattice_numbers(sdf)[0]

@@ -51,7 +51,7 @@ def test_default_on_a_cpu_is_never_warp_and_it_can_be_forced(monkeypatch):
     assert backend.dispatch("twice", x)(x) == "plain"
     with backend.force(gpu.VERSION):
         assert backend.dispatch("twice", x)(x) == "warp"
-        with pytest.raises(ValueError, match="forced version 'warp' of twice supports, got torch.float16"):
+        with pytest.raises(ValueError, match=r"forced version 'warp' of twice supports, got torch\.float16"):
             backend.dispatch("twice", x.half())
         with pytest.raises(ValueError, match="with graph"):
             backend.dispatch("twice", x.requires_grad_())
