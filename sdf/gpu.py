@@ -68,7 +68,7 @@ class Kernel:
     """
 
     def __init__(self, function: Callable[..., None]) -> None:
-        own = warp()
+        own, self.name = warp(), function.__name__.strip("_")
         kinds = {name: kind for name, kind in function.__annotations__.items() if name != "return"}
         function.__annotations__ = {n: Any if isinstance(kind, Numbers) else kind for n, kind in kinds.items()}
         generic = own.kernel(function, enable_backward=False)
@@ -84,8 +84,13 @@ class Kernel:
         Args:
             shape: of the threads, one axis for each index of `warp.tid()`.
             arguments: of the function; sequences for `Numbers`.
+
+        Raises:
+            ValueError: the tensors are on several devices, or there are none.
         """
         tensors = [argument for argument in arguments if isinstance(argument, Tensor)]
+        if len(devices := {tensor.device for tensor in tensors}) != 1:
+            raise ValueError(f"Expected the tensors of {self.name} on one device, got {sorted(map(str, devices))}")
         dtype = next(tensor.dtype for tensor in tensors if tensor.is_floating_point())
         given = [_given(argument, kind) for argument, kind in zip(arguments, self._kinds[dtype], strict=True)]
         enqueue(self._overloads[dtype], shape, given, tensors[0].device)
