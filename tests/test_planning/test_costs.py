@@ -18,7 +18,8 @@ from sdf.voxel_grid import VoxelGrid
 DOUBLE = {"dtype": torch.float64}
 
 
-# every test of this file holds for the plain and for the compiled version
+# every test of this file holds for all versions
+VERSIONS = ("torch", "numba", "warp")
 pytestmark = pytest.mark.usefixtures("version")
 
 
