@@ -134,10 +134,10 @@ def pytest_runtest_setup() -> None:
 @pytest.fixture(params=["torch", "numba"])
 def version(request: pytest.FixtureRequest) -> Iterator[str]:
     """The plain versions of hot operations, then the compiled ones; for a file all of whose tests are for both."""
-    from sdf import backend, compiled, posed  # noqa: F401  (registers compiled versions, so that some can be forced)
+    from sdf import backend, compiled, gpu, posed  # noqa: F401  (registers compiled versions, so that some can be forced)
 
-    if request.param == "numba" and not compiled.available():
-        pytest.skip("without numba")
+    if not {"numba": compiled.available, "warp": gpu.available}.get(request.param, lambda: True)():
+        pytest.skip(f"without {request.param}")
     with backend.force(request.param):
         yield request.param
 
