@@ -76,7 +76,7 @@ class Kernel:
         self._kinds, self._overloads = {}, {}
         for dtype, real in zip(_REALS, (own.float32, own.float64), strict=True):
             self._kinds[dtype] = [_concrete(kind, real) for kind in kinds.values()]
-            self._overloads[dtype] = own.overload(generic, self._kinds[dtype])
+            self._overloads[dtype] = own.overload(generic, self._kinds[dtype]) if generic.is_generic else generic
 
     def launch(self, shape: int | Sequence[int], *arguments: Any) -> None:  # noqa: ANN401  (whatever the function takes)
         """Run it on the device of the tensors, in torch's current stream there; the host does not wait.
@@ -91,7 +91,7 @@ class Kernel:
         tensors = [argument for argument in arguments if isinstance(argument, Tensor)]
         if len(devices := {tensor.device for tensor in tensors}) != 1:
             raise ValueError(f"Expected the tensors of {self.name} on one device, got {sorted(map(str, devices))}")
-        dtype = next(tensor.dtype for tensor in tensors if tensor.is_floating_point())
+        dtype = next((tensor.dtype for tensor in tensors if tensor.is_floating_point()), _REALS[0])
         given = [_given(argument, kind) for argument, kind in zip(arguments, self._kinds[dtype], strict=True)]
         enqueue(self._overloads[dtype], shape, given, tensors[0].device)
 

@@ -59,7 +59,7 @@ class PushRollouts(NamedTuple):
             been moved since the present, metres, world axes.
         contact: (*b, K, M, H), whether the robot touched the object during a step.
         checked: share of the contact checks that were done point by point; the rest was settled by a bound, or by
-            another rollout that had met the same so far.
+            another rollout that had met the same so far. A tensor where it was counted on a GPU.
         duplicate_of: (*b, K, M), the first rollout of the same sequence that is known to be equal; itself if none is.
         turns: (*b, K, M, T), how far the object has been turned since the present, radians; None if never.
         pivot: (*b, 2), the point whose displacements are told, where objects turn.
@@ -68,7 +68,7 @@ class PushRollouts(NamedTuple):
     configurations: Float[Tensor, "*b K M T Q"]
     displacements: Float[Tensor, "*b K M T 3"]
     contact: Bool[Tensor, "*b K M H"]
-    checked: float
+    checked: float | Float[Tensor, ""]
     duplicate_of: Int[Tensor, "*b K M"]
     turns: Float[Tensor, "*b K M T"] | None = None
     pivot: Float[Tensor, "*b 2"] | None = None
@@ -247,14 +247,18 @@ def rigid_motions(
     return shift, turn
 
 
-def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
-    """Indices of the yaws in the middles of `count` equal shares of the weight, counted from opposite their mean."""
+def shares_by_yaw(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"]) -> tuple[Int[Tensor, "N"], Float[Tensor, "N"]]:
+    """Particles in the order of their yaws, counted from opposite their mean, and the weight up to each of them."""
     mean = torch.atan2(weights @ yaw.sin(), weights @ yaw.cos())
     turned = torch.remainder(yaw - mean + torch.pi, 2.0 * torch.pi)
     order = turned.sort(stable=True).indices
-    below = weights[order].cumsum(0)
+    return order, weights[order].cumsum(0)
+
+
+def representatives(order: Int[Tensor, "N"], below: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
+    """Particles in the middles of `count` equal shares of the weight, by their order and the weight up to each."""
     middles = (torch.arange(count, dtype=below.dtype, device=below.device) + 0.5) / count
-    return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(yaw) - 1)]
+    return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(order) - 1)]
 
 
 def duplicates(contact: Tensor) -> Int[Tensor, "*b K M"]:

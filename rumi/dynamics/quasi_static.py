@@ -22,6 +22,7 @@ from rumi.dynamics.base import (
     resting_height,
     rests,
     rigid_motions,
+    shares_by_yaw,
 )
 from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.push_parameters import sliding_of
@@ -29,10 +30,11 @@ from rumi.dynamics.push_posterior import PushPosterior, push_posterior
 from rumi.dynamics.sliding import Sliding, push
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
-from rumi.robot.tool import BORDER_GROUP, Tool
+from rumi.robot.border import BORDER_GROUP
+from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
 from rumi.seeding import Generators
-from sdf import backend, compiled, se3, skipped_work
+from sdf import backend, compiled, gpu, se3, skipped_work
 from sdf.base import SDF
 from sdf.bounds import Checked, Count, NotNegative, Positive
 from sdf.check import check_shape
@@ -99,20 +101,23 @@ class QuasiStaticRollouts:
         self.poses = se3.to_planar(world_T_object)
         self.weights = log_weights.softmax(-1)
         self.pivot = (self.weights.unsqueeze(-2) @ self.poses[..., :2]).squeeze(-2)
-        points, self.groups = tool.border(self.settings.spacing_m, BORDER_GROUP)
-        self.points = points.to(self.poses)
+        self.border = tool.border(self.settings.spacing_m, BORDER_GROUP, self.poses)
+        self.points = self.border.points
         self.outline = outline.to(self.poses)
         self.sliding = Sliding(
             support.centre.to(self.poses),
-            self.poses.new_tensor(self.settings.lever_ratio * support.spread),
-            self.poses.new_tensor(self.settings.friction),
+            self.poses.new_full((), self.settings.lever_ratio * support.spread),
+            self.poses.new_full((), self.settings.friction),
         )
         self.support, self.posterior = support, posterior
         if posterior is not None:
             self.sliding = posterior.middle(support).to(self.poses)
+        scenes = self.poses.reshape(-1, *self.poses.shape[-2:]), self.weights.reshape(-1, self.weights.shape[-1])
+        self._scenes = [(poses, shares_by_yaw(poses[:, 2], own)) for poses, own in zip(*scenes, strict=True)]
         self._representatives: dict[int, Tensor] = {}
+        self._slides: dict[int, Sliding] = {}
         # a tool farther than this from an object does not touch it
-        self.reach = float(self.points.norm(dim=-1).max()) + self.outline.radius
+        self.reach = self.border.radius + self.outline.radius
 
     def coarse(self) -> Self:
         """The same with a quarter of the mini steps."""
@@ -129,11 +134,15 @@ class QuasiStaticRollouts:
         kernel: Callable[[Tensor, Tensor, Tensor, Sliding], PushRollouts] = CompiledRollouts(self)
         return kernel
 
+    @cached_property
+    def limits(self) -> tuple[Any, ...]:
+        """What limits the tool's steps, for the kernels of a GPU; made once a model, at its first use."""
+        return self.tool.arm_tensors(self.poses)
+
     def representatives(self, count: int) -> Float[Tensor, "*b count 3"]:
         """Poses in the middles of `count` equal shares of the belief, in the order of their yaws."""
         if count not in self._representatives:
-            scenes = self.poses.reshape(-1, *self.poses.shape[-2:]), self.weights.reshape(-1, self.weights.shape[-1])
-            drawn = [poses[representatives(poses[:, 2], own, count)] for poses, own in zip(*scenes, strict=True)]
+            drawn = [poses[representatives(*shares, count)] for poses, shares in self._scenes]
             self._representatives[count] = torch.stack(drawn).view(*self.poses.shape[:-2], count, 3)
         return self._representatives[count]
 
@@ -152,7 +161,9 @@ class QuasiStaticRollouts:
         """How the object slides in each rollout, the same for every control sequence."""
         if self.posterior is None:
             return None
-        return sliding_of(self.posterior.draws(count), self.support).to(self.poses)
+        if count not in self._slides:
+            self._slides[count] = sliding_of(self.posterior.draws(count), self.support).to(self.poses)
+        return self._slides[count]
 
     def nominal_rollout(self, configuration: Float[Tensor, "*b 3"], controls: Float[Tensor, "*b H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) of the likeliest pose."""
@@ -252,6 +263,16 @@ def _rollouts_numba(
     model: QuasiStaticRollouts, configuration: Tensor, controls: Tensor, poses: Tensor, sliding: Sliding
 ) -> PushRollouts:
     return model.compiled(configuration, controls, poses, sliding)
+
+
+@backend.register("quasi_static_rollouts", gpu.VERSION, gpu.supports, gpu.suits)
+def _rollouts_warp(
+    model: QuasiStaticRollouts, configuration: Tensor, controls: Tensor, poses: Tensor, sliding: Sliding
+) -> PushRollouts:
+    from rumi.dynamics.quasi_static_warp import rollouts
+
+    found: PushRollouts = rollouts(model, configuration, controls, poses, sliding)
+    return found
 
 
 class QuasiStaticPush(PushModel):

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.dynamics.base import representatives, rests
+from rumi.dynamics.base import representatives, rests, shares_by_yaw
 from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.quasi_static import QuasiStaticRollouts, QuasiStaticSettings
@@ -28,8 +28,11 @@ FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
 COARSE = QuasiStaticSettings(mini_steps=4, spacing_m=0.01)
 
 
-# every test of this file holds for the plain and for the compiled version
-pytestmark = pytest.mark.usefixtures("version")
+# every test of this file holds for the plain and for the compiled versions
+pytestmark = [
+    pytest.mark.usefixtures("version"),
+    pytest.mark.parametrize("version", ["torch", "numba", "warp"], indirect=True),
+]
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +124,32 @@ def test_versions_agree(
     assert 0 < found.checked <= plain.checked <= 1
 
 
+@pytest.mark.parametrize("case", ["no contact", "one particle", "inside", "far", "standing still", "held by the arm"])
+def test_versions_agree_also_where_it_is_odd(
+    shape: tuple[GridOutline, Support], case: str, generator: torch.Generator
+) -> None:
+    poses, start, controls = scattered(generator, 5), START, walks(generator, 8, 4)
+    if case == "no contact":
+        start = START + torch.tensor([-1.0, 0.5, 0.0], dtype=torch.float64)
+    if case == "one particle":
+        poses = poses[:1]
+    if case == "inside":
+        start = poses[0]
+    if case == "far":
+        shift = torch.tensor([1e3, -400.0, 30.0], dtype=torch.float64)
+        poses, start = poses + shift, start + shift
+    if case == "standing still":
+        controls = torch.zeros_like(controls)
+    model = make(shape, poses, reaching=case == "held by the arm")
+    model.tool.bounds *= 1e3 if case == "far" else 1.0
+    found = model.rollout(start, controls, rollouts=4)
+    with backend.force("torch"):
+        plain = model.rollout(start, controls, rollouts=4)
+    assert bool(plain.touched.any()) == (case not in ("no contact", "standing still"))
+    for name in ("configurations", "displacements", "turns", "contact", "duplicate_of", "pivot"):
+        torch.testing.assert_close(getattr(found, name), getattr(plain, name), atol=1e-8, rtol=0)
+
+
 def test_each_rollout_has_its_own_draw_of_how_the_object_slides(
     shape: tuple[GridOutline, Support], generator: torch.Generator
 ) -> None:
@@ -172,14 +201,14 @@ def test_a_pull_at_the_handle_brings_it(shape: tuple[GridOutline, Support]) -> N
 def test_representatives_are_equal_shares_of_the_weight(generator: torch.Generator) -> None:
     yaw = torch.tensor([0.4, 0.2, 0.3, 0.1], dtype=torch.float64)
     weights = torch.tensor([0.1, 0.6, 0.2, 0.1], dtype=torch.float64)
-    assert representatives(yaw, weights, 3).tolist() == [1, 1, 2]
-    assert representatives(yaw, weights, 1).tolist() == [1]
+    assert representatives(*shares_by_yaw(yaw, weights), 3).tolist() == [1, 1, 2]
+    assert representatives(*shares_by_yaw(yaw, weights), 1).tolist() == [1]
     many = torch.rand(2000, generator=generator, dtype=torch.float64)
-    chosen = many[representatives(many, torch.full((2000,), 1 / 2000, dtype=torch.float64), 4)]
+    chosen = many[representatives(*shares_by_yaw(many, torch.full((2000,), 1 / 2000, dtype=torch.float64)), 4)]
     torch.testing.assert_close(chosen, torch.tensor([0.125, 0.375, 0.625, 0.875]).double(), atol=0.03, rtol=0)
     # a belief about the seam is one heap
     seam = torch.remainder(many + math.pi - 0.5 + math.pi, 2 * math.pi) - math.pi
-    again = seam[representatives(seam, torch.full((2000,), 1 / 2000, dtype=torch.float64), 4)]
+    again = seam[representatives(*shares_by_yaw(seam, torch.full((2000,), 1 / 2000, dtype=torch.float64)), 4)]
     torch.testing.assert_close(torch.remainder(again - math.pi + 0.5, 2 * math.pi), chosen, atol=1e-9, rtol=0)
 
 
