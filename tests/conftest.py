@@ -131,21 +131,12 @@ def pytest_runtest_setup() -> None:
     _tests_begun += 1
 
 
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run a test of the fixture `version` by the file's VERSIONS, or by the plain and the compiled one."""
-    if "version" not in metafunc.fixturenames:
-        return
-    if not any("version" in mark.args[0] for mark in metafunc.definition.iter_markers("parametrize")):
-        metafunc.parametrize("version", getattr(metafunc.module, "VERSIONS", ("torch", "numba")), indirect=True)
-
-
-@pytest.fixture
+@pytest.fixture(params=["torch", "numba"])
 def version(request: pytest.FixtureRequest) -> Iterator[str]:
-    """One kind of version of hot operations forced; for a file all of whose tests hold for each."""
-    from sdf import backend, compiled, gpu, posed  # noqa: F401  (registers versions, so that some can be forced)
+    """The plain versions of hot operations, then the compiled ones; for a file all of whose tests are for both."""
+    from sdf import backend, compiled, gpu, posed  # noqa: F401  (registers compiled versions, so that some can be forced)
 
-    lacking = {"numba": not compiled.available(), gpu.VERSION: not gpu.available()}
-    if lacking.get(request.param):
+    if not {"numba": compiled.available, "warp": gpu.available}.get(request.param, lambda: True)():
         pytest.skip(f"without {request.param}")
     with backend.force(request.param):
         yield request.param

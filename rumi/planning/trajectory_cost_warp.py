@@ -1,5 +1,6 @@
-"""The versions for a GPU of what paths gather and of their cost; `costs.py`, `reach_cost.py`, `objective.py` define them.
+"""The versions for a GPU of what paths gather and of their cost.
 
+`costs.py`, `reach_cost.py` and `objective.py` have the definitions.
 Every cell keeps the first action that meets it, a number for each path and cell, which threads lower by an atomic
 minimum; what it is worth is summed in a fixed order afterwards, so that a cost is the same whenever it is asked for.
 """
@@ -186,7 +187,7 @@ def _turned(
     pivot: wp.array(dtype=Any),
     result: wp.array4d(dtype=Any),
 ):
-    """Information turned about the pivot, by an equal step more in each layer; a thread a turn and a column of nodes."""
+    """Information turned about the pivot, by a step more in each layer; a thread a turn and a column of nodes."""
     n, i, j = wp.tid()
     angle = type(spacing)(2.0) * type(spacing)(wp.pi) * type(spacing)(n) / type(spacing)(result.shape[0])
     cos, sin = wp.cos(angle), wp.sin(angle)

@@ -19,8 +19,10 @@ DOUBLE = {"dtype": torch.float64}
 
 
 # every test of this file holds for all versions
-VERSIONS = ("torch", "numba", "warp")
-pytestmark = pytest.mark.usefixtures("version")
+pytestmark = [
+    pytest.mark.usefixtures("version"),
+    pytest.mark.parametrize("version", ["torch", "numba", "warp"], indirect=True),
+]
 
 
 def sparse_field(shape: tuple[int, int, int], generator: torch.Generator, share: float = 0.3) -> VoxelGrid:
