@@ -1,11 +1,12 @@
 """Push model: predicted motion of robot and object under controls, along a path, and in a filter."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, runtime_checkable
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, cast, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.utils.weak import WeakIdKeyDictionary
 
 from rumi.dynamics.along_path import PathPush
 from rumi.dynamics.push_posterior import PushPosterior
@@ -84,6 +85,12 @@ class PushRollouts(NamedTuple):
         if pivot is not None and pivot.ndim > 1:
             pivot = pivot[..., None, None, :].expand(*which.shape, 2)[which]
         return Paths(self.configurations[..., 1:, :][which], self.displacements[..., 1:, :][which], turns, pivot)
+
+    @property
+    def first(self) -> Paths:
+        """The first rollout of the first sequence of one scene, (H, ...), after each action."""
+        turns = None if self.turns is None else self.turns[0, 0, 1:]
+        return Paths(self.configurations[0, 0, 1:], self.displacements[0, 0, 1:], turns, self.pivot)
 
 
 @runtime_checkable
@@ -268,11 +275,37 @@ def duplicates(contact: Tensor) -> Int[Tensor, "*b K M"]:
     return torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
 
 
+class Stance(NamedTuple):
+    """How particles stand on the floor.
+
+    Attributes:
+        upright: the least cosine between an object's z axis and the world's.
+        spread_m: of the heights of their origins.
+        height_m: of their origins, the mean.
+    """
+
+    upright: float
+    spread_m: float
+    height_m: float
+
+
+_STANCES = WeakIdKeyDictionary()
+
+
+def stance(world_T_object: Float[Tensor, "*b N 4 4"]) -> Stance:
+    """How particles stand, known once a tensor: for one on a GPU the host waits, which a plan does before it begins."""
+    version, known = _STANCES.get(world_T_object, (None, None))
+    if version != world_T_object._version:
+        heights, cosines = world_T_object[..., 2, 3], world_T_object[..., 2, 2]
+        known = Stance(*torch.stack((cosines.min(), heights.max() - heights.min(), heights.mean())).tolist())
+        _STANCES[world_T_object] = world_T_object._version, known
+    return cast(Stance, known)
+
+
 def rests(world_T_object: Float[Tensor, "*b N 4 4"]) -> bool:
     """Whether particles are upright and at one height, so that one outline is that of all."""
-    heights = world_T_object[..., 2, 3]
-    tilted = bool((world_T_object[..., 2, 2] < 1.0 - LEVEL_M).any())
-    return not tilted and float(heights.max() - heights.min()) <= LEVEL_M
+    found = stance(world_T_object)
+    return not found.upright < 1.0 - LEVEL_M and found.spread_m <= LEVEL_M
 
 
 def resting_height(world_T_object: Float[Tensor, "*b N 4 4"]) -> float:
@@ -286,4 +319,4 @@ def resting_height(world_T_object: Float[Tensor, "*b N 4 4"]) -> float:
             "Expected upright particles at one height to push one by one, got others: choose the push model "
             "'displacement'"
         )
-    return float(world_T_object[..., 2, 3].mean())
+    return stance(world_T_object).height_m
