@@ -14,7 +14,9 @@ from sdf.voxel_grid import VoxelGrid
 
 def world_height(points_t: Float[Tensor, "M 3"], height: float) -> Float[Tensor, "M 3"]:
     """Points of the tool frame with the heights that they have in the world while the tool keeps to its plane."""
-    return points_t + points_t.new_tensor([0.0, 0.0, height])
+    raised = points_t.clone()
+    raised[:, 2] += height
+    return raised
 
 
 def planar_features(
