@@ -142,7 +142,8 @@ class DisplacementRollouts:
     ) -> Float[Tensor, "K M H S"]:
         """The numbers that decide on contact: S is 1, or the mini steps with `per_mini_step`."""
         if self.settings.hazard == "per_rollout":
-            level = (torch.arange(rollouts, dtype=self.points.dtype, device=self.points.device) + 0.5) / rollouts
+            numbers = tuple((index + 0.5) / rollouts for index in range(rollouts))
+            level = gpu.constant(numbers, self.points.dtype, self.points.device)
             return level[:, None, None].expand(samples, rollouts, horizon, 1)
         parts = 1 if self.settings.hazard == "per_step" else self.settings.mini_steps
         shape = (samples, rollouts, horizon, parts)

@@ -57,7 +57,7 @@ def _roll_out(
     configurations: wp.array4d(dtype=Any),
     displacements: wp.array4d(dtype=Any),
     contact: wp.array3d(dtype=wp.bool),
-    checked: wp.array2d(dtype=int),
+    checked: wp.array2d(dtype=Any),
 ):
     k, m = wp.tid()
     per_metre, tie, push_cosine = numbers[0], numbers[1], numbers[2]
@@ -130,7 +130,8 @@ def _roll_out(
         displacements[k, m, t, 0] = offset[0]
         displacements[k, m, t, 1] = offset[1]
         displacements[k, m, t, 2] = none
-    checked[k, m] = count
+    steps = path.shape[0] * contact.shape[1] * contact.shape[2] * mini_steps
+    checked[k, m] = type(tie)(count) / type(tie)(steps)
 
 
 def rollouts(model: Any, configuration: Tensor, controls: Tensor, uniforms: Tensor, tie: float) -> PushRollouts:
@@ -140,7 +141,7 @@ def rollouts(model: Any, configuration: Tensor, controls: Tensor, uniforms: Tens
     configurations = path.new_empty(samples, count, horizon + 1, size)
     displacements = path.new_empty(samples, count, horizon + 1, 3)
     contact = path.new_empty(samples, count, horizon, dtype=torch.bool)
-    checks = path.new_empty(samples, count, dtype=torch.int32)
+    checked = path.new_empty(samples, count)
     field, cover = model.field, model.cover
     probability = field.probability
     bound = probability.values.new_ones(1, 1, 1) if model.bound is None else model.bound.grid.values
@@ -166,12 +167,12 @@ def rollouts(model: Any, configuration: Tensor, controls: Tensor, uniforms: Tens
         configurations,
         displacements,
         contact,
-        checks,
+        checked,
     )
     return PushRollouts(
         configurations,
         displacements,
         contact,
-        checks.sum() / max(1, contact.numel() * settings.mini_steps),
+        checked.sum(),
         duplicates(contact),
     )

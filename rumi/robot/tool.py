@@ -70,6 +70,7 @@ class Tool(nn.Module):
         for name, points in _points(self.shape, body_spacing_m, info_spacing_m, spatial=self.spatial).items():
             self.register_buffer(name, points.to(bounds))
         self._discs: dict[int, tuple[Tensor, float]] = {}
+        self._tables: dict[tuple[torch.dtype, torch.device], tuple[Tensor, Tensor]] = {}
         self._covers: dict[tuple[int, torch.dtype, torch.device], Cover] = {}
         self._borders: dict[tuple[float, int, torch.dtype, torch.device], Border] = {}
         self.bounds: Tensor
@@ -258,12 +259,20 @@ class Tool(nn.Module):
         bounds, none = self.bounds.to(like), [0.0] * 10
         if self.reach is None:
             return bounds.new_empty(1, 1, 1, 1), bounds.new_empty(3), bounds, [float(FREE), *none[1:]]
-        left = self.reach.left.to(like)
+        left = self._left(like)
         kind = IN_BOX if left.ndim == 4 else ABOUT_BASE
         if kind == ABOUT_BASE:
             left = left.reshape(-1, 1, *left.shape[-2:])
         numbers = [float(kind), self.reach.settings.tolerance_m, _SLACK_M, float(_PARTS), *self.reach.nodes]
         return left, self.reach.base.to(like), bounds, [*numbers, *none][:10]
+
+    def _left(self, like: Tensor) -> Tensor:
+        """The reach's table like a tensor, made once: every plan asks for the same."""
+        assert self.reach is not None
+        key, source = (like.dtype, like.device), self.reach.position
+        if key not in self._tables or self._tables[key][0] is not source:
+            self._tables[key] = source, self.reach.left.to(like)
+        return self._tables[key][1]
 
     def _inside(self, q: Tensor) -> Bool[Tensor, "*b"]:
         boxed = ((q[..., :-1] >= self.bounds[0]) & (q[..., :-1] <= self.bounds[1])).all(-1)
