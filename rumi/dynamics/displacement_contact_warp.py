@@ -29,19 +29,26 @@ def _node(place: Any, count: int):
 
 
 @wp.func
+def _at_node(field: wp.array4d(dtype=Any), i: int, j: int, k: int, channel: int):
+    """A channel at a node; 0 outside."""
+    if i < 0 or j < 0 or k < 0 or i >= field.shape[0] or j >= field.shape[1] or k >= field.shape[2]:
+        return field.dtype(0.0)
+    return field[i, j, k, channel]
+
+
+@wp.func
 def value_at(point: Any, field: wp.array4d(dtype=Any), channel: int, origin: Any, scale: Any):
     """Multilinear value of a channel of a field; zero fades in outside."""
     i, a = _node((point[0] - origin[0]) * scale, field.shape[0])
     j, b = _node((point[1] - origin[1]) * scale, field.shape[1])
     k, c = _node((point[2] - origin[2]) * scale, field.shape[2])
-    value, one = type(scale)(0.0), type(scale)(1.0)
-    for corner in range(8):
-        di, dj, dk = corner // 4, (corner // 2) % 2, corner % 2
-        share = wp.where(di == 1, a, one - a) * wp.where(dj == 1, b, one - b) * wp.where(dk == 1, c, one - c)
-        u, v, w = i + di, j + dj, k + dk
-        within = u >= 0 and v >= 0 and w >= 0 and u < field.shape[0] and v < field.shape[1] and w < field.shape[2]
-        if within and share > type(scale)(0.0):
-            value += share * field[u, v, w, channel]
+    layers = wp.where(c > type(c)(0.0), 2, 1)
+    value = type(scale)(0.0)
+    for layer in range(layers):
+        w = k + layer
+        near = wp.lerp(_at_node(field, i, j, w, channel), _at_node(field, i, j + 1, w, channel), b)
+        far = wp.lerp(_at_node(field, i + 1, j, w, channel), _at_node(field, i + 1, j + 1, w, channel), b)
+        value += wp.lerp(near, far, a) * wp.where(layer == 1, c, type(c)(1.0) - c)
     return value
 
 
