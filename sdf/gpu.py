@@ -145,6 +145,12 @@ def array(tensor: Tensor) -> Any:  # noqa: ANN401  (warp comes without types)
     return warp().from_torch(tensor.detach(), requires_grad=False, return_ctype=True)
 
 
+@cache
+def constant(numbers: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """A few numbers as a tensor that is made once a device, so that no later pass waits for it; not to be changed."""
+    return torch.tensor(numbers, dtype=dtype, device=device)
+
+
 def enqueue(kernel: Any, shape: int | Sequence[int], arguments: list[Any], device: torch.device) -> None:  # noqa: ANN401
     """Launch a kernel of warp's: the one place that does."""
     own = warp()

@@ -14,6 +14,7 @@ from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
+from sdf import gpu
 from sdf.object_model import ObjectModel
 
 
@@ -262,10 +263,10 @@ def shares_by_yaw(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"]) -> tuple
     return order, weights[order].cumsum(0)
 
 
-def representatives(order: Int[Tensor, "N"], below: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
-    """Particles in the middles of `count` equal shares of the weight, by their order and the weight up to each."""
-    middles = (torch.arange(count, dtype=below.dtype, device=below.device) + 0.5) / count
-    return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(order) - 1)]
+def representatives(below: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
+    """Places of the particles in the middles of `count` equal shares of the weight, which adds up to `below`."""
+    middles = gpu.constant(tuple((index + 0.5) / count for index in range(count)), below.dtype, below.device)
+    return torch.searchsorted(below, middles * below[-1]).clamp_max(len(below) - 1)
 
 
 def duplicates(contact: Tensor) -> Int[Tensor, "*b K M"]:

@@ -104,16 +104,17 @@ class QuasiStaticRollouts:
         self.border = tool.border(self.settings.spacing_m, BORDER_GROUP, self.poses)
         self.points = self.border.points
         self.outline = outline.to(self.poses)
-        self.sliding = Sliding(
-            support.centre.to(self.poses),
-            self.poses.new_full((), self.settings.lever_ratio * support.spread),
-            self.poses.new_full((), self.settings.friction),
-        )
+        numbers = (*support.centre.tolist(), self.settings.lever_ratio * support.spread, self.settings.friction)
+        slides = gpu.constant(numbers, self.poses.dtype, self.poses.device)
+        self.sliding = Sliding(slides[:2], slides[2], slides[3])
         self.support, self.posterior = support, posterior
         if posterior is not None:
             self.sliding = posterior.middle(support).to(self.poses)
         scenes = self.poses.reshape(-1, *self.poses.shape[-2:]), self.weights.reshape(-1, self.weights.shape[-1])
-        self._scenes = [(poses, shares_by_yaw(poses[:, 2], own)) for poses, own in zip(*scenes, strict=True)]
+        self._scenes = []  # poses in the order of their yaws, and the weight up to each of them
+        for poses, weights in zip(*scenes, strict=True):
+            order, below = shares_by_yaw(poses[:, 2], weights)
+            self._scenes.append((poses[order], below))
         self._representatives: dict[int, Tensor] = {}
         self._slides: dict[int, Sliding] = {}
         # a tool farther than this from an object does not touch it
@@ -142,8 +143,9 @@ class QuasiStaticRollouts:
     def representatives(self, count: int) -> Float[Tensor, "*b count 3"]:
         """Poses in the middles of `count` equal shares of the belief, in the order of their yaws."""
         if count not in self._representatives:
-            drawn = [poses[representatives(*shares, count)] for poses, shares in self._scenes]
-            self._representatives[count] = torch.stack(drawn).view(*self.poses.shape[:-2], count, 3)
+            drawn = [poses[representatives(below, count)] for poses, below in self._scenes]
+            whole = drawn[0] if len(drawn) == 1 else torch.stack(drawn)
+            self._representatives[count] = whole.view(*self.poses.shape[:-2], count, 3)
         return self._representatives[count]
 
     def rollout(
@@ -347,6 +349,6 @@ class QuasiStaticPush(PushModel):
     def _shape_at(self, sdf: SDF, height: float) -> tuple[GridOutline, Support]:
         known = self._shape
         if known is None or known[0] is not sdf or abs(known[1] - height) > LEVEL_M:
-            known = (sdf, height, GridOutline.of_slice(sdf, height), support_of(sdf))
+            known = (sdf, height, GridOutline.of_slice(sdf, height), support_of(sdf).cpu())
             self._shape = known
         return known[2], known[3]

@@ -148,7 +148,7 @@ def _roll_out(
     displacements: wp.array4d(dtype=Any),
     turns: wp.array3d(dtype=Any),
     contact: wp.array3d(dtype=wp.bool),
-    checked: wp.array2d(dtype=int),
+    checked: wp.array2d(dtype=Any),
 ):
     k, m = wp.tid()
     spacing, steepness, slack, reach, width = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
@@ -209,7 +209,8 @@ def _roll_out(
         displacements[k, m, t, 1] = shift[1]
         displacements[k, m, t, 2] = none
         turns[k, m, t] = turned
-    checked[k, m] = count
+    steps = path.shape[0] * contact.shape[1] * contact.shape[2] * mini_steps
+    checked[k, m] = type(spacing)(count) / type(spacing)(steps)
 
 
 def rollouts(model: Any, configuration: Tensor, controls: Tensor, poses: Tensor, sliding: Sliding) -> PushRollouts:
@@ -221,7 +222,7 @@ def rollouts(model: Any, configuration: Tensor, controls: Tensor, poses: Tensor,
     configurations, displacements = path.new_empty(2, samples, count, horizon + 1, 3)
     turns = path.new_empty(samples, count, horizon + 1)
     contact = path.new_empty(samples, count, horizon, dtype=torch.bool)
-    checks = path.new_empty(samples, count, dtype=torch.int32)
+    checked = path.new_empty(samples, count)
     border, outline, settings = model.border, model.outline, model.settings
     quartic = turns.new_empty(0, 5) if sliding.quartic is None else sliding.quartic
     _roll_out.launch(
@@ -246,14 +247,14 @@ def rollouts(model: Any, configuration: Tensor, controls: Tensor, poses: Tensor,
         displacements,
         turns,
         contact,
-        checks,
+        checked,
     )
     contact = contact.view(*shape, horizon)
     return PushRollouts(
         configurations.view(*shape, horizon + 1, 3),
         displacements.view(*shape, horizon + 1, 3),
         contact,
-        checks.sum() / max(1, contact.numel() * settings.mini_steps),
+        checked.sum(),
         duplicates(contact),
         turns.view(*shape, horizon + 1),
         model.pivot,

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from rumi.robot.border import Border, near_groups
+from rumi.robot.cover import Cover, covering_discs
 from rumi.robot.gripper import GripperShape
 from rumi.robot.reach import Reach
 from rumi.robot.tool_guess import guessed_steps
@@ -69,6 +70,8 @@ class Tool(nn.Module):
         for name, points in _points(self.shape, body_spacing_m, info_spacing_m, spatial=self.spatial).items():
             self.register_buffer(name, points.to(bounds))
         self._discs: dict[int, tuple[Tensor, float]] = {}
+        self._tables: dict[tuple[torch.dtype, torch.device], tuple[Tensor, Tensor]] = {}
+        self._covers: dict[tuple[int, torch.dtype, torch.device], Cover] = {}
         self._borders: dict[tuple[float, int, torch.dtype, torch.device], Border] = {}
         self.bounds: Tensor
         self.scale: Tensor
@@ -116,26 +119,26 @@ class Tool(nn.Module):
             raise ValueError(f"Expected count to be at least 1, got {count}")
         # the body never changes, and every plan asks for the same discs
         if count not in self._discs:
-            self._discs[count] = self._cover(count)
+            self._discs[count] = covering_discs(self.body if self.spatial else self.body[:, :2], count)
         centers, radius = self._discs[count]
         return centers.to(self.body), radius
 
-    def _cover(self, count: int) -> tuple[Float[Tensor, "k D"], float]:
-        points = self.body if self.spatial else self.body[:, :2]
-        # farthest points as a start, then each centre moves to the middle of the box about its own points
-        centers = points.mean(0, keepdim=True)
-        while len(centers) < count:
-            farthest = torch.cdist(points, centers).amin(-1).argmax()
-            centers = torch.cat((centers, points[farthest][None]))
-        best, least = centers, float(torch.cdist(points, centers).amin(-1).max())
-        for _ in range(30):
-            owner = torch.cdist(points, centers).argmin(-1)
-            own = [points[owner == index] for index in range(count)]
-            centers = torch.stack([0.5 * (p.amin(0) + p.amax(0)) if len(p) else centers[i] for i, p in enumerate(own)])
-            radius = float(torch.cdist(points, centers).amin(-1).max())
-            if radius < least:
-                best, least = centers, radius
-        return best, least
+    def cover(self, count: int, like: Tensor) -> Cover:
+        """Points of the body by `count` discs, in space balls, that cover it; 0 for one disc that holds all there is.
+
+        Args:
+            count: how many.
+            like: tensor whose dtype and device they are to have.
+        """
+        key = (count, like.dtype, like.device)
+        if key not in self._covers:
+            points = (self.body + self.body.new_tensor([0.0, 0.0, self.height_m])).to(like)
+            discs = None
+            if count:
+                centres, radius = self.covering_discs(count)
+                discs = centres.to(like), float(radius)
+            self._covers[key] = Cover.of(points, discs)
+        return self._covers[key]
 
     def free_step(
         self, q: Float[Tensor, "*#b Q"], control: Float[Tensor, "*#b Q"], fraction: float = 1.0
@@ -256,12 +259,20 @@ class Tool(nn.Module):
         bounds, none = self.bounds.to(like), [0.0] * 10
         if self.reach is None:
             return bounds.new_empty(1, 1, 1, 1), bounds.new_empty(3), bounds, [float(FREE), *none[1:]]
-        left = self.reach.left.to(like)
+        left = self._left(like)
         kind = IN_BOX if left.ndim == 4 else ABOUT_BASE
         if kind == ABOUT_BASE:
             left = left.reshape(-1, 1, *left.shape[-2:])
         numbers = [float(kind), self.reach.settings.tolerance_m, _SLACK_M, float(_PARTS), *self.reach.nodes]
         return left, self.reach.base.to(like), bounds, [*numbers, *none][:10]
+
+    def _left(self, like: Tensor) -> Tensor:
+        """The reach's table like a tensor, made once: every plan asks for the same."""
+        assert self.reach is not None
+        key, source = (like.dtype, like.device), self.reach.position
+        if key not in self._tables or self._tables[key][0] is not source:
+            self._tables[key] = source, self.reach.left.to(like)
+        return self._tables[key][1]
 
     def _inside(self, q: Tensor) -> Bool[Tensor, "*b"]:
         boxed = ((q[..., :-1] >= self.bounds[0]) & (q[..., :-1] <= self.bounds[1])).all(-1)

@@ -26,8 +26,11 @@ BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
 FREE = torch.tensor([[-5.0, -5.0, 0.03], [5.0, 5.0, 0.3]])
 
 
-# every test of this file holds for the plain and for the compiled version
-pytestmark = pytest.mark.usefixtures("version")
+# every test of this file holds for the plain and for the compiled versions
+pytestmark = [
+    pytest.mark.usefixtures("version"),
+    pytest.mark.parametrize("version", ["torch", "numba", "warp"], indirect=True),
+]
 
 
 def workspace(dtype: torch.dtype, spacing: float = 0.01) -> Workspace:

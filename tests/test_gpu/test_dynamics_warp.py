@@ -1,0 +1,108 @@
+"""What the push rollouts of a planning pass ask of a GPU, and that their kernels compile for one."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from rumi.dynamics.base import RolloutModel
+from rumi.dynamics.contact import ContactField
+from rumi.dynamics.displacement_rollouts import DisplacementRollouts
+from rumi.dynamics.outline import GridOutline, support_of
+from rumi.dynamics.push_posterior import PushPosterior
+from rumi.dynamics.quasi_static import QuasiStaticRollouts
+from rumi.robot.reach import Reach, SpatialReach
+from rumi.robot.reach_table import ReachTable
+from rumi.robot.tool import Tool
+from sdf import gpu, se3
+from sdf.check import no_waits
+from sdf.primitives import Mug
+from sdf.voxel_grid import VoxelGrid
+from tests.fixtures.pretended_gpu import CUDA, pretended_gpu, to_cpu, to_gpu
+
+pytest.importorskip("warp")
+
+BOUNDS = torch.tensor([[0.0, -0.4, 0.03], [0.8, 0.4, 0.2]])
+SAMPLES, KEPT, HORIZON = 24, 6, 5
+LAUNCHES = 60  # of a pass, making its model included
+
+
+def tool(*, spatial: bool) -> Tool:
+    left = (torch.arange(141.0)[:, None].expand(141, 61) * 0.01 - 0.5).clamp_min(0)
+    table = ReachTable(left, torch.zeros(141, 61))
+    reach = SpatialReach([table] * 2, (0.03, 0.2)) if spatial else Reach(table)
+    bounds = BOUNDS if spatial else BOUNDS[:, :2]
+    return Tool(bounds, reach, body_spacing_m=0.02, info_spacing_m=0.02).to("cuda")
+
+
+def quasi_static(posterior: PushPosterior | None = None) -> Callable[[], RolloutModel]:
+    mug = Mug()
+    outline, support = GridOutline.of_slice(mug, 0.045, spacing=0.002), support_of(mug, spacing=0.004)
+    held = GridOutline(to_gpu(outline.values), to_gpu(outline.origin), outline.spacing, outline.radius)
+    own, flat = tool(spatial=False), to_gpu(torch.zeros(9).log_softmax(-1))
+    poses = torch.tensor([0.4, 0.0, 0.3]) + torch.linspace(-1, 1, 9)[:, None] * torch.tensor([0.01, 0.02, 0.5])
+    placed = to_gpu(se3.from_planar(poses))
+    return lambda: QuasiStaticRollouts(held, support, own, placed, flat, posterior=posterior)
+
+
+def displacement(*, spatial: bool) -> Callable[[], RolloutModel]:
+    sizes = (17, 17, 5) if spatial else (17, 17, 1)
+    place = torch.stack(torch.meshgrid(*(torch.arange(float(n)) for n in sizes), indexing="ij"), -1)
+    off = (place - torch.tensor([8.0, 8.0, 0.0]))[..., :2].norm(dim=-1)
+    origin = torch.tensor([0.3, -0.16, 0.03 if spatial else 0.045])
+    probability = VoxelGrid((1.5 - 0.5 * off).clamp(0.0, 1.0), origin, 0.02)
+    normal = VoxelGrid(torch.nn.functional.pad(place[..., :2] - 8.0, (0, 1)), origin, 0.02)
+    field, own = ContactField(probability.to("cuda"), normal.to("cuda")), tool(spatial=spatial)
+    return lambda: DisplacementRollouts(field, own)
+
+
+MODELS = {
+    "quasi-static": quasi_static,
+    "quasi-static, learnt": lambda: quasi_static(PushPosterior.prior(16)),
+    "displacement": lambda: displacement(spatial=False),
+    "displacement, in space": lambda: displacement(spatial=True),
+}
+
+
+def dynamics_of_a_pass(make: Callable[[], RolloutModel], size: int) -> None:
+    """Two iterations of many coarse and few full rollouts, and the plan's own."""
+    start = to_gpu(torch.tensor([0.25, 0.0, 0.12, 0.1])[[0, 1, 2, 3] if size == 4 else [0, 1, 3]])
+    random = torch.Generator().manual_seed(0)
+    ahead = torch.tensor([0.2, -0.5, -0.5, -0.5][:size])
+    controls = to_gpu(torch.rand(SAMPLES, HORIZON, size, generator=random) + ahead)
+    model = make()
+    coarse, generator = model.coarse(), torch.Generator()
+    for _ in range(2):
+        coarse.rollout(start, controls, rollouts=2, generator=generator)
+        found = model.rollout(start, controls[:KEPT], rollouts=4, generator=generator)
+    shown = model.nominal_rollout(start, controls[0])
+    contact = to_cpu(found.contact)
+    assert bool(contact.any()) and not bool(contact.all()) and shown.contact.device == CUDA
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_rollouts_of_a_pass_are_few_launches_and_no_wait(name: str) -> None:
+    with pretended_gpu() as counts, torch.no_grad():
+        make = MODELS[name]()
+        size = 4 if "space" in name else 3
+        dynamics_of_a_pass(make, size)  # makes what a run keeps
+        counts.clear()
+        with no_waits():
+            dynamics_of_a_pass(make, size)
+    found = counts.totals()
+    print(found, counts.by_line().most_common(), sep="\n")
+    assert found["launches"] <= LAUNCHES
+    assert found["waits"] == found["copies_out"] == found["mixed"] == 0, counts.waits
+    assert found["copies_in"] == 0 or "learnt" in name, counts.copies_in
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["rumi.robot.tool_warp", "rumi.dynamics.contact_warp", "rumi.dynamics.quasi_static_warp",
+     "rumi.dynamics.displacement_warp", "rumi.dynamics.rollouts_warp"],
+)  # fmt: skip
+@pytest.mark.slow
+def test_kernels_compile_for_cuda_without_a_gpu(module: str, tmp_path) -> None:
+    __import__(module)
+    made = gpu.warp().compile_aot_module(module, arch=80, module_dir=tmp_path)
+    assert [path for path in made if "sm80" in path.name and path.stat().st_size > 0]
