@@ -263,10 +263,16 @@ def shares_by_yaw(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"]) -> tuple
     return order, weights[order].cumsum(0)
 
 
-def representatives(below: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
-    """Places of the particles in the middles of `count` equal shares of the weight, which adds up to `below`."""
+def middles_of_shares(below: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
+    """Places in the middles of `count` equal shares of a weight that adds up to `below`."""
     middles = gpu.constant(tuple((index + 0.5) / count for index in range(count)), below.dtype, below.device)
     return torch.searchsorted(below, middles * below[-1]).clamp_max(len(below) - 1)
+
+
+def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
+    """Indices of the yaws in the middles of `count` equal shares of the weight, counted from opposite their mean."""
+    order, below = shares_by_yaw(yaw, weights)
+    return order[middles_of_shares(below, count)]
 
 
 def duplicates(contact: Tensor) -> Int[Tensor, "*b K M"]:

@@ -18,7 +18,7 @@ from rumi.dynamics.base import (
     PushModel,
     PushRollouts,
     duplicates,
-    representatives,
+    middles_of_shares,
     resting_height,
     rests,
     rigid_motions,
@@ -143,7 +143,7 @@ class QuasiStaticRollouts:
     def representatives(self, count: int) -> Float[Tensor, "*b count 3"]:
         """Poses in the middles of `count` equal shares of the belief, in the order of their yaws."""
         if count not in self._representatives:
-            drawn = [poses[representatives(below, count)] for poses, below in self._scenes]
+            drawn = [poses[middles_of_shares(below, count)] for poses, below in self._scenes]
             whole = drawn[0] if len(drawn) == 1 else torch.stack(drawn)
             self._representatives[count] = whole.view(*self.poses.shape[:-2], count, 3)
         return self._representatives[count]

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.dynamics.base import representatives, rests, shares_by_yaw
+from rumi.dynamics.base import representatives, rests
 from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.quasi_static import QuasiStaticRollouts, QuasiStaticSettings
@@ -198,22 +198,17 @@ def test_a_pull_at_the_handle_brings_it(shape: tuple[GridOutline, Support]) -> N
     assert float(found.turns[0, 0, -1]) > 0.2
 
 
-def chosen_of(yaw: Tensor, weights: Tensor, count: int) -> Tensor:
-    order, below = shares_by_yaw(yaw, weights)
-    return order[representatives(below, count)]
-
-
 def test_representatives_are_equal_shares_of_the_weight(generator: torch.Generator) -> None:
     yaw = torch.tensor([0.4, 0.2, 0.3, 0.1], dtype=torch.float64)
     weights = torch.tensor([0.1, 0.6, 0.2, 0.1], dtype=torch.float64)
-    assert chosen_of(yaw, weights, 3).tolist() == [1, 1, 2]
-    assert chosen_of(yaw, weights, 1).tolist() == [1]
+    assert representatives(yaw, weights, 3).tolist() == [1, 1, 2]
+    assert representatives(yaw, weights, 1).tolist() == [1]
     many = torch.rand(2000, generator=generator, dtype=torch.float64)
-    chosen = many[chosen_of(many, torch.full((2000,), 1 / 2000, dtype=torch.float64), 4)]
+    chosen = many[representatives(many, torch.full((2000,), 1 / 2000, dtype=torch.float64), 4)]
     torch.testing.assert_close(chosen, torch.tensor([0.125, 0.375, 0.625, 0.875]).double(), atol=0.03, rtol=0)
     # a belief about the seam is one heap
     seam = torch.remainder(many + math.pi - 0.5 + math.pi, 2 * math.pi) - math.pi
-    again = seam[chosen_of(seam, torch.full((2000,), 1 / 2000, dtype=torch.float64), 4)]
+    again = seam[representatives(seam, torch.full((2000,), 1 / 2000, dtype=torch.float64), 4)]
     torch.testing.assert_close(torch.remainder(again - math.pi + 0.5, 2 * math.pi), chosen, atol=1e-9, rtol=0)
 
 
