@@ -10,7 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from kmppi import MPPI, ControlPlan, NonFiniteCostsError, Rollouts
+from kmppi import MPPI, ControlPlan, Rollouts
+from rumi import seeding
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.clock import Now
 from rumi.dynamics.base import PushDefaults, PushRollouts, RolloutModel
@@ -85,9 +86,12 @@ class RummagingPolicy:
         particles, fewer samples in the last iteration, or fewer iterations; and where there is no time even for a few
         of each, the plan is the previous one, later. Only a first plan is made with a few of each all the same. How
         long things take is known from the plan before (`info["pace"]`), of a first plan from a view of a few particles.
+
+        On a GPU the host waits once before it begins, to see how the particles stand, and once at the end, for what is
+        told of the plan; with a budget at every look at the clock, too. The seconds by stage are the host's then.
         """
         belief, scene, previous = request.belief, request.scene, request.previous
-        executed, generator = request.executed, request.generator
+        executed = request.executed
         poses = belief.world_T_object
         suited = self.settings.suited(self.push_models.chosen(poses, scene.tool))
         with skipped_work.account() as work, gpu.no_waits(poses.device):
@@ -95,6 +99,7 @@ class RummagingPolicy:
             budget = PlanBudget(request.budget_s, now, None if previous is None else previous.info.get("pace"))
             watch = _Stopwatch(now)
             configuration, count = scene.configuration.to(scene.workspace.points), suited.rollouts
+            generator = seeding.on_device(request.generator, configuration.device)
             mppi = self._mppi(configuration)
             start, iterations = self._start(mppi, previous, executed, generator)
             if previous is not None and previous.warm_start is not None and self._too_late(budget):
@@ -140,7 +145,8 @@ class RummagingPolicy:
             )
             watch.lap("planner")
             ending = budget.now()
-            plan = self._plan(view, scene.tool, configuration, nominal, samples, work, watch)
+            unseen = () if may_look(poses) else (poses.sum(), belief.log_weights.amax(), configuration.sum())
+            plan = self._plan(view, scene.tool, configuration, nominal, samples, unseen, work, watch)
             budget.took("finish", 1.0, budget.now() - ending)
             if not budget.open:
                 made = {"pace": budget.pace, "particles": view.particles, "samples": budget.samples}
@@ -154,16 +160,17 @@ class RummagingPolicy:
         configuration: Float[Tensor, "Q"],
         nominal: ControlPlan,
         samples: Rollouts,
+        unseen: tuple[Tensor, ...],
         work: skipped_work.Account,
         watch: "_Stopwatch",
     ) -> Plan:
         predicted, gathered = self._predicted(view, configuration, nominal, watch)
         fields, objective = view.fields, view.objective
         told = (samples.ess, samples.costs, fields.information.sum(), predicted.displacements[0, 0], gathered)
-        ess, costs, information, moves, gathered, *counted = gpu.fetched(*told, *work.pending())
-        work.settle([float(number) for number in counted])
-        if not math.isfinite(float(ess)):  # on a GPU nobody has looked until now
-            raise NonFiniteCostsError("Expected finite poses, weights and costs, got NaN or infinity: check the belief")
+        ess, costs, information, moves, gathered, *rest = gpu.fetched(*told, *unseen, *work.pending())
+        if not all(math.isfinite(float(number)) for number in (ess, *rest[: len(unseen)])):
+            raise ValueError("Expected finite poses, weights, configuration and costs, got NaN or infinity among them")
+        work.settle([float(number) for number in rest[len(unseen) :]])
         return Plan(
             controls=nominal.controls,
             path=predicted.configurations[0, 0],
