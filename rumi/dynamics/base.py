@@ -275,22 +275,40 @@ def duplicates(contact: Tensor) -> Int[Tensor, "*b K M"]:
     return torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
 
 
-def rests(world_T_object: Float[Tensor, "*b N 4 4"]) -> bool:
-    """Whether particles are upright and at one height, so that one outline is that of all."""
-    heights = world_T_object[..., 2, 3]
-    tilted = bool((world_T_object[..., 2, 2] < 1.0 - LEVEL_M).any())
-    return not tilted and float(heights.max() - heights.min()) <= LEVEL_M
+class Stance(NamedTuple):
+    """How particles stand.
 
-
-def resting_height(world_T_object: Float[Tensor, "*b N 4 4"]) -> float:
-    """Z of the origin of particles that stand upright.
-
-    Raises:
-        ValueError: if they do not, or at different heights.
+    Attributes:
+        least_up: least cosine between a particle's z axis and the world's.
+        spread_m: of the heights of their origins.
+        height_m: of their origins, in the mean.
     """
-    if not rests(world_T_object):
-        raise ValueError(
-            "Expected upright particles at one height to push one by one, got others: choose the push model "
-            "'displacement'"
-        )
-    return float(world_T_object[..., 2, 3].mean())
+
+    least_up: float
+    spread_m: float
+    height_m: float
+
+    @classmethod
+    def of(cls, world_T_object: Float[Tensor, "*b N 4 4"]) -> "Stance":
+        """Of particles, by one copy from a GPU."""
+        heights = world_T_object[..., 2, 3]
+        numbers = (world_T_object[..., 2, 2].min(), heights.max() - heights.min(), heights.mean())
+        return cls(*torch.stack(numbers).tolist())
+
+    @property
+    def rests(self) -> bool:
+        """Whether particles are upright and at one height, so that one outline is that of all."""
+        return not self.least_up < 1.0 - LEVEL_M and self.spread_m <= LEVEL_M
+
+    def checked(self) -> Self:
+        """Itself.
+
+        Raises:
+            ValueError: particles are not upright, or at different heights.
+        """
+        if not self.rests:
+            raise ValueError(
+                "Expected upright particles at one height to push one by one, got others: choose the push model "
+                "'displacement'"
+            )
+        return self
