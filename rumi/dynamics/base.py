@@ -1,12 +1,11 @@
 """Push model: predicted motion of robot and object under controls, along a path, and in a filter."""
 
 from collections.abc import Callable
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, cast, runtime_checkable
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
-from torch.utils.weak import WeakIdKeyDictionary
 
 from rumi.dynamics.along_path import PathPush
 from rumi.dynamics.push_posterior import PushPosterior
@@ -283,47 +282,39 @@ def duplicates(contact: Tensor) -> Int[Tensor, "*b K M"]:
 
 
 class Stance(NamedTuple):
-    """How particles stand on the floor.
+    """How particles stand.
 
     Attributes:
-        upright: the least cosine between an object's z axis and the world's.
+        least_up: least cosine between a particle's z axis and the world's.
         spread_m: of the heights of their origins.
-        height_m: of their origins, the mean.
+        height_m: of their origins, in the mean.
     """
 
-    upright: float
+    least_up: float
     spread_m: float
     height_m: float
 
+    @classmethod
+    def of(cls, world_T_object: Float[Tensor, "*b N 4 4"]) -> "Stance":
+        """Of particles, by one copy from a GPU."""
+        heights = world_T_object[..., 2, 3]
+        numbers = (world_T_object[..., 2, 2].min(), heights.max() - heights.min(), heights.mean())
+        return cls(*torch.stack(numbers).tolist())
 
-_STANCES = WeakIdKeyDictionary()
+    @property
+    def rests(self) -> bool:
+        """Whether particles are upright and at one height, so that one outline is that of all."""
+        return not self.least_up < 1.0 - LEVEL_M and self.spread_m <= LEVEL_M
 
+    def checked(self) -> Self:
+        """Itself.
 
-def stance(world_T_object: Float[Tensor, "*b N 4 4"]) -> Stance:
-    """How particles stand, known once a tensor: for one on a GPU the host waits, which a plan does before it begins."""
-    version, known = _STANCES.get(world_T_object, (None, None))
-    if version != world_T_object._version:
-        heights, cosines = world_T_object[..., 2, 3], world_T_object[..., 2, 2]
-        known = Stance(*torch.stack((cosines.min(), heights.max() - heights.min(), heights.mean())).tolist())
-        _STANCES[world_T_object] = world_T_object._version, known
-    return cast(Stance, known)
-
-
-def rests(world_T_object: Float[Tensor, "*b N 4 4"]) -> bool:
-    """Whether particles are upright and at one height, so that one outline is that of all."""
-    found = stance(world_T_object)
-    return not found.upright < 1.0 - LEVEL_M and found.spread_m <= LEVEL_M
-
-
-def resting_height(world_T_object: Float[Tensor, "*b N 4 4"]) -> float:
-    """Z of the origin of particles that stand upright.
-
-    Raises:
-        ValueError: if they do not, or at different heights.
-    """
-    if not rests(world_T_object):
-        raise ValueError(
-            "Expected upright particles at one height to push one by one, got others: choose the push model "
-            "'displacement'"
-        )
-    return stance(world_T_object).height_m
+        Raises:
+            ValueError: particles are not upright, or at different heights.
+        """
+        if not self.rests:
+            raise ValueError(
+                "Expected upright particles at one height to push one by one, got others: choose the push model "
+                "'displacement'"
+            )
+        return self

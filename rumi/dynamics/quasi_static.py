@@ -17,10 +17,9 @@ from rumi.dynamics.base import (
     PushDefaults,
     PushModel,
     PushRollouts,
+    Stance,
     duplicates,
     middles_of_shares,
-    resting_height,
-    rests,
     rigid_motions,
     shares_by_yaw,
 )
@@ -280,7 +279,8 @@ def _rollouts_warp(
 class QuasiStaticPush(PushModel):
     """Slow pushing of single poses, which slide and turn: a `PushModel` of upright objects and a level tool.
 
-    Keeps what it needs of the object's shape, which does not change in a run.
+    Keeps what it needs of the object's shape, which does not change in a run, and how the particles stand that it was
+    asked about last, so that a plan takes one copy from a GPU for it: the one by which the model is chosen.
 
     Args:
         settings: friction, limit surface and mini steps of a push.
@@ -293,6 +293,7 @@ class QuasiStaticPush(PushModel):
     def __init__(self, settings: QuasiStaticSettings, posterior: PushPosterior | None = None) -> None:
         self.settings, self.posterior = settings, posterior
         self._shape: tuple[SDF, float, GridOutline, Support] | None = None
+        self._stance: tuple[Tensor, int, Stance] | None = None
 
     @classmethod
     def make(cls, settings: Any) -> Self:  # noqa: ANN401
@@ -307,7 +308,7 @@ class QuasiStaticPush(PushModel):
 
     def fits(self, world_T_object: Float[Tensor, "*b N 4 4"], tool: Tool) -> bool:
         """Whether the tool is level and all particles stand upright at one height."""
-        return not tool.spatial and rests(world_T_object)
+        return not tool.spatial and self._stance_of(world_T_object).rests
 
     def rollouts(
         self,
@@ -323,7 +324,7 @@ class QuasiStaticPush(PushModel):
         Raises:
             ValueError: particles do not stand upright at one height.
         """
-        outline, support = self._shape_at(model.sdf, tool.height_m - resting_height(world_T_object))
+        outline, support = self._shape_at(model.sdf, tool.height_m - self._stance_of(world_T_object).checked().height_m)
         return QuasiStaticRollouts(outline, support, tool, world_T_object, log_weights, self.settings, self.posterior)
 
     def path(self, scene: Callable[[], Any] | None = None) -> PathPush:
@@ -345,6 +346,12 @@ class QuasiStaticPush(PushModel):
         if self.posterior is None:
             return motion
         return replace(motion, sliding=self.posterior.middle(support_of(model.sdf)))
+
+    def _stance_of(self, world_T_object: Float[Tensor, "*b N 4 4"]) -> Stance:
+        known, version = self._stance, 0 if world_T_object.is_inference() else world_T_object._version
+        if known is None or known[0] is not world_T_object or known[1] != version:
+            known = self._stance = (world_T_object, version, Stance.of(world_T_object))
+        return known[2]
 
     def _shape_at(self, sdf: SDF, height: float) -> tuple[GridOutline, Support]:
         known = self._shape

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.dynamics.base import representatives, rests
+from rumi.dynamics.base import Stance, representatives
 from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.quasi_static import QuasiStaticRollouts, QuasiStaticSettings
@@ -239,7 +239,7 @@ def test_the_family_chooses_by_what_the_particles_do() -> None:
     tilted[1] = tilted[1] @ se3.make(so3.exp(torch.tensor([0.1, 0.0, 0.0])), torch.zeros(3))
     raised = standing.clone()
     raised[0, 2, 3] += 0.01
-    assert [rests(poses) for poses in (standing, standing[:1], tilted, raised)] == [True, True, False, False]
+    assert [Stance.of(poses).rests for poses in (standing, standing[:1], tilted, raised)] == [True, True, False, False]
 
 
 def test_the_outline_is_nowhere_steeper_than_it_says() -> None:

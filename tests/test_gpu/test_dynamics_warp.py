@@ -11,12 +11,17 @@ from rumi.dynamics.displacement_rollouts import DisplacementRollouts
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.quasi_static import QuasiStaticRollouts
+from rumi.dynamics.registry import PushModels, PushSettings
+from rumi.fields.information import information_field
+from rumi.fields.workspace import Workspace
 from rumi.robot.reach import Reach, SpatialReach
 from rumi.robot.reach_table import ReachTable
 from rumi.robot.tool import Tool
 from sdf import gpu, se3
 from sdf.check import no_waits
-from sdf.primitives import Mug
+from sdf.object_model import object_model
+from sdf.primitives import Box, Mug
+from sdf.symmetry import Symmetries
 from sdf.voxel_grid import VoxelGrid
 from tests.fixtures.pretended_gpu import CUDA, pretended_gpu, to_cpu, to_gpu
 
@@ -25,6 +30,7 @@ pytest.importorskip("warp")
 BOUNDS = torch.tensor([[0.0, -0.4, 0.03], [0.8, 0.4, 0.2]])
 SAMPLES, KEPT, HORIZON = 24, 6, 5
 LAUNCHES = 60  # of a pass, making its model included
+MAKING = 30
 
 
 def tool(*, spatial: bool) -> Tool:
@@ -94,6 +100,31 @@ def test_the_rollouts_of_a_pass_are_few_launches_and_no_wait(name: str) -> None:
     assert found["launches"] <= LAUNCHES
     assert found["waits"] == found["copies_out"] == found["mixed"] == 0, counts.waits
     assert found["copies_in"] == 0 or "learnt" in name, counts.copies_in
+
+
+@pytest.mark.parametrize(("push_model", "copies"), [("auto", 1), ("displacement", 0)])
+def test_a_model_is_made_with_one_copy_for_how_the_particles_stand(push_model: str, copies: int) -> None:
+    box = object_model("box", Box([0.04, 0.06, 0.05]), Symmetries.none(), spacing=0.004, points=20)
+    area = torch.tensor([[0.2, -0.3, 0.045], [0.7, 0.3, 0.045]])
+    family = PushModels(PushSettings(push_model))
+    with pretended_gpu() as counts, torch.no_grad():
+        model, own = box.to("cuda"), tool(spatial=False)
+        workspace = Workspace.from_bounds(area, 0.01, planar_height=0.045).to("cuda")
+        for _ in range(2):  # the first makes what a run keeps
+            poses = to_gpu(se3.from_planar(torch.tensor([[0.4, 0.0, 0.1], [0.41, 0.01, 0.4]]), 0.05))
+            flat = to_gpu(torch.zeros(2).log_softmax(-1))
+            fields = information_field(model.sdf, poses, flat, workspace.points)
+            counts.clear()
+            with no_waits():
+                assert family.chosen(poses, own) == {"auto": "quasi-static"}.get(push_model, push_model)
+                made = family.rollouts(model, poses, flat, own, workspace, fields)
+        start, controls = to_gpu(torch.tensor([0.25, 0.0, 0.0])), to_gpu(torch.ones(1, 3, 3))
+        print(counts.totals(), counts.by_line().most_common(), counts.waits, counts.copies_in, sep="\n")
+        totals = counts.totals()
+        assert totals["waits"] == totals["copies_out"] == copies, counts.waits
+        assert totals["copies_in"] == totals["mixed"] == 0, counts.copies_in
+        assert totals["launches"] <= MAKING
+        assert bool(to_cpu(made.nominal_rollout(start, controls[0]).contact).any())
 
 
 @pytest.mark.parametrize(
