@@ -7,6 +7,7 @@ where numba's is quicker, only where it is forced, as tests do. Compiled kernels
 import importlib.util
 import os
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sdf.check import is_eager
+from sdf import check
 from sdf.extras import optional
 
 VERSION = "warp"
@@ -30,7 +31,7 @@ def available() -> bool:
 
 def supports(*tensors: Tensor) -> bool:
     """Whether a warp version can run on these tensors: CPU or CUDA, float32 or float64, no graph to be kept."""
-    if not is_eager():
+    if not check.is_eager():
         return False
     graph = torch.is_grad_enabled()
     for tensor in tensors:
@@ -44,6 +45,32 @@ def supports(*tensors: Tensor) -> bool:
 def suits(*tensors: Tensor) -> bool:
     """Whether a warp version is the one to run without being forced: on CUDA tensors, where warp is installed."""
     return any(tensor.device.type == "cuda" for tensor in tensors) and available()
+
+
+def no_waits(device: torch.device) -> AbstractContextManager[None]:
+    """Within the block nobody looks into tensors of this device, if it is a GPU that warp's versions run on."""
+    return check.no_waits() if device.type == "cuda" and available() else nullcontext()
+
+
+def fetched(*tensors: Tensor) -> list[Tensor]:
+    """Tensors on the host: those of a GPU in one copy, for which it waits once, in the first one's dtype."""
+    if tensors[0].device.type != "cuda":
+        return list(tensors)
+    flat = torch.cat([tensor.reshape(-1).to(tensors[0].dtype) for tensor in tensors]).cpu()
+    parts = flat.split([tensor.numel() for tensor in tensors])
+    return [part.view(tensor.shape) for part, tensor in zip(parts, tensors, strict=True)]
+
+
+def after_all(device: torch.device, now: Callable[[], float]) -> Callable[[], float]:
+    """A clock that is read when a GPU has done all that it was asked for."""
+    if device.type != "cuda":
+        return now
+
+    def when_done() -> float:
+        torch.cuda.synchronize(device)
+        return now()
+
+    return when_done
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,12 @@ class PushRollouts(NamedTuple):
             pivot = pivot[..., None, None, :].expand(*which.shape, 2)[which]
         return Paths(self.configurations[..., 1:, :][which], self.displacements[..., 1:, :][which], turns, pivot)
 
+    @property
+    def first(self) -> Paths:
+        """The first rollout of the first sequence of one scene, (H, ...), after each action."""
+        turns = None if self.turns is None else self.turns[0, 0, 1:]
+        return Paths(self.configurations[0, 0, 1:], self.displacements[0, 0, 1:], turns, self.pivot)
+
 
 @runtime_checkable
 class RolloutModel(Protocol):

@@ -51,8 +51,10 @@ class InformationCost:
     ) -> None:
         self.information, self.points_t, self.spatial = information, points_t, spatial
         self.discount = discount
-        total = information.values.sum()
-        self.total = torch.where(total > 0, total, math.inf) if normalise else None  # without any, all shares are 0
+        self.total: Tensor | None = None
+        if normalise:
+            total = information.values.sum()
+            self.total = torch.where(total > 0, total, math.inf)  # without any, all shares are 0
 
     @cached_property
     def cells(self) -> "Cells | None":

@@ -136,15 +136,20 @@ def mean_over_rollouts(
     return cost.gather(-1, duplicate_of).mean(-1)
 
 
-def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:
+def sensing_points(tool: Tool, like: Tensor) -> Float[Tensor, "M 3"]:
+    """Points by which a tool senses, at the heights that they have in the world while it keeps to its plane."""
+    return world_height(tool.info, tool.height_m).to(like)
+
+
+def gathering(field: VoxelGrid, tool: Tool, sensing: Float[Tensor, "M 3"] | None = None) -> InformationCost:
     """Minus what a tool's sensing points meet of a field along a path, each cell once."""
-    sensing = world_height(tool.info, tool.height_m).to(field.values)
-    return InformationCost(field, sensing, spatial=tool.spatial)
+    points = sensing_points(tool, field.values) if sensing is None else sensing
+    return InformationCost(field, points, spatial=tool.spatial)
 
 
 def gathered_by_action(gathered: Gathered, rollout: PushRollouts) -> Float[Tensor, "H"]:
     """What each action of one rollout (K = M = 1) gathers that those before it did not."""
-    configurations, displacements = (x[0] for x in rollout.paths(torch.ones_like(rollout.touched)).in_object_frame())
+    configurations, displacements = rollout.first.in_object_frame()
     steps = torch.arange(len(configurations), device=configurations.device)
     # path h stands still after action h: standing still meets nothing new
     until = torch.minimum(steps[:, None], steps[None])

@@ -108,3 +108,12 @@ def test_a_cpu_tensor_among_those_of_the_device_is_refused(counts):
     assert counts.totals()["mixed"] == 1
     assert to_cpu(x[torch.tensor([0])]).tolist() == [0.0]
     assert counts.totals()["copies_in"] == 1
+
+
+def test_results_are_those_of_the_cpu(counts):
+    """Also where torch leaves work to whoever reads, as with a conjugate."""
+    x, y = torch.rand(5, 6, generator=torch.Generator().manual_seed(1)), torch.arange(30.0).view(5, 6)
+    found = torch.fft.irfftn(torch.fft.rfftn(to_gpu(x)) * torch.fft.rfftn(to_gpu(y)).conj(), (5, 6))
+    expected = torch.fft.irfftn(torch.fft.rfftn(x) * torch.fft.rfftn(y).conj(), (5, 6))
+    torch.testing.assert_close(to_cpu(found), expected)
+    torch.testing.assert_close(to_cpu(to_gpu(x).mT.softmax(-1) @ to_gpu(y)), x.mT.softmax(-1) @ y)
