@@ -104,7 +104,7 @@ class RummagingPolicy:
             start, iterations = self._start(mppi, previous, executed, generator)
             if previous is not None and previous.warm_start is not None and self._too_late(budget):
                 return self._carried_on(previous, start, executed, scene, budget)
-            view = self._view_in_time(belief, poses, suited, scene, previous, budget, watch)
+            view = self._view_in_time(belief, scene, previous, budget, watch, poses, suited)
             if not budget.open and not budget.knows("finish"):
                 budget.timed("finish", 1.0, lambda: self._predicted(view, configuration, start, watch))
 
@@ -203,14 +203,17 @@ class RummagingPolicy:
     def _view_in_time(
         self,
         belief: PoseBelief,
-        poses: Float[Tensor, "N 4 4"],
-        suited: PushDefaults,
         scene: Scene,
         previous: Plan | None,
         budget: PlanBudget,
         watch: "_Stopwatch",
+        poses: Float[Tensor, "N 4 4"] | None = None,
+        suited: PushDefaults | None = None,
     ) -> "PlanningModel":
-        """All that motions are judged by, of as many particles as there is time for."""
+        """All that motions are judged by, of as many particles as there is time for.
+
+        The belief's poses and what suits it are worked out where they are not given.
+        """
         whole, used = len(belief.log_weights), belief
         sure = budget.open or budget.knows("view")
         if not sure:
@@ -219,7 +222,7 @@ class RummagingPolicy:
         count = budget.affordable("view", whole + _VIEW_FIXED, _VIEW_SHARE) - _VIEW_FIXED
         if sure or (used is not belief and (count > 2 * _FEW or count == whole)):
             used = subsample(belief, max(count, _FEW))
-            own = poses if used is belief else used.world_T_object
+            own = poses if used is belief and poses is not None else used.world_T_object
             fields, model = self._fields(used, own, scene, budget, watch)
         begun = budget.now()
         objective = self.objective(used, scene, fields, previous, budget, suited)
