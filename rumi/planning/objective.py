@@ -112,6 +112,8 @@ def _trajectory_cost(cost: TrajectoryCost, rollouts: PushRollouts) -> Float[Tens
 
 @backend.register("trajectory_cost", gpu.VERSION, gpu.supports, gpu.suits)
 def _trajectory_cost_warp(cost: TrajectoryCost, rollouts: PushRollouts) -> Float[Tensor, "K"]:
+    if rollouts.pivot is not None and rollouts.pivot.ndim > 1:  # of several scenes
+        return _trajectory_cost(cost, rollouts)
     from rumi.planning.trajectory_cost_warp import trajectory_cost
 
     return trajectory_cost(cost, rollouts)

@@ -212,10 +212,6 @@ def gathered(cost, configurations, displacements):
 
 def trajectory_cost(cost, rollouts):
     """Cost of each control sequence (*b, K)."""
-    if rollouts.pivot is not None and rollouts.pivot.ndim > 1:
-        from rumi.planning.objective import mean_over_rollouts
-
-        return mean_over_rollouts(rollouts, cost.of_paths)
     shape = rollouts.displacements.shape[:-2]
     configurations, displacements = _rows(rollouts.configurations, 2), _rows(rollouts.displacements, 2)
     turns = None if rollouts.turns is None else _rows(rollouts.turns, 1)
