@@ -9,7 +9,8 @@ from rumi.dynamics.base import PushModel, RolloutModel, Use
 from rumi.dynamics.displacement import DisplacementPush
 from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.push_posterior import FIXED, PushPosterior
-from rumi.dynamics.quasi_static import QuasiStaticPush, QuasiStaticSettings
+from rumi.dynamics.quasi_static import QuasiStaticSettings
+from rumi.dynamics.quasi_static_push import QuasiStaticPush
 from rumi.dynamics.scene_rollouts import SceneRollouts
 from rumi.errors import UsageError
 from rumi.fields.information import WorkspaceFields

@@ -1,6 +1,8 @@
 """Laws of every push model in each of its uses: rollouts, pushes along a path, motion; also of one from outside."""
 
 import importlib.util
+from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,7 +21,7 @@ from rumi.fields.workspace import Workspace
 from rumi.robot.tool import Tool
 from rumi.tasks.touch_box.mujoco_scene import path_scene
 from rumi.tasks.touch_box.scene import TouchTask
-from sdf import se3
+from sdf import backend, gpu, se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Box
 from sdf.symmetry import Symmetries
@@ -49,6 +51,18 @@ def name(request: pytest.FixtureRequest, outside: None) -> str:
 @pytest.fixture(scope="module")
 def box() -> ObjectModel:
     return object_model("box", Box(list(HALF)), Symmetries.none(), spacing=0.002, points=20)
+
+
+@pytest.fixture(params=["", "warp"], ids=["default", "warp"])
+def own_version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """What runs by default, then the versions for a GPU, on the CPU."""
+    if request.param and not gpu.available():
+        pytest.skip("without warp")
+    with backend.force(request.param) if request.param else nullcontext():
+        yield
+
+
+on_gpu_as_well = pytest.mark.usefixtures("own_version")
 
 
 def member(name: str, use: Use) -> PushModel:
@@ -128,6 +142,7 @@ def test_it_is_a_member(name: str) -> None:
     assert PushSettings(name).push_model == name
 
 
+@on_gpu_as_well
 def test_rollouts_out_of_reach_push_nothing(name: str, box: ObjectModel) -> None:
     found = roll(name, box, POSE, [BACK] * 3)
     assert not bool(found.touched.any())
@@ -135,12 +150,14 @@ def test_rollouts_out_of_reach_push_nothing(name: str, box: ObjectModel) -> None
     assert found.turns is None or float(found.turns.abs().max()) == 0.0
 
 
+@on_gpu_as_well
 def test_rollouts_that_stand_still_push_nothing(name: str, box: ObjectModel) -> None:
     found = roll(name, box, POSE, [[0.0, 0.0, 0.0]] * 2)
     assert float(found.displacements.abs().max()) == 0.0
     assert torch.equal(found.configurations, START.expand(1, 1, 3, 3))
 
 
+@on_gpu_as_well
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_rollouts_that_push_are_finite_and_forward(name: str, box: ObjectModel, dtype: torch.dtype) -> None:
     found = roll(name, box, POSE.to(dtype), [AHEAD] * 4)
@@ -153,6 +170,7 @@ def test_rollouts_that_push_are_finite_and_forward(name: str, box: ObjectModel, 
     assert 0.01 < float(found.displacements[0, 0, -1, 0]) <= way + 5e-3
 
 
+@on_gpu_as_well
 def test_mirrored_rollouts_mirror(name: str, box: ObjectModel) -> None:
     one, other = (
         roll(name, box, POSE * side, (torch.tensor([ASIDE] * 4) * side).tolist(), START * side)
@@ -166,6 +184,7 @@ def test_mirrored_rollouts_mirror(name: str, box: ObjectModel) -> None:
         torch.testing.assert_close(one.turns, -other.turns, atol=0.03, rtol=0)
 
 
+@on_gpu_as_well
 def test_a_row_of_rollouts_is_as_alone(name: str, box: ObjectModel) -> None:
     """Control sequences do not know each other."""
     model = rollouts(name, box, POSE[None])
