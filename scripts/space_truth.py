@@ -186,9 +186,9 @@ def main() -> None:
         settings["conditions"] = options.conditions
         store.measure(settings, lambda work=work, seed=seed: work(options, seed))
     if options.command == "touches":
-        sys.stdout.write(
-            touches([line for line in store.flat() if line["command"] == "record" and line["seed"] in seeds])
-        )
+        asked = {"command": "record", "conditions": options.conditions, "defaults": _DEFAULTS, "set": list(options.set)}
+        some = [line for line in store.flat() if line["seed"] in seeds and asked.items() <= line.items()]
+        sys.stdout.write(touches(some))
         return
     lines = [line for line in store.of(options.task) if line["seed"] in seeds]
     sys.stdout.write("".join(_words(line) for line in lines))
