@@ -27,6 +27,7 @@ from sdf.bounds import Checked, NotNegative, Positive
 from sensors.force.momentum_observer import DynamicsTerms, MomentumObserver, external_torque
 
 _TOLD = 2  # parts on end in which torques tell of a contact elsewhere, at which it stops
+_SHARE = 0.25  # of torques that a hand's contact may leave unexplained: shocks and wrong masses leave as much
 _LEAP = 0.2  # rad of a joint from where it is
 _SPACING_M = 0.01  # of points on the hand
 
@@ -223,7 +224,8 @@ class ArmWorld(World):
     def _elsewhere(self, external: np.ndarray) -> bool:
         """Whether torques (J) tell of a contact that is not at the hand."""
         jacobian = self.kinematics.jacobian(self._joints_now())
-        return unexplained_by_hand(external, jacobian, self._hand_m) > self.control.threshold_nm
+        least = max(self.control.threshold_nm, _SHARE * float(np.linalg.norm(external)))
+        return unexplained_by_hand(external, jacobian, self._hand_m) > least
 
     def configuration(self) -> Float[Tensor, "Q"]:
         """Measured x, y, in space z, and yaw of the gripper, by forward kinematics."""
