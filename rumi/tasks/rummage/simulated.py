@@ -144,9 +144,7 @@ class SimTask:
             return kind(body, self.shape, height, settings.time_step_s, physics)
         if settings.sensors.wrist_force:
             raise UsageError("Expected --robot gripper with a wrist's force sensor, which the arm does not carry")
-        world = ArmWorld(body, self.shape, height, settings.time_step_s, physics, arm=self._arm)
-        world.pads_touch = lambda object_T_tool: bool(self._felt(object_T_tool[None].float()).any())
-        return world
+        return ArmWorld(body, self.shape, height, settings.time_step_s, physics, arm=self._arm)
 
     def _draw_errors(self, seed: int) -> None:
         """Draw what is wrong with the robot of a run, each from a stream of its own."""
