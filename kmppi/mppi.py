@@ -59,14 +59,15 @@ class MPPI:
         """The plan of given control points (*b, S, A), bounded.
 
         Raises:
-            ValueError: they have another shape, or are not finite.
+            ValueError: they have another shape, or are not finite where that can be seen without a wait.
         """
         expected = (self.parameterization.knots, self.control_dim)
         if tuple(knots.shape[-2:]) != expected:
             raise ValueError(
                 f"Expected knots to have shape (*b, S, A) with (S, A) = {expected}, got {tuple(knots.shape)}"
             )
-        if not bool(torch.isfinite(knots).all()):
+        # on a GPU nobody waits for a look: what is not finite gives weights of NaN
+        if knots.device.type != "cuda" and not bool(torch.isfinite(knots).all()):
             raise ValueError(f"Expected finite knots, got {knots[~torch.isfinite(knots)][0].item()} among them")
         bounded = self._bound_knots(knots.to(self.device, self.dtype))
         return ControlPlan(bounded, self.controls(bounded))
@@ -168,7 +169,8 @@ class MPPI:
         if settings.perturbation_cost:
             # the noise that was left after clipping is the one that was rolled out
             perturbation = perturbation_cost(plan.knots, knots - nominal, self.noise_variance, settings.temperature)
-            perturbation[..., placed] = 0.0  # proposals were not drawn around the nominal
+            if further is not None:
+                perturbation[..., placed] = 0.0  # proposals were not drawn around the nominal
         weights = sample_weights(
             weighed, settings.temperature, cost_scale=settings.cost_scale, perturbation=perturbation
         )

@@ -64,10 +64,11 @@ def sample_weights(
         (*b, K), float64, summing to 1; the same when a constant is added to all costs.
 
     Raises:
-        NonFiniteCostsError: no cost of a scene is finite; where it is traced its weights are NaN then.
+        NonFiniteCostsError: no cost of a scene is finite; its weights are NaN then where it is traced, and on a GPU.
     """
-    finite = costs.isfinite()
-    if torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active():
+    finite = costs.abs() < torch.inf
+    traced = torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active()
+    if traced or costs.device.type == "cuda":
         return _masked_weights(costs.double(), finite, temperature, cost_scale, perturbation)
     if not bool(finite.any(-1).all()):
         raise NonFiniteCostsError(
@@ -89,7 +90,7 @@ def sample_weights(
 def _masked_weights(
     wide: Tensor, finite: Tensor, temperature: float, cost_scale: CostScale, perturbation: Tensor | None
 ) -> Tensor:
-    """The same of each scene without a look at how many costs are finite, as tracing needs it."""
+    """The same of each scene without a look at how many costs are finite, as tracing and a GPU need it."""
     scaled = wide.where(finite, torch.inf)
     scaled = (scaled - scaled.amin(-1, keepdim=True)).where(finite, 0.0)
     if cost_scale == "std":

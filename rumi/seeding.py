@@ -39,6 +39,13 @@ def split(source: int | torch.Generator, name: str, device: torch.device | str |
     return generator(int.from_bytes(digest[:8], "little") >> 1, own_device if device is None else device)
 
 
+def on_device(source: torch.Generator, device: torch.device) -> torch.Generator:
+    """A generator of this device: the source itself, or one that starts from its next draw."""
+    if source.device.type == device.type:
+        return source
+    return generator(int(torch.randint(2**63 - 1, (), generator=source, device=source.device)), device)
+
+
 def normal(
     shape: Sequence[int],
     *,

@@ -1,6 +1,6 @@
 """Parameters of a contact sensor learnt through the filter, with standard errors and a profile.
 
-    python -m scripts.learn_contact_sensor                      # 200 episodes, seeds 0 to 4: lines and a figure
+    python -m scripts.learn_contact_sensor                      # 200 episodes, seeds 1000 to 1002: lines and a figure
     python -m scripts.learn_contact_sensor --episodes 50 --seeds 1000 2 --out learnt
 
 Episodes are touches of a mug by a probe, signals of a known sensor; its poses are unknown to the learner
@@ -24,7 +24,6 @@ from sensors.touch.contact_model import ContactModel
 
 NAMES = ("true_positive", "false_positive", "decay")
 TRUE, START = (0.85, 0.08, 120.0), (0.5, 0.3, 40.0)
-TOUCHES = 24
 
 
 @dataclass(frozen=True)
@@ -33,6 +32,7 @@ class Options:
 
     Attributes:
         episodes: of each set; as many are held out.
+        touches: of an episode.
         particles: of the filter.
         steps: of the optimiser.
         seeds: first seed and number of sets.
@@ -40,9 +40,10 @@ class Options:
     """
 
     episodes: int = 200
+    touches: int = 24
     particles: int = 200
     steps: int = 60
-    seeds: tuple[int, int] = (0, 5)
+    seeds: tuple[int, int] = (1000, 3)
     out: Path = Path("scripts/results")
 
 
@@ -99,7 +100,7 @@ def held_out(sensor: ContactModel, data: Sequence[Tensor]) -> float:
 def learn(options: Options, seed: int) -> dict[str, Any]:
     """Record, train and judge one set."""
     random, true = torch.Generator().manual_seed(seed), ContactModel(*TRUE)
-    data, held = (record(true, options.episodes, TOUCHES, random) for _ in range(2))
+    data, held = (record(true, options.episodes, options.touches, random) for _ in range(2))
     sensor = ContactModel(*START, trainable=True)
     train(sensor, *data, particles=options.particles, steps=options.steps, seed=1000 * seed)
     errors = standard_errors(sensor, data, options.particles)
@@ -121,7 +122,7 @@ def learn(options: Options, seed: int) -> dict[str, Any]:
 
 def profile(options: Options, seed: int, factors: Sequence[float]) -> list[float]:
     """Negative log evidence, less the least, at multiples of the true decay, the rates trained again at each."""
-    data = record(ContactModel(*TRUE), options.episodes, TOUCHES, torch.Generator().manual_seed(seed))
+    data = record(ContactModel(*TRUE), options.episodes, options.touches, torch.Generator().manual_seed(seed))
     found = []
     for factor in factors:
         sensor = ContactModel(0.8, 0.1, factor * TRUE[2], trainable=True)
@@ -167,7 +168,7 @@ def main(options: Options) -> list[dict[str, Any]]:
     options.out.mkdir(parents=True, exist_ok=True)
     file = options.out / "contact_sensor.jsonl"
     first, count = options.seeds
-    asked = {"episodes": options.episodes, "particles": options.particles, "steps": options.steps}
+    asked = {name: getattr(options, name) for name in ("episodes", "touches", "particles", "steps")}
 
     def once(about: dict[str, Any], work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []

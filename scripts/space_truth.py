@@ -3,6 +3,7 @@
 python -m scripts.space_truth record --task box --seeds 1000-1009      # closed loops, their readings and true poses
 python -m scripts.space_truth replay --task box --seeds 1000-1009      # the filter alone on what was recorded
 python -m scripts.space_truth show --task box
+python -m scripts.space_truth touches                  # what touches do, by how far they move the object
 
 A step says how far the best pose is off, how much of the belief lies as the object does and how much is near it, and
 what the truth did. Recorded episodes are kept
@@ -10,10 +11,13 @@ in --folder, figures in --results, one line an episode; what is there is not don
 """
 
 import hashlib
+import itertools
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any, Literal
 
 import torch
@@ -39,6 +43,7 @@ from sdf import se3
 
 RESULTS = Path(__file__).parent / "results" / "space_truth.jsonl"
 _NEAR_M, _NEAR_RAD = 0.02, 0.3
+_KNOWN, _SURE, _TILTS, _MOVED_MM = 0.8, 0.95, 3.0, (0, 3, 10, 25, 300)  # share near the truth; P; degrees; bounds
 _DEFAULTS = hashlib.sha256(repr(PoseTrajectorySettings()).encode()).hexdigest()[:8]
 
 
@@ -47,7 +52,8 @@ class Options:
     """What is done.
 
     Attributes:
-        command: "record" runs closed loops, "replay" the filter on their readings, "show" prints what is there.
+        command: "record" runs closed loops, "replay" the filter on their readings, "show" prints what is there,
+            "touches" what touches do to a belief that is about right, of all tasks, by how far they move the object.
         task: whose scenes the seeds draw.
         seeds: such as 1000-1009.
         set: settings, as name=number.
@@ -58,7 +64,7 @@ class Options:
         again: other random streams of the replayed filter, by number.
     """
 
-    command: tyro.conf.Positional[Literal["record", "replay", "show"]]
+    command: tyro.conf.Positional[Literal["record", "replay", "show", "touches"]]
     task: str = "box"
     seeds: str = "1000-1009"
     set: tuple[str, ...] = ()
@@ -173,14 +179,37 @@ def main() -> None:
     """Do what is missing, then print."""
     options = tyro.cli(Options, description=__doc__)
     store, seeds = Store(options.results), seeds_of(options.seeds)
-    for seed in seeds if options.command != "show" else ():
+    for seed in seeds if options.command in ("record", "replay") else ():
         work = recorded if options.command == "record" else replayed
         settings = {"part": options.task, "command": options.command, "seed": seed, "set": list(options.set)}
         settings |= {"steps": options.steps, "again": options.again, "defaults": _DEFAULTS}
         settings["conditions"] = options.conditions
         store.measure(settings, lambda work=work, seed=seed: work(options, seed))
+    if options.command == "touches":
+        asked = {"command": "record", "conditions": options.conditions, "defaults": _DEFAULTS, "set": list(options.set)}
+        some = [line for line in store.flat() if line["seed"] in seeds and asked.items() <= line.items()]
+        sys.stdout.write(touches(some))
+        return
     lines = [line for line in store.of(options.task) if line["seed"] in seeds]
     sys.stdout.write("".join(_words(line) for line in lines))
+
+
+def touches(lines: Sequence[Figures]) -> str:
+    """A table of touches of what is known about, by how far they moved it."""
+    pairs = [pair for line in lines for pair in itertools.pairwise(line["steps"])]
+    known = [(last, now) for last, now in pairs if now["touched"] and last["near"] > _KNOWN and last["contacts"]]
+    rows = [
+        (f"{low} to {high} mm", [pair for pair in known if low <= pair[1]["moved"] < high and pair[1]["tilt"] < _TILTS])
+        for low, high in itertools.pairwise(_MOVED_MM)
+    ]
+    rows.append(("tilted", [pair for pair in known if pair[1]["tilt"] >= _TILTS]))
+    out = ["| moved | touches | P(right) before; after | off before; after, mm | sure after |", "|-" * 5 + "|"]
+    for name, some in rows:
+        if some:
+            means = [fmean(pair[at][what] for pair in some) for what in ("p", "mm") for at in (0, 1)]
+            sure = sum(now["p"] >= _SURE for _, now in some)
+            out.append("| {} | {} | {:.2f}; {:.2f} | {:.1f}; {:.1f} | {} |".format(name, len(some), *means, sure))
+    return "\n".join((*out, ""))
 
 
 def _words(line: Figures) -> str:

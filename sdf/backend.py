@@ -1,8 +1,9 @@
 """Dispatch registry: which version of each hot operation runs.
 
 Every hot operation is one public function. Its plain torch version, named "torch", is the definition and takes any
-tensors; a quicker one may stand beside it and says which tensors it supports. The one registered last that supports
-the tensors at hand runs, unless a version is forced by the environment variable RUMI_BACKEND or by `force`.
+tensors; a quicker one may stand beside it and says which tensors it supports, and which it suits. The one registered
+last that suits the tensors at hand runs, unless a version is forced by the environment variable RUMI_BACKEND or by
+`force`, which may be any that supports them.
 """
 
 import os
@@ -18,13 +19,16 @@ VARIABLE = "RUMI_BACKEND"
 PLAIN = "torch"
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-_VERSIONS: dict[str, dict[str, tuple[Callable[..., Any], Callable[..., bool]]]] = {}
+_VERSIONS: dict[str, dict[str, tuple[Callable[..., Any], Callable[..., bool], Callable[..., bool]]]] = {}
 _forced: ContextVar[str | None] = ContextVar("forced", default=None)
 _observed: ContextVar[dict[str, str] | None] = ContextVar("observed", default=None)
 
 
 def register(
-    op: str, version: str = PLAIN, supports: Callable[..., bool] = lambda *tensors: True
+    op: str,
+    version: str = PLAIN,
+    supports: Callable[..., bool] = lambda *tensors: True,
+    suits: Callable[..., bool] = lambda *tensors: True,
 ) -> Callable[[_Function], _Function]:
     """Decorator that enters a function as one version of an operation.
 
@@ -32,10 +36,11 @@ def register(
         op: the operation's public name.
         version: this version's name; register "torch", the plain one, first.
         supports: takes the tensors given to `dispatch`; whether this version can run on them.
+        suits: likewise, whether it is to run on tensors that it supports without being forced.
     """
 
     def enter(function: _Function) -> _Function:
-        _VERSIONS.setdefault(op, {})[version] = (function, supports)
+        _VERSIONS.setdefault(op, {})[version] = (function, supports, suits)
         return function
 
     return enter
@@ -64,14 +69,14 @@ def dispatch(op: str, *tensors: Tensor) -> Callable[..., Any]:
     if name is not None:
         _check(name)
         name = name if name in names else PLAIN
-        function, supports = _VERSIONS[op][name]
+        function, supports, _ = _VERSIONS[op][name]
         if not supports(*tensors):
             what = ", ".join(f"{t.dtype} on {t.device}{', with graph' * t.requires_grad}" for t in tensors)
             raise ValueError(f"Expected tensors that the forced version {name!r} of {op} supports, got {what}")
         return _noted(op, name, function)
     for name in reversed(names):
-        function, supports = _VERSIONS[op][name]
-        if supports(*tensors):
+        function, supports, suits = _VERSIONS[op][name]
+        if supports(*tensors) and suits(*tensors):
             return _noted(op, name, function)
     raise ValueError(f"Expected a version of {op} for these tensors, got none among {names}")
 

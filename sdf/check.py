@@ -1,6 +1,9 @@
 """Validators of shapes and finite values."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 
 import torch
@@ -12,6 +15,9 @@ FAR = 1.0e6
 
 ROUNDING_M = 1e-5
 """Metres by which rounding may move a place: what poses are held to, a hundredth of a table's spacing of 1 mm."""
+
+
+_barred: ContextVar[bool] = ContextVar("barred", default=False)
 
 
 def check_shape(name: str, tensor: Tensor, text: str, last: tuple[int, ...] = ()) -> None:
@@ -54,12 +60,12 @@ def _axes(text: str) -> tuple[tuple[str, ...], bool]:
 
 
 def check_finite(name: str, tensor: Tensor) -> None:
-    """Refuse a tensor with NaN or infinity in it, where code may look (`is_eager`).
+    """Refuse a tensor with NaN or infinity in it, where code may look (`may_look`).
 
     Raises:
         ValueError: with the name, how many values are not finite and where the first is.
     """
-    if not is_eager():
+    if not may_look(tensor):
         return
     if math.isfinite(float(tensor.detach().sum())):  # quicker than a look at each, and what is not finite stays so
         return
@@ -88,7 +94,7 @@ def check_near(name: str, places: Tensor, dtype: torch.dtype | None = None) -> N
     Raises:
         ValueError: with the name, how far places may be, how far they are, and what to do.
     """
-    if places.numel() == 0 or not is_eager():
+    if places.numel() == 0 or not may_look(places):
         return
     epsilon = torch.finfo(dtype or places.dtype).eps
     farthest = float(places.detach().abs().amax())
@@ -119,6 +125,21 @@ def eager_only(name: str, reason: str) -> None:
 def keep_within_reach(coordinates: Tensor) -> Tensor:
     """Coordinates moved to within `FAR` metres of 0, NaN to `FAR`: hot paths answer "far outside", never NaN."""
     return torch.nan_to_num(coordinates, nan=FAR).clamp(-FAR, FAR)
+
+
+@contextmanager
+def no_waits() -> Iterator[None]:
+    """Within the block nobody looks into tensors of a GPU, for which the host would have to wait (`may_look`)."""
+    token = _barred.set(True)
+    try:
+        yield
+    finally:
+        _barred.reset(token)
+
+
+def may_look(*tensors: Tensor) -> bool:
+    """Whether code may branch on the values of tensors: where it `is_eager`, and within `no_waits` not of a GPU's."""
+    return is_eager() and not (_barred.get() and any(tensor.device.type == "cuda" for tensor in tensors))
 
 
 def is_eager() -> bool:

@@ -16,6 +16,7 @@ EXTRAS = {
     "view": "rerun",
     "baselines": "gpytorch",
     "gym": "gymnasium",
+    "gpu": "warp",
     "peers": "pytorch_volumetric chsel pytorch_mppi",
     "stress": "mpmath hypothesis",
 }

@@ -34,7 +34,7 @@ from torch import Tensor
 
 from sdf.check import FAR
 from sdf.compiled import inner
-from sdf.grid_sdf import GridSDF
+from sdf.grid_sdf import GridSDF, lattice_numbers
 
 Arrays = tuple[np.ndarray, ...]
 
@@ -336,7 +336,7 @@ def layer_value_and_gradient(x, y, layer, rise, lattice, level):
 
 def grid_arguments(sdf: GridSDF, dtype: torch.dtype) -> Arrays:
     """Values (X * Y * Z), numbers of the lattice (15), both of `dtype`, and sizes (3): what look-ups take."""
-    numbers, sizes = _numbers(sdf)
+    numbers, sizes = lattice_numbers(sdf)
     flat = sdf.values.detach().to(dtype).contiguous().view(-1)
     return flat.numpy(), torch.tensor(numbers, dtype=dtype).numpy(), np.array(sizes)
 
@@ -352,22 +352,3 @@ def layer_arguments(sdf: GridSDF, z: float | Tensor, dtype: torch.dtype) -> Arra
     height = torch.as_tensor(z, dtype=dtype).detach()
     layer, rise, level = sdf.layer(height)
     return layer.view(-1).numpy(), rise.view(-1).numpy(), level.numpy()
-
-
-def _numbers(sdf: GridSDF) -> tuple[list[float], list[int]]:
-    """What `lattice_of` expects, in its order, and the table's sizes."""
-    scale = 1.0 / sdf.spacing
-    ratio = sdf.spacing / sdf.outer_spacing if sdf.outer else 1.0
-    sizes = list(sdf.values.shape)
-    numbers = [
-        scale,
-        *(sdf.outer - start * scale for start in sdf.origin),
-        float(sdf.outer),
-        *(float(n - 1 - sdf.outer) for n in sizes),
-        sdf.outer / ratio,
-        ratio,
-        sdf.spacing,
-        sdf.inset / sdf.spacing,
-        *(float(n - 2) for n in sizes),
-    ]
-    return numbers, sizes

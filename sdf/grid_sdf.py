@@ -310,6 +310,25 @@ def takes(sdf: SDF, *tensors: Tensor) -> TypeGuard[GridSDF]:
     return isinstance(sdf, GridSDF) and sdf.values.numel() <= _MOST_NODES and len({t.dtype for t in tensors}) == 1
 
 
+def lattice_numbers(sdf: GridSDF) -> tuple[list[float], list[int]]:
+    """The numbers of a table's lattice, in the order of `grid_numba.lattice_of`, and its sizes."""
+    scale = 1.0 / sdf.spacing
+    ratio = sdf.spacing / sdf.outer_spacing if sdf.outer else 1.0
+    sizes = list(sdf.values.shape)
+    numbers = [
+        scale,
+        *(sdf.outer - start * scale for start in sdf.origin),
+        float(sdf.outer),
+        *(float(n - 1 - sdf.outer) for n in sizes),
+        sdf.outer / ratio,
+        ratio,
+        sdf.spacing,
+        sdf.inset / sdf.spacing,
+        *(float(n - 2) for n in sizes),
+    ]
+    return numbers, sizes
+
+
 def _vectors(planes: list[Tensor]) -> Tensor:
     """Vectors (*b, 3) of three planes (*b), kept plane by plane: copied in one go."""
     return torch.stack(planes).movedim(0, -1)

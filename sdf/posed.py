@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sdf import backend, compiled, se3
+from sdf import backend, compiled, gpu, se3
 from sdf.base import SDF, SDFQuery
 from sdf.batch import broadcast_shapes
 from sdf.check import FAR, check_shape, is_eager
@@ -108,6 +108,24 @@ def _posed_query_numba(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SD
     from sdf import posed_numba
 
     return posed_numba.posed_query(sdf, world_T_object, points_w, common_height(sdf, world_T_object, points_w))
+
+
+@backend.register("posed_distance", gpu.VERSION, gpu.supports, gpu.suits)
+def _posed_distance_warp(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> Tensor:
+    if not takes(sdf, world_T_object, points_w):
+        return _posed_distance(sdf, world_T_object, points_w)
+    from sdf import posed_warp
+
+    return posed_warp.posed_distance(sdf, world_T_object, points_w)
+
+
+@backend.register("posed_query", gpu.VERSION, gpu.supports, gpu.suits)
+def _posed_query_warp(sdf: SDF, world_T_object: Tensor, points_w: Tensor) -> SDFQuery:
+    if not takes(sdf, world_T_object, points_w):
+        return _posed_query(sdf, world_T_object, points_w)
+    from sdf import posed_warp
+
+    return posed_warp.posed_query(sdf, world_T_object, points_w)
 
 
 def _by_blocks(

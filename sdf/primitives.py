@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from sdf import se3
 from sdf.base import SDF, Sized
-from sdf.check import FAR, check_shape, keep_within_reach
+from sdf.check import FAR, check_shape, is_eager, keep_within_reach
 
 
 class Sphere(Sized):
@@ -273,6 +273,8 @@ class Mug(Union):
 def safe_norm(vectors: Float[Tensor, "*b n"]) -> Float[Tensor, "*b"]:
     """Euclidean norm whose gradient at 0 is 0, not NaN (also the second)."""
     squared = (vectors * vectors).sum(-1)
+    if is_eager() and not squared.requires_grad:
+        return squared.sqrt()
     zero = squared == 0
     length = torch.where(zero, torch.ones_like(squared), squared).sqrt()
     return torch.where(zero, torch.zeros_like(length), length)

@@ -4,12 +4,15 @@ Whoever skips says so with `work`; who wants to know keeps an account with `acco
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 
 import torch
+from torch import Tensor
+
+from sdf.check import may_look
 
 
 @dataclass
@@ -20,11 +23,13 @@ class Work:
         done: units that were done.
         whole: units that there would have been without skipping.
         seconds: that those done took, in all.
+        pending: units done beside `done`, single numbers on a GPU that the host has not waited for.
     """
 
     done: float = 0.0
     whole: float = 0.0
     seconds: float = 0.0
+    pending: list[Tensor] = field(default_factory=list)
 
     @property
     def skipped(self) -> float:
@@ -36,15 +41,19 @@ class Work:
         """Seconds that the rest would have taken at the pace of what was done; None where nothing was done."""
         return self.seconds * (self.whole / self.done - 1.0) if self.done > 0 else None
 
-    def count(self, done: float, whole: float) -> None:
-        """Say how much was done of how much."""
-        self.done += done
+    def count(self, done: float | Tensor, whole: float) -> None:
+        """Say how much was done of how much; a tensor where it is not worth to wait for it now."""
+        if isinstance(done, Tensor) and not may_look(done):
+            self.pending.append(done)
+        else:
+            self.done += float(done)
         self.whole += whole
 
     def add(self, other: "Work") -> None:
         """Add another's numbers."""
         self.count(other.done, other.whole)
         self.seconds += other.seconds
+        self.pending += other.pending
 
 
 @dataclass
@@ -57,8 +66,20 @@ class Account:
         """Add to the work of a name."""
         self.works.setdefault(name, Work()).add(work)
 
+    def pending(self) -> list[Tensor]:
+        """Numbers that the host has not waited for, in the order in which `settle` takes them."""
+        return [number for work in self.works.values() for number in work.pending]
+
+    def settle(self, numbers: Sequence[float]) -> None:
+        """Count what was pending, by numbers that have been fetched."""
+        left = iter(numbers)
+        for work in self.works.values():
+            for _ in work.pending:
+                work.done += next(left)
+            work.pending.clear()
+
     def skipped(self) -> dict[str, float]:
-        """Share that was skipped, by name."""
+        """Share that was skipped, by name, without what is pending."""
         return {name: work.skipped for name, work in self.works.items()}
 
 

@@ -26,20 +26,14 @@ def hat(omega: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3 3"]:
 
 def vee(matrix: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3"]:
     """Inverse of `hat`; takes the antisymmetric part of any matrix."""
-    return 0.5 * torch.stack(
-        (
-            matrix[..., 2, 1] - matrix[..., 1, 2],
-            matrix[..., 0, 2] - matrix[..., 2, 0],
-            matrix[..., 1, 0] - matrix[..., 0, 1],
-        ),
-        dim=-1,
-    )
+    _, m01, m02, m10, _, m12, m20, m21, _ = matrix.flatten(-2).unbind(-1)
+    return 0.5 * torch.stack((m21 - m12, m02 - m20, m10 - m01), dim=-1)
 
 
 @full_precision
 def exp(omega: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3 3"]:
     """Rotation by |omega| radians about omega (Rodrigues)."""
-    first, second, _ = exp_coefficients((omega * omega).sum(-1))
+    first, second = exp_coefficients((omega * omega).sum(-1), 2)
     cross = hat(omega)
     eye = torch.eye(3, dtype=omega.dtype, device=omega.device)
     return eye + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
@@ -114,20 +108,16 @@ def reproject(matrix: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 3 3"]:
     return nearest + (rotation - rotation.detach())
 
 
-def exp_coefficients(
-    squared_angle: Float[Tensor, "*b"],
-) -> tuple[Float[Tensor, "*b"], Float[Tensor, "*b"], Float[Tensor, "*b"]]:
-    """The smooth functions sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3 of t^2."""
+def exp_coefficients(squared_angle: Float[Tensor, "*b"], count: int = 3) -> tuple[Float[Tensor, "*b"], ...]:
+    """The first of the smooth functions sin t / t, (1 - cos t) / t^2 and (t - sin t) / t^3 of t^2."""
     small = squared_angle < SERIES_BELOW
     low = torch.where(small, squared_angle, torch.zeros_like(squared_angle))
     high = torch.where(small, torch.ones_like(squared_angle), squared_angle)
     theta = high.sqrt()
     sine = theta.sin()
     half_sine = (0.5 * theta).sin()
-    first = torch.where(small, _odd_series(low, 1), sine / theta)
-    second = torch.where(small, _odd_series(low, 2), 2.0 * half_sine * half_sine / high)
-    third = torch.where(small, _odd_series(low, 3), (theta - sine) / (high * theta))
-    return first, second, third
+    closed = (sine / theta, 2.0 * half_sine * half_sine / high, (theta - sine) / (high * theta))
+    return tuple(torch.where(small, _odd_series(low, n + 1), closed[n]) for n in range(count))
 
 
 def _odd_series(squared: Tensor, start: int) -> Tensor:
@@ -147,13 +137,18 @@ def quaternion(rotation: Float[Tensor, "*b 3 3"]) -> Float[Tensor, "*b 4"]:
 
 def from_wxyz(quaternion: Float[Tensor, "*b 4"]) -> Float[Tensor, "*b 3 3"]:
     """Rotation of a quaternion (w, x, y, z) of any length, as simulators and recordings order it; of 0 none."""
-    w, x, y, z = torch.nn.functional.normalize(quaternion, dim=-1).unbind(-1)
+    unit = torch.nn.functional.normalize(quaternion, dim=-1)
+    _, x, y, z = unit.unbind(-1)
+    w2, x2, y2, z2 = (2.0 * unit).unbind(-1)
+    xx, yy, zz = x2 * x, y2 * y, z2 * z
+    xy, xz, yz = x2 * y, x2 * z, y2 * z
+    wx, wy, wz = w2 * x, w2 * y, w2 * z
     rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        *(1 - (yy + zz), xy - wz, xz + wy),
+        *(xy + wz, 1 - (xx + zz), yz - wx),
+        *(xz - wy, yz + wx, 1 - (xx + yy)),
     )
-    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+    return torch.stack(rows, -1).unflatten(-1, (3, 3))
 
 
 def _scaled_quaternion(rotation: Tensor) -> Tensor:
@@ -161,18 +156,15 @@ def _scaled_quaternion(rotation: Tensor) -> Tensor:
 
     Row i of 4 q q^T is q times 4 q_i; the row of the greatest |q_i| never vanishes.
     """
-    m = rotation
-    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
-    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
-    outer = torch.stack(
-        (
-            torch.stack((1.0 + xx + yy + zz, wx, wy, wz), dim=-1),
-            torch.stack((wx, 1.0 + xx - yy - zz, xy, xz), dim=-1),
-            torch.stack((wy, xy, 1.0 - xx + yy - zz, yz), dim=-1),
-            torch.stack((wz, xz, yz, 1.0 - xx - yy + zz), dim=-1),
-        ),
-        dim=-2,
+    xx, m01, m02, m10, yy, m12, m20, m21, zz = rotation.flatten(-2).unbind(-1)
+    wx, wy, wz = m21 - m12, m02 - m20, m10 - m01
+    xy, xz, yz = m01 + m10, m02 + m20, m12 + m21
+    rows = (
+        *(1.0 + xx + yy + zz, wx, wy, wz),
+        *(wx, 1.0 + xx - yy - zz, xy, xz),
+        *(wy, xy, 1.0 - xx + yy - zz, yz),
+        *(wz, xz, yz, 1.0 - xx - yy + zz),
     )
+    outer = torch.stack(rows, -1).unflatten(-1, (4, 4))
     best = outer.diagonal(dim1=-2, dim2=-1).argmax(-1)
     return torch.gather(outer, -2, best[..., None, None].expand(*best.shape, 1, 4))[..., 0, :]

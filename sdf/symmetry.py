@@ -113,6 +113,8 @@ class Symmetries:
             pose: world_T_object.
             like: world_T_object.
         """
+        if self.trivial:
+            return pose
         own = self.to(pose)
         if self.ball:
             turned = pose[..., :3, :3].mT @ like[..., :3, :3]

@@ -1,9 +1,9 @@
 """What every test can ask for: device, dtype, a seeded generator, golden numbers; and shape checks for all of them.
 
-The hints of the four packages (`Float[Tensor, "*b 3"]`) are enforced while the tests run, `*_numba` modules apart
-(numba compiles plain functions only): in each test, for a function's first calls, and then for ever fewer, since a
-check takes longer than most calls. A wrong shape then fails before the function's own check sees it: a test of that
-check, or of `torch.compile`, asks for the fixture `no_shape_check`.
+The hints of the four packages (`Float[Tensor, "*b 3"]`) are enforced while the tests run, `*_numba` and `*_warp`
+modules apart (they compile plain functions only): in each test, for a function's first calls, and then for ever fewer,
+since a check takes longer than most calls. A wrong shape then fails before the function's own check sees it: a test of
+that check, or of `torch.compile`, asks for the fixture `no_shape_check`.
 """
 
 import dataclasses
@@ -83,7 +83,7 @@ def _enforce_hints() -> None:
     jaxtyping.jaxtyped = _sampled  # the name by which the hook finds it
     finder = jaxtyping.install_import_hook(PACKAGES, f"{checker.__name__}.check").hook
     wanted = finder.should_instrument
-    finder.should_instrument = lambda module_name: wanted(module_name) and not module_name.endswith("_numba")
+    finder.should_instrument = lambda module_name: wanted(module_name) and not module_name.endswith(("_numba", "_warp"))
 
 
 # at once, not when pytest is configured: conftest files of folders below import the packages before that; worker
@@ -134,10 +134,10 @@ def pytest_runtest_setup() -> None:
 @pytest.fixture(params=["torch", "numba"])
 def version(request: pytest.FixtureRequest) -> Iterator[str]:
     """The plain versions of hot operations, then the compiled ones; for a file all of whose tests are for both."""
-    from sdf import backend, compiled, posed  # noqa: F401  (registers compiled versions, so that some can be forced)
+    from sdf import backend, compiled, gpu, posed  # noqa: F401  (registers compiled versions, so that some can be forced)
 
-    if request.param == "numba" and not compiled.available():
-        pytest.skip("without numba")
+    if not {"numba": compiled.available, "warp": gpu.available}.get(request.param, lambda: True)():
+        pytest.skip(f"without {request.param}")
     with backend.force(request.param):
         yield request.param
 

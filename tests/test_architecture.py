@@ -21,7 +21,7 @@ ALLOWED = {
     "rumi": {"kmppi", "sdf", "sensors", "rumi"},
 }
 HEAVY = {"mujoco", "open3d", "cv2", "matplotlib", "trimesh", "pytorch_kinematics", "numba", "triton", "gpytorch",
-         "h5py", "rosbags"}  # fmt: skip
+         "h5py", "rosbags", "warp"}  # fmt: skip
 
 # these draw from a global generator, or seed one, whatever they are handed
 ALWAYS_GLOBAL = {

@@ -163,3 +163,50 @@ def test_records_of_before_tell_their_end_in_todays_words():
     assert {word: stop_reason(word) for word in former} == former
     assert [stop_reason(word) for word in get_args(StopReason)] == list(get_args(StopReason))
     assert stop_reason("degenerate") == "degenerate"
+
+
+def test_scenes_side_by_side_are_asked_and_end_as_each_alone():
+    agents = [Counter(enough=3), Counter(idle=1), Counter(enough=0), Counter()]
+    tasks, seen = [Told() for _ in agents], []
+    results = loop.run_scenes(
+        tasks, agents, seeds=[5, 6, 7, 8], steps=4, on_step=lambda scene, record: seen.append((scene, record.step))
+    )
+    for scene, (agent, task) in enumerate(zip(agents, tasks, strict=True)):
+        alone, steps = Told(), []
+        assert results[scene] == loop.run(alone, agent, seed=5 + scene, steps=4, on_step=steps.append)
+        assert task.asked == alone.asked
+        assert [step for own, step in seen if own == scene] == [record.step for record in steps]
+    with pytest.raises(ValueError, match="an agent for each of 4 tasks"):
+        loop.run_scenes(tasks, agents[:2], seeds=[0, 1])
+    with pytest.raises(ValueError, match="an agent and a seed"):
+        loop.run_scenes(tasks, agents, seeds=[0])
+
+
+def test_one_steps_in_and_out_of_a_session():
+    session = loop.Session([Counter(enough=1), Counter(idle=2)], seeds=[0, 1])
+    assert session.step(["first", "view"]) == ["on", "on"]
+    assert session.step(["felt", "felt"]) == [loop.Last("grasp"), "on"]
+    assert session.step(["lifted", "felt"]) == [None, loop.Last("grasp")]
+    assert session.results == [(1, "sure", "lifted"), None] and session.stopped_by == ["sure", None]
+    session.interrupt()
+    assert session.results[1] == (2, "interrupted", None)
+    assert session.step([None, None]) == [None, None]
+    with pytest.raises(ValueError, match="a reading for each of 2 scenes"):
+        session.step(["one"])
+
+
+class Impatient(Counter):
+    """Somebody presses Ctrl-C while it thinks of its second action."""
+
+    def act(self, state):
+        if state.step == 1:
+            raise KeyboardInterrupt
+        return super().act(state)
+
+
+def test_ctrl_c_ends_all_scenes_with_what_they_have():
+    counters = [Counter(), Counter(enough=1), Counter()]
+    assert loop.run_scenes([Told(), Told(), Told("on")], counters, seeds=[0, 0, 0]) == [(0, "interrupted", None)] * 3
+    thinking = [Counter(), Impatient(), Counter(enough=1)]
+    ended = [(1, "interrupted", None), (1, "interrupted", None), (0, "interrupted", None)]
+    assert loop.run_scenes([Told(), Told(), Told()], thinking, seeds=[0, 0, 0]) == ended

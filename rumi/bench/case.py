@@ -8,7 +8,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from sdf import backend, compiled
+from sdf import backend, compiled, gpu
 
 By = Literal["rumi", "peer", "naive"]
 
@@ -105,6 +105,8 @@ class Setup:
     @property
     def versions(self) -> tuple[str, ...]:
         """This project's versions to time on the device."""
+        if self.device.type == "cuda" and gpu.available():
+            return ("torch", gpu.VERSION)
         return ("torch", "numba") if self.device.type == "cpu" and compiled.available() else ("torch",)
 
     def ours(self, run: Callable[[], Any], what: str = "") -> tuple[Variant, ...]:

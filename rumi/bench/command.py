@@ -23,6 +23,8 @@ from rumi.runs.folder import write_json
 from rumi.runs.jsonlines import append_line, check_writable
 from rumi.runs.plain import plain
 from rumi.runs.progress import say
+from sdf import gpu
+from sdf.extras import remedy
 from sdf.threads import using
 
 SCHEMA = 1
@@ -91,6 +93,8 @@ def check(options: BenchOptions) -> None:
         raise UsageError(f"Expected threads to be 1 or more, got {options.threads}")
     if options.device == "cuda" and not torch.cuda.is_available():
         raise UsageError("There is no CUDA device that this PyTorch can use: leave out --device cuda")
+    if options.device == "cuda" and not gpu.available():
+        raise UsageError(f"Timing on a GPU needs warp: {remedy('warp')}, or leave out --device cuda")
     if options.json is not None:
         check_writable(options.json)
 

@@ -31,6 +31,7 @@ _USES = {
     "baselines": "the method gpvr",
     "cluster": "experiments on a SLURM cluster",
     "gym": "environments of gymnasium",
+    "gpu": "plans on a GPU, --device cuda",
     "peers": "comparisons with other packages",
     "stress": "rumi stress",
 }
@@ -168,7 +169,7 @@ def _devices() -> Iterator[Finding]:
 
     if torch.cuda.is_available():
         names = ", ".join(torch.cuda.get_device_name(at) for at in range(torch.cuda.device_count()))
-        yield Finding("devices", "ok", f"CPU, {names} (--device cuda)")
+        yield Finding("devices", "ok", f"CPU, {names} (--device cuda, with the extra gpu)")
     else:
         yield Finding("devices", "ok", "CPU; no CUDA device that this PyTorch can use, and none is needed")
 

@@ -99,6 +99,9 @@ def object_mesh(run: "Run", given: Path | None = None, scale: float = 1.0) -> "T
         return mesh.moved(torch.tensor(source["object_T_mesh"], dtype=torch.float64))
     if run.task in TASKS:
         entry = TASKS[run.task]
+        if (block := getattr(entry, "mesh", None)) is not None:
+            made: TriangleMesh = block(entry.from_dict(run.settings))
+            return made
         spec = getattr(entry, "spec", None)
         agent = entry.agent(entry.from_dict(run.settings)) if spec is None else None
         model = getattr(agent, "model", None) if spec is None else spec.object_factory()

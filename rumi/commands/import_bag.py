@@ -1,4 +1,4 @@
-"""The command `rumi import`: ROS bags as logs."""
+"""The command `rumi import`: ROS bags, and recordings as text, as logs."""
 
 import sys
 from collections import Counter
@@ -25,7 +25,7 @@ class ImportOptions:
     """Write a log of the raw streams in each ROS bag; `rumi replay` then takes it in. No ROS is needed.
 
     Attributes:
-        bags: .bag files of ROS 1, .mcap or .db3 files, or folders of bags.
+        bags: .bag files of ROS 1, .mcap or .db3 files, folders of bags, or folders of CSV or JSON-lines files.
         map: mapping file: which topics and frames mean what (scripts/docs/reference/mapping.md).
         suggest: write a mapping file to begin with, from the topics, types and frames of the bag, in place of a log.
         out: the log, by default the bag's name with .h5, in the current folder; of several bags the folder of their

@@ -41,5 +41,6 @@ def write_recording_of(folder: Path, path: Path) -> None:
     from rumi.viz.viewer import write_recording
 
     read = load_run(folder)
+    entry = entry_of(read)
     make_folder(path.parent)
-    write_recording(read, estimates_of(read, entry_of(read).pose).steps, path)
+    write_recording(read, estimates_of(read, entry.pose).steps, entry.view(read), path)

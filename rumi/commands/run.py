@@ -130,10 +130,8 @@ def live_view(folder: Path, entry: TaskEntry[Any], agent: Any, about: dict[str, 
     from rumi.tasks.rummage.geometry import geometry_of
     from rumi.viz.live import LiveView
 
-    geometry = geometry_of(agent)
-    return LiveView(
-        str(folder), geometry, lambda steps: entry.pose(Run(folder, about, geometry, steps, result=None, ended=None))
-    )
+    begun = Run(folder, about, geometry_of(agent), [], result=None, ended=None)
+    return LiveView(str(folder), entry.view(begun), lambda steps: entry.pose(replace(begun, steps=steps)))
 
 
 def parse(

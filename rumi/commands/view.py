@@ -14,7 +14,8 @@ from rumi.commands.recordings import RECORDING, write_recording_of
 from rumi.environment import has_display
 from rumi.exit_codes import DONE
 
-_WRITERS = [Path(__file__).parents[1] / "viz" / name for name in ("viewer.py", "viewer_layout.py", "reasons.py")]
+_RUMI = Path(__file__).parents[1]
+_WRITERS = [*(_RUMI / "viz").glob("*.py"), *(_RUMI / "tasks").glob("*/view.py")]
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ def view(arguments: Sequence[str]) -> int:
             write(options.run, path)
     sys.stdout.write(f"{path}\n")
     if not options.headless and has_display():
-        # by itself the viewer would listen to the whole network
-        subprocess.Popen([sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)], start_new_session=True)
+        # by itself the viewer would listen to the whole network; `-m rerun` would load all of its library first
+        subprocess.Popen([sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", str(path)], start_new_session=True)
     return DONE
 
 

@@ -13,6 +13,7 @@ from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.robot.tool import Tool
 from rumi.robot.tool_shape import ToolShape
+from sdf import gpu
 from sdf.object_model import ObjectModel
 
 
@@ -59,7 +60,7 @@ class PushRollouts(NamedTuple):
             been moved since the present, metres, world axes.
         contact: (*b, K, M, H), whether the robot touched the object during a step.
         checked: share of the contact checks that were done point by point; the rest was settled by a bound, or by
-            another rollout that had met the same so far.
+            another rollout that had met the same so far. A tensor where it was counted on a GPU.
         duplicate_of: (*b, K, M), the first rollout of the same sequence that is known to be equal; itself if none is.
         turns: (*b, K, M, T), how far the object has been turned since the present, radians; None if never.
         pivot: (*b, 2), the point whose displacements are told, where objects turn.
@@ -68,7 +69,7 @@ class PushRollouts(NamedTuple):
     configurations: Float[Tensor, "*b K M T Q"]
     displacements: Float[Tensor, "*b K M T 3"]
     contact: Bool[Tensor, "*b K M H"]
-    checked: float
+    checked: float | Float[Tensor, ""]
     duplicate_of: Int[Tensor, "*b K M"]
     turns: Float[Tensor, "*b K M T"] | None = None
     pivot: Float[Tensor, "*b 2"] | None = None
@@ -84,6 +85,12 @@ class PushRollouts(NamedTuple):
         if pivot is not None and pivot.ndim > 1:
             pivot = pivot[..., None, None, :].expand(*which.shape, 2)[which]
         return Paths(self.configurations[..., 1:, :][which], self.displacements[..., 1:, :][which], turns, pivot)
+
+    @property
+    def first(self) -> Paths:
+        """The first rollout of the first sequence of one scene, (H, ...), after each action."""
+        turns = None if self.turns is None else self.turns[0, 0, 1:]
+        return Paths(self.configurations[0, 0, 1:], self.displacements[0, 0, 1:], turns, self.pivot)
 
 
 @runtime_checkable
@@ -166,6 +173,10 @@ class PushModel:
         """Whether it can push particles at these poses with this tool."""
         return True
 
+    def takes_scenes(self, world_T_object: Float[Tensor, "B N 4 4"]) -> bool:
+        """Whether `rollouts` takes the particles of these scenes in one call, each row as alone."""
+        return False
+
     def knowing(self, pushes: PushPosterior) -> Self:
         """The same model by what was learnt of how the object slides; itself, where that plays no part."""
         return self
@@ -247,14 +258,24 @@ def rigid_motions(
     return shift, turn
 
 
-def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
-    """Indices of the yaws in the middles of `count` equal shares of the weight, counted from opposite their mean."""
+def shares_by_yaw(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"]) -> tuple[Int[Tensor, "N"], Float[Tensor, "N"]]:
+    """Particles in the order of their yaws, counted from opposite their mean, and the weight up to each of them."""
     mean = torch.atan2(weights @ yaw.sin(), weights @ yaw.cos())
     turned = torch.remainder(yaw - mean + torch.pi, 2.0 * torch.pi)
     order = turned.sort(stable=True).indices
-    below = weights[order].cumsum(0)
-    middles = (torch.arange(count, dtype=below.dtype, device=below.device) + 0.5) / count
-    return order[torch.searchsorted(below, middles * below[-1]).clamp_max(len(yaw) - 1)]
+    return order, weights[order].cumsum(0)
+
+
+def middles_of_shares(below: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
+    """Places in the middles of `count` equal shares of a weight that adds up to `below`."""
+    middles = gpu.constant(tuple((index + 0.5) / count for index in range(count)), below.dtype, below.device)
+    return torch.searchsorted(below, middles * below[-1]).clamp_max(len(below) - 1)
+
+
+def representatives(yaw: Float[Tensor, "N"], weights: Float[Tensor, "N"], count: int) -> Int[Tensor, "count"]:
+    """Indices of the yaws in the middles of `count` equal shares of the weight, counted from opposite their mean."""
+    order, below = shares_by_yaw(yaw, weights)
+    return order[middles_of_shares(below, count)]
 
 
 def duplicates(contact: Tensor) -> Int[Tensor, "*b K M"]:
@@ -264,22 +285,40 @@ def duplicates(contact: Tensor) -> Int[Tensor, "*b K M"]:
     return torch.where(untouched, untouched.to(torch.uint8).argmax(-1, keepdim=True), own)
 
 
-def rests(world_T_object: Float[Tensor, "*b N 4 4"]) -> bool:
-    """Whether particles are upright and at one height, so that one outline is that of all."""
-    heights = world_T_object[..., 2, 3]
-    tilted = bool((world_T_object[..., 2, 2] < 1.0 - LEVEL_M).any())
-    return not tilted and float(heights.max() - heights.min()) <= LEVEL_M
+class Stance(NamedTuple):
+    """How particles stand.
 
-
-def resting_height(world_T_object: Float[Tensor, "*b N 4 4"]) -> float:
-    """Z of the origin of particles that stand upright.
-
-    Raises:
-        ValueError: if they do not, or at different heights.
+    Attributes:
+        least_up: least cosine between a particle's z axis and the world's.
+        spread_m: of the heights of their origins.
+        height_m: of their origins, in the mean.
     """
-    if not rests(world_T_object):
-        raise ValueError(
-            "Expected upright particles at one height to push one by one, got others: choose the push model "
-            "'displacement'"
-        )
-    return float(world_T_object[..., 2, 3].mean())
+
+    least_up: float
+    spread_m: float
+    height_m: float
+
+    @classmethod
+    def of(cls, world_T_object: Float[Tensor, "*b N 4 4"]) -> "Stance":
+        """Of particles, by one copy from a GPU."""
+        heights = world_T_object[..., 2, 3]
+        numbers = (world_T_object[..., 2, 2].min(), heights.max() - heights.min(), heights.mean())
+        return cls(*torch.stack(numbers).tolist())
+
+    @property
+    def rests(self) -> bool:
+        """Whether particles are upright and at one height, so that one outline is that of all."""
+        return not self.least_up < 1.0 - LEVEL_M and self.spread_m <= LEVEL_M
+
+    def checked(self) -> Self:
+        """Itself.
+
+        Raises:
+            ValueError: particles are not upright, or at different heights.
+        """
+        if not self.rests:
+            raise ValueError(
+                "Expected upright particles at one height to push one by one, got others: choose the push model "
+                "'displacement'"
+            )
+        return self

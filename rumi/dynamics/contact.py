@@ -1,6 +1,7 @@
 """Contact field of a belief: probability of contact and expected surface normal at every place of the tool."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import torch
@@ -12,7 +13,7 @@ from rumi.dynamics.tool_lookup import ToolField
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.normal import expected_normal
 from rumi.fields.workspace import Workspace
-from sdf import backend, compiled
+from sdf import backend, compiled, gpu
 from sdf.base import SDF
 from sdf.voxel_grid import VoxelGrid
 
@@ -66,17 +67,21 @@ class ContactBound:
     """
 
     def __init__(self, probability: VoxelGrid, centres_t: Float[Tensor, "D A"], radius: float) -> None:
-        if centres_t.shape[-1] == 3:
+        self.spatial = centres_t.shape[-1] == 3
+        if self.spatial:
             self.grid, self.centres_t = _spread_in_space(probability, radius), centres_t
-            self._field = ToolField(self.grid, centres_t, "nearest", spatial=True)
             return
         highest = probability.values.amax(2)
         cells = radius / probability.spacing
         filtered, margin = _spread(highest, cells)
-        origin = probability.origin - probability.spacing * probability.origin.new_tensor([*map(float, margin), 0.0])
+        shift = gpu.constant((*map(float, margin), 0.0), highest.dtype, highest.device)
+        origin = probability.origin - probability.spacing * shift
         self.grid = VoxelGrid(filtered[..., None], origin, probability.spacing)
         self.centres_t = torch.cat((centres_t, torch.zeros_like(centres_t[:, :1])), -1)
-        self._field = ToolField(self.grid, self.centres_t, "nearest")
+
+    @cached_property
+    def _field(self) -> ToolField:
+        return ToolField(self.grid, self.centres_t, "nearest", spatial=self.spatial)
 
     def __call__(self, features: Float[Tensor, "E F"]) -> Float[Tensor, "E"]:
         """Greatest contact probability that any tool point can have, for each row of `planar_features`."""
@@ -137,4 +142,13 @@ def _spread_numba(values: Float[Tensor, "X Y"], widths: list[int], margin: int) 
 
     result = values.new_zeros(values.shape[0] + len(widths) - 1, values.shape[1] + 2 * margin)
     spread(values.contiguous().numpy(), torch.tensor(widths).numpy(), margin, result.numpy())
+    return result
+
+
+@backend.register("spread", gpu.VERSION, gpu.supports, gpu.suits)
+def _spread_warp(values: Float[Tensor, "X Y"], widths: list[int], margin: int) -> Float[Tensor, "X2 Y2"]:
+    from rumi.dynamics.contact_warp import spread
+
+    result = values.new_empty(values.shape[0] + len(widths) - 1, values.shape[1] + 2 * margin)
+    spread.launch(result.shape, values, gpu.constant(tuple(widths), torch.int64, values.device), result)
     return result

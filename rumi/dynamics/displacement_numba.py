@@ -212,23 +212,20 @@ class CompiledRollouts:
         probability, normal = model.grids
         self._spatial = model.tool.spatial
         axes = 3 if self._spatial else 2
-        centres = model.points.new_zeros(1, 3)
+        cover = model.cover
         # without a bound, one disc that may always touch
         bound = VoxelGrid(torch.ones_like(probability.values[:1, :1, :1]), probability.origin, probability.spacing)
         if model.bound is not None:
-            centres, bound = model.bound.centres_t, model.bound.grid
-        owner = torch.cdist(model.points[:, :axes], centres[:, :axes]).argmin(-1)
-        starts = torch.searchsorted(owner.sort().values, torch.arange(len(centres) + 1))
-        order = owner.argsort(stable=True)
+            bound = model.bound.grid
         values = [
             grid if self._spatial else grid[:, :, 0] for grid in (probability.values, normal.values, bound.values)
         ]
         padded = torch.nn.functional.pad(values[0], [2] * 2 * axes)
-        along, across, up = _arrays(*model.points[order].unbind(-1))
-        self._body = (along, across, *_arrays(starts, order))
+        along, across, up = _arrays(*cover.sets.unbind(-1))
+        self._body = (along, across, *_arrays(cover.starts, cover.order))
         self._heights = up if self._spatial else None
         self._fields = _arrays(padded.flatten(), probability.origin, values[1])
-        self._discs = _arrays(values[2], bound.origin, centres)
+        self._discs = _arrays(values[2], bound.origin, cover.centres)
         (self._action,) = _arrays(model.tool.scale)
         self._arm = model.tool.arm_arrays()
         self._sizes = np.array((*padded.shape, *(1,) * (3 - axes), 1.0 / probability.spacing, tie))

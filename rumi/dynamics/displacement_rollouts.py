@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import torch
 from annotated_types import Interval
@@ -14,9 +14,9 @@ from torch import Tensor
 
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactBound, ContactField
-from rumi.dynamics.tool_lookup import ToolField, at_height, planar_features, world_height
+from rumi.dynamics.tool_lookup import ToolField, at_height, planar_features
 from rumi.robot.tool import Tool
-from sdf import backend, compiled, skipped_work
+from sdf import backend, compiled, gpu, skipped_work
 from sdf.bounds import Checked, Count, CountOr0
 from sdf.check import check_shape
 
@@ -104,18 +104,30 @@ class DisplacementRollouts:
     def __init__(self, field: ContactField, tool: Tool, settings: DisplacementSettings | None = None) -> None:
         self.tool = tool
         self.settings = settings or DisplacementSettings()
-        self.points = world_height(tool.body, tool.height_m).to(field.probability.values)
-        probability, normal, spatial = field.probability, field.normal, tool.spatial
-        if not spatial and bool((self.points[:, 2] == self.points[0, 2]).all()):
-            height = float(self.points[0, 2])
-            probability, normal = at_height(probability, height), at_height(normal, height)
+        self.field = field
+        self.cover = tool.cover(self.settings.discs, field.probability.values)
+        self.points = self.cover.points
+        probability, normal = field.probability, field.normal
+        if not tool.spatial and self.cover.height is not None:
+            probability, normal = (at_height(grid, self.cover.height) for grid in (probability, normal))
         self.grids = (probability, normal)
-        self._probability = ToolField(probability, self.points, spatial=spatial)
-        self._normal = ToolField(normal, self.points, spatial=spatial)
         self.bound: ContactBound | None = None
         if self.settings.discs:
-            centres, radius = tool.covering_discs(self.settings.discs)
-            self.bound = ContactBound(probability, centres.to(self.points), float(radius))
+            centres = self.cover.centres if tool.spatial else self.cover.centres[:, :2]
+            self.bound = ContactBound(probability, centres, self.cover.radius)
+
+    @cached_property
+    def _probability(self) -> ToolField:
+        return ToolField(self.grids[0], self.points, spatial=self.tool.spatial)
+
+    @cached_property
+    def _normal(self) -> ToolField:
+        return ToolField(self.grids[1], self.points, spatial=self.tool.spatial)
+
+    @cached_property
+    def limits(self) -> tuple[Any, ...]:
+        """What limits the tool's steps, for the kernels of a GPU; made once a model, at its first use."""
+        return self.tool.arm_tensors(self.points)
 
     @cached_property
     def compiled(self) -> Callable[[Tensor, Tensor, Tensor], PushRollouts]:
@@ -130,7 +142,8 @@ class DisplacementRollouts:
     ) -> Float[Tensor, "K M H S"]:
         """The numbers that decide on contact: S is 1, or the mini steps with `per_mini_step`."""
         if self.settings.hazard == "per_rollout":
-            level = (torch.arange(rollouts, dtype=self.points.dtype, device=self.points.device) + 0.5) / rollouts
+            numbers = tuple((index + 0.5) / rollouts for index in range(rollouts))
+            level = gpu.constant(numbers, self.points.dtype, self.points.device)
             return level[:, None, None].expand(samples, rollouts, horizon, 1)
         parts = 1 if self.settings.hazard == "per_step" else self.settings.mini_steps
         shape = (samples, rollouts, horizon, parts)
@@ -344,3 +357,13 @@ def _rollouts_numba(
         # points of several heights in a plane, or a field constant along an axis: the plain version knows how
         return model._rollouts(configuration, controls, uniforms)
     return model.compiled(configuration, controls, uniforms)
+
+
+@backend.register("push_rollouts", gpu.VERSION, gpu.supports, gpu.suits)
+def _rollouts_warp(
+    model: DisplacementRollouts, configuration: Tensor, controls: Tensor, uniforms: Tensor
+) -> PushRollouts:
+    from rumi.dynamics.displacement_warp import rollouts
+
+    found: PushRollouts = rollouts(model, configuration, controls, uniforms, TIE)
+    return found

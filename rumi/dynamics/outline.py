@@ -171,6 +171,10 @@ class Support(NamedTuple):
         xx, yy, xy = off[:, 0].square().mean(), off[:, 1].square().mean(), (off[:, 0] * off[:, 1]).mean()
         return cls(centre, float(off.norm(dim=-1).mean()), torch.stack((yy - xx, -2.0 * xy)) / (xx + yy))
 
+    def cpu(self) -> "Support":
+        """The same, where the host reads it without waiting for a GPU."""
+        return self._replace(centre=self.centre.cpu(), elongation=self.elongation.cpu())
+
 
 class Base(NamedTuple):
     """Base of an upright object.

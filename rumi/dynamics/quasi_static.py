@@ -11,32 +11,23 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.along_path import PathMotion, PathPush, push_along_path
 from rumi.dynamics.base import (
-    LEVEL_M,
-    PushDefaults,
-    PushModel,
     PushRollouts,
     duplicates,
-    representatives,
-    resting_height,
-    rests,
+    middles_of_shares,
     rigid_motions,
+    shares_by_yaw,
 )
-from rumi.dynamics.outline import GridOutline, Support, support_of
+from rumi.dynamics.outline import GridOutline, Support
 from rumi.dynamics.push_parameters import sliding_of
-from rumi.dynamics.push_posterior import PushPosterior, push_posterior
+from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.sliding import Sliding, push
-from rumi.fields.information import WorkspaceFields
-from rumi.fields.workspace import Workspace
-from rumi.robot.tool import BORDER_GROUP, Tool
-from rumi.robot.tool_shape import ToolShape
+from rumi.robot.border import BORDER_GROUP
+from rumi.robot.tool import Tool
 from rumi.seeding import Generators
-from sdf import backend, compiled, se3, skipped_work
-from sdf.base import SDF
+from sdf import backend, compiled, gpu, se3, skipped_work
 from sdf.bounds import Checked, Count, NotNegative, Positive
 from sdf.check import check_shape
-from sdf.object_model import ObjectModel
 
 _COARSE = 4  # mini steps that are one where samples are only told apart
 
@@ -99,20 +90,24 @@ class QuasiStaticRollouts:
         self.poses = se3.to_planar(world_T_object)
         self.weights = log_weights.softmax(-1)
         self.pivot = (self.weights.unsqueeze(-2) @ self.poses[..., :2]).squeeze(-2)
-        points, self.groups = tool.border(self.settings.spacing_m, BORDER_GROUP)
-        self.points = points.to(self.poses)
+        self.border = tool.border(self.settings.spacing_m, BORDER_GROUP, self.poses)
+        self.points = self.border.points
         self.outline = outline.to(self.poses)
-        self.sliding = Sliding(
-            support.centre.to(self.poses),
-            self.poses.new_tensor(self.settings.lever_ratio * support.spread),
-            self.poses.new_tensor(self.settings.friction),
-        )
+        numbers = (*support.centre.tolist(), self.settings.lever_ratio * support.spread, self.settings.friction)
+        slides = gpu.constant(numbers, self.poses.dtype, self.poses.device)
+        self.sliding = Sliding(slides[:2], slides[2], slides[3])
         self.support, self.posterior = support, posterior
         if posterior is not None:
             self.sliding = posterior.middle(support).to(self.poses)
+        scenes = self.poses.reshape(-1, *self.poses.shape[-2:]), self.weights.reshape(-1, self.weights.shape[-1])
+        self._scenes = []  # poses in the order of their yaws, and the weight up to each of them
+        for poses, weights in zip(*scenes, strict=True):
+            order, below = shares_by_yaw(poses[:, 2], weights)
+            self._scenes.append((poses[order], below))
         self._representatives: dict[int, Tensor] = {}
+        self._slides: dict[int, Sliding] = {}
         # a tool farther than this from an object does not touch it
-        self.reach = float(self.points.norm(dim=-1).max()) + self.outline.radius
+        self.reach = self.border.radius + self.outline.radius
 
     def coarse(self) -> Self:
         """The same with a quarter of the mini steps."""
@@ -129,12 +124,17 @@ class QuasiStaticRollouts:
         kernel: Callable[[Tensor, Tensor, Tensor, Sliding], PushRollouts] = CompiledRollouts(self)
         return kernel
 
+    @cached_property
+    def limits(self) -> tuple[Any, ...]:
+        """What limits the tool's steps, for the kernels of a GPU; made once a model, at its first use."""
+        return self.tool.arm_tensors(self.poses)
+
     def representatives(self, count: int) -> Float[Tensor, "*b count 3"]:
         """Poses in the middles of `count` equal shares of the belief, in the order of their yaws."""
         if count not in self._representatives:
-            scenes = self.poses.reshape(-1, *self.poses.shape[-2:]), self.weights.reshape(-1, self.weights.shape[-1])
-            drawn = [poses[representatives(poses[:, 2], own, count)] for poses, own in zip(*scenes, strict=True)]
-            self._representatives[count] = torch.stack(drawn).view(*self.poses.shape[:-2], count, 3)
+            drawn = [poses[middles_of_shares(below, count)] for poses, below in self._scenes]
+            whole = drawn[0] if len(drawn) == 1 else torch.stack(drawn)
+            self._representatives[count] = whole.view(*self.poses.shape[:-2], count, 3)
         return self._representatives[count]
 
     def rollout(
@@ -152,7 +152,9 @@ class QuasiStaticRollouts:
         """How the object slides in each rollout, the same for every control sequence."""
         if self.posterior is None:
             return None
-        return sliding_of(self.posterior.draws(count), self.support).to(self.poses)
+        if count not in self._slides:
+            self._slides[count] = sliding_of(self.posterior.draws(count), self.support).to(self.poses)
+        return self._slides[count]
 
     def nominal_rollout(self, configuration: Float[Tensor, "*b 3"], controls: Float[Tensor, "*b H A"]) -> PushRollouts:
         """The one rollout (K = M = 1) of the likeliest pose."""
@@ -254,78 +256,11 @@ def _rollouts_numba(
     return model.compiled(configuration, controls, poses, sliding)
 
 
-class QuasiStaticPush(PushModel):
-    """Slow pushing of single poses, which slide and turn: a `PushModel` of upright objects and a level tool.
+@backend.register("quasi_static_rollouts", gpu.VERSION, gpu.supports, gpu.suits)
+def _rollouts_warp(
+    model: QuasiStaticRollouts, configuration: Tensor, controls: Tensor, poses: Tensor, sliding: Sliding
+) -> PushRollouts:
+    from rumi.dynamics.quasi_static_warp import rollouts
 
-    Keeps what it needs of the object's shape, which does not change in a run.
-
-    Args:
-        settings: friction, limit surface and mini steps of a push.
-        posterior: over friction and limit surface, in place of the settings' own.
-    """
-
-    defaults = PushDefaults(reachability_scale=4.0, rollouts=8)
-    objects = "planar"
-
-    def __init__(self, settings: QuasiStaticSettings, posterior: PushPosterior | None = None) -> None:
-        self.settings, self.posterior = settings, posterior
-        self._shape: tuple[SDF, float, GridOutline, Support] | None = None
-
-    @classmethod
-    def make(cls, settings: Any) -> Self:  # noqa: ANN401
-        """The model that settings describe."""
-        return cls(settings.quasi_static, push_posterior(settings.push_parameters, settings.quasi_static.friction))
-
-    def knowing(self, pushes: PushPosterior) -> Self:
-        """The same model with another posterior; what it keeps of shapes is shared."""
-        other = copy.copy(self)
-        other.posterior = pushes
-        return other
-
-    def fits(self, world_T_object: Float[Tensor, "*b N 4 4"], tool: Tool) -> bool:
-        """Whether the tool is level and all particles stand upright at one height."""
-        return not tool.spatial and rests(world_T_object)
-
-    def rollouts(
-        self,
-        model: ObjectModel,
-        world_T_object: Float[Tensor, "*b N 4 4"],
-        log_weights: Float[Tensor, "*b N"],
-        tool: Tool,
-        workspace: Workspace,
-        fields: WorkspaceFields,
-    ) -> QuasiStaticRollouts:
-        """Rollouts under one belief, or those of several scenes.
-
-        Raises:
-            ValueError: particles do not stand upright at one height.
-        """
-        outline, support = self._shape_at(model.sdf, tool.height_m - resting_height(world_T_object))
-        return QuasiStaticRollouts(outline, support, tool, world_T_object, log_weights, self.settings, self.posterior)
-
-    def path(self, scene: Callable[[], Any] | None = None) -> PathPush:
-        """Pushes along given paths."""
-        return push_along_path
-
-    def motion(self, model: ObjectModel, shape: ToolShape, height_m: float, resting_m: float) -> PathMotion:
-        """Motion along the path of a level tool."""
-        own = self.settings
-        motion = PathMotion.of(
-            model.sdf,
-            height_m - resting_m,
-            shape,
-            push_along_path,
-            spacing_m=own.spacing_m,
-            lever_ratio=own.lever_ratio,
-            friction=own.friction,
-        )
-        if self.posterior is None:
-            return motion
-        return replace(motion, sliding=self.posterior.middle(support_of(model.sdf)))
-
-    def _shape_at(self, sdf: SDF, height: float) -> tuple[GridOutline, Support]:
-        known = self._shape
-        if known is None or known[0] is not sdf or abs(known[1] - height) > LEVEL_M:
-            known = (sdf, height, GridOutline.of_slice(sdf, height), support_of(sdf))
-            self._shape = known
-        return known[2], known[3]
+    found: PushRollouts = rollouts(model, configuration, controls, poses, sliding)
+    return found

@@ -10,7 +10,7 @@ from numba.extending import intrinsic
 
 from rumi.dynamics.base import PushRollouts, duplicates, rigid_motions
 from rumi.dynamics.sliding_numba import settled, slope
-from rumi.robot.tool import BORDER_GROUP
+from rumi.robot.border import BORDER_GROUP
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, put
@@ -269,16 +269,11 @@ class CompiledRollouts:
 
     def __init__(self, model):
         self._model = model
-        points, outline = model.points, model.outline
-        order = model.groups
-        sets = points[order]
-        centres = 0.5 * (sets.amin(1) + sets.amax(1))
-        radii = (sets - centres[:, None]).norm(dim=-1).amax(-1)
-        groups = _arrays(*centres.unbind(-1), radii + outline.slack)
-        self._body = (*_arrays(*sets.flatten(0, 1).unbind(-1), order.flatten()), groups)
+        border, outline = model.border, model.outline
+        groups = _arrays(*border.centres.unbind(-1), border.radii + outline.slack)
+        self._body = (*_arrays(*border.sets.flatten(0, 1).unbind(-1), border.groups.flatten()), groups)
         self._outline = _arrays(outline.values, outline.values.flatten(), outline.origin.double())
-        width = float(points.norm(dim=-1).max())
-        self._numbers = np.array((outline.spacing, outline.steepness, model.reach, width))
+        self._numbers = np.array((outline.spacing, outline.steepness, model.reach, border.radius))
         self._settings = model.settings
 
     def __call__(self, configuration, controls, poses, sliding):

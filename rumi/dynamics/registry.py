@@ -9,7 +9,9 @@ from rumi.dynamics.base import PushModel, RolloutModel, Use
 from rumi.dynamics.displacement import DisplacementPush
 from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.push_posterior import FIXED, PushPosterior
-from rumi.dynamics.quasi_static import QuasiStaticPush, QuasiStaticSettings
+from rumi.dynamics.quasi_static import QuasiStaticSettings
+from rumi.dynamics.quasi_static_push import QuasiStaticPush
+from rumi.dynamics.scene_rollouts import SceneRollouts
 from rumi.errors import UsageError
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
@@ -17,6 +19,7 @@ from rumi.registry import Table
 from rumi.robot.tool import Tool
 from sdf.bounds import Checked, CountOr0, NotNegative, Positive
 from sdf.check import check_shape
+from sdf.containers import index
 from sdf.object_model import ObjectModel
 
 PUSH_MODELS: Table[type[PushModel]] = Table("push model", "rumi.push_models")
@@ -125,7 +128,7 @@ class PushModels:
         That is the displacement model where "auto" has no other, and for what a tool in space has toppled.
 
         Raises:
-            ValueError: the particles are of several scenes.
+            ValueError: the particles are of several scenes, each of which has a member of its own.
         """
         check_shape("world_T_object", world_T_object, "(N, 4, 4)", last=(4, 4))
         name = self.settings.push_model
@@ -138,8 +141,8 @@ class PushModels:
     def rollouts(
         self,
         model: ObjectModel,
-        world_T_object: Float[Tensor, "N 4 4"],
-        log_weights: Float[Tensor, "N"],
+        world_T_object: Float[Tensor, "*b N 4 4"],
+        log_weights: Float[Tensor, "*b N"],
         tool: Tool,
         workspace: Workspace,
         fields: WorkspaceFields,
@@ -148,9 +151,17 @@ class PushModels:
     ) -> RolloutModel:
         """Rollouts under one belief, by the member that suits it; see `PushModel.rollouts`.
 
-        What was learnt of how the object slides, `pushes`, takes the place of what a member was made with.
+        What was learnt of how the object slides, `pushes`, takes the place of what a member was made with. Of a batch
+        of scenes, (B, N, 4, 4), each has the member that suits it by itself; those of one member that can be taken
+        together are.
         """
-        member = self._member(self.chosen(world_T_object, tool))
+        several = world_T_object.ndim > 3
+        names = {self.chosen(poses, tool) for poses in (world_T_object if several else world_T_object[None])}
+        member = self._member(names.pop())
+        if several and (names or not member.takes_scenes(world_T_object)):
+            rows = enumerate(zip(world_T_object, log_weights, strict=True))
+            each = ((*row, tool, workspace, index(fields, scene)) for scene, row in rows)
+            return SceneRollouts([self.rollouts(model, *own, pushes=pushes) for own in each])
         member = member if pushes is None else member.knowing(pushes)
         return member.rollouts(model, world_T_object, log_weights, tool, workspace, fields)
 

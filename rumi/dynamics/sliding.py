@@ -78,7 +78,7 @@ class Sliding(NamedTuple):
 
     def to(self, like: Tensor) -> "Sliding":
         """A copy on the device and of the dtype of a tensor."""
-        return self.map(lambda part: part.to(like))
+        return self.map(lambda part: part.to(like, non_blocking=True))
 
     def map(self, change: Callable[[Tensor], Tensor]) -> "Sliding":
         """The same change of every part."""

@@ -8,12 +8,15 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
+from sdf.check import may_look
 from sdf.voxel_grid import VoxelGrid
 
 
 def world_height(points_t: Float[Tensor, "M 3"], height: float) -> Float[Tensor, "M 3"]:
     """Points of the tool frame with the heights that they have in the world while the tool keeps to its plane."""
-    return points_t + points_t.new_tensor([0.0, 0.0, height])
+    raised = points_t.clone()
+    raised[:, 2] += height
+    return raised
 
 
 def planar_features(
@@ -56,8 +59,11 @@ def placement(
 
 
 def at_height(grid: VoxelGrid, height: float) -> VoxelGrid:
-    """The planar field that `grid` is at one height; zero fades in above and below the lattice."""
-    if grid.shape[2] == 1:
+    """The planar field that `grid` is at one height; zero fades in above and below the lattice.
+
+    Itself where it is planar, or where the host may not look: it can be looked up at any height as well.
+    """
+    if grid.shape[2] == 1 or not may_look(grid.values):
         return grid
     place = (height - float(grid.origin[2])) / grid.spacing
     below = math.floor(place)

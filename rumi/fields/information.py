@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.weights import check_weights
-from sdf import backend, compiled, skipped_work
+from sdf import backend, compiled, gpu, skipped_work
 from sdf.base import SDF
 from sdf.bounds import Checked, NotNegative, Positive, ShareBelow1
-from sdf.check import check_finite, check_shape, is_eager
+from sdf.check import check_finite, check_shape, is_eager, may_look
 from sdf.grid_sdf import takes
 from sdf.numbers import Numbers, Range
 from sdf.posed import about_first, posed_distance
@@ -183,12 +183,11 @@ def information_field(
         numbers = [float(torch.as_tensor(value).detach()) for value in numbers]
     reach = tail_distance(numbers[0], numbers[1], tail)
     near = near_object(sdf, world_T_object, points_w, reach)  # (*b, V)
-    world_T_object, points_w = about_first(world_T_object, points_w)
     tensors = (value for value in values.values() if isinstance(value, Tensor))
     version = backend.dispatch("information_field", world_T_object, log_weights, points_w, *sdf.tensors(), *tensors)
     with skipped_work.work("workspace_points") as work:
         if skipped_work.kept():
-            work.count(int(near.sum()), near.numel())
+            work.count(near.sum(), near.numel())
         return version(sdf, world_T_object, log_weights, points_w, near, values)
 
 
@@ -197,8 +196,9 @@ def _information_field(
     sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, near: Tensor, values: dict[str, Any]
 ) -> WorkspaceFields:
     """Fields of the points `near` (*b, V), the others free and void of information."""
+    world_T_object, points_w = about_first(world_T_object, points_w)
     batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
-    if not is_eager():  # what is traced looks all up
+    if not may_look(world_T_object):  # what is traced looks all up
         every = points_w.expand(*batch, *points_w.shape[-2:])
         whole = information_from_distances(posed_distance(sdf, world_T_object, every), log_weights, **values)
         free = points_w.new_tensor([1.0, 0.0, 0.0])
@@ -228,8 +228,23 @@ def _information_field_numba(
         return _information_field(sdf, world_T_object, log_weights, points_w, near, values)
     from rumi.fields.information_numba import information_field as compiled
 
+    world_T_object, points_w = about_first(world_T_object, points_w)
     floats = {name: value.item() if isinstance(value, Tensor) else float(value) for name, value in numbers.items()}
     return WorkspaceFields(*compiled(sdf, world_T_object, log_weights, points_w, near, values["mode"], floats))
+
+
+@backend.register("information_field", gpu.VERSION, gpu.supports, gpu.suits)
+def _information_field_warp(
+    sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, near: Tensor, values: dict[str, Any]
+) -> WorkspaceFields:
+    mode, numbers = values["mode"], {name: value for name, value in values.items() if name != "mode"}
+    if mode not in ("sensor_mi", "surrogate") or any(isinstance(value, Tensor) for value in numbers.values()):
+        return _information_field(sdf, world_T_object, log_weights, points_w, near, values)
+    if not takes(sdf, world_T_object, log_weights, points_w):
+        return _information_field(sdf, world_T_object, log_weights, points_w, near, values)
+    from rumi.fields.information_warp import information_field as compiled
+
+    return WorkspaceFields(*compiled(sdf, world_T_object, log_weights, points_w, near, mode, numbers))
 
 
 def tail_distance(sharpness: Any, surface_tolerance: Any, tail: float) -> Any:  # noqa: ANN401  (float or Tensor)

@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from sdf import backend, compiled, skipped_work
+from sdf import backend, compiled, gpu, skipped_work
 from sdf.base import SDF
-from sdf.check import check_shape, is_eager
+from sdf.check import check_shape, may_look
 from sdf.grid_sdf import takes
 from sdf.posed import posed_query
 from sdf.precision import full_precision
@@ -44,7 +44,7 @@ def expected_normal(
     version = backend.dispatch("expected_normal", world_T_object, log_weights, points_w, *sdf.tensors())
     with skipped_work.work("normals") as work:
         if skipped_work.kept():
-            work.count(int(where.sum()), where.numel())
+            work.count(where.sum(), where.numel())
         return version(sdf, world_T_object, log_weights, points_w, where)
 
 
@@ -53,7 +53,7 @@ def _expected_normal(sdf: SDF, world_T_object: Tensor, log_weights: Tensor, poin
     batch, count = world_T_object.shape[:-3], world_T_object.shape[-3]
     turned = (log_weights.exp()[..., None, None] * world_T_object[..., :3, :3]).transpose(-3, -2)  # (*b, 3, N, 3)
     turned = turned.reshape(*batch, 3, 3 * count)
-    if not is_eager():  # what is traced looks all up
+    if not may_look(world_T_object):  # what is traced looks all up
         gradient = posed_query(sdf, world_T_object, points_w.expand(*batch, *points_w.shape)).gradient
         stacked = gradient.transpose(-1, -2).reshape(*batch, 3 * count, len(points_w))
         return (turned @ stacked).mT * where[..., None]
@@ -74,5 +74,16 @@ def _expected_normal_numba(
     if not takes(sdf, world_T_object, log_weights, points_w):
         return _expected_normal(sdf, world_T_object, log_weights, points_w, where)
     from rumi.fields.normal_numba import expected_normal as compiled
+
+    return compiled(sdf, world_T_object, log_weights, points_w, where)
+
+
+@backend.register("expected_normal", gpu.VERSION, gpu.supports, gpu.suits)
+def _expected_normal_warp(
+    sdf: SDF, world_T_object: Tensor, log_weights: Tensor, points_w: Tensor, where: Tensor
+) -> Tensor:
+    if not takes(sdf, world_T_object, log_weights, points_w):
+        return _expected_normal(sdf, world_T_object, log_weights, points_w, where)
+    from rumi.fields.information_warp import expected_normal as compiled
 
     return compiled(sdf, world_T_object, log_weights, points_w, where)

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
-from typing import Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import torch
 from jaxtyping import Float
@@ -43,6 +43,7 @@ class Evaluated(NamedTuple):
         execution_s: of the candidate.
         gain: of it, nats.
         taken: whether it was the best so far.
+        action: of the candidate; None in records of before, which lack it.
     """
 
     begun_s: float
@@ -50,6 +51,7 @@ class Evaluated(NamedTuple):
     execution_s: float
     gain: float
     taken: bool
+    action: Any = None
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,7 @@ class _Decision(Generic[A]):
             self.best, self.value = candidate, value
         self._measured.append((candidate.work, ended - begun))
         times = (begun - self._begun, ended - self._begun)
-        self._history.append(Evaluated(*times, candidate.execution_s, value, taken))
+        self._history.append(Evaluated(*times, candidate.execution_s, value, taken, candidate.action))
 
     def more_time(self) -> None:
         """Begin another round, twice as long."""

@@ -1,7 +1,9 @@
 """Information cost of trajectories: the information that a path would gather (RUMI, Eq 29)."""
 
 import itertools
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -9,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from rumi.dynamics.tool_lookup import placement, planar_features
-from sdf import backend, compiled
+from sdf import backend, compiled, gpu
 from sdf.voxel_grid import VoxelGrid
 
 # rollouts whose marks are kept at once: few enough for the processor's cache
@@ -47,9 +49,17 @@ class InformationCost:
         discount: float = 1.0,
         normalise: bool = False,
     ) -> None:
+        self.information, self.points_t, self.spatial = information, points_t, spatial
         self.discount = discount
-        self._total = information.values.sum() if normalise else None
-        self._cells = _cells(information, points_t, spatial)
+        self.total: Tensor | None = None
+        if normalise:
+            total = information.values.sum()
+            self.total = torch.where(total > 0, total, math.inf)  # without any, all shares are 0
+
+    @cached_property
+    def cells(self) -> "Cells | None":
+        """What of the field can be met; None where nothing can."""
+        return _cells(self.information, self.points_t, self.spatial)
 
     def __call__(
         self, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]
@@ -60,13 +70,10 @@ class InformationCost:
             configurations: (x, y, yaw) after each action, in space (x, y, z, yaw).
             displacements: of the object by then, metres; z is not used.
         """
-        cells = self._cells
-        if cells is None:
-            return configurations.new_zeros(len(configurations))
-        version = backend.dispatch("gathered_information", cells.value, configurations, displacements)
-        cost = -version(cells, configurations, displacements, self.discount)
+        version = backend.dispatch("gathered_information", self.information.values, configurations, displacements)
+        cost = -version(self, configurations, displacements)
         # sums in another order may differ in their last digit
-        return cost if self._total is None else (cost / self._total).clamp_min(-1.0)
+        return cost if self.total is None else (cost / self.total).clamp_min(-1.0)
 
 
 def information_cost(
@@ -137,9 +144,12 @@ def _cells(information: VoxelGrid, points_t: Float[Tensor, "M 3"], spatial: bool
 
 @backend.register("gathered_information")
 def _gathered(
-    cells: Cells, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"], discount: float
+    cost: InformationCost, configurations: Float[Tensor, "R H Q"], displacements: Float[Tensor, "R H 3"]
 ) -> Float[Tensor, "R"]:
     """Information of the cells that each path's points meet, discounted from the first meeting."""
+    cells, discount = cost.cells, cost.discount
+    if cells is None:
+        return configurations.new_zeros(len(configurations))
     value, (rollouts, horizon) = cells.value, configurations.shape[:2]
     wide, deep, layers = value.shape
     features = planar_features(configurations, displacements)
@@ -176,9 +186,12 @@ def _gathered(
 
 
 @backend.register("gathered_information", "numba", compiled.supports)
-def _gathered_numba(cells: Cells, configurations: Tensor, displacements: Tensor, discount: float) -> Tensor:
+def _gathered_numba(cost: InformationCost, configurations: Tensor, displacements: Tensor) -> Tensor:
     from rumi.planning.costs_numba import gathered
 
+    cells = cost.cells
+    if cells is None:
+        return configurations.new_zeros(len(configurations))
     result = configurations.new_empty(len(configurations))
     along, across, up = (part.contiguous().numpy() for part in cells.points_t.unbind(-1))
     gathered(
@@ -193,10 +206,17 @@ def _gathered_numba(cells: Cells, configurations: Tensor, displacements: Tensor,
         cells.radius + _MARGIN,
         configurations.contiguous().numpy(),
         displacements.contiguous().numpy(),
-        discount,
+        cost.discount,
         result.numpy(),
     )
     return result
+
+
+@backend.register("gathered_information", gpu.VERSION, gpu.supports, gpu.suits)
+def _gathered_warp(cost: InformationCost, configurations: Tensor, displacements: Tensor) -> Tensor:
+    from rumi.planning.trajectory_cost_warp import gathered
+
+    return gathered(cost, configurations, displacements)
 
 
 def _in_layers(

@@ -13,7 +13,7 @@ from torch import Tensor
 from kmppi import MPPI, ControlPlan
 from rumi.belief.particles import PoseBelief
 from rumi.clock import Now
-from rumi.dynamics.base import PushRollouts
+from rumi.dynamics.base import PushDefaults, PushRollouts
 from rumi.fields.information import WorkspaceFields
 from rumi.planning.implicit_surface import (
     Hyperparameters,
@@ -152,6 +152,7 @@ class GPVRPolicy(RummagingPolicy):
         fields: WorkspaceFields,
         previous: Plan | None,
         budget: PlanBudget | None = None,
+        suited: PushDefaults | None = None,
     ) -> Objective:
         """What motions are worth: the variance that they meet.
 

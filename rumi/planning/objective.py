@@ -1,6 +1,6 @@
 """Objective of a policy: cost of predicted motions (RUMI, Eq 31), and the information that each action gathers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +13,8 @@ from rumi.dynamics.tool_lookup import world_height
 from rumi.planning.costs import InformationCost
 from rumi.planning.reach_cost import ReachabilityCost
 from rumi.robot.tool import Tool
-from sdf import skipped_work
+from sdf import backend, gpu, skipped_work
+from sdf.containers import index
 from sdf.voxel_grid import VoxelGrid
 
 Gathered = Callable[[Float[Tensor, "R H Q"], Float[Tensor, "R H 3"]], Float[Tensor, "R"]]
@@ -69,36 +70,54 @@ class TrajectoryCost:
         spatial: bool = False,
     ) -> None:
         self.information_scale, self.reachability_scale = information_scale, reachability_scale
-        self.displaced_information = displaced_information
-        self._information: InformationCost | None = None
+        self.displaced_information, self.values = displaced_information, information.values
+        self.information: InformationCost | None = None
         if information_scale > 0:
-            self._information = InformationCost(
+            self.information = InformationCost(
                 information, points_t, spatial=spatial, discount=information_discount, normalise=normalise
             )
-        self._reachability: ReachabilityCost | None = None
+        self.reachability: ReachabilityCost | None = None
         if reachability_scale > 0:
             if reachability is None:
                 raise ValueError(
                     "Expected reachability, one value a workspace point, since reachability_scale is "
                     f"{reachability_scale}, got None: give the map or set reachability_scale to 0"
                 )
-            self._reachability = ReachabilityCost(information, reachability)
+            self.reachability = ReachabilityCost(information, reachability)
 
     def __call__(self, rollouts: PushRollouts) -> Float[Tensor, "K"]:
-        """Cost of each control sequence: the mean over its rollouts, of which the same ones are worked out once."""
-        return mean_over_rollouts(rollouts, self._of_paths)
+        """Cost of each control sequence: the mean over its rollouts."""
+        version = backend.dispatch("trajectory_cost", self.values, rollouts.configurations, rollouts.displacements)
+        costs: Tensor = version(self, rollouts)
+        return costs
 
-    def _of_paths(self, paths: Paths) -> Float[Tensor, "R"]:
+    def of_paths(self, paths: Paths) -> Float[Tensor, "R"]:
+        """Cost of single paths."""
         total = paths.configurations.new_zeros(len(paths.configurations))
-        if self._information is not None:
+        if self.information is not None:
             seen, moved = paths.in_object_frame() if self.displaced_information else paths.object_fixed()
-            total += self.information_scale * self._information(seen, moved)
-        if self._reachability is not None:
+            total += self.information_scale * self.information(seen, moved)
+        if self.reachability is not None:
             with skipped_work.work("reachability_sums", alike=False) as work:
                 moved = paths.displacements
-                total += self.reachability_scale * self._reachability(moved, paths.turns, paths.pivot)
-                work.count(moved[..., 0].numel(), moved[..., 0].numel() * self._reachability.points)
+                total += self.reachability_scale * self.reachability(moved, paths.turns, paths.pivot)
+                work.count(moved[..., 0].numel(), moved[..., 0].numel() * self.reachability.points)
         return total
+
+
+@backend.register("trajectory_cost")
+def _trajectory_cost(cost: TrajectoryCost, rollouts: PushRollouts) -> Float[Tensor, "K"]:
+    """Cost of each control sequence, of whose rollouts the same ones are worked out once."""
+    return mean_over_rollouts(rollouts, cost.of_paths)
+
+
+@backend.register("trajectory_cost", gpu.VERSION, gpu.supports, gpu.suits)
+def _trajectory_cost_warp(cost: TrajectoryCost, rollouts: PushRollouts) -> Float[Tensor, "K"]:
+    if rollouts.pivot is not None and rollouts.pivot.ndim > 1:  # of several scenes
+        return _trajectory_cost(cost, rollouts)
+    from rumi.planning.trajectory_cost_warp import trajectory_cost
+
+    return trajectory_cost(cost, rollouts)
 
 
 def mean_over_rollouts(
@@ -120,15 +139,39 @@ def mean_over_rollouts(
     return cost.gather(-1, duplicate_of).mean(-1)
 
 
-def gathering(field: VoxelGrid, tool: Tool) -> InformationCost:
+def cost_of_scenes(
+    costs: Sequence[Callable[[PushRollouts], Float[Tensor, "K"]]], rollouts: PushRollouts
+) -> Float[Tensor, "B K"]:
+    """Costs of a batch of scenes, each by its own cost alone, so that a row is what the scene gives, to the bit.
+
+    One after the other: tables of reach and cells of information are a scene's own, and take their time there.
+
+    Args:
+        costs: of each scene, such as a `TrajectoryCost`.
+        rollouts: with the scenes' axis in front.
+
+    Raises:
+        ValueError: there are not as many costs as scenes.
+    """
+    if len(costs) != len(rollouts.configurations):
+        raise ValueError(f"Expected a cost for each of {len(rollouts.configurations)} scenes, got {len(costs)}")
+    return torch.stack([cost(index(rollouts, scene)) for scene, cost in enumerate(costs)])
+
+
+def sensing_points(tool: Tool, like: Tensor) -> Float[Tensor, "M 3"]:
+    """Points by which a tool senses, at the heights that they have in the world while it keeps to its plane."""
+    return world_height(tool.info, tool.height_m).to(like)
+
+
+def gathering(field: VoxelGrid, tool: Tool, sensing: Float[Tensor, "M 3"] | None = None) -> InformationCost:
     """Minus what a tool's sensing points meet of a field along a path, each cell once."""
-    sensing = world_height(tool.info, tool.height_m).to(field.values)
-    return InformationCost(field, sensing, spatial=tool.spatial)
+    points = sensing_points(tool, field.values) if sensing is None else sensing
+    return InformationCost(field, points, spatial=tool.spatial)
 
 
 def gathered_by_action(gathered: Gathered, rollout: PushRollouts) -> Float[Tensor, "H"]:
     """What each action of one rollout (K = M = 1) gathers that those before it did not."""
-    configurations, displacements = (x[0] for x in rollout.paths(torch.ones_like(rollout.touched)).in_object_frame())
+    configurations, displacements = rollout.first.in_object_frame()
     steps = torch.arange(len(configurations), device=configurations.device)
     # path h stands still after action h: standing still meets nothing new
     until = torch.minimum(steps[:, None], steps[None])

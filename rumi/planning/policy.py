@@ -1,6 +1,6 @@
 """Policy: the protocol of a planner, its request and its plan."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
@@ -118,3 +118,21 @@ class Policy(Protocol):
     def act(self, request: PlanRequest) -> Plan:
         """Plan from the belief."""
         ...
+
+
+def act_scenes(policy: Policy, requests: Sequence[PlanRequest]) -> list[Plan]:
+    """Plans of a batch of scenes, which may differ in all that a request tells; each is what it is alone, to the bit.
+
+    One after the other: nine tenths of a plan are rollouts and costs, whose kernels take a scene as long among others
+    as by itself. What a scene skips, and when it is late, is its own.
+
+    Args:
+        policy: that plans.
+        requests: of each scene, with a generator of its own.
+
+    Raises:
+        ValueError: scenes share a generator, so that plans would hang on their order.
+    """
+    if len({id(request.generator) for request in requests}) < len(requests):
+        raise ValueError("Expected a generator for each scene's request, got one that several share")
+    return [policy.act(request) for request in requests]

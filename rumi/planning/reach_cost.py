@@ -1,6 +1,7 @@
 """Reachability cost: information that is pushed to where the robot does not reach (RUMI, Alg 8)."""
 
 import math
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -83,15 +84,41 @@ class ReachabilityCost:
         # a whole number of steps to the turn
         self._steps = max(1, round(2.0 * math.pi / turn_step))
         self.turn_step = 2.0 * math.pi / self._steps
-        self._information, self._correlation = information, CrossCorrelation(reachability.values)
-        where = information.values.nonzero()
-        self._held = where.to(information.values), information.values[tuple(where.unbind(-1))]
+        self.information, self._correlation = information, CrossCorrelation(reachability.values)
         total = information.values.sum()
         self._total = torch.where(total > 0, total, math.inf)  # without information all shares are 0
-        self._origin = self._total.new_tensor([-(n - 1.0) * information.spacing for n in information.shape])
-        self._share = FieldSampler(VoxelGrid(self._table(information.values), self._origin, information.spacing))
         # a table for every turn, and which of them are made
         self._stack, self._made = self._total.new_empty(0), [False] * self._steps
+        self.all_tables: Tensor | None = None
+
+    @cached_property
+    def table(self) -> Float[Tensor, "X2 Y2 Z2"]:
+        """Share of the information that stays reachable, of every whole shift; the middle node is no shift."""
+        return self._table(self.information.values)
+
+    @cached_property
+    def _origin(self) -> Float[Tensor, "3"]:
+        """Shift of the table's first node."""
+        return self._total.new_tensor([-(n - 1.0) * self.information.spacing for n in self.information.shape])
+
+    @cached_property
+    def _share(self) -> FieldSampler:
+        return FieldSampler(VoxelGrid(self.table, self._origin, self.information.spacing))
+
+    @cached_property
+    def _held(self) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N"]]:
+        """Nodes that have information, and what they have."""
+        where = self.information.values.nonzero()
+        return where.to(self.information.values), self.information.values[tuple(where.unbind(-1))]
+
+    def turned_tables(self, turned: Float[Tensor, "*n X Y Z"]) -> Float[Tensor, "*n X2 Y2"]:
+        """Tables of the share that stays reachable, for shifts by no height, of information that has been turned."""
+        return self._table(turned)[..., self.information.shape[2] - 1]
+
+    @property
+    def steps(self) -> int:
+        """Turns that have a table, equally far apart."""
+        return self._steps
 
     def __call__(
         self,
@@ -113,7 +140,7 @@ class ReachabilityCost:
             # each by itself: what a row costs must not hang on whether another one turns
             self._make_tables(turns, pivot)
             version = backend.dispatch("turned_shares", share, displacements, turns, self._stack)
-            version(share, displacements, turns, Turned(self._stack, self._origin, self._information.spacing))
+            version(share, displacements, turns, Turned(self._stack, self._origin, self.information.spacing))
         return -share.mean(-1)
 
     def _table(self, information: Tensor) -> Tensor:
@@ -130,10 +157,10 @@ class ReachabilityCost:
         nodes, held = self._held
         turn = backend.dispatch("turned_information", held, pivot)
         about = pivot.to(held)
-        found = turn(nodes, held, self._information, about, [index * self.turn_step for index in missing])
+        found = turn(nodes, held, self.information, about, [index * self.turn_step for index in missing])
         for index, information in zip(missing, found, strict=True):
             # one by one: a transform of several may round otherwise
-            table = self._table(information)[..., information.shape[2] - 1]
+            table = self.turned_tables(information)
             if len(self._stack) == 0:
                 columns, rows = table.shape
                 self._stack = table.new_zeros(self._steps, columns + 2, rows + 2)

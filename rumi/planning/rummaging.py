@@ -11,21 +11,22 @@ from jaxtyping import Float
 from torch import Tensor
 
 from kmppi import MPPI, ControlPlan, Rollouts
+from rumi import seeding
 from rumi.belief.particles import PoseBelief, subsample
 from rumi.clock import Now
 from rumi.dynamics.base import PushDefaults, PushRollouts, RolloutModel
 from rumi.dynamics.registry import PushModels
-from rumi.dynamics.tool_lookup import world_height
 from rumi.fields.information import (
     WorkspaceFields,
     information_field,
 )
-from rumi.planning.objective import Objective, TrajectoryCost, gathered_by_action, gathering
+from rumi.planning.objective import Objective, TrajectoryCost, gathered_by_action, gathering, sensing_points
 from rumi.planning.plan_budget import PlanBudget
 from rumi.planning.policy import Plan, PlanRequest, SampledPaths, Scene
 from rumi.planning.rummaging_settings import RummagingSettings
 from rumi.robot.tool import Tool
-from sdf import skipped_work
+from sdf import gpu, skipped_work
+from sdf.check import may_look
 
 __all__ = ["PlanProposals", "RummagingPolicy", "RummagingSettings"]
 
@@ -72,6 +73,7 @@ class RummagingPolicy:
         self.settings = settings or RummagingSettings()
         self.reachability = reachability
         self.push_models = PushModels(self.settings)
+        self._planners: dict[tuple[int, torch.dtype, torch.device], MPPI] = {}
 
     @torch.no_grad()
     def act(self, request: PlanRequest) -> Plan:
@@ -84,19 +86,25 @@ class RummagingPolicy:
         particles, fewer samples in the last iteration, or fewer iterations; and where there is no time even for a few
         of each, the plan is the previous one, later. Only a first plan is made with a few of each all the same. How
         long things take is known from the plan before (`info["pace"]`), of a first plan from a view of a few particles.
+
+        On a GPU the host waits once before it begins, to see how the particles stand, and once at the end, for what is
+        told of the plan; with a budget at every look at the clock, too. The seconds by stage are the host's then.
         """
         belief, scene, previous = request.belief, request.scene, request.previous
-        executed, generator = request.executed, request.generator
-        with skipped_work.account() as work:
-            budget = PlanBudget(request.budget_s, self.now, None if previous is None else previous.info.get("pace"))
-            watch = _Stopwatch(self.now)
-            configuration = scene.configuration.to(scene.workspace.points)
-            count = self.suited(belief, scene).rollouts
-            mppi = MPPI(self.settings.mppi, len(configuration), configuration.dtype, configuration.device)
+        executed = request.executed
+        poses = belief.world_T_object
+        suited = self.settings.suited(self.push_models.chosen(poses, scene.tool))
+        with skipped_work.account() as work, gpu.no_waits(poses.device):
+            now = gpu.after_all(poses.device, self.now) if request.budget_s is not None else self.now
+            budget = PlanBudget(request.budget_s, now, None if previous is None else previous.info.get("pace"))
+            watch = _Stopwatch(now)
+            configuration, count = scene.configuration.to(scene.workspace.points), suited.rollouts
+            generator = seeding.on_device(request.generator, configuration.device)
+            mppi = self._mppi(configuration)
             start, iterations = self._start(mppi, previous, executed, generator)
             if previous is not None and previous.warm_start is not None and self._too_late(budget):
                 return self._carried_on(previous, start, executed, scene, budget)
-            view = self._view_in_time(belief, scene, previous, budget, watch)
+            view = self._view_in_time(belief, scene, previous, budget, watch, poses, suited)
             if not budget.open and not budget.knows("finish"):
                 budget.timed("finish", 1.0, lambda: self._predicted(view, configuration, start, watch))
 
@@ -108,15 +116,19 @@ class RummagingPolicy:
                     return in_parts(controls, lambda part: cost_of(view.model, part, count))
                 budget.reserve(kept)
                 costs = in_parts(controls, lambda part: cost_of(coarse, part, few))
-                best = costs.topk(min(kept, int(costs.isfinite().sum())), largest=False, sorted=True).indices
-                fine = in_parts(controls[best], lambda part: cost_of(view.model, part, count), "kept")
-                return costs.index_copy(0, best, torch.where(fine.isfinite(), fine, costs[best]))
+                if may_look(costs):
+                    kept = min(kept, int(costs.isfinite().sum()))
+                least = costs.topk(kept, largest=False, sorted=True)
+                fine = in_parts(controls[least.indices], lambda part: cost_of(view.model, part, count), "kept")
+                finite = (fine + least.values).abs() < math.inf
+                return costs.index_copy(0, least.indices, torch.where(finite, fine, least.values))
 
             def in_parts(
                 controls: Float[Tensor, "K H A"], do: Callable[[Tensor], Tensor], kind: str = "sample"
             ) -> Float[Tensor, "K"]:
                 if budget.open:
-                    return torch.cat([do(part) for part in controls.split(_SAMPLES)])
+                    done = [do(part) for part in controls.split(_SAMPLES)]
+                    return done[0] if len(done) == 1 else torch.cat(done)
                 return budget.in_parts(controls, do, kind)
 
             def cost_of(model: RolloutModel, controls: Float[Tensor, "K H A"], rollouts: int) -> Float[Tensor, "K"]:
@@ -133,7 +145,8 @@ class RummagingPolicy:
             )
             watch.lap("planner")
             ending = budget.now()
-            plan = self._plan(view, scene.tool, configuration, nominal, samples, watch)
+            unseen = () if may_look(poses) else (poses.sum(), belief.log_weights.amax(), configuration.sum())
+            plan = self._plan(view, scene.tool, configuration, nominal, samples, unseen, work, watch)
             budget.took("finish", 1.0, budget.now() - ending)
             if not budget.open:
                 made = {"pace": budget.pace, "particles": view.particles, "samples": budget.samples}
@@ -147,11 +160,17 @@ class RummagingPolicy:
         configuration: Float[Tensor, "Q"],
         nominal: ControlPlan,
         samples: Rollouts,
+        unseen: tuple[Tensor, ...],
+        work: skipped_work.Account,
         watch: "_Stopwatch",
     ) -> Plan:
         predicted, gathered = self._predicted(view, configuration, nominal, watch)
-        moves = predicted.displacements[0, 0]
         fields, objective = view.fields, view.objective
+        told = (samples.ess, samples.costs, fields.information.sum(), predicted.displacements[0, 0], gathered)
+        ess, costs, information, moves, gathered, *rest = gpu.fetched(*told, *unseen, *work.pending())
+        if not all(math.isfinite(float(number)) for number in (ess, *rest[: len(unseen)])):
+            raise ValueError("Expected finite poses, weights, configuration and costs, got NaN or infinity among them")
+        work.settle([float(number) for number in rest[len(unseen) :]])
         return Plan(
             controls=nominal.controls,
             path=predicted.configurations[0, 0],
@@ -159,16 +178,16 @@ class RummagingPolicy:
             fields={"information": fields.information, "p_free": fields.semantics[..., 0]} | objective.maps,
             timings_s=watch.laps,
             info={
-                "ess": float(samples.ess),
+                "ess": float(ess),
                 "iterations": samples.iterations,
-                "least_cost": float(samples.costs.min()),
-                "information_total": float(fields.information.sum()),
+                "least_cost": float(costs.min()),
+                "information_total": float(information),
                 "displacement": moves[-1].tolist(),
                 "predicted_information": gathered.tolist(),
                 "predicted_displacement": torch.diff(moves, dim=0).tolist(),
             }
             | objective.info,
-            samples=_sampled_paths(tool, configuration, samples),
+            samples=_sampled_paths(tool, configuration, samples, costs),
         )
 
     def _predicted(
@@ -182,29 +201,44 @@ class RummagingPolicy:
         return predicted, gathered
 
     def _view_in_time(
-        self, belief: PoseBelief, scene: Scene, previous: Plan | None, budget: PlanBudget, watch: "_Stopwatch"
+        self,
+        belief: PoseBelief,
+        scene: Scene,
+        previous: Plan | None,
+        budget: PlanBudget,
+        watch: "_Stopwatch",
+        poses: Float[Tensor, "N 4 4"] | None = None,
+        suited: PushDefaults | None = None,
     ) -> "PlanningModel":
-        """All that motions are judged by, of as many particles as there is time for."""
+        """All that motions are judged by, of as many particles as there is time for.
+
+        The belief's poses and what suits it are worked out where they are not given.
+        """
         whole, used = len(belief.log_weights), belief
         sure = budget.open or budget.knows("view")
         if not sure:
             used = subsample(belief, _FEW)
-            fields, model = self._fields(used, scene, budget, watch)
+            fields, model = self._fields(used, used.world_T_object, scene, budget, watch)
         count = budget.affordable("view", whole + _VIEW_FIXED, _VIEW_SHARE) - _VIEW_FIXED
         if sure or (used is not belief and (count > 2 * _FEW or count == whole)):
             used = subsample(belief, max(count, _FEW))
-            fields, model = self._fields(used, scene, budget, watch)
+            own = poses if used is belief and poses is not None else used.world_T_object
+            fields, model = self._fields(used, own, scene, budget, watch)
         begun = budget.now()
-        objective = self.objective(used, scene, fields, previous, budget)
+        objective = self.objective(used, scene, fields, previous, budget, suited)
         budget.took("objective", 1.0, budget.now() - begun)
         watch.lap(self.objective_stage)
         return PlanningModel(len(used.log_weights), fields, model, objective)
 
     def _fields(
-        self, belief: PoseBelief, scene: Scene, budget: PlanBudget, watch: "_Stopwatch"
+        self,
+        belief: PoseBelief,
+        poses: Float[Tensor, "N 4 4"],
+        scene: Scene,
+        budget: PlanBudget,
+        watch: "_Stopwatch",
     ) -> tuple[WorkspaceFields, RolloutModel]:
-        workspace, sdf = scene.workspace, scene.model.sdf
-        poses, log_weights = belief.world_T_object, belief.log_weights
+        workspace, sdf, log_weights = scene.workspace, scene.model.sdf, belief.log_weights
         begun = budget.now()
         fields = information_field(sdf, poses, log_weights, workspace.points, self.settings.information)
         watch.lap("fields")
@@ -251,6 +285,7 @@ class RummagingPolicy:
         fields: WorkspaceFields,
         previous: Plan | None,
         budget: PlanBudget | None = None,
+        suited: PushDefaults | None = None,
     ) -> Objective:
         """What motions are worth: information gathered and kept within reach (Eq 31).
 
@@ -260,13 +295,14 @@ class RummagingPolicy:
             fields: of the belief on the scene's workspace.
             previous: the last plan, None at the start.
             budget: of the plan; None for no limit.
+            suited: what `suited` says of the belief, where that is known.
         """
         settings, workspace = self.settings, scene.workspace
-        scale = self.suited(belief, scene).reachability_scale
+        scale = (suited or self.suited(belief, scene)).reachability_scale
         reachability = None
         if scale > 0 and self.reachability is not None:
             reachability = workspace.grid(self.reachability.to(fields.information))
-        sensing = world_height(scene.tool.info, scene.tool.height_m).to(fields.information)
+        sensing = sensing_points(scene.tool, fields.information)
         information = workspace.grid(fields.information)
         cost = TrajectoryCost(
             information,
@@ -279,7 +315,7 @@ class RummagingPolicy:
             displaced_information=settings.displaced_information,
             spatial=scene.tool.spatial,
         )
-        whole = gathering(information, scene.tool)
+        whole = gathering(information, scene.tool, sensing)
         return Objective(
             cost,
             lambda configurations, displacements: -whole(configurations, displacements),
@@ -289,6 +325,13 @@ class RummagingPolicy:
                 "reachability_cost": float(scale == 0),
             },
         )
+
+    def _mppi(self, like: Float[Tensor, "Q"]) -> MPPI:
+        """The sampler of controls of a tool's configuration; its matrices are made once."""
+        key = len(like), like.dtype, like.device
+        if key not in self._planners:
+            self._planners[key] = MPPI(self.settings.mppi, *key)
+        return self._planners[key]
 
     def _start(
         self, mppi: MPPI, previous: Plan | None, executed: int, generator: torch.Generator
@@ -314,20 +357,22 @@ class PlanningModel(NamedTuple):
     objective: Objective
 
 
-def _sampled_paths(tool: Tool, configuration: Float[Tensor, "Q"], samples: Rollouts) -> SampledPaths:
-    """Paths of samples from the best to the worst, evenly through their ranks."""
-    finite = samples.costs.isfinite().nonzero()[:, 0]
-    ranked = finite[samples.costs[finite].argsort()]
+def _sampled_paths(
+    tool: Tool, configuration: Float[Tensor, "Q"], samples: Rollouts, costs: Float[Tensor, "K"]
+) -> SampledPaths:
+    """Paths of samples from the best to the worst, evenly through their ranks, by their costs that are on the host."""
+    finite = costs.isfinite().nonzero()[:, 0]
+    ranked = finite[costs[finite].argsort()]
     ranks = torch.linspace(0, len(ranked) - 1, min(_KEPT_PATHS, len(ranked)), device=ranked.device).round().long()
     kept = ranked[ranks]
-    controls = samples.controls[kept].to(configuration)
 
     @torch.no_grad()
     def found() -> Float[Tensor, "K T1 Q"]:
+        controls = samples.controls[kept.to(samples.controls.device)].to(configuration)
         free = tool.free_path(configuration.expand(len(kept), -1), controls, 1)
         return torch.cat((configuration.expand(len(kept), 1, -1), free), 1)
 
-    return SampledPaths(found, samples.costs[kept])
+    return SampledPaths(found, costs[kept])
 
 
 class _Stopwatch:

@@ -4,18 +4,18 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from rumi.robot.border import Border, near_groups
+from rumi.robot.cover import Cover, covering_discs
 from rumi.robot.gripper import GripperShape
 from rumi.robot.reach import Reach
 from rumi.robot.tool_guess import guessed_steps
 from rumi.robot.tool_shape import ToolShape
-from sdf import compiled, se3
+from sdf import backend, compiled, gpu, se3
 from sdf.check import check_shape, is_eager
 
-BORDER_GROUP = 8
-"""Points of a tool's border that one bound settles together."""
 _PARTS = 16
 # metres by which rounding may make a residual grow that is the same all along a circle about the base
 _SLACK_M = 1e-6
@@ -70,7 +70,9 @@ class Tool(nn.Module):
         for name, points in _points(self.shape, body_spacing_m, info_spacing_m, spatial=self.spatial).items():
             self.register_buffer(name, points.to(bounds))
         self._discs: dict[int, tuple[Tensor, float]] = {}
-        self._borders: dict[tuple[float, int], tuple[Tensor, Tensor]] = {}
+        self._tables: dict[tuple[torch.dtype, torch.device], tuple[Tensor, Tensor]] = {}
+        self._covers: dict[tuple[int, torch.dtype, torch.device], Cover] = {}
+        self._borders: dict[tuple[float, int, torch.dtype, torch.device], Border] = {}
         self.bounds: Tensor
         self.scale: Tensor
         self.body: Tensor
@@ -88,21 +90,21 @@ class Tool(nn.Module):
         """World points of the part that senses touch, the pads (RUMI's h_I)."""
         return self._place(self.info, q)
 
-    def border(self, spacing: float, size: int) -> tuple[Float[Tensor, "n 2"], Int[Tensor, "G size"]]:
-        """Points on the border of the section, metres, and their numbers in groups of near ones.
-
-        Points are there more than once to fill a group.
+    def border(self, spacing: float, size: int, like: Tensor) -> Border:
+        """Border of the section, its points in groups of near ones.
 
         Args:
             spacing: between points, metres.
             size: of a group.
+            like: tensor whose dtype and device it is to have.
         """
         # the shape never changes, and every plan asks for the same points
-        if (spacing, size) not in self._borders:
+        key = (spacing, size, like.dtype, like.device)
+        if key not in self._borders:
             points = self.shape.outline(spacing)
-            self._borders[spacing, size] = points, _near_groups(points, size)
-        points, groups = self._borders[spacing, size]
-        return points.to(self.bounds), groups.to(self.bounds.device)
+            groups = near_groups(points, size).to(like.device)
+            self._borders[key] = Border.of(points.to(self.bounds).to(like), groups)
+        return self._borders[key]
 
     def covering_discs(self, count: int) -> tuple[Float[Tensor, "k D"], float]:
         """Discs, in space balls, of one radius that together cover all body points.
@@ -117,26 +119,26 @@ class Tool(nn.Module):
             raise ValueError(f"Expected count to be at least 1, got {count}")
         # the body never changes, and every plan asks for the same discs
         if count not in self._discs:
-            self._discs[count] = self._cover(count)
+            self._discs[count] = covering_discs(self.body if self.spatial else self.body[:, :2], count)
         centers, radius = self._discs[count]
         return centers.to(self.body), radius
 
-    def _cover(self, count: int) -> tuple[Float[Tensor, "k D"], float]:
-        points = self.body if self.spatial else self.body[:, :2]
-        # farthest points as a start, then each centre moves to the middle of the box about its own points
-        centers = points.mean(0, keepdim=True)
-        while len(centers) < count:
-            farthest = torch.cdist(points, centers).amin(-1).argmax()
-            centers = torch.cat((centers, points[farthest][None]))
-        best, least = centers, float(torch.cdist(points, centers).amin(-1).max())
-        for _ in range(30):
-            owner = torch.cdist(points, centers).argmin(-1)
-            own = [points[owner == index] for index in range(count)]
-            centers = torch.stack([0.5 * (p.amin(0) + p.amax(0)) if len(p) else centers[i] for i, p in enumerate(own)])
-            radius = float(torch.cdist(points, centers).amin(-1).max())
-            if radius < least:
-                best, least = centers, radius
-        return best, least
+    def cover(self, count: int, like: Tensor) -> Cover:
+        """Points of the body by `count` discs, in space balls, that cover it; 0 for one disc that holds all there is.
+
+        Args:
+            count: how many.
+            like: tensor whose dtype and device they are to have.
+        """
+        key = (count, like.dtype, like.device)
+        if key not in self._covers:
+            points = (self.body + self.body.new_tensor([0.0, 0.0, self.height_m])).to(like)
+            discs = None
+            if count:
+                centres, radius = self.covering_discs(count)
+                discs = centres.to(like), float(radius)
+            self._covers[key] = Cover.of(points, discs)
+        return self._covers[key]
 
     def free_step(
         self, q: Float[Tensor, "*#b Q"], control: Float[Tensor, "*#b Q"], fraction: float = 1.0
@@ -180,6 +182,11 @@ class Tool(nn.Module):
         """
         if mini_steps < 1:
             raise ValueError(f"Expected mini_steps to be at least 1, got {mini_steps}")
+        version = backend.dispatch("free_path", q, controls)
+        path: Tensor = version(self, q, controls, mini_steps)
+        return path
+
+    def _free_path(self, q: Tensor, controls: Tensor, mini_steps: int) -> Tensor:
         steps = (controls * (self.scale / mini_steps)).repeat_interleave(mini_steps, dim=-2)
         if not is_eager():
             return self._step_by_step(q.expand(*steps.shape[:-2], q.shape[-1]), steps)
@@ -244,6 +251,28 @@ class Tool(nn.Module):
         left = self.reach.left.contiguous().numpy()
         numbers = (1.0, self.reach.settings.tolerance_m, _SLACK_M, _PARTS, *self.reach.nodes)
         return left, self.reach.base.numpy(), bounds, np.array(numbers)
+
+    def arm_tensors(self, like: Tensor) -> tuple[Any, ...]:
+        """What limits a step, for `tool_warp`: reach table, base and bounds like a tensor, and ten numbers."""
+        from rumi.robot.tool_warp import ABOUT_BASE, FREE, IN_BOX
+
+        bounds, none = self.bounds.to(like), [0.0] * 10
+        if self.reach is None:
+            return bounds.new_empty(1, 1, 1, 1), bounds.new_empty(3), bounds, [float(FREE), *none[1:]]
+        left = self._left(like)
+        kind = IN_BOX if left.ndim == 4 else ABOUT_BASE
+        if kind == ABOUT_BASE:
+            left = left.reshape(-1, 1, *left.shape[-2:])
+        numbers = [float(kind), self.reach.settings.tolerance_m, _SLACK_M, float(_PARTS), *self.reach.nodes]
+        return left, self.reach.base.to(like), bounds, [*numbers, *none][:10]
+
+    def _left(self, like: Tensor) -> Tensor:
+        """The reach's table like a tensor, made once: every plan asks for the same."""
+        assert self.reach is not None
+        key, source = (like.dtype, like.device), self.reach.position
+        if key not in self._tables or self._tables[key][0] is not source:
+            self._tables[key] = source, self.reach.left.to(like)
+        return self._tables[key][1]
 
     def _inside(self, q: Tensor) -> Bool[Tensor, "*b"]:
         boxed = ((q[..., :-1] >= self.bounds[0]) & (q[..., :-1] <= self.bounds[1])).all(-1)
@@ -317,18 +346,18 @@ class Tool(nn.Module):
         return torch.stack((x, y, z), -1)
 
 
-def _near_groups(points: Float[Tensor, "n 2"], size: int) -> Int[Tensor, "G size"]:
-    """Halved along its longer side until a group has no more than `size` points."""
-    parts = [torch.arange(len(points), device=points.device)]
-    while len(parts[0]) > size:
-        halves = []
-        for part in parts:
-            own = points[part]
-            across = part[own[:, (own.amax(0) - own.amin(0)).argmax()].argsort(stable=True)]
-            halves += [across[: (len(part) + 1) // 2], across[len(part) // 2 :]]
-        parts = halves
-    filled = torch.arange(size, device=points.device)
-    return torch.stack([part[filled % len(part)] for part in parts])
+backend.register("free_path")(Tool._free_path)
+
+
+@backend.register("free_path", gpu.VERSION, gpu.supports, gpu.suits)
+def _free_path_warp(tool: Tool, q: Tensor, controls: Tensor, mini_steps: int) -> Tensor:
+    from rumi.robot.tool_warp import free_path
+
+    batch = torch.broadcast_shapes(q.shape[:-1], controls.shape[:-2])
+    starts = q.expand(*batch, q.shape[-1]).reshape(-1, q.shape[-1])
+    steps = controls.expand(*batch, *controls.shape[-2:]).reshape(-1, *controls.shape[-2:])
+    path: Tensor = free_path(tool.arm_tensors(controls), tool.scale, starts, steps, mini_steps)
+    return path[:, 1:].reshape(*batch, -1, q.shape[-1])
 
 
 def _points(shape: ToolShape, body_m: float, info_m: float, *, spatial: bool) -> dict[str, Float[Tensor, "n 3"]]:

@@ -27,7 +27,8 @@ def guessed_steps(arrays: tuple[Any, ...], q: Float[Tensor, "Q"], steps: Float[T
         q: configuration now.
         steps: what is added to it in each, metres and radians.
     """
-    table, bounds = (np.asarray(part, np.float64) for part in (arrays[0], arrays[2]))
+    # views whose entries are Python's own numbers: those of arrays take twice as long
+    table, bounds = (np.ascontiguousarray(part, np.float64).data for part in (arrays[0], arrays[2]))
     base, limits = (np.asarray(part, np.float64).tolist() for part in (arrays[1], arrays[3]))
     low, high, near = (np.asarray(part, q.numpy().dtype) for part in (*arrays[2], arrays[1][:2]))
     step_within, parts = _plain("step_within"), int(limits[3])

@@ -14,7 +14,8 @@ from rumi.rosbag.frames import FrameTree
 from rumi.rosbag.mapping import BagMap, Topic
 from rumi.rosbag.mcap import Message
 from rumi.rosbag.messages import CONVERTERS, RowOf
-from rumi.rosbag.source import BagError, BagSource
+from rumi.rosbag.recording_source import source_of
+from rumi.rosbag.source import BagError
 from sensors.log.errors import LogError
 from sensors.log.reader import Log
 from sensors.log.writer import LogWriter
@@ -49,7 +50,7 @@ def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0)
     rest is kept.
 
     Args:
-        bag: a .bag file of ROS 1, an .mcap or .db3 file, or the folder of a bag.
+        bag: a .bag file of ROS 1, an .mcap or .db3 file, the folder of a bag, or CSV or JSON lines.
         mapping: which topics to take.
         path: of the log.
         future_s: seconds that a message's stamp may be later than when it was received.
@@ -75,14 +76,16 @@ def import_bag(bag: Path, mapping: BagMap, path: Path, *, future_s: float = 1.0)
 
 
 def check_frames(path: Path, mapping: BagMap) -> None:
-    """Refuse a mapping that names a frame, of the tool or of a topic, which nothing in a log connects to the world.
+    """Refuse a mapping whose frames, of the tool, the object or a topic, nothing in a log connects to the world.
 
     Raises:
         UsageError: with the frame, and those that there are.
     """
     with Log(path) as log:
         tree = FrameTree.of_log(log, mapping)
-        tree.chains(mapping.frames.tool)
+        for frame in (mapping.frames.tool, mapping.frames.motion, mapping.frames.truth):
+            if frame is not None:
+                tree.chains(frame)
         for topic in mapping.topics.values():
             if topic.frame is not None:
                 tree.chains(topic.frame)
@@ -92,7 +95,7 @@ def _attempt(
     bag: Path, mapping: BagMap, path: Path, future_s: float, *, walk: bool
 ) -> tuple[BagImport | None, dict[str, str]]:
     """The import by rosbags, or record by record; None where rosbags cannot read an MCAP file to its end."""
-    source, done = BagSource(bag), BagImport()
+    source, done = source_of(bag), BagImport()
     seen: dict[str, str] = {}
     about = {"map": mapping.text, "bag": bag.name}
     try:

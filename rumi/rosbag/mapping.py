@@ -105,6 +105,9 @@ class Frames:
         origin_m: x and y in `world` at which the belief's own frame has its origin; taken off in float64, so that a
             map's frame may be kilometres away.
         longest_gap_s: a frame's pose is interpolated over gaps up to this.
+        motion: frame that rides with the object, of a tracker: it measures how the object moved.
+        truth: frame that is the object's own, measured by another system: what comes of a replay is judged by it, and
+            the belief does not see it.
     """
 
     world: str
@@ -112,6 +115,8 @@ class Frames:
     floor_z_m: float = 0.0
     origin_m: tuple[float, float] = (0.0, 0.0)
     longest_gap_s: float = 0.5
+    motion: str | None = None
+    truth: str | None = None
 
 
 @dataclass(frozen=True)

@@ -19,19 +19,19 @@ _LONGEST = 1 << 40  # of a record; more is damage
 
 
 class Message(NamedTuple):
-    """A serialised message of a bag.
+    """A message of a recording.
 
     Attributes:
         topic: of its channel.
         kind: name of its type.
         received_ns: when it was written down.
-        data: packed.
+        data: packed; of text, the message itself.
     """
 
     topic: str
     kind: str
     received_ns: int
-    data: bytes
+    data: Any
 
 
 class Walk:

@@ -16,6 +16,7 @@ from rumi.rosbag.mapping import BagMap
 from rumi.rosbag.span import reading_starts, span_of
 from rumi.rosbag.views import Views
 from rumi.seeding import generator
+from sdf import se3
 from sensors.contact_reading import ContactReading, WrenchTouch, surest
 from sensors.log.reader import Log, Taken
 from sensors.observation import Observation, concatenate
@@ -79,15 +80,16 @@ def make_readings(log: Log, mapping: BagMap, *, seed: int = 0) -> ImportedReadin
     taken = [cutter.first(seen, first_ns)]
     every = round(mapping.actions.every_s * 1e9)
     for begin in reading_starts(span, mapping, contacts.notes):
-        reading = cutter.reading(begin, begin + every)
-        if reading is None:
+        try:
+            taken.append(cutter.reading(begin, begin + every))
+        except _UnknownPoseError as error:
             at = (begin - start) / 1e9
-            problems.append(
-                f"{at:.1f} s to {at + every / 1e9:.1f} s: the tool's pose is not known throughout; left out"
-            )
-        else:
-            taken.append(reading)
+            problems.append(f"{at:.1f} s to {at + every / 1e9:.1f} s: {error} is not known throughout; left out")
     return ImportedReadings(taken, list(dict.fromkeys(problems + views.problems)), contacts.wrenches, contacts.notes)
+
+
+class _UnknownPoseError(Exception):
+    """A pose that a reading needs is not known; its text says whose."""
 
 
 class _Cutter:
@@ -105,6 +107,7 @@ class _Cutter:
         self._mapping, self._frames, self._views, self._contacts, self._body = mapping, frames, views, contacts, body
         self._start = start
         self._region = torch.tensor(mapping.scene.within)
+        self._ridden: Tensor | None = None  # pose of frames.motion at the end of the last reading
 
     def first(self, seen: Observation, stamp_ns: int) -> Taken:
         pose, known = self._frames.at(self._mapping.frames.tool, [stamp_ns])
@@ -114,15 +117,22 @@ class _Cutter:
                 f"{(stamp_ns - self._start) / 1e9:.1f} s from the start; the recording has none about then"
             )
         instant = torch.zeros(len(seen), dtype=torch.long)
-        return self._taken(seen, instant, pose.float(), torch.zeros(1, dtype=torch.bool), stamp_ns)
+        try:
+            motion = self._motion(torch.tensor([stamp_ns]))
+        except _UnknownPoseError as error:
+            raise UsageError(
+                f"Expected to know {error} at the end of the first view; the recording has none"
+            ) from error
+        return self._taken(seen, instant, pose.float(), torch.zeros(1, dtype=torch.bool), stamp_ns, motion)
 
-    def reading(self, begin_ns: int, end_ns: int) -> Taken | None:
+    def reading(self, begin_ns: int, end_ns: int) -> Taken:
         count = self._mapping.actions.instants
         # whole numbers: floating ones tell times since 1970 to 0.2 microseconds
         stamps = begin_ns + (end_ns - begin_ns) * torch.arange(1, count + 1) // count
         pose, known = self._frames.at(self._mapping.frames.tool, stamps)
         if not bool(known.all()):
-            return None
+            raise _UnknownPoseError("the tool's pose")
+        motion = self._motion(stamps)
         pose = pose.float()
         mine = [one for one in self._contacts if begin_ns < one.stamp_ns <= end_ns]
         at = [min(int(torch.searchsorted(stamps, one.stamp_ns)), count - 1) for one in mine]
@@ -148,7 +158,7 @@ class _Cutter:
         if self._mapping.scene.looks_again:
             observation.append(self._views.between(begin_ns, end_ns, last=True))
             instants.append(torch.full((len(observation[-1]),), count - 1))
-        taken = self._taken(concatenate(observation), torch.cat(instants), pose, in_contact, end_ns)
+        taken = self._taken(concatenate(observation), torch.cat(instants), pose, in_contact, end_ns, motion)
         taken = replace(taken, reading=replace(taken.reading, measurements=_last_measurements(mine, at, count)))
         if not (self._mapping.touches_count or self._mapping.signals_count):
             return taken
@@ -170,6 +180,25 @@ class _Cutter:
         every = WrenchTouch(*(torch.cat([getattr(one, part.name) for one in found]) for part in fields(WrenchTouch)))
         return every.at(surest(every.point_sd.square(), config.most))
 
+    def _motion(self, stamps_ns: Int[Tensor, "K"]) -> Float[Tensor, "K 4 4"] | None:
+        """How far the object had moved at some times since the reading before; None where nothing measures it."""
+        frame = self._mapping.frames.motion
+        if frame is None:
+            return None
+        pose, known = self._frames.at(frame, stamps_ns)
+        if not bool(known.all()):
+            raise _UnknownPoseError(f"the pose of {frame}, which rides with the object,")
+        before = pose[0] if self._ridden is None else self._ridden
+        self._ridden = pose[-1]
+        return (pose @ se3.inverse(before)).float()
+
+    def _truth(self, stamp_ns: int) -> Float[Tensor, "4 4"] | None:
+        """The object's pose by another system; None where nobody measured it."""
+        if self._mapping.frames.truth is None:
+            return None
+        pose, known = self._frames.at(self._mapping.frames.truth, [stamp_ns])
+        return pose[0].float() if bool(known.all()) else None
+
     def _taken(
         self,
         observation: Observation,
@@ -177,13 +206,14 @@ class _Cutter:
         pose: Float[Tensor, "K 4 4"],
         in_contact: Bool[Tensor, "K"],
         stamp_ns: int,
+        motion: Float[Tensor, "K 4 4"] | None,
     ) -> Taken:
         x, y, z = pose[-1, :3, 3].tolist()
         yaw = math.atan2(float(pose[-1, 1, 0]), float(pose[-1, 0, 0]))
         place = (x, y, yaw) if self._mapping.scene.search == "SE(2)" else (x, y, z, yaw)
         stamp = (stamp_ns - self._start) / 1e9
-        reading = Reading(observation, instant, pose, in_contact, None, torch.tensor(place), torch.zeros(()), stamp)
-        return Taken(reading, None, None, None)
+        reading = Reading(observation, instant, pose, in_contact, motion, torch.tensor(place), torch.zeros(()), stamp)
+        return Taken(reading, None, self._truth(stamp_ns), None)
 
 
 def _last_measurements(

@@ -30,7 +30,7 @@ _BELOW_TOP = 0.95  # of an object's height, above which a tool cannot meet it
 def settings_of(mapping: BagMap) -> Settings:
     """The settings that a mapping asks for, on top of those of its preset.
 
-    A recording's readings have no measured motion of the object: where the mapping names none, it is that of
+    Where the mapping names no motion, the object's is "measured" if a frame rides with it; else it is that of
     `filter.unmeasured`, else "corrected", or in space "estimated".
 
     Raises:
@@ -44,7 +44,8 @@ def settings_of(mapping: BagMap) -> Settings:
     settings = from_dict({**_merged(start, asked), "task": IMPORTED})
     if "motion" not in asked.get("filter", {}):
         unmeasured = (settings.filter.unmeasured or "corrected") if mapping.scene.search == "SE(2)" else "estimated"
-        settings = replace(settings, filter=replace(settings.filter, motion=unmeasured))
+        motion = unmeasured if mapping.frames.motion is None else "measured"
+        settings = replace(settings, filter=replace(settings.filter, motion=motion))
     return replace(settings, object=mapping.object)
 
 

@@ -27,7 +27,9 @@ class BagSource:
     def __init__(self, path: Path) -> None:
         optional("rosbags", "A ROS bag")
         if not path.exists():
-            raise UsageError(f"There is no bag {path}: give a .bag, .mcap or .db3 file, or the folder of a bag")
+            raise UsageError(
+                f"There is no bag {path}: give a .bag, .mcap or .db3 file, the folder of a bag, or CSV files"
+            )
         from rosbags.typesys import Stores, get_typestore
 
         self.path, self._files = path, _files(path)

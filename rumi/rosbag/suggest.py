@@ -10,9 +10,11 @@ from typing import Any
 from rumi.errors import UsageError
 from rumi.rosbag.mapping_file import SCHEMA
 from rumi.rosbag.messages import CONVERTERS, POSES
-from rumi.rosbag.source import BagError, BagSource
+from rumi.rosbag.recording_source import Source, source_of
+from rumi.rosbag.source import BagError
 
 _TF = "tf2_msgs/msg/TFMessage"
+_FRAMED = ("sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/WrenchStamped")
 _COLORS = ("rgb", "bgr", "mono8")
 _TOOL_WORDS = ("tool", "tip", "gripper", "hand", "ee", "finger", "tcp")
 
@@ -51,7 +53,7 @@ def suggest_mapping(bag: Path) -> str:
         UsageError: there is no such bag, or nothing in it can be read.
         ModuleNotFoundError: rosbags is not installed.
     """
-    found = _look(BagSource(bag))
+    found = _look(source_of(bag))
     if not found.count:
         raise UsageError(f"Expected a bag with messages, got none from {bag}")
     world = _world(found)
@@ -81,6 +83,8 @@ def suggest_mapping(bag: Path) -> str:
         f"world = {json.dumps(world)}  # TODO z up; the belief lives in it",
         f"tool = {json.dumps(tool)}  # TODO of the tool that touches",
         "floor_z_m = 0.0  # TODO height in world of what the object stands on",
+        '# motion = "tracked"  # a frame that rides with the object, where a tracker measured it',
+        '# truth = "object"  # the object\'s own frame: the replay is judged by it, the belief does not see it',
         "",
         "[scene]",
         "within = [[-0.5, -0.5, 0.0], [0.5, 0.5, 0.5]]  # TODO a box about the object, metres, over the floor",
@@ -93,7 +97,7 @@ def suggest_mapping(bag: Path) -> str:
     return "\n".join(lines)
 
 
-def _look(source: BagSource) -> _Found:
+def _look(source: Source) -> _Found:
     found = _Found()
     try:
         for message in source.messages():
@@ -134,6 +138,9 @@ def _topic(topic: str, kind: str, found: _Found, world: str) -> tuple[str, str, 
         values["sensor"] = topic.strip("/").replace("/", "_")
     else:
         told += "".join(f", or {other}" for other in roles[1:])
+        if not frame and kind in _FRAMED:
+            values["frame"] = world
+            told += ", without a frame of its own: TODO"
     inner = ", ".join(f"{key} = {json.dumps(value)}" for key, value in values.items())
     return (json.dumps(values["role"]) if len(values) == 1 else "{ " + inner + " }"), told, child
 

@@ -1,7 +1,6 @@
 """Simulated world in which an arm carries the gripper: inverse kinematics, then computed torque within limits."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,20 +12,24 @@ from torch import Tensor
 from rumi.errors import UsageError
 from rumi.robot.gripper import GripperShape
 from rumi.robot.tool import level_pose
-from rumi.sim.arm_kinematics import ArmKinematics
+from rumi.sim.arm_kinematics import REACHED_M, ArmKinematics
 from rumi.sim.arm_path import ToolPath
 from rumi.sim.bodies import Body
+from rumi.sim.contact_isolation import unexplained_by_hand
+from rumi.sim.hand_limits import HandDynamics
 from rumi.sim.robot_arm import RobotArm
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.scene import compiled, scene_spec
 from rumi.sim.settings import PhysicsSettings
 from rumi.sim.world import LEVER_M, Track, World
-from sdf import se3
 from sdf.base import SDF
 from sdf.bounds import Checked, NotNegative, Positive
 from sensors.force.momentum_observer import DynamicsTerms, MomentumObserver, external_torque
 
-_AXES = (0, 1, 2, 5)  # rows of a Jacobian whose forces the drive's limits are of: x, y, z and about z
+_TOLD = 2  # parts on end in which torques tell of a contact elsewhere, at which it stops
+_SHARE = 0.25  # of torques that a hand's contact may leave unexplained: shocks and wrong masses leave as much
+_LEAP = 0.2  # rad of a joint from where it is
+_SPACING_M = 0.01  # of points on the hand
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class ArmControl(Checked, refusal=UsageError):
         velocity_noise: white, of each measured velocity, rad/s.
         torque_noise_nm: white, of each measured torque.
         gain: of the momentum observer, 1/s.
-        threshold_nm: of the norm of the mean residual in a mini step, from what it was at rest before the action. In
+        threshold_nm: of the norm of the mean residual in a mini step, from what it was when the arm last stood free. In
             free motion 99.9 % are below 1.26 (1440 of them); a box of .6 kg pushed aside makes 1.3 to 1.9.
     """
 
@@ -76,10 +79,10 @@ class ArmWorld(World):
 
     Targets of the tool become joint positions by inverse kinematics, each from the one before; where that fails the arm
     goes no farther. The joints follow by computed torque, M (a + w^2 e + 2 w e') + bias, by a model whose masses are a
-    little wrong, cut to the motors' torques and so that the hand presses no harder than `PhysicsSettings` allows.
+    little wrong, cut to the motors' torques and so that along no axis the hand is led farther or presses harder than
+    `PhysicsSettings` allows.
 
     Attributes:
-        pads_touch: whether the pads feel something at object_T_tool (4, 4); None where they feel nothing.
         signals: (K), whether the joints' torques told of a contact in each part of the last action.
         links_touch: (K), whether a link touched the object in it, in truth.
 
@@ -118,7 +121,8 @@ class ArmWorld(World):
         self._first = np.eye(len(arm.joints))[0]
         own = self.physics
         self._forces = np.array((own.max_force_n, own.max_force_n, own.max_lift_n, own.max_torque_nm))
-        self.pads_touch: Callable[[Tensor], bool] | None = None
+        self._hand_m = float(gripper.surface(_SPACING_M).norm(dim=-1).max())
+        self._lead = own.lead_m * np.array((1.0, 1.0, 1.0, 1.0 / LEVER_M))
         self.signals: Bool[Tensor, "K"] = torch.zeros(0, dtype=torch.bool)
         self.links_touch: Bool[Tensor, "K"] = torch.zeros(0, dtype=torch.bool)
         self.seed(0)
@@ -131,7 +135,7 @@ class ArmWorld(World):
         model.body_mass[:] *= factors
         model.body_inertia[:] *= factors[:, None]
         self.dynamics = MujocoDynamics(model, self.arm.names)
-        self._residual = torch.zeros(len(self.arm.joints), dtype=torch.float64)
+        self._residual = self._rest = torch.zeros(len(self.arm.joints), dtype=torch.float64)
         self._last: list[Sample] = []
 
     def _compiled(self, gripper: GripperShape, height_m: float | None, time_step_s: float) -> Any:  # noqa: ANN401
@@ -164,66 +168,64 @@ class ArmWorld(World):
     def _hold(self, steps: int) -> None:
         zero = np.zeros(len(self._dof))
         samples = [self._step(self._wanted, zero, zero) for _ in range(steps)]
-        # what the observer feels standing is the rest of the first action
         self._felt(samples, float(self.model.opt.timestep))
-        self._last = samples[-1:]
+        self._rest, self._last = self._residual, samples[-1:]
 
     def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float) -> Track:
         """Move the tool through targets spread evenly over `action_s` as far as the arm can, then hold.
 
-        It stops where its torques tell of a contact in two parts on end that the pads do not feel (`pads_touch`).
+        It stops where its torques tell in two parts on end of a contact that is against its way and not at the hand:
+        what the hand pushes is known. They tell by what differs from when it last stood free: by what it felt while it
+        pressed on something it would feel a contact where it draws back.
         """
         step_s, poses = float(self.model.opt.timestep), self._level(targets)
         way = self.path.through(self._wanted, poses, action_s)
         ends = np.maximum(1, np.round(way.ends / step_s).astype(int))
         ends[-1] += max(1, round(hold_s / step_s)) if hold_s > 0 else 0
-        commands = way.sampled(step_s, int(ends[-1]))
+        position, velocity, acceleration = way.sampled(step_s, int(ends[-1]))
         tools, signals, links = [], [], []
-        rest, samples, touched = self._residual, self._last, False
-        stopped_at: int | None = None
+        samples, touched, against = self._last, False, 0
+        stopped: np.ndarray | None = None
+        zero = np.zeros(len(self._dof))
 
         def drive(step: int) -> None:
             nonlocal touched
-            samples.append(self._step(*self._command(commands, step, stopped_at)))
+            if stopped is None:
+                samples.append(self._step(position[step], velocity[step], acceleration[step]))
+            else:
+                samples.append(self._step(stopped, zero, zero))
             touched = touched or self._link_touches()
 
         def ended(index: int, steps: int) -> None:
-            nonlocal samples, touched, stopped_at
-            felt, samples = self._felt(samples, step_s), samples[-1:]
+            nonlocal samples, touched, against, stopped
+            external, samples = self._felt(samples, step_s).mean(0) - self._rest, samples[-1:]
             tools.append(self._world_T_tool())
-            signals.append(bool((felt.mean(0) - rest).norm() > self.control.threshold_nm))
+            signals.append(float(external.norm()) > self.control.threshold_nm)
             links.append(touched)
             touched = False
-            if stopped_at is None and all(signals[-2:]) and index and self._elsewhere(tools[-1]):
-                stopped_at = steps - 1
+            resisted = signals[-1] and float(external.numpy() @ velocity[steps - 1]) < 0.0
+            against = against + 1 if resisted and self._elsewhere(external.numpy()) else 0
+            if stopped is None and against == _TOLD:
+                stopped = self._joints_now()
 
         states = self._through(ends.tolist(), drive, ended)
         self._last = samples
-        self._wanted = way.joints[-1] if stopped_at is None else commands[0][stopped_at]
+        if not signals[-1]:
+            self._rest = self._residual
+        wanted = way.joints[-1] if stopped is None else stopped
+        whole = way.arrived == len(ends) and stopped is None
+        place = torch.from_numpy(self.kinematics.place(wanted)[0])
+        refused = 0.0 if whole else float((place - poses[-1, :3, 3]).norm())
+        self._wanted = self._led(wanted, self._joints_now())
         self.signals, self.links_touch = torch.tensor(signals), torch.tensor(links)
         pose = torch.from_numpy(np.stack(tools))
-        whole = way.arrived == len(ends) and stopped_at is None
-        refused = 0.0 if whole else float((self._commanded() - poses[-1, :3, 3]).norm())
         return Track(self._configurations(pose), self._object_poses(states), pose, refused)
 
-    @staticmethod
-    def _command(
-        commands: tuple[np.ndarray, np.ndarray, np.ndarray], step: int, stopped_at: int | None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Position, velocity and acceleration of a step; of the one that it stopped at, at rest."""
-        position, velocity, acceleration = commands
-        if stopped_at is not None:
-            return position[stopped_at], np.zeros_like(velocity[step]), np.zeros_like(velocity[step])
-        return position[step], velocity[step], acceleration[step]
-
-    def _elsewhere(self, world_T_tool: np.ndarray) -> bool:
-        """Whether a contact that the torques tell of is not at the pads."""
-        tool = se3.inverse(self.world_T_object()) @ torch.from_numpy(world_T_tool)
-        return self.pads_touch is not None and not self.pads_touch(tool)
-
-    def _commanded(self) -> Float[Tensor, "3"]:
-        """Where the tool is to be."""
-        return torch.from_numpy(self.kinematics.place(self._wanted)[0])
+    def _elsewhere(self, external: np.ndarray) -> bool:
+        """Whether torques (J) tell of a contact that is not at the hand."""
+        jacobian = self.kinematics.jacobian(self._joints_now())
+        least = max(self.control.threshold_nm, _SHARE * float(np.linalg.norm(external)))
+        return unexplained_by_hand(external, jacobian, self._hand_m) > least
 
     def configuration(self) -> Float[Tensor, "Q"]:
         """Measured x, y, in space z, and yaw of the gripper, by forward kinematics."""
@@ -243,28 +245,36 @@ class ArmWorld(World):
     def _step(self, position: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> Sample:
         """One control step: measure, command, let the engine step."""
         own, data, size = self.control, self.data, len(self._dof)
-        joints = data.qpos[self._gripper].copy()
+        joints = self._joints_now()
         speed = data.qvel[self._dof] + own.velocity_noise * self._random.standard_normal(size)
         mass, bias = self.dynamics.terms(joints, speed)
-        jacobian = self.kinematics.jacobian(joints)[list(_AXES)]
-        error = position - joints
-        if math.isfinite(self.physics.lead_m):
-            ahead = np.abs(jacobian @ error) / (self.physics.lead_m * np.array((1.0, 1.0, 1.0, 1.0 / LEVER_M)))
-            error = error / max(1.0, float(ahead.max()))
-        w = own.bandwidth
-        servo = mass @ (w * w * error + 2.0 * w * (velocity - speed))
-        torque = mass @ acceleration + bias + servo * self._share(mass, jacobian, servo)
+        hand, w = HandDynamics.of(mass, self.kinematics.jacobian(joints)), own.bandwidth
+        servo = w * w * (self._led(position, joints) - joints) + 2.0 * w * (velocity - speed)
+        torque = mass @ (acceleration + hand.pressed(servo, self._forces)) + bias
         limits = self.arm.torques
         data.ctrl[:] = torque = np.clip(torque, -limits, limits)
         self._mujoco.mj_step(self.model, data)
         return Sample(mass, bias, speed, torque + own.torque_noise_nm * self._random.standard_normal(size))
 
-    def _share(self, mass: np.ndarray, jacobian: np.ndarray, servo: np.ndarray) -> float:
-        """Largest share of the servo's torques by which the hand presses no harder than it may."""
-        across = np.linalg.solve(mass, jacobian.T)
-        inverse = jacobian @ across + 1e-9 * np.eye(len(_AXES))
-        force = np.linalg.solve(inverse, across.T @ servo)
-        return 1.0 / max(1.0, float((np.abs(force) / self._forces).max()))
+    def _led(self, wanted: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        """Joint positions for those asked for that lead the hand no farther than they may along each axis, level.
+
+        Where the arm would have to leap for that, as where it is stretched out, a part of what was asked for.
+        """
+        here = self.kinematics.pose(joints)
+        ahead = self.kinematics.pose(wanted) - here
+        ahead[3] = math.remainder(ahead[3], 2.0 * math.pi)
+        cut = np.clip(ahead, -self._lead, self._lead)
+        if np.array_equal(cut, ahead):
+            return wanted
+        found, error = self.kinematics.solve(here + cut, wanted)
+        if error <= REACHED_M and np.abs(found - joints).max() <= max(_LEAP, np.abs(wanted - joints).max()):
+            return found
+        return joints + (wanted - joints) * float((self._lead / np.maximum(np.abs(ahead), self._lead)).min())
+
+    def _joints_now(self) -> np.ndarray:
+        """Measured joint positions."""
+        return np.array(self.data.qpos[self._gripper])
 
     def _felt(self, samples: list[Sample], step_s: float) -> Float[Tensor, "T J"]:
         """Residuals of the momentum observer over samples, the first of which is the last of those before."""

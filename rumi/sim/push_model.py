@@ -15,10 +15,9 @@ from rumi.dynamics.base import (
     PushDefaults,
     PushModel,
     PushRollouts,
+    Stance,
     duplicates,
     representatives,
-    resting_height,
-    rests,
     rigid_motions,
 )
 from rumi.dynamics.registry import EngineSettings
@@ -230,7 +229,7 @@ class MujocoPush(PushModel):
         """Whether a tool in space has toppled nothing, or a level tool meets objects upright at one height."""
         if tool.spatial:
             return bool((world_T_object[:, 2, 2] >= _TILTED).all())
-        return rests(world_T_object)
+        return Stance.of(world_T_object).rests
 
     def rollouts(
         self,
@@ -247,7 +246,7 @@ class MujocoPush(PushModel):
             ValueError: particles do not stand upright at one height, where the tool is level.
         """
         if not tool.spatial:
-            resting_height(world_T_object)
+            Stance.of(world_T_object).checked()
         return MujocoRollouts(model, world_T_object, log_weights, tool, self.settings)
 
     def path(self, scene: Callable[[], Any] | None = None) -> MujocoPathPush:

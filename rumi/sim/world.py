@@ -137,11 +137,12 @@ class World:
         )
         control, position, lead, gripper = self.data.ctrl, self.data.qpos, self.physics.lead_m, self._gripper
         ahead = np.array([lead] * (len(gripper) - 1) + [lead / LEVER_M])
+        held = math.isfinite(lead)
 
         def drive(step: int) -> None:
             if step < steps:
                 control[:] = commands[step]
-                if math.isfinite(lead):
+                if held:
                     np.clip(control, position[gripper] - ahead, position[gripper] + ahead, out=control)
             self._advance()
 

@@ -10,6 +10,7 @@ from rumi.errors import UsageError
 from rumi.registration.pose_summary import PoseSummary
 from rumi.registry import Table
 from rumi.runs.folder import Run
+from rumi.viz.task_view import TaskView
 from sensors.reading import Reading
 
 S = TypeVar("S")
@@ -137,6 +138,10 @@ class TaskEntry(Protocol[S]):
             out: folder of the figures; made if need be.
             steps: that have a figure of their own, where the task draws such; by default the telling ones.
         """
+        ...
+
+    def view(self, run: Run) -> TaskView:
+        """What a viewer shows of a run's steps, by its settings and geometry; the run may have no step yet."""
         ...
 
 

@@ -15,7 +15,7 @@ from rumi.records import StepRecord
 from rumi.registration.pose_summary import PoseSummary
 from rumi.runs.export import StepEstimate
 from rumi.runs.progress import say
-from rumi.runs.scene_geometry import SceneGeometry
+from rumi.viz.task_view import TaskView
 from rumi.viz.viewer import ViewerRecording
 from rumi.viz.viewer_layout import layout
 from sdf.extras import optional
@@ -32,21 +32,19 @@ class LiveView:
 
     Args:
         name: of the run.
-        geometry: of the scene; None where the task tells none.
+        view: of its task.
         pose_of: the pose that the steps so far know of; None where they do not.
     """
 
-    def __init__(
-        self, name: str, geometry: SceneGeometry | None, pose_of: Callable[[list[Any]], PoseSummary | None]
-    ) -> None:
-        self._name, self._geometry, self._pose_of = name, geometry, pose_of
+    def __init__(self, name: str, view: TaskView, pose_of: Callable[[list[Any]], PoseSummary | None]) -> None:
+        self._name, self._view, self._pose_of = name, view, pose_of
         self._steps: list[Any] = []
 
     def __enter__(self) -> Self:
         rerun = optional("rerun", "--view")
         port, web = _free_ports()
         self._window = has_display()
-        words = [sys.executable, "-m", "rerun", "--bind", _HOST, "--port", str(port), "--hide-welcome-screen"]
+        words = [sys.executable, "-m", "rerun_cli", "--bind", _HOST, "--port", str(port), "--hide-welcome-screen"]
         if not self._window:
             words += ["--serve-web", "--web-viewer-port", str(web)]
         self._process = subprocess.Popen(
@@ -57,8 +55,8 @@ class LiveView:
             if not self._window:
                 say(f"no display: see the run in a browser here, http://{_HOST}:{web}?url={url.replace('+', '%2B')}")
             self._stream = rerun.RecordingStream("rumi", recording_id=self._name)
-            self._stream.connect_grpc(url, default_blueprint=layout(self._geometry, following=True))
-            self._recording = ViewerRecording(self._stream, self._geometry)
+            self._stream.connect_grpc(url, default_blueprint=layout(self._view, following=True))
+            self._recording = ViewerRecording(self._stream, self._view)
         except BaseException:  # of what is not entered nobody leaves
             self._stop()
             raise

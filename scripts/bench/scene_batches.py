@@ -1,4 +1,4 @@
-"""Belief updates, push rollouts and plans of scenes, alone and together: python -m scripts.bench.scene_batches."""
+"""Belief updates, rollouts, plans and runs of scenes, alone and together: python -m scripts.bench.scene_batches."""
 
 import json
 import time
@@ -7,13 +7,16 @@ from typing import Any
 
 import torch
 
+import rumi
 from kmppi import MPPI, MPPISettings
 from kmppi.types import Objective
 from rumi.belief.mixed_filter import MixedFilter
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
+from rumi.cache import cache_folder
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.quasi_static import QuasiStaticRollouts, QuasiStaticSettings
+from rumi.loop import run, run_scenes
 from rumi.robot.tool import Tool
 from sdf import se3
 from sdf.containers import index
@@ -151,9 +154,28 @@ def plans(count: int, samples: int) -> dict[str, float | str]:
     )
 
 
+def runs(count: int, steps: int) -> dict[str, float | str]:
+    """Whole runs with drawn mugs, simulators included: side by side, and each by itself."""
+    parts = [
+        rumi.build(rumi.preset("default", task="mug", steps=steps), cache_dir=cache_folder()) for _ in range(count)
+    ]
+    tasks, agents = [one.task for one in parts], [one.agent for one in parts]
+
+    def together() -> None:
+        run_scenes(tasks, agents, seeds=range(1000, 1000 + count), steps=steps)
+
+    return compared(
+        f"whole runs of {steps} actions",
+        count,
+        together,
+        lambda row: run(tasks[row], agents[row], seed=1000 + row, steps=steps),
+    )
+
+
 def main() -> None:
     """Print a JSON line for each case."""
     torch.set_num_threads(1)
+    print(json.dumps(runs(4, 4)), flush=True)
     for samples in (32, 500):
         print(json.dumps(plans(64, samples)), flush=True)
     for sizes in ((2, 5, 2, 4), (62, 15, 8, 16)):

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -57,6 +58,14 @@ class TriangleMesh:
         low, high = int(self.faces.min()), int(self.faces.max())
         if low < 0 or high >= len(self.vertices):
             raise MeshError(f"Expected faces of vertices 0 to {len(self.vertices) - 1}, got {low} to {high}")
+
+    @classmethod
+    def box(cls, low: Sequence[float], high: Sequence[float]) -> Self:
+        """The surface of a box along the axes, between two of its corners (x, y, z)."""
+        vertices = torch.tensor(list(itertools.product(*zip(low, high, strict=True))), dtype=torch.float64)
+        sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+        faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
+        return cls(vertices, torch.tensor(faces))
 
     @property
     def corners(self) -> Float[Tensor, "F 3 3"]:

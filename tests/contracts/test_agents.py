@@ -153,6 +153,23 @@ def test_the_same_seed_gives_the_same_run(live):
     assert told(result) == told(live.result)
 
 
+def test_its_run_beside_another_is_the_same(live):
+    """Two scenes step by step in turn: each is what it is alone."""
+    member, seeds = live.member, (live.member.settings.seed + 1, live.member.settings.seed)
+    seen: dict[int, list[str]] = {0: [], 1: []}
+    with member.build(member.settings) as other:
+        tasks, agents = (other.task, live.parts.task), (other.agent, live.parts.agent)
+        results = loop.run_scenes(
+            tasks,
+            agents,
+            seeds=seeds,
+            steps=member.steps,
+            on_step=lambda scene, record: seen[scene].append(digest(record.belief)),
+        )
+    assert seen[1] == [digest(record.belief) for record in live.records] != seen[0]
+    assert told(results[1]) == told(live.result)
+
+
 def test_an_update_leaves_the_state_before_as_it_was(live):
     task, agent = live.parts
     state = agent.begin(task.reset(live.member.settings.seed), seed=live.member.settings.seed, clock=Clock())

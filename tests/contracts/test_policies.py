@@ -17,7 +17,7 @@ from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.registry import EngineSettings
 from rumi.fields.workspace import Workspace
 from rumi.planning.gpvr import GPVRSettings
-from rumi.planning.policy import Plan, PlanRequest, Policy, Scene
+from rumi.planning.policy import Plan, PlanRequest, Policy, Scene, act_scenes
 from rumi.planning.registry import POLICIES
 from rumi.planning.rummaging import RummagingSettings
 from rumi.robot.tool import Tool
@@ -270,6 +270,27 @@ def test_samples_cost_alone_what_they_cost_together(
     assert len(whole) >= 2
     # some of them touch, so that they do not all cost the same
     assert all(len(costs.unique()) > 3 for costs in whole)
+
+
+def test_a_scene_of_a_batch_is_planned_as_alone(policy: Policy, scene: Scene) -> None:
+    """First plans and later ones, in contact and out of it: to the bit, whatever the others are."""
+    touched = torch.tensor([[0.36, 0.0, HEIGHT], [0.361, 0.002, HEIGHT]])
+    close = put(scene, (0.32, 0.0), 0.2, scene.observed, contact=True, touched=touched)
+    first = act(policy, scene, believed(), seed=7)
+    given = [(scene, believed(), None), (close, believed(20, 0.5), None), (close, believed(), first)]
+
+    def requests() -> list[PlanRequest]:
+        random = (torch.Generator().manual_seed(row) for row in range(3))
+        return [PlanRequest(b, s, p, executed=1, generator=one) for (s, b, p), one in zip(given, random, strict=True)]
+
+    together = act_scenes(policy, requests())
+    for plan, alone in zip(together, reversed([policy.act(one) for one in reversed(requests())]), strict=True):
+        assert torch.equal(plan.controls, alone.controls)
+        assert torch.equal(plan.path, alone.path)
+        assert plan.info == alone.info
+    shared = torch.Generator()
+    with pytest.raises(ValueError, match="a generator for each scene"):
+        act_scenes(policy, [PlanRequest(believed(), scene, generator=shared)] * 2)
 
 
 def test_double_precision(policy: Policy, scene: Scene, mug: ObjectModel) -> None:

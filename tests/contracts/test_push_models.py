@@ -1,6 +1,9 @@
 """Laws of every push model in each of its uses: rollouts, pushes along a path, motion; also of one from outside."""
 
 import importlib.util
+from collections.abc import Iterator
+from contextlib import nullcontext
+from dataclasses import replace
 from typing import NamedTuple
 
 import pytest
@@ -18,7 +21,7 @@ from rumi.fields.workspace import Workspace
 from rumi.robot.tool import Tool
 from rumi.tasks.touch_box.mujoco_scene import path_scene
 from rumi.tasks.touch_box.scene import TouchTask
-from sdf import se3
+from sdf import backend, gpu, se3
 from sdf.object_model import ObjectModel, object_model
 from sdf.primitives import Box
 from sdf.symmetry import Symmetries
@@ -48,6 +51,18 @@ def name(request: pytest.FixtureRequest, outside: None) -> str:
 @pytest.fixture(scope="module")
 def box() -> ObjectModel:
     return object_model("box", Box(list(HALF)), Symmetries.none(), spacing=0.002, points=20)
+
+
+@pytest.fixture(params=["", "warp"], ids=["default", "warp"])
+def own_version(request: pytest.FixtureRequest) -> Iterator[None]:
+    """What runs by default, then the versions for a GPU, on the CPU."""
+    if request.param and not gpu.available():
+        pytest.skip("without warp")
+    with backend.force(request.param) if request.param else nullcontext():
+        yield
+
+
+on_gpu_as_well = pytest.mark.usefixtures("own_version")
 
 
 def member(name: str, use: Use) -> PushModel:
@@ -127,6 +142,7 @@ def test_it_is_a_member(name: str) -> None:
     assert PushSettings(name).push_model == name
 
 
+@on_gpu_as_well
 def test_rollouts_out_of_reach_push_nothing(name: str, box: ObjectModel) -> None:
     found = roll(name, box, POSE, [BACK] * 3)
     assert not bool(found.touched.any())
@@ -134,12 +150,14 @@ def test_rollouts_out_of_reach_push_nothing(name: str, box: ObjectModel) -> None
     assert found.turns is None or float(found.turns.abs().max()) == 0.0
 
 
+@on_gpu_as_well
 def test_rollouts_that_stand_still_push_nothing(name: str, box: ObjectModel) -> None:
     found = roll(name, box, POSE, [[0.0, 0.0, 0.0]] * 2)
     assert float(found.displacements.abs().max()) == 0.0
     assert torch.equal(found.configurations, START.expand(1, 1, 3, 3))
 
 
+@on_gpu_as_well
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_rollouts_that_push_are_finite_and_forward(name: str, box: ObjectModel, dtype: torch.dtype) -> None:
     found = roll(name, box, POSE.to(dtype), [AHEAD] * 4)
@@ -152,6 +170,7 @@ def test_rollouts_that_push_are_finite_and_forward(name: str, box: ObjectModel, 
     assert 0.01 < float(found.displacements[0, 0, -1, 0]) <= way + 5e-3
 
 
+@on_gpu_as_well
 def test_mirrored_rollouts_mirror(name: str, box: ObjectModel) -> None:
     one, other = (
         roll(name, box, POSE * side, (torch.tensor([ASIDE] * 4) * side).tolist(), START * side)
@@ -165,6 +184,7 @@ def test_mirrored_rollouts_mirror(name: str, box: ObjectModel) -> None:
         torch.testing.assert_close(one.turns, -other.turns, atol=0.03, rtol=0)
 
 
+@on_gpu_as_well
 def test_a_row_of_rollouts_is_as_alone(name: str, box: ObjectModel) -> None:
     """Control sequences do not know each other."""
     model = rollouts(name, box, POSE[None])
@@ -175,6 +195,49 @@ def test_a_row_of_rollouts_is_as_alone(name: str, box: ObjectModel) -> None:
         alone = model.rollout(START, controls[row][None], **draw)
         assert torch.equal(alone.displacements[0], together.displacements[row])
         assert torch.equal(alone.contact[0], together.contact[row])
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_scene_of_a_batch_is_rolled_out_as_alone(name: str, box: ObjectModel, dtype: torch.dtype) -> None:
+    """Beliefs of three scenes, one of a toppled box that only some members push, and a batch of one."""
+    random = torch.Generator().manual_seed(1)
+    planar = POSE + torch.tensor([0.01, 0.01, 0.3]) * torch.randn(3, 4, 3, generator=random)
+    poses = placed(planar.to(dtype))
+    toppled = se3.exp(poses.new_tensor([0.0, 0.0, 0.0, 1.5, 0.0, 0.0]))
+    mixed = torch.stack((poses[0], poses[1] @ toppled))
+    starts, controls = START.to(dtype).expand(3, 3), poses.new_tensor([[AHEAD] * 3, [ASIDE] * 3]).expand(3, 2, 3, 3)
+    settings = replace(SETTINGS, push_model=name)
+    for batch, own in ((poses, settings), (poses[:1], settings), (mixed, replace(settings, push_model=AUTO))):
+        count = len(batch)
+        together = rolled(own, box, batch, starts[:count], controls[:count])
+        assert together.contact.any()
+        for row in range(count):
+            alone = rolled(own, box, batch[row], starts[row], controls[row], row)
+            exact = {"atol": 1e-10 if dtype == torch.float64 else 1e-6, "rtol": 0.0}
+            torch.testing.assert_close(together.displacements[row], alone.displacements, **exact)
+            torch.testing.assert_close(together.configurations[row], alone.configurations, **exact)
+            assert torch.equal(together.contact[row], alone.contact)
+            assert torch.equal(together.duplicate_of[row], alone.duplicate_of)
+            if alone.turns is not None:
+                torch.testing.assert_close(together.turns[row], alone.turns, **exact)
+
+
+def rolled(
+    settings: PushSettings, box: ObjectModel, poses: Tensor, start: Tensor, controls: Tensor, seed: int = 0
+) -> PushRollouts:
+    """Rollouts of a scene, or of some whose generators have the seeds from 0 on."""
+    dtype, batch = poses.dtype, poses.shape[:-3]
+    area = torch.tensor([[0.2, -0.3, HEIGHT], [0.7, 0.3, HEIGHT]])
+    workspace, model = Workspace.from_bounds(area, 0.01, planar_height=HEIGHT).to(dtype), box.to(dtype)
+    even = poses.new_zeros(poses.shape[:-2]).log_softmax(-1)
+    fields = information_field(model.sdf, poses, even, workspace.points)
+    found = PushModels(settings).rollouts(model, poses, even, tool(dtype), workspace, fields)
+    assert isinstance(found, RolloutModel)
+    seeds = range(batch[0]) if batch else (seed,)
+    random = [torch.Generator().manual_seed(one) for one in seeds]
+    nominal = found.coarse().nominal_rollout(start, controls[..., 0, :, :])
+    assert nominal.configurations.shape == (*batch, 1, 1, 4, 3)
+    return found.rollout(start, controls, rollouts=2, generator=random if batch else random[0])
 
 
 def test_paths_out_of_reach_push_nothing(name: str) -> None:

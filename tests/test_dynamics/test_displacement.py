@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from rumi.dynamics import tool_lookup
 from rumi.dynamics.base import PushRollouts
 from rumi.dynamics.contact import ContactField
 from rumi.dynamics.displacement_rollouts import DisplacementRollouts, DisplacementSettings, Hazard
@@ -19,6 +20,7 @@ from sdf import backend, se3
 from sdf.base import SDF
 from sdf.drill import Drill
 from sdf.primitives import Box, Mug, Sphere
+from sdf.voxel_grid import VoxelGrid
 
 F64 = torch.float64
 HEIGHT = 0.045
@@ -26,8 +28,11 @@ BOUNDS = torch.tensor([[0.0, -0.4, 0.0], [0.8, 0.4, 0.2]])
 FREE = torch.tensor([[-5.0, -5.0, 0.03], [5.0, 5.0, 0.3]])
 
 
-# every test of this file holds for the plain and for the compiled version
-pytestmark = pytest.mark.usefixtures("version")
+# every test of this file holds for the plain and for the compiled versions
+pytestmark = [
+    pytest.mark.usefixtures("version"),
+    pytest.mark.parametrize("version", ["torch", "numba", "warp"], indirect=True),
+]
 
 
 def workspace(dtype: torch.dtype, spacing: float = 0.01) -> Workspace:
@@ -323,8 +328,15 @@ def test_smallest_problems(horizon: int, generator: torch.Generator) -> None:
     assert bool(result.configurations.isfinite().all())
 
 
-def test_solid_fields_are_looked_up_at_the_tools_height(generator: torch.Generator) -> None:
-    """A field with layers, of which the one at the tool's height is the planar field, gives the same rollouts."""
+@pytest.mark.parametrize("looks", [True, False])
+def test_solid_fields_are_looked_up_at_the_tools_height(
+    looks: bool, generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A field with layers, of which the one at the tool's height is the planar field, gives the same rollouts.
+
+    So it does where the host may not look for the layer, as on a GPU.
+    """
+    monkeypatch.setattr(tool_lookup, "may_look", lambda *tensors: looks)
     planar = spread_field(F64, generator)
     below, above = torch.zeros_like(planar.probability.values), torch.ones_like(planar.probability.values)
     origin = planar.probability.origin - torch.tensor([0.0, 0.0, 0.01], dtype=F64)
@@ -403,6 +415,38 @@ def test_versions_agree(hazard: Hazard, dtype: torch.dtype, generator: torch.Gen
     # in float32 the last digit of a probability may fall on the other side of a number that was drawn
     assert float(same.double().mean()) > (0.995 if dtype == torch.float32 else 0.9999)
     assert 0.2 < float(found.touched.double().mean()) < 0.98
+
+
+@pytest.mark.parametrize("spatial", [False, True])
+@pytest.mark.parametrize("case", ["no contact", "one particle", "inside", "far", "standing still", "held by the arm"])
+def test_versions_agree_also_where_it_is_odd(case: str, spatial: bool, generator: torch.Generator) -> None:
+    field = spread_field(F64, generator, spatial, 1 if case == "one particle" else 5)
+    start, size = begin(F64, spatial), 4 if spatial else 3
+    tool = make_tool(F64, reaching=case == "held by the arm", spacing=0.03, spatial=spatial)
+    controls = 1.2 * torch.rand(8, 4, size, generator=generator, dtype=F64) - 0.4
+    if case == "no contact":
+        start = start - torch.tensor([2.0, 1.0, 0.0, 0.0], dtype=F64)[:size]
+    if case == "inside":
+        start[:2] = torch.tensor([0.4, 0.0])
+    if case == "far":
+        shift = torch.tensor([1e3, -400.0, 0.0], dtype=F64)
+        field = ContactField(*(type(grid)(grid.values, grid.origin + shift, grid.spacing) for grid in _grids(field)))
+        start[:2] += shift[:2]
+        tool.bounds[:, :2] *= 1e3
+    if case == "standing still":
+        controls = torch.zeros_like(controls)
+    model = DisplacementRollouts(field, tool)
+    draws = model.draw(8, 3, 4, generator=generator)
+    found = model.rollout_drawn(start, controls, draws)
+    with backend.force("torch"):
+        plain = model.rollout_drawn(start, controls, draws)
+    assert bool(plain.touched.any()) == (case not in ("no contact", "standing still"))
+    for name in ("configurations", "displacements", "contact"):
+        torch.testing.assert_close(getattr(found, name), getattr(plain, name), atol=1e-8, rtol=0)
+
+
+def _grids(field: ContactField) -> tuple[VoxelGrid, VoxelGrid]:
+    return field.probability, field.normal
 
 
 @pytest.mark.parametrize("hazard", get_args(Hazard))

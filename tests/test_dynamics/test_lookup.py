@@ -6,7 +6,7 @@ from torch import Tensor
 
 from rumi.dynamics.contact import ContactBound
 from rumi.dynamics.tool_lookup import FieldSampler, ToolField, at_height, placement, planar_features
-from sdf import backend
+from sdf import backend, gpu
 from sdf.voxel_grid import VoxelGrid
 
 DOUBLE = {"dtype": torch.float64}
@@ -117,7 +117,8 @@ def test_versions_agree(dtype: torch.dtype, shape: tuple[int, ...], radius: floa
     values = torch.rand(shape, generator=generator) * (torch.rand(shape, generator=generator) < 0.1)
     grid = VoxelGrid(values.to(dtype).mT.contiguous().mT, torch.zeros(3, dtype=dtype), 0.045)
     plain = ContactBound(grid, torch.zeros(1, 2, dtype=dtype), radius).grid
-    with backend.force("numba"):
-        found = ContactBound(grid, torch.zeros(1, 2, dtype=dtype), radius).grid
-    assert torch.equal(found.values, plain.values)
-    assert torch.equal(found.origin, plain.origin)
+    for version in ("numba", *[gpu.VERSION] * gpu.available()):
+        with backend.force(version):
+            found = ContactBound(grid, torch.zeros(1, 2, dtype=dtype), radius).grid
+        assert torch.equal(found.values, plain.values)
+        assert torch.equal(found.origin, plain.origin)

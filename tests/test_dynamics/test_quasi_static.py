@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rumi.dynamics.base import representatives, rests
+from rumi.dynamics.base import Stance, representatives
 from rumi.dynamics.outline import GridOutline, Support, support_of
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.quasi_static import QuasiStaticRollouts, QuasiStaticSettings
@@ -28,8 +28,11 @@ FREE = torch.tensor([[-5.0, -5.0], [5.0, 5.0]])
 COARSE = QuasiStaticSettings(mini_steps=4, spacing_m=0.01)
 
 
-# every test of this file holds for the plain and for the compiled version
-pytestmark = pytest.mark.usefixtures("version")
+# every test of this file holds for the plain and for the compiled versions
+pytestmark = [
+    pytest.mark.usefixtures("version"),
+    pytest.mark.parametrize("version", ["torch", "numba", "warp"], indirect=True),
+]
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +124,32 @@ def test_versions_agree(
     assert 0 < found.checked <= plain.checked <= 1
 
 
+@pytest.mark.parametrize("case", ["no contact", "one particle", "inside", "far", "standing still", "held by the arm"])
+def test_versions_agree_also_where_it_is_odd(
+    shape: tuple[GridOutline, Support], case: str, generator: torch.Generator
+) -> None:
+    poses, start, controls = scattered(generator, 5), START, walks(generator, 8, 4)
+    if case == "no contact":
+        start = START + torch.tensor([-1.0, 0.5, 0.0], dtype=torch.float64)
+    if case == "one particle":
+        poses = poses[:1]
+    if case == "inside":
+        start = poses[0]
+    if case == "far":
+        shift = torch.tensor([1e3, -400.0, 30.0], dtype=torch.float64)
+        poses, start = poses + shift, start + shift
+    if case == "standing still":
+        controls = torch.zeros_like(controls)
+    model = make(shape, poses, reaching=case == "held by the arm")
+    model.tool.bounds *= 1e3 if case == "far" else 1.0
+    found = model.rollout(start, controls, rollouts=4)
+    with backend.force("torch"):
+        plain = model.rollout(start, controls, rollouts=4)
+    assert bool(plain.touched.any()) == (case not in ("no contact", "standing still"))
+    for name in ("configurations", "displacements", "turns", "contact", "duplicate_of", "pivot"):
+        torch.testing.assert_close(getattr(found, name), getattr(plain, name), atol=1e-8, rtol=0)
+
+
 def test_each_rollout_has_its_own_draw_of_how_the_object_slides(
     shape: tuple[GridOutline, Support], generator: torch.Generator
 ) -> None:
@@ -210,7 +239,7 @@ def test_the_family_chooses_by_what_the_particles_do() -> None:
     tilted[1] = tilted[1] @ se3.make(so3.exp(torch.tensor([0.1, 0.0, 0.0])), torch.zeros(3))
     raised = standing.clone()
     raised[0, 2, 3] += 0.01
-    assert [rests(poses) for poses in (standing, standing[:1], tilted, raised)] == [True, True, False, False]
+    assert [Stance.of(poses).rests for poses in (standing, standing[:1], tilted, raised)] == [True, True, False, False]
 
 
 def test_the_outline_is_nowhere_steeper_than_it_says() -> None:

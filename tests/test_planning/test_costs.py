@@ -18,8 +18,11 @@ from sdf.voxel_grid import VoxelGrid
 DOUBLE = {"dtype": torch.float64}
 
 
-# every test of this file holds for the plain and for the compiled version
-pytestmark = pytest.mark.usefixtures("version")
+# every test of this file holds for all versions
+pytestmark = [
+    pytest.mark.usefixtures("version"),
+    pytest.mark.parametrize("version", ["torch", "numba", "warp"], indirect=True),
+]
 
 
 def sparse_field(shape: tuple[int, int, int], generator: torch.Generator, share: float = 0.3) -> VoxelGrid:

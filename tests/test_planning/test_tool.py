@@ -17,8 +17,11 @@ BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)
 SPACE = torch.tensor([[0.0, -0.4, 0.03], [0.8, 0.4, 0.2]], dtype=torch.float64)
 
 
-# every test of this file holds for the plain and for the compiled version
-pytestmark = pytest.mark.usefixtures("version")
+# every test of this file holds for the plain and for the compiled versions
+pytestmark = [
+    pytest.mark.usefixtures("version"),
+    pytest.mark.parametrize("version", ["torch", "numba", "warp"], indirect=True),
+]
 
 
 @pytest.fixture(scope="module")

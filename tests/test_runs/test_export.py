@@ -14,7 +14,7 @@ from rumi.registration.pose_summary import summarise_particles
 from rumi.runs.export import FORMATS, estimates_of
 from rumi.runs.export_files import roll_pitch_yaw
 from rumi.runs.folder import RunRecorder, load_run
-from rumi.tasks.registry import entry_of
+from rumi.tasks.registry import TASKS, entry_of
 from sdf import se3, so3
 from sdf.mesh.surface_nets import mesh_of
 from sdf.primitives import Box
@@ -169,3 +169,19 @@ def test_a_run_that_knows_no_pose_yet_is_refused(folder):
     blind = replace(run, steps=[SimpleNamespace(poses=None)])
     with pytest.raises(UsageError, match="which does not yet"):
         estimates_of(blind, entry_of(run).pose)
+
+
+@pytest.mark.parametrize(("name", "size"), [("touch-box", (0.06, 0.16, 0.1)), ("peg", (0.2, 0.1, 0.06))])
+def test_the_object_of_a_task_that_knows_its_measures_needs_no_file(name, size, tmp_path):
+    from rumi.commands.export import object_mesh
+    from rumi.runs.folder import Run
+
+    entry = TASKS[name]
+    mesh = object_mesh(Run(tmp_path, entry.as_dict(entry.preset("default")), None, [], None))
+    low, high = mesh.bounds
+    np.testing.assert_allclose((high - low).numpy(), size, atol=1e-12)
+    np.testing.assert_allclose((high + low)[:2].numpy(), 0.0, atol=1e-12)
+    assert low[2] == 0.0, "it stands on its frame's floor"
+    a, b, c = mesh.corners.unbind(1)
+    volume = float((a * torch.linalg.cross(b, c)).sum() / 6.0)
+    assert volume == pytest.approx(size[0] * size[1] * size[2]), "closed, and counter-clockwise from outside"

@@ -17,10 +17,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def test_a_little_training_explains_what_was_held_out_better():
     random, true = torch.Generator().manual_seed(0), ContactModel(*example.TRUE)
-    data, held = record(true, 16, 12, random), record(true, 16, 12, random)
+    data, held = record(true, 16, 8, random), record(true, 16, 8, random)
     sensor = ContactModel(*example.START, trainable=True)
     before = example.held_out(sensor, held)
-    train(sensor, *data, particles=60, steps=12)
+    train(sensor, *data, particles=40, steps=10)
     assert example.held_out(sensor, held) < before - 0.2
     assert all(value > 0 for value in example.physical(sensor))
 
@@ -38,7 +38,7 @@ def test_the_curvature_is_that_of_the_log_evidence_without_resampling():
 
 
 def test_the_whole_example_in_small(tmp_path):
-    options = example.Options(episodes=6, particles=30, steps=3, seeds=(1000, 1), out=tmp_path)
+    options = example.Options(episodes=5, touches=3, particles=20, steps=2, seeds=(1000, 1), out=tmp_path)
     lines = example.main(options)
     written = (tmp_path / "contact_sensor.jsonl").read_text().splitlines()
     assert json.loads(written[0]) == lines[0] and len(written) == 2

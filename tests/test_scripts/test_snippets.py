@@ -167,6 +167,8 @@ def test_a_filter_to_learn_through(model):
     from rumi.belief.contact_evidence import ContactSignalEvidence
     from rumi.belief.evidence_filter import EvidenceFilter, SystematicResampler
     from rumi.belief.particles import PoseBelief
+    from rumi.belief.prior import PlanarPrior
+    from rumi.belief.rejuvenation import rejuvenate
     from sensors.touch.contact_model import ContactModel
 
     given = {
@@ -177,6 +179,23 @@ def test_a_filter_to_learn_through(model):
     }  # fmt: skip
     exec(code(HOW_TO / "learning.md", "track = EvidenceFilter"), given)
     assert math.isfinite(float(given["log"].sum()))
+    given |= {
+        "rejuvenate": rejuvenate, "prior": PlanarPrior(torch.zeros(1, 3), torch.ones(3)),
+        "every": ContactSignalEvidence(model.sdf, given["probes"], given["sensor"], given["signals"]),
+    }  # fmt: skip
+    given["info"] = given["info"]._replace(resampled=torch.tensor(True))
+    exec(code(HOW_TO / "learning.md", "belief = rejuvenate"), given)
+    assert given["belief"].attached_T_object[:, 0, 3].unique().numel() > 1
+
+
+def test_scenes_side_by_side():
+    from rumi.loop import Last
+    from tests.test_loop import Counter, Told
+
+    given = {"tasks": [Told(), Told()], "agents": [Counter(enough=2), Counter(idle=1)]}
+    exec(code(HOW_TO / "learning.md", "from rumi.loop"), given)
+    assert given["results"] == [(2, "sure", "grasp"), (1, "nothing to do", "grasp")]
+    assert given["actions"] == ["on", Last("grasp")]
 
 
 @pytest.mark.sim

@@ -1,11 +1,12 @@
 """Accounts of what was skipped."""
 
 import pytest
+import torch
 
 from sdf.skipped_work import Work, account, work
 
 
-def do(done: float, whole: float, name: str = "points") -> None:
+def do(done: float | torch.Tensor, whole: float, name: str = "points") -> None:
     with work(name) as mine:
         mine.count(done, whole)
 
@@ -53,3 +54,16 @@ def test_no_time_is_kept_of_work_unlike_the_rest() -> None:
         mine.count(1, 100)
     assert kept.works["sums"].seconds == 0.0
     assert kept.skipped() == {"sums": 0.99}
+
+
+def test_what_a_gpu_counts_is_pending_until_it_is_fetched(monkeypatch) -> None:
+    monkeypatch.setattr("sdf.skipped_work.may_look", lambda number: False)
+    with account() as kept:
+        do(torch.tensor(1), 4)
+        do(torch.tensor(2.0), 4)
+        do(torch.tensor(3), 8, "sums")
+        do(1, 2)
+    assert [float(number) for number in kept.pending()] == [1.0, 2.0, 3.0]
+    kept.settle([1.0, 2.0, 3.0])
+    assert kept.pending() == []
+    assert kept.skipped() == {"points": 0.6, "sums": 0.625}

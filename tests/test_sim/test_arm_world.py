@@ -139,19 +139,52 @@ def test_a_start_out_of_reach_is_told():
         arm_world().reset(torch.tensor((1.5, 0.0, 0.0)), FAR)
 
 
-def test_it_stops_where_a_link_touches_what_the_pads_do_not_feel():
-    def moved(pads_touch) -> tuple[ArmWorld, float]:
-        # a tall heavy block beside the wrist, which the tool alone would pass
-        world = arm_world(shape=Box((0.06, 0.06, 0.30)), physics=PhysicsSettings(mass_kg=4.0))
-        world.pads_touch = pads_touch
-        world.reset(START, torch.tensor((0.02, 0.13, 0.0)))
-        track = world.move(line(START, START + torch.tensor((0.0, 0.10, 0.0))), 1.0, 0.1)
-        assert world.links_touch.any()
-        return world, float(track.refused_m)
+def test_it_stops_where_a_link_touches():
+    # a tall heavy block beside the wrist, which the tool alone would pass
+    world = arm_world(shape=Box((0.06, 0.06, 0.30)), physics=PhysicsSettings(mass_kg=4.0))
+    world.reset(START, torch.tensor((0.02, 0.13, 0.0)))
+    track = world.move(line(START, START + torch.tensor((0.0, 0.10, 0.0))), 1.0, 0.1)
+    assert world.links_touch.any() and world.signals.any() and track.refused_m > 0.01
 
-    world, refused = moved(lambda _: False)
-    assert world.signals.any() and refused > 0.01
-    assert moved(lambda _: True)[1] == 0.0
+
+def test_what_palm_and_pads_push_does_not_stop_it():
+    for y in (0.0, 0.10):  # ahead of the pads, beside the palm
+        world = arm_world(shape=Box((0.06, 0.06, 0.08)), physics=PhysicsSettings(mass_kg=4.0))
+        world.reset(START, torch.tensor((0.30, 0.0, 0.0)) if y == 0.0 else torch.tensor((0.13, y, 0.0)))
+        way = torch.tensor((0.08, 0.0, 0.0)) if y == 0.0 else torch.tensor((0.0, 0.08, 0.0))
+        track = world.move(line(START, START + way), 1.0, 0.1)
+        assert world.signals.sum() > 5 and not world.links_touch.any()
+        assert track.refused_m == 0.0
+        torch.testing.assert_close(track.configuration[-1].float(), START + way, atol=5e-3, rtol=0)
+
+
+def pressing() -> ArmWorld:
+    """An arm that has pressed obliquely on what does not give way."""
+    drive = {"max_force_n": 25.0, "max_lift_n": 15.0, "max_torque_nm": 4.0, "lead_m": 0.006}
+    world = arm_world(height_m=None, physics=PhysicsSettings(mass_kg=300.0, friction=0.1, **drive))
+    start = torch.tensor((0.30, 0.0, 0.06, 0.0))
+    world.reset(start, torch.tensor((0.42, -0.06, 0.0)))
+    world.pressed = world.move(line(start, torch.tensor((0.36, 0.0, 0.08, 0.3))), 1.0, 0.1)
+    return world
+
+
+def test_a_hand_that_is_held_stays_level_and_goes_where_it_can():
+    world = pressing()
+    track = world.pressed
+    tilt = torch.acos(track.world_T_tool[:, 2, 2].clamp(-1.0, 1.0))
+    assert world.signals[-5:].all() and float(track.configuration[-1, 0]) < 0.345
+    assert tilt.max() < math.radians(1.5)
+    # along z and about it, where nothing is in the way
+    assert abs(float(track.configuration[-1, 2]) - 0.08) < 4e-3
+    assert abs(float(track.configuration[-1, 3]) - 0.3) < 0.03
+
+
+def test_it_draws_back_from_what_it_pressed_on():
+    world = pressing()
+    here, back = world.configuration().float(), torch.tensor((0.28, 0.0, 0.06, 0.0))
+    track = world.move(line(here, back), 1.0, 0.1)
+    assert track.refused_m == 0.0 and not world.signals[4:].any()
+    torch.testing.assert_close(track.configuration[-1].float(), back, atol=1e-3, rtol=0)
 
 
 @pytest.mark.parametrize("source", [weighed(ArmGeometry().urdf()), motors()], ids=["urdf", "mjcf"])

@@ -12,7 +12,7 @@ from rumi.commands import recordings
 from rumi.commands import view as command
 from rumi.runs.folder import RunRecorder
 from rumi.viz import live
-from rumi.viz.viewer_layout import CURVES
+from rumi.viz.rummaging_view import PLOTS, RummagingView
 from sensors.contact_reading import ContactReading, WrenchTouch
 from sensors.reading import FORCE
 from tests.fixtures.made_up_run import make_up
@@ -64,7 +64,7 @@ def test_a_recording_holds_scene_curves_and_reasons(folder, monkeypatch, capsys)
     assert data[:4] in (b"RRF2", b"RRIO", b"RRF3") and len(data) > 10_000
     for entity in SHOWN:
         assert entity.encode() in data, entity
-    for curve in CURVES:
+    for curve in PLOTS:
         assert f"curves/{curve}".encode() in data, curve
     assert {one.name for one in folder.iterdir()} >= {"run.rrd"} and not list(folder.glob(".*"))
 
@@ -127,11 +127,11 @@ def test_a_live_view_shows_what_a_recording_holds(display, tmp_path, monkeypatch
     stream = rerun.RecordingStream
     to_file = lambda self, url, default_blueprint: stream.save(self, tmp_path / "run.rrd", default_blueprint)  # noqa: E731
     monkeypatch.setattr(stream, "connect_grpc", to_file)
-    with live.LiveView("run", made.geometry, lambda steps: steps[-1].belief.summary()) as view:
+    with live.LiveView("run", RummagingView(made.geometry), lambda steps: steps[-1].belief.summary()) as view:
         for step in made.steps:
             view(step)
     data = (tmp_path / "run.rrd").read_bytes()
-    for entity in (*SHOWN, *(f"curves/{name}" for name in CURVES)):
+    for entity in (*SHOWN, *(f"curves/{name}" for name in PLOTS)):
         assert entity.encode() in data, entity
     words = opened[0].words
     assert words[words.index("--bind") + 1] == "127.0.0.1"
@@ -148,7 +148,7 @@ def served(monkeypatch):
     def view(process):
         monkeypatch.setattr(live.subprocess, "Popen", lambda *words, **more: process)
         monkeypatch.setattr(live.os, "killpg", process.end)
-        return live.LiveView("run", None, lambda steps: None)
+        return live.LiveView("run", RummagingView(None), lambda steps: None)
 
     return view
 

@@ -104,6 +104,6 @@ def rollouts(setup: Setup) -> Case:
         facts={
             "error": "share of rollouts with another outcome for the same draws",
             "rollouts that touch": round(float(once.touched.double().mean()), 3),
-            "contact checks done point by point": round(once.checked, 3),
+            "contact checks done point by point": round(float(once.checked), 3),
         },
     )

@@ -21,6 +21,7 @@ from rumi.tasks.handle.simulated import HandleTask
 from rumi.tasks.registry import Role, check_preset, check_seed
 from rumi.tasks.rummage.entry import describe, ending, recorded_pose
 from rumi.tasks.rummage.settings import PRESETS
+from rumi.viz.rummaging_view import RummagingView
 from sensors.contact_reading import ContactReading
 
 COUNTED = (
@@ -145,6 +146,10 @@ class _Handle:
         from rumi.viz.figures import make_figures
 
         return make_figures(run, out, steps)
+
+    def view(self, run: Run) -> RummagingView:
+        """Points, tool, contacts and the plan with the information that it went for."""
+        return RummagingView(run.geometry)
 
 
 HANDLE = _Handle()

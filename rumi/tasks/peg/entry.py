@@ -18,7 +18,9 @@ from rumi.tasks.peg.faulty import KINDS
 from rumi.tasks.peg.records import PARTS, PegRun, PegStep
 from rumi.tasks.peg.settings import PegSettings
 from rumi.tasks.peg.simulated import PegTask
+from rumi.tasks.peg.view import PegView
 from rumi.tasks.registry import Role, check_preset, check_seed
+from sdf.mesh.mesh import TriangleMesh
 from sensors.reading import Reading
 
 _KINDS = ("nothing", "side", "top")
@@ -120,6 +122,15 @@ class _Peg:
         from rumi.tasks.peg.figures import draw_run
 
         return draw_run(PegRun.of(run, self.from_dict(run.settings).settings), out)
+
+    def mesh(self, settings: PegRunSettings) -> TriangleMesh:
+        """Of the block without its holes, in its own frame, for exports."""
+        (x, y), height = settings.settings.block.half_m, settings.settings.height_m
+        return TriangleMesh.box((-x, -y, 0.0), (x, y, height))
+
+    def view(self, run: Run) -> PegView:
+        """The block with its holes, the motions that were weighed, and what was touched."""
+        return PegView(self.from_dict(run.settings).settings)
 
 
 PEG = _Peg()

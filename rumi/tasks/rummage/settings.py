@@ -25,6 +25,8 @@ from rumi.sim.faults import Faults
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.objects import ObjectSettings
+from sdf import gpu
+from sdf.extras import remedy
 
 Preset = Literal["default", "fast", "paper"]
 
@@ -113,10 +115,12 @@ class Settings:
         """The device.
 
         Raises:
-            UsageError: there is no such device here.
+            UsageError: there is no such device here, or nothing to plan on it with.
         """
         if self.device == "cuda" and not torch.cuda.is_available():
             raise UsageError("There is no CUDA device that this PyTorch can use: leave out --device cuda")
+        if self.device == "cuda" and not gpu.available():
+            raise UsageError(f"Planning on a GPU needs warp: {remedy('warp')}, or leave out --device cuda")
         return torch.device(self.device)
 
     @property

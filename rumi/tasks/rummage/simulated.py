@@ -144,9 +144,7 @@ class SimTask:
             return kind(body, self.shape, height, settings.time_step_s, physics)
         if settings.sensors.wrist_force:
             raise UsageError("Expected --robot gripper with a wrist's force sensor, which the arm does not carry")
-        world = ArmWorld(body, self.shape, height, settings.time_step_s, physics, arm=self._arm)
-        world.pads_touch = lambda object_T_tool: bool(self._felt(object_T_tool[None].float()).any())
-        return world
+        return ArmWorld(body, self.shape, height, settings.time_step_s, physics, arm=self._arm)
 
     def _draw_errors(self, seed: int) -> None:
         """Draw what is wrong with the robot of a run, each from a stream of its own."""
@@ -319,8 +317,9 @@ class SimTask:
     def _sense(self, before: Float[Tensor, "4 4"], track: Track, refused: Tensor) -> Reading:
         measured = self._measured(before, track)
         configuration = self._offset.taken(track.configuration).float()
-        tool_pose = self._taken_pose(track)
-        object_T_tool = (se3.inverse(track.world_T_object) @ self._true_pose(track).double()).float()
+        true = self._true_pose(track)
+        tool_pose = self._taken_pose(track, true)
+        object_T_tool = (se3.inverse(track.world_T_object) @ true.double()).float()
         touched = self._felt(object_T_tool)
         if self.settings.pads != PadErrors():
             touched = self._pad_faults.felt(touched)
@@ -354,9 +353,8 @@ class SimTask:
         """Where the tool was."""
         return self.tool.pose(track.configuration.float()) if track.world_T_tool is None else track.world_T_tool.float()
 
-    def _taken_pose(self, track: Track) -> Float[Tensor, "K 4 4"]:
+    def _taken_pose(self, track: Track, true: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K 4 4"]:
         """Where the robot takes its tool to have been."""
-        true = self._true_pose(track)
         if self._offset.none:
             return true
         level = self.tool.pose(self._offset.taken(track.configuration).float())

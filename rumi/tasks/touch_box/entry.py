@@ -23,6 +23,8 @@ from rumi.tasks.touch_box.records import PARTS, TouchRun, TouchStep
 from rumi.tasks.touch_box.robot import TouchBox
 from rumi.tasks.touch_box.scene import TouchTask
 from rumi.tasks.touch_box.settings import TouchSettings
+from rumi.tasks.touch_box.view import TouchView
+from sdf.mesh.mesh import TriangleMesh
 from sensors.reading import Reading
 
 
@@ -165,6 +167,16 @@ class _TouchBox:
 
         settings = self.from_dict(run.settings)
         return draw_run(TouchRun.of(run), settings.task, settings.settings.threshold, out)
+
+    def mesh(self, settings: TouchBoxSettings) -> TriangleMesh:
+        """Of the box, in its own frame, for exports."""
+        (x, y), height = settings.task.half, settings.task.height_m
+        return TriangleMesh.box((-x, -y, 0.0), (x, y, height))
+
+    def view(self, run: Run) -> TouchView:
+        """The box, the pokes that were weighed, what was felt and the best grasp."""
+        settings = self.from_dict(run.settings)
+        return TouchView(settings.task, settings.settings)
 
 
 TOUCH_BOX = _TouchBox()

@@ -7,7 +7,8 @@ import torch
 from rumi.belief.particles import PoseBelief
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.pushed_body import PushedBody
-from rumi.dynamics.quasi_static import QuasiStaticPush, QuasiStaticSettings
+from rumi.dynamics.quasi_static import QuasiStaticSettings
+from rumi.dynamics.quasi_static_push import QuasiStaticPush
 from rumi.robot.gripper import GripperShape
 from rumi.tasks.rummage.learnt_pushes import learnt_pushes
 from sdf import se3

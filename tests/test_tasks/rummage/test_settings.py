@@ -148,6 +148,14 @@ def test_device_and_dtype(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(UsageError, match="no CUDA device"):
         _ = preset(device="cuda").torch_device
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr("sdf.gpu.available", lambda: False)
+    with pytest.raises(UsageError, match=r"needs warp: pip install .*gpu.*, or leave out --device cuda"):
+        _ = preset(device="cuda").torch_device
+    monkeypatch.setattr("sdf.gpu.available", lambda: True)
+    assert preset(device="cuda").torch_device == torch.device("cuda")
+    assert any("timed on none" in note for note in TASKS["mug-0"].check(preset(device="cuda")))
+    assert not TASKS["mug-0"].check(preset())
 
 
 def test_a_replay_believes_by_the_push_model_of_its_run(monkeypatch):
