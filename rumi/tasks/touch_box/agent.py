@@ -121,7 +121,7 @@ class Toucher:
         """What is not measured, and may make the belief sure and wrong."""
         return (
             f"the box's motion is not measured, but taken from the push model {self.settings.push_model}: the belief "
-            "may end sure and wrong (94 of 100 runs on record lifted the box: scripts/docs/results/touch_box.md)",
+            "may end sure and wrong (96 of 100 runs on record lifted the box: scripts/docs/results/touch_box.md)",
         )
 
     def candidates(self, belief: TrajectoryBelief, *, generator: torch.Generator) -> Float[Tensor, "C K1 3"]:
