@@ -156,7 +156,7 @@ class PushModels:
         together are.
         """
         several = world_T_object.ndim > 3
-        names = {self.chosen(poses, tool) for poses in (world_T_object if several else world_T_object[None])}
+        names = {self.chosen(poses, tool) for poses in (world_T_object if several else (world_T_object,))}
         member = self._member(names.pop())
         if several and (names or not member.takes_scenes(world_T_object)):
             rows = enumerate(zip(world_T_object, log_weights, strict=True))

@@ -18,6 +18,7 @@ OTHERS = {
     "cluster": ["submitit"],
     "view": ["rerun"],
     "gym": ["gymnasium"],
+    "gpu": ["warp"],
     "stress": ["hypothesis"],
     "docs": ["sphinx", "myst_parser", "furo"],
     "dev": ["gymnasium", "pytest", "xdist", "hypothesis", "beartype", "ruff", "mypy", "importlinter", "igl"],
