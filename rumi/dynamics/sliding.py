@@ -239,7 +239,7 @@ def push(
             object's tool, where these differ. A negative one is how deep its points go in before they touch.
         passes: contacts that are settled, at most.
     """
-    thick = torch.as_tensor(thickness).to(pose).expand(len(pose))
+    thick = thickness if isinstance(thickness, Tensor) else pose.new_full((len(pose),), thickness)
     start, touched = pose, torch.zeros(len(pose), dtype=torch.bool, device=pose.device)
     rows = torch.arange(len(pose), device=pose.device)
     placed = after[:, None, :2] + rotated(points_t, after[:, None, 2])
