@@ -226,7 +226,7 @@ class PoseTrajectoryFilter(PoseFilter):
             random: of the draws.
         """
         felt, spans = felt_pads(reading, self.model, self.own), list[int]()
-        if self.own.first_particles > len(now) and not len(now.history.moving()):
+        if self.own.first_particles > len(now) and len(now.starts) and not len(now.history.moving()):
             now = self._drawn_again(now, random)
             log_weights = normalise(now.pose.new_zeros(len(now)))
         for place, instants in enumerate(parts):

@@ -319,6 +319,20 @@ PUSH = torch.stack((torch.linspace(-0.10, -0.06, 8), torch.full((8,), 0.012), to
 AWAY = PUSH - torch.tensor([0.1, 0.0, 0.0], **DOUBLE)
 
 
+@pytest.mark.parametrize("starts", [True, False])
+def test_a_first_touch_is_met_by_more_particles_where_starts_are_known(block, model, starts):
+    """Nothing is left open where a motion has begun anew from particles alone: those that there are meet it."""
+    followed = follow(block, model, first_particles=200, tool_off_m=0.001)
+    belief, memory = begin(followed)
+    now = belief.trajectories
+    if not starts:
+        fresh = Trajectories.drawn(now.pose.clone(), History.empty(), generator(2), systematic=now.systematic)
+        belief = replace(belief, trajectories=fresh)
+    after, _, info = followed(belief, memory, felt_by(0 * PUSH, PUSH, block), generator=generator(1))
+    assert bool(info.moved) and len(after.trajectories) == OWN.particles
+    assert bool(torch.isfinite(after.world_T_object).all())
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_the_filter_follows_a_push_that_nothing_measures(block, model, dtype):
     followed = follow(block, model, dtype)

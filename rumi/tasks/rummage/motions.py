@@ -151,13 +151,9 @@ def trajectory_filter(
     spacing = settings.trajectories.pad_spacing_m
     if is_planar(spec) and not isinstance(model.exact, Mug):
         settings = replace(settings, trajectories=settings.trajectories.for_others())
-    if settings.stated_errors == "noise":
-        settings = replace(settings, trajectories=as_accurate(settings.trajectories, simulator))
-    elif is_planar(spec):
-        own = as_inexact(settings.trajectories, simulator, model.sdf.bounds)
-        settings = replace(settings, trajectories=own)
-    else:
-        raise UsageError("Expected --filter.stated-errors noise in space, where no particle has errors of its own")
+    own, systematic = settings.trajectories, settings.stated_errors == "systematic"
+    own = as_inexact(own, simulator, model.sdf.bounds) if systematic else as_accurate(own, simulator)
+    settings = replace(settings, trajectories=own)
     if is_planar(spec):
         pushed = PushedObject.of(
             discrepancy.sdf,
@@ -218,13 +214,16 @@ def push_posterior_of(planner: PushSettings) -> PushPosterior | None:
 def check_pushing(spec: TaskSpec, settings: Settings) -> None:
     """Refuse models that push upright objects, most of them with a level tool, where the task has others."""
     push_posterior_of(settings.planner)  # a file that is none is told before anything is done
-    if settings.simulator.sensors.wrist_force and not (
-        is_planar(spec) and followed(spec, settings).motion == "trajectory"
+    following = settings.filter
+    systematic = following.stated_errors == "systematic" or following.trajectories.systematic
+    for flag, asked, why in (
+        ("simulator.sensors.wrist-force", settings.simulator.sensors.wrist_force, "nothing else takes in a force"),
+        ("filter.stated-errors systematic", systematic, "no other particles have errors of their own"),
     ):
-        raise UsageError(
-            "Expected --filter.motion trajectory, an upright object and a level tool with "
-            "--simulator.sensors.wrist-force: nothing else takes in a force"
-        )
+        if asked and not (is_planar(spec) and followed(spec, settings).motion == "trajectory"):
+            raise UsageError(
+                f"Expected --filter.motion trajectory, an upright object and a level tool with --{flag}: {why}"
+            )
     if settings.filter.motion == "trajectory":
         check_trajectory(settings)
         if is_planar(spec) and spec.prior is not None:

@@ -73,8 +73,12 @@ def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
 
 
 @pytest.mark.usefixtures("at_home")
-def test_systematic_errors_are_refused_in_space(cache):
-    settings = preset(task="box", conditions="lab")
-    settings = replace(settings, filter=replace(settings.filter, stated_errors="systematic"))
-    with pytest.raises(UsageError, match=r"Expected --filter\.stated-errors noise in space"):
+@pytest.mark.parametrize(
+    "errors", [{"stated_errors": "systematic"}, {"trajectories": replace(OWN, tool_off_m=0.001)}], ids=["all", "one"]
+)
+@pytest.mark.parametrize("task", ["box", "drawn-shelf-mug"])
+def test_systematic_errors_are_refused_where_no_particle_has_its_own(cache, errors, task):
+    settings = preset(task=task, conditions="lab")
+    settings = replace(settings, filter=replace(settings.filter, **errors))
+    with pytest.raises(UsageError, match="no other particles have errors of their own"):
         build(settings, cache_dir=cache)
