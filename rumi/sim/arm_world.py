@@ -21,7 +21,7 @@ from rumi.sim.robot_arm import RobotArm
 from rumi.sim.robot_dynamics import MujocoDynamics
 from rumi.sim.scene import compiled, scene_spec
 from rumi.sim.settings import PhysicsSettings
-from rumi.sim.world import LEVER_M, Track, World
+from rumi.sim.world import LEVER_M, Guard, Track, World
 from sdf.base import SDF
 from sdf.bounds import Checked, NotNegative, Positive
 from sensors.force.momentum_observer import DynamicsTerms, MomentumObserver, external_torque
@@ -171,7 +171,7 @@ class ArmWorld(World):
         self._felt(samples, float(self.model.opt.timestep))
         self._rest, self._last = self._residual, samples[-1:]
 
-    def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float) -> Track:
+    def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float, guard: Guard | None = None) -> Track:
         """Move the tool through targets spread evenly over `action_s` as far as the arm can, then hold.
 
         It stops where its torques tell in two parts on end of a contact that is against its way and not at the hand:
@@ -185,18 +185,21 @@ class ArmWorld(World):
         position, velocity, acceleration = way.sampled(step_s, int(ends[-1]))
         tools, signals, links = [], [], []
         samples, touched, against = self._last, False, 0
+        over, late, hold = self._ending(guard, hold_s)
         stopped: np.ndarray | None = None
         zero = np.zeros(len(self._dof))
 
-        def drive(step: int) -> None:
-            nonlocal touched
-            if stopped is None:
+        def drive(step: int | None) -> None:
+            nonlocal touched, stopped
+            if step is None and stopped is None:
+                stopped = self._joints_now()
+            if stopped is None and step is not None:
                 samples.append(self._step(position[step], velocity[step], acceleration[step]))
             else:
                 samples.append(self._step(stopped, zero, zero))
             touched = touched or self._link_touches()
 
-        def ended(index: int, steps: int) -> None:
+        def ended(index: int, steps: int) -> bool:
             nonlocal samples, touched, against, stopped
             external, samples = self._felt(samples, step_s).mean(0) - self._rest, samples[-1:]
             tools.append(self._world_T_tool())
@@ -207,13 +210,17 @@ class ArmWorld(World):
             against = against + 1 if resisted and self._elsewhere(external.numpy()) else 0
             if stopped is None and against == _TOLD:
                 stopped = self._joints_now()
+            return over is not None and over(index, steps)
 
-        states = self._through(ends.tolist(), drive, ended)
+        states = self._through(ends.tolist(), drive, ended, late, hold)
+        guarded = len(states) < len(ends)
+        if guarded:
+            tools[-1] = self._world_T_tool()  # after the hold, as the state
         self._last = samples
         if not signals[-1]:
             self._rest = self._residual
         wanted = way.joints[-1] if stopped is None else stopped
-        whole = way.arrived == len(ends) and stopped is None
+        whole = guarded or (way.arrived == len(ends) and stopped is None)
         place = torch.from_numpy(self.kinematics.place(wanted)[0])
         refused = 0.0 if whole else float((place - poses[-1, :3, 3]).norm())
         self._wanted = self._led(wanted, self._joints_now())
@@ -230,6 +237,11 @@ class ArmWorld(World):
     def configuration(self) -> Float[Tensor, "Q"]:
         """Measured x, y, in space z, and yaw of the gripper, by forward kinematics."""
         return self._configurations(torch.from_numpy(self._world_T_tool())[None])[0]
+
+    def now(self) -> Track:
+        """The present instant, with the tool as it hangs."""
+        pose = torch.from_numpy(self._world_T_tool())[None]
+        return Track(self._configurations(pose), self.world_T_object()[None], pose)
 
     def _configurations(self, world_T_tool: Float[Tensor, "K 4 4"]) -> Float[Tensor, "K Q"]:
         yaw = torch.atan2(world_T_tool[:, 1, 0], world_T_tool[:, 0, 0])[:, None]

@@ -65,6 +65,10 @@ class Fault:
         """What the hand reports of an action."""
         return reading
 
+    def touched(self, felt: bool, hand: Hand) -> bool:
+        """Whether the hand takes itself to touch something at an instant, where it would feel that it does or not."""
+        return felt
+
     def seen(self, view: Observation, before: Sequence[Observation]) -> Observation:
         """What the camera reports, and the views that it gave before."""
         return view

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from rumi.sim.world import Track, World
+from rumi.sim.world import Guard, Track, World
 
 
 class WrenchTrace(NamedTuple):
@@ -33,13 +33,14 @@ class ForceSensingWorld(World):
     _own: int | None = None
     _steps: list[tuple[np.ndarray, np.ndarray]] | None = None
 
-    def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float) -> Track:
+    def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float, guard: Guard | None = None) -> Track:
         """Drive the gripper as `World.move` does."""
         began, self._steps = float(self.data.time), []
-        track = super().move(targets, action_s, hold_s)
+        track = super().move(targets, action_s, hold_s, guard)
         configuration, wrench = (np.stack(rows) for rows in zip(*self._steps, strict=True))
         stamp = began + float(self.model.opt.timestep) * (1.0 + np.arange(len(wrench)))
-        ends = np.array(self._ends(len(targets), action_s, hold_s)) - 1
+        ends = np.array(self._ends(len(targets), action_s, hold_s))[: len(track.configuration)] - 1
+        ends[-1] = len(wrench) - 1
         self.trace, self._steps = WrenchTrace(stamp, configuration, wrench, ends), None
         return track
 

@@ -1,5 +1,7 @@
 """Errors of simulated tactile pads: dead zones, missed touches and false ones, drawn by seed."""
 
+from typing import NamedTuple, Self
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -8,6 +10,24 @@ from rumi.seeding import split
 from rumi.sim.error_settings import PadErrors
 
 _FALSE_POINTS = 12  # of a touch that there is none of
+
+
+class PadDraws(NamedTuple):
+    """What goes wrong in an action, by instants and the two pads.
+
+    Attributes:
+        missed: (K, 2), where a pad feels nothing.
+        false: (K, 2), where it feels what is not there.
+        where: (K, 2), in [0, 1), about which of its points that is.
+    """
+
+    missed: Bool[Tensor, "K 2"]
+    false: Bool[Tensor, "K 2"]
+    where: Float[Tensor, "K 2"]
+
+    def at(self, instant: int) -> Self:
+        """Those of one instant."""
+        return type(self)(*(part[instant : instant + 1] for part in self))
 
 
 class PadFaults:
@@ -29,16 +49,19 @@ class PadFaults:
         first = pads[:, 1] > 0
         self._own = torch.stack((first, ~first))
 
-    def felt(self, touched: Bool[Tensor, "K n"]) -> Bool[Tensor, "K n"]:
-        """What is reported where `touched` would be; draws as much whatever it is."""
-        shape = (len(touched), len(self._own))
+    def drawn(self, instants: int) -> PadDraws:
+        """What goes wrong in an action of as many instants, whatever is there."""
+        shape = (instants, len(self._own))
         missed = torch.rand(shape, generator=self._generator) < self.errors.missed
         false = torch.rand(shape, generator=self._generator) < self.errors.false
-        where = torch.rand(shape, generator=self._generator)
-        found = touched & ~(missed[..., None] & self._own).any(1)
-        for instant, pad in false.nonzero().tolist():
+        return PadDraws(missed, false, torch.rand(shape, generator=self._generator))
+
+    def felt(self, touched: Bool[Tensor, "K n"], draws: PadDraws) -> Bool[Tensor, "K n"]:
+        """What is reported where `touched` would be, in the first K instants of those that were drawn for."""
+        found = touched & ~(draws.missed[: len(touched), :, None] & self._own).any(1)
+        for instant, pad in draws.false[: len(touched)].nonzero().tolist():
             own = self._own[pad].nonzero()[:, 0]
-            middle = self._pads[own[int(where[instant, pad] * len(own))]]
+            middle = self._pads[own[int(draws.where[instant, pad] * len(own))]]
             near = (self._pads[own] - middle).norm(dim=-1).topk(min(_FALSE_POINTS, len(own)), largest=False).indices
             found[instant, own[near]] = True
         return found & ~self.dead

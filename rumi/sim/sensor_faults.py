@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from rumi.dynamics.sliding import rotated
@@ -73,6 +73,10 @@ class Dead(Fault):
     description = "the hand feels nothing any more"
     usual = (math.nan, 1)
 
+    def touched(self, felt: bool, hand: Hand) -> bool:
+        """Never."""
+        return False
+
     def felt(self, reading: Reading, hand: Hand, step: int) -> Reading:
         """No contact, no felt points, no wrench and no torques."""
         if isinstance(reading, ContactReading):
@@ -119,6 +123,10 @@ class Stuck(Fault):
     description = "the hand feels the same all the time, at one place of its pads"
     usual = (math.nan, 3)
 
+    def touched(self, felt: bool, hand: Hand) -> bool:
+        """Always."""
+        return True
+
     def felt(self, reading: Reading, hand: Hand, step: int) -> Reading:
         """The same pads' points at every instant, whatever is there."""
         first = hand.pads[int(float(torch.rand((), generator=self.drawn())) * len(hand.pads))]
@@ -152,19 +160,30 @@ class SecondObject(Fault):
         side = rotated(way / way.norm().clamp_min(1e-9), way.new_tensor(turn))
         object.__setattr__(self, "_place", here + 1e-3 * self.size * side)  # a run's own, as the world is
 
+    def touched(self, felt: bool, hand: Hand) -> bool:
+        """Where the pads meet it too."""
+        return felt or bool(self._met(hand.world_T_tool[None], hand.pads).any())
+
+    def _met(self, world_T_tool: Float[Tensor, "K 4 4"], pads: Float[Tensor, "n 3"]) -> Bool[Tensor, "K n"]:
+        """Which of the pads' points meet it."""
+        if self._place is None:
+            return torch.zeros(len(world_T_tool), len(pads), dtype=torch.bool)
+        points = se3.apply(world_T_tool, pads.expand(len(world_T_tool), -1, -1))
+        return ((points[..., :2] - self._place.to(points)).norm(dim=-1) - _POST_M).abs() < _MET_M
+
     def felt(self, reading: Reading, hand: Hand, step: int) -> Reading:
         """What the pads meet of it, beside what they felt."""
-        if self._place is None:
-            return reading
-        pads = se3.apply(reading.tool_pose, hand.pads.expand(len(reading.tool_pose), -1, -1))
-        apart = ((pads[..., :2] - self._place.to(pads)).norm(dim=-1) - _POST_M).abs() < _MET_M
-        when, _ = apart.nonzero(as_tuple=True)
+        met = self._met(reading.tool_pose, hand.pads)
+        when, which = met.nonzero(as_tuple=True)
         if not len(when):
             return reading
-        points = Observation.of(pads[apart], Semantics.SURFACE)
+        own = reading.tool_pose[when]
+        points = Observation.of(
+            (own[:, :3, :3] @ hand.pads[which][..., None])[..., 0] + own[:, :3, 3], Semantics.SURFACE
+        )
         return replace(
             reading,
             observation=concatenate([points, reading.observation]),
             instant=torch.cat((when, reading.instant)),
-            in_contact=reading.in_contact | apart.any(-1),
+            in_contact=reading.in_contact | met.any(-1),
         )

@@ -41,6 +41,18 @@ class Track(NamedTuple):
     refused_m: float = 0.0
 
 
+class Guard(NamedTuple):
+    """What ends a motion before its end: a guarded move.
+
+    Attributes:
+        touched: asked after each mini step, by its number, whether the motion is to end with it.
+        late_s: how much longer it goes on at its speed.
+    """
+
+    touched: Callable[[int], bool]
+    late_s: float = 0.0
+
+
 class World:
     """One scene of MuJoCo; float64.
 
@@ -126,8 +138,15 @@ class World:
         """Let time pass while the gripper stays where it is."""
         self._mujoco.mj_step(self.model, self.data, nstep=steps)
 
-    def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float) -> Track:
-        """Drive the gripper through targets spread evenly over `action_s`, then hold; the last entry is after that."""
+    def move(self, targets: Float[Tensor, "K Q"], action_s: float, hold_s: float, guard: Guard | None = None) -> Track:
+        """Drive the gripper through targets spread evenly over `action_s`, then hold; the last entry is after that.
+
+        Args:
+            targets: (K, Q), the last of each mini step.
+            action_s: how long that takes.
+            hold_s: of standing still after it.
+            guard: ends it earlier: there are as many entries then as mini steps were begun.
+        """
         count, steps = len(targets), round(action_s / float(self.model.opt.timestep))
         knots = np.concatenate((np.asarray(self.data.ctrl)[None], targets.double().numpy()))
         # the commands in between go along straight lines
@@ -139,14 +158,14 @@ class World:
         ahead = np.array([lead] * (len(gripper) - 1) + [lead / LEVER_M])
         held = math.isfinite(lead)
 
-        def drive(step: int) -> None:
-            if step < steps:
+        def drive(step: int | None) -> None:
+            if step is not None and step < steps:
                 control[:] = commands[step]
                 if held:
                     np.clip(control, position[gripper] - ahead, position[gripper] + ahead, out=control)
             self._advance()
 
-        states = self._through(self._ends(count, action_s, hold_s), drive)
+        states = self._through(self._ends(count, action_s, hold_s), drive, *self._ending(guard, hold_s))
         return Track(torch.from_numpy(states[:, gripper]), self._object_poses(states))
 
     def _ends(self, count: int, action_s: float, hold_s: float) -> list[int]:
@@ -157,23 +176,42 @@ class World:
         ends[-1] += max(1, round(hold_s / step_s)) if hold_s > 0 else 0
         return ends
 
+    def _ending(self, guard: Guard | None, hold_s: float) -> tuple[Callable[[int, int], bool] | None, int, int]:
+        """Whether a motion ends with a mini step, and for how many steps it goes on and is held then."""
+        if guard is None:
+            return None, 0, 0
+        step_s, touched = float(self.model.opt.timestep), guard.touched
+        return lambda index, _: touched(index), round(guard.late_s / step_s), max(1, round(hold_s / step_s))
+
     def _through(
-        self, ends: Sequence[int], drive: Callable[[int], None], ended: Callable[[int, int], None] | None = None
+        self,
+        ends: Sequence[int],
+        drive: Callable[[int | None], None],
+        ended: Callable[[int, int], bool] | None = None,
+        late: int = 0,
+        hold: int = 0,
     ) -> np.ndarray:
         """Go through mini steps; the state (K, N) at the end of each.
 
         Args:
             ends: how many steps of the physics have been taken at the end of each.
-            drive: commands and takes a step.
-            ended: told of each mini step's number and of the steps taken, once it is over.
+            drive: commands and takes a step; None to stand still.
+            ended: told of each mini step's number and of the steps taken, once it is over; whether nothing follows.
+            late: steps for which the motion goes on all the same.
+            hold: steps of standing still after that.
         """
         states = np.empty((len(ends), len(self.data.qpos)))
         for index, (first, last) in enumerate(pairwise((0, *ends))):
             for step in range(first, last):
                 drive(step)
             states[index] = self.data.qpos
-            if ended is not None:
-                ended(index, last)
+            if ended is not None and ended(index, last) and last < ends[-1]:
+                for step in range(last, min(last + late, ends[-1])):
+                    drive(step)
+                for _ in range(hold):
+                    drive(None)
+                states[index] = self.data.qpos
+                return states[: index + 1]
         return states
 
     def _advance(self) -> None:
@@ -200,6 +238,10 @@ class World:
     def configuration(self) -> Float[Tensor, "Q"]:
         """Measured x, y, in space z, and yaw of the gripper."""
         return torch.from_numpy(np.array(self.data.qpos[self._gripper]))
+
+    def now(self) -> Track:
+        """The present instant."""
+        return Track(self.configuration()[None], self.world_T_object()[None])
 
     def world_T_object(self) -> Float[Tensor, "4 4"]:
         """Where the object is."""

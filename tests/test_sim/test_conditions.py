@@ -92,8 +92,10 @@ def test_a_dead_zone_is_as_large_as_said_and_never_feels():
     pads = PadFaults(errors, PADS, seed=3)
     assert int(pads.dead.sum()) == round(0.1 * len(PADS))
     every = torch.ones(500, len(PADS), dtype=torch.bool)
-    assert not bool(pads.felt(every)[:, pads.dead].any()) and not bool(pads.felt(~every)[:, pads.dead].any())
-    assert bool(PadFaults(replace(errors, false=0.0), PADS, seed=3).felt(every)[:, ~pads.dead].all())
+    for touched in (every, ~every):
+        assert not bool(pads.felt(touched, pads.drawn(500))[:, pads.dead].any())
+    honest = PadFaults(replace(errors, false=0.0), PADS, seed=3)
+    assert bool(honest.felt(every, honest.drawn(500))[:, ~pads.dead].all())
     assert not torch.equal(pads.dead, PadFaults(errors, PADS, seed=4).dead)
 
 
@@ -101,14 +103,15 @@ def test_misses_and_false_touches_come_at_their_rates():
     count, errors = 20000, PadErrors(missed=0.05, false=0.02)
     first = PADS[:, 1] > 0
     pads = PadFaults(errors, PADS, seed=0)
-    felt = pads.felt(torch.zeros(count, len(PADS), dtype=torch.bool))
+    felt = pads.felt(torch.zeros(count, len(PADS), dtype=torch.bool), pads.drawn(count))
     false = int(felt[:, first].any(-1).sum() + felt[:, ~first].any(-1).sum())
     assert least_by_chance(0.02, 2 * count) <= false <= most_by_chance(0.02, 2 * count)
     sizes = felt.sum(-1)
     assert 0 < int(sizes.max()) <= 24
     touched = torch.zeros(count, len(PADS), dtype=torch.bool)
     touched[:, first] = True
-    silent = ~PadFaults(replace(errors, false=0.0), PADS, seed=1).felt(touched).any(-1)
+    silent = PadFaults(replace(errors, false=0.0), PADS, seed=1)
+    silent = ~silent.felt(touched, silent.drawn(count)).any(-1)
     assert least_by_chance(0.05, count) <= int(silent.sum()) <= most_by_chance(0.05, count)
 
 

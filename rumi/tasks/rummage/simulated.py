@@ -17,9 +17,10 @@ from rumi.robot.tool import Tool
 from rumi.seeding import split
 from rumi.sim.arm_world import ArmWorld
 from rumi.sim.bodies import Body, body_of
-from rumi.sim.error_settings import BuildSpread, PadErrors
+from rumi.sim.error_settings import BuildSpread
 from rumi.sim.fault import Fault, Hand
 from rumi.sim.force_sensing_world import ForceSensingWorld
+from rumi.sim.guarded_move import GuardedMove
 from rumi.sim.object_build import Build
 from rumi.sim.pad_faults import PadFaults
 from rumi.sim.robot_arm import RobotArm
@@ -28,7 +29,7 @@ from rumi.sim.settings import PhysicsSettings, SimSettings
 from rumi.sim.slip import measured_motion
 from rumi.sim.tool_offset import ToolOffset
 from rumi.sim.view_faults import ViewFaults, taken_pose
-from rumi.sim.world import Track, World
+from rumi.sim.world import Guard, Track, World
 from rumi.sim.wrist_force import wrist_force
 from rumi.task import StepResult
 from rumi.tasks.rummage.depth_camera import depth_image, moved, without_robot
@@ -151,6 +152,7 @@ class SimTask:
         own = self.settings
         self._offset = ToolOffset.drawn(own.tool_off_m, own.tool_off_rad, spatial=self.spec.spatial, seed=seed)
         self._pad_faults = PadFaults(own.pads, self._pads, seed)
+        self._pad_draws = self._pad_faults.drawn(0)
         self._view_faults = ViewFaults.drawn(own.view, own.sensors, seed)
 
     def _built(self, seed: int) -> World:
@@ -198,7 +200,11 @@ class SimTask:
         if late_s > 0:
             farther = control[None] * (1.0 + late_s / self.settings.action_s)
             path = self.tool.free_path(start, farther, self.settings.mini_steps)
-        track = self.world.move(self._offset.true(path), self.settings.action_s + late_s, self.settings.hold_s)
+        self._pad_draws = self._pad_faults.drawn(len(path))
+        guard = None
+        if self.settings.guard_m < math.inf:
+            guard = Guard(GuardedMove(self.settings.guard_m, self._touching), late_s)
+        track = self.world.move(self._offset.true(path), self.settings.action_s + late_s, self.settings.hold_s, guard)
         reading = self._sense(before, track, refused + track.refused_m)
         for fault in self.faults:
             if fault.step <= self._steps:
@@ -320,9 +326,7 @@ class SimTask:
         true = self._true_pose(track)
         tool_pose = self._taken_pose(track, true)
         object_T_tool = (se3.inverse(track.world_T_object) @ true.double()).float()
-        touched = self._felt(object_T_tool)
-        if self.settings.pads != PadErrors():
-            touched = self._pad_faults.felt(touched)
+        touched = self._pad_faults.felt(self._felt(object_T_tool), self._pad_draws)
         in_contact = touched.any(-1)
         free = self._freed(tool_pose, object_T_tool, measured, in_contact)
         observation, instant = tactile_observation(touched_points(tool_pose, self._felt_at, touched), free)
@@ -399,6 +403,16 @@ class SimTask:
             group=group,
             region=region,
         )
+
+    def _touching(self, index: int) -> tuple[Float[Tensor, "Q"], bool]:
+        """Where the tool is at the end of a mini step, and whether its pads report that they feel anything."""
+        now = self.world.now()
+        object_T_tool = (se3.inverse(now.world_T_object) @ self._true_pose(now).double()).float()
+        felt = bool(self._pad_faults.felt(self._felt(object_T_tool), self._pad_draws.at(index)).any())
+        for fault in self.faults:
+            if fault.step <= (self._steps or 0):
+                felt = fault.touched(felt, self._hand())
+        return now.configuration[0], felt
 
     def _felt(self, object_T_tool: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K n"]:
         """Which pad points are within `contact_m` of the object's true surface (RUMI, V.A)."""
