@@ -3,20 +3,20 @@
 import math
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.along_path import Pusher, distance_to, push_along_path
+from rumi.dynamics.along_path import distance_to, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
 from rumi.tasks.grasp_table import GraspTable
-from rumi.tasks.touch_box.robot import GoOn, Readings, Touched
+from rumi.tasks.touch_box.robot import GoOn, Readings, SceneRobot, Touched
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
 
 _SUBSTEP_M = 0.00125  # finer than a filter's, whose readings fall on the same instants
 
 
-class PlanarRobot:
+class PlanarRobot(SceneRobot):
     """Quasi-static pushes of a box with a friction and a limit surface of its own: a `TouchRobot`.
 
     Args:
@@ -43,11 +43,6 @@ class PlanarRobot:
         lever = torch.tensor(ratio * self.task.even_lever_m, dtype=torch.float64)
         return Sliding(torch.zeros(2, dtype=torch.float64), lever, torch.tensor(friction, dtype=torch.float64))
 
-    @property
-    def pusher(self) -> Pusher:
-        """The closed fingers."""
-        return self.task.fingers
-
     def reset(self, truth: BoxTruth, seed: int) -> None:
         """Stand the box where it starts."""
         self._generator = split(seed, "planar")
@@ -55,10 +50,6 @@ class PlanarRobot:
         low, high = self.levers
         ratio = low + (high - low) * float(torch.rand((), generator=self._generator))
         self._pose, self._sliding = truth.pose.clone(), self._slides(truth.friction, ratio)
-
-    def feasible(self, paths: Float[Tensor, "C K1 3"]) -> Bool[Tensor, "C"]:
-        """All."""
-        return torch.ones(len(paths), dtype=torch.bool)
 
     def execute(self, path: Float[Tensor, "K1 3"], go_on: GoOn) -> Touched:
         """Poke along a path; see `TouchRobot`."""
@@ -90,6 +81,3 @@ class PlanarRobot:
     def put_box(self, pose: Float[Tensor, "3"]) -> None:
         """Stand the box at (x, y, yaw)."""
         self._pose = pose.double()
-
-    def close(self) -> None:
-        """Nothing is held."""
