@@ -54,7 +54,6 @@ class SimTask:
         settings: of the simulator and its sensors.
         tool: the gripper with the reach of its arm, the same that the planner uses.
         model: the object.
-        physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes; None keeps nothing.
         faults: what goes wrong.
         arm: that carries the gripper; None for that of `settings.robot`.
@@ -69,7 +68,6 @@ class SimTask:
         settings: SimSettings,
         tool: Tool,
         model: ObjectModel,
-        physics: PhysicsSettings | None = None,
         *,
         cache_dir: Path | None = None,
         faults: Sequence[Fault] = (),
@@ -78,7 +76,7 @@ class SimTask:
         for fault in faults:
             model = fault.shaped(model)
         self.spec, self.settings, self.tool, self.model, self.faults = spec, settings, tool, model, tuple(faults)
-        physics = physics or spec.physics
+        physics = spec.physics
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
         self.shape = shape = gripper_of(tool.shape)
         self._arm = arm

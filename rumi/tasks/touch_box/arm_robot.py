@@ -36,16 +36,13 @@ class ArmRobot(SceneRobot):
     Args:
         task: the scene; readings are the arm's own, so that the task's rates are not used.
         settings: control, noise and reading of the arm; by default with the threshold of the stated rates.
-        physics: the arm.
     """
 
     rates, correlation = RATES, CORRELATION
 
-    def __init__(
-        self, task: TouchTask, settings: TorqueSettings | None = None, physics: ArmPhysics | None = None
-    ) -> None:
+    def __init__(self, task: TouchTask, settings: TorqueSettings | None = None) -> None:
         self.task = task
-        own = physics or ArmPhysics(finger_m=task.finger_m)
+        own = ArmPhysics(finger_m=task.finger_m)
         settings = settings or TorqueSettings(threshold_nm=THRESHOLD_NM)
         self.arm = TorqueArm(task.half, task.height_m, own, settings)
         self._found: dict[bytes, tuple[np.ndarray, float]] = {}

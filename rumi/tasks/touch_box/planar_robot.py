@@ -13,6 +13,7 @@ from rumi.tasks.grasp_table import GraspTable
 from rumi.tasks.touch_box.robot import GoOn, Readings, SceneRobot, Touched
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
 
+_TOUCHING_M = 2e-4  # up to which tool and box touch
 _SUBSTEP_M = 0.00125  # finer than a filter's, whose readings fall on the same instants
 
 
@@ -23,17 +24,10 @@ class PlanarRobot(SceneRobot):
         task: the scene, and the rates at which readings err.
         table: of grasps' success, out of which a grasp is drawn.
         levers: range of the limit surface's c, as multiples of that of even pressure.
-        touching_m: distance up to which tool and box touch.
     """
 
-    def __init__(
-        self,
-        task: TouchTask,
-        table: GraspTable,
-        levers: tuple[float, float] = (1.22, 2.2),
-        touching_m: float = 2e-4,
-    ) -> None:
-        self.task, self.table, self.levers, self.touching_m = task, table, levers, touching_m
+    def __init__(self, task: TouchTask, table: GraspTable, levers: tuple[float, float] = (1.22, 2.2)) -> None:
+        self.task, self.table, self.levers = task, table, levers
         self._generator = split(0, "planar")
         self._readings = Readings(task.rates, task.correlation, split(0, "readings"))
         self._pose = torch.zeros(3, dtype=torch.float64)
@@ -62,7 +56,7 @@ class PlanarRobot(SceneRobot):
             way = path[None, k - 1 : k + 1]
             carried = push_along_path(self._pose[None], way, self.pusher, outline, self._sliding, substeps=substeps)
             self._pose = carried.track[0, -1]
-            contact.append(self._readings(float(carried.distance) <= self.touching_m))
+            contact.append(self._readings(float(carried.distance) <= _TOUCHING_M))
             so_far = Touched(path[: k + 1], torch.tensor(contact), False, "end")
             if k < len(path) - 1 and not go_on(so_far):
                 stopped = "belief"
