@@ -34,11 +34,12 @@ from rumi.task import StepResult
 from rumi.tasks.rummage.depth_camera import depth_image, moved, without_robot
 from rumi.tasks.rummage.free_region import floor_points, region_about, region_of_prior, region_unseen
 from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
+from rumi.tasks.rummage.true_contact import outside, touching
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, concatenate
 from sensors.reading import FORCE, TORQUE_CONTACT, Reading
-from sensors.touch.tactile import InstantPoints, points_in_box, swept_points, tactile_observation, touched_points
+from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
 from sensors.vision.camera import depth_observation, look_at, pinhole
 from sensors.vision.robot_body import RobotBody
 
@@ -318,7 +319,7 @@ class SimTask:
         true = self._true_pose(track)
         tool_pose = self._taken_pose(track, true)
         object_T_tool = (se3.inverse(track.world_T_object) @ true.double()).float()
-        touched = self._felt(object_T_tool)
+        touched = touching(self._true, object_T_tool, self._pads, self.settings.contact_m)
         if self.settings.pads != PadErrors():
             touched = self._pad_faults.felt(touched)
         in_contact = touched.any(-1)
@@ -371,7 +372,7 @@ class SimTask:
         if self.settings.cleared_by == "margin":
             return self._swept(tool_pose, self._inner, measured, in_contact)[0]
         swept, index = self._swept(tool_pose, self._body, measured, in_contact)
-        clear = self._clear(object_T_tool, self._body, swept.instant, index)
+        clear = outside(self._true, object_T_tool[swept.instant], self._body[index], self.settings.contact_m)
         return InstantPoints(swept.points[clear], swept.instant[clear])
 
     def _swept(
@@ -397,37 +398,3 @@ class SimTask:
             group=group,
             region=region,
         )
-
-    def _felt(self, object_T_tool: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K n"]:
-        """Which pad points are within `contact_m` of the object's true surface (RUMI, V.A)."""
-        touched = torch.zeros(len(object_T_tool), len(self._pads), dtype=torch.bool)
-        near, index = points_in_box(object_T_tool, self._pads, self._box(self._pads))
-        if len(index):
-            with torch.no_grad():
-                distance = self._true.distance(near.points)
-            touched[near.instant, index] = distance.abs() <= self.settings.contact_m
-        return touched
-
-    def _clear(
-        self,
-        object_T_tool: Float[Tensor, "K 4 4"],
-        points: Float[Tensor, "n 3"],
-        instant: Int[Tensor, "M"],
-        index: Tensor,
-    ) -> Bool[Tensor, "M"]:
-        """Which points of the tool are farther than `contact_m` outside the object's true surface."""
-        own = object_T_tool[instant]
-        places = (own[:, :3, :3] @ points[index][..., None])[..., 0] + own[:, :3, 3]
-        low, high = self._box(places)
-        x, y, z = ((places >= low) & (places <= high)).unbind(-1)
-        clear = ~(x & y & z)  # `all` takes ten times as long
-        near = (~clear).nonzero()[:, 0]
-        if len(near):
-            with torch.no_grad():
-                clear[near] = self._true.distance(places[near]) > self.settings.contact_m
-        return clear
-
-    def _box(self, like: Tensor) -> Float[Tensor, "2 3"]:
-        """Where alone points touch the object or are in it, so that free motion costs next to nothing."""
-        low, high = self._true.bounds.to(like)
-        return torch.stack((low - self.settings.contact_m, high + self.settings.contact_m))
