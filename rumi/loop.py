@@ -1,9 +1,7 @@
 """The algorithm, top to bottom: read, believe, and until sure choose, act, read; then one last action (RUMI, Alg 1)."""
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from functools import partial
-from operator import methodcaller
 from typing import Any
 
 from rumi.agent import Agent, State, StopReason
@@ -64,126 +62,6 @@ def episode(agent: Agent[Any], *, seed: int, steps: int | None, on_step: Callabl
     return stopped_by, agent.result(state, stopped_by, outcome)
 
 
-class Session:
-    """Runs of a batch of scenes, step in and step out: readings go in, actions come out, whoever asks carries them out.
-
-    A scene's run is what it is alone, to the bit: nothing is shared, and what is decided, skipped or over is so by
-    scene. They think one after the other. Of the clock's stages, "simulate" is how long a scene waited for a reading,
-    for the others' thoughts too.
-
-    Args:
-        agents: of each scene; the same one may be of many.
-        seeds: of each scene's randomness.
-        steps: actions at most, of each; None for as many as an agent allows itself.
-        on_step: called with a scene's number and the record of its step.
-
-    Attributes:
-        results: of each scene, the agent's `result`; None while it goes on.
-        stopped_by: why each ended; None while it goes on.
-
-    Raises:
-        ValueError: there are not as many seeds as agents.
-    """
-
-    def __init__(
-        self,
-        agents: Sequence[Agent[Any]],
-        *,
-        seeds: Sequence[int],
-        steps: int | None = None,
-        on_step: Callable[[int, Any], None] = lambda scene, record: None,
-    ) -> None:
-        if len(agents) != len(seeds):
-            raise ValueError(f"Expected an agent and a seed for each scene, got {len(agents)} and {len(seeds)}")
-        self.results: list[Any] = [None] * len(agents)
-        self.stopped_by: list[StopReason | None] = [None] * len(agents)
-        self._runs: list[Episode | None] = []
-        for scene, (agent, seed) in enumerate(zip(agents, seeds, strict=True)):
-            run = episode(agent, seed=seed, steps=steps, on_step=partial(on_step, scene))
-            next(run)
-            self._runs.append(run)
-
-    def step(self, readings: Sequence[Any]) -> list[Any]:
-        """The next action of each scene; None for those that are over, a `Last` for the last one of a scene.
-
-        Args:
-            readings: of each scene what came of its action, at first the first reading; of one that is over, anything.
-
-        Raises:
-            ValueError: there are not as many as scenes.
-        """
-        if len(readings) != len(self._runs):
-            raise ValueError(f"Expected a reading for each of {len(self._runs)} scenes, got {len(readings)}")
-        actions: list[Any] = []
-        for scene, reading in enumerate(readings):
-            actions.append(self._on(scene, methodcaller("send", reading)))
-            if self.stopped_by[scene] == "interrupted":  # Ctrl-C while one thinks is meant for all
-                self.interrupt()
-                return [None] * len(readings)
-        return actions
-
-    def interrupt(self) -> None:
-        """End all scenes with what they have, as Ctrl-C does.
-
-        Raises:
-            KeyboardInterrupt: a scene has no reading yet.
-        """
-        for scene in range(len(self._runs)):
-            self._on(scene, methodcaller("throw", KeyboardInterrupt))
-
-    def _on(self, scene: int, go: Callable[[Episode], Any]) -> Any:  # noqa: ANN401  (an action)
-        run = self._runs[scene]
-        if run is None:
-            return None
-        try:
-            return go(run)
-        except StopIteration as ended:
-            self._runs[scene] = None
-            self.stopped_by[scene], self.results[scene] = ended.value
-        return None
-
-
-def run_scenes(
-    tasks: Sequence[Task],
-    agents: Sequence[Agent[Any]],
-    *,
-    seeds: Sequence[int],
-    steps: int | None = None,
-    on_step: Callable[[int, Any], None] = lambda scene, record: None,
-) -> list[Any]:
-    """Let agents do tasks, a scene each, side by side (`Session`); their results.
-
-    Same seeds, same tasks, same device and no budget: the same runs, byte for byte, each as alone. Ctrl-C ends all with
-    what they have.
-
-    Args:
-        tasks: simulators, hardware or logs.
-        agents: what they believe and do, one a task; the same one may be of many.
-        seeds: of all randomness, one a task.
-        steps: actions at most, of each; None for as many as an agent allows itself.
-        on_step: called with a scene's number and the record of every step of it, the first reading's included.
-
-    Raises:
-        ValueError: there are not as many tasks, agents and seeds.
-    """
-    if len(tasks) != len(agents):
-        raise ValueError(f"Expected an agent for each of {len(tasks)} tasks, got {len(agents)}")
-    session = Session(agents, seeds=seeds, steps=steps, on_step=on_step)
-    try:
-        actions = session.step([task.reset(seed) for task, seed in zip(tasks, seeds, strict=True)])
-        while any(action is not None for action in actions):
-            actions = session.step([_carry_out(*each) for each in zip(tasks, actions, strict=True)])
-    except KeyboardInterrupt:
-        session.interrupt()
-    return session.results
-
-
-def _carry_out(task: Task, action: Any) -> Any:  # noqa: ANN401  (of the task)
-    if action is None:
-        return None
-    return task.finish(action.action) if isinstance(action, Last) else task.step(action)
-
-
 def run(
     task: Task,
     agent: Agent[Any],
@@ -192,7 +70,9 @@ def run(
     steps: int | None = None,
     on_step: Callable[[Any], None] = lambda record: None,
 ) -> Any:  # noqa: ANN401  (the agent's own result)
-    """Let an agent do a task: `run_scenes` of one.
+    """Let an agent do a task.
+
+    Same seed, same task, same device and no budget: the same run, byte for byte. Ctrl-C ends it with what it has.
 
     Args:
         task: a simulator, hardware or a log.
@@ -204,5 +84,20 @@ def run(
     Returns:
         the agent's `result`.
     """
-    (result,) = run_scenes([task], [agent], seeds=[seed], steps=steps, on_step=lambda _, record: on_step(record))
-    return result
+    course = episode(agent, seed=seed, steps=steps, on_step=on_step)
+    next(course)
+    try:
+        try:
+            reading = task.reset(seed)
+            while True:
+                reading = carry_out(task, course.send(reading))
+        except KeyboardInterrupt:
+            course.throw(KeyboardInterrupt)
+    except StopIteration as ended:
+        _, result = ended.value
+        return result
+
+
+def carry_out(task: Task, action: Any) -> Any:  # noqa: ANN401  (of the task)
+    """What comes of an action of an episode: a reading, or the outcome of the last."""
+    return task.finish(action.action) if isinstance(action, Last) else task.step(action)

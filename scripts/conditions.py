@@ -13,19 +13,18 @@ import hashlib
 import statistics
 import time
 from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
-from rumi import loop
 from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.errors import DegenerateBeliefError
 from rumi.sim.conditions import GROUPS, MEMBERS, put_back
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import Experiment, Line
+from scripts.outcomes import ended, sure, won_lost, wrong
 from scripts.reproduce.cells import NOTHING, middle, rate, table
-from scripts.reproduce.intervals import mcnemar
 
 WITHOUT = {f"lab without {group}": group for group in GROUPS if group not in ("bubbles", "images")}
 ARM = "lab, arm"
@@ -45,27 +44,9 @@ def settings_of(task: str, conditions: str, seed: int) -> Settings:
 def measure(task: str, conditions: str, seed: int) -> dict[str, Any]:
     """How a run ended."""
     begun = time.process_time()
-    with build(settings_of(task, conditions, seed), cache_dir=cache_folder()) as (world, agent):
-        try:
-            result = loop.run(world, agent, seed=seed)
-            found = {
-                "stopped_by": result.stopped_by,
-                "right": result.right,
-                "lost": result.lost,
-                "steps": result.steps,
-                "contacts": result.contacts,
-                "mm": result.position_error_mm,
-                "deg": result.rotation_error_deg,
-            }
-        except DegenerateBeliefError:
-            found = {"stopped_by": "degenerate", "right": False, "lost": True}
-            found |= dict.fromkeys(("steps", "contacts", "mm", "deg"))
+    with build(settings_of(task, conditions, seed), cache_dir=cache_folder()) as parts:
+        found = ended(parts, seed, more=("steps", "contacts"))
     return found | {"cpu_s": round(time.process_time() - begun, 2)}
-
-
-def sure(run: Line) -> bool:
-    """Whether a run ended sure, and nothing spoke for a fault."""
-    return bool(run["stopped_by"] == "sure" and not run["lost"])
 
 
 def show(lines: list[Line], chosen: object) -> str:
@@ -82,19 +63,15 @@ def show(lines: list[Line], chosen: object) -> str:
 
 
 def _row(runs: dict[int, Line], lab: dict[int, Line]) -> list[str]:
-    both = sorted(runs.keys() & lab.keys())
-    mine, other = ([bool(one[seed]["right"]) for seed in both] for one in (runs, lab))
-    won = sum(a and not b for a, b in zip(mine, other, strict=True))
-    lost = sum(b and not a for a, b in zip(mine, other, strict=True))
     found = list(runs.values())
     mm, deg = (sorted(x[key] for x in found if x[key] is not None) for key in ("mm", "deg"))
     return [
         rate([bool(x["right"]) for x in found]),
-        rate([sure(x) and not x["right"] for x in found]),
+        rate([wrong(x) for x in found]),
         str(sum(not sure(x) for x in found)),
         middle([float(x["steps"]) for x in found if x["steps"] is not None]),
         "; ".join(f"{at(mm):.1f}, {at(deg):.1f}" for at in (statistics.median, _most)) if mm else NOTHING,
-        "" if runs is lab else f"{won}; {lost} ({mcnemar(mine, other):.2g})",
+        "" if runs is lab else won_lost(runs, lab, itemgetter("right")),
     ]
 
 

@@ -20,11 +20,9 @@ from typing import Any, get_args
 
 import torch
 
-from rumi import loop
 from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.errors import DegenerateBeliefError
-from rumi.records import RunResult, StepRecord
+from rumi.records import StepRecord
 from rumi.seeding import split
 from rumi.sim.conditions import Conditions
 from rumi.sim.faults import FAULTS
@@ -33,6 +31,7 @@ from rumi.tasks.rummage.drawn_scenes import DRAWN
 from rumi.tasks.rummage.lost import HAND_OR_CAMERA, NOTHING_FELT
 from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import Experiment, Line
+from scripts.outcomes import by_chance, ended, right, sure, wrong
 from scripts.reproduce.cells import middle, rate, table
 from sensors.reading import Reading
 
@@ -97,9 +96,7 @@ def settings_of(task: str, seed: int, fault: str | None, conditions: Conditions 
     """Settings of a run in which nothing measures the object's motion."""
     steps = min(STEPS, DRAWN[task].steps)
     own = preset(task=task, seed=seed, steps=steps, conditions=conditions, **{"filter.motion": "trajectory"})
-    unmeasured = replace(own.simulator, measures_motion=False)
-    own = replace(own, simulator=unmeasured, stop=replace(own.stop, rule="probability"))
-    return own if fault is None else replace(own, fault=(fault,))
+    return by_chance(own if fault is None else replace(own, fault=(fault,)))
 
 
 def measure(task: str, seed: int, conditions: Conditions = "ideal") -> dict[str, Any]:
@@ -116,24 +113,17 @@ def _run(settings: Settings, seed: int) -> tuple[dict[str, Any], list[str]]:
     """How a run ended, and a digest of each of its readings."""
     steps: list[StepRecord] = []
     begun = time.process_time()
-    ended: dict[str, Any] = {"stopped_by": "degenerate", "right": False, "lost": True, "mm": None, "deg": None}
-    with build(settings, cache_dir=cache_folder()) as (task, agent):
-        try:
-            result: RunResult = loop.run(task, agent, seed=seed, on_step=steps.append)
-        except DegenerateBeliefError:
-            pass
-        else:
-            ended = {"stopped_by": result.stopped_by, "right": result.right, "lost": result.lost}
-            ended |= {"mm": result.position_error_mm, "deg": result.rotation_error_deg}
+    with build(settings, cache_dir=cache_folder()) as parts:
+        found = ended(parts, seed, steps.append)
     said = [(step.step, remark.name) for step in steps for remark in step.remarks]
-    ended |= {
+    found |= {
         "alarms": [[step, name.removeprefix("lost: ")] for step, name in said if name.startswith("lost: ")],
         "odd": sorted({name for _, name in said if not name.startswith("lost: ")}),
         "steps": steps[-1].step,
         "least_p": min(step.p_value for step in steps),
         "cpu_s": time.process_time() - begun,
     }
-    return ended, [_digest(step.reading) for step in steps]
+    return found, [_digest(step.reading) for step in steps]
 
 
 def _digest(reading: Reading) -> str:
@@ -148,12 +138,7 @@ def far(run: Mapping[str, Any]) -> bool:
 
 def flagged(run: Mapping[str, Any]) -> bool:
     """Whether a run ended lost, or not sure; one that searched again and is sure says nothing any more."""
-    return run["lost"] or run["stopped_by"] != "sure"
-
-
-def right(run: Mapping[str, Any]) -> bool:
-    """Whether a run ended sure, not lost, and right."""
-    return run["stopped_by"] == "sure" and not run["lost"] and bool(run["right"])
+    return not sure(run)
 
 
 def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
@@ -185,9 +170,9 @@ def _table(lines: Sequence[Line]) -> str:
     )
     faultless = [line["faultless"] for line in lines]
     alarms, rights = rate([bool(run["alarms"]) for run in faultless]), rate([right(run) for run in faultless])
-    wrong = rate([run["stopped_by"] == "sure" and not run["right"] for run in faultless])
+    errs = rate([run["stopped_by"] == "sure" and not run["right"] for run in faultless])
     steps = middle([float(run["steps"]) for run in faultless])
-    told = f"\nWithout a fault: false alarms {alarms}, ends right {rights}, sure and wrong {wrong}, {steps} actions.\n"
+    told = f"\nWithout a fault: false alarms {alarms}, ends right {rights}, sure and wrong {errs}, {steps} actions.\n"
     return table(heads, rows) + told
 
 
@@ -210,7 +195,7 @@ def _row(kind: str, lines: Sequence[Line]) -> list[str]:
         rate(named),
         middle(delays, 0),
         rate([right(run) for run in runs]),
-        rate([run["stopped_by"] == "sure" and not run["lost"] and not run["right"] for run in runs]),
+        rate([wrong(run) for run in runs]),
         ", ".join(f"{name} {count}" for name, count in Counter(_first(run) for _, run in told).most_common()) or "-",
     ]
 

@@ -11,14 +11,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from rumi import loop
 from rumi.cache import cache_folder
 from rumi.cli import script
-from rumi.errors import DegenerateBeliefError
 from rumi.records import StepRecord
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import Experiment, Line
+from scripts.outcomes import by_chance, ended, right, wrong
 from scripts.reproduce.cells import middle, rate, table
 
 FAULTS = {"none": None, "knock": "knock:{size}@3", "absent": "absent@3", "dead": "dead@3"}
@@ -31,27 +30,18 @@ def settings_of(fault: str, motion: str, seed: int) -> Settings:
     own = preset(task="mug", seed=seed, steps=STEPS, conditions="ideal", **{"filter.motion": motion})
     if (text := FAULTS[fault]) is not None:
         own = replace(own, fault=(text.format(size=20 + seed % 21),))
-    if motion == "measured":
-        return own
-    unmeasured = replace(own.simulator, measures_motion=False)
-    return replace(own, simulator=unmeasured, stop=replace(own.stop, rule="probability"))
+    return own if motion == "measured" else by_chance(own)
 
 
 def measure(fault: str, motion: str, seed: int) -> dict[str, Any]:
     """How a run ended; actions at which it was called lost, and the first from the fault on that touched anything."""
     steps: list[StepRecord] = []
     begun = time.process_time()
-    with build(settings_of(fault, motion, seed), cache_dir=cache_folder()) as (task, agent):
-        try:
-            result = loop.run(task, agent, seed=seed, on_step=steps.append)
-        except DegenerateBeliefError:
-            ended: dict[str, Any] = {"stopped_by": "degenerate", "right": False, "lost": True, "mm": None, "deg": None}
-        else:
-            ended = {"stopped_by": result.stopped_by, "right": result.right, "lost": result.lost}
-            ended |= {"mm": result.position_error_mm, "deg": result.rotation_error_deg}
+    with build(settings_of(fault, motion, seed), cache_dir=cache_folder()) as parts:
+        found = ended(parts, seed, steps.append)
     alarms = [[step.step, remark.name] for step in steps for remark in step.remarks if remark.name.startswith("lost")]
     touched = [step.step for step in steps if step.step >= FROM and bool(step.reading.in_contact.any())]
-    return ended | {
+    return found | {
         "steps": steps[-1].step,
         "alarms": alarms,
         "touched": touched[0] if touched else None,
@@ -74,15 +64,14 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[Any, ...]]) -> str:
                 for line in own
                 if line["alarms"] and line["touched"] is not None and line["alarms"][0][0] >= FROM
             ]
-            wrong = [line["stopped_by"] == "sure" and not line["lost"] and not line["right"] for line in own]
             rows.append(
                 [
                     motion,
                     fault,
                     rate(flagged),
                     "-" if fault == "none" else middle([float(delay) for delay in delays], 0),
-                    rate([line["stopped_by"] == "sure" and not line["lost"] and bool(line["right"]) for line in own]),
-                    rate(wrong),
+                    rate([right(line) for line in own]),
+                    rate([wrong(line) for line in own]),
                     middle([float(line["steps"]) for line in own]),
                 ]
             )

@@ -37,6 +37,7 @@ from rumi.tasks.handle.simulated import HandleTask
 from rumi.tasks.rummage.scenes import make_tool
 from scripts.experiment import FIGURES, RESULTS, Experiment, Line
 from scripts.reproduce.cells import rate, table
+from scripts.reproduce.intervals import bootstrap_mean
 from scripts.store import Store
 from sdf import se3
 from sensors.contact_reading import ContactReading
@@ -45,7 +46,6 @@ from sensors.semantics import Semantics
 USED: dict[str, tuple[SensorName, ...]] = {"all": SENSORS, **{name: (name,) for name in SENSORS}}
 _FREE = ", noise-free"
 VARIANTS = (*USED, *(name + _FREE for name in USED))
-_RESAMPLES = 20_000
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def show(lines: list[Line], chosen: Mapping[str, tuple[str, ...]]) -> str:
             [
                 name,
                 str(len(x)),
-                "{:.0f} [{:.0f}, {:.0f}]".format(statistics.mean(x), *mean_interval(x)),
+                "{:.0f} [{:.0f}, {:.0f}]".format(*bootstrap_mean(x, resamples=20_000)),
                 f"{statistics.median(x):.0f}",
                 f"{sum(one < 0 for one in x)} of {len(x)}",
             ]
@@ -224,14 +224,6 @@ def senses(options: Senses) -> None:
         ("grasps of the true pose after a push that lift", rate(lifted)),
     )  # fmt: skip
     print(table((f"{len(lifted)} pushes", ""), rows), end="")
-
-
-def mean_interval(values: list[float], seed: int = 0) -> tuple[float, float]:
-    """95 % percentile-bootstrap interval of the mean."""
-    data = np.asarray(values)
-    drawn = data[np.random.default_rng(seed).integers(0, len(data), (_RESAMPLES, len(data)))].mean(1)
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    return float(low), float(high)
 
 
 def settings_of(name: str) -> HandleSettings:

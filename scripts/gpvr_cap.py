@@ -7,24 +7,20 @@ all points (50 steps from its usual start) and to at most as many as each cap al
 workspace's lattice; errors are of variances that are normalised to a largest value of 1, as Eq 37 uses them.
 """
 
-import os
 import time
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 import tyro
 
-from rumi import loop
 from rumi.belief.particles import PoseBelief
 from rumi.cli import script
 from rumi.fields.information import information_field
 from rumi.planning.gpvr import GPVRPolicy, GPVRSettings
 from rumi.planning.implicit_surface import Hyperparameters, Labelled, fit, predictive_variance
-from rumi.planning.policy import Plan, PlanRequest, Scene
-from rumi.tasks.rummage.build import build
-from rumi.tasks.rummage.settings import preset
+from rumi.planning.policy import Scene
+from scripts.bench.deadlines import Situations
 from scripts.reproduce.cells import table
 from scripts.reproduce.correlation import spearman
 
@@ -46,33 +42,11 @@ class Options:
     caps: tuple[int, ...] = (100, 150, 200, 300, 500)
 
 
-class Watched:
-    """GPVR, and what it was given each time."""
-
-    def __init__(self, policy: GPVRPolicy) -> None:
-        self.policy = policy
-        self.given: list[tuple[PoseBelief, Scene]] = []
-
-    def act(self, request: PlanRequest) -> Plan:
-        """Keep what was given, and plan."""
-        self.given.append((request.belief, request.scene))
-        return self.policy.act(request)
-
-
 def situations(options: Options) -> list[tuple[PoseBelief, Scene]]:
     """Beliefs with their scenes."""
-    found = []
-    cache = Path(os.environ.get("RUMI_CACHE", Path.home() / ".cache" / "rumi"))
-    for task in options.tasks:
-        for seed in options.seeds:
-            steps = max(options.actions) + 1
-            parts = build(preset(task=task, method="gpvr", seed=seed, steps=steps), cache_dir=cache)
-            assert isinstance(parts.agent.policy, GPVRPolicy)
-            watched = Watched(parts.agent.policy)
-            loop.run(parts.task, replace(parts.agent, policy=watched), seed=seed, steps=steps)
-            parts.task.close()
-            found += [watched.given[index] for index in options.actions if index < len(watched.given)]
-    return found
+    steps = max(options.actions) + 1
+    runs = [Situations(task, "gpvr", seed, steps).given for task in options.tasks for seed in options.seeds]
+    return [given[index] for given in runs for index in options.actions if index < len(given)]
 
 
 def data(belief: PoseBelief, scene: Scene, cap: int) -> Labelled:

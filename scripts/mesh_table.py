@@ -11,11 +11,12 @@ FILE` adds others. Tune on seeds of 1000 and more; seeds 0-9 are for the record.
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import tyro
 
+from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.tasks.rummage.scenes import large_handled_mug
 from scripts.bench import drill
@@ -59,7 +60,7 @@ class Run:
     most: int | None = None
     out: Path = OUT
     set: tuple[str, ...] = ()
-    cache: Path = Path(os.environ.get("RUMI_CACHE", Path.home() / ".cache" / "rumi"))
+    cache: Path = field(default_factory=cache_folder)
 
 
 @dataclass(frozen=True)

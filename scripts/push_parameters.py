@@ -14,8 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rumi import loop
 from rumi.agent import stop_reason
 from rumi.cache import cache_folder
@@ -27,6 +25,7 @@ from scripts.experiment import Experiment, Line
 from scripts.first_day import outcome
 from scripts.first_day import settings_of as first_day_settings
 from scripts.reproduce.cells import rate, table
+from scripts.reproduce.intervals import bootstrap_mean
 
 CHOICES: dict[str, tuple[float, float] | float] = {
     "lever 1.5 friction 0.5": (0.5, 1.5),
@@ -134,10 +133,8 @@ def _found(line: Line) -> bool:
 
 def _more(first: list[Line], other: list[Line]) -> str:
     """Actions that the second took beyond the first, paired, with a 95 % interval (bootstrap over runs)."""
-    off = np.array([b["steps"] - a["steps"] for a, b in zip(first, other, strict=True)], dtype=float)
-    draws = np.random.default_rng(0).integers(len(off), size=(2000, len(off)))
-    low, high = np.quantile(off[draws].mean(1), (0.025, 0.975))
-    return f"{off.mean():+.1f} [{low:+.1f}, {high:+.1f}]"
+    off = [float(b["steps"] - a["steps"]) for a, b in zip(first, other, strict=True)]
+    return "{:+.1f} [{:+.1f}, {:+.1f}]".format(*bootstrap_mean(off))
 
 
 EXPERIMENT = Experiment(

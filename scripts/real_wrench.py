@@ -26,6 +26,7 @@ from scripts.bench.square_trajectories import TALL_M, followed, motion_of, sense
 from scripts.bench.vicon_pushes import block_of, force_pushes
 from scripts.experiment import Experiment, Line
 from scripts.reproduce.cells import table
+from scripts.reproduce.intervals import bootstrap_mean
 from sdf import se3
 from sdf.so3 import wrap
 from sdf.symmetry import Symmetries
@@ -99,9 +100,7 @@ def _paired(by_model: Mapping[str, list[Line]], name: str, at: list[int]) -> str
     """Mean of what the force changes, with its 95 % interval, by drawing bags anew; starts are the same."""
     without, felt = ({line["seed"]: np.array(line[name])[at] for line in own} for own in by_model.values())
     change = np.array([felt[seed] - without[seed] for seed in sorted(felt.keys() & without.keys())]).mean(0)
-    random = np.random.default_rng(0)
-    low, high = np.percentile(change[random.integers(len(change), size=(2000, len(change)))].mean(1), (2.5, 97.5))
-    return f"{change.mean():.1f} [{low:.1f}, {high:.1f}]"
+    return "{:.1f} [{:.1f}, {:.1f}]".format(*bootstrap_mean(change.tolist()))
 
 
 EXPERIMENT = Experiment(__doc__, "real_wrench.jsonl", {"model": MODELS, "way": WAYS}, measure, show, seeds="0-4")

@@ -9,7 +9,7 @@ far off both are, and draws both beliefs over the truth.
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
@@ -27,6 +27,7 @@ from rumi.tasks.rummage.settings import Settings, preset
 from rumi.viz import style
 from rumi.viz.scene import draw_particles, draw_truth, interesting
 from scripts.experiment import FIGURES
+from scripts.outcomes import by_chance, unmeasured
 
 STEPS = 25
 SHARED, OWN = "corrected", "trajectory"
@@ -43,8 +44,7 @@ class Options:
 def settings_of(motion: str, seed: int) -> Settings:
     """Settings of a run in which nothing measures the object's motion."""
     own = preset(task="mug", seed=seed, steps=STEPS, conditions="ideal", **{"filter.motion": motion})
-    own = replace(own, simulator=replace(own.simulator, measures_motion=False))
-    return replace(own, stop=replace(own.stop, rule="probability")) if motion == OWN else own
+    return by_chance(own) if motion == OWN else unmeasured(own)
 
 
 def believed(seed: int) -> tuple[list[StepRecord], list[StepRecord], Rummager]:

@@ -26,13 +26,11 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from rumi import loop
 from rumi.cache import cache_folder
 from rumi.cli import script
 from rumi.dynamics.base import RolloutModel
 from rumi.dynamics.push_posterior import PushPosterior
 from rumi.dynamics.registry import PushModels, PushSettings
-from rumi.errors import DegenerateBeliefError
 from rumi.fields.information import WorkspaceFields
 from rumi.fields.workspace import Workspace
 from rumi.planning.rummaging import RummagingPolicy
@@ -45,8 +43,9 @@ from rumi.tasks.rummage.entry import RummageTask
 from rumi.tasks.rummage.scenes import TaskSpec
 from rumi.tasks.rummage.settings import Settings, preset
 from scripts.experiment import FIGURES, RESULTS, Experiment, Line
+from scripts.outcomes import by_chance, ended, right, won_lost, wrong
 from scripts.reproduce.cells import middle, rate, table
-from scripts.reproduce.intervals import mcnemar, wilson
+from scripts.reproduce.intervals import wilson
 from scripts.store import Store
 from sdf.object_model import ObjectModel
 
@@ -102,39 +101,29 @@ class ToldPushes(PushModels):
 def settings_of(method: str, knob: int, seed: int) -> Settings:
     """Settings of a run in which nothing measures the object's motion."""
     own = preset(task=scene(knob).name, seed=seed, steps=STEPS, conditions="ideal", **{"filter.motion": "trajectory"})
-    own = replace(own, simulator=replace(own.simulator, measures_motion=False))
-    return replace(own, method="rumi" if method == "told" else method, stop=replace(own.stop, rule="probability"))
+    return by_chance(replace(own, method="rumi" if method == "told" else method))
 
 
 def measure(method: str, knob: int, seed: int) -> dict[str, Any]:
     """How a run ended."""
     steps: list[StepRecord] = []
     begun = time.process_time()
-    with build(settings_of(method, knob, seed), cache_dir=cache_folder()) as (task, agent):
+    with build(settings_of(method, knob, seed), cache_dir=cache_folder()) as parts:
         if method == "told":
-            assert isinstance(agent.policy, RummagingPolicy)
-            agent.policy.push_models = ToldPushes(agent.policy.settings, lambda: _truth(steps))
-        try:
-            result = loop.run(task, agent, seed=seed, on_step=steps.append)
-            ended = {"stopped_by": result.stopped_by, "right": result.right, "lost": result.lost}
-            ended |= {"mm": result.position_error_mm, "deg": result.rotation_error_deg}
-        except DegenerateBeliefError:
-            ended = {"stopped_by": "degenerate", "right": False, "lost": True, "mm": None, "deg": None}
+            policy = parts.agent.policy
+            assert isinstance(policy, RummagingPolicy)
+            policy.push_models = ToldPushes(policy.settings, lambda: _truth(steps))
+        found = ended(parts, seed, steps.append)
         base = torch.tensor(scene(knob).base[:2], dtype=torch.float64)
     away_mm = 1e3 * float((_truth(steps)[:2, 3] - base).norm())
     more = {"steps": steps[-1].step, "contacts": steps[-1].contacts, "away_mm": away_mm}
-    return ended | more | {"cpu_s": time.process_time() - begun}
+    return found | more | {"cpu_s": time.process_time() - begun}
 
 
 def _truth(steps: Sequence[StepRecord]) -> Tensor:
     truth = steps[-1].truth
     assert truth is not None
     return truth.to("cpu", torch.float64)
-
-
-def right(run: Line) -> bool:
-    """Whether a run ended sure, not lost, and right."""
-    return run["stopped_by"] == "sure" and not run["lost"] and bool(run["right"])
 
 
 def show(lines: list[Line], chosen: object) -> str:
@@ -149,17 +138,13 @@ def show(lines: list[Line], chosen: object) -> str:
 
 def _row(runs: dict[int, Line], own: dict[int, Line]) -> list[str]:
     both = sorted(runs.keys() & own.keys())
-    mine, other = [right(runs[s]) for s in both], [right(own[s]) for s in both]
-    won = sum(a and not b for a, b in zip(mine, other, strict=True))
-    lost = sum(b and not a for a, b in zip(mine, other, strict=True))
     fewer = [float(own[s]["steps"] - runs[s]["steps"]) for s in both if right(runs[s]) and right(own[s])]
-    wrong = [x["stopped_by"] == "sure" and not x["lost"] and not x["right"] for x in runs.values()]
     paired = runs is not own
     return [
         rate([right(x) for x in runs.values()]),
-        rate(wrong),
+        rate([wrong(x) for x in runs.values()]),
         middle([float(x["steps"]) for x in runs.values() if right(x)]),
-        f"{won}; {lost} ({mcnemar(mine, other):.2g})" if paired else "",
+        won_lost(runs, own) if paired else "",
         middle(fewer) if paired else "",
     ]
 

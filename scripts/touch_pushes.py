@@ -18,6 +18,7 @@ from rumi.seeding import split
 from rumi.tasks.touch_box.build import make_path_push
 from rumi.tasks.touch_box.gripper_robot import GripperRobot
 from rumi.tasks.touch_box.scene import TouchTask, draw_truth
+from scripts.reproduce.cells import push_errors
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from rumi.records import StepRecord
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.scenes import find_task
 from rumi.tasks.rummage.settings import Settings, from_dict, preset, to_dict
+from scripts.outcomes import unmeasured
 from scripts.store import Store
 
 RESULTS = Path(__file__).parent / "results" / "trajectories.jsonl"
@@ -83,9 +84,7 @@ def settings_of(options: Options, motion: str, seed: int) -> Settings:
     settings = replace(settings, filter=replace(settings.filter, motion=motion))
     if motion == "trajectory":
         settings = replace(settings, stop=replace(settings.stop, rule="compared"))
-    if motion != "measured":
-        settings = replace(settings, simulator=replace(settings.simulator, measures_motion=False))
-    return settings
+    return settings if motion == "measured" else unmeasured(settings)
 
 
 def measured(options: Options, motion: str, seed: int) -> dict[str, Any]:

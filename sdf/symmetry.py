@@ -169,15 +169,12 @@ def about(rotation: Float[Tensor, "*b 3 3"], center: Float[Tensor, "3"]) -> Floa
     return se3.make(rotation, center - (rotation @ center[:, None])[..., 0])
 
 
-def closure(
-    rotations: Float[Tensor, "N 3 3"], axis: Float[Tensor, "3"] | None = None, most: int = _MOST
-) -> Float[Tensor, "K 3 3"] | None:
-    """All products of some rotations, the identity first; None where they are more than `most`.
+def closure(rotations: Float[Tensor, "N 3 3"], axis: Float[Tensor, "3"] | None = None) -> Float[Tensor, "K 3 3"] | None:
+    """All products of some rotations, the identity first; None where they are too many.
 
     Args:
         rotations: (N, 3, 3); those nearer to each other than 3 degrees count as one.
         axis: (3,), unit: those that differ by a turn about it count as one too.
-        most: rotations.
     """
     group = torch.eye(3).to(rotations)[None]
     new = rotations
@@ -186,7 +183,7 @@ def closure(
         alike = _alike(new, torch.cat((group, new)), axis)
         first = alike.long().argmax(-1) == len(group) + torch.arange(len(new), device=new.device)
         group, new = torch.cat((group, new[first])), new[first]
-        if len(group) > most:
+        if len(group) > _MOST:
             return None
         new = (new[:, None] @ rotations).reshape(-1, 3, 3)
     return group

@@ -19,6 +19,7 @@ from rumi.records import StepRecord
 from rumi.registration.descent import DescentSettings
 from rumi.robot.tool import Tool
 from rumi.runs.replay import LogTask, Repeat
+from rumi.session import Session, run_scenes
 from rumi.tasks.rummage.agent import Rummager
 from sdf import se3
 from sdf.object_model import box_model
@@ -168,7 +169,7 @@ def test_records_of_before_tell_their_end_in_todays_words():
 def test_scenes_side_by_side_are_asked_and_end_as_each_alone():
     agents = [Counter(enough=3), Counter(idle=1), Counter(enough=0), Counter()]
     tasks, seen = [Told() for _ in agents], []
-    results = loop.run_scenes(
+    results = run_scenes(
         tasks, agents, seeds=[5, 6, 7, 8], steps=4, on_step=lambda scene, record: seen.append((scene, record.step))
     )
     for scene, (agent, task) in enumerate(zip(agents, tasks, strict=True)):
@@ -177,13 +178,13 @@ def test_scenes_side_by_side_are_asked_and_end_as_each_alone():
         assert task.asked == alone.asked
         assert [step for own, step in seen if own == scene] == [record.step for record in steps]
     with pytest.raises(ValueError, match="an agent for each of 4 tasks"):
-        loop.run_scenes(tasks, agents[:2], seeds=[0, 1])
+        run_scenes(tasks, agents[:2], seeds=[0, 1])
     with pytest.raises(ValueError, match="an agent and a seed"):
-        loop.run_scenes(tasks, agents, seeds=[0])
+        run_scenes(tasks, agents, seeds=[0])
 
 
 def test_one_steps_in_and_out_of_a_session():
-    session = loop.Session([Counter(enough=1), Counter(idle=2)], seeds=[0, 1])
+    session = Session([Counter(enough=1), Counter(idle=2)], seeds=[0, 1])
     assert session.step(["first", "view"]) == ["on", "on"]
     assert session.step(["felt", "felt"]) == [loop.Last("grasp"), "on"]
     assert session.step(["lifted", "felt"]) == [None, loop.Last("grasp")]
@@ -206,7 +207,7 @@ class Impatient(Counter):
 
 def test_ctrl_c_ends_all_scenes_with_what_they_have():
     counters = [Counter(), Counter(enough=1), Counter()]
-    assert loop.run_scenes([Told(), Told(), Told("on")], counters, seeds=[0, 0, 0]) == [(0, "interrupted", None)] * 3
+    assert run_scenes([Told(), Told(), Told("on")], counters, seeds=[0, 0, 0]) == [(0, "interrupted", None)] * 3
     thinking = [Counter(), Impatient(), Counter(enough=1)]
     ended = [(1, "interrupted", None), (1, "interrupted", None), (0, "interrupted", None)]
-    assert loop.run_scenes([Told(), Told(), Told()], thinking, seeds=[0, 0, 0]) == ended
+    assert run_scenes([Told(), Told(), Told()], thinking, seeds=[0, 0, 0]) == ended

@@ -18,9 +18,10 @@ from torch import Tensor
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import NOISE, OWN, PoseTrajectoryBelief, Trajectories
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, check_finite, log_mean, one, power_of
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, one
 from rumi.belief.prior import PosePrior
 from rumi.belief.segments import felt_pads, path_of, pushed, until_felt
+from rumi.belief.tempering import check_finite, log_mean, power_of
 from rumi.belief.toppled_object import ToppledObject
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_starts import brought_to, from_prior, jittered, jumped, least_fit

@@ -11,7 +11,8 @@ import torch
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_trajectories import PoseTrajectoryBelief, Trajectories
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, check_finite, power_of
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
+from rumi.belief.tempering import check_finite, power_of
 from rumi.belief.trajectory_faults import new_segments
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_moves import Moves

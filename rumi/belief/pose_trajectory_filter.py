@@ -7,7 +7,6 @@ resampled and moved under their whole history (Chopin's IBIS, 2002, with Del Mor
 """
 
 import copy
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, Self
@@ -23,12 +22,13 @@ from rumi.belief.prior import PosePrior
 from rumi.belief.pushed_model import Pushed
 from rumi.belief.segments import cut, felt_pads, path_of, pushed, seen_besides, standing
 from rumi.belief.systematic_errors import NUMBERS
+from rumi.belief.tempering import check_finite, in_full, log_mean, power_of, raised
 from rumi.belief.trajectory_chance import log_chance
 from rumi.belief.trajectory_history import History, Segment
 from rumi.belief.trajectory_moves import KERNEL, Moves, start_density
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.belief.yaw_search import all_round
-from rumi.errors import DegenerateBeliefError, UsageError
+from rumi.errors import UsageError
 from rumi.registration.descent import Search
 from rumi.resampling import resample_systematic, systematic
 from rumi.seeding import Generators, normal
@@ -300,10 +300,8 @@ class PoseTrajectoryFilter(PoseFilter):
         if many and (closes or power < 1.0):
             count = own.particles
         tried = tried.at(resample_systematic(base + power * gained, count, generator=random))
-        scaled = tried.log_likelihood.clone()
-        scaled[:, -1] *= power
         told = log_mean(base, power * gained)
-        now = replace(tried, log_likelihood=scaled, log_evidence=now.log_evidence + told)
+        now = replace(raised(tried, power), log_evidence=now.log_evidence + told)
         # the action's motions are branched anew; those before it are what dies out
         alive = len(torch.unique(now.poses[:, int(history.action[-1]), 0]))
         if power == 1.0 and not closes and (count > own.particles or alive >= _ALIVE * count):
@@ -328,30 +326,14 @@ class PoseTrajectoryFilter(PoseFilter):
         power = power_of(log_weights, gained, 0.0, 0.5 * count)
         now = replace(now, log_evidence=now.log_evidence + log_mean(log_weights, power * gained))
         now = now.at(resample_systematic(log_weights + power * gained, generator=random))
-        scaled = now.log_likelihood.clone()
-        scaled[:, -1] *= power
-        now = self._tempered(replace(now, log_likelihood=scaled), power, random, whole=True)
+        now = self._tempered(raised(now, power), power, random, whole=True)
         return now, normalise(torch.zeros_like(log_weights)), True
 
     def _tempered(self, now: Trajectories, power: float, random: torch.Generator, *, whole: bool) -> Trajectories:
         """Particles moved and resampled until the last segment's readings count in full, at last from the start."""
-        history = now.history
         moves = self.moves(self.model, self.own, random)
-        whole |= len(history.moving()) <= _LONG
-        while True:
-            # what comes before the last stage is moved on in any case
-            rounds = self.own.rounds if power == 1.0 else 1
-            now = moves.sweep(now, history.tempered(power), whole=whole and power == 1.0, rounds=rounds)
-            if power == 1.0:
-                return now
-            gained = now.log_likelihood[:, -1] / power
-            flat = torch.zeros_like(gained)
-            more = power_of(flat, gained, power, 0.5 * len(now))
-            now = replace(now, log_evidence=now.log_evidence + log_mean(flat, (more - power) * gained))
-            now = now.at(resample_systematic((more - power) * gained, generator=random))
-            scaled = now.log_likelihood.clone()
-            scaled[:, -1] *= more / power
-            now, power = replace(now, log_likelihood=scaled), more
+        whole |= len(now.history.moving()) <= _LONG
+        return in_full(now, power, moves, random, rounds=self.own.rounds, whole=whole)
 
     def _ridden(self, now: Trajectories, spans: list[int], count: int) -> Float[Tensor, "K 4 4"]:
         """Motion of a particle in the middle of the belief up to each instant of an action, segments evenly divided."""
@@ -387,34 +369,3 @@ def one(generator: Generators) -> torch.Generator:
     if not isinstance(generator, torch.Generator):
         raise TypeError("Expected one generator: trajectories are of one scene")
     return generator
-
-
-def log_mean(log_weights: Float[Tensor, "N"], gained: Float[Tensor, "N"]) -> float:
-    """Log of the weighted mean of likelihoods: what a reading adds to the log marginal likelihood."""
-    return float(torch.logsumexp(log_weights + gained, -1) - torch.logsumexp(log_weights, -1))
-
-
-def check_finite(gained: Float[Tensor, "N"]) -> None:
-    """Refuse likelihoods that are none."""
-    if not bool(torch.isfinite(gained).all()):
-        raise DegenerateBeliefError("Expected finite likelihoods, got NaN or infinity: check the reading's points")
-
-
-def power_of(log_weights: Float[Tensor, "N"], gained: Float[Tensor, "N"], least: float, wanted: float) -> float:
-    """Greatest power up to 1 of new readings that leaves an effective sample size, by bisection.
-
-    Args:
-        log_weights: of the particles, in which the readings count with the power `least`.
-        gained: log-likelihood of the readings.
-        least: power so far.
-        wanted: effective sample size, where the weights have it now; else nine tenths of what they have.
-    """
-    wanted = min(wanted, 0.9 * float(effective_sample_size(log_weights)))
-    low, high = least, 1.0
-    if float(effective_sample_size(log_weights + (high - least) * gained)) >= wanted:
-        return 1.0
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        enough = float(effective_sample_size(log_weights + (middle - least) * gained)) >= wanted
-        low, high = (middle, high) if enough else (low, middle)
-    return min(1.0, max(low, least + 1e-3 * (1.0 - least) + 1e-6, math.nextafter(least, 1.0)))

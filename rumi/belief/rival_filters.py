@@ -21,8 +21,9 @@ from torch import Tensor
 
 from rumi.belief.offset_rings import CAMERA, HAND, Ring, drawn
 from rumi.belief.pose_trajectories import Trajectories
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, log_mean
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.pushed_object import PushedObject
+from rumi.belief.tempering import log_mean
 from rumi.belief.trajectory_history import History
 from rumi.belief.trajectory_moves import KERNEL, Moves, start_density
 from rumi.resampling import resample_systematic, systematic

@@ -18,9 +18,10 @@ from torch import Tensor
 
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.pose_trajectories import Trajectories
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, log_mean
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.predicted_action import followed, log_evidence
 from rumi.belief.pushed_model import Pushed
+from rumi.belief.tempering import log_mean
 from rumi.belief.trajectory_history import History, Kind
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.dynamics.sliding import rotated

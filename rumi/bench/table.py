@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from rumi.bench.measure import Result, Row
+from sdf import backend
 
 HEADER = ("variant", "median", "quartiles", "each", "quicker", "error")
 _WIDTHS = (22, 8, 15, 8, 7, 7)
@@ -88,11 +89,11 @@ def notes(result: Result) -> Iterator[str]:
     for row in result.rows:
         if row.note:
             yield f"{row.name}: {row.note}"
-    plain = sorted(
-        {op for row in result.rows if row.name.startswith("numba") for op, v in row.ran.items() if v == "torch"}
-    )
+    ran = {each for row in result.rows if row.name.startswith("numba") for each in row.ran.items()}
+    # an operation without a compiled version is made of others, which speak for themselves
+    plain = sorted(op for op, version in ran if version == backend.PLAIN and "numba" in backend.versions(op))
     if plain:
-        yield f"numba: no fused version of {', '.join(plain)} for these, plain torch ran"
+        yield f"numba: the compiled version of {', '.join(plain)} does not take these tensors, plain torch ran"
     scattered = [row.name for row in result.rows if row.timing.scatters]
     if scattered:
         yield f"times scatter, as on a busy machine: {', '.join(scattered)}"

@@ -13,8 +13,6 @@ from typing import Any, Protocol, cast, runtime_checkable
 import torch
 from torch import Tensor
 
-from rumi.agent import StopReason
-from rumi.clock import Clock
 from rumi.environments.views import VIEWS, Observed, View
 from rumi.errors import UsageError
 from rumi.loop import run
@@ -69,71 +67,35 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """An agent whose actions a policy chooses; the belief is the agent's.
+class Player:
+    """An agent whose decisions are timed, and a policy's where one is given; all else is the agent's.
 
     Attributes:
-        agent: that believes.
+        agent: that believes, and plans where there is no policy.
         policy: that chooses.
         view: what it sees.
         taken: CPU seconds of each decision.
     """
 
     agent: Rummager
-    policy: Policy
-    view: View
+    policy: Policy | None = None
+    view: View | None = None
     taken: list[float] = field(default_factory=list)
 
-    def begin(self, result: StepResult, *, seed: int, clock: Clock) -> RummageState:
-        """The agent's."""
-        return self.agent.begin(result, seed=seed, clock=clock)
-
-    def stop(self, state: RummageState) -> StopReason | None:
-        """The agent's."""
-        return self.agent.stop(state)
-
     def act(self, state: RummageState) -> tuple[RummageState, Tensor]:
-        """The policy's control."""
-        record = state.record
-        seen = self.view(StepResult(record.reading), state)
+        """The planner's control, or the policy's."""
+        seen = None if self.view is None else self.view(StepResult(state.record.reading), state)
         start = time.process_time()
+        if self.policy is None or seen is None:
+            decided = self.agent.act(state)
+            self.taken.append(time.process_time() - start)
+            return decided
         control = torch.as_tensor(self.policy.act(seen), dtype=torch.float32).detach().cpu()
         self.taken.append(time.process_time() - start)
         size = len(self.agent.tool.scale)
         if tuple(control.shape) != (size,) or not bool(torch.isfinite(control).all()):
             raise UsageError(f"Expected act to give {size} finite numbers, got {control.tolist()}")
         return state, control.clamp(-1.0, 1.0)
-
-    def update(self, state: RummageState, action: Tensor, result: StepResult) -> RummageState:
-        """The agent's."""
-        return self.agent.update(state, action, result)
-
-    def last(self, state: RummageState) -> None:
-        """Nothing is done at the end."""
-
-    def result(self, state: RummageState, stopped_by: StopReason, outcome: object) -> Any:  # noqa: ANN401
-        """The agent's."""
-        return self.agent.result(state, stopped_by, outcome)
-
-
-@dataclass(frozen=True)
-class Planner:
-    """The agent with its own planner, whose decisions are timed.
-
-    Attributes:
-        agent: that believes and plans.
-        taken: CPU seconds of each decision.
-    """
-
-    agent: Rummager
-    taken: list[float] = field(default_factory=list)
-
-    def act(self, state: RummageState) -> tuple[RummageState, Tensor]:
-        """The planner's control."""
-        start = time.process_time()
-        decided = self.agent.act(state)
-        self.taken.append(time.process_time() - start)
-        return decided
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401  (the rest is the agent's)
         return getattr(self.agent, name)
@@ -184,10 +146,10 @@ def score(
     Raises:
         UsageError: the file is no policy.
     """
-    player: Any = Planner(agent)
+    player: Any = Player(agent)
     if path is not None:
         policy, view = load_policy(path)
-        player = Chosen(agent, policy, VIEWS[view](agent, instants))
+        player = Player(agent, policy, VIEWS[view](agent, instants))
     results = []
     for seed in seeds:
         if path is not None and hasattr(player.policy, "start"):

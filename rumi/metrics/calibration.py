@@ -26,6 +26,7 @@ _NEIGHBOURS = 12  # at most, and a tenth of the particles where these are few
 _M, _RAD = 1e-3, math.radians(1.5)  # that count as equal distances where place and turn are one
 _SAME = 1e-6  # metres or radians by which a coordinate that is held does not differ
 _COORDINATES = ("x", "y", "z", "turn x", "turn y", "turn z")
+_DRAWS = 200  # of who is right by chance
 
 
 class CheckedBelief(NamedTuple):
@@ -108,15 +109,11 @@ def calibration_error(p_right: Sequence[float], right: Sequence[bool], bins: int
     return sum(own.beliefs * abs(own.p_right - own.right) for own in found) / max(1, len(p_right))
 
 
-def chance_error(
-    p_right: Sequence[float], bins: int = 10, draws: int = 200, *, groups: Sequence[Hashable] | None = None
-) -> float:
+def chance_error(p_right: Sequence[float], *, groups: Sequence[Hashable] | None = None) -> float:
     """The calibration error that as many, perfectly calibrated, have by chance: mean over draws of who is right.
 
     Args:
         p_right: of the beliefs.
-        bins: of the calibration error.
-        draws: of which the mean is taken.
         groups: of each belief. Those of one group are right together, as those of an episode between two contacts
             are, which are the same belief looked at again; by default each is right by itself.
     """
@@ -125,10 +122,10 @@ def chance_error(
     of = torch.tensor([place[name] for name in groups]) if groups else torch.arange(len(p))
     random = torch.Generator().manual_seed(0)
     total = 0.0
-    for _ in range(draws):
+    for _ in range(_DRAWS):
         right = torch.rand(len(place) or len(p), generator=random, dtype=torch.float64)[of] < p
-        total += calibration_error(p_right, right.tolist(), bins)
-    return total / draws
+        total += calibration_error(p_right, right.tolist())
+    return total / _DRAWS
 
 
 def rank_test(ranks: Sequence[float], bins: int = 10) -> float:

@@ -70,7 +70,7 @@ class IKResult(NamedTuple):
 
 
 class Arm:
-    """Forward kinematics, Jacobian and inverse kinematics of a serial arm, batched; needs pytorch-kinematics.
+    """Kinematics of a serial arm, forward and inverse, batched, float64 on the CPU; needs pytorch-kinematics.
 
     Attributes:
         low, high: (J), limits of the joints, radians, or metres of joints that slide; infinite where there is none.
@@ -78,32 +78,23 @@ class Arm:
     Args:
         urdf: text of the robot's URDF; by default of the `ArmGeometry`.
         tip: the link at the end of the arm.
-        dtype: of all it computes.
-        device: where.
 
     Raises:
         UsageError: it is no URDF, or no arm that ends in the tip.
     """
 
-    def __init__(
-        self,
-        urdf: str | None = None,
-        tip: str = "tool",
-        *,
-        dtype: torch.dtype = torch.float64,
-        device: torch.device | str = "cpu",
-    ) -> None:
+    def __init__(self, urdf: str | None = None, tip: str = "tool") -> None:
         pytorch_kinematics = optional("pytorch_kinematics", "The arm's reach")
         text = ArmGeometry().urdf() if urdf is None else urdf
         joints = _joints_to(text, tip)
         self.joints = tuple(str(joint.get("name")) for joint in joints)
         limits = torch.tensor([_limits(joint) for joint in joints], dtype=torch.float64)
-        self.low, self.high = limits.to(device, dtype).unbind(-1)
+        self.low, self.high = limits.unbind(-1)
         try:
             chain = pytorch_kinematics.build_serial_chain_from_urdf(text.encode(), tip)
         except Exception as error:  # it raises whatever it stumbles over
             raise UsageError(f"Expected a URDF whose links hang together by joints, got: {error}") from error
-        self.chain = chain.to(dtype=dtype, device=device)
+        self.chain = chain.to(dtype=torch.float64, device="cpu")
 
     def forward(self, joints: Float[Tensor, "n J"]) -> Float[Tensor, "n 4 4"]:
         """base_T_tool at joint angles (n, J), radians."""

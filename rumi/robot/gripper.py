@@ -216,14 +216,9 @@ class Ellipsoid(SDF):
         return torch.where(steep > 1e-9, scaled * (scaled - 1.0) / steep.clamp_min(1e-9), inside)
 
 
-def gripper_links(shape: GripperShape, *, grown_m: float = 0.0) -> tuple[SDF, ...]:
-    """Palm and pads in the tool's frame, each a link.
-
-    Args:
-        shape: the gripper's.
-        grown_m: by which the pads are larger, such as a membrane over them.
-    """
-    a, b, c = (half + grown_m for half in shape.pad_m)
+def gripper_links(shape: GripperShape) -> tuple[SDF, ...]:
+    """Palm and pads in the tool's frame, each a link."""
+    a, b, c = shape.pad_m
     palm = Box([0.5 * side for side in shape.palm_m])
     centers = ((shape.palm_center_m, 0.0, 0.0), *shape.pad_centers)
     members: tuple[SDF, ...] = (palm, *(Ellipsoid((a, b, c)) for _ in shape.pad_centers))

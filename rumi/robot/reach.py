@@ -101,6 +101,8 @@ class Reach(nn.Module):
     words = "of the arm"
     """What a run relies on."""
 
+    _spatial = False
+
     @property
     def nodes(self) -> tuple[float, ...]:
         """Where the table's nodes are, for `tool_numba`: step of the radius, sector, lowest and highest."""
@@ -133,22 +135,14 @@ class Reach(nn.Module):
         """
         return reachability(*self.errors(self._oriented(points_w, yaws)), self.settings.rotation_scale_m)
 
-    def share(self, points_w: Float[Tensor, "*b 3"], *, yaws: Sequence[float] = YAWS_RAD) -> Float[Tensor, "*b"]:
-        """Share of the orientations in which the arm gets the tool to each point, between 0 and 1.
-
-        Args:
-            points_w: (*b, 3), metres; z plays no part.
-            yaws: orientations of the tool, radians from the arm's forward direction.
-        """
-        return self.reachable(self._oriented(points_w, yaws)).to(points_w.dtype).mean(-1)
-
     def _oriented(self, points_w: Tensor, yaws: Sequence[float]) -> Float[Tensor, "*b R Q"]:
         check_shape("points_w", points_w, "(*b, 3)", last=(3,))
         if len(yaws) == 0:
             raise ValueError("Expected yaws to hold at least one angle, got none")
         turns = self.base[2] + torch.tensor(tuple(yaws), dtype=points_w.dtype, device=points_w.device)
-        planar = points_w[..., None, :2].expand(*points_w.shape[:-1], len(turns), 2)
-        return torch.cat((planar, turns[:, None].expand(*planar.shape[:-1], 1)), -1)
+        axes = 3 if self._spatial else 2
+        places = points_w[..., None, :axes].expand(*points_w.shape[:-1], len(turns), axes)
+        return torch.cat((places, turns[:, None].expand(*places.shape[:-1], 1)), -1)
 
     def _locate(self, q: Tensor) -> tuple[Float[Tensor, "*b D"], Float[Tensor, "*b"]]:
         """Place of each configuration in the table, (yaw, radius) in [-1, 1], and metres beyond the table."""
@@ -171,6 +165,8 @@ class SpatialReach(Reach):
         settings: what the tables were made with (its height is not used).
         base: (x, y, yaw) of the arm's base in the world, metres and radians.
     """
+
+    _spatial = True
 
     def __init__(
         self,
@@ -196,7 +192,6 @@ class SpatialReach(Reach):
         settings: ReachSettings | None = None,
         *,
         cache_dir: Path | None = None,
-        heights_m: Sequence[float] = HEIGHTS_M,
         base_below_m: float = 0.0,
     ) -> Self:
         """Solve the inverse kinematics (seconds a height) or take its tables from `cache_dir`; see `Reach.of_arm`.
@@ -204,17 +199,9 @@ class SpatialReach(Reach):
         Heights are above the world's floor, `base_below_m` below which the arm's base is.
         """
         settings = settings or ReachSettings()
-        above = [replace(settings, height_m=height + base_below_m) for height in heights_m]
+        above = [replace(settings, height_m=height + base_below_m) for height in HEIGHTS_M]
         tables = [reach_table(one, cache_dir=cache_dir) for one in above]
-        return cls(tables, heights_m, settings, base)
-
-    def _oriented(self, points_w: Tensor, yaws: Sequence[float]) -> Float[Tensor, "*b R Q"]:
-        check_shape("points_w", points_w, "(*b, 3)", last=(3,))
-        if len(yaws) == 0:
-            raise ValueError("Expected yaws to hold at least one angle, got none")
-        turns = self.base[2] + torch.tensor(tuple(yaws), dtype=points_w.dtype, device=points_w.device)
-        places = points_w[..., None, :].expand(*points_w.shape[:-1], len(turns), 3)
-        return torch.cat((places, turns[:, None].expand(*places.shape[:-1], 1)), -1)
+        return cls(tables, HEIGHTS_M, settings, base)
 
     def _locate(self, q: Tensor) -> tuple[Float[Tensor, "*b D"], Float[Tensor, "*b"]]:
         radius, direction, yaw = self.relative(q)

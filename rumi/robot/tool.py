@@ -10,15 +10,12 @@ from torch import Tensor, nn
 from rumi.robot.border import Border, near_groups
 from rumi.robot.cover import Cover, covering_discs
 from rumi.robot.gripper import GripperShape
+from rumi.robot.limited_step import PARTS, SLACK_M, limited_step
 from rumi.robot.reach import Reach
 from rumi.robot.tool_guess import guessed_steps
 from rumi.robot.tool_shape import ToolShape
 from sdf import backend, compiled, gpu, se3
 from sdf.check import check_shape, is_eager
-
-_PARTS = 16
-# metres by which rounding may make a residual grow that is the same all along a circle about the base
-_SLACK_M = 1e-6
 
 
 def level_pose(q: Float[Tensor, "*b Q"], height_m: float | None) -> Float[Tensor, "*b 4 4"]:
@@ -162,7 +159,7 @@ class Tool(nn.Module):
         wanted = q + control * (self.scale * fraction)
         q = q.expand_as(wanted)
         residual = None if self.reach is None else self.reach.residual(q)
-        reached, _ = self._within(q, wanted, residual)
+        reached, _ = limited_step(self.bounds, self.reach, q, wanted, residual)
         return reached, (wanted - reached)[..., :-1].norm(dim=-1)
 
     def free_path(
@@ -210,7 +207,8 @@ class Tool(nn.Module):
         for index in range(int(begins.min()), flat.shape[1]):
             held = (begins <= index).nonzero()[:, 0]
             now = current[held]
-            now, left = self._within(now, now + steps[rows[held], index], None if residual is None else residual[held])
+            own = None if residual is None else residual[held]
+            now, left = limited_step(self.bounds, self.reach, now, now + steps[rows[held], index], own)
             flat[rows[held], index] = current[held] = now
             if residual is not None and left is not None:
                 residual[held] = left
@@ -227,7 +225,7 @@ class Tool(nn.Module):
         while len(steps):
             ends = guessed_steps(self.arm_arrays(), current[0], steps)
             begins = torch.cat((current, ends[:-1]))
-            found, _ = self._within(begins, begins + steps, self.reach.residual(begins))
+            found, _ = limited_step(self.bounds, self.reach, begins, begins + steps, self.reach.residual(begins))
             right = int((found == ends).all(-1).to(torch.uint8).cumprod(0).sum())
             path.append(found[: right + 1])
             current, steps = path[-1][-1:], steps[right + 1 :]
@@ -238,7 +236,7 @@ class Tool(nn.Module):
         residual = None if self.reach is None else self.reach.residual(q)
         path = []
         for step in steps.unbind(-2):
-            q, residual = self._within(q, q + step, residual)
+            q, residual = limited_step(self.bounds, self.reach, q, q + step, residual)
             path.append(q)
         return torch.stack(path, -2)
 
@@ -247,9 +245,9 @@ class Tool(nn.Module):
         bounds = self.bounds.numpy()
         if self.reach is None:
             none = np.zeros((1,) * self.spatial + (1, 3), bounds.dtype)
-            return none, none.reshape(-1), bounds, np.array((0.0, 0.0, _SLACK_M, _PARTS))
+            return none, none.reshape(-1), bounds, np.array((0.0, 0.0, SLACK_M, PARTS))
         left = self.reach.left.contiguous().numpy()
-        numbers = (1.0, self.reach.settings.tolerance_m, _SLACK_M, _PARTS, *self.reach.nodes)
+        numbers = (1.0, self.reach.settings.tolerance_m, SLACK_M, PARTS, *self.reach.nodes)
         return left, self.reach.base.numpy(), bounds, np.array(numbers)
 
     def arm_tensors(self, like: Tensor) -> tuple[Any, ...]:
@@ -263,7 +261,7 @@ class Tool(nn.Module):
         kind = IN_BOX if left.ndim == 4 else ABOUT_BASE
         if kind == ABOUT_BASE:
             left = left.reshape(-1, 1, *left.shape[-2:])
-        numbers = [float(kind), self.reach.settings.tolerance_m, _SLACK_M, float(_PARTS), *self.reach.nodes]
+        numbers = [float(kind), self.reach.settings.tolerance_m, SLACK_M, float(PARTS), *self.reach.nodes]
         return left, self.reach.base.to(like), bounds, [*numbers, *none][:10]
 
     def _left(self, like: Tensor) -> Tensor:
@@ -277,66 +275,6 @@ class Tool(nn.Module):
     def _inside(self, q: Tensor) -> Bool[Tensor, "*b"]:
         boxed = ((q[..., :-1] >= self.bounds[0]) & (q[..., :-1] <= self.bounds[1])).all(-1)
         return boxed if self.reach is None else boxed & self.reach.reachable(q)
-
-    def _within(self, q: Tensor, wanted: Tensor, residual: Tensor | None) -> tuple[Tensor, Tensor | None]:
-        """Where a step from q to `wanted` ends, and the arm's residual there.
-
-        Args:
-            q: (*b, Q), configuration now.
-            wanted: (*b, Q).
-            residual: (*b), the arm's at q; None without an arm.
-        """
-        reached = self._boxed(wanted)
-        if self.reach is None or residual is None:
-            return reached, None
-        limit = residual.clamp_min(self.reach.settings.tolerance_m) + _SLACK_M
-        left = self.reach.residual(reached)
-        refused = left > limit
-        if not is_eager():
-            shape = (-1, q.shape[-1])
-            ends, rest = self._up_to_limit(q.reshape(shape), reached.reshape(shape), limit.reshape(-1))
-            reached = torch.where(refused[..., None], ends.reshape(reached.shape), reached)
-            return reached, torch.where(refused, rest.reshape(left.shape), left)
-        if bool(refused.any()):
-            reached[refused], left[refused] = self._up_to_limit(q[refused], reached[refused], limit[refused])
-        return reached, left
-
-    def _up_to_limit(self, q: Tensor, wanted: Tensor, limit: Tensor) -> tuple[Tensor, Tensor]:
-        """Where a step (n, Q) that the arm cannot finish ends, and the residual there."""
-        assert self.reach is not None
-        # as far as the arm gets on the straight way, a sixteenth of the step at a time
-        parts = torch.arange(1, _PARTS, dtype=q.dtype, device=q.device)[:, None, None] / _PARTS
-        residuals = self.reach.residual(q + parts * (wanted - q))
-        passed = (residuals <= limit).to(q.dtype).cumprod(0).sum(0)
-        halfway = q + (passed / _PARTS)[:, None] * (wanted - q)
-        # and from there round the limit
-        ways = torch.stack((*self._ways_round(halfway, wanted), halfway))
-        residuals = self.reach.residual(ways)
-        reached, left = ways[3], residuals[3]
-        for way, rest in ((ways[2], residuals[2]), (ways[1], residuals[1]), (ways[0], residuals[0])):
-            accepted = rest <= limit
-            reached, left = torch.where(accepted[:, None], way, reached), torch.where(accepted, rest, left)
-        return reached, left
-
-    def _ways_round(self, q: Tensor, wanted: Tensor) -> tuple[Tensor, ...]:
-        assert self.reach is not None
-        base = self.reach.base[:2]
-        offset, target = q[..., :2] - base, wanted[..., :2] - base
-        radius = offset.norm(dim=-1, keepdim=True)
-        on_circle = base + target * (radius / target.norm(dim=-1, keepdim=True).clamp_min(1e-9))
-        on_circle = torch.maximum(torch.minimum(on_circle, self.bounds[1, :2]), self.bounds[0, :2])
-        aside = offset[..., 0] * target[..., 1] - offset[..., 1] * target[..., 0]
-        ahead = offset[..., 0] * target[..., 0] + offset[..., 1] * target[..., 1]
-        # beside each other: of two that lie by themselves, the library works out several angles at once, otherwise
-        swing = torch.atan2(*torch.stack((aside, ahead), -1).unbind(-1))
-        straight = torch.cat((wanted[..., :-1], q[..., -1:]), -1)
-        turning = torch.cat((on_circle, wanted[..., 2:]), -1)
-        carried = torch.cat((on_circle, wanted[..., 2:-1], q[..., -1:] + swing[..., None]), -1)
-        return straight, turning, carried
-
-    def _boxed(self, q: Tensor) -> Tensor:
-        place = torch.maximum(torch.minimum(q[..., :-1], self.bounds[1]), self.bounds[0])
-        return torch.cat((place, q[..., -1:]), -1)
 
     def _place(self, points: Tensor, q: Tensor) -> Tensor:
         cosine, sine = q[..., -1].cos()[..., None], q[..., -1].sin()[..., None]

@@ -118,7 +118,7 @@ def step_within(
     bounds: wp.array2d(dtype=Any),
     numbers: Any,
 ):
-    """Where a step from q to `wanted` ends, and the arm's residual there; `left` is it now. See `Tool._within`."""
+    """Where a step from q to `wanted` ends, and the arm's residual there; `left` is it now. See `limited_step`."""
     reached = _boxed(wanted, bounds)
     if int(numbers[0]) == FREE:
         return reached, left

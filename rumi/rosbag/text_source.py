@@ -138,8 +138,8 @@ def _kind(row: Row) -> tuple[str, Build]:
     )
 
 
-def _vector(row: Row, names: Sequence[str], keys: Sequence[str] = "xyzw") -> SimpleNamespace:
-    return SimpleNamespace(**{key: float(row[name]) for key, name in zip(keys, names, strict=False)})
+def _vector(row: Row, names: Sequence[str]) -> SimpleNamespace:
+    return SimpleNamespace(**{key: float(row[name]) for key, name in zip("xyzw", names, strict=False)})
 
 
 def _pose(message: SimpleNamespace, rows: Sequence[Row]) -> SimpleNamespace:

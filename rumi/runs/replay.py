@@ -11,7 +11,6 @@ from torch import Tensor
 
 from rumi.agent import Agent, StopReason
 from rumi.belief.particles import PoseBelief
-from rumi.clock import Clock
 from rumi.errors import UsageError
 from rumi.loop import run
 from rumi.task import StepResult, Task
@@ -124,10 +123,6 @@ class Repeat:
     agent: Agent[Any]
     actions: Sequence[Any]
 
-    def begin(self, result: StepResult, *, seed: int, clock: Clock) -> Any:  # noqa: ANN401  (the agent's state)
-        """The agent's."""
-        return self.agent.begin(result, seed=seed, clock=clock)
-
     def stop(self, state: Any) -> StopReason | None:  # noqa: ANN401
         """Stop where the agent is sure: a recording knows neither its clock nor its number of actions."""
         return "sure" if self.agent.stop(state) == "sure" else None
@@ -136,16 +131,11 @@ class Repeat:
         """The action that was carried out next."""
         return state, self.actions[state.record.step]
 
-    def update(self, state: Any, action: Any, result: StepResult) -> Any:  # noqa: ANN401
-        """The agent's."""
-        return self.agent.update(state, action, result)
-
     def last(self, state: Any) -> None:  # noqa: ANN401
         """Nothing is done at the end."""
 
-    def result(self, state: Any, stopped_by: StopReason, outcome: Any) -> Any:  # noqa: ANN401
-        """The agent's."""
-        return self.agent.result(state, stopped_by, outcome)
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  (the rest is the agent's)
+        return getattr(self.agent, name)
 
 
 def replay(
@@ -185,7 +175,8 @@ def replay(
         on_step(step)
 
     start = time.perf_counter()
-    result = run(task, Repeat(agent, actions), seed=seed, steps=len(actions), on_step=compared)
+    repeat: Any = Repeat(agent, actions)
+    result = run(task, repeat, seed=seed, steps=len(actions), on_step=compared)
     return Replayed(result, same, time.perf_counter() - start, steps)
 
 

@@ -9,6 +9,9 @@ from rumi.sim.robot_dynamics import MujocoDynamics
 
 _CLEAR_M = 0.2  # of the tool above the floor in all of the motion
 _STEP = 0.01  # share of a mass by which derivatives are taken; they are exact, since torques are linear in masses
+# about how wrong masses are (a share), how large friction is that the model does not know, and the torque sensors' bias
+_PRIOR_SDS = (0.05, 0.5, 0.3)
+_NOISE_SD = 0.2  # of a window's external torque, N m
 # joints through which the arm goes: (the last six, about the middle of their reach; the first turns from side to side)
 _KNOTS = np.array(
     [
@@ -68,15 +71,7 @@ def free_motion(kinematics: HandDownKinematics) -> JointPath:
     return path
 
 
-def correction(
-    dynamics: MujocoDynamics,
-    windows: list[Window],
-    *,
-    mass_sd: float = 0.05,
-    friction_sd: float = 0.5,
-    bias_sd: float = 0.3,
-    noise_sd: float = 0.2,
-) -> Correction:
+def correction(dynamics: MujocoDynamics, windows: list[Window]) -> Correction:
     """Shares of masses and friction that explain the windows best, by ridge regression.
 
     The torque that a model does not explain is linear in its masses' errors, in dry friction and in the torque sensors'
@@ -85,10 +80,6 @@ def correction(
     Args:
         dynamics: the model, whose masses are left as they are.
         windows: of a motion without contact.
-        mass_sd: about how wrong masses are, as a share.
-        friction_sd: about how large friction is that the model does not know, N m.
-        bias_sd: of torque sensors, N m.
-        noise_sd: of a window's external torque, N m.
     """
     count = len(dynamics.joints)
     rows = np.zeros((len(windows), count, 3 * count))
@@ -102,9 +93,9 @@ def correction(
     matrix = rows.reshape(-1, 3 * count)
     # what is not explained is what the model lacks, with the other sign
     lacking = -np.concatenate([window.external for window in windows])
-    prior = np.repeat((mass_sd, friction_sd, bias_sd), count)
-    normal = matrix.T @ matrix / noise_sd**2 + np.diag(prior**-2.0)
-    found = np.linalg.solve(normal, matrix.T @ lacking / noise_sd**2)
+    prior = np.repeat(_PRIOR_SDS, count)
+    normal = matrix.T @ matrix / _NOISE_SD**2 + np.diag(prior**-2.0)
+    found = np.linalg.solve(normal, matrix.T @ lacking / _NOISE_SD**2)
     return Correction(1.0 + found[:count], found[count : 2 * count], -found[2 * count :])
 
 

@@ -19,6 +19,8 @@ from sdf.so3 import wrap
 
 _WITNESSES, _FINAL = 100, 8  # particles by which grasps are told apart at first, and grasps that are judged by all
 _CROWD = 0.5  # of the table's ends: poses this near to a candidate make up its local mean
+_CANDIDATES = 60  # particles that are tried, the likeliest in even shares of the belief
+_STEEP_RAD = 0.5  # yaw beyond which fingers slip
 
 
 _logger = logging.getLogger(__name__)
@@ -116,23 +118,20 @@ class Grasp(NamedTuple):
     probability: float
 
 
-def best_grasp(
-    poses: Float[Tensor, "N 3"], log_weights: Float[Tensor, "N"], table: GraspTable, *, candidates: int = 60
-) -> Grasp:
+def best_grasp(poses: Float[Tensor, "N 3"], log_weights: Float[Tensor, "N"], table: GraspTable) -> Grasp:
     """The grasp that lifts the box at the greatest share of the belief, out of likely poses and means about them.
 
     Args:
         poses: of the particles.
         log_weights: of the particles.
         table: of success.
-        candidates: particles that are tried, the likeliest in even shares of the belief.
     """
     weights = log_weights.softmax(-1)
     few = poses[systematic(log_weights, 0.5, _WITNESSES, raw=True)]
     even = torch.full_like(few[:, 0], 1.0 / len(few))
-    tried = poses[systematic(log_weights, 0.5, candidates, raw=True)]
+    tried = poses[systematic(log_weights, 0.5, _CANDIDATES, raw=True)]
     for _ in range(2):
-        tried = torch.cat((tried, _local_means(tried[-candidates:], few, even, table)))
+        tried = torch.cat((tried, _local_means(tried[-_CANDIDATES:], few, even, table)))
     # most are told apart by few particles; all are asked about the best
     tried = tried[(table(tried[:, None], few) @ even).topk(min(_FINAL, len(tried))).indices]
     chance = table(tried[:, None], poses) @ weights
@@ -152,7 +151,7 @@ def _local_means(
     return tried + torch.cat((shift, (share * yaw).sum(1)[:, None]), -1)
 
 
-def clearance_table(half_width_m: float, opening_m: float, half_length_m: float, steep_rad: float = 0.5) -> GraspTable:
+def clearance_table(half_width_m: float, opening_m: float, half_length_m: float) -> GraspTable:
     """Success by geometry alone: the open fingers clear the box, and close on its sides within its length.
 
     For tests and for robots without a simulation of their own.
@@ -161,7 +160,6 @@ def clearance_table(half_width_m: float, opening_m: float, half_length_m: float,
         half_width_m: of the box, along its x.
         opening_m: between the fingers.
         half_length_m: of the box, along its y, within which fingers hold.
-        steep_rad: yaw beyond which fingers slip.
     """
     ends = (0.5 * opening_m, half_length_m, 0.9)
     aside, along, yaw = torch.meshgrid(
@@ -171,4 +169,4 @@ def clearance_table(half_width_m: float, opening_m: float, half_length_m: float,
         indexing="ij",
     )
     clear = half_width_m / yaw.cos() + aside <= 0.5 * opening_m
-    return GraspTable((clear & (yaw.abs() <= steep_rad) & (along <= ends[1])).to(torch.float64), ends)
+    return GraspTable((clear & (yaw.abs() <= _STEEP_RAD) & (along <= ends[1])).to(torch.float64), ends)

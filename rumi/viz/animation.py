@@ -15,6 +15,7 @@ from sdf.extras import optional
 
 _DPI = 90
 _MOST_FRAMES = 60
+_STEP_MS = 600
 
 
 def animate(
@@ -25,7 +26,6 @@ def animate(
     extent: Extent | None = None,
     heading: str = "",
     ending: str = "",
-    seconds_per_step: float = 0.6,
 ) -> Path:
     """Write a GIF: one picture a step (60 at most, evenly spread), the last one held.
 
@@ -36,7 +36,6 @@ def animate(
         extent: what to show; by default all that matters in the run.
         heading: line on top.
         ending: what the line goes on with once the last step is shown.
-        seconds_per_step: how long a step is shown.
     """
     Image = optional("PIL.Image", "An animation")
     extent = interesting(steps, geometry) if extent is None else extent
@@ -69,8 +68,7 @@ def animate(
     colours[colours.sum(-1).argmax()] = 255  # paper stays white
     palette.putpalette(colours.reshape(-1).tolist())
     indexed = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    shown = round(1000 * seconds_per_step)
-    durations = [shown] * (len(indexed) - 1) + [5 * shown]
+    durations = [_STEP_MS] * (len(indexed) - 1) + [5 * _STEP_MS]
     with whole_file(path) as aside:
         indexed[0].save(aside, save_all=True, append_images=indexed[1:], duration=durations, loop=0, optimize=False)
     return path

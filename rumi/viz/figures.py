@@ -56,12 +56,12 @@ def make_figures(run: Run, out: Path | str, steps: Sequence[int] | None = None) 
     return written
 
 
-def telling_steps(run: Run, count: int = 4) -> list[int]:
-    """The first view, the first contact, half-way from there and the end, filled up to `count` steps, in order."""
+def telling_steps(run: Run) -> list[int]:
+    """The first view, the first contact, half-way from there and the end, filled up to four steps, in order."""
     end = len(run.steps) - 1
     first = next((step.step for step in run.steps if touched(step)), end // 3)
     by_worth = [0, end, first, (first + end + 1) // 2, max(first - 1, 0), first // 2, *range(end)]
-    return sorted(list(dict.fromkeys(by_worth))[:count])
+    return sorted(list(dict.fromkeys(by_worth))[:4])
 
 
 def heading(run: Run) -> str:

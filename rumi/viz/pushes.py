@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _DRAWN = 200  # ends of a cloud
+_ROWS = 3  # pushes at most
 
 
 def push_figure(
@@ -26,8 +27,6 @@ def push_figure(
     pushes: Sequence[ObservedPush],
     body: PushedBody,
     out: Path,
-    *,
-    rows: int = 3,
 ) -> None:
     """A row of pictures for each of the longest pushes, a column for each belief, and last what is believed.
 
@@ -37,9 +36,8 @@ def push_figure(
         pushes: to draw.
         body: the object and the tool.
         out: picture.
-        rows: pushes at most.
     """
-    far = sorted(pushes, key=lambda push: -float((push.end - push.start)[:2].norm()))[:rows]
+    far = sorted(pushes, key=lambda push: -float((push.end - push.start)[:2].norm()))[:_ROWS]
     with style.figure(2.2 * (len(beliefs) + 1), 2.2 * len(far)) as figure:
         axes = figure.subplots(len(far), len(beliefs) + 1, squeeze=False)
         for ax, name in zip(axes[0], names, strict=False):

@@ -22,6 +22,7 @@ Extent = tuple[float, float, float, float]
 """Left, right, bottom, top, metres."""
 
 REACH_LEVELS = (0.25, 0.5, 0.75, 0.9)
+_PARTICLES, _POINTS = 40, 4000  # that are drawn: the heaviest, and of a kind at most
 
 
 def scene_from_above(
@@ -31,8 +32,6 @@ def scene_from_above(
     *,
     information: Tensor | None = None,
     extent: Extent | None = None,
-    particles: int = 40,
-    truth: bool = True,
 ) -> "Axes":
     """Draw the last of some steps, with the observations and the path of all of them.
 
@@ -44,8 +43,6 @@ def scene_from_above(
         ax: where to draw.
         information: (V,), nats, on the geometry's workspace; see `information_at`.
         extent: what to show; by default all that matters in these steps.
-        particles: how many of the heaviest particles to draw.
-        truth: draw the true outline where it is known.
     """
     last = steps[-1]
     # limits first: labels on lines are placed within them
@@ -55,8 +52,8 @@ def scene_from_above(
     ax.set_aspect("equal")
     draw_fields(information, geometry, ax)
     draw_observations(steps, ax)
-    draw_particles(last, geometry, ax, particles)
-    if truth and last.truth is not None:
+    draw_particles(last, geometry, ax, _PARTICLES)
+    if last.truth is not None:
         draw_truth(last, geometry, ax)
     draw_path(steps, geometry, ax)
     ax.set_xlim(left, right)
@@ -123,7 +120,7 @@ def draw_reach(reach: np.ndarray, origin: Sequence[float], spacing: float, ax: "
     return ax
 
 
-def draw_observations(steps: Sequence[StepRecord], ax: "Axes", most: int = 4000) -> "Axes":
+def draw_observations(steps: Sequence[StepRecord], ax: "Axes") -> "Axes":
     """Surface points dark, free points faint; thinned to what a figure can show."""
     seen = memory(steps)
     for semantics, colour, size, alpha, order, label in (
@@ -131,7 +128,7 @@ def draw_observations(steps: Sequence[StepRecord], ax: "Axes", most: int = 4000)
         (Semantics.SURFACE, style.SURFACE, 4.0, 0.9, 4, "felt or seen"),
     ):
         every = seen.points[seen.of_class(semantics)][:, :2]
-        xy = every[:: max(1, len(every) // most)].numpy()
+        xy = every[:: max(1, len(every) // _POINTS)].numpy()
         ax.scatter(
             xy[:, 0], xy[:, 1], s=size, color=colour, alpha=alpha, lw=0, zorder=order, rasterized=True, label=label
         )

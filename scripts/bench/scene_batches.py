@@ -16,8 +16,9 @@ from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.cache import cache_folder
 from rumi.dynamics.outline import GridOutline, support_of
 from rumi.dynamics.quasi_static import QuasiStaticRollouts, QuasiStaticSettings
-from rumi.loop import run, run_scenes
+from rumi.loop import run
 from rumi.robot.tool import Tool
+from rumi.session import run_scenes
 from sdf import se3
 from sdf.containers import index
 from sdf.grid_sdf import GridSDF

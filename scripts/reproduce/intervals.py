@@ -24,6 +24,12 @@ def bootstrap_median(values: Sequence[float], *, seed: int = 0, resamples: int =
     return _with_interval([float(np.median(np.asarray(values, dtype=float)))], [medians])
 
 
+def bootstrap_mean(values: Sequence[float], *, seed: int = 0, resamples: int = 2000) -> tuple[float, float, float]:
+    """Mean of some values and its 95 % percentile-bootstrap interval; NaN-free values, at least one."""
+    means = _resampled(values, np.random.default_rng(seed), resamples).mean(1)
+    return _with_interval([float(np.mean(values))], [means])
+
+
 def bootstrap_total(
     groups: Sequence[Sequence[float]], *, seed: int = 0, resamples: int = 2000
 ) -> tuple[float, float, float]:

@@ -18,6 +18,7 @@ from sensors.vision.view import Image, KnownScene, View, ViewSettings, view_obse
 
 _FIT_POINTS = 20_000  # that intrinsics are fitted to, about
 _FIT_PX = 1.0  # an organised cloud whose points are farther than this from their pixels is of no pinhole camera
+_A_PIXEL, _MOST_PX = 4.0, 2000  # points of a pixel that has any, in the middle, and rows or columns at most
 
 
 class Pinhole(NamedTuple):
@@ -154,13 +155,11 @@ def organised_intrinsics(points: Float[Tensor, "H W 3"]) -> Float[Tensor, "3 3"]
     return intrinsics.to(points)
 
 
-def pinhole_about(points: Float[Tensor, "M 3"], *, a_pixel: float = 4.0, most_px: int = 2000) -> Pinhole:
+def pinhole_about(points: Float[Tensor, "M 3"]) -> Pinhole:
     """The camera in which a cloud without order fills an image with some points a pixel.
 
     Args:
         points: (M, 3), camera frame with z forward.
-        a_pixel: points, in the middle, of the pixels that have any.
-        most_px: rows or columns at most.
 
     Raises:
         ValueError: no point lies before the camera, or all are aside of it.
@@ -181,8 +180,8 @@ def pinhole_about(points: Float[Tensor, "M 3"], *, a_pixel: float = 4.0, most_px
     extent = (high - low).clamp_min(1e-4)
     cells = ((flat - low) / extent * 63.999).long()
     covered = len(torch.unique(cells[:, 0] * 64 + cells[:, 1])) / 64.0**2
-    focal = math.sqrt(len(flat) / (a_pixel * covered * float(extent.prod())))
-    focal = min(focal, most_px / float(extent.max()))
+    focal = math.sqrt(len(flat) / (_A_PIXEL * covered * float(extent.prod())))
+    focal = min(focal, _MOST_PX / float(extent.max()))
     width, height = (max(2, math.ceil(float(side) * focal) + 1) for side in extent)
     intrinsics = torch.tensor(
         [[focal, 0.0, -focal * float(low[0])], [0.0, focal, -focal * float(low[1])], [0.0, 0.0, 1.0]]

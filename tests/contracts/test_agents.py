@@ -20,6 +20,7 @@ from rumi.runs.plain import plain
 from rumi.runs.progress import both
 from rumi.runs.recorded import RunLog
 from rumi.runs.replay import digest, replay
+from rumi.session import run_scenes
 from rumi.task import Task
 from rumi.tasks.grasp_table import clearance_table
 from rumi.tasks.handle.build import build_handle
@@ -159,7 +160,7 @@ def test_its_run_beside_another_is_the_same(live):
     seen: dict[int, list[str]] = {0: [], 1: []}
     with member.build(member.settings) as other:
         tasks, agents = (other.task, live.parts.task), (other.agent, live.parts.agent)
-        results = loop.run_scenes(
+        results = run_scenes(
             tasks,
             agents,
             seeds=seeds,

@@ -8,8 +8,9 @@ import torch
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import Trajectories
-from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter, log_mean
+from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
 from rumi.belief.pushed_object import PushedObject
+from rumi.belief.tempering import log_mean
 from rumi.belief.trajectory_faults import TRAJECTORY_FAULTS, log_ratios, new_segments
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings

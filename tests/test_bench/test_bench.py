@@ -91,6 +91,14 @@ def test_a_case(made_up, clock):
     assert "DIFFER" in table.section(carry_out("some", made_up(off=0.01), budget_s=1.0, clock=clock))
 
 
+def test_it_says_where_a_compiled_version_was_not_taken(made_up, clock):
+    result = carry_out("some", made_up(), budget_s=1.0, clock=clock)
+    ran = {"discrepancy": "numba", "merge": "torch", "trajectory_cost": "torch"}  # the last is made of others
+    told = table.section(replace(result, rows=tuple(replace(row, ran=ran) for row in result.rows)))
+    assert "numba: the compiled version of merge does not take these tensors" in told
+    assert "compiled version" not in table.section(result)
+
+
 def test_others_failures_are_left_out_and_own_ones_are_not(made_up, clock):
     def fails():
         raise RuntimeError("no such mode\nand more")

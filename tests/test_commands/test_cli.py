@@ -22,7 +22,7 @@ from rumi.runs.progress import Progress
 from rumi.tasks.registry import TASKS
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.drawn_scenes import DRAWN
-from rumi.tasks.rummage.entry import describe
+from rumi.tasks.rummage.entry import Rummaging
 from rumi.tasks.rummage.scenes import SCENES
 from rumi.tasks.rummage.settings import preset
 from tests.fixtures.made_up_run import make_up
@@ -340,13 +340,13 @@ class Terminal(io.StringIO):
 def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere():
     steps = make_up(5, particles=10).steps
     for stream, marks in ((Terminal(), ("\r", "4/4", "ess")), (io.StringIO(), ("action 4", "contact", "0.3 s"))):
-        with Progress("mug-0", 4, describe, stream) as progress:
+        with Progress("mug-0", 4, Rummaging().describe, stream) as progress:
             for step in steps:
                 progress(step)
         for mark in marks:
             assert mark in stream.getvalue()
         assert "," not in stream.getvalue() and max(map(len, stream.getvalue().splitlines())) <= 80
-    assert describe(steps[0]).startswith("nll 22.0")
+    assert Rummaging().describe(steps[0]).startswith("nll 22.0")
 
 
 @pytest.mark.sim

@@ -257,20 +257,6 @@ def test_expected_normal_where_asked_and_in_batches(mug: SDF, beliefs: Beliefs, 
 
 
 @only_plain
-@pytest.mark.parametrize("mode", MODES)
-def test_gradients(mode: InformationMode, generator: torch.Generator) -> None:
-    distance = 0.02 * torch.randn(4, 6, generator=generator, dtype=torch.float64)
-    distance += 0.0005 * distance.sign()  # away from the kinks at 0
-    sharpness = torch.tensor(80.0, dtype=torch.float64)
-
-    def function(v: Tensor, log_weights: Tensor, sharpness: Tensor) -> tuple[Tensor, ...]:
-        return information_from_distances(v, log_weights.log_softmax(-1), mode=mode, sharpness=sharpness)
-
-    inputs = (distance, torch.randn(4, generator=generator, dtype=torch.float64), sharpness)
-    assert torch.autograd.gradcheck(function, tuple(x.requires_grad_() for x in inputs))
-
-
-@only_plain
 def test_module_has_its_numbers_in_its_state_and_trains_them(mug: SDF, beliefs: Beliefs, points: Tensor) -> None:
     poses, log_weights = beliefs()
     fixed = InformationField(mug, InformationSettings(tail=0.0)).double()

@@ -207,12 +207,6 @@ def test_field_against_a_loop(reach):
     assert bool((values[1:] < values[:-1]).all()) and float(values[0]) > 0.95 and float(values[-1]) == 0.0
 
 
-def test_share_counts_orientations(reach):
-    line = torch.tensor([[BASE[0] + r, BASE[1], 0.0] for r in (0.75, 1.0, 1.3)], dtype=torch.float64)
-    share = reach.share(line)
-    assert float(share[0]) == 1.0 and 0.0 < float(share[1]) < 1.0 and float(share[2]) == 0.0
-
-
 @given(
     position=st.lists(st.floats(0, 1), min_size=3, max_size=3),
     rotation=st.lists(st.floats(0, 3.2), min_size=3, max_size=3),

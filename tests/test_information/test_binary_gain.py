@@ -104,12 +104,6 @@ def test_an_outcome_that_cannot_happen_counts_nothing(certain: float) -> None:
     assert float(mixed.expected) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_gradients_reach_the_probabilities(generator: torch.Generator) -> None:
-    log = torch.randn(6, generator=generator, **DOUBLE)
-    p = torch.rand(6, generator=generator, **DOUBLE).mul(0.8).add(0.1).requires_grad_()
-    assert torch.autograd.gradcheck(lambda q: binary_outcome(log, q).gain, p)
-
-
 def walks(
     generator: torch.Generator, candidates: int = 4, steps: int = 6, count: int = 30
 ) -> tuple[Tensor, Tensor, Tensor]:

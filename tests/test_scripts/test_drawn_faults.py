@@ -10,7 +10,8 @@ from rumi.sim.faults import parse_fault
 from rumi.tasks.rummage.build import faults_of
 from rumi.tasks.rummage.drawn_scenes import DRAWN
 from scripts import drawn_faults
-from scripts.drawn_faults import STEPS, drawn_fault, far, flagged, kinds_of, right, settings_of, show
+from scripts.drawn_faults import STEPS, drawn_fault, far, flagged, kinds_of, settings_of, show
+from scripts.outcomes import right
 
 
 def ended(**changes: Any) -> dict[str, Any]:

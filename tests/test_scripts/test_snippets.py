@@ -193,7 +193,7 @@ def test_scenes_side_by_side():
     from tests.test_loop import Counter, Told
 
     given = {"tasks": [Told(), Told()], "agents": [Counter(enough=2), Counter(idle=1)]}
-    exec(code(HOW_TO / "learning.md", "from rumi.loop"), given)
+    exec(code(HOW_TO / "learning.md", "from rumi.session"), given)
     assert given["results"] == [(2, "sure", "grasp"), (1, "nothing to do", "grasp")]
     assert given["actions"] == ["on", Last("grasp")]
 

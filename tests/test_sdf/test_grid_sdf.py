@@ -168,13 +168,6 @@ def test_points_within_the_lattice_are_looked_up_the_same_whatever_else_is_asked
     torch.testing.assert_close(together.gradient[:-1], alone.gradient, rtol=0, atol=100 * close["atol"])
 
 
-def test_transforms_of_torch_func(grid, generator):
-    points = around(grid, 0.4, 20, generator)
-    query = grid(points)
-    torch.testing.assert_close(torch.func.vmap(grid.distance)(points), query.distance)
-    torch.testing.assert_close(torch.func.vmap(torch.func.grad(grid.distance))(points), query.gradient)
-
-
 @pytest.mark.filterwarnings("ignore:Dynamo detected a call to a `functools.lru_cache`:UserWarning")
 def test_compiled_look_up_equals_eager(no_shape_check, grid, generator):
     points = around(grid, 0.4, 100, generator, torch.float32)

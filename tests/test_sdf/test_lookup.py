@@ -99,15 +99,3 @@ def test_memory_layout_does_not_matter(generator):
     planes = points.T.contiguous().T
     for one, other in zip(*(slopes_at(values, origin, p) for p in (planes, points)), strict=True):
         assert torch.equal(one, other)
-
-
-def test_function_transforms(no_shape_check, generator):
-    values, origin = lattice(generator)
-    points = inner_points(8, values, origin, generator)
-    value, gradient = slopes_at(values, origin, points)
-
-    def single(p):
-        return value_at(values, origin, p)
-
-    assert torch.allclose(torch.func.vmap(single)(points), value)
-    assert torch.allclose(torch.func.vmap(torch.func.grad(single))(points), gradient)

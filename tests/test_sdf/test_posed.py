@@ -202,13 +202,6 @@ def test_shape_errors(no_shape_check, grid):
         posed_query(grid, torch.eye(4)[None], torch.zeros(3))
 
 
-@only_plain
-def test_transforms_of_torch_func(grid, generator):
-    poses, points = scene(generator, (4,), 3, 50)
-    expected = posed_distance(grid, poses, points)
-    torch.testing.assert_close(torch.func.vmap(lambda pose, x: posed_distance(grid, pose, x))(poses, points), expected)
-
-
 @pytest.mark.parametrize("upright", [False, True])
 def test_rounding_counts_from_the_first_pose_not_from_the_origin(grid, upright, generator):
     table = GridSDF.from_sdf(Mug(), spacing=0.004)

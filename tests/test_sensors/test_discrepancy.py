@@ -112,31 +112,6 @@ def test_leaving_out_far_free_points_changes_nothing():
     assert len(module.within_reach(poses, observation)) < 400
 
 
-def test_autograd_against_finite_differences():
-    poses, observation = random_scene(1)
-    module = Discrepancy(Box((0.1, 0.15, 0.08)).double(), 0.2, free_scale=3.0, tolerance=0.001).double()
-
-    def cost(step):
-        turn = se3.exp(torch.cat((torch.zeros_like(step[:3]), step[3:])))
-        return module(se3.make(turn[:3, :3] @ poses[:, :3, :3], poses[:, :3, 3] + step[:3]), observation)
-
-    with backend.force("torch"):
-        slopes = torch.autograd.functional.jacobian(cost, torch.zeros(6, dtype=F64))
-    for k, step in enumerate(1e-6 * torch.eye(6, dtype=F64)):
-        numeric = (cost(step) - cost(-step)) / 2e-6
-        torch.testing.assert_close(slopes[:, k], numeric, rtol=1e-5, atol=1e-6)
-
-
-def test_autograd_reaches_poses_and_parameters():
-    poses, observation = random_scene(2)
-    module = Discrepancy(Sphere(0.1).double(), 0.1, free_scale=5.0, trainable=True).double()
-    poses.requires_grad_()
-    with backend.force("torch"):
-        module(poses, observation).sum().backward()
-    assert torch.isfinite(poses.grad).all()
-    assert float(module.raw_free_scale.grad) > 0
-
-
 def test_a_batch_row_equals_the_scene_alone():
     poses, observation = random_scene(3, 60, (3,))
     observation = Observation(

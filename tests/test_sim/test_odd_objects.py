@@ -13,7 +13,7 @@ from rumi.clock import Clock
 from rumi.runs.folder import RunRecorder, load_run
 from rumi.sim.settings import PhysicsSettings
 from rumi.tasks.rummage.build import build, build_rummager, make_task
-from rumi.tasks.rummage.entry import describe, ending
+from rumi.tasks.rummage.entry import Rummaging, ending
 from rumi.tasks.rummage.scenes import SCENES, make_tool
 from rumi.tasks.rummage.settings import preset, to_dict
 from sdf.object_model import object_model
@@ -65,7 +65,7 @@ def test_what_pushes_tell(case, motion, names, tmp_path):
     lines = [json.loads(line) for line in (tmp_path / "run" / "steps.jsonl").read_text().splitlines()]
     for remark in result.remarks:
         step = history[remark.step]
-        assert remark in step.remarks and remark.name in describe(step)
+        assert remark in step.remarks and remark.name in Rummaging().describe(step)
         assert remark.name in [one["name"] for one in lines[remark.step]["remarks"]]
         assert remark.sentence in " ".join(" ".join(ending(result)).split())
     read = load_run(tmp_path / "run")

@@ -10,7 +10,7 @@ from torch import Tensor
 pytestmark = pytest.mark.sim
 pytest.importorskip("mujoco")
 from rumi.sim.torque_arm import TorqueSample, TorqueSettings  # noqa: E402
-from rumi.tasks.touch_box.arm_robot import ArmRobot, make_arm  # noqa: E402
+from rumi.tasks.touch_box.arm_robot import ArmRobot  # noqa: E402
 from rumi.tasks.touch_box.robot import Touched, TouchRobot  # noqa: E402
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask  # noqa: E402
 
@@ -121,7 +121,7 @@ def test_it_lifts_the_box_where_that_is_and_not_elsewhere(robot: ArmRobot) -> No
     robot.close()
 
 
-def test_the_factory_gives_an_arm_with_its_rates() -> None:
-    made = make_arm(TASK)
+def test_the_arm_has_rates_of_its_own() -> None:
+    made = ArmRobot(TASK)
     assert 0 < made.rates[1] < made.rates[0] < 1
     assert made.pusher.radius == TASK.fingers.radius

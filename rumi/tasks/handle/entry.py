@@ -8,9 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from rumi.agent import Parts
-from rumi.records import StepRecord
-from rumi.registration.pose_summary import PoseSummary
-from rumi.runs.folder import Run, RunRecorder
+from rumi.runs.folder import RunRecorder
 from rumi.runs.json_settings import dataclass_of
 from rumi.runs.progress import stages
 from rumi.sim.fault import Fault
@@ -19,9 +17,8 @@ from rumi.tasks.handle.agent import HandleAgent, HandleResult, build_agent
 from rumi.tasks.handle.settings import SENSORS, HandleSettings
 from rumi.tasks.handle.simulated import HandleTask
 from rumi.tasks.registry import Role, check_preset, check_seed
-from rumi.tasks.rummage.entry import describe, ending, recorded_pose
+from rumi.tasks.rummage.entry import Rummaging, ending
 from rumi.tasks.rummage.settings import PRESETS
-from rumi.viz.rummaging_view import RummagingView
 from sensors.contact_reading import ContactReading
 
 COUNTED = (
@@ -49,11 +46,10 @@ class HandleRunSettings:
     fault: Faults = ()
 
 
-class _Handle:
+class _Handle(Rummaging):
     description = "a mug seen once, then felt by bubbles, wrench and joint torques, and lifted by its handle"
     settings = HandleRunSettings
     readings = ContactReading
-    records = ()
     presets = ("fast", *(name for name in PRESETS if name != "fast"))
 
     def preset(self, name: str) -> HandleRunSettings:
@@ -117,10 +113,6 @@ class _Handle:
         """What finds the mug, and grasps nothing."""
         return build_agent(settings.settings, cache_dir=cache_dir)
 
-    def describe(self, step: StepRecord) -> str:
-        """The numbers of a step that tell how it goes."""
-        return describe(step)
-
     def success(self, result: HandleResult) -> bool:
         """Whether the belief became sure, and the mug was lifted."""
         return result.stopped_by == "sure" and result.lifted
@@ -136,20 +128,6 @@ class _Handle:
         lines.append(f"clock    {result.total_s:.0f} s of {budget_s:g}{over}; nll summed up {result.total_nll:.0f}")
         lines.append(f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}")
         return lines
-
-    def pose(self, run: Run) -> PoseSummary | None:
-        """What a run's last belief knows of the mug's pose."""
-        return recorded_pose(run)
-
-    def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
-        """Overview, scenes and animation."""
-        from rumi.viz.figures import make_figures
-
-        return make_figures(run, out, steps)
-
-    def view(self, run: Run) -> RummagingView:
-        """Points, tool, contacts and the plan with the information that it went for."""
-        return RummagingView(run.geometry)
 
 
 HANDLE = _Handle()

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _SEARCH = style.FREE
 _THINK = style.EXPECTED
 _MOVE = style.SURFACE
+_TOGETHER_M = 0.02  # touches of a cluster, which are on the same side too
 
 
 def draw_run(run: PegRun, folder: Path) -> list[Path]:
@@ -95,20 +96,17 @@ def draw_contacts(run: PegRun, ax: "Axes", *, around_m: float | None = None) -> 
     return ax
 
 
-def clusters(
-    touches: Sequence[tuple[np.ndarray, np.ndarray]], within_m: float = 0.02
-) -> list[tuple[str, np.ndarray, np.ndarray]]:
+def clusters(touches: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[tuple[str, np.ndarray, np.ndarray]]:
     """Numbers of touches that lie close together, such as "4, 7-9", with their middle and the normal of the first.
 
     Args:
         touches: points (2) and outward normals (2), in the order in which they were touched.
-        within_m: of the first one of a cluster, and on the same side.
     """
     found: list[list[int]] = []
     for index, (point, normal) in enumerate(touches):
         for members in found:
             first, outward = touches[members[0]]
-            if float(np.hypot(*(point - first))) < within_m and float(outward @ normal) > 0.5:
+            if float(np.hypot(*(point - first))) < _TOGETHER_M and float(outward @ normal) > 0.5:
                 members.append(index)
                 break
         else:

@@ -35,8 +35,49 @@ ON_A_GPU = (
 )
 """What holds of `--device cuda`."""
 
+_SUSPICIOUS = 2.0  # nats of evidence of a fault from which on the progress line has them
 
-class RummageTask:
+
+class Rummaging:
+    """What tasks share whose steps are `StepRecord`s: words, the pose, figures and the view."""
+
+    records = ()
+
+    def describe(self, step: StepRecord) -> str:
+        """The numbers of a step that tell how it goes."""
+        known = "" if step.nll is None else f"nll {step.nll:.1f}  "
+        apc = "-" if math.isnan(step.apc) else f"{1e3 * step.apc:.1f} mm"
+        marks = {
+            "contact": step.control is not None and bool(step.reading.in_contact.any()),
+            "sure": step.converged,
+        }
+        if step.lost > _SUSPICIOUS:
+            marks[f"lost {step.lost:.1f}"] = True
+        marks |= {f"{remark.name}!": True for remark in step.remarks}
+        said = "".join(f"  {word}" for word, holds in marks.items() if holds)
+        return f"{known}expects {step.expected_nll:.1f}  apc {apc}  ess {step.ess:.0f}{said}"
+
+    def pose(self, run: Run) -> PoseSummary | None:
+        """What a run's last belief knows of the object's pose; None of a run without a whole step."""
+        if run.result is not None and run.result.pose is not None:
+            return run.result.pose
+        if not run.steps:
+            return None
+        tolerance = {} if run.geometry is None else run.geometry.tolerance
+        return run.steps[-1].belief.summary(None if run.geometry is None else run.geometry.symmetries, **tolerance)
+
+    def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
+        """Overview, scenes and animation."""
+        from rumi.viz.figures import make_figures
+
+        return make_figures(run, out, steps)
+
+    def view(self, run: Run) -> RummagingView:
+        """Points, tool, contacts and the plan with the information that it went for."""
+        return RummagingView(run.geometry)
+
+
+class RummageTask(Rummaging):
     """A scene of the rummaging task: an object to be found, where it stands, and the robot about it.
 
     Args:
@@ -46,7 +87,6 @@ class RummageTask:
     settings = Settings
     presets = tuple(PRESETS)
     readings = Reading
-    records = ()
 
     def __init__(self, spec: TaskSpec) -> None:
         self.spec, self.description = spec, spec.description
@@ -100,10 +140,6 @@ class RummageTask:
         """Writes the run's folder."""
         return _Recorder(folder, settings, parts, log=log)
 
-    def describe(self, step: StepRecord) -> str:
-        """The numbers of a step that tell how it goes."""
-        return describe(step)
-
     def success(self, result: RunResult) -> bool:
         """Whether the belief became sure, and the run was not lost."""
         return result.stopped_by == "sure" and not result.lost
@@ -111,20 +147,6 @@ class RummageTask:
     def summary(self, settings: Settings, result: RunResult) -> Sequence[str]:
         """A few lines on how a run ended."""
         return [*ending(result), f"seconds  {sum(result.timings_s.values()):.1f}: {stages(result.timings_s)}"]
-
-    def pose(self, run: Run) -> PoseSummary | None:
-        """What a run's last belief knows of the object's pose."""
-        return recorded_pose(run)
-
-    def draw(self, run: Run, out: Path, steps: Sequence[int] | None = None) -> Sequence[Path]:
-        """Overview, scenes and animation."""
-        from rumi.viz.figures import make_figures
-
-        return make_figures(run, out, steps)
-
-    def view(self, run: Run) -> RummagingView:
-        """Points, tool, contacts and the plan with the information that it went for."""
-        return RummagingView(run.geometry)
 
     def role(self, name: str) -> Role:
         """What a setting is to a replay."""
@@ -159,7 +181,6 @@ class RummageTask:
         return build_rummager(spec, replace(settings, method="rumi"), model, tool)
 
 
-_SUSPICIOUS = 2.0  # nats of evidence of a fault from which on the progress line has them
 ENTRIES = {name: RummageTask(spec) for name, spec in (SCENES | DRAWN).items()}
 """The scenes by name."""
 
@@ -192,31 +213,6 @@ class _Recorder(contextlib.ExitStack):
         if self._log is not None and self._raw is not None:
             self._log.finish(result)
             self._map.write_text(self._raw.mapping(self._object), encoding="utf-8")
-
-
-def recorded_pose(run: Run) -> PoseSummary | None:
-    """What a run's last belief knows of the object's pose; None of a run without a whole step."""
-    if run.result is not None and run.result.pose is not None:
-        return run.result.pose
-    if not run.steps:
-        return None
-    tolerance = {} if run.geometry is None else run.geometry.tolerance
-    return run.steps[-1].belief.summary(None if run.geometry is None else run.geometry.symmetries, **tolerance)
-
-
-def describe(step: StepRecord) -> str:
-    """The numbers of a step that tell how it goes."""
-    known = "" if step.nll is None else f"nll {step.nll:.1f}  "
-    apc = "-" if math.isnan(step.apc) else f"{1e3 * step.apc:.1f} mm"
-    marks = {
-        "contact": step.control is not None and bool(step.reading.in_contact.any()),
-        "sure": step.converged,
-    }
-    if step.lost > _SUSPICIOUS:
-        marks[f"lost {step.lost:.1f}"] = True
-    marks |= {f"{remark.name}!": True for remark in step.remarks}
-    said = "".join(f"  {word}" for word, holds in marks.items() if holds)
-    return f"{known}expects {step.expected_nll:.1f}  apc {apc}  ess {step.ess:.0f}{said}"
 
 
 def ending(result: RunResult) -> list[str]:

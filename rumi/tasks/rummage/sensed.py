@@ -14,7 +14,7 @@ from rumi.robot.tool import Tool
 from rumi.sim.bubble_camera import BubbleCamera
 from rumi.sim.fault import Fault
 from rumi.sim.robot_arm import RobotArm
-from rumi.sim.settings import PhysicsSettings, SimSettings
+from rumi.sim.settings import SimSettings
 from rumi.sim.view_faults import holed, miscalibration, taken_pose
 from rumi.sim.world import Track
 from rumi.task import StepResult
@@ -54,7 +54,6 @@ class SensedTask(SimTask):
         settings: of the simulator; its `sensors` say which there are, and how well they work.
         tool: the gripper with the reach of its arm.
         model: the object.
-        physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes.
         faults: what goes wrong.
         arm: that carries the gripper; None for that of `settings.robot`.
@@ -69,7 +68,6 @@ class SensedTask(SimTask):
         settings: SimSettings,
         tool: Tool,
         model: ObjectModel,
-        physics: PhysicsSettings | None = None,
         *,
         cache_dir: Path | None = None,
         faults: Sequence[Fault] = (),
@@ -77,7 +75,7 @@ class SensedTask(SimTask):
     ) -> None:
         if spec.camera is None:
             raise UsageError(f"{spec.name} has no camera: only tasks with one report through other sensors than points")
-        super().__init__(spec, settings, tool, model, physics, cache_dir=cache_dir, faults=faults, arm=arm)
+        super().__init__(spec, settings, tool, model, cache_dir=cache_dir, faults=faults, arm=arm)
         self.sensors = sensors = settings.sensors
         self._bubbles = [BubbleCamera(self.shape, pad, sensors.membrane_m) for pad in range(2) if sensors.feels]
         self._believed: list[Bubble] = []

@@ -35,11 +35,12 @@ from rumi.task import StepResult
 from rumi.tasks.rummage.depth_camera import depth_image, moved, without_robot
 from rumi.tasks.rummage.free_region import floor_points, region_about, region_of_prior, region_unseen
 from rumi.tasks.rummage.scenes import CameraSpec, TaskSpec
+from rumi.tasks.rummage.true_contact import outside, touching
 from sdf import se3
 from sdf.object_model import ObjectModel
 from sensors.observation import Observation, concatenate
 from sensors.reading import FORCE, TORQUE_CONTACT, Reading
-from sensors.touch.tactile import InstantPoints, points_in_box, swept_points, tactile_observation, touched_points
+from sensors.touch.tactile import InstantPoints, swept_points, tactile_observation, touched_points
 from sensors.vision.camera import depth_observation, look_at, pinhole
 from sensors.vision.robot_body import RobotBody
 
@@ -55,7 +56,6 @@ class SimTask:
         settings: of the simulator and its sensors.
         tool: the gripper with the reach of its arm, the same that the planner uses.
         model: the object.
-        physics: masses, friction, drive; by default the task's.
         cache_dir: folder that keeps convex pieces of meshes; None keeps nothing.
         faults: what goes wrong.
         arm: that carries the gripper; None for that of `settings.robot`.
@@ -70,7 +70,6 @@ class SimTask:
         settings: SimSettings,
         tool: Tool,
         model: ObjectModel,
-        physics: PhysicsSettings | None = None,
         *,
         cache_dir: Path | None = None,
         faults: Sequence[Fault] = (),
@@ -79,7 +78,7 @@ class SimTask:
         for fault in faults:
             model = fault.shaped(model)
         self.spec, self.settings, self.tool, self.model, self.faults = spec, settings, tool, model, tuple(faults)
-        physics = physics or spec.physics
+        physics = spec.physics
         body = body_of(model.exact, physics, table=model.sdf, cache_dir=cache_dir)
         self.shape = shape = gripper_of(tool.shape)
         self._arm = arm
@@ -203,7 +202,7 @@ class SimTask:
         self._pad_draws = self._pad_faults.drawn(len(path))
         guard = None
         if self.settings.guard_m < math.inf:
-            guard = Guard(GuardedMove(self.settings.guard_m, self._touching), late_s)
+            guard = Guard(GuardedMove(self.settings.guard_m, self._feels), late_s)
         track = self.world.move(self._offset.true(path), self.settings.action_s + late_s, self.settings.hold_s, guard)
         reading = self._sense(before, track, refused + track.refused_m)
         for fault in self.faults:
@@ -326,7 +325,7 @@ class SimTask:
         true = self._true_pose(track)
         tool_pose = self._taken_pose(track, true)
         object_T_tool = (se3.inverse(track.world_T_object) @ true.double()).float()
-        touched = self._pad_faults.felt(self._felt(object_T_tool), self._pad_draws)
+        touched = self._pad_faults.felt(self._touched(object_T_tool), self._pad_draws)
         in_contact = touched.any(-1)
         free = self._freed(tool_pose, object_T_tool, measured, in_contact)
         observation, instant = tactile_observation(touched_points(tool_pose, self._felt_at, touched), free)
@@ -377,7 +376,7 @@ class SimTask:
         if self.settings.cleared_by == "margin":
             return self._swept(tool_pose, self._inner, measured, in_contact)[0]
         swept, index = self._swept(tool_pose, self._body, measured, in_contact)
-        clear = self._clear(object_T_tool, self._body, swept.instant, index)
+        clear = outside(self._true, object_T_tool[swept.instant], self._body[index], self.settings.contact_m)
         return InstantPoints(swept.points[clear], swept.instant[clear])
 
     def _swept(
@@ -404,46 +403,15 @@ class SimTask:
             region=region,
         )
 
-    def _touching(self, index: int) -> tuple[Float[Tensor, "Q"], bool]:
+    def _touched(self, object_T_tool: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K n"]:
+        return touching(self._true, object_T_tool, self._pads, self.settings.contact_m)
+
+    def _feels(self, index: int) -> tuple[Float[Tensor, "Q"], bool]:
         """Where the tool is at the end of a mini step, and whether its pads report that they feel anything."""
         now = self.world.now()
         object_T_tool = (se3.inverse(now.world_T_object) @ self._true_pose(now).double()).float()
-        felt = bool(self._pad_faults.felt(self._felt(object_T_tool), self._pad_draws.at(index)).any())
+        felt = bool(self._pad_faults.felt(self._touched(object_T_tool), self._pad_draws.at(index)).any())
         for fault in self.faults:
             if fault.step <= (self._steps or 0):
                 felt = fault.touched(felt, self._hand())
         return now.configuration[0], felt
-
-    def _felt(self, object_T_tool: Float[Tensor, "K 4 4"]) -> Bool[Tensor, "K n"]:
-        """Which pad points are within `contact_m` of the object's true surface (RUMI, V.A)."""
-        touched = torch.zeros(len(object_T_tool), len(self._pads), dtype=torch.bool)
-        near, index = points_in_box(object_T_tool, self._pads, self._box(self._pads))
-        if len(index):
-            with torch.no_grad():
-                distance = self._true.distance(near.points)
-            touched[near.instant, index] = distance.abs() <= self.settings.contact_m
-        return touched
-
-    def _clear(
-        self,
-        object_T_tool: Float[Tensor, "K 4 4"],
-        points: Float[Tensor, "n 3"],
-        instant: Int[Tensor, "M"],
-        index: Tensor,
-    ) -> Bool[Tensor, "M"]:
-        """Which points of the tool are farther than `contact_m` outside the object's true surface."""
-        own = object_T_tool[instant]
-        places = (own[:, :3, :3] @ points[index][..., None])[..., 0] + own[:, :3, 3]
-        low, high = self._box(places)
-        x, y, z = ((places >= low) & (places <= high)).unbind(-1)
-        clear = ~(x & y & z)  # `all` takes ten times as long
-        near = (~clear).nonzero()[:, 0]
-        if len(near):
-            with torch.no_grad():
-                clear[near] = self._true.distance(places[near]) > self.settings.contact_m
-        return clear
-
-    def _box(self, like: Tensor) -> Float[Tensor, "2 3"]:
-        """Where alone points touch the object or are in it, so that free motion costs next to nothing."""
-        low, high = self._true.bounds.to(like)
-        return torch.stack((low - self.settings.contact_m, high + self.settings.contact_m))

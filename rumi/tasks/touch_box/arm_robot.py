@@ -1,20 +1,19 @@
 """The arm of the touch-alone task: it pokes and grasps under torque control and feels by its joints' torques."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from rumi.dynamics.along_path import Pusher, unwrapped
+from rumi.dynamics.along_path import unwrapped
 from rumi.sim.arm_motion import joint_path
 from rumi.sim.arm_scene import ArmPhysics
 from rumi.sim.torque_arm import Motion, TorqueArm, TorqueSample, TorqueSettings
 from rumi.tasks.touch_box.gripper_robot import LIFTED_M
 from rumi.tasks.touch_box.mujoco_scene import CLEAR_M, set_truth
-from rumi.tasks.touch_box.robot import GoOn, Touched
+from rumi.tasks.touch_box.robot import GoOn, SceneRobot, Touched
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
 
 THRESHOLD_NM = 0.15
@@ -28,7 +27,7 @@ _SQUEEZE_M = 0.01  # that closed fingers would be inside of the box
 _SLIDE_M = 5e-4  # after the last reading that was asked for, from which on it is told
 
 
-class ArmRobot:
+class ArmRobot(SceneRobot):
     """The arm before a box: a `rumi.tasks.touch_box.robot.TouchRobot`.
 
     The way from one poke to the next is not simulated: the arm is above all that it could touch. A path that it can
@@ -37,24 +36,16 @@ class ArmRobot:
     Args:
         task: the scene; readings are the arm's own, so that the task's rates are not used.
         settings: control, noise and reading of the arm; by default with the threshold of the stated rates.
-        physics: the arm.
     """
 
     rates, correlation = RATES, CORRELATION
 
-    def __init__(
-        self, task: TouchTask, settings: TorqueSettings | None = None, physics: ArmPhysics | None = None
-    ) -> None:
+    def __init__(self, task: TouchTask, settings: TorqueSettings | None = None) -> None:
         self.task = task
-        own = physics or ArmPhysics(finger_m=task.finger_m)
+        own = ArmPhysics(finger_m=task.finger_m)
         settings = settings or TorqueSettings(threshold_nm=THRESHOLD_NM)
         self.arm = TorqueArm(task.half, task.height_m, own, settings)
         self._found: dict[bytes, tuple[np.ndarray, float]] = {}
-
-    @property
-    def pusher(self) -> Pusher:
-        """The closed fingers."""
-        return self.task.fingers
 
     def reset(self, truth: BoxTruth, seed: int) -> None:
         """Put the box where it starts, draw what the arm's model has wrong, calibrate it, and let the box settle."""
@@ -128,9 +119,6 @@ class ArmRobot:
         """(x, y, yaw) of the box."""
         return self.arm.box_pose()
 
-    def close(self) -> None:
-        """Nothing is held."""
-
     def _way(self, path: Float[Tensor, "K1 3"]) -> tuple[np.ndarray, float]:
         """Joints down to a path's start and along it, as far as the arm can, and by how much the hand is turned."""
         points = path.double().numpy()
@@ -184,8 +172,3 @@ def _planar(pose: np.ndarray, turn: float) -> Float[Tensor, "3"]:
     """(x, y, yaw) with the yaw that was asked for, not the one turned by half; within half a turn of 0."""
     x, y, _, yaw = pose.tolist()
     return torch.tensor([x, y, math.remainder(yaw - turn, 2.0 * math.pi)], dtype=torch.float64)
-
-
-def make_arm(task: TouchTask, cache_dir: Path | None = None) -> ArmRobot:
-    """The arm for a task; `cache_dir` is of no use to it."""
-    return ArmRobot(task)

@@ -1,10 +1,8 @@
 """Puts a run of touch alone together: robot, table of grasps, push model, by name."""
 
-import importlib
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 from rumi.agent import Parts
 from rumi.dynamics.along_path import PathPush
@@ -21,8 +19,6 @@ from rumi.tasks.touch_box.settings import TouchSettings
 
 Robot = Literal["gripper", "arm", "planar"]
 ROBOTS: tuple[str, ...] = get_args(Robot)
-
-_ARM = "rumi.tasks.touch_box.arm_robot"
 
 
 def build_touch_box(
@@ -50,13 +46,13 @@ def build_touch_box(
 
     check_robot(task, robot)
     table = grasp_table(task, cache_dir=cache_dir)
-    made = make_robot(task, robot, table, cache_dir=cache_dir)
+    made = make_robot(task, robot, table)
     if faults:
         if not isinstance(made, SimulatedBox):
             raise UsageError(
                 f"Expected --robot gripper or planar with --fault, got {robot}: nothing goes wrong with it"
             )
-        made = FaultyRobot(made, faults)
+        made = cast(TouchRobot, FaultyRobot(made, faults))
     agent = Toucher(task, settings, made, table, make_path_push(settings.push_model, task))
     return Parts(TouchBox(task, made), agent)
 
@@ -71,7 +67,7 @@ def check_robot(task: TouchTask, robot: Robot) -> None:
         )
 
 
-def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: Path | None = None) -> TouchRobot:
+def make_robot(task: TouchTask, robot: Robot, table: GraspTable) -> TouchRobot:
     """The robot of a name; see `build_touch_box`."""
     check_robot(task, robot)
     if robot == "planar":
@@ -83,10 +79,9 @@ def make_robot(task: TouchTask, robot: Robot, table: GraspTable, *, cache_dir: P
 
         return GripperRobot(task)
     if robot == "arm":
-        if find_spec(_ARM) is None:
-            raise UsageError("There is no arm under torque control here: choose --robot gripper or planar")
-        made: TouchRobot = importlib.import_module(_ARM).make_arm(task, cache_dir)
-        return made
+        from rumi.tasks.touch_box.arm_robot import ArmRobot
+
+        return ArmRobot(task)
     raise UsageError(f"Expected a robot out of {', '.join(ROBOTS)}, got {robot!r}")
 
 

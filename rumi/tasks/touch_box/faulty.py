@@ -1,12 +1,12 @@
 """A robot before a box with which something goes wrong: what it does and what it reports, changed on the way."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.along_path import Pusher
 from rumi.sim.fault import Fault
 from rumi.sim.object_faults import Absent, Knock
 from rumi.sim.sensor_faults import Dead, FalseContact, HandOff
@@ -31,19 +31,10 @@ class FaultyRobot:
     def __init__(self, robot: SimulatedBox, faults: Sequence[Fault]) -> None:
         self.robot, self.faults, self._pokes = robot, tuple(faults), 0
 
-    @property
-    def pusher(self) -> Pusher:
-        """Of the robot."""
-        return self.robot.pusher
-
     def reset(self, truth: BoxTruth, seed: int) -> None:
         """Set a run up in which nothing went wrong yet."""
         self._pokes = 0
         self.robot.reset(truth, seed)
-
-    def feasible(self, paths: Float[Tensor, "C K1 3"]) -> Bool[Tensor, "C"]:
-        """Of the robot."""
-        return self.robot.feasible(paths)
 
     def execute(self, path: Float[Tensor, "K1 3"], go_on: GoOn) -> Touched:
         """Poke along a path, as far as the robot knows."""
@@ -58,13 +49,8 @@ class FaultyRobot:
         """Grasp where the robot takes the pose to be."""
         return self.robot.grasp(pose - self._off().to(pose))
 
-    def box_pose(self) -> Float[Tensor, "3"]:
-        """Where the box is."""
-        return self.robot.box_pose()
-
-    def close(self) -> None:
-        """Of the robot."""
-        self.robot.close()
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401  (the rest is the robot's)
+        return getattr(self.robot, name)
 
     def _strike(self, fault: Fault) -> None:
         pose = self.robot.box_pose().clone()

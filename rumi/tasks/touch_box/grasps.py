@@ -20,13 +20,12 @@ _STEP_S = 0.002
 _ROWS = 64
 
 
-def grasp_table(task: TouchTask, *, cache_dir: Path | None = None, threads: int = 1) -> GraspTable:
+def grasp_table(task: TouchTask, *, cache_dir: Path | None = None) -> GraspTable:
     """Simulated success of grasps of a misplaced box, friction and mass drawn from the task's ranges.
 
     Args:
         task: the scene.
         cache_dir: folder that keeps the table; None simulates it each time (half a minute).
-        threads: that simulate at once; the table is the same.
     """
     physics = GripperPhysics(time_step_s=_STEP_S)
     robot = GripperRobot(task, physics)
@@ -37,7 +36,7 @@ def grasp_table(task: TouchTask, *, cache_dir: Path | None = None, threads: int 
     )
     path = None if cache_dir is None else cache_dir / f"grasps-{key}.npz"
     like = GraspTable(torch.zeros(_COUNTS), _ENDS)
-    return simulated_table(like, lambda boxes: lifted(robot, boxes, truths(task, _TRUTHS), threads=threads), path)
+    return simulated_table(like, lambda boxes: lifted(robot, boxes, truths(task, _TRUTHS)), path)
 
 
 def truths(task: TouchTask, count: int) -> list[BoxTruth]:

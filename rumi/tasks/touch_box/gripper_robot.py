@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.along_path import Pusher
 from rumi.seeding import split
 from rumi.sim.world import _import_mujoco
 from rumi.tasks.touch_box.mujoco_scene import CLEAR_M, GripperPhysics, scene_xml, set_truth
-from rumi.tasks.touch_box.robot import GoOn, Readings, Touched
+from rumi.tasks.touch_box.robot import GoOn, Readings, SceneRobot, Touched
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
 
 TOUCHING_M = 2e-4
@@ -27,7 +26,7 @@ _DROP_S, _CLOSE_S, _LIFT_S, _HOLD_S = 0.6, 0.5, 0.6, 0.2
 _DRIVES = ("x", "y", "z", "yaw", "left", "right")
 
 
-class GripperRobot:
+class GripperRobot(SceneRobot):
     """A free-flying gripper with simulated contact: a `TouchRobot`.
 
     Between pokes it is lifted clear of the box and put over the next start, where nothing is in its way.
@@ -49,11 +48,6 @@ class GripperRobot:
         self._geoms = [int(self.poking.geom(name).id) for name in ("left", "right", "box")]
         self._readings = Readings(task.rates, task.correlation, split(0, "readings"))
 
-    @property
-    def pusher(self) -> Pusher:
-        """The closed fingers."""
-        return self.task.fingers
-
     def reset(self, truth: BoxTruth, seed: int) -> None:
         """Put the box where it starts, the gripper above, and let the box settle."""
         for model in (self.poking, self.grasping):
@@ -73,10 +67,6 @@ class GripperRobot:
             *(math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)),
         )
         self.data.joint("box").qvel[:] = 0.0
-
-    def feasible(self, paths: Float[Tensor, "C K1 3"]) -> Bool[Tensor, "C"]:
-        """All: nothing holds it."""
-        return torch.ones(len(paths), dtype=torch.bool)
 
     def execute(self, path: Float[Tensor, "K1 3"], go_on: GoOn) -> Touched:
         """Poke along a path; see `TouchRobot`."""
@@ -151,9 +141,6 @@ class GripperRobot:
             float(self._mujoco.mj_geomDistance(self.poking, self.data, finger, box, 1.0, None))
             for finger in (left, right)
         )
-
-    def close(self) -> None:
-        """Nothing is held."""
 
     def _opened(self) -> float:
         return 0.5 * self.task.opening_m + self.task.finger_m

@@ -133,17 +133,16 @@ def set_truth(mujoco: Any, model: Any, task: TouchTask, truth: BoxTruth) -> None
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
-def path_scene(task: TouchTask, physics: GripperPhysics | None = None) -> PathScene:
+def path_scene(task: TouchTask) -> PathScene:
     """Boxes and the task's gripper for pushes along paths; needs MuJoCo.
 
     Mass and the floor's friction are the middles of the task's ranges.
 
     Args:
         task: the scene.
-        physics: of the engine; by default with steps of 2 ms.
     """
     mujoco = _import_mujoco()
-    physics = physics or GripperPhysics(time_step_s=0.002, contact_s=0.004)
+    physics = GripperPhysics(time_step_s=0.002, contact_s=0.004)
     text = scene_xml(task, physics, grasping=False)
     low, high = task.friction
     frictions = tuple(low + (high - low) * (k + 0.5) / _FRICTIONS for k in range(_FRICTIONS))

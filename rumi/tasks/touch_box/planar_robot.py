@@ -3,37 +3,31 @@
 import math
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from rumi.dynamics.along_path import Pusher, distance_to, push_along_path
+from rumi.dynamics.along_path import distance_to, push_along_path
 from rumi.dynamics.sliding import Sliding
 from rumi.seeding import split
 from rumi.tasks.grasp_table import GraspTable
-from rumi.tasks.touch_box.robot import GoOn, Readings, Touched
+from rumi.tasks.touch_box.robot import GoOn, Readings, SceneRobot, Touched
 from rumi.tasks.touch_box.scene import BoxTruth, TouchTask
 
+_TOUCHING_M = 2e-4  # up to which tool and box touch
 _SUBSTEP_M = 0.00125  # finer than a filter's, whose readings fall on the same instants
 
 
-class PlanarRobot:
+class PlanarRobot(SceneRobot):
     """Quasi-static pushes of a box with a friction and a limit surface of its own: a `TouchRobot`.
 
     Args:
         task: the scene, and the rates at which readings err.
         table: of grasps' success, out of which a grasp is drawn.
         levers: range of the limit surface's c, as multiples of that of even pressure.
-        touching_m: distance up to which tool and box touch.
     """
 
-    def __init__(
-        self,
-        task: TouchTask,
-        table: GraspTable,
-        levers: tuple[float, float] = (1.22, 2.2),
-        touching_m: float = 2e-4,
-    ) -> None:
-        self.task, self.table, self.levers, self.touching_m = task, table, levers, touching_m
+    def __init__(self, task: TouchTask, table: GraspTable, levers: tuple[float, float] = (1.22, 2.2)) -> None:
+        self.task, self.table, self.levers = task, table, levers
         self._generator = split(0, "planar")
         self._readings = Readings(task.rates, task.correlation, split(0, "readings"))
         self._pose = torch.zeros(3, dtype=torch.float64)
@@ -43,11 +37,6 @@ class PlanarRobot:
         lever = torch.tensor(ratio * self.task.even_lever_m, dtype=torch.float64)
         return Sliding(torch.zeros(2, dtype=torch.float64), lever, torch.tensor(friction, dtype=torch.float64))
 
-    @property
-    def pusher(self) -> Pusher:
-        """The closed fingers."""
-        return self.task.fingers
-
     def reset(self, truth: BoxTruth, seed: int) -> None:
         """Stand the box where it starts."""
         self._generator = split(seed, "planar")
@@ -55,10 +44,6 @@ class PlanarRobot:
         low, high = self.levers
         ratio = low + (high - low) * float(torch.rand((), generator=self._generator))
         self._pose, self._sliding = truth.pose.clone(), self._slides(truth.friction, ratio)
-
-    def feasible(self, paths: Float[Tensor, "C K1 3"]) -> Bool[Tensor, "C"]:
-        """All."""
-        return torch.ones(len(paths), dtype=torch.bool)
 
     def execute(self, path: Float[Tensor, "K1 3"], go_on: GoOn) -> Touched:
         """Poke along a path; see `TouchRobot`."""
@@ -71,7 +56,7 @@ class PlanarRobot:
             way = path[None, k - 1 : k + 1]
             carried = push_along_path(self._pose[None], way, self.pusher, outline, self._sliding, substeps=substeps)
             self._pose = carried.track[0, -1]
-            contact.append(self._readings(float(carried.distance) <= self.touching_m))
+            contact.append(self._readings(float(carried.distance) <= _TOUCHING_M))
             so_far = Touched(path[: k + 1], torch.tensor(contact), False, "end")
             if k < len(path) - 1 and not go_on(so_far):
                 stopped = "belief"
@@ -90,6 +75,3 @@ class PlanarRobot:
     def put_box(self, pose: Float[Tensor, "3"]) -> None:
         """Stand the box at (x, y, yaw)."""
         self._pose = pose.double()
-
-    def close(self) -> None:
-        """Nothing is held."""

@@ -89,6 +89,24 @@ class SimulatedBox(TouchRobot, Protocol):
         ...
 
 
+class SceneRobot:
+    """What simulated robots before a box share: closed fingers that poke and that nothing holds."""
+
+    task: TouchTask
+
+    @property
+    def pusher(self) -> Pusher:
+        """The closed fingers."""
+        return self.task.fingers
+
+    def feasible(self, paths: Float[Tensor, "C K1 3"]) -> Bool[Tensor, "C"]:
+        """All."""
+        return torch.ones(len(paths), dtype=torch.bool)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
 class TouchBox:
     """The task: a robot before a box whose place is drawn by the seed.
 

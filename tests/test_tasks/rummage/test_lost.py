@@ -10,7 +10,7 @@ from rumi.belief.particles import PoseBelief
 from rumi.belief.pose_filter import FilterSettings, PoseFilter
 from rumi.belief.remarks import Remark
 from rumi.tasks.rummage import lost
-from rumi.tasks.rummage.entry import ENTRIES, describe, ending
+from rumi.tasks.rummage.entry import ENTRIES, Rummaging, ending
 from rumi.tasks.rummage.fault_state import Watch
 from rumi.tasks.rummage.lost import told, unseated, watch
 from rumi.tasks.rummage.recovery import searched_again
@@ -197,4 +197,4 @@ def test_a_lost_run_says_so_and_does_not_succeed():
     entry = ENTRIES["mug-0"]
     assert entry.success(result) and not entry.success(replace(result, lost=True))
     assert ending(replace(result, lost=True))[0].startswith("lost; ")
-    assert "lost 7.5" in describe(record) and "lost" not in describe(replace(record, lost=0.2))
+    assert "lost 7.5" in Rummaging().describe(record) and "lost" not in Rummaging().describe(replace(record, lost=0.2))
