@@ -23,7 +23,7 @@ from sdf.so3 import wrap
 KERNEL = (0.0015, 0.0015, math.radians(2.0))
 """Deviations of start poses drawn anew about those that are left open."""
 
-_AFRESH = 0.15
+_AFRESH, _SPUN = 0.15, 0.3
 _FAR = 1e4  # minus the log-density of what is never drawn: finite, since differences of it are taken
 
 
@@ -50,6 +50,7 @@ class Moves:
         if whole and len(given.starts):
             given = self.shifted(given, history, whole=True)
             given = self.restarted(given, history)
+            given = self.spun(given, history)
             if len(history.moving()):
                 given = self.learnt(self.slid(given, history), history)
         return given
@@ -141,6 +142,19 @@ class Moves:
         proposed = replace(some, poses=poses)
         odds = odds + self._start_prior(proposed) - self._start_prior(some)
         first = torch.zeros(many, dtype=torch.long)
+        return given.put(rows, self.accepted(some, proposed, history, first, odds))
+
+    def spun(self, given: Trajectories, history: History) -> Trajectories:
+        """Start poses turned on the spot by any angle, whatever the view's fits leave open."""
+        rows = (self._uniform(len(given)) < _SPUN).nonzero()[:, 0]
+        if not len(rows):
+            return given
+        some = given.at(rows)
+        poses = some.poses.clone()
+        poses[:, 0, 2] = wrap(poses[:, 0, 2] + 2.0 * math.pi * self._uniform(len(rows)))
+        proposed = replace(some, poses=poses)
+        odds = self._start_prior(proposed) - self._start_prior(some)
+        first = torch.zeros(len(rows), dtype=torch.long)
         return given.put(rows, self.accepted(some, proposed, history, first, odds))
 
     def _start_prior(self, given: Trajectories) -> Float[Tensor, "N"] | float:

@@ -137,7 +137,7 @@ def _roll_out(
 def rollouts(model: Any, configuration: Tensor, controls: Tensor, uniforms: Tensor, tie: float) -> PushRollouts:
     """The rollouts that given uniform numbers lead to; see `DisplacementRollouts.rollout_drawn`."""
     (samples, horizon, size), count, settings = controls.shape, uniforms.shape[1], model.settings
-    path = free_path(model.limits, model.tool.scale, configuration[None], controls, 1)
+    path = free_path(model.limits, model.tool.scale, configuration[None], controls)
     configurations = path.new_empty(samples, count, horizon + 1, size)
     displacements = path.new_empty(samples, count, horizon + 1, 3)
     contact = path.new_empty(samples, count, horizon, dtype=torch.bool)

@@ -218,7 +218,7 @@ def rollouts(model: Any, configuration: Tensor, controls: Tensor, poses: Tensor,
     shape, horizon = (*controls.shape[:-2], poses.shape[-2]), controls.shape[-2]
     samples, count = math.prod(shape[:-1]), shape[-1]
     starts, controls = configuration.reshape(-1, 3), controls.reshape(samples, horizon, 3)
-    path = free_path(model.limits, model.tool.scale, starts, controls, 1)
+    path = free_path(model.limits, model.tool.scale, starts, controls)
     configurations, displacements = path.new_empty(2, samples, count, horizon + 1, 3)
     turns = path.new_empty(samples, count, horizon + 1)
     contact = path.new_empty(samples, count, horizon, dtype=torch.bool)

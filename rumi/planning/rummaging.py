@@ -45,6 +45,8 @@ _VIEW_SHARE = 0.4
 _VIEW_FIXED = 10
 # samples whose paths are kept with a plan
 _KEPT_PATHS = 16
+# times that a plan which stands still is made anew, and what becomes of the weight on reach each time
+_RELAXED, _EASED = 3, 0.25
 
 
 class RummagingPolicy:
@@ -79,6 +81,29 @@ class RummagingPolicy:
     def act(self, request: PlanRequest) -> Plan:
         """Plan from the belief; see `rumi.planning.policy.Policy`.
 
+        A plan that gathers next to nothing, since all else would cost reach, is made anew with less weight on reach: a
+        run that is not over gains nothing by standing still.
+        """
+        plan = self.planned(request)
+        for relaxed in range(_RELAXED if request.budget_s is None else 0):
+            if not self._stands_still(plan):
+                break
+            before, plan = plan, self.planned(request, reach_share=_EASED ** (relaxed + 1))
+            spent = {stage: s + plan.timings_s.get(stage, 0.0) for stage, s in before.timings_s.items()}
+            plan = replace(plan, timings_s=spent)
+        return plan
+
+    def _stands_still(self, plan: Plan) -> bool:
+        """Whether a plan gathers less than the least share of the information, for the sake of reach."""
+        own = self.settings
+        reach = self.reachability is not None and own.reachability_scale != 0
+        if not (reach and own.information_scale > 0):
+            return False
+        return sum(plan.info["predicted_information"]) < own.least_share * plan.info["information_total"]
+
+    def planned(self, request: PlanRequest, reach_share: float = 1.0) -> Plan:
+        """The plan with a share of the weight on reach.
+
         A first plan starts from noise and takes the warm-up iterations; a later one starts from the previous plan,
         `executed` controls further on.
 
@@ -94,6 +119,7 @@ class RummagingPolicy:
         executed = request.executed
         poses = belief.world_T_object
         suited = self.settings.suited(self.push_models.chosen(poses, scene.tool))
+        suited = suited._replace(reachability_scale=reach_share * suited.reachability_scale)
         with skipped_work.account() as work, gpu.no_waits(poses.device):
             now = gpu.after_all(poses.device, self.now) if request.budget_s is not None else self.now
             budget = PlanBudget(request.budget_s, now, None if previous is None else previous.info.get("pace"))

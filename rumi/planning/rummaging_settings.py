@@ -8,7 +8,7 @@ from rumi.dynamics.base import PushDefaults
 from rumi.dynamics.displacement_rollouts import DisplacementSettings
 from rumi.dynamics.registry import PUSH_MODELS, PushSettings
 from rumi.fields.information import InformationSettings
-from sdf.bounds import Count, NotNegative, ShareAbove0
+from sdf.bounds import Count, NotNegative, Share, ShareAbove0
 
 
 def _scale_free() -> MPPISettings:
@@ -28,6 +28,9 @@ class RummagingSettings(PushSettings):
         information_scale: weight of the information cost (beta_I); 0 leaves it out.
         reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out. None for what suits the push
             model, its `defaults`.
+        least_share: share of the information that a plan has to gather: else reach is what keeps it from the object, and
+            it is made anew with a quarter of the weight on reach, up to three times. 0 takes any plan, as the paper
+            does. Plans with a budget are made once.
         information_discount: factor by which information is worth less with each action until it is gathered. At 1,
             the paper's, a plan may put its touches off to the end of the horizon, and so may the next plan.
         normalise_information: count information as a share of all there is, so that both costs are in [-1, 0].
@@ -44,6 +47,7 @@ class RummagingSettings(PushSettings):
     mppi: MPPISettings = field(default_factory=_scale_free)
     information_scale: NotNegative = 1.0
     reachability_scale: NotNegative | None = None
+    least_share: Share = 0.03
     information_discount: ShareAbove0 = 0.9
     normalise_information: bool = True
     displaced_information: bool = True
@@ -75,6 +79,7 @@ class RummagingSettings(PushSettings):
             reachability_scale=200.0,
             rollouts=5,
             screen_kept=1.0,
+            least_share=0.0,
             information_discount=1.0,
             normalise_information=False,
         )

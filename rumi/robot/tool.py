@@ -12,9 +12,8 @@ from rumi.robot.cover import Cover, covering_discs
 from rumi.robot.gripper import GripperShape
 from rumi.robot.limited_step import PARTS, SLACK_M, limited_step
 from rumi.robot.reach import Reach
-from rumi.robot.tool_guess import guessed_steps
 from rumi.robot.tool_shape import ToolShape
-from sdf import backend, compiled, gpu, se3
+from sdf import backend, gpu, se3
 from sdf.check import check_shape, is_eager
 
 
@@ -165,9 +164,12 @@ class Tool(nn.Module):
     def free_path(
         self, q: Float[Tensor, "*#b Q"], controls: Float[Tensor, "*#b H Q"], mini_steps: int
     ) -> Float[Tensor, "*#b T Q"]:
-        """Configurations after each mini step of some controls, if nothing is in the way: repeated `free_step`.
+        """Configurations after each mini step of some controls, if nothing is in the way: `free_step`s, evenly.
 
-        A path is the same to the bit whatever others it is asked for with.
+        A control ends at the same place whatever number of mini steps it is carried out in, and goes there straight: a
+        plan that counts whole actions and a robot that is sent along their parts agree, at the arm's limit too. Where
+        the arm cannot reach something in between, the path ends before it. A path is the same to the bit whatever
+        others it is asked for with.
 
         Args:
             q: (*b, Q), configuration now (batch axes broadcast).
@@ -179,12 +181,32 @@ class Tool(nn.Module):
         """
         if mini_steps < 1:
             raise ValueError(f"Expected mini_steps to be at least 1, got {mini_steps}")
-        version = backend.dispatch("free_path", q, controls)
-        path: Tensor = version(self, q, controls, mini_steps)
-        return path
+        ends: Tensor = backend.dispatch("free_path", q, controls)(self, q, controls)
+        if mini_steps == 1:
+            return ends
+        steps = controls * self.scale
+        even = q[..., None, :] + (steps / mini_steps).repeat_interleave(mini_steps, dim=-2).cumsum(-2)
+        start = q[..., None, :].expand(*ends.shape[:-2], 1, q.shape[-1])
+        begins = torch.cat((start, ends[..., :-1, :]), -2)[..., None, :]
+        share = torch.arange(1, mini_steps + 1, dtype=ends.dtype, device=ends.device)[:, None] / mini_steps
+        cut_short = (begins + share * (ends[..., None, :] - begins)).flatten(-3, -2)
+        limited = (ends != q[..., None, :] + steps.cumsum(-2)).flatten(-2).any(-1)
+        return self._held(q, torch.where(limited[..., None, None], cut_short, even))
 
-    def _free_path(self, q: Tensor, controls: Tensor, mini_steps: int) -> Tensor:
-        steps = (controls * (self.scale / mini_steps)).repeat_interleave(mini_steps, dim=-2)
+    def _held(self, q: Float[Tensor, "*#b Q"], path: Float[Tensor, "*b T Q"]) -> Float[Tensor, "*b T Q"]:
+        """A path that ends before what the arm cannot reach between two places that it can, as beside its base."""
+        if self.reach is None:
+            return path
+        limit = self.reach.residual(q).clamp_min(self.reach.settings.tolerance_m) + SLACK_M
+        reached = self.reach.residual(path) <= limit[..., None]
+        count = reached.to(torch.uint8).cumprod(-1).sum(-1, dtype=torch.long)[..., None]
+        last = torch.minimum(torch.arange(1, path.shape[-2] + 1, device=path.device), count)[..., None]
+        whole = torch.cat((q[..., None, :].expand(*path.shape[:-2], 1, q.shape[-1]), path), -2)
+        return whole.gather(-2, last.expand_as(path))
+
+    def _free_path(self, q: Tensor, controls: Tensor) -> Tensor:
+        """Configurations (*b, H, Q) after each control."""
+        steps = controls * self.scale
         if not is_eager():
             return self._step_by_step(q.expand(*steps.shape[:-2], q.shape[-1]), steps)
         path = q[..., None, :] + steps.cumsum(-2)
@@ -199,10 +221,6 @@ class Tool(nn.Module):
         begins = allowed[rows].to(torch.uint8).cumprod(-1).sum(-1)
         start = q.expand(*path.shape[:-2], q.shape[-1]).reshape(-1, q.shape[-1])[rows]
         current = torch.where((begins > 0)[:, None], flat[rows, begins - 1], start)
-        if len(rows) == 1 and self.reach is not None and compiled.supports(flat, *self.reach.buffers()):
-            row, first = int(rows), int(begins)
-            flat[row, first:] = self._guessed(current, steps[row, first:])
-            return flat.reshape(path.shape)
         residual = None if self.reach is None else self.reach.residual(current)
         for index in range(int(begins.min()), flat.shape[1]):
             held = (begins <= index).nonzero()[:, 0]
@@ -213,23 +231,6 @@ class Tool(nn.Module):
             if residual is not None and left is not None:
                 residual[held] = left
         return flat.reshape(path.shape)
-
-    def _guessed(self, current: Tensor, steps: Tensor) -> Tensor:
-        """The path (n, Q) of one tool from (1, Q), its steps guessed one by one and then carried out at once.
-
-        A call of the library takes as long for one step as for all. What a step comes to from where it was guessed to
-        begin is right where all guesses before it were right to the bit; after the first that was not, others are made.
-        """
-        assert self.reach is not None
-        path = []
-        while len(steps):
-            ends = guessed_steps(self.arm_arrays(), current[0], steps)
-            begins = torch.cat((current, ends[:-1]))
-            found, _ = limited_step(self.bounds, self.reach, begins, begins + steps, self.reach.residual(begins))
-            right = int((found == ends).all(-1).to(torch.uint8).cumprod(0).sum())
-            path.append(found[: right + 1])
-            current, steps = path[-1][-1:], steps[right + 1 :]
-        return torch.cat(path)
 
     def _step_by_step(self, q: Tensor, steps: Tensor) -> Tensor:
         """The path (*b, T, Q) of some steps, none skipped, as `torch.compile` and `torch.func` need it."""
@@ -288,13 +289,13 @@ backend.register("free_path")(Tool._free_path)
 
 
 @backend.register("free_path", gpu.VERSION, gpu.supports, gpu.suits)
-def _free_path_warp(tool: Tool, q: Tensor, controls: Tensor, mini_steps: int) -> Tensor:
+def _free_path_warp(tool: Tool, q: Tensor, controls: Tensor) -> Tensor:
     from rumi.robot.tool_warp import free_path
 
     batch = torch.broadcast_shapes(q.shape[:-1], controls.shape[:-2])
     starts = q.expand(*batch, q.shape[-1]).reshape(-1, q.shape[-1])
     steps = controls.expand(*batch, *controls.shape[-2:]).reshape(-1, *controls.shape[-2:])
-    path: Tensor = free_path(tool.arm_tensors(controls), tool.scale, starts, steps, mini_steps)
+    path: Tensor = free_path(tool.arm_tensors(controls), tool.scale, starts, steps)
     return path[:, 1:].reshape(*batch, -1, q.shape[-1])
 
 

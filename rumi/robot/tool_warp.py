@@ -161,7 +161,6 @@ def _free_path(
     starts: wp.array2d(dtype=Any),
     controls: wp.array3d(dtype=Any),
     scale: wp.array(dtype=Any),
-    mini_steps: int,
     table: wp.array4d(dtype=Any),
     base: wp.array(dtype=Any),
     bounds: wp.array2d(dtype=Any),
@@ -170,38 +169,36 @@ def _free_path(
 ):
     k = wp.tid()
     start, last = k * starts.shape[0] // controls.shape[0], starts.shape[1] - 1
-    none, parts = starts.dtype(0.0), starts.dtype(mini_steps)
+    none = starts.dtype(0.0)
     x, y, z, yaw = starts[start, 0], starts[start, 1], none, starts[start, last]
     if last == 3:
         z = starts[start, 2]
     q = wp.vector(x, y, z, yaw)
     left = residual(q, table, base, numbers)
-    for t in range(path.shape[1]):
-        path[k, t, 0] = q[0]
-        path[k, t, 1] = q[1]
+    for h in range(path.shape[1]):
+        path[k, h, 0] = q[0]
+        path[k, h, 1] = q[1]
         if last == 3:
-            path[k, t, 2] = q[2]
-        path[k, t, last] = q[3]
-        h = t // mini_steps
+            path[k, h, 2] = q[2]
+        path[k, h, last] = q[3]
         if h < controls.shape[1]:
-            way_x, way_y = controls[k, h, 0] * (scale[0] / parts), controls[k, h, 1] * (scale[1] / parts)
-            way_z, way_yaw = none, controls[k, h, last] * (scale[last] / parts)
+            way_x, way_y = controls[k, h, 0] * scale[0], controls[k, h, 1] * scale[1]
+            way_z, way_yaw = none, controls[k, h, last] * scale[last]
             if last == 3:
-                way_z = controls[k, h, 2] * (scale[2] / parts)
+                way_z = controls[k, h, 2] * scale[2]
             wanted = q + wp.vector(way_x, way_y, way_z, way_yaw)
             q, left = step_within(q, wanted, left, table, base, bounds, numbers)
 
 
-def free_path(limits: tuple[Any, ...], scale: Tensor, starts: Tensor, controls: Tensor, mini_steps: int) -> Tensor:
-    """Paths (K, H * mini_steps + 1, Q) with their starts, of which S (S, Q) are shared evenly by K controls in turn.
+def free_path(limits: tuple[Any, ...], scale: Tensor, starts: Tensor, controls: Tensor) -> Tensor:
+    """Paths (K, H + 1, Q) with their starts, of which S (S, Q) are shared evenly by K controls in turn.
 
     Args:
         limits: of the steps, `Tool.arm_tensors`.
         scale: of a control, `Tool.scale`.
         starts: configurations.
         controls: in [-1, 1].
-        mini_steps: equal parts that each control is carried out in.
     """
-    path = controls.new_empty(len(controls), controls.shape[1] * mini_steps + 1, starts.shape[1])
-    _free_path.launch(len(controls), starts, controls, scale.to(controls), mini_steps, *limits, path)
+    path = controls.new_empty(len(controls), controls.shape[1] + 1, starts.shape[1])
+    _free_path.launch(len(controls), starts, controls, scale.to(controls), *limits, path)
     return path

@@ -10,7 +10,6 @@ from rumi.robot.gripper import GripperShape
 from rumi.robot.reach import Reach, SpatialReach
 from rumi.robot.reach_table import ReachSettings, ReachTable, table_shape
 from rumi.robot.tool import Tool
-from rumi.robot.tool_guess import guessed_steps
 from sdf import backend, se3
 
 BOUNDS = torch.tensor([[0.0, -0.4], [0.8, 0.4]], dtype=torch.float64)
@@ -163,15 +162,15 @@ def test_bounds_stop_each_axis(free):
     assert float(refused) == pytest.approx(0.06)
 
 
-@pytest.mark.parametrize("mini_steps", [1, 4, 20])
-def test_path_is_repeated_steps(tool, mini_steps):
+@pytest.mark.parametrize("seed", [1, 4, 20])
+def test_path_is_repeated_steps(tool, seed):
     q = reachable_starts(tool, 40)
-    u = controls(40, 6, seed=mini_steps)
-    path = tool.free_path(q, u, mini_steps)
-    assert path.shape == (40, 6 * mini_steps, 3)
+    u = controls(40, 6, seed=seed)
+    path = tool.free_path(q, u, 1)
+    assert path.shape == (40, 6, 3)
     now = q
-    for index in range(6 * mini_steps):
-        now, _ = tool.free_step(now, u[:, index // mini_steps], 1.0 / mini_steps)
+    for index in range(6):
+        now, _ = tool.free_step(now, u[:, index])
         torch.testing.assert_close(path[:, index], now, atol=1e-9, rtol=0)
     moved_freely = q[:, None] + (u * tool.scale).cumsum(1)
     blocked = ~tool._inside(moved_freely).all(-1)
@@ -246,15 +245,18 @@ def test_slides_along_the_limit(tool):
         assert float(now[1] - before[1]) > 0.02
 
 
-def test_coarse_and_fine_mini_steps_agree(tool):
-    """A planner of few mini steps and an executor of many end one action at the same place."""
-    q, u = reachable_starts(tool, 400), controls(400, 1, seed=5)
-    coarse, fine = tool.free_path(q, u, 4)[:, -1], tool.free_path(q, u, 20)[:, -1]
+def test_an_action_ends_at_the_same_place_by_any_number_of_mini_steps(tool):
+    """A planner of whole actions and a robot that is sent along their parts, at the limit too."""
+    q, u = reachable_starts(tool, 400), controls(400, 3, seed=5)
+    whole, fine = tool.free_path(q, u, 1), tool.free_path(q, u, 20)
     blocked = ~tool._inside(q + u[:, 0] * tool.scale)
-    gap = (coarse - fine)[:, :2].norm(dim=-1)
-    assert float(gap[~blocked].max()) < 1e-12
     assert int(blocked.sum()) > 30
-    assert float(gap[blocked].median()) < 0.001 and float(gap[blocked].quantile(0.95)) < 0.006
+    begins = torch.cat((q[:, None], whole[:, :-1]), 1)[:, :, None]
+    share = torch.arange(1, 21, dtype=q.dtype)[:, None] / 20
+    straight = (begins + share * (whole[:, :, None] - begins)).flatten(1, 2)
+    through = (tool.reach.residual(straight) <= tool.reach.settings.tolerance_m + 1e-6).all(-1)
+    assert int((~through).sum()) < 10  # all but what would go through the arm's base
+    torch.testing.assert_close(fine[through], straight[through], atol=1e-12, rtol=0)
 
 
 def test_from_out_of_reach_it_may_come_back(tool):
@@ -335,10 +337,10 @@ def test_in_space_it_never_leaves_reach_or_bounds_and_is_repeated_steps(flying, 
     path = flying.free_path(start, controls, 4)
     assert bool((flying.reach.residual(path) <= flying.reach.settings.tolerance_m + 1e-5).all())
     assert bool(((path[..., :3] >= SPACE[0]) & (path[..., :3] <= SPACE[1])).all())
-    now = start.expand(40, 4)
-    for index in range(24):
-        now, _ = flying.free_step(now, controls[:, index // 4], 0.25)
-        torch.testing.assert_close(path[:, index], now, atol=1e-9, rtol=0)
+    ends, now = flying.free_path(start, controls, 1), start.expand(40, 4)
+    for index in range(6):
+        now, _ = flying.free_step(now, controls[:, index])
+        torch.testing.assert_close(ends[:, index], now, atol=1e-9, rtol=0)
     free = start + (controls * flying.scale).cumsum(1)
     assert int((~flying._inside(free).all(-1)).sum()) > 5
 
@@ -355,17 +357,3 @@ def test_in_space_it_slides_along_the_limit_and_rises_no_farther_than_it_reaches
     assert float(up[2] - now[2]) < 0.02 and radius > 1.04
     back, _ = flying.free_step(now, torch.tensor([-1.0, 0.0, 1.0, 0.0], dtype=torch.float64))
     assert float(back[2] - now[2]) == pytest.approx(0.08)
-
-
-@pytest.mark.parametrize("name", ["tool", "flying"])
-def test_steps_along_the_limit_are_guessed_to_the_bit(name, request, generator):
-    """So that a path is worked out by two or three calls, however many of its steps the arm cuts short."""
-    tool = request.getfixturevalue(name)
-    start = torch.tensor([0.3, 0.1, 0.1, 0.2] if tool.spatial else [0.3, 0.1, 0.2], dtype=torch.float64)
-    control = torch.rand(1, len(start), generator=generator, dtype=torch.float64) * 0.4 - 0.2
-    control[0, 0] = 20.0
-    limit = tool.free_path(start, control, 20)[-1]
-    steps = (control * (tool.scale / 20)).expand(20, -1)
-    ends = guessed_steps(tool.arm_arrays(), limit, steps)
-    torch.testing.assert_close(ends, tool.free_path(limit, control, 20), rtol=0, atol=0)
-    assert bool((ends != limit + steps.cumsum(0)).any(-1).all())

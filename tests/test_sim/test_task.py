@@ -38,6 +38,13 @@ def signed_distances(task, result):
     return task.model.exact.distance(local)
 
 
+def test_what_a_plan_promises_at_the_limit_the_robot_does(arm_tool):
+    """By parts the arm once stayed where a whole action slides on: plans promised, over and over, what none did."""
+    now, control = torch.tensor([0.46, -0.399, 0.222]), torch.tensor([[0.67, -0.5, 0.42]])
+    end = arm_tool.free_path(now, control, 20)[-1]
+    assert torch.equal(end, arm_tool.free_path(now, control, 1)[-1]) and float((end - now)[:2].norm()) > 0.01
+
+
 def test_first_view(task):
     result = task.reset(0)
     reading = result.reading
