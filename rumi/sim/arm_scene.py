@@ -50,15 +50,14 @@ class ArmPhysics:
                 raise UsageError(f"Expected {name} to be {len(ARM_JOINTS)} numbers, got {len(getattr(self, name))}")
 
 
-def arm_xml(physics: ArmPhysics, *, mass_factors: tuple[float, ...] = (1.0,) * 7, friction_nm: float = 0.0) -> str:
+def arm_xml(physics: ArmPhysics, *, mass_factors: tuple[float, ...] = (1.0,) * 7) -> str:
     """The arm alone as MJCF text, for a controller and an observer.
 
     Args:
         physics: the arm.
         mass_factors: of the links' masses: what a model has wrong.
-        friction_nm: dry friction of every joint.
     """
-    return _document(physics, links_xml(physics, mass_factors, friction_nm, _hand(physics)), "")
+    return _document(physics, links_xml(physics, mass_factors, 0.0, _hand(physics)), "")
 
 
 def scene_xml(physics: ArmPhysics, half: tuple[float, float], height_m: float, friction_nm: float = 0.0) -> str:

@@ -53,19 +53,18 @@ def resting_poses(mesh: TriangleMesh, center: Float[Tensor, "3"]) -> list[Restin
     return [RestingPose(turn_to_z(ups[i]), float(probabilities[i])) for i in order.tolist()]
 
 
-def upright(poses: list[RestingPose], within_rad: float = OWN_UP_RAD) -> RestingPose:
+def upright(poses: list[RestingPose]) -> RestingPose:
     """The most probable of the poses whose up is about the mesh's own z, else the most probable of all.
 
     Args:
         poses: of `resting_poses`.
-        within_rad: how far from its own z, radians.
 
     Raises:
         ValueError: there is no pose.
     """
     if not poses:
         raise ValueError("Expected the object to stand in some pose, found none: say how it stands")
-    own = [pose for pose in poses if float(pose.rest_R_mesh[2, 2]) >= math.cos(within_rad)]
+    own = [pose for pose in poses if float(pose.rest_R_mesh[2, 2]) >= math.cos(OWN_UP_RAD)]
     return max(own or poses, key=lambda pose: pose.probability)
 
 

@@ -78,7 +78,6 @@ def color_mask(
 def fit_plane(
     points: Float[Tensor, "M 3"],
     *,
-    eye: Float[Tensor, "3"] | None = None,
     tolerance_m: float = 0.006,
     tries: int = 200,
     sample: int = 2000,
@@ -87,8 +86,7 @@ def fit_plane(
     """The plane that most points lie on: random triples, then least squares on what agrees with the best.
 
     Args:
-        points: (M, 3), metres.
-        eye: from where they were seen; by default the origin, as in a camera's frame.
+        points: (M, 3), metres, in the frame of the camera, which the plane's normal is towards.
         tolerance_m: a point this near the plane is on it.
         tries: triples.
         sample: points, drawn at random, that triples are judged by.
@@ -99,7 +97,6 @@ def fit_plane(
     """
     if len(points) < 3:
         raise ValueError(f"Expected at least 3 points to fit a plane to, got {len(points)}")
-    eye = points.new_zeros(3) if eye is None else eye.to(points)
     few = points[torch.randint(len(points), (min(sample, 4 * len(points)),), generator=generator)]
     corners = few[torch.randint(len(few), (tries, 3), generator=generator)]
     normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -117,7 +114,7 @@ def fit_plane(
         center = own.mean(0)
         normal = torch.linalg.eigh((own - center).mT @ (own - center))[1][:, 0]
         offset = normal @ center
-    if float(normal @ eye - offset) < 0:
+    if float(offset) > 0:
         normal, offset = -normal, -offset
     return Plane(normal, float(offset), float(((few @ normal - offset).abs() < tolerance_m).to(points.dtype).mean()))
 

@@ -4,6 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from tests.stress.sweep import Inputs
+
 
 def largest(difference: Tensor) -> Float[Tensor, "n"]:
     """Largest absolute value of each row."""
@@ -38,3 +40,20 @@ def from_orthogonal(rotation: Float[Tensor, "n 3 3"]) -> Float[Tensor, "n"]:
     """Largest entry of R^T R - 1."""
     wide = rotation.detach().double()
     return largest(wide.mT @ wide - torch.eye(3, dtype=torch.float64))
+
+
+def of_numbers(got: Tensor, wanted: Tensor, inputs: Inputs) -> Float[Tensor, "n"]:
+    """`absolute`, as a sweep's error."""
+    return absolute(got, wanted)
+
+
+def of_pose(got: Tensor, wanted: Tensor, inputs: Inputs) -> Float[Tensor, "n"]:
+    """`pose`, as a sweep's error."""
+    return pose(got, wanted)
+
+
+def of_touch(got: Tensor, wanted: Tensor, inputs: Inputs) -> Float[Tensor, "n"]:
+    """In units of what 1e-6 m and 1e-6 of a chord make of it: both count by their sigmas."""
+    noise = inputs["noise"]
+    slack = (2e-6 * (-2.0 * wanted).clamp_min(0.0).sqrt()) * (1.0 / noise.point_m + 1.0 / noise.normal_rad) + 1e-5
+    return ((got.double() - wanted).abs() / slack).amax(-1)

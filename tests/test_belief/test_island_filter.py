@@ -9,23 +9,11 @@ from rumi.belief.bootstrap_filter import SHOWN, BootstrapFilter
 from rumi.belief.frictions import frictions_of
 from rumi.belief.island_filter import IslandBelief, IslandFilter, islands_of, mixture
 from rumi.belief.particles import PoseBelief
-from rumi.belief.prior import PosePrior
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.seeding import generator
 from sdf import se3
-from sdf.object_model import ObjectModel, box_model
 from sensors.observation import Observation
 from tests.fixtures.box_in_space import begin, felt_by, follow, towards
-
-
-@pytest.fixture(scope="module")
-def box() -> ObjectModel:
-    return box_model(spacing=0.003)
-
-
-@pytest.fixture(scope="module")
-def prior(box) -> PosePrior:
-    return PosePrior.of((0.0, 0.0), 0.02, box.exact.bounds, ("x", "z"))
 
 
 def make(kind, box, prior, particles: int, islands: int):

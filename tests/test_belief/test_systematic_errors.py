@@ -14,12 +14,9 @@ from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_likelihood import told_by_silence
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.belief.yaw_search import all_round
-from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from rumi.sim.tool_offset import ToolOffset
 from sdf import backend, se3
-from sdf.grid_sdf import GridSDF
-from sdf.primitives import Box
 from sdf.so3 import wrap
 
 DOUBLE = {"dtype": torch.float64}
@@ -34,12 +31,6 @@ OWN = replace(
     dead=0.1,
     least_m=0.001,
 )
-
-
-@pytest.fixture(scope="module")
-def model() -> PushedObject:
-    block = GridSDF.from_sdf(Box([0.04, 0.06, 0.03]), 0.003)
-    return PushedObject.of(block, GripperShape(), height_m=0.03, resting_m=0.03, spacing_m=0.006, pad_spacing_m=0.006)
 
 
 @pytest.fixture(autouse=True)

@@ -6,26 +6,14 @@ import pytest
 import torch
 
 from rumi.belief.bootstrap_filter import narrow
-from rumi.belief.prior import PosePrior
 from rumi.belief.segments import felt_pads
 from rumi.belief.trajectory_history import Segment
 from rumi.seeding import generator
 from sdf import se3
-from sdf.object_model import ObjectModel, box_model
 from sensors.observation import Observation
 from sensors.reading import FORCE
 from sensors.semantics import Semantics
 from tests.fixtures.box_in_space import OWN, begin, felt_by, follow, towards
-
-
-@pytest.fixture(scope="module")
-def box() -> ObjectModel:
-    return box_model(spacing=0.003)
-
-
-@pytest.fixture(scope="module")
-def prior(box) -> PosePrior:
-    return PosePrior.of((0.0, 0.0), 0.02, box.exact.bounds, ("x", "z"))
 
 
 def test_a_touch_finds_a_box_of_which_only_a_prior_was_known(box, prior):

@@ -2,34 +2,23 @@
 
 from dataclasses import replace
 
-import pytest
 import torch
 
 from rumi.belief.misfit import MisfitSettings
 from rumi.belief.pose_filter import FilterSettings
 from rumi.belief.pose_trajectories import Trajectories
 from rumi.belief.pose_trajectory_filter import PoseTrajectoryFilter
-from rumi.belief.pushed_object import PushedObject
 from rumi.belief.tempering import log_mean
 from rumi.belief.trajectory_faults import TRAJECTORY_FAULTS, log_ratios, new_segments
 from rumi.belief.trajectory_history import History, Kind, Segment
 from rumi.belief.trajectory_settings import PoseTrajectorySettings
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
-from sdf.grid_sdf import GridSDF
-from sdf.primitives import Box
 from sensors.discrepancy import Discrepancy
 
 DOUBLE = {"dtype": torch.float64}
 OWN, SENSED = MisfitSettings(), PoseTrajectorySettings()
 FACE = torch.stack((torch.full((9,), -0.04), torch.linspace(-0.02, 0.02, 9), torch.zeros(9)), -1).double()
-
-
-@pytest.fixture(scope="module")
-def model() -> PushedObject:
-    block = GridSDF.from_sdf(Box([0.04, 0.06, 0.03]), 0.003)
-    shape = GripperShape()
-    return PushedObject.of(block, shape, height_m=0.03, resting_m=0.03, spacing_m=0.006, pad_spacing_m=0.006)
 
 
 def particles(spread: float = 5e-4, count: int = 80) -> Trajectories:

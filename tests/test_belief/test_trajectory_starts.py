@@ -10,12 +10,6 @@ from rumi.belief.trajectory_starts import KNOCKS, at_rest, brought_to, jittered,
 from rumi.robot.gripper import GripperShape
 from rumi.seeding import generator
 from sdf import se3
-from sdf.object_model import ObjectModel, box_model
-
-
-@pytest.fixture(scope="module")
-def box() -> ObjectModel:
-    return box_model(spacing=0.003)
 
 
 @pytest.fixture(scope="module")

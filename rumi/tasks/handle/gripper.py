@@ -65,19 +65,16 @@ class HandleGripper:
         shape: the mug, whose handle's ring is known.
         body: it in the simulator (`rumi.sim.bodies.body_of`).
         physics: its mass, and its friction on the floor.
-        settings: of the gripper.
 
     Raises:
         UsageError: the object has no handle that is known.
     """
 
-    def __init__(
-        self, shape: object, body: Body, physics: PhysicsSettings, settings: HandleGrasp | None = None
-    ) -> None:
+    def __init__(self, shape: object, body: Body, physics: PhysicsSettings) -> None:
         if not isinstance(shape, Mug):
             raise UsageError(f"Expected a mug to grasp by its handle, got {type(shape).__name__}")
         self._mujoco = _import_mujoco()
-        self.shape, self.body, self.physics, self.settings = shape, body, physics, settings or HandleGrasp()
+        self.shape, self.body, self.physics, self.settings = shape, body, physics, HandleGrasp()
         self.model: Any = self._mujoco.MjModel.from_xml_string(grasp_xml(shape, body, physics, self.settings))
         self.data: Any = self._mujoco.MjData(self.model)
         self._place = [int(self.model.joint(name).qposadr[0]) for name in _DRIVES]

@@ -27,6 +27,7 @@ from tests.stress.draws import (
     rotation_vectors,
     uniform,
 )
+from tests.stress.measures import of_pose
 from tests.stress.on_device import here
 from tests.stress.sweep import Inputs, Sweep, register
 
@@ -168,10 +169,6 @@ def _wanted_mode(inputs: Inputs) -> Tensor:
     return se3.mean(cloud, torch.where(own, weights, 0.0))
 
 
-def _of_pose(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
-    return measures.pose(got, wanted)
-
-
 def _draw_moves(generator: torch.Generator) -> Inputs:
     motions = poses(generator, ROWS * 20, 0.05).reshape(ROWS, 20, 4, 4)
     return {"motions": motions.float(), "start": poses(generator, ROWS).float()}
@@ -281,11 +278,11 @@ def _enter() -> None:
             lambda i: torch.full((1,), float(i["log_weights"].shape[-1])), "particles",
         ),
         Sweep(
-            "beliefs-mode", _draw_cloud, _mode, _wanted_mode, _of_pose, 1e-5, "m, rad",
+            "beliefs-mode", _draw_cloud, _mode, _wanted_mode, of_pose, 1e-5, "m, rad",
             lambda i: torch.full((1,), float(i["log"].shape[-1])), "particles",
         ),
         Sweep(
-            "beliefs-moved", _draw_moves, _moved, _wanted_moved, _of_pose, 1e-5, "m, rad",
+            "beliefs-moved", _draw_moves, _moved, _wanted_moved, of_pose, 1e-5, "m, rad",
             lambda i: torch.full((1,), 20.0), "motions",
         ),
     ):  # fmt: skip

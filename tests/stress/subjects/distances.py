@@ -17,8 +17,8 @@ from sdf.posed import posed_distance, posed_query
 from sdf.primitives import Box, Capsule, Cup, Cylinder, Mug, Sphere, TorusArc
 from sensors.discrepancy import Discrepancy
 from sensors.observation import Observation
-from tests.stress import measures
 from tests.stress.draws import choice, directions, integer, log_uniform, mixed, poses, uniform
+from tests.stress.measures import of_numbers
 from tests.stress.on_device import here
 from tests.stress.sweep import Inputs, Sweep, register
 
@@ -95,10 +95,6 @@ def _not_far_outside(inputs: Inputs) -> Tensor:
 
 def _nothing(inputs: Inputs) -> Tensor:
     return torch.zeros(len(inputs["points"]), dtype=F64)
-
-
-def _of_numbers(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
-    return measures.absolute(got, wanted)
 
 
 # closed forms
@@ -236,7 +232,7 @@ def _enter() -> None:
             _distance_error, 1e-5, metres, _off, off,
         ),
         Sweep(
-            "distances-not-finite", _draw_broken, _not_far_outside, _nothing, _of_numbers, 0.0, "wrong", _nothing,
+            "distances-not-finite", _draw_broken, _not_far_outside, _nothing, of_numbers, 0.0, "wrong", _nothing,
             "nothing",
         ),
         Sweep(
@@ -256,7 +252,7 @@ def _enter() -> None:
             register(
                 Sweep(
                     f"distances-posed{about}-{version}", partial(_draw_posed, world),
-                    partial(_posed_in, version, torch.float32), partial(_posed_in, "torch", F64), _of_numbers, limit,
+                    partial(_posed_in, version, torch.float32), partial(_posed_in, "torch", F64), of_numbers, limit,
                     "m", _world, off,
                 )
             )  # fmt: skip

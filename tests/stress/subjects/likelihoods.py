@@ -1,6 +1,6 @@
 """Likelihoods: sensor models at zero distance, inside, far away and at the ends of what chances can be."""
 
-from functools import cache, partial
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -12,18 +12,16 @@ from sdf.primitives import Box
 from sensors.semantics import log_surface_probability, semantics_probability
 from sensors.touch.contact_model import ContactModel
 from sensors.touch.touch_likelihood import TouchNoise, box_log_likelihoods, touch_log_likelihoods
-from tests.stress import exact, measures
+from tests.fixtures import meshes
+from tests.stress import exact
 from tests.stress.draws import choice, directions, log_uniform, log_weights, mixed, normal, poses, uniform
+from tests.stress.measures import of_numbers, of_touch
 from tests.stress.subjects.distances import VERSIONS, table
 from tests.stress.sweep import Inputs, Sweep, register
 
 F64 = torch.float64
 COUNT = 200
 HALF = torch.tensor([0.03, 0.05, 0.08], dtype=F64)
-
-
-def _of_numbers(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
-    return measures.absolute(got, wanted)
 
 
 def _distances(generator: torch.Generator, count: int) -> Tensor:
@@ -100,11 +98,7 @@ def _log_surface(dtype: torch.dtype, inputs: Inputs) -> Tensor:
 # touches
 
 
-@cache
-def _box() -> Triangles:
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    corners = torch.cartesian_prod(*[torch.tensor([-x, x], dtype=F64) for x in HALF.tolist()])
-    return Triangles(corners[torch.tensor([(q[0], q[k], q[k + 1]) for q in quads for k in (1, 2)])])
+_MESH = meshes.box(HALF.tolist())
 
 
 def _draw_touches(generator: torch.Generator) -> Inputs:
@@ -126,17 +120,10 @@ def _draw_touches(generator: torch.Generator) -> Inputs:
 
 
 def _touches(version: str, dtype: torch.dtype, inputs: Inputs) -> Tensor:
-    triangles = Triangles(_box().corners.to(dtype))
+    triangles = Triangles(_MESH.corners.to(dtype))
     at, points, normals = (inputs[name].to(dtype) for name in ("poses", "points", "normals"))
     with backend.force(version):
         return touch_log_likelihoods(at, points, normals, triangles, inputs["noise"])
-
-
-def _touch_error(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
-    """In units of what 1e-6 m and 1e-6 of a chord make of it: both count by their sigmas."""
-    noise = inputs["noise"]
-    slack = (2e-6 * (-2.0 * wanted).clamp_min(0.0).sqrt()) * (1.0 / noise.point_m + 1.0 / noise.normal_rad) + 1e-5
-    return ((got.double() - wanted).abs() / slack).amax(-1)
 
 
 def _box_touches(dtype: torch.dtype, inputs: Inputs) -> Tensor:
@@ -186,13 +173,13 @@ def _enter() -> None:
     if exact.available():
         register(
             Sweep(
-                "likelihoods-contact", _draw_contact, _contact, _exact_contact, _of_numbers, 1e-4, "nats", size,
+                "likelihoods-contact", _draw_contact, _contact, _exact_contact, of_numbers, 1e-4, "nats", size,
                 "distance, m",
             )
         )  # fmt: skip
         register(
             Sweep(
-                "likelihoods-semantics", _draw_semantics, _semantics, _exact_semantics, _of_numbers, 1e-4, "nats", size,
+                "likelihoods-semantics", _draw_semantics, _semantics, _exact_semantics, of_numbers, 1e-4, "nats", size,
                 "distance, m",
             )
         )  # fmt: skip
@@ -212,7 +199,7 @@ def _enter() -> None:
         register(
             Sweep(
                 f"likelihoods-touches-{version}", _draw_touches, partial(_touches, version, torch.float32),
-                partial(_touches, "torch", F64), _touch_error, 1.0, "of 1e-6 m",
+                partial(_touches, "torch", F64), of_touch, 1.0, "of 1e-6 m",
                 lambda i: torch.tensor([i["noise"].point_m]), "sigma, m",
             )
         )  # fmt: skip

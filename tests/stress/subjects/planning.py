@@ -12,17 +12,14 @@ from rumi.fields.workspace import Workspace
 from rumi.planning.costs import information_cost
 from sdf import backend
 from sdf.voxel_grid import VoxelGrid
-from tests.stress import exact, measures
+from tests.stress import exact
 from tests.stress.draws import choice, integer, log_uniform, normal, uniform
+from tests.stress.measures import of_numbers
 from tests.stress.subjects.distances import VERSIONS
 from tests.stress.sweep import Inputs, Sweep, register
 
 F64 = torch.float64
 KERNELS: tuple[KernelName, ...] = ("rbf", "matern32", "matern52", "bspline3")
-
-
-def _of_numbers(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
-    return measures.absolute(got, wanted)
 
 
 # weights of samples
@@ -281,30 +278,30 @@ def _enter() -> None:
             Sweep(
                 "planning-sample-weights", _draw_costs,
                 lambda i: sample_weights(i["costs"], i["temperature"], cost_scale=i["scale"])[None], _exact_weights,
-                _of_numbers, 1e-9, "1", _temperature, "temperature",
+                of_numbers, 1e-9, "1", _temperature, "temperature",
             )
         )  # fmt: skip
         register(
             Sweep(
-                "planning-knots-to-controls", _draw_kernel, _curves, _exact_curves, _of_numbers, 1e-8, "1",
+                "planning-knots-to-controls", _draw_kernel, _curves, _exact_curves, of_numbers, 1e-8, "1",
                 lambda i: torch.tensor([i["condition"]]), "condition of the kernel's matrix",
             )
         )  # fmt: skip
     register(
         Sweep(
             "planning-kernels-float32", _draw_ratios, partial(_kernels, torch.float32), partial(_kernels, F64),
-            _of_numbers, 1e-5, "1", lambda i: torch.tensor([i["scale"]]), "scale",
+            of_numbers, 1e-5, "1", lambda i: torch.tensor([i["scale"]]), "scale",
         )
     )  # fmt: skip
     register(
         Sweep(
-            "planning-mppi", _draw_plan, _plan, lambda i: torch.zeros(1, dtype=F64), _of_numbers, 1e-5, "1",
+            "planning-mppi", _draw_plan, _plan, lambda i: torch.zeros(1, dtype=F64), of_numbers, 1e-5, "1",
             _temperature, "temperature",
         )
     )  # fmt: skip
     register(
         Sweep(
-            "planning-workspace", _draw_workspace, _nodes, lambda i: (i["cells"] + 1).double()[None], _of_numbers, 0.0,
+            "planning-workspace", _draw_workspace, _nodes, lambda i: (i["cells"] + 1).double()[None], of_numbers, 0.0,
             "nodes", lambda i: torch.tensor([i["spacing"]]), "spacing, m",
         )
     )  # fmt: skip

@@ -10,6 +10,7 @@ from torch import Tensor
 from sdf import se3, so3
 from tests.stress import exact, measures
 from tests.stress.draws import DTYPES, angles, directions, log_uniform, log_weights, poses, twists, uniform
+from tests.stress.measures import of_numbers, of_pose
 from tests.stress.sweep import Inputs, Sweep, register
 
 CASES = 256
@@ -156,14 +157,6 @@ def _chain_error(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
     return torch.maximum(measures.from_orthogonal(rotation) / 1e-6, away / 1e-4)
 
 
-def _of_pose(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
-    return measures.pose(got, wanted)
-
-
-def _of_numbers(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
-    return measures.absolute(got, wanted)
-
-
 def _enter() -> None:
     at_pi = "radians from half a turn"
     for name, dtype in DTYPES.items():
@@ -174,7 +167,7 @@ def _enter() -> None:
             few = partial(_draw_twists, dtype, FEW)
             register(
                 Sweep(
-                    "se3-exp-float64", few, lambda i: se3.exp(i["twist"]), _exact_exp, _of_pose, limit, "m, rad",
+                    "se3-exp-float64", few, lambda i: se3.exp(i["twist"]), _exact_exp, of_pose, limit, "m, rad",
                     _angle, "angle",
                 )
             )  # fmt: skip
@@ -189,21 +182,21 @@ def _enter() -> None:
             register(
                 Sweep(
                     "se3-mean-float32", partial(_draw_mean, dtype), lambda i: se3.mean(i["group"], i["weights"]),
-                    lambda i: se3.mean(i["group"].double(), i["weights"].double()), _of_pose, limit, "m, rad",
+                    lambda i: se3.mean(i["group"].double(), i["weights"].double()), of_pose, limit, "m, rad",
                     lambda i: i["weights"].double().sum(-1).log10(), "log10 of the weights' sum",
                 )
             )  # fmt: skip
             register(
                 Sweep(
                     "se3-apply-float32", partial(_draw_points, dtype), lambda i: se3.apply(i["pose"], i["points"]),
-                    lambda i: se3.apply(i["pose"].double(), i["points"].double()), _of_numbers, limit, "m",
+                    lambda i: se3.apply(i["pose"].double(), i["points"].double()), of_numbers, limit, "m",
                     _to_pi, at_pi,
                 )
             )  # fmt: skip
             register(
                 Sweep(
                     "se3-exp-float32", twisted, lambda i: se3.exp(i["twist"]),
-                    lambda i: se3.exp(i["twist"].double()), _of_pose, limit, "m, rad", _angle, "angle",
+                    lambda i: se3.exp(i["twist"].double()), of_pose, limit, "m, rad", _angle, "angle",
                 )
             )  # fmt: skip
             register(
@@ -223,18 +216,18 @@ def _enter() -> None:
         register(
             Sweep(
                 f"se3-compose-{name}", posed, lambda i: se3.compose(i["pose"], i["other"]),
-                lambda i: _proper(i["pose"].double() @ i["other"].double()), _of_pose, limit, "m, rad", _to_pi, at_pi,
+                lambda i: _proper(i["pose"].double() @ i["other"].double()), of_pose, limit, "m, rad", _to_pi, at_pi,
             )
         )  # fmt: skip
         register(
             Sweep(
                 f"se3-inverse-{name}", posed, lambda i: se3.inverse(i["pose"]) @ i["pose"],
-                lambda i: se3.identity((CASES,), dtype=torch.float64), _of_pose, limit, "m, rad", _to_pi, at_pi,
+                lambda i: se3.identity((CASES,), dtype=torch.float64), of_pose, limit, "m, rad", _to_pi, at_pi,
             )
         )  # fmt: skip
         register(
             Sweep(
-                f"se3-distance-{name}", partial(_draw_pairs, dtype), _distance, _wanted_distance, _of_numbers,
+                f"se3-distance-{name}", partial(_draw_pairs, dtype), _distance, _wanted_distance, of_numbers,
                 1e-12 if fine else POSE, "m, rad",
                 lambda i: math.pi - _wanted_distance(i)[..., 1], at_pi,
             )
@@ -243,7 +236,7 @@ def _enter() -> None:
         Sweep(
             "se3-log-gradient-float32", partial(_draw_twists, torch.float32, CASES),
             lambda i: _log_jacobian(torch.float32, _below_pi(i)), lambda i: _log_jacobian(torch.float64, _below_pi(i)),
-            _of_numbers, 1e-3, "1", _angle, "angle",
+            of_numbers, 1e-3, "1", _angle, "angle",
         )
     )  # fmt: skip
     for steps, chains, slow in ((10**4, 32, False), (10**6, 32, True)):

@@ -1,14 +1,13 @@
 """Touches: rectangles and free ways beside them, wrenches on tools, triangles, and objects that look alike turned."""
 
 import math
-from functools import cache, partial
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from rumi.metrics.pose_error import pose_error
 from sdf import backend, se3, so3
-from sdf.mesh.mesh import TriangleMesh
 from sdf.mesh.triangles import Triangles, nearest, winding_number
 from sdf.primitives import Box
 from sdf.symmetry import Symmetries
@@ -16,17 +15,15 @@ from sensors.force.force_torque import WrenchNoise, wrench_contact
 from sensors.force.tool_surface import SphereTool
 from sensors.touch.rectangle_touch import rectangle_log_likelihoods, way_clearances
 from sensors.touch.touch_likelihood import TouchNoise
+from tests.fixtures import meshes
 from tests.stress import measures
 from tests.stress.draws import choice, directions, log_uniform, mixed, normal, poses, rotation_vectors, uniform
+from tests.stress.measures import of_numbers, of_touch
 from tests.stress.subjects.distances import VERSIONS
 from tests.stress.sweep import Inputs, Sweep, register
 
 F64 = torch.float64
 HALF = (0.03, 0.05, 0.08)
-
-
-def _of_numbers(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
-    return measures.absolute(got, wanted)
 
 
 # rectangles
@@ -56,13 +53,6 @@ def _touched(version: str, dtype: torch.dtype, inputs: Inputs) -> Tensor:
     half = torch.tensor(HALF[:2]).to(dtype)
     with backend.force(version):
         return rectangle_log_likelihoods(at, points, normals, half, inputs["noise"])
-
-
-def _touch_error(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
-    """In units of what 1e-6 m and 1e-6 of a chord make of it: both count by their sigmas."""
-    noise = inputs["noise"]
-    slack = (2e-6 * (-2.0 * wanted).clamp_min(0.0).sqrt()) * (1.0 / noise.point_m + 1.0 / noise.normal_rad) + 1e-5
-    return ((got.double() - wanted).abs() / slack).amax(-1)
 
 
 def _clear(version: str, dtype: torch.dtype, inputs: Inputs) -> Tensor:
@@ -114,11 +104,7 @@ def _square_off(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
 # triangles
 
 
-@cache
-def _box() -> TriangleMesh:
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    corners = torch.cartesian_prod(*[torch.tensor([-x, x], dtype=F64) for x in HALF])
-    return TriangleMesh(corners, torch.tensor([(q[0], q[k], q[k + 1]) for q in quads for k in (1, 2)]))
+_MESH = meshes.box(HALF)
 
 
 def _draw_points(generator: torch.Generator) -> Inputs:
@@ -133,7 +119,7 @@ def _draw_points(generator: torch.Generator) -> Inputs:
 def _gap(version: str, dtype: torch.dtype, inputs: Inputs) -> Tensor:
     points = inputs["points"].to(dtype)
     with backend.force(version):
-        return (points - nearest(points, Triangles(_box().corners.to(dtype))).point).norm(dim=-1)
+        return (points - nearest(points, Triangles(_MESH.corners.to(dtype))).point).norm(dim=-1)
 
 
 def _gap_error(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
@@ -142,7 +128,7 @@ def _gap_error(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
 
 def _wound(version: str, inputs: Inputs) -> Tensor:
     with backend.force(version):
-        return winding_number(inputs["points"].double(), Triangles(_box().corners), accuracy=math.inf)
+        return winding_number(inputs["points"].double(), Triangles(_MESH.corners), accuracy=math.inf)
 
 
 def _winding_error(got: Tensor, wanted: Tensor, inputs: Inputs) -> Tensor:
@@ -182,12 +168,12 @@ def _enter() -> None:
         for sweep in (
             Sweep(
                 f"touching-rectangle-{version}", _draw_rectangle, partial(_touched, version, torch.float32),
-                partial(_touched, "torch", F64), _touch_error, 1.0, "of 1e-6 m",
+                partial(_touched, "torch", F64), of_touch, 1.0, "of 1e-6 m",
                 lambda i: torch.tensor([i["noise"].point_m]), "sigma, m",
             ),
             Sweep(
                 f"touching-free-ways-{version}", _draw_rectangle, partial(_clear, version, torch.float32),
-                partial(_clear, "torch", F64), _of_numbers, 1e-5, "m",
+                partial(_clear, "torch", F64), of_numbers, 1e-5, "m",
                 lambda i: (i["ways"][:, 1] - i["ways"][:, 0]).double().norm(dim=-1), "length of the way, m",
             ),
             Sweep(
@@ -209,7 +195,7 @@ def _enter() -> None:
             register(sweep)
     register(
         Sweep(
-            "touching-alike-float32", _draw_alike, _apart, lambda i: torch.zeros(64, 2, dtype=F64), _of_numbers, 1e-5,
+            "touching-alike-float32", _draw_alike, _apart, lambda i: torch.zeros(64, 2, dtype=F64), of_numbers, 1e-5,
             "m, rad", lambda i: torch.tensor([float(len(i["symmetries"]))]), "turns of the object",
         )
     )  # fmt: skip
