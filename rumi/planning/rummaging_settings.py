@@ -28,7 +28,7 @@ class RummagingSettings(PushSettings):
         information_scale: weight of the information cost (beta_I); 0 leaves it out.
         reachability_scale: weight of the reachability cost (beta_R); 0 leaves it out. None for what suits the push
             model, its `defaults`.
-        least_share: share of the information that a plan has to gather: else reach is what keeps it from the object, and
+        least_share: of the information, what a plan has to gather: else reach is what keeps it from the object, and
             it is made anew with a quarter of the weight on reach, up to three times. 0 takes any plan, as the paper
             does. Plans with a budget are made once.
         information_discount: factor by which information is worth less with each action until it is gathered. At 1,

@@ -102,6 +102,36 @@ def test_a_later_plan_goes_on_from_the_previous_one(scene: Scene) -> None:
     assert float((later.controls - first.controls).abs().max()) > 0.1
 
 
+def test_a_plan_that_stands_still_for_the_sake_of_reach_is_made_anew(scene: Scene) -> None:
+    """Reach that falls off ahead of the tool, at a great weight: nothing is gathered unless that counts for less."""
+    near = replace(scene, configuration=torch.tensor([0.25, 0.0, 0.0]))
+    asked: list[float] = []
+
+    class Asked(RummagingPolicy):
+        def planned(self, request: PlanRequest, reach_share: float = 1.0) -> Plan:
+            asked.append(reach_share)
+            return super().planned(request, reach_share)
+
+    def gathered(settings: RummagingSettings, **budget: float) -> float:
+        asked.clear()
+        random = torch.Generator().manual_seed(0)
+        made = Asked(falling(near), settings).act(PlanRequest(belief(), near, generator=random, **budget))
+        return sum(made.info["predicted_information"]) / made.info["information_total"]
+
+    heavy = replace(SMALL, reachability_scale=3000.0)
+    still = gathered(replace(heavy, least_share=0.0))
+    assert asked == [1.0] and still < 0.03
+    eased = gathered(heavy)
+    assert asked[:2] == [1.0, 0.25] and len(asked) <= 4 and eased > still
+    gathered(replace(heavy, least_share=1.0))
+    assert asked == [1.0, 0.25, 0.0625, 0.015625]
+    # what does not weigh reach, or has a budget, is planned once
+    gathered(replace(heavy, least_share=1.0), budget_s=100.0)
+    assert asked == [1.0]
+    gathered(replace(heavy, least_share=1.0, reachability_scale=0.0))
+    assert asked == [1.0]
+
+
 def test_goes_where_the_information_is(scene: Scene) -> None:
     """The best sample meets informative cells, and the plan brings the pads closer to the object."""
     policy = info_only(replace(SMALL, mppi=replace(SMALL.mppi, samples=200)))
