@@ -47,7 +47,8 @@ class FilterSettings(Checked):
             objects and a level tool, and "estimated" elsewhere. None for what suits: "trajectory" where a view or a
             prior is followed by touches alone, else "corrected", in space "estimated".
         stated_errors: what a robot and its model are stated to be off by in a whole run counts as wider "noise" of the
-            sensors of trajectories, or, in the plane, as "systematic" errors that every particle has of its own.
+            sensors of trajectories, or, in the plane, as "systematic" errors that every particle has of its own;
+            "auto": as these where there can be any.
         translation_noise_m, rotation_noise_rad: standard deviations of the process noise, drawn on every move
             and after every resampling (Alg 3); in SE(2) along x, y and yaw. By default the 1 mm and 1 degree of a
             usual slip sensor: 3 mm throws particles across a 4 mm wall, to where the seen side fits the inner one.
@@ -76,7 +77,7 @@ class FilterSettings(Checked):
     surface_spacing_m: Positive = 0.002
     motion: Motion = "measured"
     unmeasured: Motion | None = None
-    stated_errors: Literal["noise", "systematic"] = "noise"
+    stated_errors: Literal["auto", "noise", "systematic"] = "auto"
     translation_noise_m: TrainedNotNegative = 0.001
     rotation_noise_rad: TrainedNotNegative = 0.0175
     trigger: float = 5.0

@@ -38,8 +38,10 @@ class SimSettings(Checked, refusal=UsageError):
             kinematics and computed torque, whose links touch too.
         cleared_by: what swept points are reported free: by the "truth" those of the whole gripper that lie farther
             than `contact_m` outside of the true surface; by a "margin" those that lie deeper than that in the gripper.
-        guard_m: how far an action goes on while its pads feel something: beyond that it ends (a guarded move); infinite
-            for actions that are carried out whole, whatever is felt.
+        guarded: whether actions are guarded moves, which end once pads have felt something for `guard_m` of the way;
+            "auto": where nothing measures how a push moves an upright object, and each particle goes its own way. Else
+            they are carried out whole, whatever is felt.
+        guard_m: how far a guarded move goes on while its pads feel something.
         stops_late_s: how much longer than `action_s` an action goes on at its speed, or than `guard_m` lets it.
         tool_off_m: error of where the tool is taken to be, in a random direction, constant for a run.
         tool_off_rad: error of its yaw.
@@ -65,7 +67,8 @@ class SimSettings(Checked, refusal=UsageError):
     measures_motion: bool = True
     robot: Annotated[Literal["gripper", "arm"], tyro.conf.arg(name="robot", prefix_name=False)] = "gripper"
     cleared_by: Literal["truth", "margin"] = "truth"
-    guard_m: Annotated[float, tyro.conf.arg(metavar="M")] = math.inf
+    guarded: Literal["auto", "always", "never"] = "auto"
+    guard_m: NotNegative = 0.015
     stops_late_s: NotNegative = 0.0
     tool_off_m: NotNegative = 0.0
     tool_off_rad: NotNegative = 0.0
@@ -76,8 +79,6 @@ class SimSettings(Checked, refusal=UsageError):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.guard_m >= 0:
-            raise UsageError(f"Expected guard_m to be 0 or more, or inf for no guard, got {self.guard_m}")
         if self.action_s / self.mini_steps < self.time_step_s:
             raise UsageError(
                 f"Expected each of mini_steps ({self.mini_steps}) to last at least one time_step_s "

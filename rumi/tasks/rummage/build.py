@@ -37,6 +37,7 @@ from rumi.tasks.rummage.motions import (
     followed,
     is_planar,
     predicts_motion,
+    guarded,
     prior_of,
     push_posterior_of,
     pushed_motion,
@@ -74,7 +75,7 @@ def build(
     spec = at_tool_height(spec, model.sdf, model.exact, settings.tool_height_m)
     tool = make_tool(spec, settings.simulator, cache_dir=cache_dir)
     faults = faults_of(spec, settings)
-    task: Task = make_task(spec, settings.simulator, cache_dir=cache_dir, tool=tool, model=model, faults=faults)
+    task: Task = make_task(spec, guarded(spec, settings), cache_dir=cache_dir, tool=tool, model=model, faults=faults)
     if device.type != "cpu" or dtype != torch.float32:
         task = TaskOnDevice(task, device, dtype)
     said = conditions_of(settings.simulator, settings.conditions)

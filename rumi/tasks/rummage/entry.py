@@ -162,7 +162,7 @@ class RummageTask(Rummaging):
 
     def from_dict(self, values: Mapping[str, Any]) -> Settings:
         """The settings of a settings.json."""
-        return from_dict({name: value for name, value in values.items() if name not in ("schema", "made_with")})
+        return from_dict(values)
 
     def agent(self, settings: Settings, *, cache_dir: Path | None = None) -> Rummager:
         """What finds the object; it plans by the simplest means, and believes as the run did."""

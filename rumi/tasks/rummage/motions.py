@@ -53,6 +53,18 @@ def followed(spec: TaskSpec, settings: Settings) -> FilterSettings:
     return replace(following, motion=motion)
 
 
+def guarded(spec: TaskSpec, settings: Settings) -> SimSettings:
+    """The simulator's settings with whether actions are guarded moves.
+
+    What a long push does is the least that a belief without a sensor of motion knows; a short one tells as much.
+    """
+    simulator = settings.simulator
+    if simulator.guarded != "auto":
+        return simulator
+    unmeasured = is_planar(spec) and followed(spec, settings).motion == "trajectory"
+    return replace(simulator, guarded="always" if unmeasured else "never")
+
+
 def untracked(asked: Motion | None, *, planar: bool, seen: bool, looks_again: bool, trajectories: bool) -> Motion:
     """The motion of an object that nothing measures: each particle's own, wherever these can start.
 
@@ -151,7 +163,7 @@ def trajectory_filter(
     spacing = settings.trajectories.pad_spacing_m
     if is_planar(spec) and not isinstance(model.exact, Mug):
         settings = replace(settings, trajectories=settings.trajectories.for_others())
-    own, systematic = settings.trajectories, settings.stated_errors == "systematic"
+    own, systematic = settings.trajectories, settings.stated_errors != "noise" and is_planar(spec)
     own = as_inexact(own, simulator, model.sdf.bounds) if systematic else as_accurate(own, simulator)
     settings = replace(settings, trajectories=own)
     if is_planar(spec):

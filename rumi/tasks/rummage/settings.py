@@ -167,6 +167,9 @@ def from_dict(values: Mapping[str, Any]) -> Settings:
     Raises:
         UsageError: a name that is no setting (the message lists the valid ones), or a value that is none.
     """
+    if "made_with" in values and "filter" in values:
+        # runs on record that do not say otherwise are of before errors of a whole run were particles' own
+        values = {**values, "filter": {"stated_errors": "noise", **values["filter"]}}
     extra = {"schema", "made_with"}
     return dataclass_of(Settings, {name: value for name, value in values.items() if name not in extra})
 

@@ -201,7 +201,7 @@ class SimTask:
             path = self.tool.free_path(start, farther, self.settings.mini_steps)
         self._pad_draws = self._pad_faults.drawn(len(path))
         guard = None
-        if self.settings.guard_m < math.inf:
+        if self.settings.guarded == "always":
             guard = Guard(GuardedMove(self.settings.guard_m, self._feels), late_s)
         track = self.world.move(self._offset.true(path), self.settings.action_s + late_s, self.settings.hold_s, guard)
         reading = self._sense(before, track, refused + track.refused_m)

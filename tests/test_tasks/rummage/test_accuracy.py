@@ -12,7 +12,7 @@ from rumi.sim.error_settings import PadErrors
 from rumi.sim.settings import SimSettings
 from rumi.tasks.rummage.build import build
 from rumi.tasks.rummage.motions import as_accurate, as_inexact
-from rumi.tasks.rummage.settings import preset
+from rumi.tasks.rummage.settings import from_dict, preset, to_dict
 
 OWN = PoseTrajectorySettings()
 BOUNDS = torch.tensor([[-0.05, -0.03, 0.0], [0.05, 0.03, 0.1]])
@@ -65,11 +65,29 @@ def test_pads_that_miss_are_believed_to():
 def test_the_filter_of_a_run_knows_how_far_it_may_be_off(cache):
     settings = preset(task="mug", conditions="lab")
     with build(settings, cache_dir=cache) as (_, agent):
-        assert agent.filter.settings.trajectories == as_accurate(OWN, settings.simulator) != OWN
-    settings = replace(settings, filter=replace(settings.filter, stated_errors="systematic"))
-    with build(settings, cache_dir=cache) as (_, agent):
         found = as_inexact(OWN, settings.simulator, agent.model.sdf.bounds)
         assert agent.filter.settings.trajectories == found and found.systematic
+    settings = replace(settings, filter=replace(settings.filter, stated_errors="noise"))
+    with build(settings, cache_dir=cache) as (_, agent):
+        assert agent.filter.settings.trajectories == as_accurate(OWN, settings.simulator) != OWN
+
+
+@pytest.mark.usefixtures("at_home")
+def test_actions_are_guarded_where_nothing_measures_how_an_upright_object_is_pushed(cache):
+    for task, conditions, expected in (("mug", "lab", "always"), ("mug", "ideal", "never"), ("box", "lab", "never")):
+        settings = preset(task=task, conditions=conditions)
+        with build(settings, cache_dir=cache) as (world, _):
+            assert world.settings.guarded == expected
+    asked = replace(settings, simulator=replace(settings.simulator, guarded="always"))
+    with build(asked, cache_dir=cache) as (world, _):
+        assert world.settings.guarded == "always"
+
+
+def test_runs_on_record_keep_what_their_errors_counted_as():
+    made = to_dict(preset(task="mug"))
+    del made["filter"]["stated_errors"]
+    assert from_dict(made | {"made_with": {}}).filter.stated_errors == "noise"
+    assert from_dict(made).filter.stated_errors == "auto"
 
 
 @pytest.mark.usefixtures("at_home")
