@@ -68,6 +68,33 @@ def at(typingctx, array, index):
 
 
 @intrinsic
+def pair(typingctx, array, index):
+    """array[index] and array[index + 1] of an array as `at` takes it; numbers of single precision by one load of both.
+
+    Loads of a vector's numbers from anywhere take a time for each number, whatever its size.
+    """
+
+    def generate(context, builder, signature, arguments):
+        data = cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0]).data
+        place = builder.gep(data, [arguments[1]])
+        number = place.type.pointee
+        if number == ir.FloatType():
+            both, half = ir.IntType(64), ir.IntType(32)
+            loaded = builder.load(builder.bitcast(place, both.as_pointer()), align=4)
+            loaded.set_metadata("alias.scope", _reads(builder))
+            parts = loaded, builder.lshr(loaded, ir.Constant(both, 32))
+            found = [builder.bitcast(builder.trunc(part, half), number) for part in parts]
+        else:
+            found = []
+            for there in (place, builder.gep(place, [ir.Constant(ir.IntType(32), 1)])):
+                found.append(builder.load(there))
+                found[-1].set_metadata("alias.scope", _reads(builder))
+        return context.make_tuple(builder, signature.return_type, found)
+
+    return types.UniTuple(array.dtype, 2)(array, index), generate
+
+
+@intrinsic
 def put(typingctx, array, index, value):
     """array[index] = value in a flat contiguous array that the kernel does not read; the index must be within it."""
 
@@ -91,7 +118,7 @@ def _whole(typingctx, x):
 
 
 @intrinsic
-def _index(typingctx, i, j, k, stride_i, stride_j):
+def node(typingctx, i, j, k, stride_i, stride_j):
     """Place of a node in a flat table: i * stride_i + j * stride_j + k in 32 bits."""
 
     def generate(context, builder, signature, arguments):
@@ -104,7 +131,7 @@ def _index(typingctx, i, j, k, stride_i, stride_j):
 
 
 @intrinsic
-def _next(typingctx, index, stride):
+def next_to(typingctx, index, stride):
     """Place of a neighbour: index + stride in 32 bits."""
 
     def generate(context, builder, signature, arguments):
@@ -207,18 +234,18 @@ def value(x, y, z, flat, lattice):
     i, j, k = _low(u, lattice[12]), _low(v, lattice[13]), _low(w, lattice[14])
     kind = type(x)
     a, b, c = u - kind(i), v - kind(j), w - kind(k)
-    near = _index(i, j, k, lattice[15], lattice[16])
-    far = _next(near, lattice[15])
-    near_up, far_up = _next(near, lattice[16]), _next(far, lattice[16])
+    near = node(i, j, k, lattice[15], lattice[16])
+    far = next_to(near, lattice[15])
+    near_up, far_up = next_to(near, lattice[16]), next_to(far, lattice[16])
     one = numba.int32(1)
     v00 = at(flat, near)
     v01 = at(flat, near_up)
     v10 = at(flat, far)
     v11 = at(flat, far_up)
-    v00 += c * (at(flat, _next(near, one)) - v00)
-    v01 += c * (at(flat, _next(near_up, one)) - v01)
-    v10 += c * (at(flat, _next(far, one)) - v10)
-    v11 += c * (at(flat, _next(far_up, one)) - v11)
+    v00 += c * (at(flat, next_to(near, one)) - v00)
+    v01 += c * (at(flat, next_to(near_up, one)) - v01)
+    v10 += c * (at(flat, next_to(far, one)) - v10)
+    v11 += c * (at(flat, next_to(far_up, one)) - v11)
     v0 = v00 + b * (v01 - v00)
     v1 = v10 + b * (v11 - v10)
     total = _beyond(over_x, lattice) + _beyond(over_y, lattice) + _beyond(over_z, lattice)
@@ -234,18 +261,18 @@ def value_and_gradient(x, y, z, flat, lattice):
     i, j, k = _low(u, lattice[12]), _low(v, lattice[13]), _low(w, lattice[14])
     kind = type(x)
     a, b, c = u - kind(i), v - kind(j), w - kind(k)
-    near = _index(i, j, k, lattice[15], lattice[16])
-    far = _next(near, lattice[15])
-    near_up, far_up = _next(near, lattice[16]), _next(far, lattice[16])
+    near = node(i, j, k, lattice[15], lattice[16])
+    far = next_to(near, lattice[15])
+    near_up, far_up = next_to(near, lattice[16]), next_to(far, lattice[16])
     one = numba.int32(1)
     v00 = at(flat, near)
     v01 = at(flat, near_up)
     v10 = at(flat, far)
     v11 = at(flat, far_up)
-    s00 = at(flat, _next(near, one)) - v00
-    s01 = at(flat, _next(near_up, one)) - v01
-    s10 = at(flat, _next(far, one)) - v10
-    s11 = at(flat, _next(far_up, one)) - v11
+    s00 = at(flat, next_to(near, one)) - v00
+    s01 = at(flat, next_to(near_up, one)) - v01
+    s10 = at(flat, next_to(far, one)) - v10
+    s11 = at(flat, next_to(far_up, one)) - v11
     v00 += c * s00
     v01 += c * s01
     v10 += c * s10
@@ -275,9 +302,9 @@ def between(place, top, table, row):
     place = place if place > kind(0.0) else kind(0.0)
     place = place if place < top else top
     low = _whole(place)
-    index = _next(low, row)
+    index = next_to(low, row)
     value_low = at(table, index)
-    return value_low + (place - kind(low)) * (at(table, _next(index, numba.int32(1))) - value_low)
+    return value_low + (place - kind(low)) * (at(table, next_to(index, numba.int32(1))) - value_low)
 
 
 @block
@@ -289,11 +316,11 @@ def layer_value(x, y, layer, lattice, level):
     kind = type(x)
     a, b = u - kind(i), v - kind(j)
     one = numba.int32(1)
-    near = _index(i, j, numba.int32(0), lattice[17], one)
-    far = _next(near, lattice[17])
+    near = node(i, j, numba.int32(0), lattice[17], one)
+    far = next_to(near, lattice[17])
     v0, v1 = at(layer, near), at(layer, far)
-    v0 += b * (at(layer, _next(near, one)) - v0)
-    v1 += b * (at(layer, _next(far, one)) - v1)
+    v0 += b * (at(layer, next_to(near, one)) - v0)
+    v1 += b * (at(layer, next_to(far, one)) - v1)
     total = _beyond(over_x, lattice) + _beyond(over_y, lattice) + _beyond(level[0], lattice)
     return _join(v0 + a * (v1 - v0), total, lattice)[0]
 
@@ -308,9 +335,9 @@ def layer_value_and_gradient(x, y, layer, rise, lattice, level):
     kind = type(x)
     a, b = u - kind(i), v - kind(j)
     one = numba.int32(1)
-    near = _index(i, j, numba.int32(0), lattice[17], one)
-    far = _next(near, lattice[17])
-    near_up, far_up = _next(near, one), _next(far, one)
+    near = node(i, j, numba.int32(0), lattice[17], one)
+    far = next_to(near, lattice[17])
+    near_up, far_up = next_to(near, one), next_to(far, one)
     v0, v1 = at(layer, near), at(layer, far)
     t0, t1 = at(layer, near_up) - v0, at(layer, far_up) - v1
     v0 += b * t0

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from rumi.belief.silence_numba import SILENT, told_by_silence
-from rumi.dynamics.sliding_numba import settled, slope, value
+from rumi.dynamics.sliding_numba import settled, slope, turned, value
 from sdf.compiled import Kernel, bare
 from sdf.grid_numba import at, between, fast, lattice_of
 from sdf.grid_numba import value as distance_at
@@ -91,13 +91,16 @@ def _stepped(x, y, yaw, before, after, worn, shape, scales, body, noise):
             if not apart + worn < 0.0:
                 break
         gx, gy = slope(at_x, at_y, table, numbers[0], numbers[1], numbers[2])
-        x, y, yaw = settled(
+        x, y, yaw, _, _ = settled(
             x,
             y,
             yaw,
+            math.cos(yaw),
+            math.sin(yaw),
             first,
             (tool_x, tool_y),
             way,
+            turned(-way[2]),
             tool_cos * tool[k, 0] - tool_sin * tool[k, 1],
             tool_sin * tool[k, 0] + tool_cos * tool[k, 1],
             gx,

@@ -21,6 +21,7 @@ from rumi.commands.recordings import keep
 from rumi.commands.tasks import listing
 from rumi.errors import UsageError
 from rumi.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NOT_CONVERGED
+from rumi.garbage import give_back, set_aside
 from rumi.runs.folder import free_folder, load_run, prepare_folder, remove_if_empty_on_error
 from rumi.runs.progress import Progress, announce, both, say
 from rumi.tasks.registry import FORMER_NAMES, TASKS, TaskEntry
@@ -86,6 +87,36 @@ def run(arguments: Sequence[str]) -> int:
     prepare_folder(folder)
     for line in (f"{label}; writing to {folder}", *notes):
         say(line)
+    result, account = _carried_out(name, entry, options, settings, folder)
+    interrupted = result.stopped_by == "interrupted"
+    if options.pushes is not None:
+        keep_learnt(folder, options.pushes, settings.seed)
+    if options.figures and not interrupted:
+        say("drawing figures")
+        give_back()  # what the run is done with makes room
+        with set_aside():
+            entry.draw(load_run(folder), folder / "figures")
+        keep(folder)
+    first, *lines = entry.summary(settings, result)
+    sys.stdout.write("\n  ".join([f"{name}: {first}", *lines, f"folder   {folder}"]) + "\n")
+    if (options.glossary or sys.stdout.isatty()) and not entry.records:  # of those that rummage
+        drawn = FIGURE.format(folder=folder / "figures") if options.figures and not interrupted else ""
+        sys.stdout.write("".join(f"  {line}\n" for line in (drawn + GLOSSARY).splitlines()))
+    if options.explain:
+        sys.stdout.write(explain(account))
+    if interrupted:
+        return INTERRUPTED
+    return DONE if entry.success(result) else NOT_CONVERGED
+
+
+def _carried_out(
+    name: str,
+    entry: TaskEntry[Any],
+    options: "RunOptions[Any]",
+    settings: Any,  # noqa: ANN401  (the task's)
+    folder: Path,
+) -> tuple[Any, skipped_work.Account]:
+    """Result of a run, and the account of skipped work; all else that it was made of is let go of."""
     with (
         remove_if_empty_on_error(folder),
         entry.build(settings, cache_dir=cache_folder()) as parts,
@@ -105,23 +136,7 @@ def run(arguments: Sequence[str]) -> int:
             on_step = both(recorder, progress, Decisions(account), compiled, *([view] if view else []))
             result = loop.run(*parts, seed=settings.seed, steps=steps, on_step=on_step)
         recorder.finish(result)
-    interrupted = result.stopped_by == "interrupted"
-    if options.pushes is not None:
-        keep_learnt(folder, options.pushes, settings.seed)
-    if options.figures and not interrupted:
-        say("drawing figures")
-        entry.draw(load_run(folder), folder / "figures")
-        keep(folder)
-    first, *lines = entry.summary(settings, result)
-    sys.stdout.write("\n  ".join([f"{name}: {first}", *lines, f"folder   {folder}"]) + "\n")
-    if (options.glossary or sys.stdout.isatty()) and not entry.records:  # of those that rummage
-        drawn = FIGURE.format(folder=folder / "figures") if options.figures and not interrupted else ""
-        sys.stdout.write("".join(f"  {line}\n" for line in (drawn + GLOSSARY).splitlines()))
-    if options.explain:
-        sys.stdout.write(explain(account))
-    if interrupted:
-        return INTERRUPTED
-    return DONE if entry.success(result) else NOT_CONVERGED
+    return result, account
 
 
 def live_view(folder: Path, entry: TaskEntry[Any], agent: Any, about: dict[str, Any]) -> "LiveView":  # noqa: ANN401

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from rumi.dynamics.sliding_numba import settled, slope, value
+from rumi.dynamics.sliding_numba import settled, slope, turned, value
 from sdf.compiled import Kernel, bare
 from sdf.part_numba import indices
 
@@ -118,13 +118,16 @@ def advanced(x, y, yaw, path, row, instant, points, table, shape, sizes, counts,
             if not depth > 0.0:
                 break
             gx, gy = gradient(at_x, at_y, table, shape)
-            x, y, yaw = settled(
+            x, y, yaw, _, _ = settled(
                 x,
                 y,
                 yaw,
+                math.cos(yaw),
+                math.sin(yaw),
                 first,
                 (tool_x, tool_y),
                 (way_x, way_y, way_yaw),
+                turned(-way_yaw),
                 tool_cos * points[k, 0] - tool_sin * points[k, 1],
                 tool_sin * points[k, 0] + tool_cos * points[k, 1],
                 gx,

@@ -9,11 +9,11 @@ from numba import types
 from numba.extending import intrinsic
 
 from rumi.dynamics.base import PushRollouts, duplicates, rigid_motions
-from rumi.dynamics.sliding_numba import settled, slope
+from rumi.dynamics.sliding_numba import settled, slope, turned
 from rumi.robot.border import BORDER_GROUP
 from rumi.robot.tool_numba import residual, step_within
 from sdf.compiled import Kernel, bare
-from sdf.grid_numba import at, put
+from sdf.grid_numba import at, next_to, node, pair, put
 from sdf.part_numba import indices
 
 
@@ -46,15 +46,17 @@ def _ranked(typingctx, rank):
 
 
 @bare
-def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x, low_y, spacing, steepness, inside):
+def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x, low_y, spacing, flatness, inside):
     """The tool's point that is deepest in the object, its depth, and how far the tool may go at least until it touches.
 
-    The tool is at (x, y, cos, sin) in the object's frame. Depths of points change by `steepness` a metre, at most.
+    The tool is at (x, y, cos, sin) in the object's frame. A point goes `flatness` metres, at least, until its depth has
+    changed by one.
     """
     centres_x, centres_y, radii = groups
-    depth, best, first, gap = 0.0, -1, len(px), 1e9
     kind, across = flat.dtype.type, np.int32(values.shape[1])
-    one, none, half, step = np.int32(1), kind(0.0), kind(0.5), kind(spacing)
+    zero, one = np.int32(0), np.int32(1)
+    none, half, step, flatness = kind(0.0), kind(0.5), kind(spacing), kind(flatness)
+    depth, best, first, gap = none, -1, len(px), kind(1e9)
     last_x, last_y = kind(values.shape[0] - 1.0), kind(values.shape[1] - 1.0)
     end_x, end_y = np.int32(values.shape[0] - 2), np.int32(values.shape[1] - 2)
     place_x, place_y = kind((x - low_x) / spacing), kind((y - low_y) / spacing)
@@ -66,7 +68,7 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
         a, b = a if a < last_x else last_x, b if b < last_y else last_y
         far_x, far_y = step * (u - a), step * (v - b)
         beyond = far_x * far_x + far_y * far_y
-        there = at(flat, np.int32(a + half) * across + np.int32(b + half))
+        there = at(flat, node(np.int32(a + half), np.int32(b + half), zero, across, one))
         put(clears, group, (math.sqrt(there * there + beyond) if beyond > none else there) - at(radii, group))
     for group in range(len(radii)):
         clear = clears[group]
@@ -84,24 +86,25 @@ def _deepest(x, y, cos, sin, px, py, order, groups, clears, values, flat, low_x,
             i, j = np.int32(u), np.int32(v)
             i, j = i if i < end_x else end_x, j if j < end_y else end_y
             a, b = u - kind(i), v - kind(j)
-            near = i * across + j
-            far = near + across
-            low, high = at(flat, near), at(flat, far)
-            low += b * (at(flat, near + one) - low)
-            high += b * (at(flat, far + one) - high)
+            near = node(i, j, zero, across, one)
+            far = next_to(near, across)
+            low, low_next = pair(flat, near)
+            high, high_next = pair(flat, far)
+            low += b * (low_next - low)
+            high += b * (high_next - high)
             within = -(low + a * (high - low))
             put(inside, n, within)
             rank = _rank(within)
             most = rank if rank > most else most
-        if most < _rank(kind(depth)):
-            gap = min(gap, max(clear, -_ranked(most) / steepness))
+        if most < _rank(depth):
+            gap = min(gap, max(clear, -_ranked(most) * flatness))
             continue
         for n in range(BORDER_GROUP):
             k = begin + n
-            if inside[n] > depth or (inside[n] == depth and inside[n] > 0.0 and order[k] < first):
+            if inside[n] > depth or (inside[n] == depth and inside[n] > none and order[k] < first):
                 depth, best, first = inside[n], k, order[k]
-        gap = min(gap, 0.0)
-    return depth, best, gap
+        gap = min(gap, none)
+    return np.float64(depth), best, np.float64(gap)
 
 
 @bare
@@ -110,10 +113,10 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
     px, py, order, groups = body
     values, flat, low = outline
     low_x, low_y = low[0], low[1]
-    spacing, steepness, reach, width = numbers[0], numbers[1], numbers[2], numbers[3]
+    spacing, flatness, reach, width = numbers[0], numbers[1], numbers[2], numbers[3]
     mini, passes = counts[0], counts[1]
     track, contact, checks = out
-    inside, clears = scratch[0][k], scratch[1][k]
+    inside, clears, turns = scratch[0][k], scratch[1][k], scratch[2][k]
     actions = path.shape[1] - 1
     table, base, bounds, limits = arm
     left = residual(path[k, 0, 0], path[k, 0, 1], 0.0, path[k, 0, 2], table, base, limits)
@@ -136,6 +139,8 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
             limits,
         )
         path[k, h + 1, 0], path[k, h + 1, 1], path[k, h + 1, 2] = free_x, free_y, free_yaw
+    for step in range(len(turns)):
+        turns[step, 0] = 2.0  # no cosine: the tool's turn is worked out where the first rollout needs it
     checked = 0
     for m in range(len(poses)):
         x, y, yaw = np.float64(poses[m, 0]), np.float64(poses[m, 1]), np.float64(poses[m, 2])
@@ -159,6 +164,7 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
             way_y = (path[k, action + 1, 1] - from_y) / mini
             way_yaw = (path[k, action + 1, 2] - from_yaw) / mini
             way = math.sqrt(way_x * way_x + way_y * way_y) + abs(way_yaw) * width
+            back = turned(-way_yaw)
             for part in range(mini):
                 gap -= way
                 if gap > 0.0:
@@ -170,7 +176,10 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
                     continue
                 checked += 1
                 tool_yaw = from_yaw + (part + 1) * way_yaw
-                tool_cos, tool_sin = math.cos(tool_yaw), math.sin(tool_yaw)
+                step = action * mini + part
+                if turns[step, 0] > 1.0:
+                    turns[step, 0], turns[step, 1] = math.cos(tool_yaw), math.sin(tool_yaw)
+                tool_cos, tool_sin = turns[step, 0], turns[step, 1]
                 first = (x, y, yaw)
                 for _ in range(passes):
                     dx, dy = tool_x - x, tool_y - y
@@ -192,11 +201,13 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
                         low_x,
                         low_y,
                         spacing,
-                        steepness,
+                        flatness,
                         inside,
                     )
                     if point < 0:
                         break
+                    # where it stood was rounded to single precision, as the plain version takes it
+                    own_cos, own_sin = (math.cos(yaw), math.sin(yaw)) if still else (cos, sin)
                     still, gap = False, 0.0
                     contact[k, m, action] = True
                     gx, gy = slope(
@@ -207,13 +218,16 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
                         low_y,
                         spacing,
                     )
-                    x, y, yaw = settled(
+                    x, y, yaw, cos, sin = settled(
                         x,
                         y,
                         yaw,
+                        own_cos,
+                        own_sin,
                         first,
                         (tool_x, tool_y),
                         (way_x, way_y, way_yaw),
+                        back,
                         tool_cos * px[point] - tool_sin * py[point],
                         tool_sin * px[point] + tool_cos * py[point],
                         gx,
@@ -222,7 +236,6 @@ def _sample(k, controls, action_scale, arm, path, poses, bodies, body, outline, 
                         0.0,
                         slides,
                     )
-                    cos, sin = math.cos(yaw), math.sin(yaw)
             if still:
                 for axis in range(3):
                     track[k, m, action + 1, axis] = poses[m, axis]
@@ -273,7 +286,7 @@ class CompiledRollouts:
         groups = _arrays(*border.centres.unbind(-1), border.radii + outline.slack)
         self._body = (*_arrays(*border.sets.flatten(0, 1).unbind(-1), border.groups.flatten()), groups)
         self._outline = _arrays(outline.values, outline.values.flatten(), outline.origin.double())
-        self._numbers = np.array((outline.spacing, outline.steepness, model.reach, border.radius))
+        self._numbers = np.array((outline.spacing, 1.0 / outline.steepness, model.reach, border.radius))
         self._settings = model.settings
 
     def __call__(self, configuration, controls, poses, sliding):
@@ -295,7 +308,10 @@ class CompiledRollouts:
             self._outline,
             self._numbers,
             np.array((own.mini_steps, own.passes, max(1, shape[-2]))),
-            tuple(np.empty((samples, size), self._body[0].dtype) for size in (BORDER_GROUP, len(self._body[3][2]))),
+            (
+                *(np.empty((samples, size), self._body[0].dtype) for size in (BORDER_GROUP, len(self._body[3][2]))),
+                np.empty((samples, horizon * own.mini_steps, 2)),
+            ),
             tuple(part.numpy() for part in (track, contact, checks)),
         )
         shifts, turns = rigid_motions(

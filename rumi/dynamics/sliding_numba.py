@@ -124,21 +124,20 @@ def quartic_twist(rx, ry, nx, ny, wx, wy, lever, friction, quartic, cos, sin):
 
 
 @bare
-def _turned(angle):
+def turned(angle):
     """Cosine and sine; most are of 0."""
     return (1.0, 0.0) if angle == 0.0 else (math.cos(angle), math.sin(angle))
 
 
 @bare
-def settled(x, y, yaw, first, tool, way, ax, ay, gx, gy, depth, thickness, body):
-    """Pose of an object after one contact; see `push`.
+def settled(x, y, yaw, cos, sin, first, tool, way, back, ax, ay, gx, gy, depth, thickness, body):
+    """Pose of an object after one contact, with its cosine and sine; see `push`.
 
-    The object is at (x, y, yaw) and was at `first` before the motion, `way`, which brought the tool to `tool`. The
-    tool's deepest point lies (ax, ay) from there, along the world's axes, and by `depth` in the object, where the
-    outline's gradient, in the object's frame, is (gx, gy). `body` holds centre of friction (x, y), lever, friction,
-    and the quartic limit surface.
+    The object is at (x, y, yaw), of (cos, sin), and was at `first` before the motion, `way`, which brought the tool to
+    `tool`; `back` is the cosine and sine of that motion's turn undone. The tool's deepest point lies (ax, ay) from
+    there, along the world's axes, and by `depth` in the object, where the outline's gradient, in the object's frame, is
+    (gx, gy). `body` holds centre of friction (x, y), lever, friction, and the quartic limit surface.
     """
-    cos, sin = math.cos(yaw), math.sin(yaw)
     centre_x, centre_y, lever, friction = body[0], body[1], body[2], body[3]
     quartic = (body[4], body[5], body[6], body[7], body[8])
     length = max(math.sqrt(gx * gx + gy * gy), 1e-9)
@@ -146,9 +145,9 @@ def settled(x, y, yaw, first, tool, way, ax, ay, gx, gy, depth, thickness, body)
     ax, ay = ax + thickness * nx, ay + thickness * ny
     # the touched point, from the tool's frame and from the object's
     ox, oy = tool[0] + ax - x, tool[1] + ay - y
-    c, s = _turned(-way[2])
+    c, s = back
     slip_x, slip_y = c * ax - s * ay - ax - way[0], s * ax + c * ay - ay - way[1]
-    c, s = _turned(first[2] - yaw)
+    c, s = turned(first[2] - yaw)
     slip_x = first[0] - x + c * ox - s * oy - ox - slip_x
     slip_y = first[1] - y + s * ox + c * oy - oy - slip_y
     along = slip_x * nx + slip_y * ny
@@ -163,4 +162,4 @@ def settled(x, y, yaw, first, tool, way, ax, ay, gx, gy, depth, thickness, body)
     x, y = x + arm_x + c * fx - s * fy, y + arm_y + s * fx + c * fy
     yaw += turn
     cos, sin = math.cos(yaw), math.sin(yaw)
-    return x - (cos * centre_x - sin * centre_y), y - (sin * centre_x + cos * centre_y), yaw
+    return x - (cos * centre_x - sin * centre_y), y - (sin * centre_x + cos * centre_y), yaw, cos, sin

@@ -2,7 +2,7 @@
 
 import math
 
-from rumi.dynamics.sliding_numba import settled, twist
+from rumi.dynamics.sliding_numba import settled, turned, twist
 from rumi.dynamics.tool_contact import GRAZE_M
 from rumi.dynamics.tool_contact_numba import met, placed
 from rumi.dynamics.toppling import (
@@ -176,13 +176,16 @@ def _slid(x, y, yaw, rest, level, before, after, body, scene):
             if not depth > 0.0:
                 break
         c, s = math.cos(yaw), math.sin(yaw)
-        x, y, yaw = settled(
+        x, y, yaw, _, _ = settled(
             x,
             y,
             yaw,
+            c,
+            s,
             first,
             (after[0], after[1]),
             way,
+            turned(-way[2]),
             at_x - after[0],
             at_y - after[1],
             -(c * in_x + s * in_y),

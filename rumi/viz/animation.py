@@ -44,7 +44,7 @@ def animate(
     width = height * across / up
     threshold = geometry.thresholds.get("nll")
     shown_steps = _evenly(len(steps), _MOST_FRAMES)
-    frames = []
+    palette, indexed = None, []
     with style.figure(width + 4.2, height + 1.2, dpi=_DPI) as figure:
         scene, curve = figure.subplots(1, 2, width_ratios=(width, 3.0))
         title = figure.suptitle(heading, fontsize=9, x=0.01, ha="left", color=style.INK)
@@ -62,12 +62,14 @@ def animate(
                 figure.legend(*legend_entries(scene), loc="outside lower center", ncols=4, handlelength=1.6)
             figure.canvas.draw()
             figure.set_layout_engine("none")
-            frames.append(Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3]))
-    palette = frames.pop(0).quantize(255)
-    colours = np.array(palette.getpalette()).reshape(-1, 3)
-    colours[colours.sum(-1).argmax()] = 255  # paper stays white
-    palette.putpalette(colours.reshape(-1).tolist())
-    indexed = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+            frame = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3])
+            if palette is None:
+                palette = frame.quantize(255)
+                colours = np.array(palette.getpalette()).reshape(-1, 3)
+                colours[colours.sum(-1).argmax()] = 255  # paper stays white
+                palette.putpalette(colours.reshape(-1).tolist())
+            else:  # at once: a byte a pixel is kept, not three
+                indexed.append(frame.quantize(palette=palette, dither=Image.Dither.NONE))
     durations = [_STEP_MS] * (len(indexed) - 1) + [5 * _STEP_MS]
     with whole_file(path) as aside:
         indexed[0].save(aside, save_all=True, append_images=indexed[1:], duration=durations, loop=0, optimize=False)

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rumi.garbage import give_back
 from rumi.runs.files import whole_file
 from sdf.extras import optional
 
@@ -57,7 +58,7 @@ _RC = {
 
 @contextmanager
 def figure(width: float, height: float, dpi: float | None = None) -> Iterator["Figure"]:
-    """A new figure of a size in inches, in the house style, drawn without a display.
+    """A new figure of a size in inches, in the house style, drawn without a display; let go of after the block.
 
     Raises:
         ModuleNotFoundError: matplotlib is not installed.
@@ -70,6 +71,8 @@ def figure(width: float, height: float, dpi: float | None = None) -> Iterator["F
         made = Figure(figsize=(width, height), dpi=dpi, layout="constrained")
         FigureCanvasAgg(made)
         yield made
+    del made
+    give_back()  # a figure is a circle of references, and megabytes: else the next ones come on top of it
 
 
 def save(figure: "Figure", path: Path, **options: Any) -> Path:  # noqa: ANN401  (of `savefig`)
