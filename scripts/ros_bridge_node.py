@@ -13,12 +13,14 @@ import socket
 import threading
 
 import rclpy
-from geometry_msgs.msg import PointStamped, PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs import msg as geometry
 from nav_msgs.msg import Path
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from sensor_msgs_py.point_cloud2 import read_points
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, Header
+
+WORLD = Header(frame_id="world")
 
 
 class Bridge(Node):
@@ -27,9 +29,9 @@ class Bridge(Node):
         self.socket = socket.create_connection((host, port))
         self.tool, self.felt, self.moving = None, [], False
         self.path = self.create_publisher(Path, "rumi/path", 1)
-        self.pose = self.create_publisher(PoseWithCovarianceStamped, "rumi/pose", 1)
-        self.create_subscription(PoseStamped, "tool_pose", self.on_tool, 100)
-        self.create_subscription(PointStamped, "contact", self.on_contact, 100)
+        self.pose = self.create_publisher(geometry.PoseWithCovarianceStamped, "rumi/pose", 1)
+        self.create_subscription(geometry.PoseStamped, "tool_pose", self.on_tool, 100)
+        self.create_subscription(geometry.PointStamped, "contact", self.on_contact, 100)
         self.create_subscription(PointCloud2, "view", self.on_view, 1)
         self.create_subscription(Empty, "done", self.on_done, 1)
         threading.Thread(target=self.listen, daemon=True).start()
@@ -58,28 +60,22 @@ class Bridge(Node):
     def listen(self):
         for told in map(json.loads, self.socket.makefile()):
             if told["type"] == "action":
-                poses = [fill(PoseStamped(), pose) for pose in told["path"]]
+                poses = [geometry.PoseStamped(header=WORLD, pose=pose_of(numbers)) for numbers in told["path"]]
                 self.felt, self.moving = [], True
-                self.path.publish(fill(Path(), poses=poses))
+                self.path.publish(Path(header=WORLD, poses=poses))
             elif told["type"] == "belief":
-                found = fill(PoseWithCovarianceStamped(), told["pose"]["position_m"] + told["pose"]["quaternion_xyzw"])
-                found.pose.covariance = [value for row in told["pose"]["covariance"] for value in row]
-                self.pose.publish(found)
+                pose = pose_of(told["pose"]["position_m"] + told["pose"]["quaternion_xyzw"])
+                covariance = [value for row in told["pose"]["covariance"] for value in row]
+                found = geometry.PoseWithCovariance(pose=pose, covariance=covariance)
+                self.pose.publish(geometry.PoseWithCovarianceStamped(header=WORLD, pose=found))
             else:
                 self.get_logger().info(json.dumps(told))
 
 
-def fill(message, pose=None, frame="world", poses=None):
-    """A message with its frame, and a pose x y z and quaternion x y z w or a path's poses."""
-    message.header.frame_id = frame
-    if poses is not None:
-        message.poses = poses
-        return message
-    inner = getattr(message.pose, "pose", message.pose)
-    inner.position.x, inner.position.y, inner.position.z = pose[:3]
-    turn = inner.orientation
-    turn.x, turn.y, turn.z, turn.w = pose[3:]
-    return message
+def pose_of(numbers):
+    """A pose of x y z and a quaternion x y z w."""
+    place = geometry.Point(**dict(zip("xyz", numbers[:3], strict=True)))
+    return geometry.Pose(position=place, orientation=geometry.Quaternion(**dict(zip("xyzw", numbers[3:], strict=True))))
 
 
 if __name__ == "__main__":

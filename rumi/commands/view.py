@@ -13,6 +13,7 @@ import tyro
 from rumi.commands.recordings import RECORDING, write_recording_of
 from rumi.environment import has_display
 from rumi.exit_codes import DONE
+from rumi.viz.viewer_program import viewer_program
 
 _RUMI = Path(__file__).parents[1]
 _WRITERS = [*(_RUMI / "viz").glob("*.py"), *(_RUMI / "tasks").glob("*/view.py")]
@@ -44,8 +45,8 @@ def view(arguments: Sequence[str]) -> int:
             write(options.run, path)
     sys.stdout.write(f"{path}\n")
     if not options.headless and has_display():
-        # by itself the viewer would listen to the whole network; `-m rerun` would load all of its library first
-        subprocess.Popen([sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", str(path)], start_new_session=True)
+        # by itself the viewer would listen to the whole network
+        subprocess.Popen([*viewer_program(), "--bind", "127.0.0.1", str(path)], start_new_session=True)
     return DONE
 
 

@@ -12,12 +12,12 @@ from torch import Tensor
 
 from rumi.robot.gripper import GripperShape, gripper_links
 from rumi.robot.tool_shape import SolidTool
-from rumi.rosbag.sensor_maps import BubbleMap, RobotMap, TorqueMap, Vector, WrenchMap, placed
+from rumi.rosbag.sensor_maps import BubbleMap, RobotMap, Rod, TorqueMap, Vector, WrenchMap, check_rod, placed
 from rumi.tasks.rummage.objects import OBJECTS, ObjectSettings
 from sdf import se3, so3
 from sdf.base import SDF
 from sdf.bounds import Checked, Count, NotNegative, OneOf, Positive
-from sdf.primitives import Box, Placed
+from sdf.primitives import Box, Capsule, Placed
 
 Role = Literal[
     "cloud",
@@ -150,12 +150,14 @@ class SceneMap(Checked):
 
 
 @dataclass(frozen=True)
-class ToolMap:
-    """The tool's shape: a gripper, or a mesh in its place.
+class ToolMap(Checked):
+    """The tool's shape: a gripper, or a round rod or a mesh in its place, which feels all over or within a box.
 
     Attributes:
         palm_m, palm_front_m, pad_m, pad_offset_m: of `rumi.robot.gripper.GripperShape`.
-        mesh: file of the tool's mesh; it feels all over, or within a box.
+        rod_m: both ends of a rod's axis, in the tool's frame.
+        radius_m: of the rod.
+        mesh: file of the tool's mesh.
         scale: metres that one unit of the file is.
         position_m, rpy_deg: of the mesh's frame in the tool's.
         feels_m: lower and upper corner of that box, tool frame.
@@ -165,11 +167,19 @@ class ToolMap:
     palm_front_m: float = -0.025
     pad_m: Vector = (0.035, 0.018, 0.022)
     pad_offset_m: float = 0.024
+    rod_m: Rod | None = None
+    radius_m: Positive | None = None
     mesh: str | None = None
     scale: float = 1.0
     position_m: Vector = (0.0, 0.0, 0.0)
     rpy_deg: Vector = (0.0, 0.0, 0.0)
     feels_m: tuple[Vector, Vector] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_rod(self.radius_m, self.rod_m)
+        if self.radius_m is not None and (self.rod_m is None or self.mesh is not None):
+            raise ValueError("expected radius_m with rod_m, the ends of a rod's axis, and without mesh")
 
     def shape(self) -> GripperShape | SolidTool:
         """The tool.
@@ -177,12 +187,14 @@ class ToolMap:
         Raises:
             UsageError: the mesh cannot be used.
         """
-        if self.mesh is None:
-            return GripperShape(self.palm_m, self.palm_front_m, self.pad_m, self.pad_offset_m)
         feels: SDF | None = None
         if self.feels_m is not None:
             low, high = torch.tensor(self.feels_m)
             feels = Placed(Box((0.5 * (high - low)).tolist()), se3.make(torch.eye(3), 0.5 * (low + high)))
+        if self.rod_m is not None and self.radius_m is not None:
+            return SolidTool([Capsule(*self.rod_m, self.radius_m)], feels)
+        if self.mesh is None:
+            return GripperShape(self.palm_m, self.palm_front_m, self.pad_m, self.pad_offset_m)
         return SolidTool.of_mesh(
             self.mesh, scale=self.scale, tool_T_mesh=placed(self.position_m, self.rpy_deg), feels=feels
         )

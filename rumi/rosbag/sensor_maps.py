@@ -11,10 +11,12 @@ from rumi.belief.contact_evidence import SignalSettings
 from rumi.errors import UsageError
 from sdf import se3, so3
 from sdf.bounds import Checked, Count, NotNegative, Positive, ShareBelow1
+from sensors.force.tool_parts import rod_tool
 from sensors.force.tool_surface import ConvexTool, SphereTool, ToolSurface
 from sensors.touch.bubble import BubbleSettings
 
 Vector = tuple[float, float, float]
+Rod = tuple[Vector, Vector]
 
 
 def placed(position_m: Vector, rpy_deg: Vector) -> Float[Tensor, "4 4"]:
@@ -25,12 +27,23 @@ def placed(position_m: Vector, rpy_deg: Vector) -> Float[Tensor, "4 4"]:
     return se3.make(yaw @ pitch @ roll, torch.tensor(position_m, dtype=torch.float64))
 
 
+def check_rod(radius_m: float | None, rod_m: Rod | None) -> None:
+    """Check that a rod has a radius and two ends.
+
+    Raises:
+        ValueError: it has not.
+    """
+    if rod_m is not None and (radius_m is None or rod_m[0] == rod_m[1]):
+        raise ValueError(f"expected rod_m, two ends of a rod's axis, with radius_m, got {rod_m} and {radius_m}")
+
+
 @dataclass(frozen=True)
 class WrenchMap(Checked):
-    """The force-torque sensor's tool, a ball or a convex mesh, its load, and when a wrench is a touch.
+    """The force-torque sensor's tool, a ball, a rod or a convex mesh, its load, and when a wrench is a touch.
 
     Attributes:
-        radius_m: of a ball.
+        radius_m: of a ball, or of a rod.
+        rod_m: both ends of the rod's axis, in the sensor's frame.
         mesh: file of another tool's shape; its convex hull is taken.
         scale: metres of one unit of the mesh.
         center_m: of the ball, or the origin of the mesh, in the sensor's frame.
@@ -52,7 +65,8 @@ class WrenchMap(Checked):
         outlier: share of touches that tell nothing.
     """
 
-    radius_m: float | None = None
+    radius_m: Positive | None = None
+    rod_m: Rod | None = None
     mesh: str | None = None
     scale: float = 1.0
     center_m: Vector = (0.0, 0.0, 0.0)
@@ -75,7 +89,8 @@ class WrenchMap(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if (self.radius_m is None) == (self.mesh is None):
-            raise ValueError("expected either radius_m, of a ball, or mesh, a file of another tool's shape")
+            raise ValueError("expected either radius_m, of a ball or a rod, or mesh, a file of another tool's shape")
+        check_rod(self.radius_m, self.rod_m)
 
     def tool(self) -> ToolSurface:
         """In the sensor's frame.
@@ -85,6 +100,8 @@ class WrenchMap(Checked):
         """
         if self.mesh is None:
             assert self.radius_m is not None
+            if self.rod_m is not None:
+                return rod_tool(*self.rod_m, self.radius_m)
             return SphereTool(torch.tensor(self.center_m), self.radius_m)
         from sdf.mesh.convex import hull
         from sdf.mesh.mesh import MeshError, load_mesh

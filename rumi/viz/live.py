@@ -5,7 +5,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
@@ -18,6 +17,7 @@ from rumi.runs.progress import say
 from rumi.viz.task_view import TaskView
 from rumi.viz.viewer import ViewerRecording
 from rumi.viz.viewer_layout import layout
+from rumi.viz.viewer_program import viewer_program
 from sdf.extras import optional
 
 _HOST = "127.0.0.1"  # by itself the viewer would listen to the whole network
@@ -44,7 +44,7 @@ class LiveView:
         rerun = optional("rerun", "--view")
         port, web = _free_ports()
         self._window = has_display()
-        words = [sys.executable, "-m", "rerun_cli", "--bind", _HOST, "--port", str(port), "--hide-welcome-screen"]
+        words = [*viewer_program(), "--bind", _HOST, "--port", str(port), "--hide-welcome-screen"]
         if not self._window:
             words += ["--serve-web", "--web-viewer-port", str(web)]
         self._process = subprocess.Popen(
@@ -84,7 +84,7 @@ class LiveView:
         """End the viewer, by force where it does not end by itself."""
         for end in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
             with contextlib.suppress(OSError):  # it is gone already
-                if hasattr(os, "killpg"):  # the viewer is started by a process of Python, which leads its group
+                if hasattr(os, "killpg"):  # the viewer leads its group, or a process of Python that started it does
                     os.killpg(self._process.pid, end)
                 else:
                     self._process.terminate()

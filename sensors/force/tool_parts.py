@@ -64,6 +64,26 @@ def ellipsoid_tool(center_s: Float[Tensor, "3"], half_axes: Sequence[float], fac
     return ConvexTool(torch.cat((normals, offset[:, None]), -1))
 
 
+def rod_tool(a_s: Sequence[float], b_s: Sequence[float], radius_m: float, sides: int = 24) -> ConvexTool:
+    """A prism about a round rod: planes that touch it, and one beyond each end.
+
+    Args:
+        a_s: one end of its axis, in the sensor's frame, metres.
+        b_s: the other end.
+        radius_m: of the rod, by which it reaches beyond both ends too.
+        sides: how many; the surface is off by about 5 radii over their square.
+    """
+    a, b = (torch.tensor(list(end), dtype=torch.float64) for end in (a_s, b_s))
+    if not float((b - a).norm()) > 0.0:
+        raise ValueError(f"Expected two ends of a rod's axis, got {tuple(a_s)} twice")
+    axis = torch.nn.functional.normalize(b - a, dim=0)
+    across = torch.linalg.svd(axis[None]).Vh[1:]  # two unit vectors across it
+    angle = torch.arange(sides, dtype=torch.float64) * (2.0 * math.pi / sides)
+    normals = torch.cat((torch.stack((angle.cos(), angle.sin()), -1) @ across, axis[None], -axis[None]))
+    offset = torch.maximum(normals @ a, normals @ b) + radius_m
+    return ConvexTool(torch.cat((normals, offset[:, None]), -1))
+
+
 def box_tool(center_s: Float[Tensor, "3"], sides_m: Sequence[float]) -> ConvexTool:
     """A box whose edges are along the sensor's axes; faces in the order +x, -x, +y, -y, +z, -z."""
     normals = torch.eye(3, dtype=torch.float64).repeat_interleave(2, 0)

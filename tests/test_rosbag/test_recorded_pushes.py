@@ -169,7 +169,7 @@ def test_a_suggested_mapping_can_be_used(tmp_path, monkeypatch, capsys):
     # what a replay needs beside it stands there as comments, which can be taken as they are
     uncommented = text.replace("# [wrench]", "[wrench]").replace("# radius_m", "radius_m").replace("# tare", "tare")
     wrench = mapping_of(uncommented.replace("# center_m", "center_m")).wrench
-    assert wrench.center_m == (0.0, 0.0, 0.1) and wrench.tare_s == 0.5
+    assert wrench.center_m == (0.0, 0.0, 0.1) and wrench.tare_s == 0.3
     mapping = read_mapping(tmp_path / "a.toml")
     assert mapping.frames.world == "map"
     assert mapping.frames.tool == "tip"

@@ -79,3 +79,31 @@ def test_a_tool_that_is_lifted_between_touches_does_not_make_an_object_too_low()
 def test_what_nothing_here_could_follow_is_refused(settings, said):
     with pytest.raises(UsageError, match=said):
         rummager_of(settings)
+
+
+ROD = "radius_m = 0.005\nrod_m = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]\n"
+
+
+def test_a_rod_is_a_tool_and_a_sensors_surface():
+    mapping = mapping_of(f"{MAP}[tool]\n{ROD}[wrench]\n{ROD}")
+    body = mapping.tool.shape().body
+    touched = torch.tensor([[0.005, 0.0, 0.05], [0.0, 0.0, -0.005], [0.0, 0.0, 0.105]])
+    torch.testing.assert_close(body.distance(touched), torch.zeros(3), atol=1e-6, rtol=0.0)
+    assert mapping.wrench is not None and len(mapping.wrench.tool().planes) > 4
+    assert mapping.tool.links()[0] is not None
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "[tool]\nradius_m = 0.005\n",
+        "[tool]\nrod_m = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]\n",
+        f'[tool]\n{ROD}mesh = "tool.stl"\n',
+        "[tool]\nradius_m = 0.005\nrod_m = [[0.0, 0.0, 0.1], [0.0, 0.0, 0.1]]\n",
+        "[tool]\nradius_m = -0.005\nrod_m = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]\n",
+        '[wrench]\nmesh = "tool.stl"\nrod_m = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]\n',
+    ],
+)
+def test_half_a_rod_is_refused(table):
+    with pytest.raises(UsageError, match=r"rod_m|radius_m"):
+        mapping_of(MAP + table)

@@ -49,11 +49,11 @@ STREAMS = [
 ]
 
 
-def code_lines(source):
-    """Lines of code: without blank ones, comments, docstrings and imports."""
+def code_lines(source, imports=False):
+    """Lines of code: without blank ones, comments and docstrings, and with imports where they are asked for."""
     tree = ast.parse(source)
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    skipped = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    skipped = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom) and not imports]
     skipped += [node.body[0] for node in ast.walk(tree) if isinstance(node, documented) and ast.get_docstring(node)]
     away = {line for node in skipped for line in range(node.lineno, node.end_lineno + 1)}
     lines = enumerate(source.splitlines(), 1)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from sensors.force.force_torque import WrenchNoise, WrenchStatus
-from sensors.force.tool_parts import box_tool, ellipsoid_tool, parts_contact
+from sensors.force.tool_parts import box_tool, ellipsoid_tool, parts_contact, rod_tool
 
 NOISE = WrenchNoise(0.01, 0.0002).covariance()
 AXES = (0.035, 0.018, 0.022)
@@ -63,3 +63,20 @@ def test_an_ellipsoids_planes_touch_it():
     point = point + torch.tensor([0.01, 0.0, -0.02], dtype=torch.float64)
     torch.testing.assert_close((normals * point).sum(-1), offsets)
     assert float((point @ normals.T - offsets).max()) < 1e-9
+
+
+def test_a_rods_planes_touch_it_and_wrenches_find_the_touched_side():
+    a, b, radius = (0.01, 0.0, 0.02), (0.01, 0.06, 0.1), 0.005
+    tool = rod_tool(a, b, radius, sides=48)
+    axis = torch.nn.functional.normalize(torch.tensor(b) - torch.tensor(a), dim=0).double()
+    across = torch.linalg.cross(axis, torch.tensor([1.0, 0.0, 0.0]).double())
+    point = 0.3 * torch.tensor(a).double() + 0.7 * torch.tensor(b).double() + radius * across
+    contact, _ = parts_contact(pushed([point.tolist()], [(-2.0 * across).tolist()]), [tool], NOISE)
+    assert contact.status.tolist() == [int(WrenchStatus.CONTACT)]
+    torch.testing.assert_close(contact.point_s[0], point, atol=2e-5, rtol=0.0)
+    assert float(contact.normal_s[0] @ across) > 0.99
+    # it ends a radius beyond the ends of its axis
+    end = torch.tensor(b).double() + radius * axis
+    assert float((tool.planes[:, :3] @ end - tool.planes[:, 3]).max()) == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(ValueError, match="two ends"):
+        rod_tool(a, a, radius)
