@@ -191,11 +191,10 @@ class ArmWorld(World):
 
         def drive(step: int | None) -> None:
             nonlocal touched, stopped
-            if step is None and stopped is None:
-                stopped = self._joints_now()
             if stopped is None and step is not None:
                 samples.append(self._step(position[step], velocity[step], acceleration[step]))
             else:
+                stopped = self._joints_now() if stopped is None else stopped
                 samples.append(self._step(stopped, zero, zero))
             touched = touched or self._link_touches()
 
