@@ -12,6 +12,7 @@ with more poses, of beliefs that were not trained on; its time is the processor'
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -71,7 +72,7 @@ class Options:
     imitation: int = 1200
     steps: int = 100
     beliefs: int = 100
-    runs: int = 30
+    runs: int = 60
     work: Path = Path("build/plan_proposals")
     out: Path = Path("scripts/results")
     figures: Path = Path("scripts/docs/figures")
@@ -286,7 +287,7 @@ def run_all(options: Options, network: ProposalNetwork, store: Store) -> None:
             policy = method.policy(agent, network, FIRST if method.network else USUAL[2])
             store.measure(
                 {"part": "run", "seed": seed, "network": method.network} | about(options),
-                lambda seed=seed, policy=policy: whole_run(task, agent, policy, seed),
+                partial(whole_run, task, agent, policy, seed),
             )
 
 

@@ -17,7 +17,7 @@ from scripts.plan_proposals import Frame, ProposalNetwork, Scenes, SoftCost, Sum
 from sdf import se3
 
 
-def moment(agent, seed: int) -> Moment:
+def moment(agent: Rummager, seed: int) -> Moment:
     """A mug ahead of the tool, of unknown yaw."""
     random = torch.Generator().manual_seed(seed)
     planar = torch.tensor([0.6, 0.0, 0.0]) + torch.tensor([0.01, 0.01, 0.8]) * torch.randn(20, 3, generator=random)
