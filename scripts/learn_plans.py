@@ -361,7 +361,7 @@ def draw(lines: Sequence[Line], file: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(1, 2, figsize=(7, 2.8), layout="constrained", sharey=True)
+    figure, axes = pyplot.subplots(1, 2, figsize=(7, 3.4), layout="constrained", sharey=True)
     for axis, warm, title in zip(axes, (False, True), ("first plan, from noise", "from the plan before"), strict=True):
         some = [line for line in lines if line["part"] == "belief" and line["warm"] == warm]
         methods = [*methods_of(False), *methods_of(True)] if some else []
@@ -371,7 +371,7 @@ def draw(lines: Sequence[Line], file: Path) -> None:
             axis.plot([1e3 * value for value in seconds], cost, "o-", label=family)
         axis.set(title=title, xlabel="processor time of a plan, ms")
     axes[0].set_ylabel("cost of the plan")
-    axes[0].legend()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     figure.savefig(file, dpi=150)
     pyplot.close(figure)
 
